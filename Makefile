@@ -1,0 +1,46 @@
+# Two commands on a fresh Debian or Ubuntu machine: `make demo` and `make test`.
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+SUDO   := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
+# Debian packages that the tests need: the SPICE library, and its command for the netlist tests.
+TEST_PACKAGES := libngspice0 ngspice
+
+.PHONY: demo test lint system-test-packages clean
+
+demo: $(VENV)/demo.stamp
+	@$(BIN)/ohmskin verify -o ohmskin-report; code=$$?; \
+	 echo; echo "Report: $(CURDIR)/ohmskin-report/report.html"; \
+	 if [ $$code = 3 ]; then echo "Some checks could not be run here; the report says which and why."; exit 0; fi; \
+	 exit $$code
+
+test: system-test-packages $(VENV)/dev.stamp lint
+	$(BIN)/python -m pytest
+
+lint: $(VENV)/dev.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+system-test-packages:
+	@missing=""; for p in $(TEST_PACKAGES); do \
+	   dpkg -s $$p 2>/dev/null | grep -q '^Status: install ok' || missing="$$missing $$p"; done; \
+	 if [ -n "$$missing" ]; then \
+	   $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq $$missing >/dev/null; fi
+
+# Debian ships venv apart from python3; bring it when it is not there.
+$(BIN)/python:
+	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
+	   $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq python3-venv >/dev/null; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/demo.stamp: $(BIN)/python pyproject.toml
+	$(BIN)/pip install -q --disable-pip-version-check -e '.[report,spice]'
+	@touch $@
+
+$(VENV)/dev.stamp: $(BIN)/python pyproject.toml
+	$(BIN)/pip install -q --disable-pip-version-check -e '.[dev]'
+	@touch $@
+
+clean:
+	rm -rf $(VENV) build dist ohmskin-report src/*.egg-info

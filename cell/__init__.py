@@ -1,0 +1,1 @@
+"""The piezoresistive cell: pressure to resistance, and back."""

@@ -1,0 +1,1 @@
+"""The scanned resistive grid with real parts: ohms to volts to counts."""

@@ -1,0 +1,140 @@
+"""DESIGN.toml: the array, its drive, its readout and its ADC. Everything not named is ideal."""
+
+from __future__ import annotations
+
+from math import inf
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field, model_validator
+
+from ..config import Section, load
+from ..errors import InputError
+
+Ohm = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+FloatArray = NDArray[np.float64]
+
+
+class Array(Section):
+    """The passive grid. Column j's line starts at row 0 and its amplifier follows row N-1;
+    row i is driven at column 0.
+    """
+
+    rows: Annotated[int, Field(ge=1, le=1024)]
+    columns: Annotated[int, Field(ge=1, le=1024)]
+    row_segment: Ohm = 0.0
+    """ohm between neighbouring crosspoints of a row line"""
+    column_segment: Ohm = 0.0
+    row_lead: Ohm = 0.0
+    """ohm in series with each row line: driver, switch, lead up to its first crosspoint"""
+    column_lead: Ohm = 0.0
+    """ohm between the last crosspoint of a column line and the amplifier"""
+    sheet: Literal["sliced", "continuous"] = "sliced"
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.rows, self.columns
+
+
+class Drive(Section):
+    """What the rows are driven with."""
+
+    voltage: Finite
+    """V, selected row against the reference"""
+    idle_rows: Literal["ground", "float"] = "ground"
+
+    @model_validator(mode="after")
+    def _drives(self) -> Self:
+        if self.voltage == 0:
+            raise ValueError("voltage must not be 0: nothing would be read")
+        return self
+
+
+class Readout(Section):
+    """What each column ends in."""
+
+    circuit: Literal["inverting-amplifier", "voltage-divider"]
+    reference_resistance: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    """ohm: Rref, or the divider's load"""
+    reference_voltage: Finite = 0.0
+    """V: non-inverting input and idle rows (single-supply boards)"""
+    open_loop_gain: Annotated[float, Field(ge=1)] = inf
+    gain_bandwidth: Annotated[float, Field(gt=0)] = inf
+    """Hz"""
+    offset_voltage: Finite = 0.0
+    """V, added to the non-inverting input"""
+    bias_current: Finite = 0.0
+    """A, into the inverting input"""
+    supply: tuple[float, float] = (-inf, inf)
+    """V, output swing"""
+    idle_columns: Literal["float", "load"] = "float"
+    """divider only: what the columns that are not being read end in"""
+
+    @model_validator(mode="after")
+    def _swing(self) -> Self:
+        low, high = self.supply
+        if not low < high:
+            raise ValueError(f"supply must be [lowest, highest] output in V, got [{low}, {high}]")
+        if not low <= self.reference_voltage <= high:
+            raise ValueError(f"reference_voltage {self.reference_voltage} V lies outside supply [{low}, {high}] V")
+        return self
+
+
+class Adc(Section):
+    """The converter behind the column outputs."""
+
+    bits: Annotated[int, Field(ge=1, le=32)]
+    range: tuple[Finite, Finite]
+    """V at code 0 and at full scale"""
+
+    @model_validator(mode="after")
+    def _span(self) -> Self:
+        if not self.range[0] < self.range[1]:
+            raise ValueError(f"range must be [lowest, highest] input in V, got {list(self.range)}")
+        return self
+
+    @property
+    def step(self) -> float:
+        """V of one code."""
+        return (self.range[1] - self.range[0]) / 2.0**self.bits
+
+
+class Design(Section):
+    """A complete readout design. ``Design.load("design.toml")``."""
+
+    array: Array
+    drive: Drive
+    readout: Readout
+    adc: Adc | None = None
+    """None: the column outputs are taken as they are"""
+
+    @classmethod
+    def load(cls, path: str | Path) -> Design:
+        """Read DESIGN.toml; InputError with one located message if it is not a valid design."""
+        return load(path, cls)
+
+    def resistance(self, cells: ArrayLike) -> FloatArray:
+        """``cells`` as a checked (rows, columns) array in ohm; inf is an open cell, 0 a short.
+
+        Raises:
+            InputError: wrong shape, NaN or negative entries.
+        """
+        try:
+            resistance = np.asarray(cells, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"cell resistances are not numbers: {error}") from error
+        if resistance.shape != self.array.shape:
+            raise InputError(
+                f"cell resistances have shape {resistance.shape}, expected {self.array.shape} (rows, columns)"
+            )
+        bad = ~(resistance >= 0)
+        if bad.any():
+            row, column = np.argwhere(bad)[0]
+            raise InputError(
+                f"cell resistance at row {row}, column {column} is {resistance[row, column]}; "
+                "expected ohm >= 0 (inf = open, 0 = short)"
+            )
+        return resistance

@@ -1,0 +1,1 @@
+"""The host's end: from bytes on a port to counts, ohms and kilopascal."""

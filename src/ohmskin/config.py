@@ -1,0 +1,103 @@
+"""Configuration files: TOML in, checked and frozen models out.
+
+The types and limits are declared on the models (pydantic); this module only finds the file, and turns
+pydantic's structured errors into one line that names the file, the key and what was expected.
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from .errors import InputError
+
+
+class Section(BaseModel):
+    """One table of a configuration file: immutable, and without keys nobody knows."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+S = TypeVar("S", bound=BaseModel)
+
+
+def load(path: str | Path, model: type[S]) -> S:
+    """Read a TOML file into ``model``.
+
+    Raises:
+        InputError: the file is missing, is not TOML, or does not fit the model. The message is one line.
+    """
+    return parse(read_toml(path), model, source=str(path))
+
+
+def read_toml(path: str | Path) -> dict[str, Any]:
+    """The tables of a TOML file; InputError when there is no such file or it is not TOML."""
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {_reason(error)}") from error
+    if not text.strip():
+        raise InputError(f"{path}: the file is empty; expected TOML tables")
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path}: not valid TOML: {error}") from error
+
+
+def parse(tables: Mapping[str, Any], model: type[S], *, source: str) -> S:
+    """Check ``tables`` against ``model``; ``source`` names them in messages. Raises InputError."""
+    try:
+        return model.model_validate(tables)
+    except ValidationError as error:
+        raise InputError(f"{source}: {describe(error, model)}") from error
+
+
+def describe(error: ValidationError, model: type[BaseModel]) -> str:
+    """The first fault of a failed validation, in one line: key, what is wrong, what was expected."""
+    first = error.errors()[0]
+    where = _dotted(first["loc"])
+    match first["type"]:
+        case "extra_forbidden":
+            near = difflib.get_close_matches(str(first["loc"][-1]), _keys_at(model, first["loc"][:-1]), n=1, cutoff=0.0)
+            hint = f"; the nearest known key is '{near[0]}'" if near else ""
+            return f"unknown key '{where}'{hint}"
+        case "missing":
+            return f"missing key '{where}'"
+        case "value_error":
+            message = str(first["ctx"]["error"])
+        case _:
+            message = first["msg"][0].lower() + first["msg"][1:]
+    given = first["input"]
+    shown = "" if isinstance(given, (dict, BaseModel)) else f" (got {given!r})"
+    return f"{where}: {message}{shown}" if where else f"{message}{shown}"
+
+
+def _dotted(location: tuple[int | str, ...]) -> str:
+    path = ""
+    for part in location:
+        path += f"[{part}]" if isinstance(part, int) else f".{part}" if path else str(part)
+    return path
+
+
+def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """Keys that the table at ``location`` may have."""
+    for part in location:
+        if isinstance(part, int) or part not in model.model_fields:
+            continue
+        candidates = [model.model_fields[part].annotation]
+        while candidates:
+            kind = candidates.pop()
+            if isinstance(kind, type) and issubclass(kind, BaseModel):
+                model = kind
+                break
+            candidates.extend(getattr(kind, "__args__", ()))
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def _reason(error: Exception) -> str:
+    return (error.strerror or str(error)) if isinstance(error, OSError) else str(error)

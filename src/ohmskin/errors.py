@@ -1,0 +1,42 @@
+"""Every error ohmskin raises on purpose, split by whose fault it is.
+
+::
+
+    OhmskinError
+      InputError         the caller's: a file, key, array or option is not as it must be
+      MissingExtra       the installation's: an optional dependency is not there
+      SolverError        the problem's: no trustworthy number can be computed
+      LinkError          the cable's: the port is missing, refused, lost or silent
+        LinkTimeout
+      ProtocolError      the peer's: bytes that no conforming board or host sends
+
+The command line turns each into one line on standard error; see :mod:`ohmskin.cli` for the exit codes.
+"""
+
+
+class OhmskinError(Exception):
+    """Base of all errors raised on purpose."""
+
+
+class InputError(OhmskinError, ValueError):
+    """Something the caller handed in is wrong; the message says what, where and what was expected."""
+
+
+class MissingExtra(OhmskinError, ImportError):
+    """An optional dependency is missing; the message names the extra that brings it."""
+
+
+class SolverError(OhmskinError, ArithmeticError):
+    """A circuit has no unique or no trustworthy solution; the message says why and what to change."""
+
+
+class LinkError(OhmskinError, OSError):
+    """The serial link cannot be opened or broke."""
+
+
+class LinkTimeout(LinkError, TimeoutError):
+    """The serial link is open but nothing usable came in time."""
+
+
+class ProtocolError(OhmskinError):
+    """Bytes that violate the wire format."""

@@ -1,0 +1,105 @@
+"""CSV in and out: matrices of cells and columns of a recording. Faults name the file and the line."""
+
+from __future__ import annotations
+
+import csv
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .errors import InputError
+
+FloatArray = NDArray[np.float64]
+
+
+def read_matrix(path: str | Path, *, shape: tuple[int, int] | None = None) -> FloatArray:
+    """Read lines of comma-separated numbers (``inf`` allowed) as a (rows, columns) array.
+
+    Raises:
+        InputError: unreadable, empty or ragged file, a field that is not a number, or another ``shape``.
+    """
+    rows = [[_number(path, line, field) for field in fields] for line, fields in _lines(path)]
+    widths = {len(row) for row in rows}
+    if len(widths) > 1:
+        raise InputError(f"{path}: lines of unequal length ({min(widths)} and {max(widths)} fields)")
+    matrix = np.array(rows, dtype=np.float64)
+    if shape is not None and matrix.shape != shape:
+        found, wanted = "{} lines of {} numbers".format(*matrix.shape), "{} lines of {}".format(*shape)
+        raise InputError(f"{path}: has {found}, expected {wanted} (rows x columns of the design)")
+    return matrix
+
+
+def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, FloatArray]:
+    """Read the named columns of a CSV file with a header line; an empty field or ``nan`` is NaN.
+
+    Raises:
+        InputError: unreadable or empty file, a missing column, or a field that is not a number.
+    """
+    lines = iter(_lines(path))
+    _, header = next(lines)
+    header = [name.strip() for name in header]
+    missing = [name for name in names if name not in header]
+    if missing:
+        raise InputError(
+            f"{path}: line 1: no column '{missing[0]}'; expected a header with {','.join(names)}, got {','.join(header)}"
+        )
+    places = [header.index(name) for name in names]
+    values: list[list[float]] = []
+    for line, fields in lines:
+        if len(fields) != len(header):
+            raise InputError(f"{path}: line {line}: {len(fields)} fields, expected {len(header)}")
+        values.append([_number(path, line, fields[k], empty_is_nan=True) for k in places])
+    if not values:
+        raise InputError(f"{path}: no data below the header")
+    table = np.array(values, dtype=np.float64)
+    return {name: table[:, k].copy() for k, name in enumerate(names)}
+
+
+def write_matrix(path: str | Path, matrix: FloatArray) -> None:
+    """Write a (rows, columns) array as CSV that reads back bit for bit."""
+    write_text(path, "".join(",".join(map(repr, row)) + "\n" for row in matrix.tolist()))
+
+
+def write_columns(path: str | Path, columns: Mapping[str, Iterable[float]]) -> None:
+    """Write equally long columns with a header line."""
+    rows = zip(*(np.asarray(c, dtype=np.float64).tolist() for c in columns.values()), strict=True)
+    body = "".join(",".join(map(repr, row)) + "\n" for row in rows)
+    write_text(path, ",".join(columns) + "\n" + body)
+
+
+def write_text(path: str | Path, text: str) -> None:
+    """Write a whole file or nothing: beside it first, then moved into place. Raises InputError."""
+    target = Path(path)
+    partial = target.with_name(f".{target.name}.partial-{os.getpid()}")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(target)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def _lines(path: str | Path) -> list[tuple[int, list[str]]]:
+    """Non-blank lines with their numbers, split into fields."""
+    try:
+        with open(path, newline="", encoding="utf-8-sig") as file:
+            lines = [(n, fields) for n, fields in enumerate(csv.reader(file), 1) if any(f.strip() for f in fields)]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise InputError(f"{path}: cannot be read: {reason}") from error
+    if not lines:
+        raise InputError(f"{path}: the file is empty")
+    return lines
+
+
+def _number(path: str | Path, line: int, field: str, *, empty_is_nan: bool = False) -> float:
+    if empty_is_nan and not field.strip():
+        return math.nan
+    try:
+        return float(field)
+    except ValueError:
+        raise InputError(f"{path}: line {line}: {field.strip()!r} is not a number") from None

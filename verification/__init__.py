@@ -1,0 +1,1 @@
+"""The design verification report: experiments P1 to P14 and what they must show."""

@@ -1,0 +1,1 @@
+"""The packets of the scan board: bytes to frozen values and back, without I/O."""
