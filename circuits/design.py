@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import inf
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,9 @@ from ..errors import InputError
 Ohm = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 FloatArray = NDArray[np.float64]
+
+Circuit = Literal["inverting-amplifier", "voltage-divider"]
+CIRCUITS: tuple[str, ...] = get_args(Circuit)
 
 
 class Array(Section):
@@ -56,7 +59,7 @@ class Drive(Section):
 class Readout(Section):
     """What each column ends in."""
 
-    circuit: Literal["inverting-amplifier", "voltage-divider"]
+    circuit: Circuit
     reference_resistance: Annotated[float, Field(gt=0, allow_inf_nan=False)]
     """ohm: Rref, or the divider's load"""
     reference_voltage: Finite = 0.0
@@ -68,7 +71,7 @@ class Readout(Section):
     """V, added to the non-inverting input"""
     bias_current: Finite = 0.0
     """A, into the inverting input"""
-    supply: tuple[float, float] = (-inf, inf)
+    supply: Annotated[tuple[float, float], Field(strict=False)] = (-inf, inf)
     """V, output swing"""
     idle_columns: Literal["float", "load"] = "float"
     """divider only: what the columns that are not being read end in"""
@@ -87,7 +90,7 @@ class Adc(Section):
     """The converter behind the column outputs."""
 
     bits: Annotated[int, Field(ge=1, le=32)]
-    range: tuple[Finite, Finite]
+    range: Annotated[tuple[Finite, Finite], Field(strict=False)]
     """V at code 0 and at full scale"""
 
     @model_validator(mode="after")
@@ -116,11 +119,17 @@ class Design(Section):
         """Read DESIGN.toml; InputError with one located message if it is not a valid design."""
         return load(path, cls)
 
+    def with_circuit(self, circuit: str) -> Design:
+        """The same array and parts read by another circuit."""
+        readout = self.readout.model_dump() | {"circuit": circuit}
+        return self.model_copy(update={"readout": Readout.model_validate(readout)})
+
     def resistance(self, cells: ArrayLike) -> FloatArray:
         """``cells`` as a checked (rows, columns) array in ohm; inf is an open cell, 0 a short.
 
         Raises:
             InputError: wrong shape, NaN or negative entries.
+
         """
         try:
             resistance = np.asarray(cells, dtype=np.float64)

@@ -18,9 +18,9 @@ from .errors import InputError
 
 
 class Section(BaseModel):
-    """One table of a configuration file: immutable, and without keys nobody knows."""
+    """One table of a configuration file: immutable, no unknown keys, no conversion of text to numbers."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
 S = TypeVar("S", bound=BaseModel)
@@ -31,6 +31,7 @@ def load(path: str | Path, model: type[S]) -> S:
 
     Raises:
         InputError: the file is missing, is not TOML, or does not fit the model. The message is one line.
+
     """
     return parse(read_toml(path), model, source=str(path))
 
@@ -59,7 +60,8 @@ def parse(tables: Mapping[str, Any], model: type[S], *, source: str) -> S:
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
     """The first fault of a failed validation, in one line: key, what is wrong, what was expected."""
-    first = error.errors()[0]
+    # An unknown key explains a missing one (a slip of the pen), so it goes first.
+    first = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
     where = _dotted(first["loc"])
     match first["type"]:
         case "extra_forbidden":

@@ -16,18 +16,19 @@ from .errors import InputError
 FloatArray = NDArray[np.float64]
 
 
-def read_matrix(path: str | Path, *, shape: tuple[int, int] | None = None) -> FloatArray:
-    """Read lines of comma-separated numbers (``inf`` allowed) as a (rows, columns) array.
+def read_cells(path: str | Path, shape: tuple[int, int]) -> FloatArray:
+    """Read lines of comma-separated cell resistances in ohm (``inf`` = open, 0 = short) as an array of ``shape``.
 
     Raises:
-        InputError: unreadable, empty or ragged file, a field that is not a number, or another ``shape``.
+        InputError: unreadable, empty or ragged file, another shape, a field that is not a number, negative or NaN.
+
     """
-    rows = [[_number(path, line, field) for field in fields] for line, fields in _lines(path)]
+    rows = [[_resistance(path, line, field) for field in fields] for line, fields in _lines(path)]
     widths = {len(row) for row in rows}
     if len(widths) > 1:
         raise InputError(f"{path}: lines of unequal length ({min(widths)} and {max(widths)} fields)")
     matrix = np.array(rows, dtype=np.float64)
-    if shape is not None and matrix.shape != shape:
+    if matrix.shape != shape:
         found, wanted = "{} lines of {} numbers".format(*matrix.shape), "{} lines of {}".format(*shape)
         raise InputError(f"{path}: has {found}, expected {wanted} (rows x columns of the design)")
     return matrix
@@ -38,6 +39,7 @@ def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, FloatArray
 
     Raises:
         InputError: unreadable or empty file, a missing column, or a field that is not a number.
+
     """
     lines = iter(_lines(path))
     _, header = next(lines)
@@ -45,7 +47,7 @@ def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, FloatArray
     missing = [name for name in names if name not in header]
     if missing:
         raise InputError(
-            f"{path}: line 1: no column '{missing[0]}'; expected a header with {','.join(names)}, got {','.join(header)}"
+            f"{path}: line 1: no column '{missing[0]}'; expected {','.join(names)}, got {','.join(header)}"
         )
     places = [header.index(name) for name in names]
     values: list[list[float]] = []
@@ -61,7 +63,12 @@ def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, FloatArray
 
 def write_matrix(path: str | Path, matrix: FloatArray) -> None:
     """Write a (rows, columns) array as CSV that reads back bit for bit."""
-    write_text(path, "".join(",".join(map(repr, row)) + "\n" for row in matrix.tolist()))
+    write_text(path, format_matrix(matrix))
+
+
+def format_matrix(matrix: FloatArray) -> str:
+    """CSV text of a (rows, columns) array."""
+    return "".join(",".join(map(repr, row)) + "\n" for row in matrix.tolist())
 
 
 def write_columns(path: str | Path, columns: Mapping[str, Iterable[float]]) -> None:
@@ -94,6 +101,13 @@ def _lines(path: str | Path) -> list[tuple[int, list[str]]]:
     if not lines:
         raise InputError(f"{path}: the file is empty")
     return lines
+
+
+def _resistance(path: str | Path, line: int, field: str) -> float:
+    value = _number(path, line, field)
+    if not value >= 0:
+        raise InputError(f"{path}: line {line}: {field.strip()} is not a resistance; expected ohm >= 0 or inf")
+    return value
 
 
 def _number(path: str | Path, line: int, field: str, *, empty_is_nan: bool = False) -> float:

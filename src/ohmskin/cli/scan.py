@@ -1,0 +1,64 @@
+"""``ohmskin scan``: one frame of cells through a readout design."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+
+from .. import tables
+from ..circuits import Design, scan
+from ..circuits.design import CIRCUITS
+
+
+@click.command()
+@click.argument("design_file", metavar="DESIGN.toml", type=click.Path(path_type=Path))
+@click.option(
+    "--cells",
+    required=True,
+    metavar="CELLS.csv",
+    help="N lines of M resistances in ohm; inf = open, 0 = short.",
+)
+@click.option("--tolerance", type=float, metavar="REL", help="Largest error accepted, relative to the largest output.")
+@click.option("--readout", type=click.Choice(CIRCUITS), help="Read with this circuit instead of the design's.")
+@click.option("-o", "--output", metavar="OUT.csv", help="Write the N x M apparent resistances here.")
+@click.option("--json", "as_json", is_flag=True, help="Print volts, resistance, method, error bound and time as JSON.")
+def command(
+    design_file: Path,
+    cells: str,
+    tolerance: float | None,
+    readout: str | None,
+    output: str | None,
+    as_json: bool,
+) -> None:
+    """Read one frame of cell resistances through the readout of DESIGN.toml."""
+    design = Design.load(design_file)
+    if readout is not None:
+        design = design.with_circuit(readout)
+    result = scan(design, tables.read_cells(cells, design.array.shape), tolerance=tolerance)
+    if output is not None:
+        tables.write_matrix(output, result.resistance)
+    if as_json:
+        values = {
+            "volts": result.volts.tolist(),
+            "resistance": result.resistance.tolist(),
+            "method": result.method,
+            "error_bound": result.error_bound,
+            "saturated": result.saturated.tolist(),
+            "seconds": result.seconds,
+        }
+        click.echo(json.dumps(_null_where_infinite(values), allow_nan=False))
+    elif output is None:
+        click.echo(tables.format_matrix(result.resistance), nl=False)
+
+
+def _null_where_infinite(value: Any) -> Any:
+    """JSON has no infinity."""
+    if isinstance(value, dict):
+        return {key: _null_where_infinite(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_null_where_infinite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

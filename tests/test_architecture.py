@@ -1,0 +1,56 @@
+"""The rooms know only those below them (docs/design.md)."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+SHARED = {"errors", "config", "tables"}
+MAY_IMPORT = {
+    "circuits": SHARED,
+    "cell": SHARED,
+    "wire": SHARED,
+    "emulator": SHARED | {"circuits", "cell", "wire"},
+    "driver": SHARED | {"circuits", "cell", "wire"},
+    "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
+}
+
+
+def _imports(file: Path) -> set[str]:
+    """First names below ``ohmskin`` that a module imports, and the top-level modules of other packages."""
+    package = ["ohmskin", *file.relative_to(ROOT).parts[:-1]]
+    found = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {name.name for name in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            base = package[: len(package) - node.level + 1] if node.level else []
+            stem = [*base, *(node.module.split(".") if node.module else [])]
+            found |= {".".join([*stem, name.name]) for name in node.names}
+    return found
+
+
+@pytest.mark.parametrize("room", MAY_IMPORT)
+def test_a_room_imports_only_what_is_below_it(room: str) -> None:
+    files = sorted((ROOT / room).rglob("*.py"))
+    assert files
+    for file in files:
+        imports = _imports(file)
+        bare = {name.split(".")[0] for name in imports} & MAY_IMPORT.keys()
+        assert not bare, f"{file.relative_to(ROOT)} imports {bare} without the package name ohmskin"
+        inner = {name.split(".")[1] for name in imports if name.startswith("ohmskin.")}
+        forbidden = inner - MAY_IMPORT[room] - {room, "__version__"}
+        assert not forbidden, f"{file.relative_to(ROOT)} imports {forbidden}"
+
+
+def test_only_one_module_imports_pyspice() -> None:
+    users = {
+        str(file.relative_to(ROOT))
+        for folder in [*MAY_IMPORT, "src/ohmskin/cli", "bench", "examples"]
+        for file in (ROOT / folder).rglob("*.py")
+        if any(name.split(".")[0] == "PySpice" for name in _imports(file))
+    }
+    assert users <= {"circuits/spice.py"}

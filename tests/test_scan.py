@@ -1,0 +1,221 @@
+"""The solver against closed forms, published figures and the laws of circuits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from designs import amplifier, divider
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from ohmskin.circuits import ideal_volts, scan
+from ohmskin.circuits.scan import exact_ports
+from ohmskin.errors import InputError
+
+ORDINARY = st.floats(1e2, 1e7)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 5), (5, 1), (4, 4), (3, 7), (16, 16)])
+def test_uniform_floating_divider_reads_the_grid_resistance(shape: tuple[int, int]) -> None:
+    n, m = shape
+    read = scan(divider(n, m), np.full(shape, 5e3)).resistance
+    assert read == pytest.approx(np.full(shape, 5e3 * (n + m - 1) / (n * m)), rel=1e-12)
+
+
+@given(hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, max_side=9), elements=st.floats(1.0, 1e12)))
+def test_ideal_amplifier_reads_each_cell_alone(cells: np.ndarray) -> None:
+    volts = scan(amplifier(*cells.shape), cells).volts
+    np.testing.assert_allclose(volts, 1000.0 / cells, rtol=1e-12)
+
+
+PUBLISHED_CELLS = (100.0, 500.0, 2000.0, 5000.0, 7500.0, 10000.0)
+PUBLISHED = {  # switch resistance: |error| in % (Hidalgo-Lopez et al. 2018, table 2a)
+    1.0: (2.28, 0.68, 0.37, 0.29, 0.26, 0.24),
+    6.0: (13.79, 4.10, 2.27, 1.89, 1.79, 1.73),
+    25.0: (58.82, 17.42, 9.61, 7.96, 7.54, 7.29),
+}
+
+
+@pytest.mark.parametrize("switch", PUBLISHED)
+def test_published_switch_resistance_errors(switch: float) -> None:
+    design = amplifier(8, 8, lead=switch)
+    for cell, published in zip(PUBLISHED_CELLS, PUBLISHED[switch], strict=True):
+        cells = np.full((8, 8), 5e3)
+        cells[2, 5] = cell
+        error = 100 * abs(scan(design, cells).resistance[2, 5] / cell - 1)
+        assert error == pytest.approx(published, abs=0.25)
+
+
+@pytest.mark.parametrize(("size", "first", "last"), [(8, 0.880, 1.442), (16, 3.047, 5.464), (32, 11.351, 21.457)])
+def test_published_distributed_line_errors(size: int, first: float, last: float) -> None:
+    read = scan(amplifier(size, size, lead=1.0, segment=1.0), np.full((size, size), 5e3)).resistance
+    errors = 100 * (read[0] / 5e3 - 1)
+    assert round(errors[0], 3) == first
+    assert round(errors[-1], 3) == last
+
+
+def _nodal(conductance: np.ndarray, row: np.ndarray, column: np.ndarray) -> tuple[np.ndarray, int]:
+    """Laplacian of the whole grid with the N + M port nodes first."""
+    n, m = conductance.shape
+    node = {("source", i): i for i in range(n)} | {("column", n - 1, j): n + j for j in range(m)}
+    branches = []
+    for i in range(n):
+        for j in range(m):
+            left = ("source", i) if j == 0 else ("row", i, j - 1)
+            branches.append((left, ("row", i, j), row[i, j]))
+            branches.append((("row", i, j), ("column", i, j), conductance[i, j]))
+            if i:
+                branches.append((("column", i - 1, j), ("column", i, j), column[i, j]))
+    laplacian = np.zeros((2 * n * m + n, 2 * n * m + n))
+    for a, b, g in branches:
+        p, q = (node.setdefault(x, len(node)) for x in (a, b))
+        laplacian[[p, q], [p, q]] += g
+        laplacian[[p, q], [q, p]] -= g
+    return laplacian, n + m
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 6), (6, 1), (2, 2), (5, 3), (13, 18), (20, 17)])
+@pytest.mark.parametrize("segment", [1e-3, 1.0, 300.0])
+def test_ports_are_the_schur_complement_of_the_nodal_matrix(shape: tuple[int, int], segment: float) -> None:
+    rng = np.random.default_rng(7)
+    cells = 10 ** rng.uniform(3, 5, shape)
+    ports = exact_ports(amplifier(*shape, lead=2 * segment, segment=segment), cells)
+    row, column = np.full(shape, 1 / segment), np.full(shape, 1 / segment)
+    row[:, 0] /= 2
+    laplacian, count = _nodal(1 / cells, row, column)
+    inner = np.linalg.solve(laplacian[count:, count:], laplacian[count:, :count])
+    expected = laplacian[:count, count:] @ inner - laplacian[:count, :count]
+    np.fill_diagonal(expected, 0.0)
+    np.testing.assert_allclose(ports, expected, rtol=1e-9, atol=1e-13 * expected.max())
+    assert np.array_equal(ports.diagonal(), np.zeros(count))
+    np.testing.assert_allclose(ports, ports.T, rtol=1e-12)
+
+
+@settings(deadline=None)
+@given(
+    hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, max_side=7), elements=ORDINARY),
+    st.sampled_from([0.0, 1e-6, 0.5, 100.0, 1e6]),
+    st.floats(1e-3, 1e3),
+)
+def test_scaling_all_resistances_scales_all_readings(cells: np.ndarray, ohms: float, k: float) -> None:
+    base = scan(amplifier(*cells.shape, lead=ohms, segment=ohms), cells).volts
+    scaled = scan(
+        amplifier(*cells.shape, lead=k * ohms, segment=k * ohms, reference_resistance=k * 1e3), k * cells
+    ).volts
+    np.testing.assert_allclose(scaled, base, rtol=1e-11)
+
+
+@settings(deadline=None)
+@given(hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, max_side=7), elements=ORDINARY))
+def test_reading_the_grid_from_its_other_side(cells: np.ndarray) -> None:
+    """Reciprocity: drive the columns and read the rows, and each cell reads the same (ideal amplifiers)."""
+    base = scan(amplifier(*cells.shape, lead=30.0, segment=2.0), cells).volts
+    # Turned over, the sources sit at the ends where the amplifiers were.
+    turned = scan(amplifier(*cells.shape[::-1], lead=30.0, segment=2.0), cells[::-1, ::-1].T).volts
+    np.testing.assert_allclose(turned.T[::-1, ::-1], base, rtol=1e-11)
+
+
+@settings(deadline=None)
+@given(
+    hnp.arrays(np.float64, (5, 4), elements=ORDINARY),
+    st.integers(0, 4),
+    st.integers(0, 3),
+    st.sampled_from([0.0, 20.0]),
+)
+def test_pressing_a_cell_lowers_its_own_reading(cells: np.ndarray, row: int, column: int, segment: float) -> None:
+    design = amplifier(5, 4, lead=10.0, segment=segment)
+    pressed = cells.copy()
+    pressed[row, column] *= 1.5
+    assert scan(design, pressed).volts[row, column] < scan(design, cells).volts[row, column]
+
+
+def test_open_rows_and_columns_read_open_and_leave_the_others_alone() -> None:
+    rng = np.random.default_rng(3)
+    cells = 10 ** rng.uniform(3, 5, (5, 6))
+    base = scan(amplifier(5, 6, lead=5.0), cells).volts
+    with_gap = np.insert(cells, 2, np.inf, axis=0)
+    read = scan(amplifier(6, 6, lead=5.0), with_gap)
+    assert np.isinf(read.resistance[2]).all()
+    np.testing.assert_allclose(np.delete(read.volts, 2, axis=0), base, rtol=1e-12)
+    with_gap = np.insert(cells, 3, np.inf, axis=1)
+    for segment in (0.0, 3.0):
+        read = scan(amplifier(5, 7, lead=5.0, segment=segment), with_gap)
+        assert np.isinf(read.resistance[:, 3]).all()
+        assert np.isfinite(np.delete(read.resistance, 3, axis=1)).all()
+
+
+def test_finite_gain_offset_and_bias_follow_the_first_order_law() -> None:
+    """Err ~ (1 + Rref sum G) / A; offset Vos (1 + Rref sum G); bias Ib Rref (paper-notes: readout)."""
+    cells = np.full((6, 3), 2e3)
+    ideal = scan(amplifier(6, 3), cells).volts
+    noise_gain = 1 + 1000.0 * 6 / 2e3
+    gain = scan(amplifier(6, 3, open_loop_gain=1e5), cells).volts
+    np.testing.assert_allclose(1 - gain / ideal, noise_gain / 1e5, rtol=1e-4)
+    offset = scan(amplifier(6, 3, offset_voltage=1e-3), cells).volts
+    np.testing.assert_allclose(offset - ideal, 1e-3 * noise_gain, rtol=1e-9)
+    bias = scan(amplifier(6, 3, bias_current=1e-8), cells).volts
+    np.testing.assert_allclose(bias - ideal, 1e-8 * 1000.0, rtol=1e-7)
+
+
+def test_a_saturated_output_stays_at_the_limit_and_is_flagged() -> None:
+    cells = np.full((4, 4), 5e3)
+    cells[1, 2] = 100.0
+    result = scan(amplifier(4, 4, lead=5.0, supply=(0.0, 3.3)), cells)
+    assert result.saturated.tolist() == (cells == 100.0).tolist()
+    assert result.volts[1, 2] == 3.3
+    # The lost virtual ground lifts column 2 and steals current from the driven row: its neighbours read high.
+    free = scan(amplifier(4, 4, lead=5.0), cells)
+    others = [0, 1, 3]
+    assert (result.volts[1, others] > free.volts[1, others]).all()
+
+
+def test_a_short_reads_infinite_on_ideal_parts_and_saturates_real_ones() -> None:
+    cells = np.full((3, 3), 1e4)
+    cells[1, 1] = 0.0
+    ideal = scan(amplifier(3, 3), cells)
+    assert np.isposinf(ideal.volts[1, 1])
+    assert ideal.resistance[1, 1] == 0
+    np.testing.assert_allclose(np.delete(ideal.volts.ravel(), 4), 0.1, rtol=1e-12)
+    real = scan(amplifier(3, 3, open_loop_gain=1e5, supply=(-5.0, 5.0)), cells)
+    assert real.saturated[1, 1]
+    assert real.volts[1, 1] == 5.0
+
+
+@pytest.mark.parametrize("idle_rows", ["float", "ground"])
+@pytest.mark.parametrize("idle_columns", ["float", "load"])
+def test_a_single_cell_divider_is_a_divider(idle_rows: str, idle_columns: str) -> None:
+    result = scan(divider(1, 1, idle_rows=idle_rows, idle_columns=idle_columns), [[3e3]])
+    assert result.volts[0, 0] == pytest.approx(0.25, rel=1e-14)
+    assert result.resistance[0, 0] == pytest.approx(3e3, rel=1e-14)
+
+
+def test_divider_with_shorts_and_open_lines_has_no_stray_numbers() -> None:
+    cells = np.full((4, 4), 5e3)
+    cells[1, 0] = 0.0
+    cells[2] = np.inf
+    read = scan(divider(4, 4), cells).resistance
+    assert read[1, 0] == pytest.approx(0.0, abs=1e-9)
+    assert np.isinf(read[2]).all()
+    # Row 1 and column 0 are one node; from there to column 1: 5k directly and 5k + 5k || 5k ... over rows 0 and 3.
+    assert (read[[0, 1, 3]] >= -1e-9).all()
+
+
+def test_ideal_volts_is_equation_10() -> None:
+    cells = np.array([[500.0, np.inf], [1e3, 2e3]])
+    np.testing.assert_allclose(ideal_volts(amplifier(2, 2), cells), [[2.0, 0.0], [1.0, 0.5]])
+    np.testing.assert_allclose(ideal_volts(divider(2, 2), cells), [[2 / 3, 0.0], [0.5, 1 / 3]])
+
+
+@pytest.mark.parametrize(
+    ("cells", "message"),
+    [
+        ([[1.0, 2.0]], r"shape \(1, 2\), expected \(2, 2\)"),
+        ([[1.0, np.nan], [1.0, 1.0]], "row 0, column 1 is nan"),
+        ([[1.0, 1.0], [-3.0, 1.0]], "row 1, column 0 is -3.0"),
+        ([["a", 1.0], [1.0, 1.0]], "not numbers"),
+    ],
+)
+def test_bad_cells_are_refused_by_name(cells: list[list[float]], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        scan(amplifier(2, 2), cells)
