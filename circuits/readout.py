@@ -149,7 +149,7 @@ def _read_amplifiers(design: Design, ports: FloatArray) -> Reading:
     currents = _column_currents(design, network, parts.source)
     volts = parts.output + parts.slope * currents
     low, high = design.readout.supply
-    saturated = np.asarray((volts < low) | (volts > high))
+    saturated: BoolArray = np.atleast_1d((volts < low) | (volts > high))
     if saturated.any():
         frames = ports.reshape(-1, *ports.shape[-2:])
         stacked, flags = volts.reshape(-1, rows, columns), saturated.reshape(-1, rows, columns)
