@@ -149,7 +149,7 @@ def _read_amplifiers(design: Design, ports: FloatArray) -> Reading:
     currents = _column_currents(design, network, parts.source)
     volts = parts.output + parts.slope * currents
     low, high = design.readout.supply
-    saturated: BoolArray = np.atleast_1d((volts < low) | (volts > high))
+    saturated = (volts < low) | (volts > high)
     if saturated.any():
         frames = ports.reshape(-1, *ports.shape[-2:])
         stacked, flags = volts.reshape(-1, rows, columns), saturated.reshape(-1, rows, columns)
@@ -168,7 +168,7 @@ def _read_saturated(design: Design, ports: FloatArray, volts: FloatArray) -> Rea
     )
     state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
     volts = volts.copy()
-    pending = state.any(axis=1)
+    pending: BoolArray = np.atleast_1d(state.any(axis=1))
     for attempt in range(50 + 4 * columns):
         patterns, which = np.unique(state, axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
