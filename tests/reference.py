@@ -1,0 +1,239 @@
+"""The independent check: modified nodal analysis of a design, written for clarity and nothing else.
+
+Every part is one equation or one stamp, as a textbook would write them: no ports, no elimination of the
+amplifiers, no symmetry, none of the ideas of ``ohmskin.circuits``. It works in float64 (``digits=None``)
+or, for small grids, in decimal arithmetic of as many digits as asked for.
+
+Unknowns are the node potentials *against the reference voltage* (so that a 1.65 V mid-supply costs no
+digits), the currents of ideal sources and of 0-ohm parts, and the amplifier outputs.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterable, Iterator
+from dataclasses import dataclass, field
+from decimal import Decimal, localcontext
+from itertools import product
+from math import inf, isinf
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.cluster.hierarchy import DisjointSet
+
+from ohmskin.circuits.design import Design
+
+Node = Hashable
+REFERENCE: Node = "reference"
+
+
+class Indeterminate(ArithmeticError):
+    """The circuit has no solution or more than one."""
+
+
+def reference_volts(design: Design, resistance: ArrayLike, digits: int | None = None) -> NDArray[np.float64]:
+    """The column outputs of one frame, (rows, columns) in V.
+
+    Amplifier of column j: ``v_out = A (Vref + Vos - v_minus)`` within its supply, Rref from ``v_out`` to
+    ``v_minus``, and the bias current into the inverting input. Divider: the potential of the column's end,
+    its load going to the reference. With ``digits`` the arithmetic has that many decimal digits.
+
+    Raises:
+        Indeterminate: ideal parts contradict each other or leave a voltage open.
+    """
+    cells = design.resistance(resistance)
+    rows, columns = cells.shape
+    volts = np.empty(cells.shape)
+    one_by_one = design.readout.circuit == "voltage-divider" and design.readout.idle_columns == "float"
+    with localcontext() as context:
+        context.prec = digits or context.prec
+        for row in range(rows):
+            for read in [[j] for j in range(columns)] if one_by_one else [list(range(columns))]:
+                volts[row, read] = _step(design, cells, row, read, digits is not None)
+    return volts
+
+
+def _step(design: Design, cells: NDArray[np.float64], row: int, read: list[int], exact: bool) -> list[float]:
+    """The outputs of the columns ``read`` while ``row`` is selected; tries which of them are saturated."""
+    low, high = design.readout.supply
+    for first_guess in _saturations(len(read), design.readout.supply):
+        guess = first_guess
+        tried: list[tuple[float | None, ...]] = []
+        while guess not in tried:
+            tried.append(guess)
+            try:
+                outputs, unlimited = _solve(design, cells, row, read, guess, exact)
+            except Indeterminate:
+                break
+            guess = tuple(high if v > high else low if v < low else None for v in unlimited)
+            if guess == tried[-1]:
+                return [float(v) for v in outputs]
+    raise Indeterminate(f"no unique solution while row {row} is selected")
+
+
+def _saturations(columns: int, supply: tuple[float, float]) -> Iterator[tuple[float | None, ...]]:
+    """First guesses: no column saturated; then, on small grids, every way in which they can be."""
+    yield (None,) * columns
+    rails = [rail for rail in supply if not isinf(rail)]
+    if columns <= 4 and rails:
+        yield from product([None, *rails], repeat=columns)
+
+
+def _solve(
+    design: Design,
+    cells: NDArray[np.float64],
+    row: int,
+    read: list[int],
+    stuck_at: tuple[float | None, ...],
+    exact: bool,
+) -> tuple[list[Any], list[Any]]:
+    """Outputs of the columns ``read``, and what the amplifiers would put out at these currents without supply.
+
+    The latter is ``(Vref + Vos - Rref i) A/(1+A)``, i the current out of the grid: it is inside the supply
+    if, and only if, ``A (Vref + Vos - v_minus)`` is.
+    """
+    number: Callable[[float], Any] = Decimal if exact else float
+    array, readout = design.array, design.readout
+    rows, columns = cells.shape
+    system = _Equations(number)
+
+    parts: list[tuple[Node, Node, float]] = []
+    for i in range(rows):
+        parts.append((("drive", i), ("row", i, 0), array.row_lead))
+        for j in range(columns):
+            if j:
+                parts.append((("row", i, j - 1), ("row", i, j), array.row_segment))
+            if i:
+                parts.append((("column", i - 1, j), ("column", i, j), array.column_segment))
+            parts.append((("row", i, j), ("column", i, j), float(cells[i, j])))
+    for j in range(columns):
+        parts.append((("column", rows - 1, j), ("end", j), array.column_lead))
+
+    held: DisjointSet = DisjointSet(
+        [REFERENCE]
+    )  # nodes whose potential a source or a load ties to the reference
+    for i in range(rows):
+        if i == row or design.drive.idle_rows == "ground":
+            volts = number(design.drive.voltage if i == row else 0.0)
+            system.branch(("source", i), ("drive", i), REFERENCE, [(("drive", i), 1)], volts)
+            held.add(("drive", i))
+            held.merge(("drive", i), REFERENCE)
+
+    rref, vref = number(readout.reference_resistance), number(readout.reference_voltage)
+    vos, bias = number(readout.offset_voltage), number(readout.bias_current)
+    inverse_gain = 1 / number(readout.open_loop_gain) if readout.open_loop_gain < inf else number(0.0)
+    amplified = readout.circuit == "inverting-amplifier"
+    for j, rail in zip(read, stuck_at, strict=True):
+        minus, out = ("end", j), ("out", j)
+        held.add(minus)
+        held.merge(minus, REFERENCE)
+        if not amplified:
+            system.conductor(minus, REFERENCE, 1 / rref)
+            continue
+        system.conductor(minus, out, 1 / rref)
+        system.add(minus, [], -bias)
+        if rail is not None:
+            law, value = [(out, 1)], number(rail) - vref
+        else:  # (v_out + Vref) / A = Vos - v_minus
+            law, value = [(out, inverse_gain), (minus, 1)], vos - vref * inverse_gain
+        system.branch(("amplifier", j), out, REFERENCE, law, value)
+
+    # Parts without resistance are branches of 0 V; one that closes a loop of such parts would add nothing but
+    # an indeterminate current. An island that nothing holds carries no current: one of its nodes is tied.
+    shorts: DisjointSet = DisjointSet()
+    for name, (a, b, ohm) in enumerate(parts):
+        for node in (a, b):
+            shorts.add(node)
+            held.add(node)
+        if isinf(ohm):
+            continue
+        held.merge(a, b)
+        if ohm:
+            system.conductor(a, b, 1 / number(ohm))
+        elif shorts.merge(a, b):
+            system.branch(("short", name), a, b, [(a, 1), (b, -1)], number(0.0))
+    for island in held.subsets():
+        if REFERENCE not in island:
+            system.conductor(min(island, key=str), REFERENCE, number(1.0))
+
+    value_of = system.solution(exact)
+    if not amplified:
+        return [value_of["end", j] + vref for j in read], [vref] * len(read)  # no amplifier, no supply
+    currents = [(value_of["end", j] - value_of["out", j]) / rref for j in read]
+    unlimited = [(vref + vos - rref * current) / (1 + inverse_gain) for current in currents]
+    return [value_of["out", j] + vref for j in read], unlimited
+
+
+@dataclass
+class _Equations:
+    """A linear system under construction; unknowns are named, and so are the equations, by the same names."""
+
+    number: Callable[[float], Any]
+    place: dict[Hashable, int] = field(default_factory=dict)
+    left: dict[tuple[int, int], Any] = field(default_factory=lambda: defaultdict(int))
+    right: dict[int, Any] = field(default_factory=lambda: defaultdict(int))
+
+    def add(self, equation: Hashable, terms: Iterable[tuple[Hashable, Any]], constant: Any = 0) -> None:
+        """Add ``sum(factor * unknown)`` to the left of an equation and ``constant`` to its right.
+
+        The equation of a node is its current balance; the reference has no equation, and its potential is 0.
+        """
+        if equation == REFERENCE:
+            return
+        row = self.place.setdefault(equation, len(self.place))
+        self.right[row] += constant
+        for unknown, factor in terms:
+            if unknown != REFERENCE:
+                self.left[row, self.place.setdefault(unknown, len(self.place))] += factor
+
+    def conductor(self, a: Node, b: Node, siemens: Any) -> None:
+        self.add(a, [(a, siemens), (b, -siemens)])
+        self.add(b, [(b, siemens), (a, -siemens)])
+
+    def branch(
+        self, current: Hashable, a: Node, b: Node, law: Iterable[tuple[Hashable, Any]], constant: Any
+    ) -> None:
+        """A part with the law ``sum(factor * unknown) = constant``; its current flows from ``a`` to ``b``."""
+        self.add(a, [(current, 1)])
+        self.add(b, [(current, -1)])
+        self.add(current, law, constant)
+
+    def solution(self, exact: bool) -> dict[Hashable, Any]:
+        size = len(self.place)
+        matrix, right = np.full((size, size), self.number(0.0)), np.full(size, self.number(0.0))
+        for place, value in self.left.items():
+            matrix[place] = self.number(value)
+        for row, value in self.right.items():
+            right[row] = self.number(value)
+        if exact:
+            values = _eliminate(matrix, right)
+        else:
+            try:
+                values = np.linalg.solve(matrix, right)
+            except np.linalg.LinAlgError as error:
+                raise Indeterminate(str(error)) from error
+        return {unknown: values[place] for unknown, place in self.place.items()}
+
+
+def _eliminate(matrix: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
+    """Gauss with scaled rows and partial pivots, for any number type that numpy can hold as an object."""
+    work = np.column_stack([matrix, right])
+    size = len(right)
+    for row in work:
+        largest = max(map(abs, row[:size]))
+        if not largest:
+            raise Indeterminate("an equation without unknowns")
+        row[:] = row / largest
+    for k in range(size):
+        pivot = k + int(np.argmax(np.abs(work[k:, k])))
+        if abs(work[pivot, k]) < Decimal("1e-40"):
+            raise Indeterminate("singular matrix")
+        work[[k, pivot]] = work[[pivot, k]]
+        below = k + 1 + np.flatnonzero(work[k + 1 :, k])
+        live = k + np.flatnonzero(work[k, k:])
+        work[np.ix_(below, live)] -= np.outer(work[below, k] / work[k, k], work[k, live])
+    solution = np.zeros(size, dtype=object)
+    for k in reversed(range(size)):
+        solution[k] = (work[k, size] - work[k, k + 1 : size] @ solution[k + 1 :]) / work[k, k]
+    return solution
