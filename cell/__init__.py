@@ -1,1 +1,18 @@
 """The piezoresistive cell: pressure to resistance, and back."""
+
+from .cell import Cell
+from .estimators import ESTIMATORS, Estimate, Estimator
+from .forward import Forward
+from .models import AsymmetricModel, ContactModel, M10Model, PaperModel
+
+__all__ = [
+    "ESTIMATORS",
+    "AsymmetricModel",
+    "Cell",
+    "ContactModel",
+    "Estimate",
+    "Estimator",
+    "Forward",
+    "M10Model",
+    "PaperModel",
+]

@@ -1,0 +1,226 @@
+"""Causal estimators: resistance to pressure, for whole arrays of cells at once, sample by sample."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from ..errors import InputError
+from . import lag
+from .forward import resistance_of
+from .lag import FloatArray
+from .models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
+
+ESTIMATORS = ("static", "paper")
+
+Memory = dict[str, FloatArray]
+"""What an estimator remembers of each cell; every entry has the shape of the cells"""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """What an estimator makes of one frame."""
+
+    pressure_kpa: FloatArray
+    """(shape); a cell whose reading is missing keeps its last value, NaN before its first reading"""
+    std_kpa: FloatArray | None
+    """(shape) standard deviation, where the estimator has one"""
+
+
+class Estimator(ABC):
+    """The common part: time, missing samples, R0, and a state that can be saved and restored.
+
+    A missing sample (NaN, or the infinite resistance of an open cell) does not advance its cell; the next
+    good one does, over the whole gap. The first reading of a cell is taken as one at rest or long held.
+    """
+
+    def __init__(self, shape: tuple[int, ...], rest_resistance_ohm: FloatArray) -> None:
+        self.shape = shape
+        self.rest_resistance_ohm = resistance_of(shape, rest_resistance_ohm)
+        self._memory = self._begin(np.zeros(shape))
+        self._read_s = np.full(shape, np.nan)  # when each cell was last read
+        self._time_s = -np.inf
+
+    def update(self, time_s: float, resistance_ohm: ArrayLike) -> Estimate:
+        """Take the frame read at ``time_s``; NaN or infinite entries are missing samples.
+
+        Raises:
+            InputError: another shape, or a time that does not follow the last one.
+        """
+        resistance = np.asarray(resistance_ohm, dtype=np.float64)
+        if resistance.shape != self.shape:
+            raise InputError(f"resistance has shape {resistance.shape}, expected {self.shape}")
+        if not self._time_s < time_s < np.inf:
+            raise InputError(
+                f"time {time_s} s does not follow {self._time_s} s; expected time stamps that increase"
+            )
+        r = resistance / self.rest_resistance_ohm - 1
+        good, begun = np.isfinite(r), ~np.isnan(self._read_s)
+        if (good & begun).all():
+            self._memory = self._advance(self._memory, self._elapsed(time_s), r)
+        else:
+            starts, moves = good & ~begun, good & begun
+            begin = self._begin(np.where(good, r, 0.0))
+            dt = np.where(moves, time_s - self._read_s, 1.0)
+            moved = self._advance(self._memory, dt, np.where(moves, r, self._memory["r"]))
+            self._memory = {
+                name: np.where(moves, moved[name], np.where(starts, begin[name], kept))
+                for name, kept in self._memory.items()
+            }
+        self._read_s = np.where(good, time_s, self._read_s)
+        self._time_s = float(time_s)
+        return Estimate(np.where(good | begun, self._memory["pressure_kpa"], np.nan), None)
+
+    def state(self) -> dict[str, FloatArray]:
+        """Everything remembered, as a copy that :meth:`restore` takes."""
+        own = {"read_s": self._read_s, "time_s": np.array(self._time_s)}
+        return {name: value.copy() for name, value in (self._memory | own).items()}
+
+    def restore(self, state: Mapping[str, NDArray[np.float64]]) -> None:
+        """Continue from a saved :meth:`state`; InputError if it is not one of this kind and shape."""
+        expected = self.state()
+        if {name: value.shape for name, value in expected.items()} != {
+            name: np.shape(value) for name, value in state.items()
+        }:
+            raise InputError(f"not a saved state of this estimator for cells of shape {self.shape}")
+        self._memory = {name: np.array(state[name]) for name in self._memory}
+        self._read_s, self._time_s = np.array(state["read_s"]), float(state["time_s"])
+
+    def _elapsed(self, time_s: float) -> FloatArray | float:
+        """Seconds since each cell was last read: one number when they agree, the common case."""
+        first = self._read_s.flat[0] if self._read_s.size else time_s
+        return float(time_s - first) if (self._read_s == first).all() else time_s - self._read_s
+
+    @abstractmethod
+    def _begin(self, r: FloatArray) -> Memory:
+        """The memory of cells whose reading has been ``r`` for ever; has "r" and "pressure_kpa"."""
+
+    @abstractmethod
+    def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
+        """The memory after the reading went to ``r`` in ``dt_s``; leaves the memory given as it is."""
+
+
+class PaperEstimator(Estimator):
+    """The paper's estimator (P8): invert the rising or the recovery model, as dr/dt and two thresholds say.
+
+    What the paper leaves open is settled thus. dr/dt is (r - l)/T, with l the reading behind a lag
+    T = ``derivative_s``: noise is smoothed, yet a sudden change is seen in the sample in which it happens.
+    Between the thresholds the last model stays. A hand-over keeps pressure and resistance where they are, as
+    in :class:`~.forward.PaperForward`. Each inverse is the algebraic one of the lag discretised for a pressure
+    that is linear over the sample: exact for such loads as long as the chosen model is the right one.
+    """
+
+    def __init__(
+        self,
+        model: PaperModel,
+        full_scale_kpa: float,
+        shape: tuple[int, ...],
+        rest_resistance_ohm: FloatArray,
+    ) -> None:
+        self.model = model
+        self.rising_per_s, self.falling_per_s = model.thresholds_per_s(full_scale_kpa)
+        super().__init__(shape, rest_resistance_ohm)
+
+    def _begin(self, r: FloatArray) -> Memory:
+        m = self.model
+        pressure = r / m.gain_per_kpa
+        return {
+            "r": r,
+            "pressure_kpa": pressure,
+            "rising": np.ones(self.shape),
+            "lagged_r": r,
+            "settled_kpa": pressure,
+            "x2": pressure / m.e2_kpa,
+            "x3": pressure / m.e3_kpa,
+        }
+
+    def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
+        m, p0, r0, x3 = self.model, memory["pressure_kpa"], memory["r"], memory["x3"]
+        was_rising = memory["rising"] > 0
+        smoothing = -np.expm1(-np.asarray(dt_s) / max(m.derivative_s, 1e-9))
+        slope = (r - memory["lagged_r"]) * smoothing / dt_s
+        rising = (slope > self.rising_per_s) | (was_rising & (slope >= self.falling_per_s))
+        settled = np.where(
+            rising & ~was_rising, p0 * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r0, memory["settled_kpa"]
+        )
+        x2 = np.where(was_rising & ~rising, r0 - p0 / m.e1_kpa - x3, memory["x2"])
+
+        # Each lag after the step is `free + ramp u1` with u1, the load at its end, still to be found.
+        gone_u, ramp_u = lag.weights(dt_s, m.tu_s)
+        gone2, ramp2 = lag.weights(dt_s, m.t2_s)
+        gone3, ramp3 = lag.weights(dt_s, m.t3_s)
+        free_u = settled + (p0 - settled) * gone_u - p0 * ramp_u
+        free2 = x2 + (p0 / m.e2_kpa - x2) * gone2 - p0 / m.e2_kpa * ramp2
+        free3 = x3 + (p0 / m.e3_kpa - x3) * gone3 - p0 / m.e3_kpa * ramp3
+        pressure = np.where(
+            rising,
+            (r + free_u / m.etau2_kpa) / (1 / m.eu1_kpa + (1 - ramp_u) / m.etau2_kpa),
+            (r - free2 - free3) / (1 / m.e1_kpa + ramp2 / m.e2_kpa + ramp3 / m.e3_kpa),
+        )
+        return {
+            "r": r,
+            "pressure_kpa": pressure,
+            "rising": rising.astype(np.float64),
+            "lagged_r": memory["lagged_r"] + (r - memory["lagged_r"]) * smoothing,
+            "settled_kpa": free_u + ramp_u * pressure,
+            "x2": free2 + ramp2 / m.e2_kpa * pressure,
+            "x3": free3 + ramp3 / m.e3_kpa * pressure,
+        }
+
+
+class StaticEstimator(Estimator):
+    """The equilibrium of the model inverted, without memory: what a calibration curve gives."""
+
+    def __init__(
+        self, model: Model, full_scale_kpa: float, shape: tuple[int, ...], rest_resistance_ohm: FloatArray
+    ) -> None:
+        self.model, self.full_scale_kpa = model, full_scale_kpa
+        super().__init__(shape, rest_resistance_ohm)
+
+    def _begin(self, r: FloatArray) -> Memory:
+        return {"r": r, "pressure_kpa": self._invert(r)}
+
+    def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
+        return self._begin(r)
+
+    def _invert(self, r: FloatArray) -> FloatArray:
+        m = self.model
+        match m:
+            case PaperModel() | AsymmetricModel():
+                return r / m.gain_per_kpa
+            case M10Model():
+                load = np.linspace(0, 1, 1025)
+                curve = np.maximum.accumulate((m.a + m.alpha1 + m.alpha2) * load + m.b * load**2)
+                rises = np.concatenate(([True], np.diff(curve) > 0))
+                return np.interp(r, curve[rises], load[rises]) * self.full_scale_kpa
+            case ContactModel():
+                rest = self.rest_resistance_ohm
+                conductance = np.maximum(1 / (rest * np.maximum(1 + r, 1e-9)) - 1 / rest, 0)
+                load = (conductance * m.full_scale_resistance_ohm) ** (1 / m.exponent)
+                return np.minimum(load, 1) * self.full_scale_kpa
+
+
+def make_estimator(
+    name: str | None,
+    model: Model,
+    full_scale_kpa: float,
+    shape: tuple[int, ...],
+    rest_resistance_ohm: FloatArray,
+) -> Estimator:
+    """The estimator ``name`` for cells like ``model``; None: the paper's where it applies, else static."""
+    if name is None:
+        name = "paper" if isinstance(model, PaperModel) else "static"
+    match name, model:
+        case "static", _:
+            return StaticEstimator(model, full_scale_kpa, shape, rest_resistance_ohm)
+        case "paper", PaperModel():
+            return PaperEstimator(model, full_scale_kpa, shape, rest_resistance_ohm)
+        case "paper", _:
+            raise InputError(
+                f"the estimator 'paper' inverts a cell of kind 'paper'; this one is of kind '{model.kind}'"
+            )
+    raise InputError(f"no estimator '{name}'; expected one of {', '.join(ESTIMATORS)}")

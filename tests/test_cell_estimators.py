@@ -1,0 +1,144 @@
+"""The common interface of the estimators, and the paper's estimator on the paper's experiments."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ohmskin.cell import Cell, PaperModel
+from ohmskin.errors import InputError
+
+EXAMPLE = Cell.example()
+PAPER = EXAMPLE.model
+assert isinstance(PAPER, PaperModel)
+NAMES = ("static", "paper")
+
+
+def steps(time_s: np.ndarray, *presses: tuple[float, float]) -> np.ndarray:
+    """Full scale between each pair of times, 0 elsewhere."""
+    held = sum(((time_s > start) & (time_s < end)).astype(float) for start, end in presses)
+    return EXAMPLE.full_scale_kpa * np.asarray(held)
+
+
+def sense(cell: Cell, time_s: np.ndarray, pressure_kpa: np.ndarray) -> np.ndarray:
+    forward = cell.forward(pressure_kpa.shape[1:])
+    dt = np.diff(time_s, prepend=time_s[0])
+    return np.stack([forward.step(step, p) for step, p in zip(dt, pressure_kpa, strict=True)])
+
+
+def estimate(cell: Cell, name: str, time_s: np.ndarray, resistance_ohm: np.ndarray) -> np.ndarray:
+    estimator = cell.estimator(resistance_ohm.shape[1:], name)
+    return np.stack(
+        [estimator.update(t, r).pressure_kpa for t, r in zip(time_s, resistance_ohm, strict=True)]
+    )
+
+
+@pytest.mark.parametrize("dt", [0.01, 0.03, 0.1])
+def test_paper_estimator_inverts_the_paper_model(dt: float) -> None:
+    """P9: one step, then three with creep, without noise: exact, as steps cross a threshold at once."""
+    time = np.arange(0, 140, dt)
+    for presses in ([(10, 40)], [(10, 25), (35, 50), (60, 75)]):
+        load = steps(time, *presses)
+        found = estimate(EXAMPLE, "paper", time, sense(EXAMPLE, time, load))
+        assert found == pytest.approx(load, abs=1e-8)
+
+
+def test_paper_estimator_with_noise() -> None:
+    """P9 with noise of 0.5 % of R0: at most 2 % of full scale, a quarter of the static error."""
+    time = np.arange(0, 140, 0.05)
+    load = np.repeat(steps(time, (10, 25), (35, 50), (60, 75))[:, None], 16, axis=1)
+    resistance = sense(EXAMPLE, time, load)
+    noise = np.random.default_rng(1).standard_normal(resistance.shape)
+    resistance += 0.005 * EXAMPLE.rest_resistance_ohm * noise
+    rmse = {
+        name: np.sqrt(np.mean((estimate(EXAMPLE, name, time, resistance) - load) ** 2))
+        / EXAMPLE.full_scale_kpa
+        for name in NAMES
+    }
+    assert rmse["paper"] < 0.02
+    assert rmse["static"] > 4 * rmse["paper"]
+
+
+def test_a_held_load_must_not_read_as_release() -> None:
+    """P8: with the default threshold a hold stays; with one inside the settling slope it drifts."""
+    time = np.arange(0, 60, 0.05)
+    load = steps(time, (5, 100))
+    resistance = sense(EXAMPLE, time, load)
+    assert estimate(EXAMPLE, "paper", time, resistance)[-1] == pytest.approx(15.5, abs=1e-6)
+    slope = PAPER.settling_slope_per_s(15.5)
+    assert slope == pytest.approx(15.5 * 20 / 100**2)
+    hasty = PAPER.model_copy(update={"recovery_threshold_per_s": 0.3 * slope})
+    lost = estimate(EXAMPLE.model_copy(update={"model": hasty}), "paper", time, resistance)
+    assert np.abs(lost[110:] - 15.5).max() > 0.3
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_cell_is_on_its_own(name: str) -> None:
+    rng = np.random.default_rng(2)
+    time = np.cumsum(rng.uniform(0.005, 0.05, 300))
+    load = np.cumsum(rng.standard_normal((300, 3, 2)), axis=0) % 15.5
+    resistance = sense(EXAMPLE, time, load)
+    together = estimate(EXAMPLE, name, time, resistance)
+    alone = np.stack([estimate(EXAMPLE, name, time, resistance[:, i, 1]) for i in range(3)], axis=1)
+    assert (together[:, :, 1] == alone).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+@settings(max_examples=15, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_missing_samples_are_as_if_they_had_not_been_sent(name: str, seed: int) -> None:
+    """A cell that misses samples reads as the same cell sampled less often, and holds its value meanwhile."""
+    rng = np.random.default_rng(seed)
+    time = np.cumsum(rng.uniform(0.01, 0.1, 60))
+    load = np.cumsum(rng.standard_normal((60, 2)), axis=0) % 15.5
+    resistance = sense(EXAMPLE, time, load)
+    missing = rng.random(60) < 0.4
+    holed = resistance.copy()
+    holed[missing, 0] = rng.choice([np.nan, np.inf])
+    found = estimate(EXAMPLE, name, time, holed)
+    assert (found[:, 1] == estimate(EXAMPLE, name, time, resistance)[:, 1]).all()
+    kept = ~missing
+    assert found[kept, 0] == pytest.approx(estimate(EXAMPLE, name, time[kept], resistance[kept, 0]), abs=1e-9)
+    last = np.nan
+    for k in range(60):
+        assert not missing[k] or found[k, 0] == last or (np.isnan(found[k, 0]) and np.isnan(last))
+        last = found[k, 0]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_saved_state_continues(name: str) -> None:
+    time = np.arange(0, 30, 0.05)
+    resistance = sense(EXAMPLE, time, steps(time, (5, 15), (20, 25)))
+    whole = estimate(EXAMPLE, name, time, resistance)
+    first, second = EXAMPLE.estimator((), name), EXAMPLE.estimator((), name)
+    for t, r in zip(time[:250], resistance[:250], strict=True):
+        first.update(t, r)
+    second.restore(first.state())
+    rest = [second.update(t, r).pressure_kpa for t, r in zip(time[250:], resistance[250:], strict=True)]
+    assert (np.array(rest) == whole[250:]).all()
+    with pytest.raises(InputError, match="not a saved state"):
+        EXAMPLE.estimator((2,), name).restore(first.state())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_rest_resistance_per_cell(name: str) -> None:
+    rest = np.array([5e3, 1e4, 3e4])
+    time = np.arange(0, 20, 0.05)
+    load = np.repeat(steps(time, (5, 15))[:, None], 3, axis=1)
+    forward = EXAMPLE.forward((3,), rest_resistance_ohm=rest)
+    estimator = EXAMPLE.estimator((3,), name, rest_resistance_ohm=rest)
+    dt = np.diff(time, prepend=time[0])
+    for t, step, p in zip(time, dt, load, strict=True):
+        found = estimator.update(t, forward.step(step, p)).pressure_kpa
+        assert found == pytest.approx(np.full(3, found[0]), rel=1e-9, abs=1e-9)
+
+
+def test_bad_updates_are_refused() -> None:
+    estimator = EXAMPLE.estimator((2,))
+    estimator.update(1.0, np.full(2, 1e4))
+    with pytest.raises(InputError, match="does not follow"):
+        estimator.update(1.0, np.full(2, 1e4))
+    with pytest.raises(InputError, match=r"shape \(3,\), expected \(2,\)"):
+        estimator.update(2.0, np.full(3, 1e4))
+    with pytest.raises(InputError, match="no estimator 'papr'"):
+        EXAMPLE.estimator((2,), "papr")

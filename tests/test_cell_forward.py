@@ -1,0 +1,177 @@
+"""Forward models against the paper's transfer functions, and their exactness in the time step."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import signal
+
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
+from ohmskin.errors import InputError
+
+EXAMPLE = Cell.example()
+PAPER = EXAMPLE.model
+assert isinstance(PAPER, PaperModel)
+ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
+M10 = M10Model(a=0.3, b=-0.2, alpha1=0.5, rise1_s=0.3, fall1_s=4, alpha2=0.2, fall2_s=90, k=0.2, tau_s=20)
+CONTACT = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
+CELLS = {
+    model.kind: EXAMPLE.model_copy(update={"model": model}) for model in (PAPER, ASYMMETRIC, M10, CONTACT)
+}
+
+
+def run(cell: Cell, time_s: np.ndarray, pressure_kpa: np.ndarray) -> np.ndarray:
+    """The normalised resistance at ``time_s``, from rest at the first of them."""
+    forward = cell.forward(())
+    steps = np.diff(time_s, prepend=time_s[0])
+    resistance = [float(forward.step(dt, p)) for dt, p in zip(steps, pressure_kpa, strict=True)]
+    return np.array(resistance) / cell.rest_resistance_ohm - 1
+
+
+def test_rising_is_g_up() -> None:
+    """P4: any load that never falls, against equation (3) simulated by scipy."""
+    time = np.linspace(0, 40, 4001)
+    load = np.interp(time, [0, 3, 10, 12, 40], [0, 10, 10, 15.5, 15.5])
+    _, expected, _ = signal.lsim(PAPER.rising_transfer_function(), load, time)
+    assert run(EXAMPLE, time, load) == pytest.approx(expected, abs=1e-10)
+
+
+def test_the_corrected_numerator_is_the_sum_of_the_two_terms() -> None:
+    """P4: the constant of the numerator is Eu2; with the printed Eu1 the gain at rest would be 1/Eu2."""
+    numerator, denominator = PAPER.rising_transfer_function()
+    s = 1j * np.logspace(-4, 4, 50)
+    terms = 1 / PAPER.eu1_kpa + s / (PAPER.etau2_kpa * s + PAPER.eu2_kpa_per_s)
+    assert np.polyval(numerator, s) / np.polyval(denominator, s) == pytest.approx(terms, rel=1e-12)
+    assert numerator[-1] / denominator[-1] == pytest.approx(1 / PAPER.eu1_kpa)
+
+
+def test_polynomial_and_partial_fractions_agree() -> None:
+    """P5: equations (4) to (7) are equation (8)."""
+    numerator, denominator = PAPER.transfer_function()
+    s = 1j * np.logspace(-5, 4, 50)
+    fractions = (
+        1 / PAPER.e1_kpa
+        + 1 / (PAPER.eta2_kpa_s * s + PAPER.e2_kpa)
+        + 1 / (PAPER.eta3_kpa_s * s + PAPER.e3_kpa)
+    )
+    assert np.polyval(numerator, s) / np.polyval(denominator, s) == pytest.approx(fractions, rel=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["paper", "asymmetric"])
+def test_recovery_is_g(kind: str) -> None:
+    """P5: after a long hold, falls and pauses against equation (4) simulated by scipy, both models."""
+    cell = CELLS[kind]
+    hold = 4000.0
+    time = hold + np.linspace(0, 60, 6001)
+    load = np.interp(time - hold, [0, 0.01, 20, 23, 60], [15.5, 9, 9, 1, 1])
+    _, change, _ = signal.lsim(PAPER.transfer_function(), load - 15.5, time - hold)
+    expected = 15.5 * PAPER.gain_per_kpa + change
+    actual = run(cell, np.concatenate(([0, 1], time)), np.concatenate(([0, 15.5], load)))[2:]
+    assert actual == pytest.approx(expected, abs=1e-9)
+
+
+def test_m10_contains_the_rising_phase() -> None:
+    """With b = 0, instant charging and a rising load, M10 is equation (3)."""
+    full, tau = EXAMPLE.full_scale_kpa, PAPER.tu_s
+    model = M10Model(
+        a=0.3 * full / PAPER.eu1_kpa,
+        alpha1=0.5 * full / PAPER.eu1_kpa,
+        rise1_s=1e-9,
+        fall1_s=5,
+        alpha2=0.2 * full / PAPER.eu1_kpa,
+        rise2_s=1e-9,
+        fall2_s=90,
+        k=full / PAPER.etau2_kpa,
+        tau_s=tau,
+    )
+    time = np.linspace(0, 40, 401)
+    load = np.interp(time, [0, 3, 10, 12, 40], [0, 10, 10, 15.5, 15.5])
+    assert run(EXAMPLE.model_copy(update={"model": model}), time, load) == pytest.approx(
+        run(EXAMPLE, time, load), abs=1e-7
+    )
+
+
+@pytest.mark.parametrize("kind", CELLS)
+@settings(max_examples=30, deadline=None)
+@given(
+    corners=st.lists(st.tuples(st.floats(0.1, 30), st.floats(0, 15.5)), min_size=1, max_size=8),
+    parts=st.integers(2, 7),
+)
+def test_any_time_step_gives_the_same_answer(
+    kind: str, corners: list[tuple[float, float]], parts: int
+) -> None:
+    """Piecewise-linear loads, whole segments or many parts of them."""
+    cell = CELLS[kind]
+    time = np.concatenate(([0.0], np.cumsum([dt for dt, _ in corners])))
+    load = np.array([0.0] + [p for _, p in corners])
+    fine = np.unique(np.concatenate([time, np.linspace(0, time[-1], parts * len(time))]))
+    at = np.searchsorted(fine, time)
+    assert run(cell, fine, np.interp(fine, time, load))[at] == pytest.approx(run(cell, time, load), abs=1e-9)
+
+
+@pytest.mark.parametrize("dt", [1e-4, 1e-2, 1.0, 10.0])
+def test_sampling_from_a_tenth_of_a_millisecond_to_ten_seconds(dt: float) -> None:
+    time = np.arange(0, round(10 / dt) + 1) * dt
+    load = 15.5 * time / 10
+    assert run(EXAMPLE, time, load)[-1] == pytest.approx(
+        run(EXAMPLE, time[[0, -1]], load[[0, -1]])[-1], rel=1e-9
+    )
+
+
+def test_example_recovers_as_the_paper_says() -> None:
+    """P7, both at once: 95 % within 25 s, and full (to half a percent) in five minutes, not sooner."""
+    time = np.concatenate(([0, 0.1, 3600, 3600.01], 3600.01 + np.arange(1, 301)))
+    load = np.array([0, 15.5, 15.5] + [0.0] * 301)
+    r = run(EXAMPLE, time, load)
+    left = r[4:] / r[2]
+    assert np.argmax(left <= 0.05) + 1 == pytest.approx(25, abs=1)
+    assert left[-1] < 0.005
+    assert left[149] > 0.005
+
+
+def test_repeated_presses_leave_creep() -> None:
+    """P9, Fig. 11: what is left of r before the next press grows from press to press."""
+    time = np.concatenate(([0.0], np.cumsum([0.1, 20, 0.1, 10] * 3)))
+    load = np.array([0.0] + [15.5, 15.5, 0, 0] * 3)
+    left = run(EXAMPLE, time, load)[4::4]
+    assert left[0] < left[1] < left[2]
+
+
+def test_unbonded_cells_fall_and_do_not_remember() -> None:
+    """P2: R falls with pressure as a power once the contact dominates, and depends on nothing else."""
+    cell = CELLS["contact"]
+    forward = cell.forward((4,), rest_resistance_ohm=1e9)
+    load = np.array([1.0, 2.0, 4.0, 8.0])
+    first = forward.step(0.1, load)
+    assert np.diff(np.log(first)) == pytest.approx(-0.9 * np.log(2) * np.ones(3), rel=1e-5)
+    forward.step(0.1, 15.5)
+    assert (forward.step(0.1, load) == first).all()
+
+
+def test_rest_resistance_per_cell_scales_each_cell() -> None:
+    rest = np.array([[5e3, 1e4], [2e4, 4e4]])
+    resistance = EXAMPLE.forward((2, 2), rest_resistance_ohm=rest).step(0.5, 8.0)
+    assert resistance / rest == pytest.approx(np.full((2, 2), resistance[0, 0] / rest[0, 0]))
+
+
+def test_reset_is_rest() -> None:
+    for cell in CELLS.values():
+        forward = cell.forward((3,))
+        first = forward.step(1.0, 7.0)
+        forward.step(1.0, 2.0)
+        forward.reset()
+        assert (forward.step(1.0, 7.0) == first).all()
+
+
+def test_bad_steps_are_refused() -> None:
+    forward = EXAMPLE.forward((2, 2))
+    with pytest.raises(InputError, match="time step is -1"):
+        forward.step(-1.0, 0.0)
+    with pytest.raises(InputError, match=r"shape \(3,\), expected \(2, 2\)"):
+        forward.step(1.0, np.zeros(3))
+    with pytest.raises(InputError, match="not finite"):
+        forward.step(1.0, np.nan)
+    with pytest.raises(InputError, match="rest resistance has shape"):
+        EXAMPLE.forward((2, 2), rest_resistance_ohm=np.ones(3))
+    with pytest.raises(InputError, match="must be positive"):
+        EXAMPLE.forward((2, 2), rest_resistance_ohm=-1.0)
