@@ -55,9 +55,7 @@ class Estimator(ABC):
         if resistance.shape != self.shape:
             raise InputError(f"resistance has shape {resistance.shape}, expected {self.shape}")
         if not self._time_s < time_s < np.inf:
-            raise InputError(
-                f"time {time_s} s does not follow {self._time_s} s; expected time stamps that increase"
-            )
+            raise InputError(f"time {time_s} s does not follow {self._time_s} s; expected time stamps that increase")
         r = resistance / self.rest_resistance_ohm - 1
         good, begun = np.isfinite(r), ~np.isnan(self._read_s)
         if (good & begun).all():

@@ -83,9 +83,7 @@ class PaperForward(Forward):
         m, before = self.model, self._pressure
         starts = (pressure > before) & ~self._rising
         ends = (pressure < before) & self._rising
-        settled = np.where(
-            starts, before * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * self._r, self._settled
-        )
+        settled = np.where(starts, before * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * self._r, self._settled)
         x2 = np.where(ends, self._r - before / m.e1_kpa - self._x3, self._x2)
         self._rising = (self._rising | starts) & ~ends
 
@@ -178,9 +176,7 @@ def resistance_of(shape: tuple[int, ...], rest_resistance_ohm: FloatArray) -> Fl
     try:
         rest = np.broadcast_to(rest_resistance_ohm, shape).copy()
     except ValueError as error:
-        raise InputError(
-            f"rest resistance has shape {rest_resistance_ohm.shape}, expected {shape}"
-        ) from error
+        raise InputError(f"rest resistance has shape {rest_resistance_ohm.shape}, expected {shape}") from error
     if not ((rest > 0) & np.isfinite(rest)).all():
         raise InputError("rest resistance must be positive and finite for every cell, in ohm")
     return rest

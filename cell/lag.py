@@ -26,9 +26,7 @@ def weights(dt_s: ArrayLike, time_constant_s: ArrayLike) -> tuple[FloatArray, Fl
     return gone, ramp
 
 
-def symmetric(
-    x: FloatArray, u0: FloatArray, u1: FloatArray, dt_s: ArrayLike, time_constant_s: ArrayLike
-) -> FloatArray:
+def symmetric(x: FloatArray, u0: FloatArray, u1: FloatArray, dt_s: ArrayLike, time_constant_s: ArrayLike) -> FloatArray:
     """The lag after a step in which its input went linearly from ``u0`` to ``u1``."""
     gone, ramp = weights(dt_s, time_constant_s)
     stepped: FloatArray = x + (u0 - x) * gone + (u1 - u0) * ramp

@@ -4,7 +4,7 @@
 """
 
 from .adc import adc_codes, clipped, volts_of_codes
-from .design import Adc, Array, Design, Drive, Readout
+from .design import Adc, Array, Design, Drive, Readout, Requirements
 from .readout import apparent_resistance, ideal_volts
 from .scan import ScanResult, scan
 
@@ -14,6 +14,7 @@ __all__ = [
     "Design",
     "Drive",
     "Readout",
+    "Requirements",
     "ScanResult",
     "adc_codes",
     "apparent_resistance",

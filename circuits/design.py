@@ -105,6 +105,17 @@ class Adc(Section):
         return (self.range[1] - self.range[0]) / 2.0**self.bits
 
 
+class Requirements(Section):
+    """What the design must keep for `ohmskin verify` to pass it; the defaults are the project's own."""
+
+    crosstalk_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+    """largest change of an untouched cell's reading, in % of that reading"""
+    reading_error_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5.0
+    """largest error of a resistance that equation (10) makes of an uncalibrated reading"""
+    pressure_rmse_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5.0
+    """largest RMS error of the pressure estimate, in % of full scale"""
+
+
 class Design(Section):
     """A complete readout design. ``Design.load("design.toml")``."""
 
@@ -113,6 +124,7 @@ class Design(Section):
     readout: Readout
     adc: Adc | None = None
     """None: the column outputs are taken as they are"""
+    requirements: Requirements = Requirements()
 
     @classmethod
     def load(cls, path: str | Path) -> Design:

@@ -48,9 +48,7 @@ class Deck:
         """For ``ngspice -b``: runs the analysis and prints ``volts_J = ...`` for each column J."""
         readings = []
         for column, node in enumerate(self.outputs):
-            parts = [
-                f"{sign}v({name})" for sign, name in (("", node), ("-", self.ground)) if name != REFERENCE
-            ]
+            parts = [f"{sign}v({name})" for sign, name in (("", node), ("-", self.ground)) if name != REFERENCE]
             point = f"[{column}]" if self.one_by_one else ""
             volts = "".join(part + point for part in parts) or "0"
             readings += [f"let volts_{column} = {volts}", f"print volts_{column}"]
@@ -131,9 +129,7 @@ class _Writer:
             sweep.append(f"Vcolumn 0 {self.columns - 1} 1")
         if self.row is None:
             sweep.append(f"Vrow 0 {self.rows - 1} 1")
-        outputs = tuple(
-            f"out_{j}" if self.amplified else self.name[self._end(j)] for j in range(self.columns)
-        )
+        outputs = tuple(f"out_{j}" if self.amplified else self.name[self._end(j)] for j in range(self.columns))
         step = "all rows in turn" if self.row is None else f"row {self.row} selected"
         title = f"ohmskin: {self.rows} x {self.columns} cells, {self.design.readout.circuit}, {step}"
         return Deck(title, tuple(cards), " ".join(sweep), self.single, outputs, self.ground)
@@ -188,9 +184,7 @@ class _Writer:
         return {node: first.setdefault(joined[node], node) for node in joined}
 
     def _refuse_contradictions(self) -> None:
-        if len(self.drivers) < len({self._driver(i) for i in self.driven}) and not (
-            self.row is None and self.floating
-        ):
+        if len(self.drivers) < len({self._driver(i) for i in self.driven}) and not (self.row is None and self.floating):
             raise SolverError(
                 "rows that are driven to different voltages are joined by parts of 0 ohm; "
                 "give array.row_lead or the shorted cells a resistance"

@@ -169,9 +169,7 @@ def _read_raw(content: bytes) -> Vectors:
 
 def _gist(said: str) -> str:
     """What matters in ngspice's many words about a failure."""
-    lines = [
-        line.strip() for line in said.splitlines() if re.search("error|singular|fail|fatal", line.lower())
-    ]
+    lines = [line.strip() for line in said.splitlines() if re.search("error|singular|fail|fatal", line.lower())]
     return "; ".join(list(dict.fromkeys(lines))[:3]) or said.strip()[-200:] or "it said nothing"
 
 

@@ -110,9 +110,7 @@ def _solve(
     for j in range(columns):
         parts.append((("column", rows - 1, j), ("end", j), array.column_lead))
 
-    held: DisjointSet = DisjointSet(
-        [REFERENCE]
-    )  # nodes whose potential a source or a load ties to the reference
+    held: DisjointSet = DisjointSet([REFERENCE])  # nodes whose potential a source or a load ties to the reference
     for i in range(rows):
         if i == row or design.drive.idle_rows == "ground":
             volts = number(design.drive.voltage if i == row else 0.0)
@@ -191,9 +189,7 @@ class _Equations:
         self.add(a, [(a, siemens), (b, -siemens)])
         self.add(b, [(b, siemens), (a, -siemens)])
 
-    def branch(
-        self, current: Hashable, a: Node, b: Node, law: Iterable[tuple[Hashable, Any]], constant: Any
-    ) -> None:
+    def branch(self, current: Hashable, a: Node, b: Node, law: Iterable[tuple[Hashable, Any]], constant: Any) -> None:
         """A part with the law ``sum(factor * unknown) = constant``; its current flows from ``a`` to ``b``."""
         self.add(a, [(current, 1)])
         self.add(b, [(current, -1)])

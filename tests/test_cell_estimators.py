@@ -28,9 +28,7 @@ def sense(cell: Cell, time_s: np.ndarray, pressure_kpa: np.ndarray) -> np.ndarra
 
 def estimate(cell: Cell, name: str, time_s: np.ndarray, resistance_ohm: np.ndarray) -> np.ndarray:
     estimator = cell.estimator(resistance_ohm.shape[1:], name)
-    return np.stack(
-        [estimator.update(t, r).pressure_kpa for t, r in zip(time_s, resistance_ohm, strict=True)]
-    )
+    return np.stack([estimator.update(t, r).pressure_kpa for t, r in zip(time_s, resistance_ohm, strict=True)])
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.03, 0.1])
@@ -51,8 +49,7 @@ def test_paper_estimator_with_noise() -> None:
     noise = np.random.default_rng(1).standard_normal(resistance.shape)
     resistance += 0.005 * EXAMPLE.rest_resistance_ohm * noise
     rmse = {
-        name: np.sqrt(np.mean((estimate(EXAMPLE, name, time, resistance) - load) ** 2))
-        / EXAMPLE.full_scale_kpa
+        name: np.sqrt(np.mean((estimate(EXAMPLE, name, time, resistance) - load) ** 2)) / EXAMPLE.full_scale_kpa
         for name in NAMES
     }
     assert rmse["paper"] < 0.02

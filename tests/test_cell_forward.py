@@ -15,9 +15,7 @@ assert isinstance(PAPER, PaperModel)
 ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
 M10 = M10Model(a=0.3, b=-0.2, alpha1=0.5, rise1_s=0.3, fall1_s=4, alpha2=0.2, fall2_s=90, k=0.2, tau_s=20)
 CONTACT = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
-CELLS = {
-    model.kind: EXAMPLE.model_copy(update={"model": model}) for model in (PAPER, ASYMMETRIC, M10, CONTACT)
-}
+CELLS = {model.kind: EXAMPLE.model_copy(update={"model": model}) for model in (PAPER, ASYMMETRIC, M10, CONTACT)}
 
 
 def run(cell: Cell, time_s: np.ndarray, pressure_kpa: np.ndarray) -> np.ndarray:
@@ -49,11 +47,7 @@ def test_polynomial_and_partial_fractions_agree() -> None:
     """P5: equations (4) to (7) are equation (8)."""
     numerator, denominator = PAPER.transfer_function()
     s = 1j * np.logspace(-5, 4, 50)
-    fractions = (
-        1 / PAPER.e1_kpa
-        + 1 / (PAPER.eta2_kpa_s * s + PAPER.e2_kpa)
-        + 1 / (PAPER.eta3_kpa_s * s + PAPER.e3_kpa)
-    )
+    fractions = 1 / PAPER.e1_kpa + 1 / (PAPER.eta2_kpa_s * s + PAPER.e2_kpa) + 1 / (PAPER.eta3_kpa_s * s + PAPER.e3_kpa)
     assert np.polyval(numerator, s) / np.polyval(denominator, s) == pytest.approx(fractions, rel=1e-12)
 
 
@@ -97,9 +91,7 @@ def test_m10_contains_the_rising_phase() -> None:
     corners=st.lists(st.tuples(st.floats(0.1, 30), st.floats(0, 15.5)), min_size=1, max_size=8),
     parts=st.integers(2, 7),
 )
-def test_any_time_step_gives_the_same_answer(
-    kind: str, corners: list[tuple[float, float]], parts: int
-) -> None:
+def test_any_time_step_gives_the_same_answer(kind: str, corners: list[tuple[float, float]], parts: int) -> None:
     """Piecewise-linear loads, whole segments or many parts of them."""
     cell = CELLS[kind]
     time = np.concatenate(([0.0], np.cumsum([dt for dt, _ in corners])))
@@ -113,9 +105,7 @@ def test_any_time_step_gives_the_same_answer(
 def test_sampling_from_a_tenth_of_a_millisecond_to_ten_seconds(dt: float) -> None:
     time = np.arange(0, round(10 / dt) + 1) * dt
     load = 15.5 * time / 10
-    assert run(EXAMPLE, time, load)[-1] == pytest.approx(
-        run(EXAMPLE, time[[0, -1]], load[[0, -1]])[-1], rel=1e-9
-    )
+    assert run(EXAMPLE, time, load)[-1] == pytest.approx(run(EXAMPLE, time[[0, -1]], load[[0, -1]])[-1], rel=1e-9)
 
 
 def test_example_recovers_as_the_paper_says() -> None:

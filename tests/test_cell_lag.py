@@ -39,9 +39,7 @@ def test_a_step_cut_in_two_is_the_same_step(
         assert parts == pytest.approx(whole, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("x", "u0", "u1"), [(0.8, 0.0, 2.0), (0.2, 1.0, -1.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.5)]
-)
+@pytest.mark.parametrize(("x", "u0", "u1"), [(0.8, 0.0, 2.0), (0.2, 1.0, -1.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.5)])
 def test_the_asymmetric_lag_solves_its_equation(x: float, u0: float, u1: float) -> None:
     dt, up, down = 3.0, 0.4, 5.0
 

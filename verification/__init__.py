@@ -1,1 +1,9 @@
-"""The design verification report: experiments P1 to P14 and what they must show."""
+"""The design verification report: the paper's claims P1 to P14 as experiments on a design.
+
+``verify(design).write("folder")`` runs them and writes ``report.html``, ``report.json`` and ``junit.xml``.
+"""
+
+from .report import Report
+from .run import prototype, verify
+
+__all__ = ["Report", "prototype", "verify"]
