@@ -1,1 +1,24 @@
-"""The packets of the scan board: bytes to frozen values and back, without I/O."""
+"""The bytes of the ohmskin board: packets and their codec, without any I/O.
+
+The format is in ``docs/wire.md``. :mod:`ohmskin.emulator` writes what :mod:`ohmskin.driver` reads.
+"""
+
+from .codec import MAX_PAYLOAD, VERSION, Corrupt, Decoder, Event, Framer, decode, encode
+from .packets import Command, DescriptionPacket, Flag, FramePacket, Order, Packet
+
+__all__ = [
+    "MAX_PAYLOAD",
+    "VERSION",
+    "Command",
+    "Corrupt",
+    "Decoder",
+    "DescriptionPacket",
+    "Event",
+    "Flag",
+    "FramePacket",
+    "Framer",
+    "Order",
+    "Packet",
+    "decode",
+    "encode",
+]
