@@ -7,6 +7,7 @@ The invariant: whatever bytes arrive, in whatever pieces, :meth:`Decoder.feed` r
 from __future__ import annotations
 
 import json
+import math
 import struct
 import zlib
 from collections.abc import Callable, Mapping
@@ -154,31 +155,56 @@ def _write_sheet(packet: DescriptionPacket) -> bytes:
     sheet = {
         "serial_number": packet.serial_number,
         "firmware": packet.firmware,
-        "design": dict(packet.design),
-        "cell": dict(packet.cell),
+        "design": packet.design,
+        "cell": packet.cell,
     }
     try:
-        return json.dumps(sheet, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
+        return json.dumps(_without_infinity(sheet), allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
     except (TypeError, ValueError) as error:
         raise InputError(f"a data sheet that is not JSON: {error}") from error
 
 
 def _read_sheet(sequence: int, time_us: int, payload: bytes) -> DescriptionPacket:
     try:
-        sheet = json.loads(payload.decode(), parse_constant=_refuse_constant)
+        sheet = _with_infinity(json.loads(payload.decode(), parse_constant=_refuse_constant))
     except (ValueError, RecursionError) as error:
         raise ProtocolError(f"description is not JSON: {error}") from error
-    text = _entry(sheet, "serial_number", str), _entry(sheet, "firmware", str)
-    return DescriptionPacket(
-        sequence, time_us, *text, _entry(sheet, "design", dict), _entry(sheet, "cell", dict)
-    )
+    entries = {"serial_number": str, "firmware": str, "design": dict, "cell": dict}
+    return DescriptionPacket(sequence, time_us, **{key: _entry(sheet, key, kind) for key, kind in entries.items()})
 
 
 def _entry(sheet: Any, key: str, kind: type) -> Any:
     """Entries that are not known are left unread: a data sheet may grow within a version."""
-    if not isinstance(sheet, Mapping) or not isinstance(sheet.get(key), kind):
+    if not isinstance(sheet, dict) or not isinstance(sheet.get(key), kind):
         raise ProtocolError(f"description without '{key}' ({'text' if kind is str else 'object'} expected)")
     return sheet[key]
+
+
+_INFINITIES = {math.inf: "Infinity", -math.inf: "-Infinity"}
+_TEXTS = {text: value for value, text in _INFINITIES.items()}
+
+
+def _without_infinity(value: Any) -> Any:
+    """Ideal parts have infinite values, JSON has none: they travel as text."""
+    match value:
+        case Mapping():
+            return {key: _without_infinity(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_without_infinity(item) for item in value]
+        case float():
+            return _INFINITIES.get(value, value)
+    return value
+
+
+def _with_infinity(value: Any) -> Any:
+    match value:
+        case dict():
+            return {key: _with_infinity(item) for key, item in value.items()}
+        case list():
+            return [_with_infinity(item) for item in value]
+        case str():
+            return _TEXTS.get(value, value)
+    return value
 
 
 def _refuse_constant(name: str) -> NoReturn:

@@ -52,18 +52,14 @@ class FramePacket:
             raise InputError(f"frame of {self.rows} x {self.columns} cells; expected 1 ... 65535 of each")
         if len(self.payload) != 2 * self.rows * self.columns:
             cells = f"{self.rows} x {self.columns} cells"
-            raise InputError(
-                f"frame of {cells} with {len(self.payload)} bytes of counts; expected 2 for each"
-            )
+            raise InputError(f"frame of {cells} with {len(self.payload)} bytes of counts; expected 2 for each")
 
     @classmethod
     def of(cls, counts: ArrayLike, *, sequence: int, time_us: int, flags: Flag = Flag.NONE) -> FramePacket:
         """The packet that carries ``counts``: (rows, columns), integers 0 ... 65535, else InputError."""
         array = np.asarray(counts)
         if array.ndim != 2 or array.dtype.kind not in "ui":
-            raise InputError(
-                f"counts are {array.dtype} of shape {array.shape}; expected integers (rows, columns)"
-            )
+            raise InputError(f"counts are {array.dtype} of shape {array.shape}; expected integers (rows, columns)")
         if array.size and (array.min() < 0 or array.max() > 0xFFFF):
             raise InputError(f"counts reach from {array.min()} to {array.max()}; expected 0 ... 65535")
         rows, columns = array.shape
