@@ -1,1 +1,31 @@
-"""The whole board in software: from contacts on the skin to bytes on a port."""
+"""A virtual ohmskin board: a scene of contacts to bytes on a pty or TCP port, and the truth beside them."""
+
+from .board import Board
+from .line import Line, TransmitBuffer
+from .ports import Port, PtyPort, TcpPort
+from .run import ClockName, Outcome, Stop, emulate, stop_on_signals
+from .scene import Bump, Contact, Disc, Rectangle, Scene
+from .skin import EmulatedSkin, Sample
+from .truth import TruthFile
+
+__all__ = [
+    "Board",
+    "Bump",
+    "ClockName",
+    "Contact",
+    "Disc",
+    "EmulatedSkin",
+    "Line",
+    "Outcome",
+    "Port",
+    "PtyPort",
+    "Rectangle",
+    "Sample",
+    "Scene",
+    "Stop",
+    "TcpPort",
+    "TransmitBuffer",
+    "TruthFile",
+    "emulate",
+    "stop_on_signals",
+]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Self
 
@@ -20,9 +22,17 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, lt=1)]
-Index = Annotated[int, Field(ge=0)]
-Place = tuple[Finite, Finite]
-"""(row, column); whole numbers are the middles of cells, each of which is one unit wide and high"""
+CellIndex = Annotated[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], Field(strict=False)]
+LoadPoint = Annotated[tuple[Finite, NotNegative], Field(strict=False)]
+Place = Annotated[tuple[Finite, Finite], Field(strict=False)]
+"""[row, column]; whole numbers are the middles of cells, each of which is one unit wide and high"""
+
+
+def _overlap(low: FloatArray, high: FloatArray, count: int) -> FloatArray:
+    """(intervals, count) length that each interval shares with each of ``count`` cells in a line."""
+    middle = np.arange(count)
+    shared = np.minimum(high[:, None], middle + 0.5) - np.maximum(low[:, None], middle - 0.5)
+    return np.clip(shared, 0.0, None)
 
 
 class Disc(Section):
@@ -37,14 +47,15 @@ class Disc(Section):
         across = (np.arange(shape[0] * strips) + 0.5) / strips - 0.5 - self.center[0]
         half = np.sqrt(np.maximum(self.radius_cells**2 - across**2, 0.0))
         chords = _overlap(self.center[1] - half, self.center[1] + half, shape[1])
-        return chords.reshape(shape[0], strips, shape[1]).mean(axis=1)
+        covered: FloatArray = chords.reshape(shape[0], strips, shape[1]).mean(axis=1)
+        return covered
 
 
 class Rectangle(Section):
     """Even pressure within a rectangle along the lines of the array."""
 
     center: Place
-    size_cells: tuple[Positive, Positive]
+    size_cells: Annotated[tuple[Positive, Positive], Field(strict=False)]
     """(height, width) along the columns and along the rows"""
 
     def coverage(self, shape: tuple[int, int]) -> FloatArray:
@@ -63,9 +74,7 @@ class Bump(Section):
 
     def coverage(self, shape: tuple[int, int]) -> FloatArray:
         """(rows, columns) mean over each cell of exp(-distance^2 / (2 sigma^2))."""
-        edges = (
-            (np.arange(n + 1) - 0.5 - c) / self.sigma_cells for n, c in zip(shape, self.center, strict=True)
-        )
+        edges = ((np.arange(n + 1) - 0.5 - c) / self.sigma_cells for n, c in zip(shape, self.center, strict=True))
         down, along = (np.diff(self.sigma_cells * np.sqrt(np.pi / 2) * erf(e / np.sqrt(2))) for e in edges)
         return np.outer(down, along)
 
@@ -73,12 +82,12 @@ class Bump(Section):
 class Contact(Section):
     """Something that presses: one shape and its load over time."""
 
-    cells: Annotated[list[tuple[Index, Index]], Field(min_length=1)] | None = None
+    cells: Annotated[list[CellIndex], Field(min_length=1)] | None = None
     """[row, column] of each cell pressed"""
     disc: Disc | None = None
     rectangle: Rectangle | None = None
     bump: Bump | None = None
-    load_kpa: Annotated[list[tuple[Finite, NotNegative]], Field(min_length=1)]
+    load_kpa: Annotated[list[LoadPoint], Field(min_length=1)]
     """[time in s, kPa]: straight lines between, constant before the first and after the last"""
     period: Positive | None = None
     """s, after which the load begins anew; left out: never"""
@@ -93,7 +102,7 @@ class Contact(Section):
     @model_validator(mode="after")
     def _in_order(self) -> Self:
         times = [time for time, _ in self.load_kpa]
-        for before, after in zip(times, times[1:], strict=False):
+        for before, after in pairwise(times):
             if after < before:
                 raise ValueError(f"the times of load_kpa must not decrease; {after} s follows {before} s")
         return self
@@ -146,7 +155,7 @@ class Scene(Section):
     skin: Skin
     board: BoardSettings = BoardSettings()
     line: LineSettings = LineSettings()
-    contact: list[Contact] = []
+    contact: list[Contact] = Field(default_factory=list)
 
     @model_validator(mode="after")
     def _converts(self) -> Self:
@@ -161,9 +170,7 @@ class Scene(Section):
         for k, contact in enumerate(self.contact):
             for row, column in contact.cells or ():
                 if row >= rows or column >= columns:
-                    raise ValueError(
-                        f"contact[{k}].cells: [{row}, {column}] lies outside the {rows} x {columns} array"
-                    )
+                    raise ValueError(f"contact[{k}].cells: [{row}, {column}] lies outside the {rows} x {columns} array")
         return self
 
     @classmethod
@@ -184,6 +191,13 @@ class Scene(Section):
             tables = {**tables, "skin": {**skin, **files}}
         return parse(tables, cls, source=source)
 
-    def pressure_kpa(self) -> Field_:
-        """The pressure on every cell as a function of time."""
-        return Field_(self)
+    def pressure_kpa(self, time_s: float) -> FloatArray:
+        """(rows, columns) kPa at ``time_s``: contacts add up."""
+        total = np.zeros(self.skin.design.array.shape)
+        for contact, coverage in zip(self.contact, self._coverage, strict=True):
+            total += contact.load(time_s) * coverage
+        return total
+
+    @cached_property
+    def _coverage(self) -> list[FloatArray]:
+        return [contact.coverage(self.skin.design.array.shape) for contact in self.contact]

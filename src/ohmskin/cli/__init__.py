@@ -19,6 +19,7 @@ from ..errors import OhmskinError
 COMMANDS = {
     "scan": "Read one frame of cells through a readout design.",
     "verify": "Verify a readout design: report.html, report.json, junit.xml.",
+    "emulate": "Run a virtual scan board on a pty or TCP port.",
 }
 
 
