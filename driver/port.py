@@ -86,7 +86,7 @@ def _why_not_opened(name: str, error: Exception) -> str:
 
 
 def _owner(name: str) -> str:
-    import grp  # noqa: PLC0415 - only where it is needed: there is none on Windows
+    import grp  # there is none on Windows
 
     group = os.stat(name).st_gid
     try:

@@ -27,7 +27,8 @@ S = TypeVar("S", Design, Cell)
 
 ASK_AGAIN_S = 0.5
 """how long to wait for an answer before asking again"""
-_WAKE = encode(Command(Order.DESCRIBE)) + encode(Command(Order.START))
+# The zero ends what an earlier host may have left unfinished.
+_WAKE = b"\0" + encode(Command(Order.DESCRIBE)) + encode(Command(Order.START))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

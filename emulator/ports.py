@@ -14,11 +14,9 @@ import tty
 from abc import ABC, abstractmethod
 from pathlib import Path
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Self
 
 from ..errors import InputError, LinkError
-
-T = TypeVar("T")
 
 _CHUNK = 65536
 
@@ -38,8 +36,8 @@ class Port(ABC):
         """To select on, while a host is present."""
 
     @abstractmethod
-    def read(self) -> bytes:
-        """What the host has sent since the last call."""
+    def read(self) -> bytes | None:
+        """What the host has sent since the last call; None when it has gone."""
 
     @abstractmethod
     def write(self, data: bytes) -> int:
@@ -106,17 +104,23 @@ class PtyPort(Port):
     def fileno(self) -> int:
         return self._master
 
-    def read(self) -> bytes:
+    def read(self) -> bytes | None:
         try:
             return os.read(self._master, _CHUNK)
+        except BlockingIOError:
+            return b""
         except OSError as error:
-            return _nothing(error, b"")
+            if error.errno == errno.EIO:  # a hang-up
+                return None
+            raise LinkError(f"{self.name}: cannot be read: {error.strerror}") from error
 
     def write(self, data: bytes) -> int:
         try:
             return os.write(self._master, data)
+        except BlockingIOError:
+            return 0
         except OSError as error:
-            return _nothing(error, 0)
+            raise LinkError(f"{self.name}: cannot be written: {error.strerror}") from error
 
     def unread(self) -> int:
         # Only the host's end knows. Opening it hides a hang-up, hence for a moment only.
@@ -164,24 +168,22 @@ class TcpPort(Port):
     def host_present(self) -> bool:
         try:
             arrived, _ = self._listener.accept()
-        except OSError as error:
-            _nothing(error, None)
+        except (BlockingIOError, ConnectionError):
+            return self._host is not None
+        if self._host is None:
+            self._host = arrived
+            arrived.setblocking(False)
+            arrived.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         else:
-            if self._host is None:
-                self._host = arrived
-                arrived.setblocking(False)
-                arrived.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            else:
-                arrived.close()
-        return self._host is not None
+            arrived.close()
+        return True
 
     def fileno(self) -> int:
         assert self._host is not None
         return self._host.fileno()
 
-    def read(self) -> bytes:
-        if self._host is None:
-            return b""
+    def read(self) -> bytes | None:
+        assert self._host is not None
         try:
             data = self._host.recv(_CHUNK)
         except BlockingIOError:
@@ -190,17 +192,14 @@ class TcpPort(Port):
             data = b""
         if not data:
             self._hang_up()
+            return None
         return data
 
     def write(self, data: bytes) -> int:
-        if self._host is None:
-            return 0
+        assert self._host is not None
         try:
             return self._host.send(data)
-        except BlockingIOError:
-            return 0
-        except ConnectionError:
-            self._hang_up()
+        except (BlockingIOError, ConnectionError):  # what broke shows at the next read
             return 0
 
     def unread(self) -> int:
@@ -217,10 +216,3 @@ class TcpPort(Port):
         if self._host is not None:
             self._host.close()
             self._host = None
-
-
-def _nothing(error: OSError, nothing: T) -> T:
-    """What a call gives that would have to wait (EAGAIN), or finds that the host has just left (EIO)."""
-    if error.errno in (errno.EAGAIN, errno.EIO):
-        return nothing
-    raise LinkError(f"the port failed: {error.strerror}") from error

@@ -23,6 +23,7 @@ from math import inf
 from pathlib import Path
 from typing import Literal
 
+from ..errors import InputError
 from .board import Board
 from .line import Line, TransmitBuffer
 from .ports import Port
@@ -33,6 +34,8 @@ ClockName = Literal["real", "fast"]
 
 HOST_POLL_S = 0.01
 """how often to look whether a host has come: opening a pty wakes nobody"""
+LONGEST_WAIT_S = 0.1
+"""how often to look in any case: for a second host to turn away"""
 LISTENER_S = 1.0
 """fast clock: how long a host may say nothing before it is taken for a mere listener"""
 MOST_BEHIND_S = 0.5
@@ -114,11 +117,13 @@ def emulate(
     """Run a board on ``port`` for ``duration_s`` of board time or until ``stop``, and write the truth file then.
 
     Raises:
-        InputError: the truth file cannot be written.
+        InputError: the duration is not positive, or the truth file cannot be written.
         LinkError: the port failed.
         SolverError: the scene leads to a circuit without a solution.
 
     """
+    if not duration_s > 0:
+        raise InputError(f"duration is {duration_s} s; expected more than 0")
     with nullcontext() if truth is None else TruthFile(truth, scene.skin.design.array.shape) as file:
         board = Board(scene, seed=seed, record=None if file is None else file.append)
         outcome = Outcome()
@@ -153,7 +158,12 @@ class _Link:
         if arrived:
             self.buffer.offer(b"\0")  # ends what may have been cut off for the last host
         if self.present:
-            for answer in self._board.receive(self._port.read()):
+            data = self._port.read()
+            if data is None:
+                self.present = False
+                self.buffer.clear()
+                return False
+            for answer in self._board.receive(data):
                 self.buffer.offer(self._line.carry(answer))
             if self.buffer:
                 self.buffer.sent(self._port.write(self.buffer.peek()))
@@ -167,12 +177,11 @@ class _Link:
             self._outcome.dropped += 1
 
     def wait(self, stop: Stop, timeout_s: float) -> None:
-        """Until the port or ``stop`` wants attention, or ``timeout_s`` has passed."""
-        if self.present:
-            awaited: list[Stop | Port] = [stop, self._port]
-            select.select(awaited, [self._port] if self.buffer else [], [], max(timeout_s, 0.0))
-        else:
-            select.select([stop], [], [], min(max(timeout_s, 0.0), HOST_POLL_S))
+        """Until the port or ``stop`` wants attention, or ``timeout_s`` has passed, or something else may be new."""
+        readable: list[Stop | Port] = [stop, self._port] if self.present else [stop]
+        writable = [self._port] if self.present and self.buffer else []
+        longest = LONGEST_WAIT_S if self.present else HOST_POLL_S
+        select.select(readable, writable, [], min(max(timeout_s, 0.0), longest))
 
     def drain(self, stop: Stop) -> None:
         """Let a host read to the end what was written, as long as it goes on reading."""

@@ -31,8 +31,8 @@ Place = Annotated[tuple[Finite, Finite], Field(strict=False)]
 def _overlap(low: FloatArray, high: FloatArray, count: int) -> FloatArray:
     """(intervals, count) length that each interval shares with each of ``count`` cells in a line."""
     middle = np.arange(count)
-    shared = np.minimum(high[:, None], middle + 0.5) - np.maximum(low[:, None], middle - 0.5)
-    return np.clip(shared, 0.0, None)
+    shared: FloatArray = np.minimum(high[:, None], middle + 0.5) - np.maximum(low[:, None], middle - 0.5)
+    return shared.clip(min=0.0)
 
 
 class Disc(Section):
@@ -96,7 +96,7 @@ class Contact(Section):
     def _one_shape(self) -> Self:
         shapes = [name for name in ("cells", "disc", "rectangle", "bump") if getattr(self, name) is not None]
         if len(shapes) != 1:
-            raise ValueError(f"a contact has one of cells, disc, rectangle, bump; got {shapes or 'none'}")
+            raise ValueError(f"a contact has one of cells, disc, rectangle, bump; got {' and '.join(shapes) or 'none'}")
         return self
 
     @model_validator(mode="after")

@@ -19,7 +19,9 @@ from ..emulator import ClockName, PtyPort, Scene, TcpPort, emulate, stop_on_sign
 @click.option(
     "--duration", type=click.FloatRange(min=0, min_open=True), default=inf, metavar="S", help="Seconds of board time."
 )
-@click.option("--truth", type=click.Path(path_type=Path), metavar="FILE.npz", help="Record every frame as it truly was.")
+@click.option(
+    "--truth", type=click.Path(path_type=Path), metavar="FILE.npz", help="Record every frame as it truly was."
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="K", help="For noise and line faults.")
 def command(
     scene_file: Path, link: Path | None, tcp: str | None, clock: str, duration: float, truth: Path | None, seed: int

@@ -1,0 +1,139 @@
+"""SCENE.toml: shapes, loads over time, and what is refused."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from boards import DESIGN, scene
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ohmskin.cell import Cell
+from ohmskin.circuits import Design
+from ohmskin.emulator import Bump, Contact, Disc, Rectangle, Scene
+from ohmskin.errors import InputError
+
+SHAPE = (9, 11)
+inside = st.tuples(st.floats(2, 6), st.floats(2, 8))
+
+
+@given(inside, st.floats(0.05, 2.4))
+def test_the_cells_under_a_disc_share_its_area(center: tuple[float, float], radius: float) -> None:
+    covered = Disc(center=center, radius_cells=radius).coverage(SHAPE)
+    assert covered.min() >= 0
+    assert covered.max() <= 1 + 1e-12
+    assert covered.sum() == pytest.approx(np.pi * radius**2, rel=0.02)
+    weights = covered / covered.sum()
+    assert (weights.sum(axis=1) @ np.arange(9), weights.sum(axis=0) @ np.arange(11)) == pytest.approx(center, abs=0.01)
+
+
+@given(inside, st.tuples(st.floats(0.01, 4), st.floats(0.01, 4)))
+def test_the_cells_under_a_rectangle_share_its_area(center: tuple[float, float], size: tuple[float, float]) -> None:
+    covered = Rectangle(center=center, size_cells=size).coverage(SHAPE)
+    assert covered.max() <= 1 + 1e-12
+    assert covered.sum() == pytest.approx(size[0] * size[1])
+    assert (covered.sum(axis=1) @ np.arange(9)) / covered.sum() == pytest.approx(center[0])
+
+
+def test_a_bump_is_the_mean_of_a_bell_over_each_cell() -> None:
+    center, sigma, fine = (3.2, 4.9), 0.7, 200
+    grid = (np.arange(fine) + 0.5) / fine - 0.5
+    rows = np.arange(9)[:, None] + grid - center[0]
+    columns = np.arange(11)[:, None] + grid - center[1]
+    bell = [np.exp(-(axis**2) / (2 * sigma**2)).mean(axis=1) for axis in (rows, columns)]
+    covered = Bump(center=center, sigma_cells=sigma).coverage(SHAPE)
+    np.testing.assert_allclose(covered, np.outer(*bell), atol=1e-5)
+
+
+def test_a_disc_is_the_same_from_both_sides() -> None:
+    disc = Disc(center=(4.0, 4.0), radius_cells=1.7).coverage((9, 9))
+    np.testing.assert_allclose(disc, disc[::-1, ::-1], atol=1e-12)
+    np.testing.assert_allclose(disc, disc.T, atol=2e-3)
+
+
+def test_loads_are_straight_between_points_and_constant_outside() -> None:
+    contact = Contact(cells=[(0, 0)], load_kpa=[(1.0, 0.0), (2.0, 10.0), (2.0, 4.0), (3.0, 0.0)])
+    assert [contact.load(t) for t in (0.0, 1.0, 1.25, 1.999999, 2.0, 2.5, 9.0)] == pytest.approx(
+        [0, 0, 2.5, 10, 4, 2, 0], abs=1e-4
+    )
+
+
+def test_a_load_with_a_period_comes_again() -> None:
+    contact = Contact(cells=[(0, 0)], load_kpa=[(0.0, 0.0), (1.0, 8.0)], period=2.0)
+    assert [contact.load(t) for t in (0.5, 2.5, 1001.5)] == pytest.approx([4, 4, 8])
+
+
+def test_contacts_add_up() -> None:
+    both = scene(
+        contact=[
+            {"cells": [[0, 0], [2, 1]], "load_kpa": [[0.0, 3.0]]},
+            {"rectangle": {"center": [0.0, 0.5], "size_cells": [0.5, 2.0]}, "load_kpa": [[0.0, 4.0]]},
+        ]
+    )
+    np.testing.assert_allclose(both.pressure_kpa(0.0), [[5, 2], [0, 0], [0, 3]])
+
+
+def test_design_and_cell_may_be_files_beside_the_scene(tmp_path: Path) -> None:
+    root = Path(__file__).parents[1]
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "design.toml").write_text((root / "verification" / "prototype.toml").read_text())
+    (tmp_path / "cell.toml").write_text((root / "cell" / "example.toml").read_text())
+    path = tmp_path / "scene.toml"
+    path.write_text('[skin]\ndesign = "parts/design.toml"\ncell = "cell.toml"\n')
+    loaded = Scene.load(path)
+    assert loaded.skin.design == Design.load(root / "verification" / "prototype.toml")
+    assert loaded.skin.cell == Cell.example()
+    assert not loaded.pressure_kpa(1.0).any()
+
+
+@pytest.mark.parametrize(
+    "example", sorted((Path(__file__).parents[1] / "examples").glob("*.toml")), ids=lambda p: p.name
+)
+def test_the_examples_load(example: Path) -> None:
+    assert Design.load(example) if "prototype" in example.name else Scene.load(example)
+
+
+LOAD = {"load_kpa": [[0.0, 1.0]]}
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({"skin": {}}, "scene: missing key 'skin.design'"),
+        ({"skin": {"design": DESIGN | {"adc": None}}}, "scene: skin.design needs an [adc] of at most 16 bits"),
+        ({"skin": {"design": DESIGN | {"adc": {"bits": 24, "range": [0.0, 1.0]}}}}, "an [adc] of at most 16 bits"),
+        ({"skin": {"design": "nowhere.toml"}}, "nowhere.toml: cannot be read: No such file or directory"),
+        ({"board": {"frame_rat": 5.0}}, "scene: unknown key 'board.frame_rat'; the nearest known key is 'frame_rate'"),
+        ({"board": {"frame_rate": 0.0}}, "scene: board.frame_rate: input should be greater than 0 (got 0.0)"),
+        ({"line": {"packet_loss": 1.0}}, "scene: line.packet_loss: input should be less than 1 (got 1.0)"),
+        ({"contact": [LOAD]}, "scene: contact[0]: a contact has one of cells, disc, rectangle, bump; got none"),
+        (
+            {"contact": [LOAD | {"cells": [[0, 0]], "disc": {"center": [0.0, 0.0], "radius_cells": 1.0}}]},
+            "contact[0]: a contact has one of cells, disc, rectangle, bump; got cells and disc",
+        ),
+        ({"contact": [LOAD | {"cells": [[0, 2]]}]}, "contact[0].cells: [0, 2] lies outside the 3 x 2 array"),
+        (
+            {"contact": [LOAD | {"cells": [[-1, 0]]}]},
+            "contact[0].cells[0][0]: input should be greater than or equal to 0",
+        ),
+        (
+            {"contact": [LOAD | {"disc": {"center": [0.0, 0.0], "radius": 1.0}}]},
+            "unknown key 'contact[0].disc.radius'; the nearest known key is 'radius_cells'",
+        ),
+        (
+            {"contact": [{"cells": [[0, 0]], "load_kpa": [[1.0, 0.0], [0.5, 2.0]]}]},
+            "contact[0]: the times of load_kpa must not decrease; 0.5 s follows 1.0 s",
+        ),
+        ({"contact": [{"cells": [[0, 0]], "load_kpa": [[0.0, -1.0]]}]}, "load_kpa[0][1]: input should be greater than"),
+        ({"contact": [{"cells": [[0, 0]], "load_kpa": [[0.0, float("nan")]]}]}, "load_kpa[0][1]: input should be"),
+        ({"contact": [{"cells": [[0, 0]], "load_kpa": []}]}, "contact[0].load_kpa: list should have at least 1 item"),
+    ],
+)
+def test_a_scene_that_makes_no_sense_is_refused_in_one_located_line(tables: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=re.escape(message)) as caught:
+        scene(**tables)
+    assert "\n" not in str(caught.value)
