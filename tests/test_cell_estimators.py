@@ -63,7 +63,7 @@ def test_a_held_load_must_not_read_as_release() -> None:
     resistance = sense(EXAMPLE, time, load)
     assert estimate(EXAMPLE, "paper", time, resistance)[-1] == pytest.approx(15.5, abs=1e-6)
     slope = PAPER.settling_slope_per_s(15.5)
-    assert slope == pytest.approx(15.5 * 20 / 100**2)
+    assert slope == pytest.approx(15.5 * 16 / 80**2)
     hasty = PAPER.model_copy(update={"recovery_threshold_per_s": 0.3 * slope})
     lost = estimate(EXAMPLE.model_copy(update={"model": hasty}), "paper", time, resistance)
     assert np.abs(lost[110:] - 15.5).max() > 0.3

@@ -12,7 +12,7 @@ from ohmskin.errors import InputError
 EXAMPLE = Cell.example()
 PAPER = EXAMPLE.model
 assert isinstance(PAPER, PaperModel)
-ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
+ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=505, eta3_kpa_s=48000)
 M10 = M10Model(a=0.3, b=-0.2, alpha1=0.5, rise1_s=0.3, fall1_s=4, alpha2=0.2, fall2_s=90, k=0.2, tau_s=20)
 CONTACT = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
 CELLS = {model.kind: EXAMPLE.model_copy(update={"model": model}) for model in (PAPER, ASYMMETRIC, M10, CONTACT)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from . import crosstalk
+from . import crosstalk, material
 from .bench import Bench
 from .outcome import Finding
 
@@ -37,28 +37,28 @@ STATEMENTS = (
         "III, Figs. 4, 5",
         "With electrodes cast in, resistance rises with pressure and shows the material's viscoelastic shape; with "
         "electrodes that merely touch, contact resistance dominates and falls.",
-        None,
+        material.electrodes,
     ),
     Statement(
         "P3",
         "Resistance follows strain",
         "(1), (2)",
         "The change of resistance is proportional to strain, so resistance is a function of stress.",
-        None,
+        material.strain,
     ),
     Statement(
         "P4",
         "Rising phase",
         "(3), Fig. 6",
         "Under load: a jump, an overshoot, then slow settling, as a gain plus a first-order term in the stress rate.",
-        None,
+        material.rising,
     ),
     Statement(
         "P5",
         "Recovery phase",
         "(4)-(8), Figs. 7, 8",
         "After unloading: an augmented Burgers model of five elements, which always returns to R0.",
-        None,
+        material.recovery,
     ),
     Statement(
         "P6",
@@ -72,21 +72,21 @@ STATEMENTS = (
         "Recovery times",
         "IV",
         "Up to 25 s to 95 % recovery, up to 5 minutes to full recovery.",
-        None,
+        material.recovery_times,
     ),
     Statement(
         "P8",
         "Pressure by inverse filters",
         "V, Fig. 9",
         "Pressure is the inverse filter of resistance, switched between two models by thresholds on its derivative.",
-        None,
+        material.inverse_filter,
     ),
     Statement(
         "P9",
         "One step and three steps",
         "V.A, Figs. 10, 11",
         "The estimate follows the applied stress for a 15.5 kPa step, and for three in a row with creep.",
-        None,
+        material.steps,
     ),
     Statement(
         "P10",

@@ -60,7 +60,7 @@ def equation_10(bench: Bench) -> Finding:
         exact.append(ideal_volts(bench.design, cells)[index])
         volts = scan(bench.design, cells).volts
         real.append(volts[index])
-        code.append(_converted(bench.design, volts)[index])
+        code.append(converted(bench.design, volts)[index])
     with plots.drawing(1, 2) as (figure, (panels,)):
         ohms = factors * bench.rest / 1e3
         panels[0].semilogx(ohms, exact, color=plots.INK, lw=3, alpha=0.25, label="equation (10)")
@@ -122,7 +122,7 @@ def crosstalk(bench: Bench) -> Finding:
     frames = [at_rest] + [np.where(pressed, bench.pressed, bench.rest) for pressed in patterns.values()]
     scans = [scan(design, cells) for cells in frames]
     errors = [
-        np.abs(apparent_resistance(design, _converted(design, result.volts)) / cells - 1)
+        np.abs(apparent_resistance(design, converted(design, result.volts)) / cells - 1)
         for result, cells in zip(scans, frames, strict=True)
     ]
     checks = [
@@ -222,12 +222,13 @@ def _ideal(design: Design) -> Design:
     )
 
 
-def _converted(design: Design, volts: FloatArray) -> FloatArray:
+def converted(design: Design, volts: FloatArray) -> FloatArray:
+    """The volts that the ADC's codes stand for; without an ADC, the volts themselves."""
     return volts if design.adc is None else volts_of_codes(design, adc_codes(design, volts))
 
 
 def _apparent(design: Design, cells: FloatArray) -> FloatArray:
-    return apparent_resistance(design, _converted(design, scan(design, cells).volts))
+    return apparent_resistance(design, converted(design, scan(design, cells).volts))
 
 
 def _change(design: Design, bench: Bench, pressed: BoolArray) -> FloatArray:

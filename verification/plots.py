@@ -85,11 +85,11 @@ def heat_maps(
     Cells are drawn as they are, without interpolation, and small arrays carry their numbers.
     """
     rows, columns = next(iter(maps.values())).shape
-    width, height = size * len(maps) + 0.7, size * min(max(rows / columns, 0.4), 2) + 0.75
+    width, height = size * len(maps) + 0.7, size * min(max(rows / columns, 0.4), 2) + 0.6
     with drawing(1, len(maps), width=width, height=height) as (figure, axes):
         for panel, (title, array) in zip(axes[0], maps.items(), strict=True):
             image = panel.imshow(array, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest")
-            panel.set_title(title, fontsize=9)
+            panel.set_title(title.replace(", ", ",\n"), fontsize=8.5)
             panel.grid(visible=False)
             panel.set_xticks(range(columns) if columns <= 8 else [0, columns - 1])
             panel.set_yticks(range(rows) if rows <= 8 else [0, rows - 1])

@@ -1,0 +1,175 @@
+"""The report: what passes, what fails, and what was not run can never be confused."""
+
+from __future__ import annotations
+
+import json
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from designs import divider
+
+from ohmskin.circuits import spice
+from ohmskin.cli import run
+from ohmskin.errors import MissingExtra
+from ohmskin.verification import prototype, verify
+from ohmskin.verification.claims import STATEMENTS
+from ohmskin.verification.outcome import Check, Finding, Outcome, not_run, worst
+
+
+@pytest.mark.parametrize(
+    ("measured", "at_least", "outcome"),
+    [
+        (0.5, False, "pass"),
+        (1.0, False, "pass"),
+        (1.5, False, "fail"),
+        (0.5, True, "fail"),
+        (1.5, True, "pass"),
+        (math.nan, False, "fail"),
+        (math.nan, True, "fail"),
+        (math.inf, True, "fail"),
+        (-math.inf, False, "fail"),
+        (None, False, "not run"),
+    ],
+)
+def test_a_check_passes_only_on_a_finite_number_within_its_limit(
+    measured: float | None, at_least: bool, outcome: str
+) -> None:
+    assert Check("x", measured, 1.0, at_least=at_least).outcome == outcome
+
+
+def test_a_check_that_cannot_fail_is_refused() -> None:
+    with pytest.raises(ValueError, match="could not fail"):
+        Check("x", 1.0, math.inf)
+
+
+def test_nothing_checked_is_not_a_pass() -> None:
+    assert Finding(checks=[]).outcome is Outcome.NOT_RUN
+    assert worst([Outcome.PASS, Outcome.NOT_RUN]) is Outcome.NOT_RUN
+    assert worst([Outcome.PASS, Outcome.NOT_RUN, Outcome.FAIL]) is Outcome.FAIL
+    assert not_run("x", "why").outcome is Outcome.NOT_RUN
+
+
+def test_every_claim_of_the_paper_has_a_row() -> None:
+    assert [statement.id for statement in STATEMENTS] == [f"P{k}" for k in range(1, 15)]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("report")
+    assert run(["verify", "-o", str(folder)]) in (0, 3)
+    return folder
+
+
+def test_no_requirement_of_the_prototype_fails(written: Path) -> None:
+    report = json.loads((written / "report.json").read_text())
+    claims = {claim["id"]: claim for claim in report["claims"]}
+    assert list(claims) == [f"P{k}" for k in range(1, 15)]
+    for claim in claims.values():
+        assert claim["outcome"] != "fail", claim
+        for check in claim["checks"]:
+            assert (check["measured"] is None) == (check["outcome"] == "not run")
+            assert check["reason"] or check["outcome"] != "not run"
+    for built in ("P2", "P3", "P4", "P5", "P7", "P8", "P9", "P11", "P12", "P13"):
+        assert claims[built]["outcome"] == "pass" or spice.available(), claims[built]
+
+
+def test_the_three_files_tell_the_same(written: Path) -> None:
+    report = json.loads((written / "report.json").read_text())
+    page = (written / "report.html").read_text()
+    suites = ET.parse(written / "junit.xml").getroot().findall("testsuite")
+    assert len(suites) == len(report["claims"])
+    for suite, claim in zip(suites, report["claims"], strict=True):
+        assert suite.get("name") == f"{claim['id']} {claim['title']}"
+        cases = suite.findall("testcase")
+        for case, check in zip(cases, claim["checks"], strict=True):
+            assert case.get("name") == check["name"]
+            kind = {child.tag for child in case}
+            assert kind == {"pass": set(), "fail": {"failure"}, "not run": {"skipped"}}[check["outcome"]]
+        assert f'id="{claim["id"]}"' in page
+
+
+def test_the_page_needs_nothing_from_elsewhere(written: Path) -> None:
+    page = (written / "report.html").read_text()
+    assert "<svg" in page
+    for outside in ("<script src", "<link ", "@import", '<img src="http', "url(http"):
+        assert outside not in page
+
+
+@pytest.fixture
+def only(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
+    """Leave the named experiments, to keep a test short."""
+
+    def choose(*ids: str) -> None:
+        kept = tuple(statement for statement in STATEMENTS if statement.id in ids)
+        monkeypatch.setattr("ohmskin.verification.run.STATEMENTS", kept)
+
+    return choose
+
+
+def test_a_divider_does_not_pass(tmp_path: Path, only: Callable[..., None]) -> None:
+    only("P11", "P13")
+    file = tmp_path / "divider.toml"
+    file.write_text(
+        '[array]\nrows = 3\ncolumns = 3\n[drive]\nvoltage = 1.0\nidle_rows = "float"\n'
+        '[readout]\ncircuit = "voltage-divider"\nreference_resistance = 1e4\n'
+    )
+    assert run(["verify", str(file), "-o", str(tmp_path / "out")]) == 1
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["outcome"] == "fail"
+    crosstalk = next(claim for claim in report["claims"] if claim["id"] == "P13")
+    failed = {check["name"] for check in crosstalk["checks"] if check["outcome"] == "fail"}
+    assert "crosstalk as designed, worst untouched cell" in failed
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 3), (2, 1)])
+def test_the_smallest_arrays_are_verified_too(shape: tuple[int, int], only: Callable[..., None]) -> None:
+    only("P10", "P11", "P12", "P13", "P14")
+    design = prototype()
+    array = design.array.model_copy(update={"rows": shape[0], "columns": shape[1]})
+    report = verify(design.model_copy(update={"array": array}))
+    assert report.outcome is not Outcome.FAIL
+    assert all("defect" not in check.reason for claim in report.claims for check in claim.finding.checks)
+
+
+def test_without_ngspice_its_check_is_not_run_and_the_rest_is(
+    monkeypatch: pytest.MonkeyPatch, only: Callable[..., None]
+) -> None:
+    only("P13")
+
+    def missing(*_: object) -> None:
+        raise MissingExtra("no ngspice here")
+
+    monkeypatch.setattr(spice, "spice_scan", missing)
+    report = verify()
+    claim = next(claim for claim in report.claims if claim.id == "P13")
+    assert claim.outcome is Outcome.NOT_RUN
+    assert {check.outcome for check in claim.finding.checks} == {Outcome.PASS, Outcome.NOT_RUN}
+    assert report.exit_code == 3
+
+
+def test_a_defect_in_one_experiment_costs_only_that_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(_: object) -> Finding:
+        raise ZeroDivisionError("boom")
+
+    statements = tuple(
+        s._replace(experiment=broken if s.id == "P12" else s.experiment) for s in STATEMENTS if s.id in ("P11", "P12")
+    )
+    monkeypatch.setattr("ohmskin.verification.run.STATEMENTS", statements)
+    other, claim = verify(divider(2, 2)).claims
+    assert other.outcome is Outcome.PASS
+    assert claim.outcome is Outcome.NOT_RUN
+    assert "boom" in claim.finding.checks[0].reason
+
+
+def test_bad_designs_write_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "design.toml"
+    file.write_text("[array]\nrows = 2\ncolums = 2\n")
+    assert run(["verify", str(file), "-o", str(tmp_path / "out")]) == 2
+    assert not (tmp_path / "out").exists()
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "array.colums" in message
+    assert "'columns'" in message

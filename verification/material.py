@@ -1,0 +1,353 @@
+"""P2 to P9: the cell's models against what the paper states, and the estimate of the pressure."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from ..cell import Cell, ContactModel, PaperModel
+from ..circuits import Design, apparent_resistance, scan
+from ..errors import InputError
+from . import plots
+from .bench import Bench
+from .crosstalk import converted
+from .outcome import Check, Figure, Finding, Table
+
+FloatArray = NDArray[np.float64]
+
+STEP_KPA = 15.5  # 10.0 N on one square inch (V.A)
+RATE_HZ = 50.0
+EDGE_S = 0.1  # time in which a press is applied and released
+
+
+def electrodes(bench: Bench) -> Finding:
+    """P2: bonded cells rise and remember, touching ones fall and do not."""
+    contact = Cell(
+        rest_resistance_ohm=bench.rest * 20,
+        full_scale_kpa=bench.full_scale_kpa,
+        model=ContactModel(full_scale_resistance_ohm=bench.rest),
+    )
+    time_s, pressure = _profile([(5, STEP_KPA, 20.0)], 60.0)
+    bonded_ohm, contact_ohm = (_respond(cell, time_s, pressure) for cell in (bench.cell, contact))
+    released = time_s > 25 + 5 * EDGE_S
+    loads = np.geomspace(0.05, 1.0, 20) * bench.full_scale_kpa
+    ohms = contact.forward(loads.shape).step(1.0, loads)
+    slope = float(np.polyfit(np.log(loads), np.log(1 / ohms - 1 / contact.rest_resistance_ohm), 1)[0])
+    with plots.drawing(1, 2) as (figure, (panels,)):
+        for panel, title, values in (
+            (panels[0], "electrodes cast in", bonded_ohm),
+            (panels[1], "electrodes touching", contact_ohm),
+        ):
+            panel.plot(time_s, values / 1e3)
+            panel.axvspan(5, 25, color=plots.INK, alpha=0.06, lw=0)
+            panel.set(title=title, xlabel="time / s", ylabel="resistance / kΩ", ylim=(0, None))
+        picture = plots.svg(figure)
+    rise = 100 * (np.median(bonded_ohm[(time_s > 15) & (time_s < 25)]) / bonded_ohm[0] - 1)
+    fall = 100 * (np.median(contact_ohm[(time_s > 15) & (time_s < 25)]) / contact_ohm[0] - 1)
+    return Finding(
+        checks=[
+            Check("bonded: resistance rises under load by", float(rise), 0.0, "%", at_least=True),
+            Check("touching: resistance falls under load by", float(-fall), 0.0, "%", at_least=True),
+            Check(
+                "bonded: what is left just after release, of the held change",
+                float(1e4 * (bonded_ohm[released][0] / bonded_ohm[0] - 1) / rise),
+                5.0,
+                "%",
+                at_least=True,
+            ),
+            Check(
+                "touching: what is left just after release",
+                float(100 * abs(contact_ohm[released][0] / contact_ohm[0] - 1)),
+                1e-9,
+                "%",
+            ),
+            Check("touching: exponent n of R ~ F^-n, at least", slope, 0.7, at_least=True),
+            Check("touching: exponent n of R ~ F^-n, at most", slope, 1.3),
+        ],
+        text=[
+            "The same press on both kinds of cell. Bonded electrodes show the bulk, which breaks conductive paths and "
+            "remembers; touching ones show the contact, a static power law of the force (published exponents 0.7 to "
+            "1.3). The contact cell's two resistances are the project's own choice."
+        ],
+        figures=[Figure(picture, f"Grey: {STEP_KPA} kPa applied.")],
+    )
+
+
+def strain(bench: Bench) -> Finding:
+    """P3: the normalised change r = (R - R0)/R0 is proportional to stress in each phase, whatever R0."""
+    time_s, pressure = _profile([(1, 1.0, 5.0)], 30.0)
+    scales = np.array([0.1, 0.5, 1.0])
+    rests = np.array([1e2, 1e4, 1e6])
+    cell = bench.cell
+    unit = _respond(cell, time_s, pressure) / cell.rest_resistance_ohm - 1
+    worst_scale = max(
+        float(np.abs((_respond(cell, time_s, k * pressure) / cell.rest_resistance_ohm - 1) / k - unit).max())
+        for k in scales
+    )
+    several = _respond(cell, time_s, pressure, rests) / rests - 1
+    worst_rest = float(np.abs(several - unit[:, None]).max())
+    return Finding(
+        checks=[
+            Check("r of a scaled load, divided by the scale: worst deviation", worst_scale / unit.max(), 1e-9),
+            Check("r of cells from 100 ohm to 1 Mohm under one load: worst deviation", worst_rest / unit.max(), 1e-9),
+        ],
+        text=["r is dimensionless, the stress is in kPa; E and eta are then in kPa, kPa s and kPa/s."],
+    )
+
+
+def rising(bench: Bench) -> Finding:
+    """P4: equation (3) in its corrected form."""
+    model = _paper_model(bench)
+    (numerator, denominator), edge = model.rising_transfer_function(), 1e-3
+    time_s = np.r_[0.0, edge + np.linspace(0.0, 8 * model.tu_s, 400)]
+    pressure = np.minimum(time_s / edge, 1.0) * STEP_KPA
+    r = _respond(bench.cell, time_s, pressure) / bench.rest - 1
+    grid = np.arange(0.0, time_s[-1], edge)  # lsim takes evenly spaced, piecewise-linear inputs
+    _, filtered, _ = signal.lsim((numerator, denominator), np.minimum(grid / edge, 1.0) * STEP_KPA, grid)
+    expected = np.interp(time_s, grid, filtered)
+    deviation = float(np.abs(r - expected)[time_s <= grid[-1]].max() / expected.max())
+    settled = STEP_KPA / model.eu1_kpa
+    printed = model.eu1_kpa / (model.eu1_kpa * model.eu2_kpa_per_s)
+    with plots.drawing(1, 1, height=2.7) as (figure, axes):
+        panel = axes[0, 0]
+        panel.plot(grid, filtered, lw=4, alpha=0.3, color=plots.INK, label="equation (3), scipy.signal.lsim")
+        panel.plot(time_s, r, label="forward model")
+        panel.axhline(settled, color=plots.ORANGE, lw=1, ls="--", label="σ / Eu1")
+        panel.set(title=f"Step of {STEP_KPA} kPa", xlabel="time / s", ylabel="r", ylim=(0, None))
+        panel.legend()
+        picture = plots.svg(figure)
+    return Finding(
+        checks=[
+            Check("forward model against (3): worst deviation, of the peak", deviation, 1e-3),
+            Check("overshoot against 1 + Eu1/etau2", abs(r.max() / settled / model.overshoot - 1), 1e-3),
+            Check("settled value against 1/Eu1", abs(r[-1] / settled - 1), 1e-3),
+        ],
+        text=[
+            "The second form of (3) printed in the paper has the constant Eu1 in its numerator; its own two terms add "
+            f"up to Eu2. As printed, the gain at rest would be 1/Eu2 = {printed:.4g} instead of 1/Eu1 = "
+            f"{1 / model.eu1_kpa:.4g} per kPa. The corrected form is used."
+        ],
+        figures=[Figure(picture, "A jump, an overshoot, then slow settling, as in Fig. 6.")],
+    )
+
+
+def recovery(bench: Bench) -> Finding:
+    """P5: the augmented Burgers model, (4)-(7) and (8)."""
+    model = _paper_model(bench)
+    numerator, denominator = model.transfer_function()
+    omega = np.geomspace(1e-5, 1e3, 400)
+    _, printed = signal.freqs(numerator, denominator, omega)
+    s = 1j * omega
+    summed = 1 / model.e1_kpa + 1 / (model.eta2_kpa_s * s + model.e2_kpa) + 1 / (model.eta3_kpa_s * s + model.e3_kpa)
+    time_s, r = _release(bench)
+    branches = {
+        "elastic, 1/E1": np.zeros_like(time_s),
+        f"T2 = {model.t2_s:.3g} s": np.exp(-time_s / model.t2_s) / model.e2_kpa,
+        f"T3 = {model.t3_s:.3g} s": np.exp(-time_s / model.t3_s) / model.e3_kpa,
+    }
+    expected = STEP_KPA * sum(branches.values())
+    with plots.drawing(1, 1, height=2.7) as (figure, axes):
+        panel = axes[0, 0]
+        panel.plot(time_s, r, color=plots.INK, lw=2, label="total")
+        for label, branch in branches.items():
+            panel.plot(time_s, STEP_KPA * branch, label=label)
+        panel.set(title="Release after a long hold", xlabel="time after release / s", ylabel="r", xlim=(0, 120))
+        panel.legend()
+        picture = plots.svg(figure)
+    return Finding(
+        checks=[
+            Check("(4)-(7) against (8): worst relative deviation", float(np.abs(printed / summed - 1).max()), 1e-12),
+            Check(
+                "forward model against the sum of its branches, of the held value",
+                float(np.abs(r - expected).max() * model.eu1_kpa / STEP_KPA),
+                1e-3,
+            ),
+            Check("left after ten times T3, of the held value", float(abs(r[-1]) * model.eu1_kpa / STEP_KPA), 1e-4),
+        ],
+        figures=[
+            Figure(picture, "Recovery and its serial components, as in Fig. 8. The elastic part is gone at once.")
+        ],
+    )
+
+
+def recovery_times(bench: Bench) -> Finding:
+    """P7: 25 s to 95 %, 5 minutes to full recovery."""
+    time_s, r = _release(bench)
+    left = r * bench.rest / (bench.pressed - bench.rest)
+    to_95 = float(np.interp(-0.05, -left, time_s))
+    at_5_minutes = float(100 * np.interp(300.0, time_s, left))
+    return Finding(
+        checks=[
+            Check("time to 95 % recovery", to_95, 25.0, "s"),
+            Check("time to 95 % recovery is not short", to_95, 12.5, "s", at_least=True),
+            Check("left after 5 minutes", at_5_minutes, 0.5, "%"),
+        ],
+        text=["The shipped example cell, released after a hold long enough to reach equilibrium."],
+    )
+
+
+def inverse_filter(bench: Bench) -> Finding:
+    """P8: the paper's estimator, its switch, and what its thresholds are worth."""
+    model = _paper_model(bench)
+    time_s, pressure = _profile([(2, STEP_KPA, 15.0)], 60.0)
+    ohms = _respond(bench.cell, time_s, pressure)
+    estimate = _estimate(bench.cell, time_s, ohms, "paper")
+    rising_per_s, falling_per_s = model.thresholds_per_s(bench.full_scale_kpa)
+    rng = np.random.default_rng(8)
+    rows = []
+    for factor in (0.5, 0.8, 1.0, 1.25, 2.0):
+        changed = model.model_copy(
+            update={
+                "rising_threshold_per_s": factor * rising_per_s,
+                "recovery_threshold_per_s": -factor * falling_per_s,
+            }
+        )
+        cell = bench.cell.model_copy(update={"model": changed})
+        noisy = ohms * (1 + 0.005 * rng.standard_normal(ohms.shape))
+        errors = [_rmse(_estimate(cell, time_s, values, "paper"), pressure, bench) for values in (ohms, noisy)]
+        rows.append([f"{factor:g}", *(f"{error:.2f} %" for error in errors)])
+    slope = np.gradient(ohms / bench.rest, time_s)
+    with plots.drawing(2, 1, height=4.2, sharex=True) as (figure, axes):
+        top, below = axes[:, 0]
+        top.plot(time_s, slope, lw=1)
+        for level in (rising_per_s, falling_per_s):
+            top.axhline(level, color=plots.RED, lw=1, ls="--")
+        top.set(
+            title="Derivative of r and the thresholds", ylabel="dr/dt / s⁻¹", ylim=(5 * falling_per_s, 5 * rising_per_s)
+        )
+        below.plot(time_s, pressure, color=plots.INK, lw=4, alpha=0.25, label="applied")
+        below.plot(time_s, estimate, label="estimate")
+        below.set(title="Pressure", xlabel="time / s", ylabel="kPa")
+        below.legend()
+        picture = plots.svg(figure)
+    settling = model.settling_slope_per_s(bench.full_scale_kpa)
+    return Finding(
+        checks=[
+            Check("RMSE without noise", _rmse(estimate, pressure, bench), 2.0, "% of full scale"),
+            Check(
+                "recovery threshold over the settling slope of a held load",
+                -falling_per_s / settling,
+                1.0,
+                at_least=True,
+            ),
+        ],
+        text=[
+            "The paper leaves three things open. State hand-over at a switch: pressure and resistance stay where they "
+            "are. Between the thresholds: the last model stays. The recovery threshold: it must exceed the slope at "
+            "which a held load settles, σ Eu2/etau2², or holding reads as release."
+        ],
+        figures=[Figure(picture, "The switch at work, as in Fig. 9. Dashed: the thresholds.")],
+        tables=[
+            Table(
+                ["thresholds times", "RMSE without noise", "RMSE with 0.5 % noise on R"],
+                rows,
+                "What the thresholds are worth, in % of full scale.",
+            )
+        ],
+    )
+
+
+def steps(bench: Bench) -> Finding:
+    """P9: one 15.5 kPa step, then three in a row, through the readout as designed."""
+    presses = {
+        "one step": ([(5.0, STEP_KPA, 20.0)], 90.0),
+        "three steps": ([(5.0 + 25.0 * k, STEP_KPA, 12.0) for k in range(3)], 110.0),
+    }
+    names = {"paper": "paper", "default": None}
+    errors: dict[str, dict[str, float]] = {}
+    with plots.drawing(2, 2, height=4.6, sharex="col") as (figure, axes):
+        for column, (title, (profile, duration)) in enumerate(presses.items()):
+            time_s, pressure = _profile(profile, duration)
+            true_ohm = _respond(bench.cell, time_s, pressure)
+            read_ohm = _through_readout(bench.design, bench.rest, true_ohm)
+            axes[0, column].plot(time_s, true_ohm / 1e3, color=plots.INK, lw=4, alpha=0.25, label="cell")
+            axes[0, column].plot(time_s, read_ohm / 1e3, lw=1, label="as read")
+            axes[0, column].set(title=title, ylabel="resistance / kΩ")
+            axes[0, column].legend()
+            axes[1, column].plot(time_s, pressure, color=plots.INK, lw=4, alpha=0.25, label="applied")
+            for label, name in names.items():
+                zero = np.median(read_ohm[time_s < 4.0])  # R0 as a user has it: read at rest, through the same readout
+                estimate = _estimate(bench.cell, time_s, read_ohm, name, zero)
+                errors.setdefault(title, {})[label] = _rmse(estimate, pressure, bench)
+                axes[1, column].plot(time_s, estimate, lw=1.2, label=f"estimate: {label}")
+            axes[1, column].set(xlabel="time / s", ylabel="pressure / kPa")
+            axes[1, column].legend()
+        picture = plots.svg(figure)
+    limit = bench.design.requirements.pressure_rmse_percent
+    return Finding(
+        checks=[
+            Check(f"{title}, estimator '{name}': RMSE", error, limit, "% of full scale")
+            for title, by_name in errors.items()
+            for name, error in by_name.items()
+        ],
+        text=[
+            "The cell is read by the design under verification, among cells at rest; R0 is the median of the first "
+            "four seconds. Presses and releases take 0.1 s."
+        ],
+        figures=[Figure(picture, "One press of 15.5 kPa (Fig. 10) and three in a row with creep (Fig. 11).")],
+    )
+
+
+def _paper_model(bench: Bench) -> PaperModel:
+    if not isinstance(bench.cell.model, PaperModel):
+        raise InputError(f"this experiment needs a cell of kind 'paper', got '{bench.cell.model.kind}'")
+    return bench.cell.model
+
+
+def _profile(presses: list[tuple[float, float, float]], duration_s: float) -> tuple[FloatArray, FloatArray]:
+    """Presses (start s, kPa, length s) as samples at RATE_HZ."""
+    time_s = np.arange(0.0, duration_s, 1 / RATE_HZ)
+    pressure = np.zeros_like(time_s)
+    for start, kpa, length in presses:
+        corners = [start, start + EDGE_S, start + length, start + length + EDGE_S]
+        pressure += np.interp(time_s, corners, [0.0, kpa, kpa, 0.0])
+    return time_s, pressure
+
+
+def _respond(cell: Cell, time_s: FloatArray, pressure: FloatArray, rest: FloatArray | None = None) -> FloatArray:
+    """Resistance (samples,) of one cell, or (samples, cells) of several with their own R0."""
+    shape = (1,) if rest is None else rest.shape
+    forward = cell.forward(shape, rest_resistance_ohm=rest)
+    first = forward.step(1e-6, np.full(shape, pressure[0]))
+    samples = [first] + [
+        forward.step(dt, np.full(shape, kpa)) for dt, kpa in zip(np.diff(time_s), pressure[1:], strict=True)
+    ]
+    return np.array(samples)[:, 0] if rest is None else np.array(samples)
+
+
+def _estimate(
+    cell: Cell, time_s: FloatArray, ohms: FloatArray, name: str | None, rest: float | None = None
+) -> FloatArray:
+    estimator = cell.estimator((1,), name, rest_resistance_ohm=rest)
+    return np.array(
+        [estimator.update(t, np.array([value])).pressure_kpa[0] for t, value in zip(time_s, ohms, strict=True)]
+    )
+
+
+def _rmse(estimate: FloatArray, truth: FloatArray, bench: Bench) -> float:
+    return float(100 * np.sqrt(np.mean((estimate - truth) ** 2)) / bench.full_scale_kpa)
+
+
+def _release(bench: Bench) -> tuple[FloatArray, FloatArray]:
+    """r (samples,) after a release within 1 ms from equilibrium, at ``time_s`` after it."""
+    model = _paper_model(bench)
+    forward = bench.cell.forward((1,))
+    load = np.array([STEP_KPA])
+    forward.step(1.0, load)
+    forward.step(1e3 * model.t3_s, load)
+    first = forward.step(1e-3, np.zeros(1))
+    time_s = np.r_[0.0, np.geomspace(1e-2, 10 * model.t3_s, 600)]
+    samples = [first] + [forward.step(dt, np.zeros(1)) for dt in np.diff(time_s)]
+    return time_s, np.array(samples)[:, 0] / bench.rest - 1
+
+
+def _through_readout(design: Design, rest: float, ohms: FloatArray) -> FloatArray:
+    """What the design reads of one cell with this history, among cells at rest."""
+    place = (design.array.rows // 2, design.array.columns // 2)
+    read = []
+    for value in ohms:
+        cells = np.full(design.array.shape, rest)
+        cells[place] = value
+        read.append(apparent_resistance(design, converted(design, scan(design, cells).volts))[place])
+    return np.array(read)
