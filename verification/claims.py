@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from . import crosstalk, material
+from . import crosstalk, material, skin
 from .bench import Bench
 from .outcome import Finding
 
@@ -121,6 +121,6 @@ STATEMENTS = (
         "A whole skin in real time",
         "I, VIII",
         "Several contacts at once, their places and their pressures, in real time.",
-        None,
+        skin.whole_skin,
     ),
 )
