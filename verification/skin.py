@@ -70,7 +70,7 @@ def _emulated(bench: Bench) -> Finding:
                 "pressure RMSE, all cells and frames", 100 * float(np.sqrt(np.mean(error**2))), limit, "% of full scale"
             ),
             Check("pressure RMSE, worst cell", float(per_cell[worst]), 2 * limit, "% of full scale"),
-            Check("frames in which some cell is wrongly touched or untouched", 100 * float(misplaced.mean()), 1.0, "%"),
+            Check("cells wrongly shown as touched or untouched", 100 * float(misplaced.mean()), 1.0, "%"),
             Check("counts that differ from what the board sent", float(unlike), 0.0),
             Check("frames lost", float(sum(frame.lost_before for frame in frames)), 0.0),
             Check("frames received", float(len(frames)), SECONDS * RATE_HZ, at_least=True),
