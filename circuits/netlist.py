@@ -5,9 +5,11 @@ What a part without resistance, an open part or an ideal amplifier becomes in SP
 * 0 ohm joins its two nodes (ngspice would silently take 1 mOhm); inf is left out.
 * Node 0 is the reference voltage, so that a mid-supply reference costs no digits; board ground is ``agnd``.
 * An amplifier of finite gain is a voltage-controlled source with its feedback resistor. With a gain above 1e8
-  or infinite, or with a supply that limits it, its output is written as the voltage that balances the current
-  of its column, ``A/(1+A) (v_plus - Rref i)``: the same law, but no large number in the equations, and a slope
-  that Newton's method can follow.
+  or infinite, or with a supply that limits it, it is written by what its column sees, which is exactly the
+  same but has no large number in it and a slope that Newton's method can follow. With i the current out of the
+  column, A the gain, ``wanted = A/(1+A) (v_plus - Rref i)``, and ``lack`` what the supply takes from it::
+
+      v_minus = A/(1+A) v_plus + i Rref/(1+A) + lack        v_out = v_minus - Rref i
 """
 
 from __future__ import annotations
@@ -241,6 +243,8 @@ class _Writer:
         yield ""
         if self.amplified:
             yield "* Inverting amplifiers, one per column."
+            if self.design.readout.supply != (-inf, inf):
+                yield "* lack_J: how far its supply keeps the output from the voltage that its feedback asks for."
             for j in range(self.columns):
                 yield from self._amplifier(j)
             return
@@ -264,27 +268,31 @@ class _Writer:
         by_current = limited or gain > LARGEST_GAIN
         if readout.bias_current and minus != REFERENCE:
             yield f"Ibias_{j} {minus} {REFERENCE} DC {readout.bias_current!r}"
-        if minus in self.drivers and by_current:
-            yield f"* {minus} is held by the driver: the feedback cannot move it."
-            yield f"Vamplifier_{j} {out} {ground} DC {self._comparator(j)!r}"
-            yield f"Rref_{j} {minus} {out} {rref!r}"
-            return
         if not by_current:
             yield f"Voffset_{j} plus_{j} {REFERENCE} DC {readout.offset_voltage!r}"
             yield f"Rref_{j} {minus} {out} {rref!r}"
             yield f"Eamplifier_{j} {out} {ground} plus_{j} {minus} {gain!r}"
             return
-        yield f"Vsense_{j} {minus} sense_{j} DC 0"
-        yield f"Rref_{j} sense_{j} {out} {rref!r}"
-        plus = f"{readout.reference_voltage!r}+{readout.offset_voltage!r}"
-        volts = f"{plus}-{rref!r}*i(Vsense_{j})"
+        if minus in self.drivers:
+            yield f"* {minus} is held by a driver: the feedback cannot move it."
+            yield f"Vamplifier_{j} {out} {ground} DC {self._comparator(j)!r}"
+            yield f"Rref_{j} {minus} {out} {rref!r}"
+            return
+        # Vvirtual measures the column's current; from it follow the potential of the input and the output.
+        at, share = f"in_{j}", 1.0 if isinf(gain) else gain / (1.0 + gain)
+        yield f"Vvirtual_{j} {minus} {at} DC 0"
+        yield f"Hrref_{j} {out} {at} Vvirtual_{j} {-rref!r}"
+        if limited:
+            wanted = f"{share!r}*({readout.reference_voltage!r}+{readout.offset_voltage!r}-{rref!r}*i(Vvirtual_{j}))"
+            terms = [f"min({high!r}-{wanted},0)"] if high < inf else []
+            terms += [f"max({low!r}-{wanted},0)"] if low > -inf else []
+            yield f"Black_{j} {at} lack_{j} V = {'+'.join(terms)}"
+            at = f"lack_{j}"
         if not isinf(gain):
-            volts = f"{1 / (1 + 1 / gain)!r}*({volts})"
-        if low > -inf:
-            volts = f"max({volts},{low!r})"
-        if high < inf:
-            volts = f"min({volts},{high!r})"
-        yield f"Bamplifier_{j} {out} {ground} V = {volts}"
+            yield f"Hinput_{j} {at} plus_{j} Vvirtual_{j} {rref / (1.0 + gain)!r}"
+            at = f"plus_{j}"
+        offset = share * readout.offset_voltage - readout.reference_voltage / (1.0 + gain)
+        yield f"Voffset_{j} {at} {REFERENCE} DC {offset!r}"
 
     def _comparator(self, j: int) -> float:
         """The output of amplifier j, whose inverting input sits on an ideal source."""

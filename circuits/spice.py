@@ -7,7 +7,6 @@ This is the only module that imports PySpice (GPL, extra ``spice``), and only wh
 from __future__ import annotations
 
 import ctypes.util
-import importlib
 import logging
 import os
 import re
@@ -180,9 +179,10 @@ def _library() -> Any:
         raise MissingExtra("libngspice is not installed (Debian, Ubuntu: apt install libngspice0)")
     try:
         with _quiet():
-            shared = importlib.import_module("PySpice.Spice.NgSpice.Shared").NgSpiceShared
-            shared.LIBRARY_PATH = path  # its own guess needs the library's development link
-            return shared.new_instance()
+            from PySpice.Spice.NgSpice.Shared import NgSpiceShared  # noqa: PLC0415 (optional, and GPL)
+
+            NgSpiceShared.LIBRARY_PATH = path  # its own guess needs the library's development link
+            return NgSpiceShared.new_instance()
     except ImportError as error:
         raise MissingExtra("PySpice is not installed; install 'ohmskin[spice]'") from error
     except OSError as error:

@@ -18,6 +18,7 @@ from ..errors import OhmskinError
 # name -> one-line help. The module cli/NAME.py holds a click command called `command`.
 COMMANDS = {
     "scan": "Read one frame of cells through a readout design.",
+    "netlist": "Write one scan step as a SPICE netlist.",
     "verify": "Verify a readout design: report.html, report.json, junit.xml.",
     "emulate": "Run a virtual scan board on a pty or TCP port.",
 }

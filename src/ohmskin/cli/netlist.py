@@ -1,0 +1,31 @@
+"""``ohmskin netlist``: one scan step for any SPICE simulator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from .. import tables
+from ..circuits import Design
+from ..circuits.netlist import netlist
+
+
+@click.command()
+@click.argument("design_file", metavar="DESIGN.toml", type=click.Path(path_type=Path))
+@click.option(
+    "--cells",
+    required=True,
+    metavar="CELLS.csv",
+    help="N lines of M resistances in ohm; inf = open, 0 = short.",
+)
+@click.option("--row", required=True, type=int, metavar="I", help="The selected row, counted from 0.")
+@click.option("-o", "--output", metavar="FILE.cir", help="Write here instead of to standard output.")
+def command(design_file: Path, cells: str, row: int, output: str | None) -> None:
+    """Write the SPICE netlist of the scan step in which row I is selected; runs as it is by `ngspice -b`."""
+    design = Design.load(design_file)
+    text = netlist(design, tables.read_cells(cells, design.array.shape), row)
+    if output is None:
+        click.echo(text, nl=False)
+    else:
+        tables.write_text(output, text)
