@@ -88,8 +88,9 @@ def run_library(text: str) -> Vectors:
                 # PySpice raises (heirs of NameError) at any note, even that another start of Newton's method
                 # succeeded; whether there is a result shows below.
                 ngspice.run()
-            said = ngspice.stderr
-            plot = {} if "abort" in said else ngspice.plot(None, ngspice.last_plot)
+            said, name = ngspice.stderr, ngspice.last_plot
+            failed = name == "const" or "abort" in said  # "const" holds pi and the like, and is always there
+            plot = {} if failed else ngspice.plot(None, name)
         except NameError as error:
             raise SolverError(f"ngspice refused the netlist: {_gist(ngspice.stdout)}") from error
         finally:

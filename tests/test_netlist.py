@@ -1,0 +1,154 @@
+"""The netlist as text, and what ngspice reads out of it, against the nodal reference."""
+
+from __future__ import annotations
+
+import subprocess
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+import pytest
+from designs import amplifier, divider
+from needs import need
+from reference import reference_volts
+from variety import any_design
+
+from ohmskin.circuits import Design
+from ohmskin.circuits.netlist import frame_deck, netlist
+from ohmskin.circuits.spice import command_available, run_control
+from ohmskin.cli import run
+from ohmskin.errors import InputError, SolverError
+
+
+def read_by_ngspice(design: Design, cells: np.ndarray) -> np.ndarray:
+    need(command_available())
+    rows, columns = design.array.shape
+    frame = [run_control(netlist(design, cells, row)) for row in range(rows)]
+    return np.array([[step[f"volts_{j}"] for j in range(columns)] for step in frame])
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_ngspice_reads_what_the_circuit_says(seed: int) -> None:
+    design, cells = any_design(seed)
+    expected = reference_volts(design, cells, 40)
+    np.testing.assert_allclose(read_by_ngspice(design, cells), expected, rtol=1e-7, atol=1e-11)
+
+
+@pytest.mark.parametrize("seed", range(200))
+def test_every_part_has_a_resistance(seed: int) -> None:
+    """ngspice takes 1 mohm for 0 and cannot read inf, so neither may be written; nor may a part bridge itself."""
+    design, cells = any_design(seed)
+    text = netlist(design, cells, 0).partition(".control")[0]
+    parts = [line.split() for line in text.splitlines() if line.startswith("R")]
+    assert all(isfinite(float(ohm)) and float(ohm) > 0 and a != b for _, a, b, ohm in parts)
+    names = [line.split()[0].lower() for line in text.splitlines() if line[:1].isalpha()]
+    assert len(names) == len(set(names))
+
+
+def test_the_text_shows_the_board() -> None:
+    design = amplifier(2, 2, lead=70.0, segment=0.5, open_loop_gain=1e5, reference_voltage=1.65)
+    text = netlist(design, [[1e3, 2e3], [np.inf, 0.0]], 1)
+    for card in (
+        "* Row 1 is driven; the idle rows stay at the reference.",
+        "Vdrive_1 drive_1 0 DC -1.0",
+        "Rlead_row_0 0 row_0_0 70.0",
+        "Rseg_row_0_1 row_0_0 row_0_1 0.5",
+        "R_0_1 row_0_1 col_0_1 2000.0",
+        "* R_1_0 is open",
+        "* R_1_1 is 0 ohm: row_1_1 and col_1_1 are one node, col_1_1",
+        "Rlead_col_0 col_1_0 minus_0 70.0",
+        "Eamplifier_0 out_0 agnd plus_0 minus_0 100000.0",
+    ):
+        assert card in text.splitlines()
+
+
+def test_rows_that_no_cell_connects() -> None:
+    for design in (
+        divider(3, 2, row_lead=5.0, row_segment=1.0, column_lead=3.0),
+        divider(3, 2, idle_columns="load", row_segment=1.0),
+        amplifier(3, 2, segment=1.0),
+    ):
+        cells = np.array([[1e3, np.inf], [np.inf, np.inf], [2e3, np.inf]])
+        expected = reference_volts(design, cells, 40)
+        np.testing.assert_allclose(read_by_ngspice(design, cells), expected, rtol=1e-9, atol=1e-13)
+
+
+def test_an_amplifier_on_a_driver_stands_at_its_supply() -> None:
+    """Ideal switches, a shorted cell and an offset: in each step the column's amplifier is a comparator."""
+    design = amplifier(2, 1, supply=(-0.5, 3.3), offset_voltage=1e-3)
+    cells = np.array([[0.0], [1e3]])
+    assert reference_volts(design, cells).tolist() == [[3.3], [3.3]]
+    assert read_by_ngspice(design, cells) == pytest.approx(3.3)
+    with pytest.raises(SolverError, match="netlist for each row"):
+        frame_deck(design, cells)
+
+
+@pytest.mark.parametrize(
+    ("design", "cells", "why"),
+    [
+        (amplifier(2, 1, lead=0.0), [[0.0], [0.0]], "driven to different voltages"),
+        (amplifier(2, 1), [[0.0], [1e3]], "not determined"),
+        (amplifier(1, 2).model_copy(update={"array": divider(1, 2, row_lead=5.0).array}), [[0.0, 0.0]], "share one"),
+        (divider(2, 2, idle_rows="ground"), [[0.0, 1e3], [0.0, 1e3]], "driven to different voltages"),
+    ],
+)
+def test_contradictory_ideal_parts_are_refused(design: Design, cells: list[list[float]], why: str) -> None:
+    with pytest.raises(SolverError, match=why):
+        netlist(design, cells, 0)
+
+
+def test_rows_are_checked() -> None:
+    for row in (-1, 2):
+        with pytest.raises(InputError, match=f"row {row}: the design has rows 0 to 1"):
+            netlist(amplifier(2, 2), np.full((2, 2), 1e3), row)
+
+
+DESIGN = """
+[array]
+rows = 2
+columns = 3
+row_lead = 70.0
+[drive]
+voltage = -1.0
+[readout]
+circuit = "inverting-amplifier"
+reference_resistance = 1000.0
+open_loop_gain = 1e5
+"""
+CELLS = "1000,2000,inf\n5000,100,0\n"
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> Path:
+    (tmp_path / "design.toml").write_text(DESIGN)
+    (tmp_path / "cells.csv").write_text(CELLS)
+    return tmp_path
+
+
+def test_command_writes_what_ngspice_runs(files: Path) -> None:
+    need(command_available())
+    out = files / "step.cir"
+    command = ["netlist", str(files / "design.toml"), "--cells", str(files / "cells.csv"), "--row", "1"]
+    assert run([*command, "-o", str(out)]) == 0
+    done = subprocess.run(["ngspice", "-b", str(out)], capture_output=True, text=True, check=True)
+    printed = dict(line.split(" = ") for line in done.stdout.splitlines() if line.startswith("volts_"))
+    cells = np.array([[1e3, 2e3, np.inf], [5e3, 1e2, 0.0]])
+    expected = reference_volts(Design.load(files / "design.toml"), cells)[1]
+    assert [float(printed[f"volts_{j}"]) for j in range(3)] == pytest.approx(expected.tolist(), rel=1e-12)
+
+
+def test_command_prints_to_standard_output(files: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["netlist", str(files / "design.toml"), "--cells", str(files / "cells.csv"), "--row", "0"]) == 0
+    assert capsys.readouterr().out.endswith(".end\n")
+
+
+@pytest.mark.parametrize(("row", "sheet", "message"), [("2", "sliced", "row 2"), ("0", "continuous", "array.sheet")])
+def test_command_refuses(files: Path, capsys: pytest.CaptureFixture[str], row: str, sheet: str, message: str) -> None:
+    (files / "design.toml").write_text(DESIGN.replace("[drive]", f'sheet = "{sheet}"\n[drive]'))
+    out = files / "step.cir"
+    command = ["netlist", str(files / "design.toml"), "--cells", str(files / "cells.csv"), "--row", row, "-o", str(out)]
+    assert run(command) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+    assert not out.exists()
