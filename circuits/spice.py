@@ -180,7 +180,7 @@ def _library() -> Any:
         raise MissingExtra("libngspice is not installed (Debian, Ubuntu: apt install libngspice0)")
     try:
         with _quiet():
-            from PySpice.Spice.NgSpice.Shared import NgSpiceShared  # noqa: PLC0415 (optional, and GPL)
+            from PySpice.Spice.NgSpice.Shared import NgSpiceShared  # here, because it is optional
 
             NgSpiceShared.LIBRARY_PATH = path  # its own guess needs the library's development link
             return NgSpiceShared.new_instance()
