@@ -18,7 +18,7 @@ from ohmskin.emulator import Bump, Contact, Disc, Rectangle, Scene
 from ohmskin.errors import InputError
 
 SHAPE = (9, 11)
-inside = st.tuples(st.floats(2, 6), st.floats(2, 8))
+inside = st.tuples(st.floats(2, 5), st.floats(3, 8))
 
 
 @given(inside, st.floats(0.05, 2.4))

@@ -1,0 +1,288 @@
+"""The driver against a board in memory: conversion, losses, restarts, noise and silence."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError
+from itertools import islice
+
+import numpy as np
+import pytest
+from boards import DESIGN, Wire, scene
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ohmskin.cell import Cell
+from ohmskin.circuits import Design, adc_codes, ideal_volts
+from ohmskin.config import parse
+from ohmskin.driver import Frame, Skin, read_counts
+from ohmskin.emulator import Board, Line, Sample
+from ohmskin.emulator.scene import LineSettings
+from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
+from ohmskin.wire import DescriptionPacket, FramePacket, encode
+
+
+def design(**tables: object) -> Design:
+    return parse({**DESIGN, **tables}, Design, source="design")
+
+
+def test_frames_are_what_the_board_sent() -> None:
+    taken: list[Sample] = []
+    with Skin(Wire(Board(scene(), record=taken.append))) as skin:
+        frames = list(islice(skin, 200))
+    assert skin.description is not None
+    assert skin.description.serial_number == "EMULATED"
+    assert skin.design == scene().skin.design
+    assert skin.cell == Cell.example()
+    for frame, sample in zip(frames, taken, strict=False):
+        assert (frame.sequence, frame.lost_before) == (sample.sequence, 0)
+        assert frame.device_time == pytest.approx(sample.time_s, abs=1e-9)
+        np.testing.assert_array_equal(frame.counts, sample.counts)
+        assert frame.valid.all()
+    assert all(after.host_time >= before.host_time for before, after in itertools.pairwise(frames))
+
+
+def test_a_frame_cannot_be_changed() -> None:
+    with Skin(Wire(Board(scene()))) as skin:
+        frame = next(skin)
+    with pytest.raises(FrozenInstanceError):
+        frame.sequence = 3  # type: ignore[misc]  # the point of the test
+    for array in (frame.counts, frame.valid, frame.resistance, frame.pressure):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0, 0] = 1
+
+
+def test_leaving_the_block_closes_the_port_and_so_does_a_failed_start() -> None:
+    port = Wire(Board(scene()))
+    with Skin(port):
+        assert not port.closed
+    assert port.closed
+    port = Wire(Board(scene()))
+    with pytest.raises(InputError, match="estimator"):
+        Skin(port, estimator="crystal ball")
+    assert port.closed
+
+
+@given(st.floats(2e4, 1e6))
+def test_counts_become_the_ohms_that_gave_them(ohms: float) -> None:
+    """An ideal circuit: back within half a code, whose width in ohm is R^2 dV / (Vin Rref)."""
+    plain = design(array={"rows": 3, "columns": 2})
+    cells = np.full((3, 2), ohms)
+    reading = read_counts(plain, adc_codes(plain, ideal_volts(plain, cells)))
+    assert plain.adc is not None
+    step = ohms**2 * plain.adc.step / 20e3
+    assert reading.valid.all()
+    np.testing.assert_allclose(reading.resistance, cells, atol=0.5 * step / (1 - 0.5 * step / ohms) * (1 + 1e-9))
+
+
+@pytest.mark.parametrize(
+    ("drive", "counts", "valid"),
+    [
+        (-1.0, [2100, 3000, 3722, 3723, 3724, 4095], [True, True, True, False, False, False]),  # upwards from 1.65 V
+        (+1.0, [2000, 1000, 249, 248, 247, 0], [True, True, True, False, False, False]),
+        (-1.0, [2000, 1000, 249, 248, 247, 0], [False] * 6),  # the wrong side of the reference: no resistance does that
+    ],
+)
+def test_clipped_and_impossible_readings_are_not_valid(drive: float, counts: list[int], valid: list[bool]) -> None:
+    """An output swing of 0.2 ... 3.0 V ends within codes 248 and 3723 of the converter's 0 ... 3.3 V."""
+    swing = design(
+        drive={"voltage": drive}, readout=DESIGN["readout"] | {"reference_voltage": 1.65, "supply": [0.2, 3.0]}
+    )
+    reading = read_counts(swing, np.reshape(counts, (3, 2)))
+    np.testing.assert_array_equal(reading.valid.ravel(), valid)
+    np.testing.assert_array_equal(np.isnan(reading.resistance), ~reading.valid)
+
+
+@pytest.mark.parametrize(("count", "valid"), [(0, False), (1, True), (4094, True), (4095, False)])
+def test_the_ends_of_the_converter_are_not_valid(count: int, valid: bool) -> None:
+    unlimited = design(readout={"circuit": "inverting-amplifier", "reference_resistance": 20e3})
+    assert (read_counts(unlimited, np.full((3, 2), count)).valid == valid).all()
+
+
+def test_an_invalid_cell_keeps_its_last_pressure() -> None:
+    """Pressed so hard that the divider's output leaves the converter's range."""
+    narrow = DESIGN | {"adc": {"bits": 12, "range": [1.5, 3.3]}}
+    with Skin(Wire(Board(scene(skin={"design": narrow})))) as skin:
+        frames = list(islice(skin, 100))
+    invalid = [k for k, frame in enumerate(frames) if not frame.valid[1, 1]]
+    assert len(invalid) > 20
+    held = frames[invalid[0] - 1].pressure[1, 1]
+    for k in invalid:
+        assert np.isnan(frames[k].resistance[1, 1])
+        assert frames[k].pressure[1, 1] == held
+        assert frames[k].valid.sum() == 5
+
+
+def total_lost(frames: list[Frame]) -> int:
+    return sum(frame.lost_before for frame in frames)
+
+
+def test_what_the_line_loses_is_counted() -> None:
+    port = Wire(Board(scene()), Line(LineSettings(packet_loss=0.2), seed=5), frames=2000)
+    frames: list[Frame] = []
+    with Skin(port) as skin, pytest.raises(LinkError, match="gone"):
+        frames.extend(skin)
+    assert 250 < 2000 - len(frames) < 550
+    assert total_lost(frames) + len(frames) == frames[-1].sequence + 1
+    assert skin.corrupt == 0
+    for before, after in itertools.pairwise(frames):
+        assert after.sequence - before.sequence == after.lost_before + 1
+
+
+def test_what_the_line_spoils_is_counted_as_lost_and_never_believed() -> None:
+    taken: dict[int, Sample] = {}
+    board = Board(scene(), record=lambda sample: taken.__setitem__(sample.sequence, sample))
+    port = Wire(board, Line(LineSettings(bit_errors=1e-4), seed=5), frames=3000)
+    frames: list[Frame] = []
+    with Skin(port) as skin, pytest.raises(LinkError, match="gone"):
+        frames.extend(skin)
+    assert skin.corrupt > 50
+    first = frames[0].sequence - frames[0].lost_before  # the description may have come late
+    assert total_lost(frames) + len(frames) == frames[-1].sequence - first + 1
+    assert total_lost(frames) > 50
+    for frame in frames:
+        np.testing.assert_array_equal(frame.counts, taken[frame.sequence].counts)
+
+
+def test_joining_a_running_board_is_no_loss() -> None:
+    board = Board(scene())
+    for _ in range(500):
+        board.tick()
+    with Skin(Wire(board)) as skin:
+        frame = next(skin)
+    assert (frame.sequence, frame.lost_before) == (500, 0)
+
+
+class Script:
+    """A port that says what it is told to, one piece for each read, and then nothing."""
+
+    name = "script"
+
+    def __init__(self, *pieces: bytes, last: Callable[[float], bytes] = lambda wait_s: b"") -> None:
+        self.pieces, self.last = list(pieces), last
+        self.asked = 0
+        self.closed = False
+
+    def read(self, wait_s: float) -> bytes:
+        return self.pieces.pop(0) if self.pieces else self.last(wait_s)
+
+    def write(self, data: bytes) -> None:
+        self.asked += 1
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def sheet(sequence: int = 0, time_us: int = 0) -> bytes:
+    what = scene().skin
+    tables = what.design.model_dump(), what.cell.model_dump()
+    return encode(DescriptionPacket(sequence, time_us, "S", "F", *tables))
+
+
+def frame(sequence: int, time_us: int, *, level: int = 2000, shape: tuple[int, int] = (3, 2)) -> bytes:
+    return encode(FramePacket.of(np.full(shape, level), sequence=sequence, time_us=time_us))
+
+
+def lost(*pieces: bytes) -> list[int]:
+    with Skin(Script(sheet(), *pieces)) as skin:
+        return [frame.lost_before for frame in islice(skin, len(pieces))]
+
+
+def test_losses_are_counted_across_the_wrap_of_the_sequence_number() -> None:
+    top = 2**32 - 1
+    with Skin(Script(sheet(top, 5), frame(top, 5), frame(0, 6), frame(3, 7))) as skin:
+        assert [frame.lost_before for frame in islice(skin, 3)] == [0, 0, 2]
+
+
+def test_frames_lost_before_the_first_are_counted_from_the_description() -> None:
+    assert lost(frame(4, 80_000)) == [4]
+
+
+def test_a_board_that_starts_anew_is_followed() -> None:
+    """As when opening the port resets it: numbers and time from 0, and an estimator without memory."""
+    pieces = sheet(900, 9_000_000), frame(900, 9_000_000, level=2000), frame(2, 40_000, level=1500), frame(3, 60_000)
+    with Skin(Script(*pieces)) as skin:
+        frames = list(islice(skin, 3))
+    assert [(f.sequence, f.lost_before) for f in frames] == [(900, 0), (2, 2), (3, 0)]
+    fresh = skin.cell.estimator((3, 2)).update(0.04, frames[1].resistance)
+    np.testing.assert_array_equal(frames[1].pressure, fresh.pressure_kpa)
+
+
+@pytest.mark.parametrize(
+    ("pieces", "message"),
+    [
+        ([frame(5, 10), frame(4, 20)], "frame 4 came where 6 was next, yet the board has not started anew"),
+        ([frame(5, 10), frame(6, 10)], "two frames of the same time, 10 us"),
+        ([frame(0, 0, shape=(2, 3))], "the board sends 2 x 3 cells; its design has 3 x 2"),
+        ([frame(0, 0, level=4096)], "the board sends a count of 4096; its ADC has 12 bits"),
+    ],
+)
+def test_frames_that_contradict_the_board_are_protocol_errors(pieces: list[bytes], message: str) -> None:
+    with Skin(Script(sheet(), *pieces)) as skin:
+        for _ in pieces[1:]:
+            next(skin)
+        with pytest.raises(ProtocolError, match=re.escape(message)):
+            next(skin)
+
+
+def test_a_description_that_is_no_design_is_a_protocol_error() -> None:
+    wrong = encode(DescriptionPacket(0, 0, "S", "F", {"array": {"rows": 3}}, {}))
+    with pytest.raises(ProtocolError, match=re.escape("script: the board describes itself wrongly: design: missing")):
+        Skin(Script(wrong))
+
+
+def test_design_and_cell_given_need_no_description() -> None:
+    what = scene().skin
+    with Skin(Script(frame(7, 1), frame(9, 2)), design=what.design, cell=what.cell) as skin:
+        assert skin.description is None
+        assert [f.lost_before for f in islice(skin, 2)] == [0, 1]
+
+
+def test_a_design_given_goes_before_the_description() -> None:
+    other = design(readout=DESIGN["readout"] | {"reference_resistance": 10e3})
+    with Skin(Script(sheet(), frame(0, 0)), design=other) as skin:
+        theirs = next(skin).resistance
+    with Skin(Script(sheet(), frame(0, 0))) as skin:
+        np.testing.assert_allclose(next(skin).resistance, 2 * theirs)
+
+
+def test_silence_is_a_timeout_and_the_board_is_asked_again() -> None:
+    port = Script()
+    with pytest.raises(LinkTimeout, match=re.escape("script: no description within 1.2 s: the port is silent")):
+        Skin(port, timeout=1.2)
+    assert port.asked == 3
+    assert port.closed
+
+
+@pytest.mark.parametrize("noise", [b"\xa5" * 999, b"hello, world\r\n", bytes([1, 0, 7, 9]) * 50, bytes(999)])
+def test_noise_is_named_within_the_timeout(noise: bytes) -> None:
+    port = Script(last=lambda wait_s: noise)
+    with pytest.raises((ProtocolError, LinkTimeout), match=r"no description within 0\.3 s"):
+        Skin(port, timeout=0.3)
+    assert port.closed
+
+
+def test_noise_that_could_be_nothing_else_is_a_protocol_error() -> None:
+    with pytest.raises(ProtocolError, match=r"\d+ bytes came, the last of them no packet \(not COBS"):
+        Skin(Script(last=lambda wait_s: b"abc\0"), timeout=0.2)
+
+
+def test_a_board_that_only_describes_itself_is_told_apart_from_noise() -> None:
+    with (
+        Skin(Script(sheet(), last=lambda wait_s: sheet()), timeout=0.3) as skin,
+        pytest.raises(LinkTimeout, match=r"no frame within 0\.3 s: the board is there, but sends none"),
+    ):
+        next(skin)
+
+
+@given(st.lists(st.binary(max_size=200), max_size=8))
+def test_whatever_arrives_ends_in_a_frame_or_a_link_or_protocol_error(pieces: list[bytes]) -> None:
+    def gone(wait_s: float) -> bytes:
+        raise LinkError("gone")
+
+    with Skin(Script(sheet(), *pieces, b"\0" + frame(0, 0), last=gone)) as skin:
+        assert next(skin).sequence == 0
+        with pytest.raises(LinkError, match="gone"):
+            next(skin)

@@ -1,0 +1,202 @@
+"""The board core, the spoiled line, the transmit buffer and the truth file: all without a port."""
+
+from __future__ import annotations
+
+import re
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+from boards import scene
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ohmskin.cell import Cell
+from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.config import parse
+from ohmskin.emulator import Board, Line, Sample, Scene, TransmitBuffer, TruthFile
+from ohmskin.emulator.scene import LineSettings
+from ohmskin.errors import InputError
+from ohmskin.wire import Command, Decoder, DescriptionPacket, Event, Flag, FramePacket, Order, encode
+
+
+def events(packets: list[bytes]) -> list[Event]:
+    return Decoder().feed(b"".join(packets))
+
+
+def live(board: Board, ticks: int) -> list[Event]:
+    return events([packet for _ in range(ticks) for packet in board.tick()])
+
+
+def test_a_board_streams_from_power_up_and_describes_itself_once_a_second() -> None:
+    sent = live(Board(scene(board={"frame_rate": 10.0})), 25)
+    assert [type(event) for event in sent[:2]] == [DescriptionPacket, FramePacket]
+    frames = [event for event in sent if isinstance(event, FramePacket)]
+    assert [(frame.sequence, frame.time_us) for frame in frames] == [(k, 100_000 * k) for k in range(25)]
+    sheets = [event for event in sent if isinstance(event, DescriptionPacket)]
+    assert [(sheet.sequence, sheet.time_us) for sheet in sheets] == [(0, 0), (10, 1_000_000), (20, 2_000_000)]
+
+
+def test_the_description_is_the_scene_again() -> None:
+    what = scene(board={"serial_number": "A7"})
+    sheet = live(Board(what), 1)[0]
+    assert isinstance(sheet, DescriptionPacket)
+    assert sheet.serial_number == "A7"
+    assert parse(sheet.design, Design, source="design") == what.skin.design
+    assert parse(sheet.cell, Cell, source="cell") == what.skin.cell
+
+
+def test_frames_are_the_codes_of_the_scanned_cells() -> None:
+    """Each step again by hand: pressure, cell, circuit, converter."""
+    what = scene()
+    frames = [event for event in live(Board(what), 120) if isinstance(event, FramePacket)]
+    cells, design, before = what.skin.cell.forward((3, 2)), what.skin.design, 0.0
+    for frame in frames:
+        now = frame.time_us / 1e6
+        ohms = cells.step(now - before, what.pressure_kpa(now))
+        np.testing.assert_array_equal(frame.counts, adc_codes(design, scan(design, ohms).volts))
+        before = now
+    assert len({frame.payload for frame in frames}) > 20
+
+
+def test_a_stopped_board_is_silent_but_its_skin_lives_on() -> None:
+    stopped, straight = Board(scene(board={"frame_rate": 10.0})), Board(scene(board={"frame_rate": 10.0}))
+    live(stopped, 5)
+    stopped.receive(encode(Command(Order.STOP)))
+    assert [type(event) for event in live(stopped, 20)] == [DescriptionPacket, DescriptionPacket]
+    stopped.receive(encode(Command(Order.START)))
+    after = live(stopped, 1)[0]
+    there = [event for event in live(straight, 26) if isinstance(event, FramePacket)][-1]
+    assert isinstance(after, FramePacket)
+    assert after.sequence == 5  # what was not scanned is not lost
+    assert (after.time_us, after.payload) == (there.time_us, there.payload)
+
+
+def test_describe_is_answered_at_once_and_noise_is_not() -> None:
+    board = Board(scene())
+    live(board, 3)
+    (answer,) = events(board.receive(encode(Command(Order.DESCRIBE))))
+    assert isinstance(answer, DescriptionPacket)
+    assert (answer.sequence, answer.time_us) == (3, 60_000)
+    board.receive(encode(Command(Order.STOP)))
+    (answer,) = events(board.receive(encode(Command(Order.DESCRIBE))))
+    assert isinstance(answer, DescriptionPacket)
+    assert not board.receive(b"\x07hello\0\xff\0" + encode(FramePacket(0, 0, 1, 1, b"\0\0")))
+
+
+def test_an_overrun_is_flagged_in_the_next_frame_only() -> None:
+    board = Board(scene())
+    live(board, 2)
+    board.overrun = True
+    flags = [event.flags for event in live(board, 2) if isinstance(event, FramePacket)]
+    assert flags == [Flag.OVERRUN, Flag.NONE]
+
+
+def test_noise_has_its_size_and_its_seed() -> None:
+    quiet, noisy = scene(contact=[]), scene(contact=[], board={"noise": 0.01})
+
+    def volts(what: Scene, seed: int) -> np.ndarray:
+        taken: list[Sample] = []
+        board = Board(what, seed=seed, record=taken.append)
+        for _ in range(400):
+            board.tick()
+        return np.array([sample.volts for sample in taken])
+
+    noise = volts(noisy, 1) - volts(quiet, 1)
+    assert noise.std() == pytest.approx(0.01, rel=0.05)
+    np.testing.assert_array_equal(volts(noisy, 1), volts(noisy, 1))
+    assert (volts(noisy, 1) != volts(noisy, 2)).any()
+
+
+def test_a_lossy_line_loses_whole_packets_at_its_rate() -> None:
+    line = Line(LineSettings(packet_loss=0.25), seed=3)
+    carried = [line.carry(b"packet\0") for _ in range(4000)]
+    assert set(carried) == {b"", b"packet\0"}
+    assert carried.count(b"") / 4000 == pytest.approx(0.25, abs=0.03)
+
+
+def test_a_noisy_line_flips_bits_at_its_rate() -> None:
+    line = Line(LineSettings(bit_errors=0.01), seed=3)
+    packet = bytes(range(256)) * 40
+    flipped = np.unpackbits(np.frombuffer(line.carry(packet), np.uint8) ^ np.frombuffer(packet, np.uint8))
+    assert flipped.mean() == pytest.approx(0.01, rel=0.15)
+
+
+@given(st.lists(st.one_of(st.binary(min_size=1, max_size=30), st.integers(0, 40)), max_size=40))
+def test_a_transmit_buffer_takes_whole_packets_and_keeps_their_order(moves: list[bytes | int]) -> None:
+    buffer, expected, out = TransmitBuffer(50), b"", b""
+    for move in moves:
+        if isinstance(move, bytes):
+            fits = not buffer or len(buffer) + len(move) <= 50
+            assert buffer.offer(move) == fits
+            expected += move if fits else b""
+        else:
+            out += buffer.peek()[:move]
+            buffer.sent(min(move, len(buffer)))
+    assert out + buffer.peek() == expected
+    buffer.clear()
+    assert not len(buffer)
+
+
+def sample(k: int, shape: tuple[int, int] = (3, 2)) -> Sample:
+    values = np.full(shape, float(k))
+    return Sample(k, k / 10, values + 1, values + 2, values + 3, values.astype(np.uint32))
+
+
+def test_the_truth_file_has_every_frame(tmp_path: Path) -> None:
+    path = tmp_path / "truth.npz"
+    with TruthFile(path, (3, 2)) as truth:
+        for k in range(50):
+            truth.append(sample(k))
+        assert not path.exists()
+    with np.load(path) as arrays:
+        assert {name: arrays[name].shape for name in arrays} == {
+            "sequence": (50,),
+            "time_s": (50,),
+            "pressure_kpa": (50, 3, 2),
+            "resistance_ohm": (50, 3, 2),
+            "volts": (50, 3, 2),
+        }
+        np.testing.assert_array_equal(arrays["sequence"], np.arange(50))
+        np.testing.assert_array_equal(arrays["volts"][:, 2, 1], np.arange(50) + 3.0)
+    assert [file.name for file in tmp_path.iterdir()] == ["truth.npz"]
+
+
+def test_a_run_without_frames_has_an_empty_truth(tmp_path: Path) -> None:
+    with TruthFile(tmp_path / "t.npz", (3, 2)):
+        pass
+    with np.load(tmp_path / "t.npz") as arrays:
+        assert arrays["volts"].shape == (0, 3, 2)
+
+
+def test_a_failed_run_leaves_the_old_truth_alone(tmp_path: Path) -> None:
+    path = tmp_path / "t.npz"
+    path.write_bytes(b"old")
+
+    def fail() -> None:
+        with TruthFile(path, (3, 2)) as truth:
+            truth.append(sample(1))
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        fail()
+    assert path.read_bytes() == b"old"
+    assert [file.name for file in tmp_path.iterdir()] == ["t.npz"]
+
+
+@pytest.mark.parametrize(("name", "reason"), [("no/t.npz", "No such file"), (".", "is a directory")])
+def test_a_truth_file_that_cannot_be_is_refused_before_the_run(tmp_path: Path, name: str, reason: str) -> None:
+    with pytest.raises(InputError, match=re.escape(reason)), TruthFile(tmp_path / name, (3, 2)):
+        pytest.fail("the run began")
+
+
+def test_a_long_record_takes_bounded_memory(tmp_path: Path) -> None:
+    one, frames = sample(1, (32, 32)), 2000
+    with TruthFile(tmp_path / "t.npz", (32, 32)) as truth:
+        tracemalloc.start()
+        for _ in range(frames):
+            truth.append(one)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert peak < 1e6 < frames * 3 * one.volts.nbytes / 10
