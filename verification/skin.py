@@ -77,7 +77,7 @@ def _emulated(bench: Bench) -> Finding:
             Check("speed over real time, emulator included", SECONDS / elapsed, 1.0, "times", at_least=True),
         ],
         text=[
-            f"The virtual board scans the skin under {len(scene.contact)} contacts {RATE_HZ:g} times a second and sends "
+            f"The virtual board scans a skin with {len(scene.contact)} contacts {RATE_HZ:g} times a second and sends "
             "packets over a pseudo-terminal; the driver opens it like any serial port, learns the design from the "
             "board, and estimates the pressure of every cell. A cell counts as touched above "
             f"{100 * TOUCHED:g} % of full scale; frames within 0.3 s of a change are left out of that comparison."

@@ -1,0 +1,153 @@
+"""The command line as a newcomer meets it: what it prints, and one clear line when something is wrong."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from designs import amplifier
+
+from ohmskin.circuits import Design, scan
+from ohmskin.cli import COMMANDS, run
+
+DESIGN = """
+[array]
+rows = 2
+columns = 3
+row_lead = 70.0
+[drive]
+voltage = -1.0
+[readout]
+circuit = "inverting-amplifier"
+reference_resistance = 1000.0
+"""
+CELLS = "1e4, 2e4, inf\n1e4,1e4,5e3\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "design.toml").write_text(DESIGN)
+    (tmp_path / "cells.csv").write_text(CELLS)
+    return tmp_path
+
+
+def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["--help"]) == 0
+    shown = capsys.readouterr().out
+    assert all(f"  {name} " in shown for name in COMMANDS)
+    assert run(["--version"]) == 0
+    assert "ohmskin" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([name, "--help"]) == 0
+    assert f"ohmskin {name}" in capsys.readouterr().out
+
+
+def test_scan_prints_and_writes_what_the_library_computes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cells = np.array([[1e4, 2e4, np.inf], [1e4, 1e4, 5e3]])
+    expected = scan(Design.load("design.toml"), cells)
+    assert run(["scan", "design.toml", "--cells", "cells.csv", "-o", "out.csv", "--json"]) == 0
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["volts"] == expected.volts.tolist()
+    assert printed["resistance"][0][2] is None
+    assert printed["method"] == expected.method
+    assert 0 <= printed["error_bound"] < 1e-9
+    assert printed["saturated"] == [[False] * 3] * 2
+    assert printed["seconds"] > 0
+    assert np.array_equal(np.loadtxt("out.csv", delimiter=","), expected.resistance)
+
+
+def test_scan_without_options_prints_the_resistances(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["scan", "design.toml", "--cells", "cells.csv", "--readout", "voltage-divider"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2
+    assert all(len(line.split(",")) == 3 for line in lines)
+
+
+BAD = {  # what is wrong: (replaced in design.toml, by, what the message names)
+    "missing key": ("rows = 2", "", ["design.toml", "array.rows"]),
+    "missing section": ("[drive]\nvoltage = -1.0", "", ["design.toml", "drive"]),
+    "unknown key": ("rows = 2", "rows = 2\nrow_laed = 3.0", ["array.row_laed", "'row_lead'"]),
+    "slip of the pen": ("rows = 2", "rwos = 2", ["array.rwos", "'rows'"]),
+    "unknown section": ("[drive]", "[drvie]", ["drvie", "'drive'"]),
+    "text for a number": ("1000.0", '"1 kOhm"', ["readout.reference_resistance", "1 kOhm"]),
+    "NaN": ("70.0", "nan", ["array.row_lead", "nan"]),
+    "negative": ("70.0", "-70.0", ["array.row_lead", "-70"]),
+    "infinite lead": ("70.0", "inf", ["array.row_lead", "inf"]),
+    "no rows": ("rows = 2", "rows = 0", ["array.rows", "0"]),
+    "fractional rows": ("rows = 2", "rows = 2.5", ["array.rows", "2.5"]),
+    "unknown circuit": ("inverting-amplifier", "op-amp", ["readout.circuit", "op-amp"]),
+    "no drive": ("-1.0", "0.0", ["drive", "voltage"]),
+    "not TOML": ("[array]", "[array", ["design.toml", "TOML"]),
+    "wrong shape": ("columns = 3", "columns = 4", ["cells.csv", "2 lines of 3", "2 lines of 4"]),
+}
+
+
+@pytest.mark.parametrize("fault", BAD)
+def test_a_bad_design_is_one_clear_line(fault: str, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before, after, named = BAD[fault]
+    assert before in DESIGN
+    (folder / "design.toml").write_text(DESIGN.replace(before, after, 1))
+    _refused(["scan", "design.toml", "--cells", "cells.csv", "-o", "out.csv"], named, capsys)
+
+
+@pytest.mark.parametrize(
+    ("cells", "named"),
+    [
+        ("", ["cells.csv", "empty"]),
+        ("\n\n", ["cells.csv", "empty"]),
+        ("1,2,3\n4,-5,6\n", ["cells.csv", "line 2", "-5"]),
+        ("1,2,3\n4,nan,6\n", ["cells.csv", "line 2", "nan"]),
+        ("1,2,3\n4,five,6\n", ["cells.csv", "line 2", "'five'"]),
+        ("1,2,3\n4,5\n", ["cells.csv", "unequal"]),
+        ("1,2,3\n4,5,\n", ["cells.csv", "line 2"]),
+        ("1,2\n3,4\n5,6\n", ["cells.csv", "3 lines of 2"]),
+    ],
+)
+def test_bad_cells_are_one_clear_line(
+    cells: str, named: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (folder / "cells.csv").write_text(cells)
+    _refused(["scan", "design.toml", "--cells", "cells.csv", "-o", "out.csv"], named, capsys)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (["scan", "nowhere.toml", "--cells", "cells.csv"], ["nowhere.toml"]),
+        (["scan", "design.toml", "--cells", "nowhere.csv"], ["nowhere.csv"]),
+        (["scan", "design.toml"], ["--cells"]),
+        (["scan", "design.toml", "--cells", "cells.csv", "-o", "no/such/folder.csv"], ["folder.csv"]),
+        (["scan", "design.toml", "--cells", "cells.csv", "--readout", "guess"], ["guess", "voltage-divider"]),
+        (["scan", "design.toml", "--cells", "cells.csv", "--frobnicate"], ["--frobnicate"]),
+        (["snac"], ["snac"]),
+    ],
+)
+def test_bad_arguments_are_one_clear_line(
+    arguments: list[str], named: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _refused(arguments, named, capsys)
+
+
+def _refused(arguments: list[str], named: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 2, one line on standard error that names what is wrong, and no new file."""
+    before = set(Path().rglob("*"))
+    assert run(arguments) == 2
+    out, message = capsys.readouterr()
+    assert not out
+    assert message.count("\n") == 1
+    assert message.startswith("ohmskin: ")
+    for word in named:
+        assert word in message
+    assert set(Path().rglob("*")) == before
+
+
+def test_a_design_can_be_made_in_python() -> None:
+    design = amplifier(2, 2)
+    assert design.with_circuit("voltage-divider").readout.circuit == "voltage-divider"
+    assert design.with_circuit("voltage-divider").array == design.array
