@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import threading
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,9 @@ from designs import divider
 
 from ohmskin.circuits import spice
 from ohmskin.cli import run
+from ohmskin.emulator import PtyPort, Scene, Stop, emulate
+from ohmskin.emulator.scene import BoardSettings
+from ohmskin.emulator.scene import Skin as SkinSettings
 from ohmskin.errors import MissingExtra
 from ohmskin.verification import prototype, verify
 from ohmskin.verification.claims import STATEMENTS
@@ -162,6 +166,33 @@ def test_a_defect_in_one_experiment_costs_only_that_one(monkeypatch: pytest.Monk
     assert other.outcome is Outcome.PASS
     assert claim.outcome is Outcome.NOT_RUN
     assert "boom" in claim.finding.checks[0].reason
+
+
+def test_a_port_without_a_board_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nowhere = str(tmp_path / "ttyNOPE")
+    assert run(["verify", "--target", nowhere, "-o", str(tmp_path / "out")]) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert nowhere in message
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_board_behind_a_port_is_verified_by_what_it_sends(tmp_path: Path, only: Callable[..., None]) -> None:
+    only("P14")
+    scene = Scene(skin=SkinSettings(design=prototype()), board=BoardSettings(frame_rate=500.0))
+    stop = Stop()
+    with PtyPort() as port:
+        board = threading.Thread(target=emulate, args=(scene, port), kwargs={"stop": stop})
+        board.start()
+        try:
+            (claim,) = verify(target=port.name).claims
+        finally:
+            stop.set()
+            board.join()
+            stop.close()
+    outcomes = {check.name: check.outcome for check in claim.finding.checks}
+    assert outcomes.pop("applied pressures") is Outcome.NOT_RUN
+    assert set(outcomes.values()) == {Outcome.PASS}
 
 
 def test_bad_designs_write_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

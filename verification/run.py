@@ -10,11 +10,14 @@ from functools import partial
 
 from ..cell import Cell
 from ..circuits import Design
+from ..driver import Skin
 from ..errors import OhmskinError
 from .bench import Bench
 from .claims import STATEMENTS, Statement
 from .outcome import Claim, Finding, not_run
 from .report import Report
+
+NO_PORT = ("emulated", "firmware")
 
 
 def prototype() -> Design:
@@ -33,7 +36,13 @@ def verify(
         title: what the report calls the design.
         target: the board of P14: "emulated", or a serial port.
         jobs: how many experiments run side by side, each in a process of its own.
+
+    Raises:
+        LinkError, ProtocolError: the target is a port with no board behind it, found before anything is run.
     """
+    if target not in NO_PORT:
+        with Skin.open(target) as skin:
+            next(skin)
     start = time.perf_counter()
     bench = Bench(prototype() if design is None else design, Cell.example(), target)
     run = partial(_run, bench)
