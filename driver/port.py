@@ -68,7 +68,11 @@ class SerialPort:
 
     def close(self) -> None:
         """Give the port back; a second time does nothing."""
+        # pyserial forgets to close a socket whose other end hung up first.
+        tcp = getattr(self._serial, "_socket", None)
         self._serial.close()
+        if tcp is not None:
+            tcp.close()
 
 
 def _why_not_opened(name: str, error: Exception) -> str:

@@ -12,7 +12,7 @@ from typing import Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..cell import Cell
+from ..cell import Cell, Estimator
 from ..circuits import Design
 from ..config import parse
 from ..errors import InputError, LinkTimeout, ProtocolError
@@ -102,7 +102,8 @@ class Skin:
             self.design = self._described("design", Design) if design is None else design
             self.cell = self._described("cell", Cell) if cell is None else cell
             self._estimator_name = estimator
-            self._estimator = self.cell.estimator(self.design.array.shape, estimator)
+            self._rest: FloatArray | None = None
+            self._estimator = self._new_estimator()
         except BaseException:
             port.close()
             raise
@@ -165,6 +166,31 @@ class Skin:
             pressure=_read_only(estimate.pressure_kpa),
         )
 
+    def tare(self, frames: int = 20) -> FloatArray:
+        """Take the skin for unloaded now: the mean of the next ``frames`` becomes each cell's rest resistance.
+
+        This removes what differs from cell to cell, and the steady part of what the lines and switches add. A cell
+        without a valid reading keeps the rest resistance of the data sheet. Frames taken are not iterated over.
+
+        Returns:
+            (rows, columns) rest resistances in ohm.
+
+        Raises:
+            InputError: ``frames`` is not positive; and what iterating raises.
+
+        """
+        if frames < 1:
+            raise InputError(f"tare over {frames} frames; expected at least 1")
+        taken = np.array([next(self).resistance for _ in range(frames)])
+        readings = np.isfinite(taken).sum(axis=0)
+        mean = np.nansum(taken, axis=0) / np.maximum(readings, 1)
+        self._rest = np.where(readings > 0, mean, self.cell.rest_resistance_ohm)
+        self._estimator = self._new_estimator()
+        return self._rest.copy()
+
+    def _new_estimator(self) -> Estimator:
+        return self.cell.estimator(self.design.array.shape, self._estimator_name, rest_resistance_ohm=self._rest)
+
     def _introduce(self) -> DescriptionPacket:
         _, description = self._await(DescriptionPacket, "description")
         self._expected, self._latest_us = description.sequence, description.time_us - 1
@@ -181,7 +207,7 @@ class Skin:
         """Frames missing before ``packet``, by the rule of docs/wire.md; a new start of the board is noticed here."""
         if packet.time_us < self._latest_us:
             self._expected = 0
-            self._estimator = self.cell.estimator(self.design.array.shape, self._estimator_name)
+            self._estimator = self._new_estimator()
         elif packet.time_us == self._latest_us:
             raise ProtocolError(f"{self._port.name}: two frames of the same time, {packet.time_us} us")
         lost = 0 if self._expected is None else (packet.sequence - self._expected) % 2**32

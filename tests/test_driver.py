@@ -115,6 +115,30 @@ def test_an_invalid_cell_keeps_its_last_pressure() -> None:
         assert frames[k].valid.sum() == 5
 
 
+def test_a_tare_makes_the_present_reading_zero_pressure() -> None:
+    with Skin(Wire(Board(scene(contact=[])))) as skin:
+        before = next(skin)
+        rest = skin.tare(5)
+        after = next(skin)
+    assert (before.pressure > 0.1).all()  # the switches' 70 ohm
+    np.testing.assert_allclose(rest, before.resistance)
+    np.testing.assert_allclose(after.pressure, 0.0, atol=1e-9)
+    assert after.sequence == 6
+    assert after.lost_before == 0
+
+
+def test_a_tare_leaves_cells_without_a_reading_at_the_data_sheet() -> None:
+    counts = np.full((3, 2), 2000)
+    counts[0, 0] = 0
+    pieces = [encode(FramePacket.of(counts, sequence=k, time_us=k)) for k in range(3)]
+    with Skin(Script(sheet(), *pieces)) as skin:
+        rest = skin.tare(2)
+        assert rest[0, 0] == skin.cell.rest_resistance_ohm
+        assert rest[0, 1] == next(skin).resistance[0, 1]
+        with pytest.raises(InputError, match="tare over 0 frames"):
+            skin.tare(0)
+
+
 def total_lost(frames: list[Frame]) -> int:
     return sum(frame.lost_before for frame in frames)
 

@@ -1,0 +1,23 @@
+"""The board that the conformance tests run against: they know it by its port only."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).parents[1]))
+
+from boards import running, scene
+
+from ohmskin.emulator import PtyPort, TcpPort
+
+
+@pytest.fixture(params=["pty", "tcp"])
+def port(request: pytest.FixtureRequest) -> Iterator[str]:
+    """A board in service, which nobody has open."""
+    end = PtyPort() if request.param == "pty" else TcpPort.at(":0")
+    with running(scene(board={"frame_rate": 100.0}), end):
+        yield end.name

@@ -1,0 +1,327 @@
+"""End to end: the command, a real pty or TCP port, pyserial, the driver, and the truth beside it."""
+
+from __future__ import annotations
+
+import errno
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+from boards import running, scene
+
+from ohmskin.circuits import adc_codes
+from ohmskin.cli import run
+from ohmskin.driver import Frame, Skin
+from ohmskin.emulator import PtyPort, Scene, TcpPort
+from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
+
+SCENE = """
+[skin]
+design = { array = { rows = 4, columns = 3, row_lead = 70.0, column_lead = 0.25 }, drive = { voltage = -1.0 }, \
+readout = { circuit = "inverting-amplifier", reference_resistance = 20000.0, supply = [0.0, 3.3] }, \
+adc = { bits = 12, range = [0.0, 3.3] } }
+[[contact]]
+cells = [[2, 1]]
+load_kpa = [[0.0, 0.0], [1.0, 0.0], [1.05, 15.5], [6.0, 15.5], [6.05, 0.0]]
+[[contact]]
+bump = { center = [0.5, 0.5], sigma_cells = 0.5 }
+load_kpa = [[0.0, 0.0], [2.0, 0.0], [3.0, 12.0], [7.0, 12.0], [8.0, 0.0]]
+"""
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(SCENE)
+    return path
+
+
+@contextmanager
+def command(*arguments: str | Path) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """``ohmskin emulate`` in a process of its own, and the port that it prints."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "ohmskin", "emulate", *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        yield process, process.stdout.readline().strip()
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def collect(port: str, *, tare: bool = False) -> list[Frame]:
+    """All frames until the board goes."""
+    frames: list[Frame] = []
+    with Skin.open(port) as skin:
+        if tare:
+            skin.tare()
+        with pytest.raises(LinkError, match="the board has gone away"):
+            frames.extend(skin)
+    return frames
+
+
+@pytest.mark.parametrize("end", ["pty", "tcp"])
+def test_the_frames_are_the_truth_and_the_estimate_is_near_it(scene_file: Path, tmp_path: Path, end: str) -> None:
+    """Ten seconds of two contacts at the fast clock: not one frame is lost, and every count is the truth's."""
+    truth = tmp_path / "truth.npz"
+    where = ["--link", tmp_path / "skin"] if end == "pty" else ["--tcp", ":0"]
+    with command(scene_file, *where, "--clock", "fast", "--duration", "10", "--truth", truth) as (process, port):
+        frames = collect(port)
+        assert process.wait(10) == 0
+    assert not (tmp_path / "skin").is_symlink()
+
+    design = Scene.load(scene_file).skin.design
+    with np.load(truth) as file:
+        arrays = dict(file)
+    assert len(frames) == 500
+    assert sum(frame.lost_before for frame in frames) == 0
+    np.testing.assert_array_equal([frame.sequence for frame in frames], arrays["sequence"])
+    np.testing.assert_allclose([frame.device_time for frame in frames], arrays["time_s"], rtol=0, atol=1e-9)
+    np.testing.assert_array_equal([frame.counts for frame in frames], adc_codes(design, arrays["volts"]))
+
+    estimated = np.array([frame.pressure for frame in frames])
+    assert arrays["pressure_kpa"][:, 2, 1].max() > 15.5
+    assert np.sqrt(np.mean((estimated - arrays["pressure_kpa"]) ** 2)) < 0.5
+    pressed = arrays["pressure_kpa"].max(axis=0) > 1.0
+    quiet = estimated[:, arrays["pressure_kpa"].max(axis=0) < 0.01]
+    assert pressed.sum() >= 3
+    assert np.abs(quiet).max() < 1.0  # the switch resistance reads as a steady offset
+
+
+def test_a_tare_takes_the_lines_out_of_the_estimate(scene_file: Path, tmp_path: Path) -> None:
+    port, truth = PtyPort(), tmp_path / "truth.npz"
+    with running(Scene.load(scene_file), port, clock="fast", duration_s=10.0, truth=truth):
+        frames = collect(port.name, tare=True)
+    assert [frame.sequence for frame in frames] == list(range(20, 500))
+    errors = np.array([frame.pressure for frame in frames]) - np.load(truth)["pressure_kpa"][20:]
+    assert np.sqrt(np.mean(errors**2)) < 0.12
+
+
+def test_a_lossy_and_noisy_line_is_counted_end_to_end(tmp_path: Path) -> None:
+    what = scene(line={"packet_loss": 0.05, "bit_errors": 2e-5})
+    port, truth = PtyPort(), tmp_path / "truth.npz"
+    with running(what, port, clock="fast", duration_s=20.0, truth=truth):
+        frames = collect(port.name)
+    arrays = np.load(truth)
+    lost = sum(frame.lost_before for frame in frames)
+    assert len(arrays["sequence"]) == 1000
+    assert 20 < lost < 120
+    first = frames[0].sequence - frames[0].lost_before
+    assert lost + len(frames) == frames[-1].sequence - first + 1
+    codes = adc_codes(what.skin.design, arrays["volts"])
+    for frame in frames:
+        np.testing.assert_array_equal(frame.counts, codes[frame.sequence])
+
+
+def test_real_time_is_kept_and_a_slow_host_is_told_what_it_lost(tmp_path: Path) -> None:
+    port, truth = PtyPort(), tmp_path / "truth.npz"
+    with (
+        running(scene(board={"frame_rate": 2000.0}), port, truth=truth, duration_s=3.0),
+        Skin.open(port.name) as skin,
+    ):
+        first = next(skin)
+        began = time.monotonic()
+        time.sleep(1.0)  # the kernel and the board hold a few hundred frames, not two thousand
+        frames = [next(skin) for _ in range(1200)]
+        passed = time.monotonic() - began
+    assert sum(frame.lost_before for frame in frames) > 300
+    assert frames[-1].device_time - first.device_time == pytest.approx(passed, abs=0.4)
+    numbers = np.load(truth)["sequence"]
+    np.testing.assert_array_equal(numbers, np.arange(len(numbers)))
+
+
+def test_a_host_that_only_listens_is_served_at_the_fast_clock_too() -> None:
+    """As `cat` would: open, say nothing, read."""
+    port = PtyPort()
+    with running(scene(), port, clock="fast"):
+        fd = os.open(port.name, os.O_RDWR | os.O_NOCTTY)
+        try:
+            got = b""
+            while len(got) < 10_000:
+                got += os.read(fd, 4096)
+        finally:
+            os.close(fd)
+
+
+def test_a_second_driver_finds_a_pty_in_use() -> None:
+    port = PtyPort()
+    with running(scene(), port), Skin.open(port.name) as skin:
+        with pytest.raises(LinkError, match=f"{port.name}: in use by another program"):
+            Skin.open(port.name)
+        assert next(skin).sequence >= 0
+
+
+def test_a_second_driver_is_turned_away_from_tcp() -> None:
+    port = TcpPort.at(":0")
+    with running(scene(), port), Skin.open(port.name) as skin:
+        with pytest.raises(LinkError, match="the board has gone away"):
+            Skin.open(port.name)
+        assert next(skin).sequence >= 0
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_signal_ends_the_run_with_the_truth_written(
+    scene_file: Path, tmp_path: Path, number: signal.Signals, code: int
+) -> None:
+    truth, link = tmp_path / "truth.npz", tmp_path / "skin"
+    with command(scene_file, "--link", link, "--truth", truth) as (process, port):
+        with Skin.open(port) as skin:
+            seen = [next(skin).sequence for _ in range(10)]
+        process.send_signal(number)
+        assert process.wait(10) == code
+        _, errors = process.communicate()
+    assert errors == ""
+    assert np.load(truth)["sequence"][seen[-1]] == seen[-1]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["scene.toml", "truth.npz"]
+
+
+def test_a_board_killed_in_mid_stream_is_missed_at_once(scene_file: Path, tmp_path: Path) -> None:
+    with command(scene_file, "--link", tmp_path / "skin") as (process, port), Skin.open(port, timeout=30) as skin:
+        next(skin)
+        process.kill()
+        began = time.monotonic()
+        with pytest.raises(LinkError, match="the board has gone away"):
+            list(skin)
+    assert time.monotonic() - began < 5
+
+
+def test_a_stale_link_is_replaced_and_a_file_is_not(tmp_path: Path) -> None:
+    link = tmp_path / "skin"
+    link.symlink_to("/dev/pts/nobody")
+    with PtyPort(link) as port:
+        assert link.resolve() == Path(os.path.realpath(port.name))
+    assert not link.is_symlink()
+    link.write_text("precious")
+    with pytest.raises(InputError, match="skin: exists and is no symbolic link"):
+        PtyPort(link)
+    assert link.read_text() == "precious"
+
+
+def test_a_link_taken_over_by_another_board_is_left_to_it(tmp_path: Path) -> None:
+    link = tmp_path / "skin"
+    first = PtyPort(link)
+    with PtyPort(link):
+        first.close()
+        assert link.is_symlink()
+
+
+@contextmanager
+def chatter(data: bytes) -> Iterator[str]:
+    """A serial device that is no board: it says ``data`` again and again."""
+    port, stop = PtyPort(), threading.Event()
+
+    def talk() -> None:
+        while not stop.wait(0.005):
+            if port.host_present() and data:
+                port.write(data)
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    try:
+        yield port.name
+    finally:
+        stop.set()
+        thread.join()
+        port.close()
+
+
+def test_a_port_that_sends_noise_is_named_within_the_timeout() -> None:
+    noise = np.random.default_rng(2).bytes(400)
+    with (
+        chatter(noise) as name,
+        pytest.raises(ProtocolError, match=f"{name}: no description within 0.5 s: .* bytes came"),
+    ):
+        Skin.open(name, timeout=0.5)
+
+
+def test_a_silent_port_is_a_timeout() -> None:
+    with chatter(b"") as name, pytest.raises(LinkTimeout, match=f"{name}: .*the port is silent"):
+        Skin.open(name, timeout=0.3)
+
+
+def free_tcp_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+@pytest.mark.parametrize(
+    ("port", "message"),
+    [
+        ("/dev/nothing-here", "/dev/nothing-here: no such port; serial ports present: "),
+        ("/dev/null", "/dev/null: is no serial port"),
+        (__file__, "test_link.py: is no serial port"),
+        ("nonsense://x", "nonsense://x: cannot be opened: invalid URL, protocol 'nonsense' not known"),
+        ("socket://127.0.0.1:{free}", "cannot be opened: Could not open port"),
+    ],
+)
+def test_a_port_that_cannot_be_opened_says_why(port: str, message: str) -> None:
+    with pytest.raises(LinkError, match=re.escape(message)) as caught:
+        Skin.open(port.format(free=free_tcp_port()))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_port_without_permission_names_the_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The operating system's refusal itself: the superuser, who may run this, would not get it."""
+    device = tmp_path / "tty"
+    device.touch()
+
+    def refuse(*_: object) -> int:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("serial.serialposix.os.open", refuse)
+    with pytest.raises(LinkError, match="permission denied; the port belongs to group "):
+        Skin.open(str(device))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.toml"], "nowhere.toml: cannot be read: No such file or directory"),
+        (["{scene}", "--link", "{tmp}/no/skin"], "no/skin: cannot be linked: No such file or directory"),
+        (["{scene}", "--link", "{scene}"], "scene.toml: exists and is no symbolic link"),
+        (["{scene}", "--truth", "{tmp}/no/t.npz"], "no/t.npz: cannot be written: No such file or directory"),
+        (["{scene}", "--tcp", "4711x"], "'4711x' is no address; expected HOST:PORT or :PORT"),
+        (["{scene}", "--tcp", "localhost:70000"], "'localhost:70000' is no address"),
+        (["{scene}", "--tcp", "192.0.2.1:1"], "192.0.2.1:1: cannot listen there"),
+        (["{scene}", "--link", "{tmp}/a", "--tcp", ":0"], "--link and --tcp exclude each other"),
+        (["{scene}", "--duration", "-1"], "-1.0 is not in the range x>0"),
+        (["{scene}", "--duration", "nan"], "duration is nan s; expected more than 0"),
+        (["{scene}", "--clock", "slow"], "'slow' is not one of 'real', 'fast'"),
+        (["{scene}", "--seed", "-3"], "-3 is not in the range x>=0"),
+    ],
+)
+def test_bad_input_of_the_command_is_one_line_and_leaves_nothing(
+    arguments: list[str], message: str, scene_file: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    places = {"scene": scene_file, "tmp": scene_file.parent}
+    assert run(["emulate", *(argument.format(**places) for argument in arguments)]) == 2
+    _, errors = capfd.readouterr()
+    assert message in errors
+    assert errors.startswith("ohmskin: ")
+    assert errors.count("\n") == 1
+    assert [file.name for file in scene_file.parent.iterdir()] == ["scene.toml"]
+
+
+def test_the_driver_example_runs_as_it_is(scene_file: Path, tmp_path: Path) -> None:
+    example = Path(__file__).parents[1] / "examples" / "read_skin.py"
+    assert len(example.read_text().splitlines()) <= 10
+    with command(scene_file, "--link", tmp_path / "skin", "--duration", "2") as (_, port):
+        done = subprocess.run(
+            [sys.executable, str(example), port], capture_output=True, text=True, timeout=60, check=False
+        )
+    assert done.stdout.count("kPa") > 10
+    assert done.stderr.splitlines()[-1].startswith("ohmskin.errors.LinkError: ")  # the two seconds are over
