@@ -138,3 +138,19 @@ def test_a_scene_that_makes_no_sense_is_refused_in_one_located_line(tables: dict
     with pytest.raises(InputError, match=re.escape(message)) as caught:
         scene(**tables)
     assert "\n" not in str(caught.value)
+
+
+def test_the_document_shows_a_scene_that_loads(tmp_path: Path) -> None:
+    root = Path(__file__).parents[1]
+    page = (root / "docs" / "scene.md").read_text(encoding="utf-8")
+    (tmp_path / "prototype.toml").write_text((root / "verification" / "prototype.toml").read_text())
+    (tmp_path / "cell.toml").write_text((root / "cell" / "example.toml").read_text())
+    (block,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    other_shapes = re.findall(r"^# ((?:disc|rectangle|bump) = \{.*?\})", block, flags=re.MULTILINE)
+    assert len(other_shapes) == 3
+    shape = re.search(r"^cells = .*?\]\]", block, flags=re.MULTILINE)
+    assert shape is not None
+    for other in [shape.group(), *other_shapes]:
+        path = tmp_path / "scene.toml"
+        path.write_text(block.replace(shape.group(), other))
+        assert Scene.load(path).pressure_kpa(2.0).max() > 1.0
