@@ -15,6 +15,7 @@ from ..errors import InputError
 
 Ohm = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 FloatArray = NDArray[np.float64]
 
 Circuit = Literal["inverting-amplifier", "voltage-divider"]
@@ -75,6 +76,16 @@ class Readout(Section):
     """V, output swing"""
     idle_columns: Literal["float", "load"] = "float"
     """divider only: what the columns that are not being read end in"""
+    column_capacitance: NotNegative = 0.0
+    """F, from each inverting input to ground: column line and amplifier"""
+    feedback_capacitance: NotNegative = 0.0
+    """F, across Rref"""
+    voltage_noise: NotNegative = 0.0
+    """V/sqrt(Hz), of each amplifier"""
+    current_noise: NotNegative = 0.0
+    """A/sqrt(Hz), at each inverting input"""
+    temperature: NotNegative = 0.0
+    """K, of all resistors, for their noise; 0: they have none"""
 
     @model_validator(mode="after")
     def _swing(self) -> Self:
@@ -92,6 +103,12 @@ class Adc(Section):
     bits: Annotated[int, Field(ge=1, le=32)]
     range: Annotated[tuple[Finite, Finite], Field(strict=False)]
     """V at code 0 and at full scale"""
+    sampling_capacitance: NotNegative = 0.0
+    """F"""
+    switch_resistance: NotNegative = 0.0
+    """ohm, between an output and the sampling capacitor"""
+    acquisition_time: NotNegative = 0.0
+    """s that one sampling capacitor spends on each column in turn; 0: each column has its own, always connected"""
 
     @model_validator(mode="after")
     def _span(self) -> Self:

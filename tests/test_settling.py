@@ -1,0 +1,217 @@
+"""Settling against closed forms, an ngspice transient, and an ODE solver; stability against its loop gain."""
+
+from __future__ import annotations
+
+from math import exp, inf, pi
+from typing import Any
+
+import numpy as np
+import pytest
+from designs import amplifier, divider
+from needs import need
+from scipy.integrate import solve_ivp
+
+from ohmskin.circuits import Adc, Design, scan
+from ohmskin.circuits.settling import Settling, stability
+from ohmskin.circuits.spice import available, run_library
+from ohmskin.errors import InputError, SolverError
+
+CELLS = np.array([[1e4, 2e4, 5e4], [3e4, np.inf, 1.5e4]])
+
+
+def board(
+    adc: dict[str, float] | None = None, *, idle_rows: str = "ground", lead: float = 70.0, **readout: Any
+) -> Design:
+    rows, columns = CELLS.shape
+    design = amplifier(rows, columns, lead=lead, **{"reference_resistance": 2e4, "gain_bandwidth": 1e6} | readout)
+    return design.model_copy(
+        update={
+            "drive": design.drive.model_copy(update={"idle_rows": idle_rows}),
+            "adc": None if adc is None else Adc.model_validate({"bits": 12, "range": (0.0, 3.3)} | adc),
+        }
+    )
+
+
+def test_one_pole_settles_with_the_noise_gain() -> None:
+    """Two rows in turn, GBW only: the deviation at the end of a step is J exp(-T/tau) / (1 + exp(-T/tau))."""
+    cells = np.array([[1e4], [5e3]])
+    design = amplifier(2, 1, gain_bandwidth=1e6, reference_resistance=2e4)
+    gain = 1 + 2e4 * (1 / 1e4 + 1 / 5e3)
+    for period in (1e-7, 1e-6, 1e-5):
+        left = exp(-period * 2 * pi * 1e6 / gain)
+        first, second = 2.0, 4.0
+        expected = np.array(
+            [[first + (second - first) * left / (1 + left)], [second + (first - second) * left / (1 + left)]]
+        )
+        np.testing.assert_allclose(Settling(design, cells).sampled(period), expected, rtol=1e-9)
+
+
+def test_one_row_never_changes() -> None:
+    design = amplifier(1, 3, gain_bandwidth=1e3)
+    cells = np.full((1, 3), 1e3)
+    np.testing.assert_allclose(Settling(design, cells).sampled(1e-9), scan(design, cells).volts, rtol=1e-12)
+
+
+@pytest.mark.parametrize("gain", [1e5, inf])
+def test_without_lags_every_sample_is_settled(gain: float) -> None:
+    design = board({}, gain_bandwidth=inf, open_loop_gain=gain, column_capacitance=1e-10 if gain == inf else 0.0)
+    settling = Settling(design, CELLS)
+    assert (settling.sampled(1e-12) == scan(design, CELLS).volts).all()
+    assert settling.shortest_period(1e-6) == 0
+
+
+LAGS: dict[str, dict[str, Any]] = {
+    "gain-bandwidth": {},
+    "finite gain": {"open_loop_gain": 1e2},
+    "column capacitance": {"column_capacitance": 5e-11, "open_loop_gain": 1e5},
+    "ringing": {"column_capacitance": 2e-9},
+    "feedback capacitor": {"column_capacitance": 1e-10, "feedback_capacitance": 1e-11},
+    "slow feedback": {"gain_bandwidth": 1e8, "feedback_capacitance": 2e-10},
+    "floating rows": {"idle_rows": "float", "column_capacitance": 5e-11},
+    "sampler": {"adc": {"sampling_capacitance": 2e-11, "switch_resistance": 1e4}, "column_capacitance": 5e-11},
+}
+
+
+def transient(design: Design, period: float, frames: int) -> np.ndarray:
+    """ngspice's samples of the last of some frames: every part of the circuit written out, in time."""
+    part, (rows, columns) = design.readout, CELLS.shape
+    cards = ["* a scan in time"]
+    floating = design.drive.idle_rows == "float"
+    for i in range(rows):
+        pulse = f"{i * period!r} 1p 1p {period!r} {rows * period!r}"
+        cards.append(f"Vdrive{i} d{i} 0 PULSE(0 {design.drive.voltage!r} {pulse})")
+        if floating:
+            cards.append(f"Vselect{i} s{i} 0 PULSE(0 1 {pulse})")
+            cards.append(f"Blead{i} d{i} r{i} I = v(s{i})*(v(d{i})-v(r{i}))/{design.array.row_lead!r}")
+        else:
+            cards.append(f"Rlead{i} d{i} r{i} {design.array.row_lead!r}")
+        cards += [f"R{i}{j} r{i} c{j} {float(CELLS[i, j])!r}" for j in range(columns) if CELLS[i, j] < inf]
+    for j in range(columns):
+        cards.append(f"Rcol{j} c{j} m{j} {design.array.column_lead!r}")
+        cards.append(f"Rref{j} m{j} o{j} {part.reference_resistance!r}")
+        cards.append(f"Gamp{j} 0 a{j} 0 m{j} 1")  # 1 S into the capacitor 1/(2 pi GBW)
+        cards.append(f"Camp{j} a{j} 0 {1 / (2 * pi * part.gain_bandwidth)!r}")
+        cards += [f"Ramp{j} a{j} 0 {part.open_loop_gain!r}"] if part.open_loop_gain < inf else []
+        cards.append(f"Eamp{j} o{j} 0 a{j} 0 1")
+        cards += [f"Ccol{j} m{j} 0 {part.column_capacitance!r}"] if part.column_capacitance else []
+        cards += [f"Cref{j} m{j} o{j} {part.feedback_capacitance!r}"] if part.feedback_capacitance else []
+        if design.adc:
+            cards += [
+                f"Rsw{j} o{j} q{j} {design.adc.switch_resistance!r}",
+                f"Cs{j} q{j} 0 {design.adc.sampling_capacitance!r}",
+            ]
+    stop = frames * rows * period
+    cards.append(".options reltol=1e-6 abstol=1e-14 vntol=1e-9 chgtol=1e-18 trtol=1")
+    cards += [f".tran {period / 100!r} {stop!r} 0 {period / 2000!r}", ".end"]
+    vectors = run_library("\n".join(cards))
+    instants = (np.arange((frames - 1) * rows, frames * rows) + 1) * period
+    node = "q" if design.adc else "o"
+    return np.column_stack([np.interp(instants, vectors["time"], vectors[f"{node}{j}"]) for j in range(columns)])
+
+
+@pytest.mark.parametrize("name", LAGS)
+def test_against_an_ngspice_transient(name: str) -> None:
+    need(available())
+    design = board(**LAGS[name])
+    settling = Settling(design, CELLS)
+    period = settling.shortest_period(0.1)
+    sampled = settling.sampled(period)
+    scale = np.abs(settling.settled).max()
+    assert np.abs(sampled - settling.settled).max() > 0.02 * scale  # there is something to compare
+    np.testing.assert_allclose(transient(design, period, 4), sampled, atol=2e-5 * scale)
+
+
+def test_one_sampling_capacitor_serves_the_columns_in_turn() -> None:
+    """Against an ODE solver that runs the amplifier and the capacitor through many frames."""
+    design = board({"sampling_capacitance": 1e-11, "switch_resistance": 1e4, "acquisition_time": 2e-7})
+    settling, period, tau = Settling(design, CELLS), 2e-6, 1e-7
+    dynamics = settling._dynamics[0]
+    rows, columns = CELLS.shape
+    outputs = settling.settled[-1].copy()
+    held, samples = 0.0, np.zeros(CELLS.shape)
+    for step in range(6 * rows):
+        goal = settling.settled[step % rows]
+
+        def settle(_: float, v: np.ndarray, goal: np.ndarray = goal) -> np.ndarray:
+            return dynamics.matrix @ (v - goal)
+
+        waiting = solve_ivp(settle, (0, period - 2e-7), outputs, rtol=1e-10, atol=1e-12)
+        for j in range(columns):
+            start = np.r_[waiting.y[:, -1], held]
+
+            def rate(_: float, state: np.ndarray, j: int = j, goal: np.ndarray = goal) -> np.ndarray:
+                return np.r_[dynamics.matrix @ (state[:-1] - goal), (state[j] - state[-1]) / tau]
+
+            outputs_and_held = solve_ivp(rate, (0, 2e-7), start, rtol=1e-10, atol=1e-12).y[:, -1]
+            held = samples[step % rows, j] = outputs_and_held[-1]
+        outputs = outputs_and_held[:-1]
+    assert np.abs(samples - settling.settled).max() > 0.01
+    np.testing.assert_allclose(settling.sampled(period), samples, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", LAGS)
+@pytest.mark.parametrize("error", [0.05, 1e-3, 1e-6])
+def test_the_shortest_period_keeps_its_error_and_no_shorter_one_does(name: str, error: float) -> None:
+    settling = Settling(board(**LAGS[name]), CELLS)
+    period = settling.shortest_period(error)
+    assert all(settling.error(longer) <= error for longer in period * np.geomspace(1, 10, 100))
+    assert settling.error(0.999 * period) > error
+
+
+def test_a_capacitor_that_cannot_follow_is_named() -> None:
+    design = board({"sampling_capacitance": 1e-11, "switch_resistance": 1e4, "acquisition_time": 2e-7})
+    assert Settling(design, CELLS).shortest_period(0.2) > 2e-7
+    with pytest.raises(SolverError, match="acquisition_time"):
+        Settling(design, CELLS).shortest_period(1e-3)
+
+
+def test_stiff_parts() -> None:
+    """A fast amplifier in a slow scan: nothing is left, and nothing blows up."""
+    settling = Settling(board(gain_bandwidth=1e10, column_capacitance=1e-12), CELLS)
+    np.testing.assert_allclose(settling.sampled(1.0), settling.settled, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", [n for n in LAGS if n not in {"sampler", "floating rows"}])
+def test_stability_is_that_of_the_loop_gain(name: str) -> None:
+    """Crossover, margin and peak from the transfer functions themselves, on a fine grid of frequencies."""
+    design = board(**LAGS[name], lead=0.0)  # ideal lines: Y_jj is the sum of the column's cells
+    part, result = design.readout, stability(design, CELLS)
+    frequency = np.geomspace(1e1, 1e9, 200_001)
+    s = 2j * pi * frequency
+    amplifier_gain = 1 / (s / (2 * pi * part.gain_bandwidth) + 1 / part.open_loop_gain)
+    for j in range(CELLS.shape[1]):
+        load = (1 / CELLS[:, j]).sum()
+        feedback = 1 / part.reference_resistance + s * part.feedback_capacitance
+        loop = amplifier_gain * feedback / (feedback + load + s * part.column_capacitance)
+        transfer = loop / (1 + loop) / feedback
+        at = np.argmin(np.abs(np.log(np.abs(loop))))
+        assert result.noise_gain[0, j] == pytest.approx(1 + part.reference_resistance * load)
+        assert result.crossover[0, j] == pytest.approx(frequency[at], rel=1e-3)
+        assert result.phase_margin[0, j] == pytest.approx(180 + np.degrees(np.angle(loop[at])), abs=0.1)
+        assert result.peaking[0, j] == pytest.approx((np.abs(transfer) / np.abs(transfer[0])).max(), rel=1e-3)
+
+
+def test_a_feedback_capacitor_calms_the_amplifier() -> None:
+    restless = stability(board(column_capacitance=2e-9), CELLS)
+    calm = stability(board(column_capacitance=2e-9, feedback_capacitance=5e-11), CELLS)
+    assert (restless.peaking > 1.5).all()
+    assert (calm.phase_margin > restless.phase_margin + 20).all()
+
+
+def test_floating_rows_leave_less_to_drive() -> None:
+    floating, grounded = (stability(board(idle_rows=idle), CELLS).noise_gain for idle in ("float", "ground"))
+    assert (floating < grounded).all()
+    assert (floating[0] != floating[1]).any()
+
+
+def test_what_is_not_modelled_is_refused() -> None:
+    with pytest.raises(InputError, match="inverting-amplifier"):
+        Settling(divider(2, 3), CELLS)
+    with pytest.raises(SolverError, match="saturates"):
+        Settling(board(supply=(0.0, 0.5)), CELLS)
+    with pytest.raises(InputError, match="gain_bandwidth"):
+        stability(board(gain_bandwidth=inf), CELLS)
+    with pytest.raises(InputError, match="row period 0"):
+        Settling(board(), CELLS).sampled(0.0)
+    with pytest.raises(InputError, match="settling error"):
+        Settling(board(), CELLS).shortest_period(0.0)
