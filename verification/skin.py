@@ -22,6 +22,7 @@ from ..errors import InputError, OhmskinError
 from . import plots
 from .bench import Bench
 from .outcome import Check, Figure, Finding, not_run
+from .timing import timing
 
 FloatArray = NDArray[np.float64]
 
@@ -64,6 +65,7 @@ def _emulated(bench: Bench) -> Finding:
     per_cell = 100 * np.sqrt(np.mean(error**2, axis=0))
     worst = np.unravel_index(np.argmax(per_cell), per_cell.shape)
     limit = bench.design.requirements.pressure_rmse_percent
+    speed = timing(bench, RATE_HZ)
     return Finding(
         checks=[
             Check(
@@ -75,14 +77,17 @@ def _emulated(bench: Bench) -> Finding:
             Check("frames lost", float(sum(frame.lost_before for frame in frames)), 0.0),
             Check("frames received", float(len(frames)), SECONDS * RATE_HZ, at_least=True),
             Check("speed over real time, emulator included", SECONDS / elapsed, 1.0, "times", at_least=True),
+            *speed.checks,
         ],
         text=[
             f"The virtual board scans a skin with {len(scene.contact)} contacts {RATE_HZ:g} times a second and sends "
             "packets over a pseudo-terminal; the driver opens it like any serial port, learns the design from the "
             "board, and estimates the pressure of every cell. A cell counts as touched above "
-            f"{100 * TOUCHED:g} % of full scale; frames within 0.3 s of a change are left out of that comparison."
+            f"{100 * TOUCHED:g} % of full scale; frames within 0.3 s of a change are left out of that comparison.",
+            *speed.text,
         ],
-        figures=[_traces(scene, frames, applied, full), _snapshot(frames, applied, full)],
+        figures=[_traces(scene, frames, applied, full), _snapshot(frames, applied, full), *speed.figures],
+        tables=speed.tables,
     )
 
 
