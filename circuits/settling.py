@@ -71,22 +71,31 @@ class Settling:
             InputError: the period is not positive or shorter than the acquisition.
 
         """
-        if not period > 0 or period < self._acquisition:
-            raise InputError(f"row period {period} s: expected a time above 0, and adc.acquisition_time at least")
-        acquisition = self._acquisition or period
-        tail = self._tails(period, acquisition)
-        if self._sampling == 0:
-            return self.settled + tail
-        left = exp(-acquisition / self._sampling)
+        tail, left = self._tails(period, np.roll(self.settled, 1, axis=0), periodic=True)
         arriving = (1 - left) * self.settled + tail
         if self._acquisition:  # one capacitor: conversions follow each other column by column
             return _periodic_decay(arriving.reshape(-1, 1), left).reshape(arriving.shape)
         return _periodic_decay(arriving, left)
 
+    def sampled_from_rest(self, period: float) -> FloatArray:
+        """As :meth:`sampled`, for rows that each follow one without any signal: outputs and capacitor at the reference.
+
+        Raises:
+            InputError: as :meth:`sampled`.
+
+        """
+        rest = np.full_like(self.settled, self.design.readout.reference_voltage)
+        tail, left = self._tails(period, rest, periodic=False)
+        return self.settled + tail + left * (rest - self.settled)
+
     def error(self, period: float) -> float:
-        """The largest deviation of :meth:`sampled` from settled, relative to the largest signal of the frame."""
-        deviation = float(np.abs(self.sampled(period) - self.settled).max())
-        return deviation / self._signal if deviation else 0.0
+        """The largest deviation from settled, relative to the largest signal of the frame.
+
+        The larger one of the steady scan and of the scan from rest, since cells that are all alike would need no
+        settling at all.
+        """
+        deviation = max(np.abs(v - self.settled).max() for v in (self.sampled(period), self.sampled_from_rest(period)))
+        return float(deviation) / self._signal if deviation else 0.0
 
     def shortest_period(self, error: float) -> float:
         """The shortest row period in s from which on :meth:`error` stays within ``error``.
@@ -135,25 +144,35 @@ class Settling:
             f"adc.acquisition_time = {self._acquisition} s"
         )
 
-    def _tails(self, period: float, acquisition: float) -> FloatArray:
-        """What the amplifiers' own settling adds to each sample, V (rows, columns)."""
+    def _tails(self, period: float, before: FloatArray, *, periodic: bool) -> tuple[FloatArray, float]:
+        """What the amplifiers' own settling adds to each sample, V (rows, columns), and what the sampling capacitor
+        keeps of its charge.
+
+        ``before``: the settled outputs of the step before each row. ``periodic``: these were not reached either.
+        """
+        if not period > 0 or period < self._acquisition:
+            raise InputError(f"row period {period} s: expected a time above 0, and adc.acquisition_time at least")
+        acquisition = self._acquisition or period
         rows, columns = self.settled.shape
-        jumps = np.roll(self.settled, 1, axis=0) - self.settled
-        shared = [self._propagators(d, period - acquisition, acquisition) for d in self._dynamics]
-        steps = shared * rows if len(shared) == 1 else shared
-        lifts = [d.lift for d in self._dynamics] * (rows if len(shared) == 1 else 1)
-        states = self._dynamics[0].matrix.shape[0]
-        # The deviation at the end of a frame of which nothing is left from earlier ones, then the periodic one.
-        through: FloatArray = np.eye(states)
+        propagators = [self._propagators(d, period - acquisition, acquisition) for d in self._dynamics]
+        repeat = rows // len(self._dynamics)  # grounded idle rows: all steps have the same dynamics
+        steps, lifts = propagators * repeat, [d.lift for d in self._dynamics] * repeat
+        jumps = [lift @ jump for lift, jump in zip(lifts, before - self.settled, strict=True)]
+        states = len(self._dynamics[0].matrix)
         state: FloatArray = np.zeros(states)
-        for (carry, _), lift, jump in zip(steps, lifts, jumps, strict=True):
-            through, state = carry @ through, carry @ (state + lift @ jump)
-        state = solve(np.eye(states) - through, state) if states else state
+        if periodic and states:
+            # What a frame leaves at its end if it starts from nothing; then what it leaves if it starts from that.
+            through: FloatArray = np.eye(states)
+            for (carry, _), jump in zip(steps, jumps, strict=True):
+                through, state = carry @ through, carry @ (state + jump)
+            state = solve(np.eye(states) - through, state)
         tails = np.empty((rows, columns))
-        for row, ((carry, sample), lift, jump) in enumerate(zip(steps, lifts, jumps, strict=True)):
-            state = state + lift @ jump
-            tails[row], state = sample @ state, carry @ state
-        return tails
+        for row, ((carry, sample), jump) in enumerate(zip(steps, jumps, strict=True)):
+            start = state + jump
+            tails[row] = sample @ start
+            if periodic:
+                state = carry @ start
+        return tails, exp(-acquisition / self._sampling) if self._sampling else 0.0
 
     def _propagators(self, dynamics: Dynamics, waiting: float, acquisition: float) -> tuple[FloatArray, FloatArray]:
         """From the state after a row switch to that at the end of the step (S, S), and to the sample (M, S)."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import exp, inf, pi
+from math import exp, inf, log, pi
 from typing import Any
 
 import numpy as np
@@ -44,6 +44,15 @@ def test_one_pole_settles_with_the_noise_gain() -> None:
             [[first + (second - first) * left / (1 + left)], [second + (first - second) * left / (1 + left)]]
         )
         np.testing.assert_allclose(Settling(design, cells).sampled(period), expected, rtol=1e-9)
+
+
+def test_from_rest_an_amplifier_charges_like_one_rc() -> None:
+    """All cells alike need no settling in a steady scan; what counts is a row that follows an untouched one."""
+    design = amplifier(3, 1, gain_bandwidth=1e6, reference_voltage=1.65, open_loop_gain=inf)
+    settling, tau = Settling(design, np.full((3, 1), 2e3)), (1 + 1000.0 * 3 / 2e3) / (2 * pi * 1e6)
+    np.testing.assert_allclose(settling.sampled(1e-9), 1.65 + 0.5, rtol=1e-12)
+    np.testing.assert_allclose(settling.sampled_from_rest(1e-6), 1.65 + 0.5 * (1 - exp(-1e-6 / tau)), rtol=1e-9)
+    assert settling.shortest_period(1e-3) == pytest.approx(tau * log(1e3), rel=1e-6)
 
 
 def test_one_row_never_changes() -> None:
