@@ -6,6 +6,7 @@ This is the only module that imports PySpice (GPL, extra ``spice``), and only wh
 
 from __future__ import annotations
 
+import ctypes
 import ctypes.util
 import logging
 import os
@@ -179,6 +180,7 @@ def _library() -> Any:
     if path is None:
         raise MissingExtra("libngspice is not installed (Debian, Ubuntu: apt install libngspice0)")
     try:
+        ctypes.CDLL(path)  # PySpice does not survive a first attempt that fails
         with _quiet():
             from PySpice.Spice.NgSpice.Shared import NgSpiceShared  # here, because it is optional
 

@@ -106,6 +106,12 @@ def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
         spice.spice_scan(amplifier(1, 1), [[1e3]])
 
 
+def test_a_library_that_cannot_be_loaded_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NGSPICE_LIBRARY_PATH", "/nowhere/libngspice.so")
+    for _ in range(2):  # PySpice alone fails differently the second time
+        assert "cannot be loaded from /nowhere/libngspice.so" in str(spice.available())
+
+
 def test_a_missing_pyspice_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NGSPICE_LIBRARY_PATH", "libngspice.so.0")
     monkeypatch.setitem(sys.modules, "PySpice.Spice.NgSpice.Shared", None)
