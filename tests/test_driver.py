@@ -21,7 +21,7 @@ from ohmskin.driver import Frame, Skin, read_counts
 from ohmskin.emulator import Board, Line, Sample
 from ohmskin.emulator.scene import LineSettings
 from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
-from ohmskin.wire import DescriptionPacket, FramePacket, encode
+from ohmskin.wire import Corrupt, DescriptionPacket, Event, FramePacket, encode
 
 
 def design(**tables: object) -> Design:
@@ -299,6 +299,36 @@ def test_a_board_that_only_describes_itself_is_told_apart_from_noise() -> None:
         pytest.raises(LinkTimeout, match=r"no frame within 0\.3 s: the board is there, but sends none"),
     ):
         next(skin)
+
+
+class TextLines:
+    """A foreign board as an example: each line a frame of decimals, no numbers, no time, no description."""
+
+    def __init__(self, columns: int) -> None:
+        self.columns, self.rest, self.frames = columns, b"", 0
+
+    def feed(self, data: bytes) -> list[Event]:
+        *lines, self.rest = (self.rest + data).split(b"\n")
+        return [self.read(line) for line in lines]
+
+    def read(self, line: bytes) -> Event:
+        try:
+            counts = np.array([int(word) for word in line.split()]).reshape(-1, self.columns)
+        except ValueError as error:
+            return Corrupt(len(line), str(error))
+        self.frames += 1
+        return FramePacket.of(counts, sequence=self.frames, time_us=20_000 * self.frames)
+
+
+def test_another_family_of_boards_needs_another_framer_only() -> None:
+    what = scene().skin
+    port = Script(b"2000 2001 2002 20", b"03 2004 2005\n20 x\n0 1 2 3 4 4095\n")
+    with Skin(port, design=what.design, cell=what.cell, framer=TextLines(2), wake=b"a") as skin:
+        first, second = islice(skin, 2)
+    np.testing.assert_array_equal(first.counts, np.arange(2000, 2006).reshape(3, 2))
+    np.testing.assert_array_equal(second.valid, [[False, True], [True, True], [True, False]])
+    assert skin.corrupt == 1
+    assert first.pressure.shape == (3, 2)
 
 
 @given(st.lists(st.binary(max_size=200), max_size=8))

@@ -173,6 +173,19 @@ def test_a_second_driver_is_turned_away_from_tcp() -> None:
         assert next(skin).sequence >= 0
 
 
+def test_a_board_that_nobody_reads_lives_out_its_time_and_its_seed(scene_file: Path) -> None:
+    scene_file.write_text(SCENE + "[board]\nnoise = 0.001\n")
+    volts = []
+    for seed in ("1", "1", "2"):
+        truth = scene_file.with_name("truth.npz")
+        assert run(["emulate", str(scene_file), "--duration", "0.3", "--truth", str(truth), "--seed", seed]) == 0
+        with np.load(truth) as arrays:
+            np.testing.assert_allclose(arrays["time_s"], np.arange(15) / 50)
+            volts.append(arrays["volts"])
+    np.testing.assert_array_equal(volts[0], volts[1])
+    assert (volts[0] != volts[2]).all()
+
+
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_signal_ends_the_run_with_the_truth_written(
     scene_file: Path, tmp_path: Path, number: signal.Signals, code: int

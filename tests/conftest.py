@@ -1,0 +1,9 @@
+"""What all tests share."""
+
+from __future__ import annotations
+
+from hypothesis import settings
+
+# A busy machine is no failure, and a failure must come again.
+settings.register_profile("ohmskin", deadline=None, derandomize=True)
+settings.load_profile("ohmskin")
