@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import running, scene
+from boards import DESIGN, running, scene
 
 from ohmskin.circuits import adc_codes
 from ohmskin.cli import run
@@ -127,21 +127,22 @@ def test_a_lossy_and_noisy_line_is_counted_end_to_end(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.counts, codes[frame.sequence])
 
 
-def test_real_time_is_kept_and_a_slow_host_is_told_what_it_lost(tmp_path: Path) -> None:
+def test_real_time_is_kept_and_a_slow_host_counts_what_it_lost(tmp_path: Path) -> None:
+    """A 16 x 16 skin at 200 Hz fills what board and kernel hold in a quarter of a second."""
     port, truth = PtyPort(), tmp_path / "truth.npz"
-    with (
-        running(scene(board={"frame_rate": 2000.0}), port, truth=truth, duration_s=3.0),
-        Skin.open(port.name) as skin,
-    ):
+    big = scene(skin={"design": DESIGN | {"array": {"rows": 16, "columns": 16}}}, board={"frame_rate": 200.0})
+    with running(big, port, truth=truth), Skin.open(port.name) as skin:
         first = next(skin)
         began = time.monotonic()
-        time.sleep(1.0)  # the kernel and the board hold a few hundred frames, not two thousand
-        frames = [next(skin) for _ in range(1200)]
+        time.sleep(1.0)
+        frames = [next(skin) for _ in range(120)]
         passed = time.monotonic() - began
-    assert sum(frame.lost_before for frame in frames) > 300
-    assert frames[-1].device_time - first.device_time == pytest.approx(passed, abs=0.4)
-    numbers = np.load(truth)["sequence"]
-    np.testing.assert_array_equal(numbers, np.arange(len(numbers)))
+    assert sum(frame.lost_before for frame in frames) > 50
+    assert sum(frame.lost_before for frame in frames) + 120 == frames[-1].sequence - first.sequence
+    # Nothing waits in between any more: the last frame is of now. A busy machine may be late, never early.
+    assert passed - 0.6 < frames[-1].device_time - first.device_time < passed + 0.1
+    with np.load(truth) as arrays:
+        np.testing.assert_array_equal(arrays["sequence"], np.arange(len(arrays["sequence"])))
 
 
 def test_a_host_that_only_listens_is_served_at_the_fast_clock_too() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from boards import running, scene
+from boards import DESIGN, running, scene
 
 from ohmskin.emulator import PtyPort, TcpPort
 
@@ -14,5 +14,6 @@ from ohmskin.emulator import PtyPort, TcpPort
 def port(request: pytest.FixtureRequest) -> Iterator[str]:
     """A board in service, which nobody has open."""
     end = PtyPort() if request.param == "pty" else TcpPort.at(":0")
-    with running(scene(board={"frame_rate": 100.0}), end):
+    big = DESIGN | {"array": {"rows": 16, "columns": 16}}
+    with running(scene(skin={"design": big}, board={"frame_rate": 100.0}), end):
         yield end.name
