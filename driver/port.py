@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import select
+from pathlib import Path
 from typing import Protocol
 
 import serial
@@ -90,13 +91,10 @@ def _why_not_opened(name: str, error: Exception) -> str:
 
 
 def _owner(name: str) -> str:
-    import grp  # there is none on Windows
-
-    group = os.stat(name).st_gid
     try:
-        return f"group '{grp.getgrgid(group).gr_name}'"
+        return f"group '{Path(name).group()}'"
     except KeyError:
-        return f"group {group}"
+        return f"group {Path(name).stat().st_gid}"
 
 
 def _reason(error: Exception) -> str:
