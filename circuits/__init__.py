@@ -3,20 +3,24 @@
 ``scan(Design.load("design.toml"), resistance)`` reads one frame.
 """
 
-from .adc import adc_codes, clipped, volts_of_codes
-from .design import Adc, Array, Design, Drive, Readout, Requirements
+from .adc import adc_codes, adc_error, clipped, volts_of_codes
+from .design import CIRCUITS, Adc, Array, Design, Drive, Fault, Readout, Requirements, Sheet
 from .readout import apparent_resistance, ideal_volts
 from .scan import ScanResult, scan
 
 __all__ = [
+    "CIRCUITS",
     "Adc",
     "Array",
     "Design",
     "Drive",
+    "Fault",
     "Readout",
     "Requirements",
     "ScanResult",
+    "Sheet",
     "adc_codes",
+    "adc_error",
     "apparent_resistance",
     "clipped",
     "ideal_volts",

@@ -2,45 +2,89 @@
 
 from __future__ import annotations
 
-from math import inf
+from collections.abc import Callable
+from math import inf, isfinite
 from pathlib import Path
 from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import Field, model_validator
+from pydantic import Field, PlainValidator, model_validator
 
 from ..config import Section, load
 from ..errors import InputError
 
-Ohm = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 FloatArray = NDArray[np.float64]
 
-Circuit = Literal["inverting-amplifier", "voltage-divider"]
+Circuit = Literal["inverting-amplifier", "voltage-divider", "voltage-feedback"]
 CIRCUITS: tuple[str, ...] = get_args(Circuit)
+FaultKind = Literal["open-cell", "shorted-cell", "broken-row", "broken-column", "bridged-rows", "bridged-columns"]
+
+
+def _per_line(expected: str, allowed: Callable[[float], bool]) -> PlainValidator:
+    """A number for all lines, or a list of one per line; its length is checked by :class:`Design`."""
+
+    def check(value: object) -> float | tuple[float, ...]:
+        for number in value if isinstance(value, (list, tuple)) else [value]:
+            if isinstance(number, bool) or not isinstance(number, (int, float)) or not allowed(number):
+                raise ValueError(f"must be {expected}, or a list of one such number per line")
+        return tuple(map(float, value)) if isinstance(value, (list, tuple)) else float(value)  # type: ignore[arg-type]  # checked above
+
+    return PlainValidator(check)
+
+
+PerLine = float | tuple[float, ...]
+Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: 0 <= x < inf)]
+PositiveOhms = Annotated[PerLine, _per_line("a number of ohm > 0", lambda x: 0 < x < inf)]
+Gains = Annotated[PerLine, _per_line("a number >= 1 (or inf)", lambda x: x >= 1)]
+Numbers = Annotated[PerLine, _per_line("a finite number", isfinite)]
 
 
 class Array(Section):
     """The passive grid. Column j's line starts at row 0 and its amplifier follows row N-1;
-    row i is driven at column 0.
+    row i is driven at column 0. Each resistance is one number, or a list of one per line.
     """
 
     rows: Annotated[int, Field(ge=1, le=1024)]
     columns: Annotated[int, Field(ge=1, le=1024)]
-    row_segment: Ohm = 0.0
+    row_segment: Ohms = 0.0
     """ohm between neighbouring crosspoints of a row line"""
-    column_segment: Ohm = 0.0
-    row_lead: Ohm = 0.0
+    column_segment: Ohms = 0.0
+    row_lead: Ohms = 0.0
     """ohm in series with each row line: driver, switch, lead up to its first crosspoint"""
-    column_lead: Ohm = 0.0
+    column_lead: Ohms = 0.0
     """ohm between the last crosspoint of a column line and the amplifier"""
     sheet: Literal["sliced", "continuous"] = "sliced"
+    """cut between the cells, or in one piece that conducts from cell to cell"""
 
     @property
     def shape(self) -> tuple[int, int]:
         return self.rows, self.columns
+
+
+class Sheet(Section):
+    """The continuous sheet's geometry and how finely it is cut; see :mod:`.sheet`. The defaults are the project's own:
+    cells on a 1 inch pitch, 1/8 inch thick, under strips of 3/4 inch.
+    """
+
+    pitch: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.0254
+    """m"""
+    thickness: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.003175
+    """m"""
+    electrode_width: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.01905
+    """m, of a row's or column's strip"""
+    divisions: Annotated[int, Field(ge=2, le=32)] = 8
+    """boxes along a cell's side"""
+    layers: Annotated[int, Field(ge=1, le=16)] = 2
+    """boxes through the thickness"""
+
+    @model_validator(mode="after")
+    def _apart(self) -> Self:
+        if self.electrode_width > self.pitch:
+            raise ValueError(f"electrode_width {self.electrode_width} m exceeds the pitch {self.pitch} m")
+        return self
 
 
 class Drive(Section):
@@ -49,6 +93,7 @@ class Drive(Section):
     voltage: Finite
     """V, selected row against the reference"""
     idle_rows: Literal["ground", "float"] = "ground"
+    """at the reference, or open; the circuit "voltage-feedback" drives them itself"""
 
     @model_validator(mode="after")
     def _drives(self) -> Self:
@@ -58,20 +103,24 @@ class Drive(Section):
 
 
 class Readout(Section):
-    """What each column ends in."""
+    """What each column ends in. What belongs to one column is one number, or a list of one per column.
+
+    "voltage-feedback" is a divider whose sensed column also feeds a follower, and that drives every idle row and
+    column; the follower's output is what is read.
+    """
 
     circuit: Circuit
-    reference_resistance: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    reference_resistance: PositiveOhms
     """ohm: Rref, or the divider's load"""
     reference_voltage: Finite = 0.0
     """V: non-inverting input and idle rows (single-supply boards)"""
-    open_loop_gain: Annotated[float, Field(ge=1)] = inf
+    open_loop_gain: Gains = inf
     gain_bandwidth: Annotated[float, Field(gt=0)] = inf
     """Hz"""
-    offset_voltage: Finite = 0.0
+    offset_voltage: Numbers = 0.0
     """V, added to the non-inverting input"""
-    bias_current: Finite = 0.0
-    """A, into the inverting input"""
+    bias_current: Numbers = 0.0
+    """A, into the input that the column is tied to"""
     supply: Annotated[tuple[float, float], Field(strict=False)] = (-inf, inf)
     """V, output swing"""
     idle_columns: Literal["float", "load"] = "float"
@@ -97,6 +146,9 @@ class Readout(Section):
         return self
 
 
+PER_COLUMN = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
+
+
 class Adc(Section):
     """The converter behind the column outputs."""
 
@@ -109,6 +161,12 @@ class Adc(Section):
     """ohm, between an output and the sampling capacitor"""
     acquisition_time: NotNegative = 0.0
     """s that one sampling capacitor spends on each column in turn; 0: each column has its own, always connected"""
+    offset_voltage: Finite = 0.0
+    """V that the converter adds to its input"""
+    gain_error: Annotated[float, Field(gt=-1, allow_inf_nan=False)] = 0.0
+    """by which its slope exceeds 1, about the lower end of the range"""
+    inl_steps: Finite = 0.0
+    """integral nonlinearity in steps: a bow, largest at mid-range and 0 at both ends"""
 
     @model_validator(mode="after")
     def _span(self) -> Self:
@@ -120,6 +178,54 @@ class Adc(Section):
     def step(self) -> float:
         """V of one code."""
         return (self.range[1] - self.range[0]) / 2.0**self.bits
+
+
+class Fault(Section):
+    """One thing that is broken, at the crosspoint ``place = [row, column]``.
+
+    ========================  ==================================================================================
+    open-cell                 ``resistance`` (default inf) in series with the cell
+    shorted-cell              ``resistance`` (default 0) across the cell
+    broken-row                ``resistance`` (default inf) in series with the row line, just ahead of the crosspoint
+                              as seen from the driver
+    broken-column             the same in the column line, between the crosspoint and its amplifier
+    bridged-rows              ``resistance`` (default 0) from the crosspoint's row line to row ``to`` (default: the
+                              next one), at the place's column
+    bridged-columns           the same between column lines, at the place's row
+    ========================  ==================================================================================
+    """
+
+    kind: FaultKind
+    place: Annotated[tuple[int, int], Field(strict=False)]
+    resistance: Annotated[float | None, Field(ge=0)] = None
+    """ohm"""
+    to: Annotated[int | None, Field(ge=0)] = None
+    """bridges only: the other line"""
+
+    @model_validator(mode="after")
+    def _only_bridges_lead_somewhere(self) -> Self:
+        if self.to is not None and not self.bridge:
+            raise ValueError(f"a fault of kind '{self.kind}' has no key 'to'; only bridges join another line")
+        return self
+
+    @property
+    def bridge(self) -> bool:
+        return self.kind in {"bridged-rows", "bridged-columns"}
+
+    @property
+    def ohms(self) -> float:
+        """The resistance given, or that of a complete fault of its kind."""
+        if self.resistance is not None:
+            return self.resistance
+        return 0.0 if self.bridge or self.kind == "shorted-cell" else inf
+
+    @property
+    def ends(self) -> tuple[tuple[int, int], tuple[int, int]]:
+        """The crosspoints that a bridge joins lines at."""
+        row, column = self.place
+        if self.kind == "bridged-rows":
+            return self.place, (row + 1 if self.to is None else self.to, column)
+        return self.place, (row, column + 1 if self.to is None else self.to)
 
 
 class Requirements(Section):
@@ -141,7 +247,33 @@ class Design(Section):
     readout: Readout
     adc: Adc | None = None
     """None: the column outputs are taken as they are"""
+    sheet: Sheet = Sheet()
+    """geometry of the material, if array.sheet is "continuous"; a sliced one needs none"""
+    fault: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
     requirements: Requirements = Requirements()
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        rows, columns = self.array.shape
+        keys = [("array.row_segment", self.array.row_segment, rows), ("array.row_lead", self.array.row_lead, rows)]
+        keys += [(f"array.{name}", getattr(self.array, name), columns) for name in ("column_segment", "column_lead")]
+        keys += [(f"readout.{name}", getattr(self.readout, name), columns) for name in PER_COLUMN]
+        for key, value, lines in keys:
+            if isinstance(value, tuple) and len(value) != lines:
+                line = "row" if key.startswith("array.row") else "column"
+                raise ValueError(f"{key} has {len(value)} entries, expected one number or {lines} (one per {line})")
+        for number, fault in enumerate(self.fault):
+            for row, column in fault.ends if fault.bridge else [fault.place]:
+                if not (0 <= row < rows and 0 <= column < columns):
+                    raise ValueError(
+                        f"fault[{number}] ({fault.kind}) reaches row {row}, column {column}; "
+                        f"the array has rows 0 to {rows - 1} and columns 0 to {columns - 1}"
+                    )
+            if fault.bridge and fault.ends[0] == fault.ends[1]:
+                raise ValueError(
+                    f"fault[{number}] ({fault.kind}) joins a line to itself; expected another line in 'to'"
+                )
+        return self
 
     @classmethod
     def load(cls, path: str | Path) -> Design:

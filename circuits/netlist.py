@@ -18,11 +18,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import inf, isinf
 
+import numpy as np
 from numpy.typing import ArrayLike
 from scipy.cluster.hierarchy import DisjointSet
 
 from ..errors import InputError, SolverError
 from .design import Design, FloatArray
+from .parts import Parts, line_ohms, series_faults
 
 REFERENCE = "0"  # SPICE's node 0
 ROW_INDEX, COLUMN_INDEX = "row_index", "column_index"
@@ -107,8 +109,13 @@ class _Writer:
     def __init__(self, design: Design, resistance: FloatArray, row: int | None) -> None:
         if design.array.sheet != "sliced":
             raise InputError(f'array.sheet = "{design.array.sheet}" has no netlist; expected "sliced"')
-        self.design, self.resistance, self.row = design, resistance, row
+        if design.readout.circuit == "voltage-feedback":
+            raise InputError('readout.circuit = "voltage-feedback" has no netlist; expected another circuit')
+        self.design, self.row = design, row
+        self.resistance = resistance + series_faults(design, "open-cell")
         self.rows, self.columns = design.array.shape
+        self.parts = Parts.of(design)
+        self.row_ohms, self.column_ohms = line_ohms(design)
         self.amplified = design.readout.circuit == "inverting-amplifier"
         self.single = not self.amplified and design.readout.idle_columns == "float" and self.columns > 1
         self.floating = design.drive.idle_rows == "float"
@@ -143,33 +150,34 @@ class _Writer:
         return f"drive_{i}" if self.row in {None, i} else REFERENCE
 
     def _row(self, i: int, j: int) -> str:
-        return f"row_{i}_{j}" if self.design.array.row_segment else f"row_{i}"
+        return f"row_{i}_{j}" if self.row_ohms[i, 1:].any() else f"row_{i}"
 
     def _column(self, i: int, j: int) -> str:
-        return f"col_{i}_{j}" if self.design.array.column_segment else f"col_{j}"
+        return f"col_{i}_{j}" if self.column_ohms[1:, j].any() else f"col_{j}"
 
     def _end(self, j: int) -> str:
         return f"minus_{j}" if self.amplified else f"end_{j}"
 
     def _resistors(self) -> Iterator[tuple[str, str, str, float]]:
         """Name, nodes and ohm of each part of the grid; the crosspoints of a line without segments are one."""
-        array = self.design.array
+        row, column = self.row_ohms.tolist(), self.column_ohms.tolist()
         for i in self.driven:
-            yield f"Rlead_row_{i}", self._driver(i), self._row(i, 0), array.row_lead
-        for j in range(self.columns):
-            yield f"Rlead_col_{j}", self._column(self.rows - 1, j), self._end(j), array.column_lead
+            yield f"Rlead_row_{i}", self._driver(i), self._row(i, 0), row[i][0]
+        for j, ohm in enumerate(self.parts.column_lead.tolist()):
+            yield f"Rlead_col_{j}", self._column(self.rows - 1, j), self._end(j), ohm
         for i, cells in enumerate(self.resistance.tolist()):
             for j, ohm in enumerate(cells):
-                if j and array.row_segment:
-                    yield f"Rseg_row_{i}_{j}", self._row(i, j - 1), self._row(i, j), array.row_segment
-                if i and array.column_segment:
-                    yield (
-                        f"Rseg_col_{i}_{j}",
-                        self._column(i - 1, j),
-                        self._column(i, j),
-                        array.column_segment,
-                    )
+                if j and self._row(i, j) != self._row(i, j - 1):
+                    yield f"Rseg_row_{i}_{j}", self._row(i, j - 1), self._row(i, j), row[i][j]
+                if i and self._column(i, j) != self._column(i - 1, j):
+                    yield f"Rseg_col_{i}_{j}", self._column(i - 1, j), self._column(i, j), column[i][j]
                 yield f"R_{i}_{j}", self._row(i, j), self._column(i, j), ohm
+        for number, fault in enumerate(self.design.fault):
+            if fault.kind == "shorted-cell":
+                yield f"Rfault_{number}", self._row(*fault.place), self._column(*fault.place), fault.ohms
+            elif fault.bridge:
+                node = self._row if fault.kind == "bridged-rows" else self._column
+                yield f"Rfault_{number}", node(*fault.ends[0]), node(*fault.ends[1]), fault.ohms
 
     def _joined_nodes(self) -> dict[str, str]:
         """The name under which each node appears once the parts of 0 ohm have joined theirs."""
@@ -192,9 +200,9 @@ class _Writer:
                 "give array.row_lead or the shorted cells a resistance"
             )
         ends = [self.name[self._end(j)] for j in range(self.columns)]
-        ideal = self.amplified and isinf(self.design.readout.open_loop_gain)
+        ideal = np.isinf(self.parts.gain) & self.amplified
         for j, end in enumerate(ends):
-            if ideal and end in ends[:j] and end not in self.drivers:
+            if ideal[j] and end in ends[:j] and end not in self.drivers:
                 raise SolverError(
                     f"columns {ends.index(end)} and {j} are joined by parts of 0 ohm, so that two ideal "
                     "amplifiers share one input; give readout.open_loop_gain a finite value"
@@ -239,7 +247,6 @@ class _Writer:
                 yield f"{part} {self.name[a]} {self.name[b]} {ohm!r}"
 
     def _readout(self) -> Iterator[str]:
-        readout = self.design.readout
         yield ""
         if self.amplified:
             yield "* Inverting amplifiers, one per column."
@@ -250,7 +257,7 @@ class _Writer:
             return
         yield "* Loads; what is across them is read."
         for j in range(self.columns):
-            end, ohm = self.name[self._end(j)], readout.reference_resistance
+            end, ohm = self.name[self._end(j)], float(self.parts.reference[j])
             if end == REFERENCE:
                 yield f"* end_{j} is shorted to the reference"
             elif self.single:
@@ -262,14 +269,14 @@ class _Writer:
     def _amplifier(self, j: int) -> Iterator[str]:
         readout = self.design.readout
         minus, out, ground = self.name[self._end(j)], f"out_{j}", self.ground
-        gain, rref = readout.open_loop_gain, readout.reference_resistance
+        gain, rref, vos, bias = self._amplifier_parts(j)
         low, high = readout.supply
         limited = low > -inf or high < inf
         by_current = limited or gain > LARGEST_GAIN
-        if readout.bias_current and minus != REFERENCE:
-            yield f"Ibias_{j} {minus} {REFERENCE} DC {readout.bias_current!r}"
+        if bias and minus != REFERENCE:
+            yield f"Ibias_{j} {minus} {REFERENCE} DC {bias!r}"
         if not by_current:
-            yield f"Voffset_{j} plus_{j} {REFERENCE} DC {readout.offset_voltage!r}"
+            yield f"Voffset_{j} plus_{j} {REFERENCE} DC {vos!r}"
             yield f"Rref_{j} {minus} {out} {rref!r}"
             yield f"Eamplifier_{j} {out} {ground} plus_{j} {minus} {gain!r}"
             return
@@ -283,7 +290,7 @@ class _Writer:
         yield f"Vvirtual_{j} {minus} {at} DC 0"
         yield f"Hrref_{j} {out} {at} Vvirtual_{j} {-rref!r}"
         if limited:
-            wanted = f"{share!r}*({readout.reference_voltage!r}+{readout.offset_voltage!r}-{rref!r}*i(Vvirtual_{j}))"
+            wanted = f"{share!r}*({readout.reference_voltage!r}+{vos!r}-{rref!r}*i(Vvirtual_{j}))"
             terms = [f"min({high!r}-{wanted},0)"] if high < inf else []
             terms += [f"max({low!r}-{wanted},0)"] if low > -inf else []
             yield f"Black_{j} {at} lack_{j} V = {'+'.join(terms)}"
@@ -291,22 +298,29 @@ class _Writer:
         if not isinf(gain):
             yield f"Hinput_{j} {at} plus_{j} Vvirtual_{j} {rref / (1.0 + gain)!r}"
             at = f"plus_{j}"
-        offset = share * readout.offset_voltage - readout.reference_voltage / (1.0 + gain)
+        offset = share * vos - readout.reference_voltage / (1.0 + gain)
         yield f"Voffset_{j} {at} {REFERENCE} DC {offset!r}"
+
+    def _amplifier_parts(self, j: int) -> tuple[float, float, float, float]:
+        """Gain, Rref, offset voltage and bias current of column j's amplifier."""
+        parts = self.parts
+        gain, rref, vos, bias = (float(part[j]) for part in (parts.gain, parts.reference, parts.offset, parts.bias))
+        return gain, rref, vos, bias
 
     def _comparator(self, j: int) -> float:
         """The output of amplifier j, whose inverting input sits on an ideal source."""
-        readout, end = self.design.readout, self.name[self._end(j)]
-        low, high = readout.supply
+        end = self.name[self._end(j)]
+        gain, _, vos, _ = self._amplifier_parts(j)
+        low, high = self.design.readout.supply
         if self.row is None:
             raise SolverError(
                 f"column {j}'s amplifier sits directly on the driver of row {self.drivers[end]}; "
                 "a sweep over the rows cannot express that, a netlist for each row can"
             )
         held_at = 0.0 if end == REFERENCE else self.design.drive.voltage
-        difference = readout.offset_voltage - held_at
-        output = readout.open_loop_gain * difference if difference else 0.0
-        if isinf(readout.open_loop_gain) and (not difference or isinf(high if difference > 0 else low)):
+        difference = vos - held_at
+        output = gain * difference if difference else 0.0
+        if isinf(gain) and (not difference or isinf(high if difference > 0 else low)):
             raise SolverError(
                 f"column {j}'s ideal amplifier sits directly on the driver of a row (parts of 0 ohm), so that "
                 "its output is not determined; give array.row_lead or the cell a resistance, or "

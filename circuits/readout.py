@@ -8,7 +8,7 @@ ground. Which outputs saturate is a linear complementarity problem with a P-matr
 
 from __future__ import annotations
 
-from math import inf
+from math import inf, isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..errors import SolverError
 from .design import Design
+from .parts import Parts
 from .ports import IDEAL_WIRE, eliminate_leading, impedance
 
 FloatArray = NDArray[np.float64]
@@ -39,6 +40,8 @@ def read(design: Design, ports: FloatArray) -> Reading:
     """
     if design.readout.circuit == "inverting-amplifier":
         return _read_amplifiers(design, ports)
+    if design.readout.circuit == "voltage-feedback":
+        return _read_feedback(design, ports)
     volts = _read_divider(design, ports)
     return Reading(volts, np.zeros(volts.shape, dtype=np.bool_))
 
@@ -50,7 +53,7 @@ def apparent_resistance(design: Design, volts: FloatArray) -> FloatArray:
     what the reading says, not what a cell can be.
     """
     signal = np.asarray(volts, dtype=np.float64) - design.readout.reference_voltage
-    reference, drive = design.readout.reference_resistance, design.drive.voltage
+    reference, drive = Parts.of(design).reference, design.drive.voltage
     with np.errstate(divide="ignore"):
         ratio = np.where(signal == 0, inf, drive / np.where(signal == 0, 1.0, signal))
     if design.readout.circuit == "inverting-amplifier":
@@ -63,11 +66,8 @@ def ideal_volts(design: Design, resistance: FloatArray) -> FloatArray:
 
     Shorts give an infinite amplifier output.
     """
-    reference, drive, zero = (
-        design.readout.reference_resistance,
-        design.drive.voltage,
-        design.readout.reference_voltage,
-    )
+    reference = Parts.of(design).reference
+    drive, zero = design.drive.voltage, design.readout.reference_voltage
     if design.readout.circuit == "inverting-amplifier":
         with np.errstate(divide="ignore"):
             return zero - drive * reference / resistance
@@ -75,7 +75,10 @@ def ideal_volts(design: Design, resistance: FloatArray) -> FloatArray:
 
 
 class _Columns(NamedTuple):
-    """The Thevenin equivalent that each column (M,) of one step ends in, and its output as a function of current."""
+    """The Thevenin equivalent that each column (M,) of one step ends in, and its output as a function of current.
+
+    Sources count from the reference voltage, so that a mid-supply reference costs no digits.
+    """
 
     resistance: FloatArray
     source: FloatArray
@@ -85,19 +88,17 @@ class _Columns(NamedTuple):
     """V/A"""
 
 
-def _amplifier_columns(design: Design, state: NDArray[np.int8]) -> _Columns:
+def _amplifier_columns(design: Design, parts: Parts, state: NDArray[np.int8]) -> _Columns:
     """``state`` (M,): 0 linear, -1 at the lower and +1 at the upper supply limit."""
-    part = design.readout
-    gain, reference, bias = part.open_loop_gain, part.reference_resistance, part.bias_current
-    level = part.reference_voltage + part.offset_voltage
-    share = 1.0 if gain == inf else gain / (1.0 + gain)
-    limit = np.where(state < 0, part.supply[0], part.supply[1])
-    linear = state == 0
+    level, inverse = design.readout.reference_voltage, 1.0 / (1.0 + parts.gain)
+    share = 1.0 / (1.0 + 1.0 / parts.gain)
+    limit = np.where(state < 0, design.readout.supply[0], design.readout.supply[1])
+    linear, lift = state == 0, parts.reference * parts.bias
     return _Columns(
-        resistance=np.where(linear, reference / (1.0 + gain), reference),
-        source=np.where(linear, share * level - reference * bias / (1.0 + gain), limit - reference * bias),
-        output=np.where(linear, share * (level + reference * bias), limit),
-        slope=np.where(linear, -share * reference, 0.0),
+        resistance=np.where(linear, parts.reference * inverse, parts.reference),
+        source=np.where(linear, share * parts.offset - inverse * (level + lift), limit - level - lift),
+        output=np.where(linear, share * (level + parts.offset + lift), limit),
+        slope=np.where(linear, -share * parts.reference, 0.0),
     )
 
 
@@ -126,45 +127,44 @@ def _terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> FloatArr
 def _column_currents(design: Design, network: FloatArray, source: FloatArray) -> FloatArray:
     """Current (..., N, M) into the column terminations in every scan step, for one set of sources (M,)."""
     rows, columns = design.array.shape
-    drive, level = design.drive.voltage, design.readout.reference_voltage
-    between = network[..., rows:, rows:]
+    drive = design.drive.voltage
+    difference = source - source[:, None]  # of equal sources exactly zero, so that nothing large has to cancel
     if design.drive.idle_rows == "ground":
         transfer = network[..., :rows, rows:]
-        idle = transfer.sum(axis=-2) * (level - source) + between @ source - between.sum(axis=-1) * source
+        idle = (network[..., rows:, rows:] * difference).sum(axis=-1) - transfer.sum(axis=-2) * source
         grounded: FloatArray = drive * transfer + idle[..., None, :]
         return grounded
     currents = np.empty((*network.shape[:-2], rows, columns))
     for row in range(rows):
         order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
         alone = eliminate_leading(network[..., order[:, None], order], rows - 1)
-        transfer, between = alone[..., 0, 1:], alone[..., 1:, 1:]
-        currents[..., row, :] = transfer * (drive + level - source) + between @ source - between.sum(axis=-1) * source
+        currents[..., row, :] = alone[..., 0, 1:] * (drive - source) + (alone[..., 1:, 1:] * difference).sum(axis=-1)
     return currents
 
 
 def _read_amplifiers(design: Design, ports: FloatArray) -> Reading:
     rows, columns = design.array.shape
-    parts = _amplifier_columns(design, np.zeros(columns, dtype=np.int8))
-    network = _terminate(ports, rows, parts.resistance + design.array.column_lead)
-    currents = _column_currents(design, network, parts.source)
-    volts = parts.output + parts.slope * currents
+    parts = Parts.of(design)
+    ends = _amplifier_columns(design, parts, np.zeros(columns, dtype=np.int8))
+    network = _terminate(ports, rows, ends.resistance + parts.column_lead)
+    volts = ends.output + ends.slope * _column_currents(design, network, ends.source)
     low, high = design.readout.supply
     saturated = (volts < low) | (volts > high)
     if saturated.any():
         frames = ports.reshape(-1, *ports.shape[-2:])
         stacked, flags = volts.reshape(-1, rows, columns), saturated.reshape(-1, rows, columns)
         for frame in np.flatnonzero(flags.any(axis=(1, 2))):
-            stacked[frame], flags[frame] = _read_saturated(design, frames[frame], stacked[frame])
+            stacked[frame], flags[frame] = _read_saturated(design, parts, frames[frame], stacked[frame])
     return Reading(volts, saturated)
 
 
-def _read_saturated(design: Design, ports: FloatArray, volts: FloatArray) -> Reading:
+def _read_saturated(design: Design, parts: Parts, ports: FloatArray, volts: FloatArray) -> Reading:
     """One frame in which some output hits its limit: find for each step which columns do (principal pivoting)."""
     rows, columns = design.array.shape
     low, high = design.readout.supply
-    level, gain = (
-        design.readout.reference_voltage + design.readout.offset_voltage,
-        design.readout.open_loop_gain,
+    # What the amplifier's input must exceed to hold its output at a limit; a missing limit is never reached.
+    at_low, at_high = (
+        np.where(np.isinf(parts.gain), 0.0, end / parts.gain) if isfinite(end) else 0.0 for end in (low, high)
     )
     state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
     volts = volts.copy()
@@ -175,14 +175,14 @@ def _read_saturated(design: Design, ports: FloatArray, volts: FloatArray) -> Rea
             steps = np.flatnonzero((which.ravel() == number) & pending)
             if not len(steps):
                 continue
-            parts = _amplifier_columns(design, pattern)
-            network = _terminate(ports, rows, parts.resistance + design.array.column_lead)
-            currents = _column_currents(design, network, parts.source)[steps]
-            volts[steps] = parts.output + parts.slope * currents
+            ends = _amplifier_columns(design, parts, pattern)
+            network = _terminate(ports, rows, ends.resistance + parts.column_lead)
+            currents = _column_currents(design, network, ends.source)[steps]
+            volts[steps] = ends.output + ends.slope * currents
             wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
             # A clamped output stays so while the amplifier's input still drives it outwards.
-            error = level - (parts.source + parts.resistance * currents)
-            held = ((pattern > 0) & (error >= high / gain)) | ((pattern < 0) & (error <= low / gain))
+            error = parts.offset - (ends.source + ends.resistance * currents)
+            held = ((pattern > 0) & (error >= at_high)) | ((pattern < 0) & (error <= at_low))
             wanted = np.where(pattern == 0, wanted, np.where(held, pattern, 0)).astype(np.int8)
             if attempt >= 50:  # Murty: one column at a time cannot cycle
                 first = np.argmax(wanted != pattern, axis=1)[:, None] == np.arange(columns)
@@ -197,19 +197,47 @@ def _read_saturated(design: Design, ports: FloatArray, volts: FloatArray) -> Rea
 def _read_divider(design: Design, ports: FloatArray) -> FloatArray:
     """Volts across the load of the sensed column, every (row, column) pair a measurement."""
     rows, columns = design.array.shape
-    load, lead = design.readout.reference_resistance, design.array.column_lead
+    parts = Parts.of(design)
+    load, behind = parts.reference, parts.reference + parts.column_lead
     drive, level = design.drive.voltage, design.readout.reference_voltage
     if design.readout.idle_columns == "load":
-        network = _terminate(ports, rows, np.full(columns, load + lead))
-        currents = _column_currents(design, network, np.full(columns, level))
-        return level + load * currents
+        return level + load * _column_currents(design, _terminate(ports, rows, behind), np.zeros(columns))
     if design.drive.idle_rows == "ground":
         inner = impedance(ports[..., rows:, rows:], ports[..., :rows, rows:].sum(axis=-2))
         open_circuit = drive * ports[..., :rows, rows:] @ inner
         source_resistance = np.einsum("...jj->...j", inner)[..., None, :]
-        volts: FloatArray = level + open_circuit * load / (load + lead + source_resistance)
+        volts: FloatArray = level + open_circuit * load / (behind + source_resistance)
         return volts
-    return level + drive * load / (load + lead + _effective_resistance(ports, rows))
+    return level + drive * load / (behind + _effective_resistance(ports, rows))
+
+
+def _read_feedback(design: Design, ports: FloatArray) -> Reading:
+    """Output of the follower that drives all idle lines, every (row, column) pair a measurement.
+
+    With V and F the potentials of the sensed column's end and of the follower (both against the reference), Y the
+    network behind the column leads and S = sum of Y from the column to all idle lines:
+    ``Y (drive - V) + S (F - V) = V / Rref + Ib`` and ``F = A (V + Vos - F)``. The second one eliminated, V meets S
+    only through S / (1 + A): that is how far the idle lines are kept away, and no large numbers are subtracted.
+    """
+    rows, _ = design.array.shape
+    parts = Parts.of(design)
+    drive, level = design.drive.voltage, design.readout.reference_voltage
+    network = _terminate(ports, rows, parts.column_lead)
+    driven = network[..., :rows, rows:]
+    # Sums of what is left beside the driven row: from above and from below, since subtracting it would cost digits.
+    idle = np.zeros_like(driven)
+    np.cumsum(driven[..., :-1, :], axis=-2, out=idle[..., 1:, :])
+    idle[..., :-1, :] += np.cumsum(driven[..., :0:-1, :], axis=-2)[..., ::-1, :]
+    idle += network[..., rows:, rows:].sum(axis=-1)[..., None, :]
+    inverse = 1.0 / (1.0 + parts.gain)
+    share = 1.0 / (1.0 + 1.0 / parts.gain)
+    lift = share * parts.offset - inverse * level
+    injected = driven * drive - parts.bias
+    column = (injected + idle * lift) / (driven + idle * inverse + 1.0 / parts.reference)
+    volts = share * (level + column + parts.offset)
+    low, high = design.readout.supply
+    saturated = (volts < low) | (volts > high)
+    return Reading(np.clip(volts, low, high), saturated)
 
 
 def _effective_resistance(ports: FloatArray, rows: int) -> FloatArray:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .design import Design
-from .ports import Lines, port_conductances
+from .grid import exact_ports
+from .parts import Parts
 from .readout import apparent_resistance, read
 
 FloatArray = NDArray[np.float64]
@@ -63,20 +64,9 @@ def _infinite_where_shorted(design: Design, cells: FloatArray, volts: FloatArray
     """The output of an ideal amplifier on a shorted cell with ideal lines has no finite value."""
     if design.readout.circuit != "inverting-amplifier" or (cells > 0).all():
         return volts
-    array = design.array
-    ohms = np.r_[cells.ravel(), array.row_lead, array.row_segment, array.column_lead, array.column_segment]
+    parts = Parts.of(design)
+    ohms = np.r_[cells.ravel(), parts.row_lead, parts.row_segment, parts.column_lead, parts.column_segment]
     smallest = np.min(ohms, where=ohms > 0, initial=np.finfo(np.float64).max)
-    finite = abs(design.drive.voltage) * design.readout.reference_resistance * ohms.size / smallest
+    finite = abs(design.drive.voltage) * parts.reference * ohms.size / smallest
     signal = volts - design.readout.reference_voltage
     return np.where(np.abs(signal) > 1e9 * finite, np.copysign(np.inf, signal), volts)
-
-
-def exact_ports(design: Design, resistance: FloatArray) -> FloatArray:
-    """Port conductances (..., N + M, N + M) in S of the design's grid, row leads included."""
-    array = design.array
-    with np.errstate(divide="ignore"):
-        row = np.full(array.shape, np.divide(1.0, array.row_segment))
-        row[:, 0] = np.divide(1.0, array.row_lead)
-        column = np.full(array.shape, np.divide(1.0, array.column_segment))
-        conductance = 1.0 / resistance
-    return port_conductances(conductance, Lines(row, column))

@@ -26,6 +26,7 @@ from ohmskin.circuits.design import Design
 
 Node = Hashable
 REFERENCE: Node = "reference"
+FOLLOWER: Node = "follower"
 
 
 class Indeterminate(ArithmeticError):
@@ -45,7 +46,10 @@ def reference_volts(design: Design, resistance: ArrayLike, digits: int | None = 
     cells = design.resistance(resistance)
     rows, columns = cells.shape
     volts = np.empty(cells.shape)
-    one_by_one = design.readout.circuit == "voltage-divider" and design.readout.idle_columns == "float"
+    circuit = design.readout.circuit
+    one_by_one = circuit == "voltage-feedback" or (
+        circuit == "voltage-divider" and design.readout.idle_columns == "float"
+    )
     with localcontext() as context:
         context.prec = digits or context.prec
         for row in range(rows):
@@ -99,35 +103,68 @@ def _solve(
     system = _Equations(number)
 
     parts: list[tuple[Node, Node, float]] = []
+    broken = {fault.place: fault.ohms for fault in design.fault if fault.kind == "broken-row"}
+    severed = {fault.place: fault.ohms for fault in design.fault if fault.kind == "broken-column"}
+    opened = {fault.place: fault.ohms for fault in design.fault if fault.kind == "open-cell"}
     for i in range(rows):
-        parts.append((("drive", i), ("row", i, 0), array.row_lead))
+        parts.append((("drive", i), ("row", i, 0), _of(array.row_lead, i) + broken.get((i, 0), 0.0)))
         for j in range(columns):
             if j:
-                parts.append((("row", i, j - 1), ("row", i, j), array.row_segment))
+                ohm = _of(array.row_segment, i) + broken.get((i, j), 0.0)
+                parts.append((("row", i, j - 1), ("row", i, j), ohm))
             if i:
-                parts.append((("column", i - 1, j), ("column", i, j), array.column_segment))
-            parts.append((("row", i, j), ("column", i, j), float(cells[i, j])))
+                ohm = _of(array.column_segment, j) + severed.get((i - 1, j), 0.0)
+                parts.append((("column", i - 1, j), ("column", i, j), ohm))
+            parts.append((("row", i, j), ("column", i, j), float(cells[i, j]) + opened.get((i, j), 0.0)))
     for j in range(columns):
-        parts.append((("column", rows - 1, j), ("end", j), array.column_lead))
+        ohm = _of(array.column_lead, j) + severed.get((rows - 1, j), 0.0)
+        parts.append((("column", rows - 1, j), ("end", j), ohm))
+    for fault in design.fault:
+        i, j = fault.place
+        if fault.kind == "shorted-cell":
+            parts.append((("row", i, j), ("column", i, j), fault.ohms))
+        elif fault.kind == "bridged-rows":
+            parts.append((("row", i, j), ("row", i + 1 if fault.to is None else fault.to, j), fault.ohms))
+        elif fault.kind == "bridged-columns":
+            parts.append((("column", i, j), ("column", i, j + 1 if fault.to is None else fault.to), fault.ohms))
 
     held: DisjointSet = DisjointSet([REFERENCE])  # nodes whose potential a source or a load ties to the reference
+    feedback = readout.circuit == "voltage-feedback"
     for i in range(rows):
-        if i == row or design.drive.idle_rows == "ground":
+        if i != row and feedback:
+            law = [(("drive", i), 1), (FOLLOWER, -1)]
+            system.branch(("source", i), ("drive", i), FOLLOWER, law, number(0.0))
+            held.add(("drive", i))
+            held.merge(("drive", i), REFERENCE)
+        elif i == row or design.drive.idle_rows == "ground":
             volts = number(design.drive.voltage if i == row else 0.0)
             system.branch(("source", i), ("drive", i), REFERENCE, [(("drive", i), 1)], volts)
             held.add(("drive", i))
             held.merge(("drive", i), REFERENCE)
 
-    rref, vref = number(readout.reference_resistance), number(readout.reference_voltage)
-    vos, bias = number(readout.offset_voltage), number(readout.bias_current)
-    inverse_gain = 1 / number(readout.open_loop_gain) if readout.open_loop_gain < inf else number(0.0)
+    vref = number(readout.reference_voltage)
     amplified = readout.circuit == "inverting-amplifier"
+    for j in range(columns):
+        if feedback and j not in read:
+            law = [(("end", j), 1), (FOLLOWER, -1)]
+            system.branch(("tie", j), ("end", j), FOLLOWER, law, number(0.0))
+            held.add(("end", j))
+            held.merge(("end", j), REFERENCE)
     for j, rail in zip(read, stuck_at, strict=True):
+        rref, vos = number(_of(readout.reference_resistance, j)), number(_of(readout.offset_voltage, j))
+        bias, inverse_gain = number(_of(readout.bias_current, j)), _inverse(number, _of(readout.open_loop_gain, j))
         minus, out = ("end", j), ("out", j)
         held.add(minus)
         held.merge(minus, REFERENCE)
         if not amplified:
             system.conductor(minus, REFERENCE, 1 / rref)
+            if feedback:
+                system.add(minus, [], -bias)
+                if rail is not None:
+                    law, value = [(FOLLOWER, 1)], number(rail) - vref
+                else:
+                    law, value = [(FOLLOWER, 1 + inverse_gain), (minus, -1)], vos - vref * inverse_gain
+                system.branch("follower output", FOLLOWER, REFERENCE, law, value)
             continue
         system.conductor(minus, out, 1 / rref)
         system.add(minus, [], -bias)
@@ -156,11 +193,29 @@ def _solve(
             system.conductor(min(island, key=str), REFERENCE, number(1.0))
 
     value_of = system.solution(exact)
-    if not amplified:
-        return [value_of["end", j] + vref for j in read], [vref] * len(read)  # no amplifier, no supply
-    currents = [(value_of["end", j] - value_of["out", j]) / rref for j in read]
-    unlimited = [(vref + vos - rref * current) / (1 + inverse_gain) for current in currents]
-    return [value_of["out", j] + vref for j in read], unlimited
+    outputs, unlimited = [], []
+    for j in read:
+        share = 1 / (1 + _inverse(number, _of(readout.open_loop_gain, j)))
+        vos = number(_of(readout.offset_voltage, j))
+        if feedback:
+            outputs.append(value_of[FOLLOWER] + vref)
+            unlimited.append((value_of["end", j] + vref + vos) * share)
+        elif amplified:
+            outputs.append(value_of["out", j] + vref)
+            dropped = value_of["end", j] - value_of["out", j]  # Rref i
+            unlimited.append((vref + vos - dropped) * share)
+        else:
+            outputs.append(value_of["end", j] + vref)
+            unlimited.append(vref)  # no amplifier, no supply
+    return outputs, unlimited
+
+
+def _of(value: float | tuple[float, ...], line: int) -> float:
+    return value[line] if isinstance(value, tuple) else value
+
+
+def _inverse(number: Callable[[float], Any], gain: float) -> Any:
+    return 1 / number(gain) if gain < inf else number(0.0)
 
 
 @dataclass

@@ -1,0 +1,62 @@
+"""Seeded designs that use everything a design file can say: unequal parts, faults, every circuit, both rails."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ohmskin.circuits import CIRCUITS, Design
+
+
+def real_design(
+    seed: int, *, circuit: str | None = None, faults: int = 0, largest: int = 4, **readout: Any
+) -> tuple[Design, NDArray[np.float64]]:
+    """A design with one number per line for every part, and cells from 100 ohm to 1 Mohm."""
+    rng = np.random.default_rng(seed)
+    rows, columns = (int(n) for n in rng.integers(2, largest + 1, 2))
+    cells = 10 ** rng.uniform(2, 6, (rows, columns))
+
+    def ohms(low: float, high: float, count: int) -> list[float] | float:
+        return (10 ** rng.uniform(low, high, count)).tolist() if rng.random() < 0.7 else float(10**low)
+
+    tables: dict[str, Any] = {
+        "array": {
+            "rows": rows,
+            "columns": columns,
+            "row_segment": ohms(-2, 2, rows),
+            "column_segment": ohms(-2, 2, columns),
+            "row_lead": ohms(-1, 2, rows),
+            "column_lead": ohms(-1, 2, columns),
+        },
+        "drive": {"voltage": float(rng.choice([-1.0, 0.5, 3.3])), "idle_rows": str(rng.choice(["ground", "float"]))},
+        "readout": {
+            "circuit": circuit or str(rng.choice(CIRCUITS)),
+            "reference_resistance": (10 ** rng.uniform(2, 5, columns)).tolist(),
+            "reference_voltage": float(rng.choice([0.0, 1.65])),
+            "open_loop_gain": rng.choice([inf, 1e9, 1e5, 1e3, 10.0], columns).tolist(),
+            "offset_voltage": rng.uniform(-2e-3, 2e-3, columns).tolist(),
+            "bias_current": rng.uniform(-1e-7, 1e-7, columns).tolist(),
+            "idle_columns": str(rng.choice(["float", "load"])),
+        }
+        | readout,
+        "fault": [_fault(rng, rows, columns) for _ in range(faults)],
+    }
+    return Design.model_validate(tables), cells
+
+
+def _fault(rng: np.random.Generator, rows: int, columns: int) -> dict[str, Any]:
+    kind = str(
+        rng.choice(["open-cell", "shorted-cell", "broken-row", "broken-column", "bridged-rows", "bridged-columns"])
+    )
+    row, column = int(rng.integers(rows)), int(rng.integers(columns))
+    fault: dict[str, Any] = {"kind": kind, "place": [row, column]}
+    if rng.random() < 0.5:
+        fault["resistance"] = float(10 ** rng.uniform(0, 5))
+    if kind == "bridged-rows":
+        fault["to"] = (row + 1) % rows
+    if kind == "bridged-columns":
+        fault["to"] = (column + 1) % columns
+    return fault

@@ -1,0 +1,167 @@
+"""Circuits, unequal parts, faults and saturation, against the nodal reference in decimal arithmetic."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from designs import amplifier, divider
+from parts_at_random import real_design
+from reference import reference_volts
+
+from ohmskin.circuits import Design, scan
+from ohmskin.config import parse
+from ohmskin.errors import InputError, SolverError
+
+
+def assert_reads_as_the_reference(design: Design, cells: np.ndarray) -> None:
+    """To 1e-11 of each signal, and to what the reference voltage's own rounding leaves of it."""
+    level = design.readout.reference_voltage
+    expected = reference_volts(design, cells, 50)
+    np.testing.assert_allclose(scan(design, cells).volts - level, expected - level, rtol=1e-11, atol=1e-15)
+
+
+@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "voltage-feedback"])
+@pytest.mark.parametrize("seed", range(15))
+def test_unequal_parts(circuit: str, seed: int) -> None:
+    assert_reads_as_the_reference(*real_design(seed, circuit=circuit))
+
+
+@pytest.mark.parametrize("idle_rows", ["ground", "float"])
+@pytest.mark.parametrize("idle_columns", ["float", "load"])
+def test_divider_with_line_resistance(idle_rows: str, idle_columns: str) -> None:
+    rng = np.random.default_rng(5)
+    for shape in [(1, 4), (4, 1), (4, 4)]:
+        design = divider(
+            *shape, idle_rows=idle_rows, idle_columns=idle_columns, row_lead=30.0, column_lead=7.0, row_segment=4.0
+        )
+        assert_reads_as_the_reference(design, 10 ** rng.uniform(2, 5, shape))
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_faults(seed: int) -> None:
+    design, cells = real_design(seed, faults=1 + seed % 3)
+    assert_reads_as_the_reference(design, cells)
+
+
+def saturating_design(seed: int, circuit: str) -> tuple[Design, np.ndarray]:
+    """Narrow rails and large offsets."""
+    rng = np.random.default_rng(seed)
+    level = float(rng.choice([0.0, 1.65]))
+    supply = (level - float(rng.uniform(0.0, 0.3)), level + float(rng.uniform(0.02, 0.5)))
+    design, cells = real_design(seed, circuit=circuit, reference_voltage=level, supply=supply)
+    offsets = tuple(rng.uniform(-0.2, 0.2, design.array.columns).tolist())
+    return design.model_copy(update={"readout": design.readout.model_copy(update={"offset_voltage": offsets})}), cells
+
+
+@pytest.mark.parametrize("seed", range(80))
+def test_saturated_outputs(seed: int) -> None:
+    design, cells = saturating_design(seed, "inverting-amplifier" if seed % 4 else "voltage-feedback")
+    assert_reads_as_the_reference(design, cells)
+    result = scan(design, cells)
+    low, high = supply = design.readout.supply
+    assert ((result.volts >= low) & (result.volts <= high)).all()
+    assert np.isin(result.volts[result.saturated], supply).all()
+
+
+def test_the_saturating_designs_saturate_several_columns_at_both_rails() -> None:
+    """That the test above tests what it says."""
+    several = both = 0
+    for seed in range(80):
+        design, cells = saturating_design(seed, "inverting-amplifier")
+        low, high = design.readout.supply
+        volts = scan(design, cells).volts
+        several += int((np.isin(volts, (low, high)).sum(axis=1) > 1).any())
+        both += int(((volts == low).any(axis=1) & (volts == high).any(axis=1)).any())
+    assert several > 40
+    assert both > 15
+
+
+def test_feedback_isolates_cells_that_a_divider_mixes() -> None:
+    rng = np.random.default_rng(2)
+    cells = 10 ** rng.uniform(3, 5, (5, 6))
+    design = divider(5, 6).with_circuit("voltage-feedback")
+    np.testing.assert_allclose(scan(design, cells).resistance, cells, rtol=1e-12)
+    assert (scan(divider(5, 6), cells).resistance < 0.8 * cells).any()
+
+
+def test_feedback_of_finite_gain_leaks_through_the_idle_lines() -> None:
+    """The idle lines stand 1/(1+A) off the sensed one: R = Rij alone, and S/(1+A) to where they end."""
+    gain, cells = 1e3, np.full((4, 4), 2e3)
+    design = divider(4, 4).with_circuit("voltage-feedback")
+    design = design.model_copy(update={"readout": design.readout.model_copy(update={"open_loop_gain": gain})})
+    leak = 3 / 2e3 / (1 + gain)
+    column = (1 / 2e3) / (1 / 2e3 + 1 / 1e3 + leak)
+    assert scan(design, cells).volts == pytest.approx(np.full((4, 4), column * gain / (1 + gain)), rel=1e-12)
+
+
+def test_a_list_of_equal_parts_is_the_number() -> None:
+    rng = np.random.default_rng(0)
+    cells = 10 ** rng.uniform(3, 5, (2, 3))
+    keys = {"open_loop_gain": 1e4, "offset_voltage": 1e-3, "bias_current": 1e-8}
+    one = scan(amplifier(2, 3, lead=5.0, segment=1.0, **keys), cells).volts
+    listed = amplifier(2, 3, lead=5.0, segment=1.0, **{key: [value] * 3 for key, value in keys.items()})
+    array = listed.array.model_copy(update={"row_lead": (5.0, 5.0), "column_segment": (1.0, 1.0, 1.0)})
+    assert np.array_equal(scan(listed.model_copy(update={"array": array}), cells).volts, one)
+
+
+def test_ideal_drivers_joined_by_a_bridge_are_refused() -> None:
+    cells = np.full((3, 3), 1e3)
+    rows = amplifier(3, 3).model_validate(
+        amplifier(3, 3).model_dump() | {"fault": [{"kind": "bridged-rows", "place": [0, 1], "to": 2}]}
+    )
+    with pytest.raises(SolverError, match=r"row drivers 0 and 2 .* array\.row_lead"):
+        scan(rows, cells)
+    columns = {"fault": [{"kind": "bridged-columns", "place": [0, 1]}]}
+    with pytest.raises(SolverError, match="ideal amplifiers of columns 1 and 2"):
+        scan(Design.model_validate(amplifier(3, 3).model_dump() | columns), cells)
+    real = Design.model_validate(amplifier(3, 3, open_loop_gain=1e5).model_dump() | columns)
+    assert_reads_as_the_reference(real, cells)
+
+
+BASE: dict[str, Any] = {
+    "array": {"rows": 2, "columns": 3},
+    "drive": {"voltage": -1.0},
+    "readout": {"circuit": "inverting-amplifier", "reference_resistance": 1000.0},
+}
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "value", "message"),
+    [
+        (
+            "array",
+            "row_lead",
+            [1.0, 2.0, 3.0],
+            r"array.row_lead has 3 entries, expected one number or 2 \(one per row\)",
+        ),
+        ("array", "column_segment", [1.0], "array.column_segment has 1 entries, expected one number or 3"),
+        ("readout", "offset_voltage", [0.0, 0.0], r"expected one number or 3 \(one per column\)"),
+        ("array", "row_lead", -1.0, r"array.row_lead: must be a number of ohm >= 0, or a list .* \(got -1.0\)"),
+        ("array", "row_lead", [1.0, float("inf")], "array.row_lead: must be a number of ohm >= 0"),
+        ("array", "row_lead", "3", "array.row_lead: must be a number of ohm >= 0"),
+        ("readout", "reference_resistance", [1.0, 0.0, 1.0], "must be a number of ohm > 0"),
+        ("readout", "open_loop_gain", 0.5, "must be a number >= 1"),
+        ("readout", "bias_current", True, "must be a finite number"),
+    ],
+)
+def test_bad_parts_are_refused_by_name(table: str, key: str, value: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        parse(BASE | {table: BASE[table] | {key: value}}, Design, source="design.toml")
+
+
+@pytest.mark.parametrize(
+    ("fault", "message"),
+    [
+        ({"kind": "bridged-rows", "place": [1, 0]}, r"fault\[0\] \(bridged-rows\) reaches row 2, column 0"),
+        ({"kind": "open-cell", "place": [0, 3]}, r"reaches row 0, column 3; the array has rows 0 to 1"),
+        ({"kind": "bridged-rows", "place": [0, 0], "to": 0}, "joins a line to itself"),
+        ({"kind": "open-cell", "place": [0, 0], "to": 1}, "no key 'to'"),
+        ({"kind": "broken", "place": [0, 0]}, r"fault\[0\].kind: input should be 'open-cell'"),
+        ({"kind": "open-cell", "place": [0, 0], "resistance": -1.0}, r"fault\[0\].resistance: input should be greater"),
+    ],
+)
+def test_bad_faults_are_refused_by_name(fault: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        parse(BASE | {"fault": [fault]}, Design, source="design.toml")

@@ -1,0 +1,97 @@
+"""The continuous sheet: its limits, its symmetries, and how far its cells couple."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from designs import amplifier
+
+from ohmskin.circuits import Design, Sheet, scan
+from ohmskin.circuits.grid import exact_ports, grid_network
+from ohmskin.circuits.network import reduce
+from ohmskin.circuits.sheet import unit_resistance
+
+
+def in_one_piece(design: Design, **sheet: float) -> Design:
+    array = design.array.model_copy(update={"sheet": "continuous"})
+    return design.model_copy(update={"array": array, "sheet": Sheet(**sheet)})
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 4), (5, 1), (3, 4)])
+def test_branch_by_branch_reduction_is_that_of_the_plain_grid(shape: tuple[int, int]) -> None:
+    """Two orders of elimination that share nothing but the step, and batches as single frames."""
+    rng = np.random.default_rng(4)
+    design = amplifier(*shape, lead=20.0, segment=3.0)
+    cells = 10 ** rng.uniform(2, 6, (3, *shape))
+    together = reduce(grid_network(design, cells))
+    np.testing.assert_allclose(together, exact_ports(design, cells), rtol=1e-12)
+    np.testing.assert_array_equal(together[1], reduce(grid_network(design, cells[1])))
+
+
+def test_a_slab_under_full_electrodes_is_resistivity_times_thickness_over_area() -> None:
+    sheet = Sheet(pitch=0.01, thickness=0.002, electrode_width=0.01, divisions=3, layers=5)
+    assert unit_resistance(sheet) == pytest.approx(0.002 / 0.01**2, rel=1e-12)
+
+
+def test_a_single_cell_knows_no_neighbours() -> None:
+    design = in_one_piece(amplifier(1, 1, lead=10.0, open_loop_gain=1e4))
+    cells = np.array([[4.7e3]])
+    np.testing.assert_allclose(
+        scan(design, cells).volts, scan(amplifier(1, 1, lead=10.0, open_loop_gain=1e4), cells).volts
+    )
+
+
+def test_a_uniform_sheet_reads_the_same_sliced_or_not() -> None:
+    """Of two neighbouring rows' potentials the even part drives nothing sideways, and the odd part drives as much into
+    a column as out of it; so with ideal lines every cell reads its own.
+    """
+    cells = np.full((3, 4), 8e3)
+    np.testing.assert_allclose(scan(in_one_piece(amplifier(3, 4)), cells).resistance, cells, rtol=1e-12)
+
+
+def test_slicing_isolates_and_the_continuous_sheet_couples_the_nearest_cells_most() -> None:
+    cells = np.full((5, 5), 1e4)
+    pressed = cells.copy()
+    pressed[2, 2] = 2e4
+    sliced = amplifier(5, 5)
+    change = scan(in_one_piece(sliced), pressed).resistance / cells - 1
+    np.testing.assert_allclose(scan(sliced, pressed).resistance, pressed, rtol=1e-12)
+    beside, across, far = change[2, 3], change[3, 3], change[2, 4]
+    assert 1e-4 < beside < 1e-2
+    assert abs(across) < beside
+    assert abs(far) < 1e-3 * beside
+    np.testing.assert_allclose(change, change.T, atol=1e-12)
+    np.testing.assert_allclose(change, change[::-1, ::-1], atol=1e-12)
+
+
+def test_a_thinner_sheet_couples_less() -> None:
+    pressed = np.full((2, 3), 1e4)
+    pressed[0, 1] = 3e4
+    beside = [
+        abs(scan(in_one_piece(amplifier(2, 3), thickness=t, layers=2), pressed).resistance[0, 0] / 1e4 - 1)
+        for t in (0.0008, 0.0032, 0.0127)
+    ]
+    assert beside[0] < beside[1] < beside[2]
+
+
+def test_finer_boxes_change_little() -> None:
+    """Order one at the strips' edges, where the field is singular: stated in the docs as 10 %."""
+    pressed = np.full((2, 3), 1e4)
+    pressed[0, 1] = 3e4
+    beside = [
+        scan(in_one_piece(amplifier(2, 3), divisions=cut, layers=cut // 4), pressed).resistance[0, 0] / 1e4 - 1
+        for cut in (8, 16)
+    ]
+    assert beside[0] == pytest.approx(beside[1], rel=0.1)
+
+
+def test_holes_and_metal_in_the_sheet_leave_no_stray_numbers() -> None:
+    cells = np.full((3, 3), 1e4)
+    cells[0, 0], cells[2, 1] = np.inf, 0.0
+    cells[1] = np.inf
+    design = in_one_piece(amplifier(3, 3, lead=5.0, segment=1.0, open_loop_gain=1e5))
+    volts = scan(design, cells).volts
+    assert np.isfinite(volts).all()
+    assert (volts >= 0).all()
+    assert volts[2, 1] > 50 * volts[2, 0]
+    assert volts[0, 0] < 0.1 * volts[0, 1]
