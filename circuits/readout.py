@@ -74,7 +74,7 @@ def ideal_volts(design: Design, resistance: FloatArray) -> FloatArray:
     return zero + drive * reference / (reference + resistance)
 
 
-class _Columns(NamedTuple):
+class Ends(NamedTuple):
     """The Thevenin equivalent that each column (M,) of one step ends in, and its output as a function of current.
 
     Sources count from the reference voltage, so that a mid-supply reference costs no digits.
@@ -88,13 +88,22 @@ class _Columns(NamedTuple):
     """V/A"""
 
 
-def _amplifier_columns(design: Design, parts: Parts, state: NDArray[np.int8]) -> _Columns:
-    """``state`` (M,): 0 linear, -1 at the lower and +1 at the upper supply limit."""
+def amplifier_ends(design: Design, state: NDArray[np.int8] | None = None) -> Ends:
+    """What the columns end in.
+
+    Args:
+        design: the amplifiers, none of them necessarily equal to another.
+        state: (M,): 0 linear (as if not given), -1 at the lower and +1 at the upper supply limit.
+
+    """
+    parts = Parts.of(design)
+    if state is None:
+        state = np.zeros(design.array.columns, dtype=np.int8)
     level, inverse = design.readout.reference_voltage, 1.0 / (1.0 + parts.gain)
     share = 1.0 / (1.0 + 1.0 / parts.gain)
     limit = np.where(state < 0, design.readout.supply[0], design.readout.supply[1])
     linear, lift = state == 0, parts.reference * parts.bias
-    return _Columns(
+    return Ends(
         resistance=np.where(linear, parts.reference * inverse, parts.reference),
         source=np.where(linear, share * parts.offset - inverse * (level + lift), limit - level - lift),
         output=np.where(linear, share * (level + parts.offset + lift), limit),
@@ -144,8 +153,7 @@ def _column_currents(design: Design, network: FloatArray, source: FloatArray) ->
 
 def _read_amplifiers(design: Design, ports: FloatArray) -> Reading:
     rows, columns = design.array.shape
-    parts = Parts.of(design)
-    ends = _amplifier_columns(design, parts, np.zeros(columns, dtype=np.int8))
+    parts, ends = Parts.of(design), amplifier_ends(design)
     network = _terminate(ports, rows, ends.resistance + parts.column_lead)
     volts = ends.output + ends.slope * _column_currents(design, network, ends.source)
     low, high = design.readout.supply
@@ -175,7 +183,7 @@ def _read_saturated(design: Design, parts: Parts, ports: FloatArray, volts: Floa
             steps = np.flatnonzero((which.ravel() == number) & pending)
             if not len(steps):
                 continue
-            ends = _amplifier_columns(design, parts, pattern)
+            ends = amplifier_ends(design, pattern)
             network = _terminate(ports, rows, ends.resistance + parts.column_lead)
             currents = _column_currents(design, network, ends.source)[steps]
             volts[steps] = ends.output + ends.slope * currents
