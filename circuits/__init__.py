@@ -7,6 +7,7 @@ from .adc import adc_codes, adc_error, clipped, volts_of_codes
 from .design import CIRCUITS, Adc, Array, Design, Drive, Fault, Readout, Requirements, Sheet
 from .readout import apparent_resistance, ideal_volts
 from .scan import ScanResult, scan
+from .sensitivity import Sensitivity, sensitivity
 
 __all__ = [
     "CIRCUITS",
@@ -18,6 +19,7 @@ __all__ = [
     "Readout",
     "Requirements",
     "ScanResult",
+    "Sensitivity",
     "Sheet",
     "adc_codes",
     "adc_error",
@@ -25,5 +27,6 @@ __all__ = [
     "clipped",
     "ideal_volts",
     "scan",
+    "sensitivity",
     "volts_of_codes",
 ]
