@@ -22,10 +22,13 @@ from scipy.linalg import inv
 
 from ..errors import InputError
 from .design import Design
+from .grid import exact_ports
+from .parts import Parts
 from .ports import eliminate_leading
-from .scan import exact_ports
 
 FloatArray = NDArray[np.float64]
+
+_BROKEN_LEAD = 1e30  # ohm: stands for the infinite one, which would make NaN of an open column
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,8 @@ def column_conductances(design: Design, resistance: FloatArray) -> FloatArray:
     conductances = -between
     diagonal = np.arange(columns)
     conductances[:, diagonal, diagonal] = to_ground + between.sum(axis=-1) - between[:, diagonal, diagonal]
-    behind_leads = np.linalg.solve(np.eye(columns) + design.array.column_lead * conductances, conductances)
+    lead = np.minimum(Parts.of(design).column_lead, _BROKEN_LEAD)
+    behind_leads = np.linalg.solve(np.eye(columns) + conductances * lead, conductances)
     symmetric: FloatArray = (behind_leads + behind_leads.swapaxes(-1, -2)) / 2
     return symmetric
 
@@ -85,7 +89,8 @@ def column_dynamics(design: Design, conductance: FloatArray) -> Dynamics:
     part = design.readout
     columns = len(conductance)
     one, none = np.eye(columns), np.zeros((columns, columns))
-    feedback, slack = 1 / part.reference_resistance, 1 / part.open_loop_gain
+    parts = Parts.of(design)
+    feedback, slack = 1 / parts.reference, 1 / parts.gain  # (M,): times a matrix, they scale its columns
     total = part.column_capacitance + part.feedback_capacitance
     loaded = conductance + feedback * one
     if part.gain_bandwidth < inf:
@@ -114,12 +119,17 @@ def column_dynamics(design: Design, conductance: FloatArray) -> Dynamics:
             lift=one,
         )
     held = slack * total + part.feedback_capacitance
-    if held > 0:  # states v - (C + Cf)/held e: the input is where the amplifier puts it
+    if (held > 0).any() and not (held > 0).all():
+        raise InputError(
+            "readout.open_loop_gain: finite for some columns and infinite for others, with an infinite "
+            "gain_bandwidth and a column_capacitance; name a gain_bandwidth"
+        )
+    if (held > 0).all():  # states v - (C + Cf)/held e: the input is where the amplifier puts it
         jump = total / held
-        matrix = -(slack * loaded + feedback * one) / held
+        matrix = -(slack * loaded + feedback * one) / held[:, None]
         return Dynamics(
             matrix=matrix,
-            voltage=loaded / held + jump * matrix,
+            voltage=loaded / held[:, None] + jump * matrix,
             current=-one / held,
             output=one,
             feedthrough=jump * one,

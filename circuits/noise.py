@@ -19,6 +19,7 @@ from scipy.linalg import solve_continuous_lyapunov
 from ..errors import InputError
 from .design import Design
 from .dynamics import Dynamics, column_conductances, column_dynamics, require_amplifiers
+from .parts import Parts
 
 FloatArray = NDArray[np.float64]
 
@@ -87,7 +88,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
             current = {
                 "amplifier current": part.current_noise**2 / 2 * one,
                 "grid": 2 * kelvin * conductance,
-                "reference resistor": 2 * kelvin / part.reference_resistance * one,
+                "reference resistor": 2 * kelvin / Parts.of(design).reference * one,
             }
             rows.append(_variances(design, column_dynamics(design, conductance), voltage, current))
         for name in dict.fromkeys(name for row in rows for name in row):

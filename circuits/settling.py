@@ -19,6 +19,7 @@ from scipy.signal import lfilter
 from ..errors import InputError, SolverError
 from .design import Design
 from .dynamics import Dynamics, column_conductances, column_dynamics, require_amplifiers
+from .parts import Parts
 from .scan import scan
 
 FloatArray = NDArray[np.float64]
@@ -233,7 +234,9 @@ def stability(design: Design, resistance: ArrayLike) -> Stability:
     if np.isinf(part.gain_bandwidth):
         raise InputError("readout.gain_bandwidth is infinite: an amplifier without a pole has no phase margin")
     seen = np.einsum("...jj->...j", column_conductances(design, design.resistance(resistance)))
-    rref, slack, speed = part.reference_resistance, 1 / part.open_loop_gain, 2 * pi * part.gain_bandwidth
+    parts = Parts.of(design)
+    rref, slack, speed = parts.reference, 1 / parts.gain, 2 * pi * part.gain_bandwidth
+    slowed = part.column_capacitance + part.feedback_capacitance > 0
     gain = 1 + rref * seen
     zero, pole = rref * part.feedback_capacitance, rref * (part.column_capacitance + part.feedback_capacitance)
     # |A| |beta| = 1:  1 + zero^2 w^2 = (w^2/speed^2 + slack^2) (gain^2 + pole^2 w^2), in x = (w/speed)^2
@@ -241,12 +244,12 @@ def stability(design: Design, resistance: ArrayLike) -> Stability:
     b = gain**2 + (slack * pole * speed) ** 2 - (zero * speed) ** 2
     c = (slack * gain) ** 2 - 1
     root = np.sqrt(np.maximum(b**2 - 4 * a * c, 0))
-    x = np.where(b > 0, -2 * c / (b + root), (root - b) / (2 * a) if a else np.nan)
+    x = np.where(b > 0, -2 * c / (b + root), (root - b) / (2 * a) if slowed else np.nan)
     omega = np.sqrt(np.where(c < 0, x, np.nan))  # in units of speed
     lag = np.arctan2(omega, slack) - np.arctan(omega * speed * zero) + np.arctan(omega * speed * pole / gain)
     # Closed loop: pole/speed s^2 + (gain/speed + slack pole + zero) s + (1 + slack gain)
     stiffness = 1 + slack * gain
-    damping = (gain / speed + slack * pole + zero) / (2 * np.sqrt(stiffness * pole / speed)) if pole else np.inf
+    damping = (gain / speed + slack * pole + zero) / (2 * np.sqrt(stiffness * pole / speed)) if slowed else np.inf
     with np.errstate(invalid="ignore", divide="ignore"):
         resonant = 1 / (2 * damping * np.sqrt(1 - damping**2))
     peaking = np.where(damping < np.sqrt(0.5), resonant, 1.0)

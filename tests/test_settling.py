@@ -224,3 +224,34 @@ def test_what_is_not_modelled_is_refused() -> None:
         Settling(board(), CELLS).sampled(0.0)
     with pytest.raises(InputError, match="settling error"):
         Settling(board(), CELLS).shortest_period(0.0)
+
+
+def test_unequal_columns_are_each_their_own() -> None:
+    """Without line resistance columns do not meet: a design with a list per column is its columns, one by one."""
+    cells = np.array([[1e4, 5e3, 2e4], [8e3, 1e4, 3e4]])
+    references, gains, leads = (2e4, 1e4, 3e4), (1e5, 2e4, 1e6), (0.0, 50.0, 10.0)
+
+    def alike(columns: int, **parts: Any) -> Design:
+        return Design.model_validate(
+            {
+                "array": {"rows": 2, "columns": columns, "column_lead": parts.pop("lead")},
+                "drive": {"voltage": -1.0},
+                "readout": {
+                    "circuit": "inverting-amplifier",
+                    "gain_bandwidth": 1e6,
+                    "column_capacitance": 1e-10,
+                    "feedback_capacitance": 5e-12,
+                }
+                | parts,
+            }
+        )
+
+    together = alike(3, reference_resistance=references, open_loop_gain=gains, lead=leads)
+    sampled = Settling(together, cells).sampled(4e-6)
+    margins = stability(together, cells)
+    for column, (reference, gain, lead) in enumerate(zip(references, gains, leads, strict=True)):
+        alone = alike(1, reference_resistance=reference, open_loop_gain=gain, lead=lead)
+        own = cells[:, [column]]
+        np.testing.assert_allclose(Settling(alone, own).sampled(4e-6)[:, 0], sampled[:, column], rtol=1e-9)
+        np.testing.assert_allclose(stability(alone, own).phase_margin[:, 0], margins.phase_margin[:, column])
+        np.testing.assert_allclose(stability(alone, own).peaking[:, 0], margins.peaking[:, column])

@@ -58,7 +58,7 @@ def timing(bench: Bench, frame_rate_hz: float) -> Finding:
         loudest = {name: float(part.max()) for name, part in scatter.parts.items() if part.max() > 0}
         rows += [[f"noise: {name}", f"{1e6 * volts:.3g} µV rms"] for name, volts in loudest.items()]
         reading = scan(design, cells)
-        ohms = cells**2 * scatter.volts / (abs(design.drive.voltage) * design.readout.reference_resistance)
+        ohms = cells**2 * scatter.volts / (abs(design.drive.voltage) * np.asarray(design.readout.reference_resistance))
         share = ohms / (bench.pressed - bench.rest) * 100
         rows.append(["noise of a reading, all together", f"{1e6 * scatter.volts.max():.3g} µV rms"])
         rows.append(["... in pressure, worst cell", f"{share[~reading.saturated].max():.2g} % of full scale"])
