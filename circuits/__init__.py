@@ -6,6 +6,7 @@
 from .adc import adc_codes, adc_error, clipped, volts_of_codes
 from .design import CIRCUITS, Adc, Array, Design, Drive, Fault, Readout, Requirements, Sheet
 from .readout import apparent_resistance, ideal_volts
+from .recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover
 from .scan import ScanResult, scan
 from .sensitivity import Sensitivity, sensitivity
 
@@ -13,19 +14,25 @@ __all__ = [
     "CIRCUITS",
     "Adc",
     "Array",
+    "Conditioning",
     "Design",
     "Drive",
     "Fault",
     "Readout",
+    "Recoverer",
+    "Recovery",
     "Requirements",
     "ScanResult",
     "Sensitivity",
     "Sheet",
+    "Status",
     "adc_codes",
     "adc_error",
     "apparent_resistance",
     "clipped",
+    "conditioning",
     "ideal_volts",
+    "recover",
     "scan",
     "sensitivity",
     "volts_of_codes",

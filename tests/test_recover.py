@@ -1,0 +1,235 @@
+"""Readings back to resistances: round trips from the nodal reference, published cases, marks and limits."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from designs import amplifier, divider
+from parts_at_random import real_design
+from reference import reference_volts
+
+from ohmskin.circuits import (
+    Design,
+    Fault,
+    Recoverer,
+    Recovery,
+    Status,
+    apparent_resistance,
+    conditioning,
+    recover,
+    scan,
+)
+from ohmskin.errors import InputError, SolverError
+
+
+def round_trip(design: Design, cells: np.ndarray, **options: Any) -> Recovery:
+    """Every cell back, as well as its conditioning lets it."""
+    recovery = recover(design, reference_volts(design, cells, 50), **options)
+    assert (recovery.status == Status.READ).all()
+    error = np.abs(recovery.resistance / cells - 1)
+    level = abs(design.readout.reference_voltage) + np.abs(conditioning(design, cells).resistance_std(1e-16) / cells)
+    assert (error <= 1e-9 + 10 * level * conditioning(design, cells).amplification * 1e-12).all()
+    return recovery
+
+
+@pytest.mark.parametrize(("switch", "raw", "evaluations"), [(1.0, 0.022, 7), (6.0, 0.137, 6), (25.0, 0.588, 7)])
+def test_published_cases_to_1e_9_in_a_few_iterations(switch: float, raw: float, evaluations: int) -> None:
+    """Hidalgo-Lopez et al. 2018, 100 ohm among 5 kohm: two-step corrections leave 2 to 9 % of a raw error of 59 %."""
+    design, cells = amplifier(8, 8, lead=switch), np.full((8, 8), 5e3)
+    cells[2, 5] = 100.0
+    volts = scan(design, cells).volts
+    assert abs(apparent_resistance(design, volts)[2, 5] / 100.0 - 1) == pytest.approx(raw, abs=1e-3)
+    recovery = recover(design, volts)
+    np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-9)
+    assert recovery.iterations <= evaluations
+
+
+@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "voltage-feedback"])
+@pytest.mark.parametrize("seed", range(6))
+def test_round_trip_through_unequal_parts(circuit: str, seed: int) -> None:
+    gains = {} if circuit == "voltage-divider" else {"open_loop_gain": 1e5}
+    design, cells = real_design(seed, circuit=circuit, idle_columns="load", **gains)
+    cells = 1e3 * (cells / 1e3) ** 0.5  # a decade and a half to each side
+    drive = design.drive.model_copy(update={"idle_rows": "ground"})
+    recovery = recover(
+        design.model_copy(update={"drive": drive}), scan(design.model_copy(update={"drive": drive}), cells).volts
+    )
+    np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-8)
+
+
+@pytest.mark.parametrize("idle_rows", ["ground", "float"])
+@pytest.mark.parametrize("idle_columns", ["float", "load"])
+def test_software_compensation_of_a_divider(idle_rows: str, idle_columns: str) -> None:
+    cells = 10 ** np.random.default_rng(8).uniform(3.5, 4.5, (4, 4))
+    design = divider(4, 4, idle_rows=idle_rows, idle_columns=idle_columns, row_lead=20.0, column_segment=2.0)
+    assert np.abs(apparent_resistance(design, scan(design, cells).volts) / cells - 1).max() > 0.05
+    round_trip(design, cells)
+
+
+def test_the_limit_of_divider_compensation_is_its_conditioning() -> None:
+    """A floating divider averages over the grid: what an error of the readings becomes grows with its size, while an
+    amplifier keeps every cell's error its own.
+    """
+    worst = []
+    for size in (4, 8, 16):
+        cells = np.full((size, size), 5e3)
+        worst.append(conditioning(divider(size, size), cells).amplification.max())
+        assert conditioning(amplifier(size, size, lead=5.0), cells).amplification.max() < 1.2
+    assert worst[0] > 1.5
+    assert worst[1] > 2 * worst[0]
+    assert worst[2] > 2 * worst[1]
+
+
+@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider"])
+def test_conditioning_foretells_what_noise_does(circuit: str) -> None:
+    rng = np.random.default_rng(5)
+    design = amplifier(4, 4, lead=50.0).with_circuit(circuit)
+    cells = 10 ** rng.uniform(3.3, 4, (4, 4))
+    volts, recoverer = scan(design, cells).volts, Recoverer(design, accuracy=1e-9)
+    noisy = [recoverer(volts + 1e-7 * rng.standard_normal((4, 4))).resistance for _ in range(300)]
+    expected = conditioning(design, cells).resistance_std(1e-7)
+    np.testing.assert_allclose(np.std(noisy, axis=0), expected, rtol=0.2)
+
+
+def test_columns_that_are_independent_have_a_closed_form() -> None:
+    """Against the iteration, which a row lead of 1e-9 ohm forces."""
+    rng = np.random.default_rng(6)
+    cells = 10 ** rng.uniform(3, 5, (5, 4))
+    parts = {
+        "open_loop_gain": [1e3, 1e4, np.inf, 1e5],
+        "offset_voltage": [1e-3, 0.0, -2e-3, 1e-4],
+        "bias_current": 1e-8,
+    }
+    design = amplifier(5, 4, reference_voltage=1.65, **parts)
+    array = design.array.model_copy(update={"column_lead": (5.0, 50.0, 10.0, 0.0)})
+    design = design.model_copy(update={"array": array})
+    closed = round_trip(design, cells)
+    assert closed.iterations == 0
+    almost = design.model_copy(update={"array": array.model_copy(update={"row_lead": 1e-9})})
+    iterated = recover(almost, scan(almost, cells).volts)
+    assert iterated.iterations > 0
+    np.testing.assert_allclose(iterated.resistance, closed.resistance, rtol=1e-8)
+
+
+def test_a_stream_goes_on_from_where_it_was() -> None:
+    rng = np.random.default_rng(7)
+    design, cells = amplifier(8, 8, lead=25.0, segment=1.0), 10 ** rng.uniform(3, 4, (8, 8))
+    stream, first = Recoverer(design), 0
+    for frame in range(5):
+        cells = cells * (1 + 1e-3 * rng.standard_normal(cells.shape))
+        recovery = stream(scan(design, cells).volts)
+        np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-9)
+        if frame == 0:
+            first = recovery.iterations
+            assert recovery.factored > 0
+        else:
+            assert recovery.factored == 0
+            assert recovery.iterations < first
+
+
+def test_open_cells_and_lines_are_marked() -> None:
+    cells = np.full((4, 4), 4e3)
+    cells[1, 2] = cells[3, 0] = np.inf
+    cells[2] = np.inf
+    for design in (
+        amplifier(4, 4),
+        amplifier(4, 4, lead=20.0, segment=1.0),
+        divider(4, 4, idle_rows="ground", idle_columns="load", row_lead=20.0),
+    ):
+        recovery = recover(design, scan(design, cells).volts)
+        assert np.array_equal(recovery.status == Status.OPEN, np.isinf(cells))
+        np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-9)
+
+
+@pytest.mark.parametrize("lead", [0.0, 30.0])
+def test_saturated_cells_are_not_invented_and_their_neighbours_are_not_trusted(lead: float) -> None:
+    cells = np.full((4, 4), 5e3)
+    cells[1, 2] = 100.0
+    design = amplifier(4, 4, lead=lead, supply=(-0.1, 3.3), open_loop_gain=1e6)
+    recovery = recover(design, scan(design, cells).volts)
+    status = np.full((4, 4), Status.READ)
+    status[1] = Status.DISTURBED
+    status[:, 2] = Status.DISTURBED
+    status[1, 2] = Status.SATURATED
+    assert recovery.status.tolist() == status.tolist()
+    assert np.isnan(recovery.resistance[1, 2])
+    trusted = recovery.status == Status.READ
+    np.testing.assert_allclose(recovery.resistance[trusted], 5e3, rtol=2e-2 if lead else 1e-9)
+
+
+def test_readings_clipped_by_the_converter_are_marked_as_told() -> None:
+    cells = np.full((3, 3), 5e3)
+    clipped = np.zeros((3, 3), dtype=bool)
+    clipped[0, 0] = True
+    design = amplifier(3, 3)
+    recovery = recover(design, scan(design, cells).volts, clipped=clipped)
+    assert recovery.status[0].tolist() == [Status.SATURATED, Status.DISTURBED, Status.DISTURBED]
+    np.testing.assert_allclose(recovery.resistance.ravel()[1:], 5e3)
+
+
+def test_known_faults_are_taken_out() -> None:
+    cells = np.full((3, 3), 5e3)
+    faults = (
+        Fault(kind="open-cell", place=(0, 0), resistance=700.0),
+        Fault(kind="shorted-cell", place=(1, 1), resistance=2e3),
+        Fault(kind="open-cell", place=(2, 2)),
+        Fault(kind="broken-row", place=(1, 1), resistance=90.0),
+    )
+    design = amplifier(3, 3, lead=10.0, segment=1.0).model_copy(update={"fault": faults})
+    recovery = recover(design, scan(design, cells).volts)
+    assert recovery.status[2, 2] == Status.OPEN
+    recovery.resistance[2, 2] = 5e3
+    np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-9)
+
+
+def test_through_a_continuous_sheet_and_a_bridge_of_some_resistance() -> None:
+    cells = 10 ** np.random.default_rng(2).uniform(3.5, 4, (3, 3))
+    design = amplifier(3, 3, lead=5.0)
+    sheet = design.model_copy(update={"array": design.array.model_copy(update={"sheet": "continuous"})})
+    bridge = Fault(kind="bridged-columns", place=(0, 0), resistance=200.0)
+    for each in (sheet, design.model_copy(update={"fault": (bridge,)})):
+        np.testing.assert_allclose(recover(each, scan(each, cells).volts).resistance, cells, rtol=1e-9)
+
+
+@pytest.mark.parametrize("size", [24, 64])
+def test_large_grids_with_heavy_lines(size: int) -> None:
+    rng = np.random.default_rng(size)
+    design, cells = amplifier(size, size, lead=5.0, segment=1.0), 10 ** rng.uniform(4, 6, (size, size))
+    volts = scan(design, cells).volts
+    assert np.abs(apparent_resistance(design, volts) / cells - 1).max() > 0.02
+    recovery = recover(design, volts)
+    np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-9)
+    assert recovery.factored == 0
+
+
+def test_readings_that_no_cells_give_are_refused() -> None:
+    """Of four cells in a floating divider one cannot read more than the other three in series."""
+    ohms = np.array([[1e3, 1e3], [1e3, 1e5]])
+    with pytest.raises(SolverError, match=r"no cell resistances|do not determine"):
+        recover(divider(2, 2), 1e3 / (1e3 + ohms))
+
+
+def test_lines_bridged_by_nothing_do_not_determine_their_cells() -> None:
+    """Two columns that are one: their readings are each other's."""
+    design = amplifier(3, 3, lead=5.0, open_loop_gain=1e5).model_copy(
+        update={"fault": (Fault(kind="bridged-columns", place=(2, 0)),)}
+    )
+    volts = scan(design, np.full((3, 3), 5e3)).volts.copy()
+    volts[0, 0] *= 3
+    with pytest.raises(SolverError, match="no cell resistances"):
+        recover(design, volts)
+
+
+@pytest.mark.parametrize(
+    ("volts", "message"),
+    [
+        (np.zeros((2, 3)), r"shape \(2, 3\), expected \(2, 2\)"),
+        ([[0.1, np.nan], [0.1, 0.1]], "row 0, column 1 is nan"),
+        ([["x", 1.0], [1.0, 1.0]], "not numbers"),
+    ],
+)
+def test_bad_readings_are_refused_by_name(volts: Any, message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        recover(amplifier(2, 2), volts)
