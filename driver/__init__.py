@@ -8,7 +8,7 @@
 """
 
 from .port import BAUDRATE, BytePort, SerialPort
-from .reading import Reading, read_counts
+from .reading import CountReader, Reading
 from .skin import Frame, Skin
 
-__all__ = ["BAUDRATE", "BytePort", "Frame", "Reading", "SerialPort", "Skin", "read_counts"]
+__all__ = ["BAUDRATE", "BytePort", "CountReader", "Frame", "Reading", "SerialPort", "Skin"]

@@ -1,4 +1,4 @@
-"""Counts to ohms, through the design of the board that counted."""
+"""Counts to ohms, through the circuit model of the board that counted."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..circuits import Design, apparent_resistance, clipped, volts_of_codes
-from ..errors import ProtocolError
+from ..circuits import Design, clipped, volts_of_codes
+from ..circuits.recover import Recoverer, Status
+from ..errors import ProtocolError, SolverError
 
 FloatArray = NDArray[np.float64]
+
+_ACCURACY = 1e-6  # of an apparent conductance: far below the step of any converter
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,31 +22,56 @@ class Reading:
 
     volts: FloatArray
     resistance: FloatArray
-    """apparent, in ohm, equation (10); NaN where not valid"""
+    """of the cells, in ohm; NaN where not valid"""
     valid: NDArray[np.bool_]
+    solved: bool
+    """False where no cell resistances give such readings: then no cell is valid"""
 
 
-def read_counts(design: Design, counts: NDArray[np.integer]) -> Reading:
-    """The apparent resistances behind ``counts`` (rows, columns).
+class CountReader:
+    """Counts of one board, frame by frame, to the resistances of its cells.
 
-    A cell is not valid where the converter is at either end of its range or the output at a limit of its swing,
-    since the volts may then lie anywhere beyond, and where no resistance would give such an output.
-
-    Raises:
-        ProtocolError: the counts are not of this design: another shape, or beyond its ADC.
-
+    The whole circuit is inverted: what leads, switches, lines, finite gain, offset and bias current add to the
+    readings is taken out of them (:mod:`ohmskin.circuits.recover`).
     """
-    if counts.shape != design.array.shape:
-        sent, expected = "{} x {}".format(*counts.shape), "{} x {}".format(*design.array.shape)
-        raise ProtocolError(f"the board sends {sent} cells; its design has {expected}")
-    adc = design.adc
-    if adc is None:
-        raise ProtocolError("the board's design has no [adc]; counts mean nothing without one")
-    if counts.max() >= 2**adc.bits:
-        raise ProtocolError(f"the board sends a count of {counts.max()}; its ADC has {adc.bits} bits")
-    volts = volts_of_codes(design, counts)
-    resistance = apparent_resistance(design, volts)
-    low, high = design.readout.supply
-    within = (volts - adc.step / 2 > low) & (volts + adc.step / 2 <= high)
-    valid = within & ~clipped(design, counts) & np.isfinite(resistance) & (resistance > 0)
-    return Reading(volts, np.where(valid, resistance, np.nan), valid)
+
+    def __init__(self, design: Design) -> None:
+        """Raises ProtocolError if the design has no ADC."""
+        if design.adc is None:
+            raise ProtocolError("the board's design has no [adc]; counts mean nothing without one")
+        self._design, self._adc = design, design.adc
+        self._recover = Recoverer(design, accuracy=_ACCURACY)
+        self._tolerated = [Status.DISTURBED] if design.readout.circuit == "inverting-amplifier" else []
+
+    def __call__(self, counts: NDArray[np.integer]) -> Reading:
+        """The resistances behind ``counts`` (rows, columns).
+
+        A cell is not valid where the converter is at either end of its range or the output at a limit of its swing,
+        since the volts may then lie anywhere beyond, and where it gives no current. The unknown current of such a
+        cell disturbs others that share its lines: on amplified columns no more than crosstalk does without correction,
+        so that they stay valid; a divider tells nothing of any cell then.
+
+        Raises:
+            ProtocolError: the counts are not of this design: another shape, or beyond its ADC.
+
+        """
+        design, adc = self._design, self._adc
+        if counts.shape != design.array.shape:
+            sent, expected = "{} x {}".format(*counts.shape), "{} x {}".format(*design.array.shape)
+            raise ProtocolError(f"the board sends {sent} cells; its design has {expected}")
+        if counts.max() >= 2**adc.bits:
+            raise ProtocolError(f"the board sends a count of {counts.max()}; its ADC has {adc.bits} bits")
+        volts = volts_of_codes(design, counts)
+        low, high = design.readout.supply
+        within = (volts - adc.step / 2 > low) & (volts + adc.step / 2 <= high)
+        limited = clipped(design, counts) | ~within
+        # At the end of the range where hardly a current flows, not knowing it disturbs no other cell.
+        faint = limited & (np.abs(volts - design.readout.reference_voltage) < 1.5 * adc.step)
+        try:
+            found = self._recover(volts, clipped=limited & ~faint)
+        except SolverError:
+            nowhere = np.zeros(counts.shape, dtype=np.bool_)
+            return Reading(volts, np.full(counts.shape, np.nan), nowhere, solved=False)
+        trusted = [Status.READ, *self._tolerated]
+        valid = np.isin(found.status, trusted) & ~faint & (found.resistance > 0)
+        return Reading(volts, np.where(valid, found.resistance, np.nan), valid, solved=True)

@@ -18,7 +18,7 @@ from ..config import parse
 from ..errors import InputError, LinkTimeout, ProtocolError
 from ..wire import Command, Corrupt, Decoder, DescriptionPacket, Event, FramePacket, Framer, Order, encode
 from .port import BAUDRATE, BytePort, SerialPort
-from .reading import read_counts
+from .reading import CountReader
 
 FloatArray = NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
@@ -45,9 +45,9 @@ class Frame:
     """frames lost between the previous frame and this one, on the line or by the board"""
     counts: NDArray[np.uint16]
     valid: NDArray[np.bool_]
-    """where ``resistance`` is a measurement: the reading is not clipped"""
+    """where ``resistance`` is a measurement: neither clipped nor disturbed by a clipped reading"""
     resistance: FloatArray
-    """apparent, in ohm; NaN where not valid"""
+    """of the cells, in ohm, what the circuit adds taken out; NaN where not valid"""
     pressure: FloatArray
     """kPa, estimated from this and all earlier frames; where not valid the last estimate, NaN before the first"""
 
@@ -95,12 +95,15 @@ class Skin:
         """the board's data sheet; None when design and cell were given and it was not needed"""
         self.corrupt = 0
         """stretches of bytes so far that were no packets"""
+        self.unsolved = 0
+        """frames so far whose readings no cell resistances can give: none of their cells is valid"""
         try:
             port.write(wake)
             if design is None or cell is None:
                 self.description = self._introduce()
             self.design = self._described("design", Design) if design is None else design
             self.cell = self._described("cell", Cell) if cell is None else cell
+            self._read = CountReader(self.design)
             self._estimator_name = estimator
             self._rest: FloatArray | None = None
             self._estimator = self._new_estimator()
@@ -152,7 +155,8 @@ class Skin:
 
         """
         host_time, packet = self._await(FramePacket, "frame")
-        reading = read_counts(self.design, packet.counts)
+        reading = self._read(packet.counts)
+        self.unsolved += not reading.solved
         lost = self._count_lost(packet)
         estimate = self._estimator.update(packet.time_us / 1e6, reading.resistance)
         return Frame(

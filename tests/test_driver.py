@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ohmskin.cell import Cell
-from ohmskin.circuits import Design, adc_codes, ideal_volts
+from ohmskin.circuits import Design, adc_codes, apparent_resistance, ideal_volts, scan
 from ohmskin.config import parse
-from ohmskin.driver import Frame, Skin, read_counts
+from ohmskin.driver import CountReader, Frame, Skin
 from ohmskin.emulator import Board, Line, Sample
 from ohmskin.emulator.scene import LineSettings
 from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
@@ -70,7 +70,7 @@ def test_counts_become_the_ohms_that_gave_them(ohms: float) -> None:
     """An ideal circuit: back within half a code, whose width in ohm is R^2 dV / (Vin Rref)."""
     plain = design(array={"rows": 3, "columns": 2})
     cells = np.full((3, 2), ohms)
-    reading = read_counts(plain, adc_codes(plain, ideal_volts(plain, cells)))
+    reading = CountReader(plain)(adc_codes(plain, ideal_volts(plain, cells)))
     assert plain.adc is not None
     step = ohms**2 * plain.adc.step / 20e3
     assert reading.valid.all()
@@ -90,7 +90,7 @@ def test_clipped_and_impossible_readings_are_not_valid(drive: float, counts: lis
     swing = design(
         drive={"voltage": drive}, readout=DESIGN["readout"] | {"reference_voltage": 1.65, "supply": [0.2, 3.0]}
     )
-    reading = read_counts(swing, np.reshape(counts, (3, 2)))
+    reading = CountReader(swing)(np.reshape(counts, (3, 2)))
     np.testing.assert_array_equal(reading.valid.ravel(), valid)
     np.testing.assert_array_equal(np.isnan(reading.resistance), ~reading.valid)
 
@@ -98,7 +98,55 @@ def test_clipped_and_impossible_readings_are_not_valid(drive: float, counts: lis
 @pytest.mark.parametrize(("count", "valid"), [(0, False), (1, True), (4094, True), (4095, False)])
 def test_the_ends_of_the_converter_are_not_valid(count: int, valid: bool) -> None:
     unlimited = design(readout={"circuit": "inverting-amplifier", "reference_resistance": 20e3})
-    assert (read_counts(unlimited, np.full((3, 2), count)).valid == valid).all()
+    assert (CountReader(unlimited)(np.full((3, 2), count)).valid == valid).all()
+
+
+def test_real_parts_are_taken_out_of_the_reading() -> None:
+    """Leads, fabric, finite gain and offset: each cell comes back within the step of the converter."""
+    real = design(
+        array={
+            "rows": 3,
+            "columns": 2,
+            "row_lead": 70.0,
+            "row_segment": 5.0,
+            "column_segment": 5.0,
+            "column_lead": 20.0,
+        },
+        readout=DESIGN["readout"] | {"open_loop_gain": 1e3, "offset_voltage": 5e-3, "bias_current": 1e-7},
+        adc={"bits": 16, "range": [0.0, 3.3]},
+    )
+    cells = np.array([[1e4, 2e4], [1.5e4, 8e3], [3e4, 1.2e4]])
+    volts = scan(real, cells).volts
+    apparent = np.abs(apparent_resistance(real, volts) / cells - 1)
+    reading = CountReader(real)(adc_codes(real, volts))
+    assert apparent.max() > 0.02
+    assert reading.solved
+    np.testing.assert_allclose(reading.resistance, cells, rtol=2e-4)
+
+
+def test_an_open_cell_disturbs_no_other() -> None:
+    cells = np.full((3, 2), 1e4)
+    cells[1, 0] = np.inf
+    whole = design(readout={"circuit": "inverting-amplifier", "reference_resistance": 20e3})
+    reading = CountReader(whole)(adc_codes(whole, scan(whole, cells).volts))
+    np.testing.assert_array_equal(reading.valid, np.isfinite(cells))
+    np.testing.assert_allclose(reading.resistance[reading.valid], 1e4, rtol=1e-3)
+
+
+def test_readings_that_no_cells_can_give_are_counted_and_not_valid() -> None:
+    """Every cell at once near the most that a floating divider can show is beyond what its grid can do."""
+    loaded = design(
+        drive={"voltage": 3.3, "idle_rows": "float"},
+        readout={"circuit": "voltage-divider", "reference_resistance": 1e3},
+    )
+    counts = np.full((3, 2), 100)
+    counts[0] = 4000
+    sent = [encode(FramePacket.of(counts, sequence=0, time_us=0))]
+    with Skin(Script(*sent), design=loaded, cell=Cell.example()) as skin:
+        frame = next(skin)
+        assert skin.unsolved == 1
+    assert not frame.valid.any()
+    assert np.isnan(frame.resistance).all()
 
 
 def test_an_invalid_cell_keeps_its_last_pressure() -> None:
@@ -116,11 +164,12 @@ def test_an_invalid_cell_keeps_its_last_pressure() -> None:
 
 
 def test_a_tare_makes_the_present_reading_zero_pressure() -> None:
-    with Skin(Wire(Board(scene(contact=[])))) as skin:
+    forgetful = design(array={"rows": 3, "columns": 2})  # of the switches' 70 ohm
+    with Skin(Wire(Board(scene(contact=[]))), design=forgetful) as skin:
         before = next(skin)
         rest = skin.tare(5)
         after = next(skin)
-    assert (before.pressure > 0.1).all()  # the switches' 70 ohm
+    assert (before.pressure > 0.1).all()
     np.testing.assert_allclose(rest, before.resistance)
     np.testing.assert_allclose(after.pressure, 0.0, atol=1e-9)
     assert after.sequence == 6
@@ -265,10 +314,11 @@ def test_design_and_cell_given_need_no_description() -> None:
 
 
 def test_a_design_given_goes_before_the_description() -> None:
-    other = design(readout=DESIGN["readout"] | {"reference_resistance": 10e3})
+    ideal = design(array={"rows": 3, "columns": 2})
+    other = design(array={"rows": 3, "columns": 2}, readout=DESIGN["readout"] | {"reference_resistance": 10e3})
     with Skin(Script(sheet(), frame(0, 0)), design=other) as skin:
         theirs = next(skin).resistance
-    with Skin(Script(sheet(), frame(0, 0))) as skin:
+    with Skin(Script(sheet(), frame(0, 0)), design=ideal) as skin:
         np.testing.assert_allclose(next(skin).resistance, 2 * theirs)
 
 
