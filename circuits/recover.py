@@ -39,7 +39,7 @@ BoolArray = NDArray[np.bool_]
 _MOST_ITERATIONS = 200
 # Error that may be left of each iteration's before the derivatives are factored (anew), by number of cells: they cost
 # as much as 5 evaluations of an 8 x 8, 30 of a 32 x 32 and 300 of a 64 x 64.
-_SLOW = ((16 * 16, 0.03), (32 * 32, 0.5), (LARGEST, 0.8))
+_SLOW = ((16 * 16, 0.03), (32 * 32, 0.5), (LARGEST, 0.9))
 
 
 class Status(IntEnum):
@@ -167,7 +167,7 @@ class Recoverer:
             missing = target - reading
             off = np.divide(np.abs(missing), largest, out=np.zeros_like(missing), where=largest > 0)
             error = float(off.max(initial=0.0))
-            stalled = stalled + 1 if error > 0.5 * best else 0
+            stalled = stalled + 1 if error > 0.95 * best else 0
             best = min(best, error)
             if error <= accuracy or (stalled > 3 and best <= 1e3 * accuracy):
                 self._start, self._factor = conductance, kept
