@@ -5,6 +5,7 @@
 
 from .adc import adc_codes, adc_error, clipped, volts_of_codes
 from .design import CIRCUITS, Adc, Array, Design, Drive, Fault, Readout, Requirements, Sheet
+from .effects import Effect, effects
 from .readout import apparent_resistance, ideal_volts
 from .recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover
 from .scan import ScanResult, scan
@@ -17,6 +18,7 @@ __all__ = [
     "Conditioning",
     "Design",
     "Drive",
+    "Effect",
     "Fault",
     "Readout",
     "Recoverer",
@@ -31,6 +33,7 @@ __all__ = [
     "apparent_resistance",
     "clipped",
     "conditioning",
+    "effects",
     "ideal_volts",
     "recover",
     "scan",
