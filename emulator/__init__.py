@@ -6,6 +6,7 @@ from .ports import Port, PtyPort, TcpPort
 from .run import ClockName, Outcome, Stop, emulate, stop_on_signals
 from .scene import Bump, Contact, Disc, Rectangle, Scene
 from .skin import EmulatedSkin, Sample
+from .spread import shares, spread
 from .truth import TruthFile
 
 __all__ = [
@@ -27,5 +28,7 @@ __all__ = [
     "TransmitBuffer",
     "TruthFile",
     "emulate",
+    "shares",
+    "spread",
     "stop_on_signals",
 ]

@@ -128,6 +128,15 @@ class Skin(Section):
 
     design: Design
     cell: Cell = Field(default_factory=Cell.example)
+    cover_thickness: NotNegative = 0.0
+    """m of silicone above the cells, which shares the pressure among them; a continuous sheet does so itself"""
+
+    @property
+    def spreading_pitches(self) -> float:
+        """Depth, over the pitch, at which the cells feel the pressure: below the cover, mid-way in an uncut sheet."""
+        sheet = self.design.sheet
+        uncut = sheet.thickness / 2 if self.design.array.sheet == "continuous" else 0.0
+        return (self.cover_thickness + uncut) / sheet.pitch
 
 
 class BoardSettings(Section):

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..circuits import adc_codes, scan
 from .scene import Scene
+from .spread import spread
 
 FloatArray = NDArray[np.float64]
 
@@ -21,6 +22,7 @@ class Sample:
     time_s: float
     """since the board started"""
     pressure_kpa: FloatArray
+    """on the surface above each cell"""
     resistance_ohm: FloatArray
     """of the cells themselves"""
     volts: FloatArray
@@ -44,7 +46,8 @@ class EmulatedSkin:
         elapsed = 0.0 if self._time_s is None else time_s - self._time_s
         self._time_s = time_s
         self._pressure = self._scene.pressure_kpa(time_s)
-        self._resistance = self._cells.step(elapsed, self._pressure)
+        felt = spread(self._pressure, self._scene.skin.spreading_pitches)
+        self._resistance = self._cells.step(elapsed, felt)
 
     def scan(self, sequence: int) -> Sample:
         """Read the whole array as it is now."""

@@ -93,7 +93,7 @@ STATEMENTS = (
         "Slicing isolates the cells",
         "VI, Fig. 12",
         "Slicing the sheet isolates the cells; unsliced it still works, but the cells couple.",
-        None,
+        crosstalk.slicing,
     ),
     Statement(
         "P11",

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..circuits import Design, adc_codes, apparent_resistance, ideal_volts, scan, spice, volts_of_codes
+from ..emulator import spread
 from ..errors import MissingExtra
 from . import plots
 from .bench import Bench
@@ -155,6 +156,71 @@ def crosstalk(bench: Bench) -> Finding:
                 "Crosstalk of each readout.",
             ),
             _budget(bench, patterns),
+        ],
+    )
+
+
+def slicing(bench: Bench) -> Finding:
+    """P10: a sliced sheet isolates the cells; a continuous one still works, but they couple."""
+    array = bench.design.array
+    sliced = _replaced(_ideal(bench.design).with_circuit("inverting-amplifier"), "drive", idle_rows="ground")
+    uncut = _replaced(sliced, "array", sheet="continuous")
+    pressed = next(iter(_patterns(array.shape).values()))
+    sheet = bench.design.sheet
+    felt = 100 * spread(pressed.astype(np.float64), sheet.thickness / 2 / sheet.pitch)
+    forward = bench.cell.forward(array.shape)
+    load = felt / 100 * bench.full_scale_kpa
+    forward.step(1.0, load)
+    cells = forward.step(1e6, load)
+    at_rest = np.full(array.shape, bench.rest)
+    truth = 100 * (bench.pressed / bench.rest - 1)
+    maps = {
+        "sliced": _change(sliced, bench, pressed),
+        "uncut, electrically": _change(uncut, bench, pressed),
+        "uncut, mechanically": 100 * (cells / at_rest - 1),
+        "uncut, both": 100 * (_apparent(uncut, cells) / _apparent(uncut, at_rest) - 1),
+    }
+    untouched = {name: float(np.abs(np.where(pressed, 0.0, change)).max()) for name, change in maps.items()}
+    checks = [
+        Check("sliced: crosstalk, worst untouched cell", untouched["sliced"], 1e-10, "%"),
+        Check(
+            "uncut: pressed cell shows, of its true change",
+            100 * float(maps["uncut, both"][pressed].min() / truth),
+            80.0,
+            "%",
+            at_least=True,
+        ),
+    ]
+    if array.rows * array.columns > 1:
+        checks.append(
+            Check("uncut: crosstalk, worst untouched cell", untouched["uncut, both"], 0.01, "%", at_least=True)
+        )
+    return Finding(
+        checks=checks,
+        text=[
+            "Ideal amplifiers and wires, so that only the sheet can couple the cells. Electrically: the uncut sheet is "
+            f"a three-dimensional network of {sheet.divisions} x {sheet.divisions} x {sheet.layers} boxes per cell "
+            f"({1e3 * sheet.pitch:.3g} mm pitch, {1e3 * sheet.thickness:.3g} mm thick, strips of "
+            f"{1e3 * sheet.electrode_width:.3g} mm). Mechanically: cells feel the stress of an elastic half-space at "
+            "half the sheet's thickness. The geometry of the strips is the project's own. With virtual grounds on all "
+            "idle lines little current goes sideways; what couples the cells of an uncut sheet is mostly the load."
+        ],
+        figures=[
+            Figure(
+                plots.heat_maps(
+                    maps, label="change of resistance / %", limit=truth, marked=pressed, values="{:.2f}", size=2.0
+                ),
+                "One cell pressed (outlined): change of each cell's apparent resistance.",
+            )
+        ],
+        tables=[
+            Table(
+                ["sheet", "worst untouched cell", "pressed cell, of its true change"],
+                [
+                    [name, f"{untouched[name]:.3g} %", f"{100 * float(change[pressed].min()) / truth:.1f} %"]
+                    for name, change in maps.items()
+                ],
+            )
         ],
     )
 
