@@ -231,7 +231,7 @@ class Fault(Section):
 class Requirements(Section):
     """What the design must keep for `ohmskin verify` to pass it; the defaults are the project's own."""
 
-    crosstalk_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 1.0
+    crosstalk_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 2.0
     """largest change of an untouched cell's reading, in % of that reading"""
     reading_error_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5.0
     """largest error of a resistance that equation (10) makes of an uncalibrated reading"""

@@ -94,7 +94,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
         for name in dict.fromkeys(name for row in rows for name in row):
             variance = [row.get(name, np.zeros(shape[1])) for row in rows]
             parts[name] = np.sqrt(np.broadcast_to(variance, shape))
-    if kelvin and adc and adc.sampling_capacitance and adc.switch_resistance:
+    if kelvin and adc and adc.sampling_capacitance:  # kT/C, whatever the resistance of the switch
         parts["sampling"] = np.full(shape, np.sqrt(kelvin / adc.sampling_capacitance))
     if adc:
         parts["quantisation"] = np.full(shape, adc.step / np.sqrt(12))

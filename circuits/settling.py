@@ -60,6 +60,8 @@ class Settling:
         adc = design.adc
         self._sampling = adc.switch_resistance * adc.sampling_capacitance if adc else 0.0  # s
         self._acquisition = adc.acquisition_time if adc else 0.0
+        # One capacitor serves the columns in turn, so a row takes at least that long.
+        self._briefest = self._acquisition * design.array.columns
 
     def sampled(self, period: float) -> FloatArray:
         """What is read, V (rows, columns), if each row is selected for ``period`` s and sampled at its end.
@@ -69,7 +71,7 @@ class Settling:
         outputs of all columns are taken at the end of the step.
 
         Raises:
-            InputError: the period is not positive or shorter than the acquisition.
+            InputError: the period is not positive or shorter than the acquisitions of all columns.
 
         """
         tail, left = self._tails(period, np.roll(self.settled, 1, axis=0), periodic=True)
@@ -113,21 +115,21 @@ class Settling:
         if self._sampling and not self._acquisition:
             slowest = min(slowest, 1 / self._sampling)
         if np.isinf(slowest):
-            longest = self._acquisition
+            longest = self._briefest
             if longest and self.error(longest) > error:
                 raise self._hopeless()
             return longest
-        longest = self._acquisition + log(10 / error) / slowest
+        longest = self._briefest + log(10 / error) / slowest
         for _ in range(20):
             if self.error(longest) <= error:
                 break
-            longest = self._acquisition + 2 * (longest - self._acquisition)
+            longest = self._briefest + 2 * (longest - self._briefest)
         else:
             raise self._hopeless()
         while True:
-            shorter = self._acquisition + 0.98 * (longest - self._acquisition)
-            if shorter - self._acquisition < 1e-9 / slowest:
-                return self._acquisition
+            shorter = self._briefest + 0.98 * (longest - self._briefest)
+            if shorter - self._briefest < 1e-9 / slowest:
+                return self._briefest
             if self.error(shorter) > error:
                 break
             longest = shorter
@@ -151,8 +153,10 @@ class Settling:
 
         ``before``: the settled outputs of the step before each row. ``periodic``: these were not reached either.
         """
-        if not period > 0 or period < self._acquisition:
-            raise InputError(f"row period {period} s: expected a time above 0, and adc.acquisition_time at least")
+        if not period > 0 or period < self._briefest:
+            raise InputError(
+                f"row period {period} s: expected a time above 0, and adc.acquisition_time for each column at least"
+            )
         acquisition = self._acquisition or period
         rows, columns = self.settled.shape
         propagators = [self._propagators(d, period - acquisition, acquisition) for d in self._dynamics]

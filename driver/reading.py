@@ -63,7 +63,8 @@ class CountReader:
             raise ProtocolError(f"the board sends a count of {counts.max()}; its ADC has {adc.bits} bits")
         volts = volts_of_codes(design, counts)
         low, high = design.readout.supply
-        within = (volts - adc.step / 2 > low) & (volts + adc.step / 2 <= high)
+        half = adc.step / 2 * (1 + 1e-9)  # a limit on the very edge of a code belongs to both
+        within = (volts - half > low) & (volts + half < high)
         limited = clipped(design, counts) | ~within
         # At the end of the range where hardly a current flows, not knowing it disturbs no other cell.
         faint = limited & (np.abs(volts - design.readout.reference_voltage) < 1.5 * adc.step)

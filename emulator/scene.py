@@ -120,7 +120,10 @@ class Contact(Section):
     def load(self, time_s: float) -> float:
         """KPa at ``time_s``; where two points share a time the load jumps, to the later one."""
         times, loads = np.transpose(self.load_kpa)
-        return float(np.interp(time_s if self.period is None else time_s % self.period, times, loads))
+        if self.period is not None:
+            # A tick that falls on a period's end but for rounding belongs to the next period.
+            time_s = max(time_s - self.period * np.floor(time_s / self.period + 1e-9), 0.0)
+        return float(np.interp(time_s, times, loads))
 
 
 class Skin(Section):

@@ -63,6 +63,13 @@ def test_loads_are_straight_between_points_and_constant_outside() -> None:
     )
 
 
+def test_rounding_does_not_delay_a_jump_at_the_end_of_a_period() -> None:
+    """0.3 % 0.1 is 0.09999...; yet a tick at 0.3 s is the start of the fourth period."""
+    contact = Contact(cells=[(0, 0)], load_kpa=[(0.0, 10.0), (0.05, 10.0), (0.05, 0.0)], period=0.1)
+    assert [contact.load(k / 10) for k in range(30)] == [10.0] * 30
+    assert [contact.load(k / 10 + 0.075) for k in range(30)] == [0.0] * 30
+
+
 def test_a_load_with_a_period_comes_again() -> None:
     contact = Contact(cells=[(0, 0)], load_kpa=[(0.0, 0.0), (1.0, 8.0)], period=2.0)
     assert [contact.load(t) for t in (0.5, 2.5, 1001.5)] == pytest.approx([4, 4, 8])

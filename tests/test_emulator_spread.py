@@ -12,7 +12,6 @@ from scipy.integrate import dblquad
 from ohmskin.emulator import EmulatedSkin
 from ohmskin.emulator.spread import shares, spread
 
-
 MIDDLES = (np.arange(6) + 0.5) / 6 - 0.5
 
 

@@ -182,3 +182,14 @@ def test_open_columns_have_no_grid_noise() -> None:
     parts = noise(board(**SOURCES), np.full((3, 2), inf)).parts
     assert "grid" not in parts
     assert (parts["reference resistor"] > 0).all()
+
+
+def test_the_sampling_capacitor_is_as_noisy_however_small_its_switch() -> None:
+    """kT/C (Nyquist): the resistance sets the bandwidth, not the variance."""
+    rms = [
+        noise(board(temperature=300.0, adc={"sampling_capacitance": 5e-12, "switch_resistance": ohms}), CELLS)
+        .parts["sampling"]
+        .max()
+        for ohms in (0.0, 1e-3, 1e3)
+    ]
+    np.testing.assert_allclose(rms, sqrt(Boltzmann * 300.0 / 5e-12), rtol=1e-12)

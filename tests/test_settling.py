@@ -255,3 +255,11 @@ def test_unequal_columns_are_each_their_own() -> None:
         np.testing.assert_allclose(Settling(alone, own).sampled(4e-6)[:, 0], sampled[:, column], rtol=1e-9)
         np.testing.assert_allclose(stability(alone, own).phase_margin[:, 0], margins.phase_margin[:, column])
         np.testing.assert_allclose(stability(alone, own).peaking[:, 0], margins.peaking[:, column])
+
+
+def test_one_sampling_capacitor_needs_its_time_for_every_column() -> None:
+    serving = {"sampling_capacitance": 1e-12, "switch_resistance": 1e3, "acquisition_time": 2e-6}
+    settling = Settling(board(serving), CELLS)
+    assert settling.shortest_period(0.1) >= 2e-6 * CELLS.shape[1]
+    with pytest.raises(InputError, match="for each column"):
+        settling.sampled(4e-6)

@@ -9,10 +9,11 @@ import xml.etree.ElementTree as ET
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from designs import divider
 
-from ohmskin.circuits import spice
+from ohmskin.circuits import Design, spice
 from ohmskin.cli import run
 from ohmskin.emulator import PtyPort, Scene, Stop, emulate
 from ohmskin.emulator.scene import BoardSettings
@@ -21,6 +22,7 @@ from ohmskin.errors import MissingExtra
 from ohmskin.verification import prototype, verify
 from ohmskin.verification.claims import STATEMENTS
 from ohmskin.verification.outcome import Check, Finding, Outcome, not_run, worst
+from ohmskin.verification.variants import change, replaced
 
 
 @pytest.mark.parametrize(
@@ -166,6 +168,41 @@ def test_a_defect_in_one_experiment_costs_only_that_one(monkeypatch: pytest.Monk
     assert other.outcome is Outcome.PASS
     assert claim.outcome is Outcome.NOT_RUN
     assert "boom" in claim.finding.checks[0].reason
+
+
+def test_the_sign_of_an_offset_does_not_decide(only: Callable[..., None]) -> None:
+    """An amplifier's offset is a magnitude with either sign: both boards get the same verdict."""
+    only("P13")
+    design = prototype()
+    turned = replaced(design, "readout", offset_voltage=-1.7e-3)
+    limits = [
+        {check.name: check.measured for check in verify(d).claims[0].finding.checks if "as designed" in check.name}
+        for d in (design, turned)
+    ]
+    assert limits[0] == pytest.approx(limits[1], rel=1e-9)
+    alone = change(turned, *_all_but_one(design))
+    assert limits[0]["crosstalk as designed, worst untouched cell"] >= np.abs(alone[1, 2]) * 0.999
+
+
+def _all_but_one(design: Design) -> tuple[np.ndarray, np.ndarray]:
+    rest = np.full(design.array.shape, 10e3)
+    pressed = np.full(design.array.shape, 17.75e3)
+    pressed[1, 2] = 10e3
+    return rest, pressed
+
+
+def test_what_does_not_concern_the_divider_does_not_change_its_claim(only: Callable[..., None]) -> None:
+    only("P11")
+    assert verify(replaced(prototype(), "readout", idle_columns="load")).outcome is Outcome.PASS
+
+
+def test_a_shared_sampling_capacitor_is_timed(only: Callable[..., None]) -> None:
+    only("P14")
+    (claim,) = verify(replaced(prototype(), "adc", acquisition_time=2e-6)).claims
+    checks = {check.name: check for check in claim.finding.checks}
+    fastest = checks["fastest scan settled to 1/4 ADC step"]
+    assert fastest.measured is not None
+    assert fastest.measured <= 1 / (4 * 4 * 2e-6)
 
 
 def test_a_port_without_a_board_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

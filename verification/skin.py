@@ -61,7 +61,7 @@ def _emulated(bench: Bench) -> Finding:
     error = (estimate - applied) / full
     unlike = sum(int((frame.counts != sent[frame.sequence]).sum()) for frame in frames)
     settled = _settled(applied, full)
-    misplaced = ((estimate > TOUCHED * full) != (applied > TOUCHED * full))[settled]
+    misplaced = (np.isnan(estimate) | ((estimate > TOUCHED * full) != (applied > TOUCHED * full)))[settled]
     per_cell = 100 * np.sqrt(np.mean(error**2, axis=0))
     worst = np.unravel_index(np.argmax(per_cell), per_cell.shape)
     limit = bench.design.requirements.pressure_rmse_percent

@@ -36,7 +36,8 @@ def timing(bench: Bench, frame_rate_hz: float) -> Finding:
         rate = 1 / (period * design.array.rows)
         checks.append(Check("fastest scan settled to 1/4 ADC step", rate, frame_rate_hz, "frames/s", at_least=True))
         rows.append(["row period to settle to 1/4 ADC step", f"{1e6 * period:.3g} µs"])
-        periods = np.geomspace(0.2, 3.0, 40) * period
+        shortest = max(0.2 * period, adc.acquisition_time * design.array.columns)
+        periods = np.geomspace(shortest, 3.0 * period, 40)
         with plots.drawing(1, 1, height=2.6) as (figure, axes):
             axes[0, 0].semilogy(1e6 * periods, [settling.error(p) for p in periods])
             axes[0, 0].axhline(quarter, color=plots.RED, lw=1, ls="--")
