@@ -10,7 +10,7 @@ from ..errors import SolverError
 from . import sheet
 from .design import Design
 from .network import Network, reduce
-from .parts import Parts, cell_conductance, line_ohms, lines, series_faults
+from .parts import Parts, cell_conductance, line_ohms, lines, series_faults, siemens
 from .ports import port_conductances
 
 FloatArray = NDArray[np.float64]
@@ -77,8 +77,7 @@ def grid_network(design: Design, resistance: FloatArray) -> Network:
             else ((row_node if fault.kind == "bridged-rows" else column_node)[end] for end in fault.ends)
         )
         ends.append(np.array([[first, second]]))
-        with np.errstate(divide="ignore"):
-            values.append(np.full((*batch, 1), np.divide(1.0, fault.ohms)))
+        values.append(np.full((*batch, 1), siemens(fault.ohms)))
     wires = rows * columns + (rows - 1) * columns
     flat = np.concatenate([value.reshape(*batch, -1) for value in values], axis=-1)
     return Network(

@@ -13,6 +13,8 @@ from .ports import Lines
 
 FloatArray = NDArray[np.float64]
 
+_WIRE = 1e60  # S
+
 
 @dataclass(frozen=True)
 class Parts:
@@ -65,21 +67,26 @@ def line_ohms(design: Design) -> tuple[FloatArray, FloatArray]:
 
 def lines(design: Design) -> Lines:
     """Series conductances along the lines in S, row leads and breaks included, column leads not."""
-    with np.errstate(divide="ignore"):
-        row, column = (1.0 / ohms for ohms in line_ohms(design))
-    return Lines(row, column)
+    row, column = line_ohms(design)
+    return Lines(siemens(row), siemens(column))
 
 
 def cell_conductance(design: Design, resistance: FloatArray) -> FloatArray:
     """S of the cells (..., rows, columns), open and shorted ones among them."""
-    with np.errstate(divide="ignore"):
-        if not design.fault:
-            return 1.0 / resistance
-        conductance: FloatArray = 1.0 / (resistance + series_faults(design, "open-cell"))
-        for fault in design.fault:
-            if fault.kind == "shorted-cell":
-                conductance[(..., *fault.place)] += np.divide(1.0, fault.ohms)
+    if not design.fault:
+        return siemens(resistance)
+    conductance = siemens(resistance + series_faults(design, "open-cell"))
+    for fault in design.fault:
+        if fault.kind == "shorted-cell":
+            conductance[(..., *fault.place)] += siemens(fault.ohms)
     return conductance
+
+
+def siemens(ohms: FloatArray | float) -> FloatArray:
+    """Conductances; what is below 1e-60 ohm is a wire, since products of larger conductances would overflow."""
+    with np.errstate(divide="ignore", over="ignore"):
+        conductance = np.divide(1.0, ohms)
+    return np.where(conductance > _WIRE, np.inf, conductance)
 
 
 def series_faults(design: Design, kind: str) -> FloatArray:

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..errors import SolverError
 from .design import Design
-from .parts import Parts
+from .parts import Parts, siemens
 from .ports import IDEAL_WIRE, eliminate_leading, impedance
 
 FloatArray = NDArray[np.float64]
@@ -116,9 +116,9 @@ def _terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> FloatArr
     if not resistance.any():
         return ports
     columns = len(resistance)
-    wire = IDEAL_WIRE * max(float(ports.max(initial=0.0)), float(1.0 / resistance[resistance > 0].min()))
-    with np.errstate(divide="ignore"):
-        behind = np.minimum(1.0 / resistance, wire)
+    behind = siemens(resistance)
+    largest = np.max(behind, where=np.isfinite(behind), initial=ports.max(initial=0.0))
+    behind = np.minimum(behind, IDEAL_WIRE * largest)
     network = np.zeros((*ports.shape[:-2], rows + 2 * columns, rows + 2 * columns))
     near, row, far = (
         slice(0, columns),
@@ -241,7 +241,7 @@ def _read_feedback(design: Design, ports: FloatArray) -> Reading:
     share = 1.0 / (1.0 + 1.0 / parts.gain)
     lift = share * parts.offset - inverse * level
     injected = driven * drive - parts.bias
-    column = (injected + idle * lift) / (driven + idle * inverse + 1.0 / parts.reference)
+    column = (injected + idle * lift) / (driven + idle * inverse + siemens(parts.reference))
     volts = share * (level + column + parts.offset)
     low, high = design.readout.supply
     saturated = (volts < low) | (volts > high)

@@ -23,7 +23,7 @@ from scipy.sparse.linalg import splu
 from ..errors import InputError
 from .design import Design
 from .grid import exact_ports, grid_network, is_plain
-from .parts import Parts
+from .parts import Parts, siemens
 from .ports import IDEAL_WIRE, impedance
 from .readout import Reading, amplifier_ends, read
 
@@ -250,8 +250,7 @@ def _terminated(design: Design, ports: FloatArray, reading: Reading) -> Iterator
                 tie = np.zeros(rows + columns)
                 tie[some_rows if floating else slice(rows)] = np.inf
                 tied = rows + (some if single else np.arange(columns))
-                with np.errstate(divide="ignore"):
-                    tie[tied] = 1.0 / (ohms + parts.column_lead)[tied - rows]
+                tie[tied] = siemens((ohms + parts.column_lead)[tied - rows])
                 ties = _Ties.of(ports, tie)
                 behind = np.zeros((len(some_rows), rows + columns))
                 behind[:, rows:] = source
@@ -319,8 +318,7 @@ def _feedback(design: Design, ports: FloatArray, reading: Reading) -> Iterator[_
     """
     rows, columns = design.array.shape
     parts, level, drive = Parts.of(design), design.readout.reference_voltage, design.drive.voltage
-    with np.errstate(divide="ignore"):
-        ties = _Ties.of(ports, np.concatenate([np.full(rows, np.inf), 1.0 / parts.column_lead]))
+    ties = _Ties.of(ports, np.concatenate([np.full(rows, np.inf), siemens(parts.column_lead)]))
     inverse, share = 1.0 / (1.0 + parts.gain), 1.0 / (1.0 + 1.0 / parts.gain)
     column = reading.volts / share - level - parts.offset
     follower = reading.volts - level
@@ -335,7 +333,7 @@ def _feedback(design: Design, ports: FloatArray, reading: Reading) -> Iterator[_
     back = ties.currents(field, unit)  # at the column itself: less than nothing flows in
     driven = ties.currents(field, unit)[:, :rows].T  # Y from the selected row to the sensed column
     idle = -back[every_column, rows + every_column] - driven
-    slope = driven + idle * inverse + 1.0 / parts.reference
+    slope = driven + idle * inverse + siemens(parts.reference)
     gain = np.where(reading.saturated, 0.0, share / slope)
     own = {name: np.zeros((rows, columns, columns)) for name in ("reference_resistance", "inverse_gain")}
     own |= {name: np.zeros((rows, columns, columns)) for name in ("offset_voltage", "bias_current")}

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from .design import Sheet
 from .network import Network, reduce
+from .parts import siemens
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -52,8 +53,7 @@ def branches(
 
     def join(a: IntArray, b: IntArray, ohms: FloatArray) -> None:
         ends.append(np.stack([a.ravel(), b.ravel()], axis=-1))
-        with np.errstate(divide="ignore"):
-            values.append(1.0 / ohms.reshape(*ohms.shape[: ohms.ndim - a.ndim], a.size))
+        values.append(siemens(ohms.reshape(*ohms.shape[: ohms.ndim - a.ndim], a.size)))
 
     for axis, length, area in ((-3, height, side * side), (-2, side, side * height), (-1, side, side * height)):
         count = box.shape[axis]

@@ -165,3 +165,15 @@ def test_bad_parts_are_refused_by_name(table: str, key: str, value: Any, message
 def test_bad_faults_are_refused_by_name(fault: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         parse(BASE | {"fault": [fault]}, Design, source="design.toml")
+
+
+@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "voltage-feedback"])
+def test_resistances_too_small_to_invert_are_none(circuit: str) -> None:
+    """1 / 5e-324 overflows."""
+    cells = np.array([[1e3, 5e3], [2e3, 5e-324]])
+    tiny = {"row_lead": 5e-324, "column_lead": 1e-310, "row_segment": 1e-300, "column_segment": 5e-324}
+    design = amplifier(2, 2, open_loop_gain=1e5).with_circuit(circuit)
+    none = cells.copy()
+    none[1, 1] = 0.0
+    small = design.model_copy(update={"array": design.array.model_copy(update=tiny)})
+    np.testing.assert_array_equal(scan(small, cells).volts, scan(design, none).volts)
