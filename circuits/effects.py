@@ -201,13 +201,14 @@ def _time(design: Design, cells: FloatArray) -> Iterator[Effect]:
     signal = abs(design.drive.voltage) * reference * conductance
     gain = 1.0 + reference * conductance.sum(axis=0)
     fast = bool(np.isfinite(part.gain_bandwidth))
-    bandwidth = (part.gain_bandwidth if fast else ORDINARY["gain_bandwidth"]) / gain
+    product = part.gain_bandwidth if fast else ORDINARY["gain_bandwidth"]
+    bandwidth = product / gain
     density = part.voltage_noise or ORDINARY["voltage_noise"]
     scatter = density * gain * np.sqrt(pi / 2 * bandwidth) + np.zeros_like(signal)
     basis = "amplifier voltage, by noise(); " + _basis("voltage_noise", density, named=part.voltage_noise > 0)
     yield Effect("noise", False, _largest(scatter, signal, live), basis)
     left = np.exp(-2 * pi * bandwidth * ORDINARY["period"]) * signal.max(axis=0) + np.zeros_like(signal)
-    basis = f"{ORDINARY['period']} s per row, by Settling; " + _basis("gain_bandwidth", bandwidth.min(), named=fast)
+    basis = f"{ORDINARY['period']} s per row, by Settling; " + _basis("gain_bandwidth", product, named=fast)
     yield Effect("settling", False, _largest(left, signal, live), basis)
 
 
