@@ -27,6 +27,7 @@ from .design import Design, FloatArray
 from .parts import Parts, line_ohms, series_faults
 
 REFERENCE = "0"  # SPICE's node 0
+FOLLOWER = "follower"
 ROW_INDEX, COLUMN_INDEX = "row_index", "column_index"
 LARGEST_GAIN = 1e8  # of a voltage-controlled source: a larger one would multiply ngspice's rounding errors
 NONLINEAR_OPTIONS = ".options reltol=1e-9 vntol=1e-12 abstol=1e-15"
@@ -109,16 +110,16 @@ class _Writer:
     def __init__(self, design: Design, resistance: FloatArray, row: int | None) -> None:
         if design.array.sheet != "sliced":
             raise InputError(f'array.sheet = "{design.array.sheet}" has no netlist; expected "sliced"')
-        if design.readout.circuit == "voltage-feedback":
-            raise InputError('readout.circuit = "voltage-feedback" has no netlist; expected another circuit')
         self.design, self.row = design, row
         self.resistance = resistance + series_faults(design, "open-cell")
         self.rows, self.columns = design.array.shape
         self.parts = Parts.of(design)
         self.row_ohms, self.column_ohms = line_ohms(design)
         self.amplified = design.readout.circuit == "inverting-amplifier"
-        self.single = not self.amplified and design.readout.idle_columns == "float" and self.columns > 1
-        self.floating = design.drive.idle_rows == "float"
+        self.feedback = design.readout.circuit == "voltage-feedback"
+        one_by_one = not self.amplified and design.readout.idle_columns == "float" and self.columns > 1
+        self.single = one_by_one or self.feedback
+        self.floating = design.drive.idle_rows == "float" and not self.feedback
         self.driven = [i for i in range(self.rows) if row in {None, i} or not self.floating]
         self.ground = "agnd" if design.readout.reference_voltage else REFERENCE
         self.name = self._joined_nodes()
@@ -138,7 +139,7 @@ class _Writer:
             sweep.append(f"Vcolumn 0 {self.columns - 1} 1")
         if self.row is None:
             sweep.append(f"Vrow 0 {self.rows - 1} 1")
-        outputs = tuple(f"out_{j}" if self.amplified else self.name[self._end(j)] for j in range(self.columns))
+        outputs = tuple(self._output(j) for j in range(self.columns))
         step = "all rows in turn" if self.row is None else f"row {self.row} selected"
         title = f"ohmskin: {self.rows} x {self.columns} cells, {self.design.readout.circuit}, {step}"
         return Deck(title, tuple(cards), " ".join(sweep), self.single, outputs, self.ground)
@@ -146,8 +147,8 @@ class _Writer:
     # Nodes
 
     def _driver(self, i: int) -> str:
-        """What row i's lead starts from; a row that stays idle at ground starts from the reference itself."""
-        return f"drive_{i}" if self.row in {None, i} else REFERENCE
+        """What row i's lead starts from; a row that stays idle starts from the reference, or the follower, itself."""
+        return f"drive_{i}" if self.row in {None, i} else FOLLOWER if self.feedback else REFERENCE
 
     def _row(self, i: int, j: int) -> str:
         return f"row_{i}_{j}" if self.row_ohms[i, 1:].any() else f"row_{i}"
@@ -157,6 +158,11 @@ class _Writer:
 
     def _end(self, j: int) -> str:
         return f"minus_{j}" if self.amplified else f"end_{j}"
+
+    def _output(self, j: int) -> str:
+        if self.feedback:
+            return FOLLOWER
+        return f"out_{j}" if self.amplified else self.name[self._end(j)]
 
     def _resistors(self) -> Iterator[tuple[str, str, str, float]]:
         """Name, nodes and ohm of each part of the grid; the crosspoints of a line without segments are one."""
@@ -185,6 +191,8 @@ class _Writer:
         joined = DisjointSet([REFERENCE])
         for node in [*map(self._driver, self.driven), *map(self._end, range(self.columns))]:
             joined.add(node)
+        if self.feedback:
+            joined.add(FOLLOWER)
         for _, a, b, ohm in self._resistors():
             joined.add(a)
             joined.add(b)
@@ -200,6 +208,11 @@ class _Writer:
                 "give array.row_lead or the shorted cells a resistance"
             )
         ends = [self.name[self._end(j)] for j in range(self.columns)]
+        if self.feedback and len({*ends, *self.drivers, FOLLOWER}) < len(ends) + len({*self.drivers, FOLLOWER}):
+            raise SolverError(
+                "a column's end is joined to another one or to a row driver by parts of 0 ohm, which a netlist of the "
+                "voltage-feedback circuit cannot express; give array.column_lead a resistance"
+            )
         ideal = np.isinf(self.parts.gain) & self.amplified
         for j, end in enumerate(ends):
             if ideal[j] and end in ends[:j] and end not in self.drivers:
@@ -215,7 +228,7 @@ class _Writer:
         if self.ground != REFERENCE:
             yield "* Node 0 is the reference; board ground lies below it."
             yield f"Vreference {REFERENCE} {self.ground} DC {readout.reference_voltage!r}"
-        idle = "are open" if self.floating else "stay at the reference"
+        idle = "are open" if self.floating else f"stay at the {'follower' if self.feedback else 'reference'}"
         if self.row is not None:
             yield f"* Row {self.row} is driven; the idle rows {idle}."
             yield f"Vdrive_{self.row} {self._driver(self.row)} {REFERENCE} DC {volts!r}"
@@ -225,12 +238,14 @@ class _Writer:
             for i in range(self.rows):
                 drive, selected = self.name[self._driver(i)], f"abs(v({ROW_INDEX})-{i})<0.5"
                 if not self.floating:
-                    yield f"Bdrive_{i} {drive} {REFERENCE} V = {selected} ? {volts!r} : 0"
+                    rest = f"v({FOLLOWER})" if self.feedback else "0"
+                    yield f"Bdrive_{i} {drive} {REFERENCE} V = {selected} ? {volts!r} : {rest}"
                 else:  # while idle, this says that the current of the source is 0
                     yield f"Bdrive_{i} {drive} open_{i} V = {selected} ? {volts!r} : v({drive})+i(Vopen_{i})"
                     yield f"Vopen_{i} open_{i} {REFERENCE} DC 0"
         if self.single:
-            yield f"* Only the column whose number is v({COLUMN_INDEX}) has its load; the others are open."
+            others = "stay at the follower" if self.feedback else "are open"
+            yield f"* Only the column whose number is v({COLUMN_INDEX}) has its load; the others {others}."
             yield f"Vcolumn {COLUMN_INDEX} {REFERENCE} DC 0"
 
     def _grid(self) -> Iterator[str]:
@@ -254,6 +269,9 @@ class _Writer:
                 yield "* lack_J: how far its supply keeps the output from the voltage that its feedback asks for."
             for j in range(self.columns):
                 yield from self._amplifier(j)
+            return
+        if self.feedback:
+            yield from self._follower()
             return
         yield "* Loads; what is across them is read."
         for j in range(self.columns):
@@ -301,6 +319,25 @@ class _Writer:
         offset = share * vos - readout.reference_voltage / (1.0 + gain)
         yield f"Voffset_{j} {at} {REFERENCE} DC {offset!r}"
 
+    def _follower(self) -> Iterator[str]:
+        """One follower, switched from column to column with its load. Its law is written with the loop closed, so that
+        no large gain appears; an end's current, through Vend_J, meets the load or is whatever the follower gives.
+        """
+        level, (low, high) = self.design.readout.reference_voltage, self.design.readout.supply
+        yield "* The load of the chosen column, whose end the follower repeats to all idle lines and to the converter."
+        law = "0"
+        for j in reversed(range(self.columns)):
+            gain, rref, vos, bias = self._amplifier_parts(j)
+            end, chosen = self.name[self._end(j)], f"abs(v({COLUMN_INDEX})-{j})<0.5"
+            yield f"Vend_{j} {end} at_{j} DC 0"
+            yield f"Bend_{j} at_{j} {REFERENCE} V = {chosen} ? {rref!r}*(i(Vend_{j})-{bias!r}) : v({FOLLOWER})"
+            law = f"{chosen} ? {1 / (1 + 1 / gain)!r}*(v({end})+{level + vos!r}) : ({law})"
+        if high < inf:
+            law = f"min({law},{high!r})"
+        if low > -inf:
+            law = f"max({law},{low!r})"
+        yield f"Bfollower {FOLLOWER} {self.ground} V = {law}"
+
     def _amplifier_parts(self, j: int) -> tuple[float, float, float, float]:
         """Gain, Rref, offset voltage and bias current of column j's amplifier."""
         parts = self.parts
@@ -336,7 +373,7 @@ class _Writer:
         for _, a, b, ohm in self._resistors():
             if ohm < inf:
                 held.merge(self.name[a], self.name[b])
-        if not self.single:
+        if self.feedback or not self.single:
             for j in range(self.columns):
                 held.merge(self.name[self._end(j)], REFERENCE)
         sometimes = self.row is None and self.floating
