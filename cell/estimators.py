@@ -108,8 +108,8 @@ class PaperEstimator(Estimator):
     What the paper leaves open is settled thus. dr/dt is (r - l)/T, with l the reading behind a lag
     T = ``derivative_s``: noise is smoothed, yet a sudden change is seen in the sample in which it happens.
     Between the thresholds the last model stays. A hand-over keeps pressure and resistance where they are, as
-    in :class:`~.forward.PaperForward`. Each inverse is the algebraic one of the lag discretised for a pressure
-    that is linear over the sample: exact for such loads as long as the chosen model is the right one.
+    in :class:`~.forward.PaperForward`. Each inverse is the algebraic one of the lag discretised for a
+    pressure linear over the sample: exact for such loads as long as the chosen model is the right one.
     """
 
     def __init__(
