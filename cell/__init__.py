@@ -1,7 +1,7 @@
 """The piezoresistive cell: pressure to resistance, and back."""
 
-from .cell import Cell
-from .estimators import ESTIMATORS, Estimate, Estimator
+from .cell import ESTIMATORS, Cell
+from .estimators import Estimate, Estimator
 from .forward import Forward
 from .models import AsymmetricModel, ContactModel, M10Model, PaperModel
 

@@ -3,16 +3,39 @@
 from __future__ import annotations
 
 import importlib.resources
+import json
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..config import Section, load
-from .estimators import Estimator, make_estimator
+from ..errors import InputError
+from ..tables import write_text
+from .estimators import EquilibriumEstimator, Estimator, PaperEstimator
 from .forward import Forward, make_forward
+from .inverse import InverseEstimator, margin
 from .lag import FloatArray
-from .models import Model, Positive
+from .learned import Learned, LearnedEstimator, StaticCurve, StaticCurveEstimator
+from .models import AsymmetricModel, M10Model, Model, PaperModel, Positive
+
+ESTIMATORS = ("static", "paper", "inverse", "play", "distilled")
+EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]
+
+
+class Calibrated(Section):
+    """What ``ohmskin fit`` learned about estimating this cell."""
+
+    default: EstimatorName
+    reason: str
+    """why that one"""
+    held_out_percent: dict[EstimatorName, float]
+    """rms error on the last third of the recording after learning from the rest, % of full scale"""
+    static: StaticCurve
+    play: Learned | None = None
+    distilled: Learned | None = None
 
 
 class Cell(Section):
@@ -23,6 +46,8 @@ class Cell(Section):
     full_scale_kpa: Positive
     """the largest pressure the cell is meant for, and the unit of the normalised load"""
     model: Model
+    estimators: Calibrated | None = None
+    """None: not calibrated, only what follows from the model can be had"""
 
     @classmethod
     def load(cls, path: str | Path) -> Cell:
@@ -35,11 +60,27 @@ class Cell(Section):
         with importlib.resources.as_file(importlib.resources.files(__package__) / "example.toml") as path:
             return cls.load(path)
 
+    def save(self, path: str | Path, *, comment: str = "") -> None:
+        """Write CELL.toml, whole or not at all; ``comment`` goes to its head. Raises InputError."""
+        head = "".join(f"# {line}\n" for line in comment.splitlines())
+        write_text(path, head + _toml(self.model_dump(exclude_none=True)))
+
+    @property
+    def default_estimator(self) -> str:
+        """The estimator for this cell: the calibrated choice, else what its model allows."""
+        if self.estimators is not None:
+            return self.estimators.default
+        match self.model:
+            case PaperModel():
+                return "paper"
+            case AsymmetricModel() | M10Model() if margin(self.model, self.full_scale_kpa) > 0:
+                return "inverse"
+        return "static"
+
     def forward(self, shape: tuple[int, ...], *, rest_resistance_ohm: ArrayLike | None = None) -> Forward:
         """Cells of ``shape`` at rest, to be stepped through a pressure history.
 
-        ``rest_resistance_ohm`` (broadcast to ``shape``) replaces R0, cell by cell; InputError unless it
-        fits.
+        ``rest_resistance_ohm`` (broadcast to ``shape``) replaces R0, cell by cell; InputError unless it fits.
         """
         return make_forward(self.model, self.full_scale_kpa, shape, self._rest(rest_resistance_ohm))
 
@@ -49,9 +90,59 @@ class Cell(Section):
         """A causal estimator for cells of ``shape``; ``name`` is one of ``ESTIMATORS``, None the default.
 
         Raises:
-            InputError: no such estimator, or not one for this kind of cell; R0 does not fit ``shape``.
+            InputError: no such estimator, or not one for this cell; R0 does not fit ``shape``.
         """
-        return make_estimator(name, self.model, self.full_scale_kpa, shape, self._rest(rest_resistance_ohm))
+        name = name or self.default_estimator
+        rest, full, learned = self._rest(rest_resistance_ohm), self.full_scale_kpa, self.estimators
+        match name:
+            case "static":
+                if learned is None:
+                    return EquilibriumEstimator(self.model, full, shape, rest)
+                return StaticCurveEstimator(learned.static, full, shape, rest)
+            case "paper":
+                if not isinstance(self.model, PaperModel):
+                    raise self._other_kind(name, "paper")
+                return PaperEstimator(self.model, full, shape, rest, std_kpa=self._std(name))
+            case "inverse":
+                if not isinstance(self.model, AsymmetricModel | M10Model):
+                    raise self._other_kind(name, "asymmetric' or 'm10")
+                return InverseEstimator(self.model, full, shape, rest, std_kpa=self._std(name))
+            case "play" | "distilled":
+                found = None if learned is None else learned.play if name == "play" else learned.distilled
+                if found is None:
+                    raise InputError(
+                        f"the estimator '{name}' is learned from a recording, and this cell has none: run ohmskin fit"
+                    )
+                return LearnedEstimator(found, full, shape, rest)
+        raise InputError(f"no estimator '{name}'; expected one of {', '.join(ESTIMATORS)}")
+
+    def _other_kind(self, name: str, kind: str) -> InputError:
+        return InputError(f"the estimator '{name}' inverts a cell of kind '{kind}'; this one is '{self.model.kind}'")
+
+    def _std(self, name: EstimatorName) -> float | None:
+        """A constant: the held-out error, for estimators that have no better idea of theirs."""
+        if self.estimators is None or name not in self.estimators.held_out_percent:
+            return None
+        return self.estimators.held_out_percent[name] / 100 * self.full_scale_kpa
 
     def _rest(self, given: ArrayLike | None) -> FloatArray:
         return np.asarray(self.rest_resistance_ohm if given is None else given, dtype=np.float64)
+
+
+def _toml(tables: Mapping[str, Any], prefix: str = "") -> str:
+    """Nested tables of numbers, strings and lists of numbers as TOML; plain keys come before tables."""
+    plain = "".join(f"{key} = {_value(value)}\n" for key, value in tables.items() if not isinstance(value, dict))
+    nested = (
+        f"\n[{prefix}{key}]\n{_toml(value, f'{prefix}{key}.')}"
+        for key, value in tables.items()
+        if isinstance(value, dict)
+    )
+    return plain + "".join(nested)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, str | bool):
+        return json.dumps(value)
+    return repr(value)

@@ -15,10 +15,8 @@ from .forward import resistance_of
 from .lag import FloatArray
 from .models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 
-ESTIMATORS = ("static", "paper")
-
 Memory = dict[str, FloatArray]
-"""What an estimator remembers of each cell; every entry has the shape of the cells"""
+"""What an estimator remembers of each cell; the last axes of every entry are those of the cells"""
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,11 @@ class Estimator(ABC):
             }
         self._read_s = np.where(good, time_s, self._read_s)
         self._time_s = float(time_s)
-        return Estimate(np.where(good | begun, self._memory["pressure_kpa"], np.nan), None)
+        known, std = good | begun, self._memory.get("std_kpa")
+        return Estimate(
+            np.where(known, self._memory["pressure_kpa"], np.nan),
+            None if std is None else np.where(known, std, np.nan),
+        )
 
     def state(self) -> dict[str, FloatArray]:
         """Everything remembered, as a copy that :meth:`restore` takes."""
@@ -118,15 +120,17 @@ class PaperEstimator(Estimator):
         full_scale_kpa: float,
         shape: tuple[int, ...],
         rest_resistance_ohm: FloatArray,
+        *,
+        std_kpa: float | None = None,
     ) -> None:
-        self.model = model
+        self.model, self.std_kpa = model, std_kpa
         self.rising_per_s, self.falling_per_s = model.thresholds_per_s(full_scale_kpa)
         super().__init__(shape, rest_resistance_ohm)
 
     def _begin(self, r: FloatArray) -> Memory:
         m = self.model
         pressure = r / m.gain_per_kpa
-        return {
+        return self._std() | {
             "r": r,
             "pressure_kpa": pressure,
             "rising": np.ones(self.shape),
@@ -159,7 +163,7 @@ class PaperEstimator(Estimator):
             (r + free_u / m.etau2_kpa) / (1 / m.eu1_kpa + (1 - ramp_u) / m.etau2_kpa),
             (r - free2 - free3) / (1 / m.e1_kpa + ramp2 / m.e2_kpa + ramp3 / m.e3_kpa),
         )
-        return {
+        return self._std() | {
             "r": r,
             "pressure_kpa": pressure,
             "rising": rising.astype(np.float64),
@@ -169,8 +173,11 @@ class PaperEstimator(Estimator):
             "x3": free3 + ramp3 / m.e3_kpa * pressure,
         }
 
+    def _std(self) -> Memory:
+        return {} if self.std_kpa is None else {"std_kpa": np.full(self.shape, self.std_kpa)}
 
-class StaticEstimator(Estimator):
+
+class EquilibriumEstimator(Estimator):
     """The equilibrium of the model inverted, without memory: what a calibration curve gives."""
 
     def __init__(
@@ -200,25 +207,3 @@ class StaticEstimator(Estimator):
                 conductance = np.maximum(1 / (rest * np.maximum(1 + r, 1e-9)) - 1 / rest, 0)
                 load = (conductance * m.full_scale_resistance_ohm) ** (1 / m.exponent)
                 return np.minimum(load, 1) * self.full_scale_kpa
-
-
-def make_estimator(
-    name: str | None,
-    model: Model,
-    full_scale_kpa: float,
-    shape: tuple[int, ...],
-    rest_resistance_ohm: FloatArray,
-) -> Estimator:
-    """The estimator ``name`` for cells like ``model``; None: the paper's where it applies, else static."""
-    if name is None:
-        name = "paper" if isinstance(model, PaperModel) else "static"
-    match name, model:
-        case "static", _:
-            return StaticEstimator(model, full_scale_kpa, shape, rest_resistance_ohm)
-        case "paper", PaperModel():
-            return PaperEstimator(model, full_scale_kpa, shape, rest_resistance_ohm)
-        case "paper", _:
-            raise InputError(
-                f"the estimator 'paper' inverts a cell of kind 'paper'; this one is of kind '{model.kind}'"
-            )
-    raise InputError(f"no estimator '{name}'; expected one of {', '.join(ESTIMATORS)}")

@@ -1,0 +1,196 @@
+"""Calibration of the learned estimators: ridge regressions on the recording and on variations of the identified cell.
+
+The identified model, not trusted to be exact, is run through loads the recording does not have (random ones, and
+variations of its own), with its parameters jittered and its unexplained error added as slow noise; the recording
+itself weighs as much as all of that. An estimator thus knows what the material does under loads that nobody applied,
+but is not asked to believe the model to the last digit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from . import simulate
+from .features import Bank
+from .identify import Simulation
+from .lag import FloatArray
+from .learned import Learned, Limits, StaticCurve, Terms
+
+LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
+"""of the distilled estimator; longer ones are memories of how the recording began"""
+SMOOTHING_S = 0.1
+DIRECTIONS = 600
+CELLS, SECONDS = 96, 400.0
+OFFSET = 0.01
+"""standard deviation of an unknown shift of r, whose usual cause is a wrong R0"""
+ROWS = 60000
+"""of synthetic samples that enter the regression"""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A recording in normalised units, and the cell it was found to be."""
+
+    time_s: FloatArray
+    r: FloatArray
+    load: FloatArray
+    rest_resistance_ohm: float
+    simulation: Simulation
+    unexplained: float
+    """rms of r that the identified model leaves"""
+
+    @property
+    def spread(self) -> float:
+        """Range of r, without its outliers."""
+        low, high = np.percentile(self.r, [0.5, 99.5])
+        return float(high - low)
+
+    @property
+    def limits(self) -> Limits:
+        """Loads worth answering: those seen, and nothing to a tenth beyond full scale at least."""
+        low, high = np.percentile(self.load, [0.1, 99.9])
+        return Limits(lowest=min(float(low), 0.0), highest=max(float(high), 1.0) * 1.05)
+
+    def until(self, time_s: float) -> Calibration:
+        """The part of the recording before ``time_s``."""
+        part = self.time_s < time_s
+        return replace(self, time_s=self.time_s[part], r=self.r[part], load=self.load[part])
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Features (rows, count) and loads (rows,), of the recording and of the simulated variations of it."""
+
+    real: FloatArray
+    real_load: FloatArray
+    simulated: FloatArray
+    simulated_load: FloatArray
+
+
+def static_curve(calibration: Calibration, full_scale_kpa: float, *, logarithmic: bool = False) -> StaticCurve:
+    """The cubic that fits the recording best."""
+    r, load = calibration.r, calibration.load
+    x = -np.log(np.maximum(1 + r, 1e-6)) if logarithmic else r
+    coefficients = np.polynomial.Polynomial.fit(x, load, 3).convert().coef
+    curve = StaticCurve(
+        coefficients=tuple(map(float, coefficients)), logarithmic=logarithmic, limits=calibration.limits, std_kpa=1.0
+    )
+    error = np.clip(curve.load(r), curve.limits.lowest, curve.limits.highest) - load
+    std = max(float(np.sqrt(np.mean(error**2))), 1e-6) * full_scale_kpa
+    return curve.model_copy(update={"std_kpa": std})
+
+
+def variations(calibration: Calibration, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, float]:
+    """Loads and readings (n, m) of simulated cells, and their time step."""
+    step = float(np.median(np.diff(calibration.time_s)))
+    dt = float(np.clip(step, 0.1, 0.2))
+    samples, half = round(SECONDS / dt), CELLS // 2
+    recorded = simulate.smoothed(calibration.load, step)
+    load = np.concatenate(
+        [
+            simulate.random_loads(rng, samples, CELLS - half, dt),
+            simulate.varied_loads(rng, samples, half, dt, recorded, step),
+        ],
+        axis=1,
+    )
+    r = calibration.simulation(rng, load, dt) / calibration.rest_resistance_ohm - 1
+    unexplained = max(calibration.unexplained, 0.005 * calibration.spread)
+    r = r + simulate.wandering(rng, samples, CELLS, dt, 3.0, 0.6 * unexplained)
+    r = r + simulate.wandering(rng, samples, CELLS, dt, 60.0, 0.8 * unexplained)
+    r = r + OFFSET * rng.standard_normal(CELLS) + white_noise(calibration.r) * rng.standard_normal(r.shape)
+    return load, r, dt
+
+
+def white_noise(r: FloatArray) -> float:
+    """Standard deviation of what changes from sample to sample: robust second differences."""
+    return float(np.median(np.abs(np.diff(r, 2))) / 0.6745 / np.sqrt(6)) if len(r) > 2 else 0.0
+
+
+def rows(calibration: Calibration, bank: Bank, simulated: tuple[FloatArray, FloatArray, float]) -> Rows:
+    """Features of the recording and of its variations, thinned."""
+    load, r, dt = simulated
+    steps = np.diff(calibration.time_s, prepend=calibration.time_s[0])
+    found = bank.run(np.full(len(r), dt), r)
+    thin = max(1, round(load.size / ROWS))
+    return Rows(
+        real=bank.run(steps, calibration.r[:, None])[:, :, 0],
+        real_load=calibration.load,
+        simulated=found[::thin].transpose(0, 2, 1).reshape(-1, bank.count),
+        simulated_load=load[::thin].ravel(),
+    )
+
+
+def learn(
+    calibration: Calibration,
+    simulated: tuple[FloatArray, FloatArray, float],
+    *,
+    lags_s: tuple[float, ...],
+    plays: tuple[float, ...],
+    directions: int,
+    ridge: float,
+    seed: int,
+) -> Learned:
+    """Ridge regression of the load on the terms of :class:`~.learned.Learned`, then of its absolute error.
+
+    ``plays`` are half widths over the range of r. The standard deviation is only a proportion here; see
+    :func:`calibrated`.
+    """
+    widths = tuple(float(width) * calibration.spread for width in plays)
+    bank = Bank(smoothing_s=SMOOTHING_S, lags_s=lags_s, plays=widths)
+    data = rows(calibration, bank, simulated)
+    mean = data.simulated.mean(axis=0)
+    scale = np.maximum(data.simulated.std(axis=0), 1e-6 * max(calibration.spread, 1e-9))
+    terms = Terms(mean, scale, seed, directions)
+    real = np.asarray(terms(terms.standardised(data.real.T)), dtype=np.float64)
+    made = np.asarray(terms(terms.standardised(data.simulated.T)), dtype=np.float64)
+    penalty = ridge * np.eye(real.shape[1])
+    penalty[0, 0] = 0.0
+    normal = made.T @ made / len(made) + real.T @ real / len(real) + penalty
+
+    def solve(of_made: FloatArray, of_real: FloatArray) -> FloatArray:
+        moments = made.T @ of_made / len(made) + real.T @ of_real / len(real)
+        return np.asarray(np.linalg.solve(normal, moments), dtype=np.float64)
+
+    weights = solve(data.simulated_load, data.real_load)
+    errors = solve(np.abs(made @ weights - data.simulated_load), np.abs(real @ weights - data.real_load))
+    return Learned(
+        smoothing_s=SMOOTHING_S,
+        lags_s=lags_s,
+        plays=widths,
+        mean=tuple(map(float, mean)),
+        scale=tuple(map(float, scale)),
+        seed=seed,
+        directions=directions,
+        weights=tuple(map(float, weights)),
+        error_weights=tuple(map(float, errors)),
+        std_factor=1.25,
+        std_floor=0.005,
+        limits=calibration.limits,
+    )
+
+
+def play(calibration: Calibration, simulated: tuple[FloatArray, FloatArray, float]) -> Learned:
+    """A Prandtl-Ishlinskii inverse: ten plays and a cubic, linear in everything."""
+    plays = tuple(np.linspace(0.03, 0.6, 10))
+    return learn(calibration, simulated, lags_s=(), plays=plays, directions=0, ridge=1e-4, seed=0)
+
+
+def distilled(calibration: Calibration, simulated: tuple[FloatArray, FloatArray, float], *, seed: int = 1) -> Learned:
+    """Lags, plays and cosines of them: the inverse of the identified model, distilled into a map."""
+    plays = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
+    return learn(calibration, simulated, lags_s=LAGS_S, plays=plays, directions=DIRECTIONS, ridge=3e-5, seed=seed)
+
+
+def calibrated(learned: Learned, error: FloatArray, std: FloatArray) -> Learned:
+    """``learned`` with the standard deviation widened until 95 % of held-out ``error`` lie within two of it.
+
+    Args:
+        learned: what gave ``error`` and ``std``.
+        error: held-out errors, normalised load.
+        std: the standard deviations it gave with them, normalised load.
+    """
+    ratio = float(np.quantile(np.abs(error) / std, 0.95)) / 2
+    widen = max(ratio, 0.5)
+    return learned.model_copy(update={"std_factor": learned.std_factor * widen, "std_floor": learned.std_floor * widen})
