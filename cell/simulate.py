@@ -48,7 +48,7 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
 
 
 def random_loads(rng: np.random.Generator, samples: int, cells: int, dt_s: float) -> FloatArray:
-    """Normalised loads (n, m): random ramps to nothing, full scale or between, some cells with holds, some without.
+    """Normalised loads (n, m): random ramps to nothing, full scale or anywhere, some cells with holds, some without.
 
     Ramps take 1 to 40 s per full scale, holds 1 to 160 s. Every cell rests first.
     """
@@ -59,7 +59,7 @@ def random_loads(rng: np.random.Generator, samples: int, cells: int, dt_s: float
         holds = rng.choice([0.0, 0.3, 1.0])
         while times[-1] < end:
             kind = rng.random()
-            level = 0.0 if kind < 0.25 else 1.0 if kind < 0.45 else rng.uniform(-0.05, 1.05)
+            level = 0.0 if kind < 0.25 else 1.0 if kind < 0.45 else rng.uniform(-0.05, 1.2)
             seconds_per_full_scale = np.exp(rng.uniform(np.log(1), np.log(40)))
             times.append(times[-1] + max(0.2, abs(level - levels[-1]) * seconds_per_full_scale))
             levels.append(level)

@@ -1,0 +1,41 @@
+"""``ohmskin fit``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command()
+@click.argument("steps", metavar="[STEPS.csv]", required=False, type=click.Path(path_type=Path))
+@click.option("-o", "output", metavar="CELL.toml", type=click.Path(path_type=Path), help="Where the cell goes.")
+@click.option(
+    "--full-scale", metavar="KPA", type=float, help="Full scale of the cell [the recording's largest pressure]."
+)
+@click.option("--protocol", is_flag=True, help="Print the presses to apply; with STEPS.csv, check that it has them.")
+@click.option("--plot", metavar="FILE.png", type=click.Path(path_type=Path), help="Model, residuals and estimate.")
+def command(
+    steps: Path | None, output: Path | None, full_scale: float | None, protocol: bool, plot: Path | None
+) -> None:
+    """Identify a cell from a recording with the columns time_s,pressure_kpa,resistance_ohm.
+
+    Writes the model, the estimators and the choice among them to CELL.toml, and reports how certain they are.
+    """
+    from ..cell import calibration
+
+    if steps is None:
+        if not protocol:
+            raise click.UsageError("expected STEPS.csv, or --protocol to print the presses to apply")
+        click.echo(calibration.describe_protocol())
+        return
+    recording = calibration.Recording.load(steps)
+    if protocol:
+        for line in calibration.check_protocol(recording, full_scale):
+            click.echo(line)
+    found = calibration.calibrate(recording, full_scale_kpa=full_scale)
+    if plot is not None:
+        calibration.figure(found, plot)
+    if output is not None:
+        found.cell.save(output, comment=calibration.text(found))
+    click.echo(calibration.text(found))
