@@ -44,7 +44,7 @@ class Estimator(ABC):
         self._time_s = -np.inf
 
     def update(self, time_s: float, resistance_ohm: ArrayLike) -> Estimate:
-        """Take the frame read at ``time_s``; NaN or infinite entries are missing samples.
+        """Take the frame read at ``time_s``; entries that are NaN, infinite or not positive are missing.
 
         Raises:
             InputError: another shape, or a time that does not follow the last one.
@@ -55,7 +55,7 @@ class Estimator(ABC):
         if not self._time_s < time_s < np.inf:
             raise InputError(f"time {time_s} s does not follow {self._time_s} s; expected time stamps that increase")
         r = resistance / self.rest_resistance_ohm - 1
-        good, begun = np.isfinite(r), ~np.isnan(self._read_s)
+        good, begun = np.isfinite(r) & (resistance > 0), ~np.isnan(self._read_s)
         if (good & begun).all():
             self._memory = self._advance(self._memory, self._elapsed(time_s), r)
         else:

@@ -68,14 +68,15 @@ def load(dt_s: float) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], ...
     return at, np.interp(at, times, levels)
 
 
-def check(recording: Recording, full_scale_kpa: float) -> list[str]:
-    """One line for every step, with when it was done.
+def check(recording: Recording, full_scale_kpa: float | None = None) -> list[str]:
+    """One line for every step, with when it was done; without a full scale, the level held most counts as it.
 
     Raises:
         InputError: a step is missing; the message names it and where in the recording it was expected.
     """
     time = recording.time_s
-    pressed = smoothed(recording.pressure_kpa, recording.step_s) / full_scale_kpa
+    pressed = smoothed(recording.pressure_kpa, recording.step_s)
+    pressed = pressed / (float(np.quantile(pressed, 0.95)) if full_scale_kpa is None else full_scale_kpa)
     cursor, found = time[0], []
     for number, step in enumerate((*CONDITIONING, *PROTOCOL), 1):
         if step.ramp:

@@ -52,7 +52,7 @@ def figure(calibration: Calibration, path: str | Path) -> None:
         InputError: the file cannot be written.
     """
     try:
-        from matplotlib.figure import Figure  # noqa: PLC0415 - only this function needs it
+        from matplotlib.figure import Figure
     except ImportError as error:
         raise MissingExtra("the figure needs matplotlib: pip install 'ohmskin[report]'") from error
 

@@ -1,10 +1,14 @@
-"""``ohmskin estimate``."""
+"""``ohmskin estimate``: a recording of resistance to the pressure that caused it."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import click
+
+from ..cell import Cell
+from ..cell.calibrate import run
+from ..tables import read_columns, write_columns
 
 
 @click.command()
@@ -14,7 +18,8 @@ import click
 @click.option("--estimator", metavar="NAME", help="static, paper, inverse, play or distilled [the cell's choice].")
 def command(recording: Path, cell_file: Path, output: Path, estimator: str | None) -> None:
     """Estimate pressure from the columns time_s,resistance_ohm of IN.csv, causally, sample by sample."""
-    from ..cell import Cell
-    from ..cell.calibration import estimate_file
-
-    estimate_file(recording, Cell.load(cell_file), output, estimator)
+    columns = read_columns(recording, ("time_s", "resistance_ohm"))
+    time, resistance = columns["time_s"], columns["resistance_ohm"]
+    pressure, std = run(Cell.load(cell_file).estimator((), estimator), time, resistance)
+    found = {"time_s": time, "pressure_kpa": pressure}
+    write_columns(output, found if std is None else found | {"std_kpa": std})

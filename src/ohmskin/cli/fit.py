@@ -1,10 +1,15 @@
-"""``ohmskin fit``."""
+"""``ohmskin fit``: a recording of presses to an identified, calibrated cell."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import click
+
+from ..cell import report
+from ..cell.calibrate import calibrate
+from ..cell.protocol import check, describe
+from ..cell.recording import Recording
 
 
 @click.command()
@@ -22,20 +27,19 @@ def command(
 
     Writes the model, the estimators and the choice among them to CELL.toml, and reports how certain they are.
     """
-    from ..cell import calibration
-
     if steps is None:
         if not protocol:
             raise click.UsageError("expected STEPS.csv, or --protocol to print the presses to apply")
-        click.echo(calibration.describe_protocol())
+        click.echo(describe())
         return
-    recording = calibration.Recording.load(steps)
+    recording = Recording.load(steps)
     if protocol:
-        for line in calibration.check_protocol(recording, full_scale):
+        for line in check(recording, full_scale):
             click.echo(line)
-    found = calibration.calibrate(recording, full_scale_kpa=full_scale)
+    found = calibrate(recording, full_scale_kpa=full_scale)
+    summary = report.text(found)
     if plot is not None:
-        calibration.figure(found, plot)
+        report.figure(found, plot)
     if output is not None:
-        found.cell.save(output, comment=calibration.text(found))
-    click.echo(calibration.text(found))
+        found.cell.save(output, comment=summary)
+    click.echo(summary)
