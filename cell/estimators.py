@@ -16,7 +16,7 @@ from .lag import FloatArray
 from .models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 
 Memory = dict[str, FloatArray]
-"""What an estimator remembers of each cell; the last axes of every entry are those of the cells"""
+"""What an estimator remembers of each cell; the last axis of every entry is that of the cells, in one row"""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Estimator(ABC):
 
     def __init__(self, shape: tuple[int, ...], rest_resistance_ohm: FloatArray) -> None:
         self.shape = shape
-        self.rest_resistance_ohm = resistance_of(shape, rest_resistance_ohm)
-        self._memory = self._begin(np.zeros(shape))
-        self._read_s = np.full(shape, np.nan)  # when each cell was last read
+        self._rest_ohm = resistance_of(shape, rest_resistance_ohm).ravel()
+        self._memory = self._begin(np.zeros(self._rest_ohm.size))
+        self._read_s = np.full(self._rest_ohm.size, np.nan)  # when each cell was last read
         self._time_s = -np.inf
 
     def update(self, time_s: float, resistance_ohm: ArrayLike) -> Estimate:
@@ -54,7 +54,8 @@ class Estimator(ABC):
             raise InputError(f"resistance has shape {resistance.shape}, expected {self.shape}")
         if not self._time_s < time_s < np.inf:
             raise InputError(f"time {time_s} s does not follow {self._time_s} s; expected time stamps that increase")
-        r = resistance / self.rest_resistance_ohm - 1
+        resistance = resistance.ravel()
+        r = resistance / self._rest_ohm - 1
         good, begun = np.isfinite(r) & (resistance > 0), ~np.isnan(self._read_s)
         if (good & begun).all():
             self._memory = self._advance(self._memory, self._elapsed(time_s), r)
@@ -71,8 +72,8 @@ class Estimator(ABC):
         self._time_s = float(time_s)
         known, std = good | begun, self._memory.get("std_kpa")
         return Estimate(
-            np.where(known, self._memory["pressure_kpa"], np.nan),
-            None if std is None else np.where(known, std, np.nan),
+            np.where(known, self._memory["pressure_kpa"], np.nan).reshape(self.shape),
+            None if std is None else np.where(known, std, np.nan).reshape(self.shape),
         )
 
     def state(self) -> dict[str, FloatArray]:
@@ -92,12 +93,12 @@ class Estimator(ABC):
 
     def _elapsed(self, time_s: float) -> FloatArray | float:
         """Seconds since each cell was last read: one number when they agree, the common case."""
-        first = self._read_s.flat[0] if self._read_s.size else time_s
+        first = self._read_s[0] if self._read_s.size else time_s
         return float(time_s - first) if (self._read_s == first).all() else time_s - self._read_s
 
     @abstractmethod
     def _begin(self, r: FloatArray) -> Memory:
-        """The memory of cells whose reading has been ``r`` for ever; has "r" and "pressure_kpa"."""
+        """The memory of cells (n,) whose reading has been ``r`` for ever; has "r" and "pressure_kpa"."""
 
     @abstractmethod
     def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
@@ -133,7 +134,7 @@ class PaperEstimator(Estimator):
         return self._std() | {
             "r": r,
             "pressure_kpa": pressure,
-            "rising": np.ones(self.shape),
+            "rising": np.ones_like(r),
             "lagged_r": r,
             "settled_kpa": pressure,
             "x2": pressure / m.e2_kpa,
@@ -174,7 +175,7 @@ class PaperEstimator(Estimator):
         }
 
     def _std(self) -> Memory:
-        return {} if self.std_kpa is None else {"std_kpa": np.full(self.shape, self.std_kpa)}
+        return {} if self.std_kpa is None else {"std_kpa": np.full(self._rest_ohm.shape, self.std_kpa)}
 
 
 class EquilibriumEstimator(Estimator):
@@ -203,7 +204,7 @@ class EquilibriumEstimator(Estimator):
                 rises = np.concatenate(([True], np.diff(curve) > 0))
                 return np.interp(r, curve[rises], load[rises]) * self.full_scale_kpa
             case ContactModel():
-                rest = self.rest_resistance_ohm
+                rest = self._rest_ohm
                 conductance = np.maximum(1 / (rest * np.maximum(1 + r, 1e-9)) - 1 / rest, 0)
                 load = (conductance * m.full_scale_resistance_ohm) ** (1 / m.exponent)
                 return np.minimum(load, 1) * self.full_scale_kpa

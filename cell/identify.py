@@ -88,7 +88,7 @@ def rest_resistance(recording: Recording, full_scale_kpa: float) -> tuple[float,
     The median before the first press, if that lasts a second; else the lowest resistance while hardly loaded, and
     then the cell may never have been seen at rest.
     """
-    pressure = np.abs(simulate.smoothed(recording.pressure_kpa, recording.step_s))
+    pressure = np.abs(recording.quiet.pressure_kpa)
     pressed = np.flatnonzero(pressure > 0.03 * full_scale_kpa)
     first = int(pressed[0]) if pressed.size else len(pressure)
     if first > 2 and recording.time_s[first] - recording.time_s[0] >= 1.0:
@@ -157,7 +157,7 @@ def fits(recording: Recording, full_scale_kpa: float) -> list[Fit]:
         found = [_fit_contact(recording, full_scale_kpa, rest)]
     else:
         start = _start(recording, full_scale_kpa, rest)
-        kinds = [_paper_kind(start, full_scale_kpa), _asymmetric_kind(start, full_scale_kpa), _m10_kind(start)]
+        kinds = [_asymmetric_kind(start), _paper_kind(start), _m10_kind(start)]
         found = [_fit(kind, recording, full_scale_kpa, rest, lower) for kind in kinds]
     least = min(fit.held_out_error for fit in found)
     if not least < 0.5:
@@ -174,8 +174,8 @@ def _grid(recording: Recording, full_scale_kpa: float, rest: float, share: float
     time = recording.time_s
     dt = max(recording.step_s, (time[-1] - time[0]) / points)
     at = np.arange(time[0], time[-1], dt)
-    load = simulate.smoothed(recording.pressure_kpa / full_scale_kpa, recording.step_s)
-    r = simulate.smoothed(recording.resistance_ohm / rest - 1, recording.step_s, dt / 4)
+    quiet = recording.quiet
+    load, r = quiet.pressure_kpa / full_scale_kpa, quiet.resistance_ohm / rest - 1
     return _Grid(dt, np.interp(at, time, load), np.interp(at, time, r), max(2, int(len(at) * share)))
 
 
@@ -324,7 +324,7 @@ def _m10_kind(start: tuple[float, ...]) -> _Kind:
     )
 
 
-def _asymmetric_kind(start: tuple[float, ...], full_scale_kpa: float) -> _Kind:
+def _asymmetric_kind(start: tuple[float, ...]) -> _Kind:
     g1, g2, g3, t2, t3 = start
 
     def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
@@ -343,7 +343,7 @@ def _asymmetric_kind(start: tuple[float, ...], full_scale_kpa: float) -> _Kind:
     )
 
 
-def _paper_kind(start: tuple[float, ...], full_scale_kpa: float) -> _Kind:
+def _paper_kind(start: tuple[float, ...]) -> _Kind:
     g1, g2, g3, t2, t3 = start
 
     def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
@@ -356,7 +356,8 @@ def _paper_kind(start: tuple[float, ...], full_scale_kpa: float) -> _Kind:
         )  # fmt: skip
         columns = _columns(load)
         cells = parameters.shape[1]
-        steady = play_follow(np.broadcast_to(columns, (len(columns), cells)), 0.005)
+        noise = 4 * simulate.white_noise(columns[:, 0])  # would hand over at every sample
+        steady = play_follow(np.broadcast_to(columns, (len(columns), cells)), noise)
         forward = PaperForward(cast(PaperModel, models), 1.0, (cells,), np.ones(()))
         return np.stack([forward.step(dt, s) for s in steady]) - 1
 
@@ -416,7 +417,7 @@ def _simulation(kind: _Kind, found: FloatArray, rest: float) -> Simulation:
 
 def _fit_contact(recording: Recording, full_scale_kpa: float, rest: float) -> Fit:
     """P2: log of the contact's conductance against log of the load, where the load is felt."""
-    load = simulate.smoothed(recording.pressure_kpa, recording.step_s) / full_scale_kpa
+    load = recording.quiet.pressure_kpa / full_scale_kpa
     highest = float(np.max(recording.resistance_ohm[load < 0.05]))
     rest = max(rest, highest)
     conductance = 1 / recording.resistance_ohm - 1 / rest

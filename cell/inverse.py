@@ -87,11 +87,11 @@ class InverseEstimator(Estimator):
         step = _root(m.b, slope + np.sign(change) * breaking, change)
         s = s0 + step
         ends = [kept + follows * step for _, _, kept, follows in branches]
-        crossed = np.zeros(self.shape, dtype=bool)
+        crossed = np.zeros(r.shape, dtype=bool)
         for (alpha, charging, _, _), end in zip(branches, ends, strict=True):
             crossed |= (alpha * s >= end) != charging
         if crossed.any():
-            dt = np.broadcast_to(dt_s, self.shape)[crossed]
+            dt = np.broadcast_to(dt_s, r.shape)[crossed]
             part = {name: value[crossed] for name, value in memory.items()}
             exact = self._bracketed(part, dt, r[crossed], s[crossed])
             x1, x2, broken = self._step(part, dt, exact)

@@ -132,7 +132,7 @@ class StaticCurveEstimator(Estimator):
         return {
             "r": r,
             "pressure_kpa": load * self.full_scale_kpa,
-            "std_kpa": np.full(self.shape, self.curve.std_kpa),
+            "std_kpa": np.full(r.shape, self.curve.std_kpa),
         }
 
     def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
@@ -159,31 +159,25 @@ class LearnedEstimator(Estimator):
     def _begin(self, r: FloatArray) -> Memory:
         memory = self._bank.begin(r)
         seen = self._terms.standardised(self._bank.features(memory))
-        load, std = self._map(seen.reshape(self._bank.count, -1))
+        load, std = self._map(seen)
         return memory | {
             "r": r,
             "seen": seen,
-            "pressure_kpa": (load * self.full_scale_kpa).reshape(self.shape),
-            "std_kpa": (std * self.full_scale_kpa).reshape(self.shape),
+            "pressure_kpa": load * self.full_scale_kpa,
+            "std_kpa": std * self.full_scale_kpa,
         }
 
     def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
         bank = self._bank.advance(memory, dt_s, r)
-        now = self._terms.standardised(self._bank.features(bank)).reshape(self._bank.count, -1)
-        seen = memory["seen"].reshape(self._bank.count, -1).copy()
-        pressure, std = memory["pressure_kpa"].ravel().copy(), memory["std_kpa"].ravel().copy()
+        now = self._terms.standardised(self._bank.features(bank))
+        seen, pressure, std = (memory[name].copy() for name in ("seen", "pressure_kpa", "std_kpa"))
         moved = np.flatnonzero(np.abs(now - seen).max(axis=0) > STILL)
         if moved.size:
             seen[:, moved] = now[:, moved]
             load, deviation = self._map(now[:, moved])
             pressure[moved] = load * self.full_scale_kpa
             std[moved] = deviation * self.full_scale_kpa
-        return bank | {
-            "r": r,
-            "seen": seen.reshape(memory["seen"].shape),
-            "pressure_kpa": pressure.reshape(self.shape),
-            "std_kpa": std.reshape(self.shape),
-        }
+        return bank | {"r": r, "seen": seen, "pressure_kpa": pressure, "std_kpa": std}
 
     def _map(self, standardised: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Normalised load and its standard deviation (m) for standardised features (count, m)."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from ..errors import InputError
 from .recording import Recording
-from .simulate import smoothed
 
 
 @dataclass(frozen=True)
@@ -75,7 +74,7 @@ def check(recording: Recording, full_scale_kpa: float | None = None) -> list[str
         InputError: a step is missing; the message names it and where in the recording it was expected.
     """
     time = recording.time_s
-    pressed = smoothed(recording.pressure_kpa, recording.step_s)
+    pressed = recording.quiet.pressure_kpa
     pressed = pressed / (float(np.quantile(pressed, 0.95)) if full_scale_kpa is None else full_scale_kpa)
     cursor, found = time[0], []
     for number, step in enumerate((*CONDITIONING, *PROTOCOL), 1):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import InputError
 from ..tables import read_columns
 from .lag import FloatArray
-from .simulate import smoothed
+from .simulate import smoothed, smoothing_s
 
 COLUMNS = ("time_s", "pressure_kpa", "resistance_ohm")
 SHORTEST_S, FEWEST = 20.0, 100
@@ -40,10 +40,15 @@ class Recording:
         """The usual time between samples."""
         return float(np.median(np.diff(self.time_s)))
 
-    def until(self, time_s: float) -> Recording:
-        """The part before ``time_s``."""
-        part = self.time_s < time_s
-        return Recording(self.time_s[part], self.pressure_kpa[part], self.resistance_ohm[part], self.name)
+    @property
+    def quiet(self) -> Recording:
+        """Itself if its pressure is free of noise; else both signals smoothed alike, which a model hardly sees."""
+        seconds = smoothing_s(self.pressure_kpa, self.step_s)
+        return replace(
+            self,
+            pressure_kpa=smoothed(self.pressure_kpa, self.step_s, seconds),
+            resistance_ohm=smoothed(self.resistance_ohm, self.step_s, seconds),
+        )
 
 
 def checked(
@@ -79,7 +84,7 @@ def checked(
             f"{name}: {len(found.time_s)} readings over {length:.3g} s are too short to identify a cell; "
             f"expected at least {FEWEST} readings and {SHORTEST_S:g} s (see ohmskin fit --protocol)"
         )
-    pressure = smoothed(found.pressure_kpa, found.step_s)
+    pressure = found.quiet.pressure_kpa
     low, high = float(pressure.min()), float(pressure.max())
     if not high > 0 or high - low < 1e-6 * high:
         raise InputError(f"{name}: pressure_kpa stays at {high:g}; expected presses and releases")

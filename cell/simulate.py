@@ -106,8 +106,21 @@ def wandering(
     return noise
 
 
-def smoothed(load: FloatArray, dt_s: float, seconds: float = 0.5) -> FloatArray:
-    """A load without the noise of its force gauge, which the integral of |ds| would add up."""
+def white_noise(signal: FloatArray) -> float:
+    """Standard deviation of what changes from sample to sample: robust second differences of (n,)."""
+    return float(np.median(np.abs(np.diff(signal, 2))) / 0.6745 / np.sqrt(6)) if len(signal) > 2 else 0.0
+
+
+def smoothing_s(load: FloatArray, dt_s: float) -> float:
+    """Over how long a force gauge's signal must be smoothed: its noise would add up in the integral of |ds|.
+
+    Not at all if that is less than 5 % of the load's range in ten seconds.
+    """
+    return 0.5 if white_noise(load) * 10 / dt_s > 0.05 * np.ptp(load) else 0.0
+
+
+def smoothed(signal: FloatArray, dt_s: float, seconds: float) -> FloatArray:
+    """A signal (n,) behind a Gaussian window of that standard deviation."""
     width = seconds / dt_s
-    result: FloatArray = gaussian_filter1d(load, width) if width > 0.3 else load
+    result: FloatArray = gaussian_filter1d(signal, width) if width > 0.3 else signal
     return result

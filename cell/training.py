@@ -87,7 +87,7 @@ def variations(calibration: Calibration, rng: np.random.Generator) -> tuple[Floa
     step = float(np.median(np.diff(calibration.time_s)))
     dt = float(np.clip(step, 0.1, 0.2))
     samples, half = round(SECONDS / dt), CELLS // 2
-    recorded = simulate.smoothed(calibration.load, step)
+    recorded = simulate.smoothed(calibration.load, step, simulate.smoothing_s(calibration.load, step))
     load = np.concatenate(
         [
             simulate.random_loads(rng, samples, CELLS - half, dt),
@@ -99,13 +99,8 @@ def variations(calibration: Calibration, rng: np.random.Generator) -> tuple[Floa
     unexplained = max(calibration.unexplained, 0.005 * calibration.spread)
     r = r + simulate.wandering(rng, samples, CELLS, dt, 3.0, 0.6 * unexplained)
     r = r + simulate.wandering(rng, samples, CELLS, dt, 60.0, 0.8 * unexplained)
-    r = r + OFFSET * rng.standard_normal(CELLS) + white_noise(calibration.r) * rng.standard_normal(r.shape)
+    r = r + OFFSET * rng.standard_normal(CELLS) + simulate.white_noise(calibration.r) * rng.standard_normal(r.shape)
     return load, r, dt
-
-
-def white_noise(r: FloatArray) -> float:
-    """Standard deviation of what changes from sample to sample: robust second differences."""
-    return float(np.median(np.abs(np.diff(r, 2))) / 0.6745 / np.sqrt(6)) if len(r) > 2 else 0.0
 
 
 def rows(calibration: Calibration, bank: Bank, simulated: tuple[FloatArray, FloatArray, float]) -> Rows:
