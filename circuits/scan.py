@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from math import inf
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .design import Design
-from .grid import exact_ports
-from .parts import Parts
-from .readout import apparent_resistance, read
+from .exact import read_exactly
+from .readout import apparent_resistance
 
 FloatArray = NDArray[np.float64]
 
@@ -46,8 +46,7 @@ def scan(design: Design, resistance: ArrayLike, *, tolerance: float | None = Non
     """
     cells = design.resistance(resistance)
     start = time.perf_counter()
-    ports = exact_ports(design, cells)
-    reading = read(design, ports)
+    reading, error = read_exactly(design, cells)
     volts = _infinite_where_shorted(design, cells, reading.volts)
     seconds = time.perf_counter() - start
     return ScanResult(
@@ -55,18 +54,26 @@ def scan(design: Design, resistance: ArrayLike, *, tolerance: float | None = Non
         resistance=apparent_resistance(design, volts),
         saturated=reading.saturated,
         method="exact",
-        error_bound=1e-12,
+        error_bound=_relative(error, volts),
         seconds=seconds,
     )
+
+
+def _relative(error: FloatArray, volts: FloatArray) -> float:
+    """Largest error relative to the largest finite output."""
+    finite = np.isfinite(volts)
+    largest = np.max(np.abs(volts), where=finite, initial=0.0)
+    worst = np.max(error, where=finite, initial=0.0)
+    return float(worst / largest) if largest else inf if worst else 0.0
 
 
 def _infinite_where_shorted(design: Design, cells: FloatArray, volts: FloatArray) -> FloatArray:
     """The output of an ideal amplifier on a shorted cell with ideal lines has no finite value."""
     if design.readout.circuit != "inverting-amplifier" or (cells > 0).all():
         return volts
-    parts = Parts.of(design)
-    ohms = np.r_[cells.ravel(), parts.row_lead, parts.row_segment, parts.column_lead, parts.column_segment]
+    array = design.array
+    ohms = np.r_[cells.ravel(), array.row_lead, array.row_segment, array.column_lead, array.column_segment]
     smallest = np.min(ohms, where=ohms > 0, initial=np.finfo(np.float64).max)
-    finite = abs(design.drive.voltage) * parts.reference * ohms.size / smallest
+    finite = abs(design.drive.voltage) * design.readout.reference_resistance * ohms.size / smallest
     signal = volts - design.readout.reference_voltage
     return np.where(np.abs(signal) > 1e9 * finite, np.copysign(np.inf, signal), volts)

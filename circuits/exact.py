@@ -1,0 +1,92 @@
+"""The exact method: one elimination for a whole frame, and a bound on what rounding did to it."""
+
+from __future__ import annotations
+
+from math import inf, isfinite
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .design import Design
+from .grid import exact_ports
+from .linear import LinearReadout
+from .parts import cell_conductance, lines
+from .ports import Lines, rounding_meter, transfer_conductances
+from .readout import Reading, read
+
+FloatArray = NDArray[np.float64]
+
+_ULP = float(np.finfo(np.float64).eps) / 2.0
+
+
+def read_exactly(design: Design, resistance: FloatArray) -> tuple[Reading, FloatArray]:
+    """Outputs of frames (..., rows, columns) of cells in ohm, and how far rounding can have moved each, in V."""
+    conductance, grid = cell_conductance(design, resistance), lines(design)
+    linear = LinearReadout.of(design)
+    if linear is not None:
+        ended = linear.lines(grid)
+        with rounding_meter() as meter:
+            transfer = transfer_conductances(conductance, ended)
+        volts = linear.volts(transfer)
+        error = linear.error(_transfer_error(conductance, ended, transfer, meter.relative)) + _few_ulp(volts)
+        if linear.within_supply(volts, error).all():
+            return Reading(volts, np.zeros(volts.shape, dtype=np.bool_)), error
+    with rounding_meter() as meter:
+        reading = read(design, exact_ports(design, resistance))
+    return reading, _error(design, conductance, grid, meter.relative) + _few_ulp(reading.volts)
+
+
+def _few_ulp(volts: FloatArray) -> FloatArray:
+    """Conversion of the resistances, and the last steps from conductances to volts."""
+    return (20 + sum(volts.shape[-2:])) * _ULP * np.abs(volts)
+
+
+def _transfer_error(conductance: FloatArray, grid: Lines, transfer: FloatArray, relative: float) -> FloatArray:
+    """S by which each transfer conductance may be off, see :func:`.ports.rounding_meter`."""
+    if np.isinf(grid.row[:, 1:]).all() and np.isinf(grid.column[1:]).all():
+        return relative * transfer  # one elimination: each entry has that relative error
+    row, column = port_roots(conductance, grid)
+    return relative * row[..., :, None] * column[..., None, :]
+
+
+def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
+    """Bounds on sqrt(Y_ii) of each row terminal (..., N) and each column terminal (..., M), in sqrt(S).
+
+    Y_ii is the conductance of a port with all others at ground. By Rayleigh's law it grows when the lines that cross
+    port i's are grounded all along: what is left is a chain of its cells.
+    """
+    exits = np.full(conductance.shape[-1], inf) if grid.exit is None else grid.exit
+    column = np.concatenate([exits[None], grid.column[:0:-1]])
+    turned = np.swapaxes(conductance, -1, -2)[..., ::-1]
+    return np.sqrt(_chain(conductance, grid.row)), np.sqrt(_chain(turned, column.T))
+
+
+def _chain(shunt: FloatArray, series: FloatArray) -> FloatArray:
+    """S into chains (..., lines, places) of cells to ground, ``series`` ahead of each cell."""
+    lumped = _in_series(series[:, 0], shunt.sum(axis=-1))  # all other wires ideal: more, and cheaper
+    if np.isfinite(lumped).all():
+        return lumped
+    admittance = np.zeros(shunt.shape[:-1])
+    for place in reversed(range(shunt.shape[-1])):
+        admittance = _in_series(series[:, place], admittance + shunt[..., place])
+    return admittance
+
+
+def _in_series(one: FloatArray, other: FloatArray) -> FloatArray:
+    with np.errstate(divide="ignore"):
+        ohms: FloatArray = 1.0 / one + 1.0 / other
+        return 1.0 / ohms
+
+
+def _error(design: Design, conductance: FloatArray, grid: Lines, relative: float) -> FloatArray:
+    """V by which rounding can have moved the outputs of any circuit: every port's voltage takes part."""
+    part, drive = design.readout, abs(design.drive.voltage)
+    row, column = port_roots(conductance, grid)
+    reference = part.reference_resistance
+    if part.circuit != "inverting-amplifier":  # a load of at least ``reference`` on the column
+        column = np.minimum(column, 1.0 / np.sqrt(reference))
+    limits = [abs(limit - part.reference_voltage) for limit in part.supply if isfinite(limit)]
+    others = max([abs(part.offset_voltage), *limits]) + abs(reference * part.bias_current)
+    applied = drive * row[..., :, None] + others * column.sum(axis=-1)[..., None, None]
+    error: FloatArray = reference * relative * applied * column[..., None, :]
+    return error

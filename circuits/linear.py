@@ -1,0 +1,76 @@
+"""Amplifier frames that need no more of the grid than the conductance from each row to each column.
+
+With grounded idle rows and amplifiers that all hold their inputs at one potential, a scan step is linear in the N x M
+*transfer conductances* of the grid with what the columns end in attached to it. That is most scans; the fast methods
+(:mod:`.attenuation`, :func:`.ports.transfer_conductances`) compute nothing else. The others go through
+:mod:`.readout`: dividers, floating rows, unequal offsets, and frames in which an output saturates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .design import Design
+from .grid import is_plain
+from .ports import Lines
+from .readout import amplifier_ends
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LinearReadout:
+    """Outputs as a linear function of the transfer conductances (..., N, M)."""
+
+    resistance: FloatArray
+    """ohm (M,) that each column ends in: its lead and the amplifier's input"""
+    output: FloatArray
+    """V (M,) without current"""
+    slope: FloatArray
+    """V/A (M,)"""
+    drive: float
+    """V of the selected row"""
+    source: float
+    """V behind the columns' ends, against the reference"""
+    supply: tuple[float, float]
+
+    @classmethod
+    def of(cls, design: Design) -> LinearReadout | None:
+        """None where the design's frames are not of this kind."""
+        ordinary = design.readout.circuit == "inverting-amplifier" and design.drive.idle_rows == "ground"
+        if not (ordinary and is_plain(design)):
+            return None
+        ends = amplifier_ends(design)
+        source = ends.source - design.readout.reference_voltage
+        if (source != source[0]).any():
+            return None
+        resistance = ends.resistance + design.array.column_lead
+        return cls(resistance, ends.output, ends.slope, design.drive.voltage, float(source[0]), design.readout.supply)
+
+    def lines(self, grid: Lines) -> Lines:
+        """``grid`` with the columns' ends attached."""
+        with np.errstate(divide="ignore"):
+            return Lines(grid.row, grid.column, 1.0 / self.resistance)
+
+    def volts(self, transfer: FloatArray) -> FloatArray:
+        """(..., N, M) V, had the amplifiers no limits."""
+        return self.output + self.slope * self._currents(transfer, self.drive, -self.source)
+
+    def error(self, transfer_error: FloatArray) -> FloatArray:
+        """How much the outputs (..., N, M) can be wrong, in V, for such errors of the transfer conductances."""
+        return np.abs(self.slope) * self._currents(transfer_error, abs(self.drive), abs(self.source))
+
+    def within_supply(self, volts: FloatArray, error: FloatArray | float = 0.0) -> NDArray[np.bool_]:
+        """(...,) whether no output of a frame can have reached a limit."""
+        low, high = self.supply
+        return np.asarray(((volts - error >= low) & (volts + error <= high)).all(axis=(-2, -1)))
+
+    @staticmethod
+    def _currents(transfer: FloatArray, drive: float, source: float) -> FloatArray:
+        currents = drive * transfer
+        if source:
+            currents += source * transfer.sum(axis=-2, keepdims=True)
+        return currents
