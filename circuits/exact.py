@@ -7,6 +7,7 @@ from math import inf, isfinite
 import numpy as np
 from numpy.typing import NDArray
 
+from . import banded
 from .design import Design
 from .grid import exact_ports
 from .linear import LinearReadout
@@ -25,10 +26,9 @@ def read_exactly(design: Design, resistance: FloatArray) -> tuple[Reading, Float
     linear = LinearReadout.of(design)
     if linear is not None:
         ended = linear.lines(grid)
-        with rounding_meter() as meter:
-            transfer = transfer_conductances(conductance, ended)
+        transfer, transfer_error = _transfer(conductance, ended)
         volts = linear.volts(transfer)
-        error = linear.error(_transfer_error(conductance, ended, transfer, meter.relative)) + _few_ulp(volts)
+        error = linear.error(transfer_error) + _few_ulp(volts)
         if linear.within_supply(volts, error).all():
             return Reading(volts, np.zeros(volts.shape, dtype=np.bool_)), error
     with rounding_meter() as meter:
@@ -41,12 +41,19 @@ def _few_ulp(volts: FloatArray) -> FloatArray:
     return (20 + sum(volts.shape[-2:])) * _ULP * np.abs(volts)
 
 
-def _transfer_error(conductance: FloatArray, grid: Lines, transfer: FloatArray, relative: float) -> FloatArray:
-    """S by which each transfer conductance may be off, see :func:`.ports.rounding_meter`."""
-    if np.isinf(grid.row[:, 1:]).all() and np.isinf(grid.column[1:]).all():
-        return relative * transfer  # one elimination: each entry has that relative error
+def _transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
+    """Transfer conductances (..., N, M) in S, and by how much each may be off, see :func:`.ports.rounding_meter`."""
+    ideal = np.isinf(grid.row[:, 1:]).all() and np.isinf(grid.column[1:]).all()
+    if conductance.size <= banded.LARGEST and conductance.ndim == 2 and not ideal:
+        small = banded.transfer(conductance, grid)
+        if small is not None:
+            return small
+    with rounding_meter() as meter:
+        transfer = transfer_conductances(conductance, grid)
+    if ideal:
+        return transfer, meter.relative * transfer  # one elimination: each entry has that relative error
     row, column = port_roots(conductance, grid)
-    return relative * row[..., :, None] * column[..., None, :]
+    return transfer, meter.relative * row[..., :, None] * column[..., None, :]
 
 
 def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
