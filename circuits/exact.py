@@ -28,15 +28,15 @@ def read_exactly(design: Design, resistance: FloatArray) -> tuple[Reading, Float
         ended = linear.lines(grid)
         transfer, transfer_error = _transfer(conductance, ended)
         volts = linear.volts(transfer)
-        error = linear.error(transfer_error) + _few_ulp(volts)
+        error = linear.error(transfer_error) + few_ulp(volts)
         if linear.within_supply(volts, error).all():
             return Reading(volts, np.zeros(volts.shape, dtype=np.bool_)), error
     with rounding_meter() as meter:
         reading = read(design, exact_ports(design, resistance))
-    return reading, _error(design, conductance, grid, meter.relative) + _few_ulp(reading.volts)
+    return reading, _error(design, conductance, grid, meter.relative) + few_ulp(reading.volts)
 
 
-def _few_ulp(volts: FloatArray) -> FloatArray:
+def few_ulp(volts: FloatArray) -> FloatArray:
     """Conversion of the resistances, and the last steps from conductances to volts."""
     return (20 + sum(volts.shape[-2:])) * _ULP * np.abs(volts)
 

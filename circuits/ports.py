@@ -50,7 +50,7 @@ _ULP = float(np.finfo(np.float64).eps) / 2.0
 _SUM_OF_GROWTHS = 8  # nodes up to which a rounding bound is not worth another matrix product
 _CHUNK = 256  # leaves eliminated together, so that their branches stay in the processor's cache
 _KEPT = 1 << 24  # numbers of scratch memory that a thread keeps between calls (128 MB)
-_SMALL = 16  # blocks below this size are treated alike at the grid's rim, so that more of them stack
+_SMALL = 32  # blocks below this size are treated alike at the grid's rim, so that more of them stack
 
 Label = tuple[str, int, int]
 """A node: ("row" | "column", line, place): place 0 is the line's terminal, k the node at its k-th crosspoint."""
