@@ -11,9 +11,9 @@ from . import banded
 from .design import Design
 from .grid import exact_ports
 from .linear import LinearReadout
-from .parts import cell_conductance, lines
+from .parts import Parts, cell_conductance, lines
 from .ports import Lines, rounding_meter, transfer_conductances
-from .readout import Reading, read
+from .readout import Reading, amplifier_ends, read
 
 FloatArray = NDArray[np.float64]
 
@@ -32,8 +32,9 @@ def read_exactly(design: Design, resistance: FloatArray) -> tuple[Reading, Float
         if linear.within_supply(volts, error).all():
             return Reading(volts, np.zeros(volts.shape, dtype=np.bool_)), error
     with rounding_meter() as meter:
-        reading = read(design, exact_ports(design, resistance))
-    return reading, _error(design, conductance, grid, meter.relative) + few_ulp(reading.volts)
+        ports = exact_ports(design, resistance)
+        reading = read(design, ports)
+    return reading, _error(design, ports, meter.relative) + few_ulp(reading.volts)
 
 
 def few_ulp(volts: FloatArray) -> FloatArray:
@@ -53,7 +54,8 @@ def _transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatAr
     if ideal:
         return transfer, meter.relative * transfer  # one elimination: each entry has that relative error
     row, column = port_roots(conductance, grid)
-    return transfer, meter.relative * row[..., :, None] * column[..., None, :]
+    error = meter.relative * row[..., :, None] * np.where(column > 0, column, np.nan)[..., None, :]
+    return transfer, np.where(np.isnan(error), 0.0, error)  # nothing flows into a column that is open
 
 
 def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
@@ -85,15 +87,17 @@ def _in_series(one: FloatArray, other: FloatArray) -> FloatArray:
         return 1.0 / ohms
 
 
-def _error(design: Design, conductance: FloatArray, grid: Lines, relative: float) -> FloatArray:
+def _error(design: Design, ports: FloatArray, relative: float) -> FloatArray:
     """V by which rounding can have moved the outputs of any circuit: every port's voltage takes part."""
-    part, drive = design.readout, abs(design.drive.voltage)
-    row, column = port_roots(conductance, grid)
-    reference = part.reference_resistance
-    if part.circuit != "inverting-amplifier":  # a load of at least ``reference`` on the column
-        column = np.minimum(column, 1.0 / np.sqrt(reference))
+    part, parts = design.readout, Parts.of(design)
+    behind = parts.column_lead
+    behind = behind + (amplifier_ends(design).resistance if part.circuit == "inverting-amplifier" else parts.reference)
+    total = ports.sum(axis=-1)
+    row = np.sqrt(total[..., : design.array.rows])
+    with np.errstate(divide="ignore"):
+        column = np.sqrt(_in_series(total[..., design.array.rows :], 1.0 / behind))
     limits = [abs(limit - part.reference_voltage) for limit in part.supply if isfinite(limit)]
-    others = max([abs(part.offset_voltage), *limits]) + abs(reference * part.bias_current)
-    applied = drive * row[..., :, None] + others * column.sum(axis=-1)[..., None, None]
-    error: FloatArray = reference * relative * applied * column[..., None, :]
+    others = np.maximum(np.abs(parts.offset), max(limits, default=0.0)) + np.abs(parts.reference * parts.bias)
+    applied = abs(design.drive.voltage) * row[..., :, None] + (others * column).sum(axis=-1)[..., None, None]
+    error: FloatArray = parts.reference * relative * applied * column[..., None, :]
     return error

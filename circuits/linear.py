@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from .design import Design
 from .grid import is_plain
+from .parts import Parts
 from .ports import Lines
 from .readout import amplifier_ends
 
@@ -44,10 +45,10 @@ class LinearReadout:
         if not (ordinary and is_plain(design)):
             return None
         ends = amplifier_ends(design)
-        source = ends.source - design.readout.reference_voltage
-        if (source != source[0]).any():
+        source = ends.source
+        resistance = ends.resistance + Parts.of(design).column_lead
+        if (source != source[0]).any() or np.isinf(resistance).any():
             return None
-        resistance = ends.resistance + design.array.column_lead
         return cls(resistance, ends.output, ends.slope, design.drive.voltage, float(source[0]), design.readout.supply)
 
     def lines(self, grid: Lines) -> Lines:

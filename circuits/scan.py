@@ -18,7 +18,7 @@ from .attenuation import Attenuated, attenuate
 from .design import Design
 from .exact import few_ulp, read_exactly
 from .linear import LinearReadout
-from .parts import cell_conductance, lines
+from .parts import Parts, cell_conductance, lines
 from .readout import apparent_resistance
 from .series import terms
 
@@ -172,9 +172,9 @@ def _infinite_where_shorted(design: Design, cells: FloatArray, volts: FloatArray
     """The output of an ideal amplifier on a shorted cell with ideal lines has no finite value."""
     if design.readout.circuit != "inverting-amplifier" or (cells > 0).all():
         return volts
-    array = design.array
-    ohms = np.r_[cells.ravel(), array.row_lead, array.row_segment, array.column_lead, array.column_segment]
+    parts = Parts.of(design)
+    ohms = np.r_[cells.ravel(), parts.row_lead, parts.row_segment, parts.column_lead, parts.column_segment]
     smallest = np.min(ohms, where=ohms > 0, initial=np.finfo(np.float64).max)
-    finite = abs(design.drive.voltage) * design.readout.reference_resistance * ohms.size / smallest
+    finite = abs(design.drive.voltage) * parts.reference * ohms.size / smallest
     signal = volts - design.readout.reference_voltage
     return np.where(np.abs(signal) > 1e9 * finite, np.copysign(np.inf, signal), volts)

@@ -60,7 +60,7 @@ def changes(design: Design, cells: np.ndarray, found: Sensitivity) -> Iterator[t
 
 def check(design: Design, cells: np.ndarray) -> None:
     found = sensitivity(design, cells)
-    np.testing.assert_array_equal(found.volts, scan(design, cells).volts)
+    np.testing.assert_allclose(found.volts, scan(design, cells).volts, rtol=1e-12)
     scale = np.abs(found.volts - design.readout.reference_voltage).max()
     for name, derivative, change, size in changes(design, cells, found):
         up, down = (reference_volts(*change(sign * STEP * size), 50) for sign in (1, -1))
