@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf, isfinite
 
 import numpy as np
@@ -12,7 +13,7 @@ from .design import Design
 from .grid import exact_ports
 from .linear import LinearReadout
 from .parts import Parts, cell_conductance, lines
-from .ports import Lines, rounding_meter, transfer_conductances
+from .ports import Lines, has_ideal_lines, rounding_meter, transfer_conductances
 from .readout import Reading, amplifier_ends, read
 
 FloatArray = NDArray[np.float64]
@@ -20,15 +21,28 @@ FloatArray = NDArray[np.float64]
 _ULP = float(np.finfo(np.float64).eps) / 2.0
 
 
-def read_exactly(design: Design, resistance: FloatArray) -> tuple[Reading, FloatArray]:
-    """Outputs of frames (..., rows, columns) of cells in ohm, and how far rounding can have moved each, in V."""
+Transfer = Callable[[FloatArray, Lines], tuple[FloatArray, FloatArray]]
+"""Cells (..., N, M) in S and their lines to transfer conductances in S, and by how much each may be off."""
+
+
+def read_exactly(
+    design: Design, resistance: FloatArray, transfer_of: Transfer | None = None
+) -> tuple[Reading, FloatArray]:
+    """Outputs of frames of cells, and how far rounding can have moved each, in V.
+
+    Args:
+        design: what reads them.
+        resistance: (..., rows, columns) ohm.
+        transfer_of: what to use in place of :func:`exact_transfer`.
+
+    """
     conductance, grid = cell_conductance(design, resistance), lines(design)
     linear = LinearReadout.of(design)
     if linear is not None:
         ended = linear.lines(grid)
-        transfer, transfer_error = _transfer(conductance, ended)
+        transfer, off = (transfer_of or exact_transfer)(conductance, ended)
         volts = linear.volts(transfer)
-        error = linear.error(transfer_error) + few_ulp(volts)
+        error = linear.error(off) + few_ulp(volts)
         if linear.within_supply(volts, error).all():
             return Reading(volts, np.zeros(volts.shape, dtype=np.bool_)), error
     with rounding_meter() as meter:
@@ -42,20 +56,24 @@ def few_ulp(volts: FloatArray) -> FloatArray:
     return (20 + sum(volts.shape[-2:])) * _ULP * np.abs(volts)
 
 
-def _transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
+def exact_transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
     """Transfer conductances (..., N, M) in S, and by how much each may be off, see :func:`.ports.rounding_meter`."""
-    ideal = np.isinf(grid.row[:, 1:]).all() and np.isinf(grid.column[1:]).all()
-    if conductance.size <= banded.LARGEST and conductance.ndim == 2 and not ideal:
+    if conductance.size <= banded.LARGEST and conductance.ndim == 2 and not has_ideal_lines(grid):
         small = banded.transfer(conductance, grid)
         if small is not None:
             return small
     with rounding_meter() as meter:
         transfer = transfer_conductances(conductance, grid)
-    if ideal:
-        return transfer, meter.relative * transfer  # one elimination: each entry has that relative error
+    return transfer, transfer_error(conductance, grid, transfer, meter.relative)
+
+
+def transfer_error(conductance: FloatArray, grid: Lines, transfer: FloatArray, relative: float) -> FloatArray:
+    """S by which transfer conductances may be off after a relative error in every stage."""
+    if has_ideal_lines(grid):
+        return relative * transfer  # one elimination: each entry has that relative error
     row, column = port_roots(conductance, grid)
-    error = meter.relative * row[..., :, None] * np.where(column > 0, column, np.nan)[..., None, :]
-    return transfer, np.where(np.isnan(error), 0.0, error)  # nothing flows into a column that is open
+    error = relative * row[..., :, None] * np.where(column > 0, column, np.nan)[..., None, :]
+    return np.where(np.isnan(error), 0.0, error)  # nothing flows into a column that is open
 
 
 def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:

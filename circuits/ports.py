@@ -407,19 +407,27 @@ def transfer_conductances(conductance: FloatArray, lines: Lines) -> FloatArray:
 
 def _ports(conductance: FloatArray, lines: Lines, transfer_only: bool = False) -> FloatArray:
     """(frames, N + M, N + M), or (frames, N, M) with ``transfer_only``."""
-    rows, columns = conductance.shape[1:]
-    exits = np.full(columns, np.inf) if lines.exit is None else lines.exit
+    rows = conductance.shape[1]
+    cells, row, column = _capped(conductance, lines)
+    if has_ideal_lines(lines):
+        network = _ideal_lines(cells, row[:, 0], column[0])
+        return network[:, :rows, rows:] if transfer_only else network
+    # Turned over: the columns' terminals at the top.
+    return _merge_all(cells[:, ::-1], row[::-1], column, transfer_only)[:, ::-1, ::-1]
+
+
+def has_ideal_lines(lines: Lines) -> bool:
+    """Whether no line has any resistance between its crosspoints."""
+    return bool(np.isinf(lines.row[:, 1:]).all() and np.isinf(lines.column[1:]).all())
+
+
+def _capped(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Cells, row lines and column lines (from the exits backwards) with large numbers in place of infinite ones."""
+    exits = np.full(conductance.shape[-1], np.inf) if lines.exit is None else lines.exit
     short = IDEAL_WIRE * max(_largest_finite(part) for part in (conductance, lines.row, lines.column, exits))
     wire = IDEAL_WIRE * short  # an ideal line holds its potential even across a shorted cell
-    cells, exits = np.minimum(conductance, short), np.minimum(exits, wire)
-    row, column = np.minimum(lines.row, wire), np.minimum(lines.column, wire)
-    if np.isinf(lines.row[:, 1:]).all() and np.isinf(lines.column[1:]).all():
-        network = _ideal_lines(cells, row[:, 0], exits)
-    else:  # turned over: the columns' terminals at the top
-        column = np.concatenate([exits[None], column[:0:-1]])
-        turned = _merge_all(cells[:, ::-1], row[::-1], column, transfer_only)
-        return turned[:, ::-1, ::-1]
-    return network[:, :rows, rows:] if transfer_only else network
+    column = np.concatenate([exits[None], lines.column[:0:-1]])
+    return np.minimum(conductance, short), np.minimum(lines.row, wire), np.minimum(column, wire)
 
 
 def _merge_all(cells: FloatArray, row: FloatArray, column: FloatArray, transfer_only: bool) -> FloatArray:
@@ -458,6 +466,73 @@ def _merge_all(cells: FloatArray, row: FloatArray, column: FloatArray, transfer_
     _scratch.give(result)
     _scratch.trim()
     return network
+
+
+class Tree:
+    """One grid whose cells change from frame to frame: all blocks are kept, and of a new frame only those on the way
+    from a changed cell to the whole grid are merged again.
+    """
+
+    def __init__(self, lines: Lines) -> None:
+        rows, columns = lines.row.shape
+        self._lines = lines
+        self._plan = plan(rows, columns)
+        self._given: tuple[FloatArray, FloatArray, FloatArray] | None = None
+        self._stacks: dict[Block, FloatArray] = {}
+        self._rounding: dict[Block, float] = {}
+
+    def transfer(self, conductance: FloatArray) -> FloatArray:
+        """As :func:`transfer_conductances`, for a frame (N, M) of cells in S."""
+        cells, row, column = _capped(conductance, self._lines)
+        given = cells[::-1], row[::-1], column
+        old, self._given = self._given, given
+        if old is None or not all(np.array_equal(old[k], given[k]) for k in (1, 2)):
+            changed = np.ones(cells.shape, dtype=np.bool_)
+        else:
+            changed = old[0] != given[0]
+        stale = {block: self._reduce(block, changed) for block in self._plan.leaves}
+        for number, step in enumerate(self._plan.merges):
+            stale[step.whole] = self._merge(step, stale, number == len(self._plan.merges) - 1)
+        _account(self._rounding[self._plan.root])
+        network: FloatArray = self._stacks[self._plan.root][0, 0]
+        if not self._plan.merges:
+            network = network[cells.shape[1] :, : cells.shape[1]]
+        return network[::-1, ::-1].copy()
+
+    def _reduce(self, block: Block, changed: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Eliminate the leaves of one shape that have changed, and tell which."""
+        assert self._given is not None
+        row_at, column_at = self._plan.leaves[block]
+        i = row_at[:, None, None] + np.arange(block.rows)[:, None]
+        j = column_at[:, None, None] + np.arange(block.columns)
+        stale: NDArray[np.bool_] = changed[i, j].any(axis=(1, 2))
+        ports = len(block.ports())
+        stack = self._stacks.setdefault(block, np.empty((1, len(row_at), ports, ports)))
+        if stale.any():
+            fresh = np.empty((int(stale.sum()), ports, ports))
+            cells, row, column = (part[i[stale], j[stale]] for part in self._given)
+            with rounding_meter() as meter:
+                _reduce_leaves(block, cells, row, column, fresh)
+            stack[0, stale] = fresh
+            self._rounding[block] = max(meter.relative, self._rounding.get(block, 0.0))
+        return stale
+
+    def _merge(self, step: Merge, stale: dict[Block, NDArray[np.bool_]], last: bool) -> NDArray[np.bool_]:
+        """Merge the pairs of one shape of which a half has changed, and tell which."""
+        again: NDArray[np.bool_] = stale[step.first][step.first_at] | stale[step.second][step.second_at]
+        if again.any():
+            everything = again.all()
+            first, second = self._stacks[step.first][:, step.first_at], self._stacks[step.second][:, step.second_at]
+            with rounding_meter() as meter:
+                fresh = _join(
+                    step, first if everything else first[:, again], second if everything else second[:, again], last
+                )
+            stack = self._stacks.setdefault(step.whole, np.empty((1, len(again), *fresh.shape[2:])))
+            stack[:, again] = fresh
+            _scratch.give(fresh)
+            own = meter.relative + max(self._rounding[step.first], self._rounding[step.second])
+            self._rounding[step.whole] = max(own, self._rounding.get(step.whole, 0.0))
+        return again
 
 
 def _join(step: Merge, first: FloatArray, second: FloatArray, transfer_only: bool) -> FloatArray:
