@@ -410,7 +410,8 @@ def _ports(conductance: FloatArray, lines: Lines, transfer_only: bool = False) -
     rows = conductance.shape[1]
     cells, row, column = _capped(conductance, lines)
     if has_ideal_lines(lines):
-        network = _ideal_lines(cells, row[:, 0], column[0])
+        ended = np.zeros(len(column[0]), dtype=np.bool_) if lines.exit is None else np.isfinite(lines.exit)
+        network = _ideal_lines(cells, row[:, 0], column[0], ended)
         return network[:, :rows, rows:] if transfer_only else network
     # Turned over: the columns' terminals at the top.
     return _merge_all(cells[:, ::-1], row[::-1], column, transfer_only)[:, ::-1, ::-1]
@@ -570,37 +571,32 @@ def _join(step: Merge, first: FloatArray, second: FloatArray, transfer_only: boo
     return result
 
 
-def _ideal_lines(cells: FloatArray, lead: FloatArray, exits: FloatArray) -> FloatArray:
+def _ideal_lines(cells: FloatArray, lead: FloatArray, exits: FloatArray, ended: NDArray[np.bool_]) -> FloatArray:
     """Without segment resistance a line is one node, and only leads and exits are left to eliminate; the rows in
-    closed form, since rows meet columns only.
+    closed form, since rows meet columns only. ``ended`` (columns,) are the columns whose exits are not ideal.
     """
     frames, rows, columns = cells.shape
     total = lead + cells.sum(axis=-1)
     total[total == 0] = 1.0
     share = cells / total[..., None]
-    near = slice(rows, rows + columns)
-    network = np.zeros((frames, rows + 2 * columns, rows + 2 * columns))
-    network[:, :rows, near] = lead[:, None] * share
-    network[:, near, :rows] = np.swapaxes(network[:, :rows, near], 1, 2)
-    network[:, near, near] = np.swapaxes(cells, 1, 2) @ share
+    near, far = rows + np.flatnonzero(ended), rows + columns + np.arange(ended.sum())
+    both = rows + columns + len(far)
+    network = np.zeros((frames, both, both))
+    column = slice(rows, rows + columns)
+    network[:, :rows, column] = lead[:, None] * share
+    network[:, column, :rows] = np.swapaxes(network[:, :rows, column], 1, 2)
+    network[:, column, column] = np.swapaxes(cells, 1, 2) @ share
     np.einsum("...ii->...i", network)[...] = 0.0
-    if np.min(exits) >= IDEAL_WIRE * np.max(lead + cells.sum(axis=-1)):
-        return network[:, : rows + columns, : rows + columns]
-    far = np.arange(rows + columns, rows + 2 * columns)
-    network[:, far, far - columns] = network[:, far - columns, far] = exits
-    return eliminate(network, np.arange(rows, rows + columns))
+    network[:, far, near] = network[:, near, far] = exits[ended]
+    stay = np.arange(rows + columns)
+    stay[near] = far
+    order = np.concatenate([near, stay])
+    return eliminate_leading(network[:, order[:, None], order], len(near)) if len(near) else network
 
 
 def _largest_finite(values: FloatArray) -> float:
     """Conductances above 1e200 S are as good as shorts."""
     return float(np.max(values, where=values < 1e200, initial=np.finfo(np.float64).tiny))
-
-
-def eliminate(network: FloatArray, nodes: IntArray) -> FloatArray:
-    """Remove the given nodes; the others keep their order. See :func:`eliminate_leading`."""
-    kept = np.setdiff1d(np.arange(network.shape[-1]), nodes)
-    order = np.concatenate([nodes, kept])
-    return eliminate_leading(network[..., order[:, None], order], len(nodes))
 
 
 def eliminate_leading(network: FloatArray, count: int) -> FloatArray:

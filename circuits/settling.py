@@ -44,7 +44,7 @@ class Settling:
 
         """
         require_amplifiers(design)
-        result = scan(design, resistance)
+        result = scan(design, resistance, method="exact")
         if result.saturated.any():
             row, column = np.argwhere(result.saturated)[0]
             raise SolverError(

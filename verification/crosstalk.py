@@ -40,7 +40,7 @@ def grid_resistance(bench: Bench) -> Finding:
         design = design.model_copy(update={"array": Array(rows=n, columns=m)})
         design = replaced(design, "readout", reference_resistance=bench.rest)
         cells = np.full((n, m), bench.rest)
-        read = scan(design, cells).resistance
+        read = scan(design, cells, method="exact").resistance
         exact = bench.rest * (n + m - 1) / (n * m)
         worst = max(worst, float(np.abs(read / exact - 1).max()))
         share = 100 * exact / bench.rest
@@ -63,7 +63,7 @@ def equation_10(bench: Bench) -> Finding:
     worst = 0.0
     for _ in range(20):
         cells = bench.rest * 10 ** rng.uniform(-1, 3, bench.design.array.shape)
-        signal = scan(circuit, cells).volts - circuit.readout.reference_voltage
+        signal = scan(circuit, cells, method="exact").volts - circuit.readout.reference_voltage
         alone = ideal_volts(circuit, cells) - circuit.readout.reference_voltage
         worst = max(worst, float(np.abs(signal / alone - 1).max()))
     amplified = bench.design.readout.circuit == "inverting-amplifier"
@@ -84,7 +84,7 @@ def _sweep(bench: Bench) -> Figure:
     for factor in factors:
         cells = np.full(design.array.shape, bench.rest)
         cells[index] *= factor
-        volts = scan(design, cells).volts
+        volts = scan(design, cells, method="exact").volts
         exact.append(ideal_volts(design, cells)[index])
         real.append(volts[index])
         code.append(converted(design, volts)[index])
@@ -144,7 +144,7 @@ def crosstalk(bench: Bench) -> Finding:
                 ]
             )
     frames = [at_rest] + [np.where(pressed, bench.pressed, bench.rest) for pressed in patterns.values()]
-    scans = [scan(design, cells) for cells in frames]
+    scans = [scan(design, cells, method="exact") for cells in frames]
     error = max(worst_reading_error(design, cells) for cells in frames)
     checks = [
         Check("crosstalk as designed, worst untouched cell", worst["as designed"], limits.crosstalk_percent, "%"),

@@ -72,7 +72,7 @@ def converted(design: Design, volts: FloatArray) -> FloatArray:
 
 def apparent(design: Design, cells: FloatArray) -> FloatArray:
     """What equation (10) makes of the design's readings, ADC included."""
-    return apparent_resistance(design, converted(design, scan(design, cells).volts))
+    return apparent_resistance(design, converted(design, scan(design, cells, method="exact").volts))
 
 
 def change(design: Design, before: FloatArray, after: FloatArray) -> FloatArray:
@@ -92,7 +92,7 @@ def worst_reading_error(design: Design, cells: FloatArray) -> float:
     """Largest error of an apparent resistance in %, wherever in its ADC step a reading falls; either sign of parts."""
     half = 0.0 if design.adc is None else design.adc.step / 2
     return max(
-        100 * float(np.abs(apparent_resistance(variant, scan(variant, cells).volts + shift) / cells - 1).max())
+        100 * float(np.abs(apparent_resistance(variant, scan(variant, cells, method="exact").volts + shift) / cells - 1).max())
         for variant in either_sign(design)
         for shift in {half, -half}
     )

@@ -12,6 +12,7 @@ import click
 from .. import tables
 from ..circuits import Design, scan
 from ..circuits.design import CIRCUITS
+from ..circuits.scan import METHODS
 
 
 @click.command()
@@ -22,6 +23,9 @@ from ..circuits.design import CIRCUITS
     metavar="CELLS.csv",
     help="N lines of M resistances in ohm; inf = open, 0 = short.",
 )
+@click.option(
+    "--method", type=click.Choice(METHODS), help="Solve by this method instead of the cheapest sufficient one."
+)
 @click.option("--tolerance", type=float, metavar="REL", help="Largest error accepted, relative to the largest output.")
 @click.option("--readout", type=click.Choice(CIRCUITS), help="Read with this circuit instead of the design's.")
 @click.option("-o", "--output", metavar="OUT.csv", help="Write the N x M apparent resistances here.")
@@ -29,6 +33,7 @@ from ..circuits.design import CIRCUITS
 def command(
     design_file: Path,
     cells: str,
+    method: str | None,
     tolerance: float | None,
     readout: str | None,
     output: str | None,
@@ -38,7 +43,7 @@ def command(
     design = Design.load(design_file)
     if readout is not None:
         design = design.with_circuit(readout)
-    result = scan(design, tables.read_cells(cells, design.array.shape), tolerance=tolerance)
+    result = scan(design, tables.read_cells(cells, design.array.shape), tolerance=tolerance, method=method)
     if output is not None:
         tables.write_matrix(output, result.resistance)
     if as_json:
