@@ -87,15 +87,16 @@ class Attenuated:
     """(..., M): A into each column for 1 V of that lift"""
     rounded: FloatArray
     """S (..., N, M) of rounding error in ``transfer``, either way"""
-    relative: float
-    """rounding error of the ladders' profiles, relative to each"""
-    returned: float
-    """largest part of a lift that can come back: at least so fast do the terms of the series shrink"""
+    relative: FloatArray
+    """(...,) rounding error of the ladders' profiles, relative to each"""
+    returned: FloatArray
+    """(...,) largest part of a lift that can come back: at least so fast do the terms of the series shrink"""
 
     @property
     def error(self) -> FloatArray:
         """S (..., N, M) by which the transfer conductances can be off."""
-        bound: FloatArray = self.row[..., :, None] * self.column[..., None, :]
+        with np.errstate(invalid="ignore"):  # no bound on nothing is not a number, and so never good enough
+            bound: FloatArray = self.row[..., :, None] * self.column[..., None, :]
         bound += self.rounded
         return bound
 
@@ -108,7 +109,8 @@ def attenuate(conductance: FloatArray, lines: Lines) -> Attenuated | None:
         lines: the wires, with exits.
 
     Returns:
-        None for shorted cells and broken lines, which ladders cannot express.
+        None for shorted cells and broken lines, which ladders cannot express, and where nothing is left of the drive
+        at the end of a line.
 
     """
     grid = Wires.of(lines)
@@ -117,7 +119,8 @@ def attenuate(conductance: FloatArray, lines: Lines) -> Attenuated | None:
     *batch, rows, columns = conductance.shape
     cells = conductance.reshape(-1, rows, columns)
     row, column = grid.ladders(cells)
-    return certify(grid, cells, row, column, tuple(batch))
+    known = certify(grid, cells, row, column, tuple(batch))
+    return known if np.isfinite(known.relative).all() else None
 
 
 @dataclass(frozen=True)
@@ -159,35 +162,43 @@ def certify(wires: Wires, cells: FloatArray, row: Ladders, column: Ladders, batc
     frames, rows, columns = cells.shape
     profile = row.profile.reshape(columns, frames, rows).transpose(1, 2, 0)
     gain = column.profile.reshape(rows, frames, columns).transpose(1, 0, 2)[:, ::-1]
-    relative = rounding(row.profile) + rounding(column.profile) + 4.0 * _ULP
+    lowest, least = profile.min(axis=(1, 2)), gain.min(axis=(1, 2))
+    relative = rounding(columns, lowest) + rounding(rows, least) + 4.0 * _ULP
+    each = relative[:, None, None]
     reaching = cells * gain
     transfer = reaching * profile
-    lost = (1.0 + relative) - profile  # at least 1 - p, rounding included
+    lost = (1.0 + each) - profile  # at least 1 - p, rounding included
     over_wire = cells * wires.path
     over_wire /= 1.0 + over_wire
     over_wire *= profile
-    returned = (1.0 + relative - row.profile.min()) * (1.0 + relative - column.profile.min())
+    returned = (1.0 + relative - lowest) * (1.0 + relative - least)
     lift = over_wire.max(axis=-1)
-    lift *= (1.0 + relative) * _SLACK / (1.0 - returned) if returned < 1.0 else np.inf
+    slack = (1.0 + relative) * _SLACK
+    lift *= (slack * endlessly(returned))[:, None]
     reaching *= lost
     return Attenuated(
         transfer=transfer.reshape(*batch, rows, columns),
         row=lift.reshape(*batch, rows),
-        column=(reaching.sum(axis=-2) * (1.0 + relative) * _SLACK).reshape(*batch, columns),
-        rounded=(relative * transfer).reshape(*batch, rows, columns),
-        relative=relative,
-        returned=returned,
+        column=(reaching.sum(axis=-2) * slack[:, None]).reshape(*batch, columns),
+        rounded=(each * transfer).reshape(*batch, rows, columns),
+        relative=relative.reshape(batch),
+        returned=returned.reshape(batch),
     )
 
 
-def rounding(profile: FloatArray) -> float:
-    """Relative error of ladder profiles (places, lines).
+def endlessly(returned: FloatArray) -> FloatArray:
+    """Sum of 1 + returned + returned^2 + ..."""
+    with np.errstate(divide="ignore"):
+        return np.where(returned < 1.0, 1.0 / (1.0 - returned), np.inf)
+
+
+def rounding(places: int, smallest: FloatArray) -> FloatArray:
+    """Relative error of profiles that go down to ``smallest`` along ladders of so many places.
 
     Each step back along a ladder adds 4 ulp to the relative error of its admittance Y, at most 4 n in all. A step of
     the profile is 1 / (1 + r Y): 3 ulp of its own, and of Y's error the part r Y / (1 + r Y), which summed over the
     steps is at most -ln of the whole profile.
     """
-    places, smallest = len(profile), float(profile.min())
-    if smallest <= 0.0:
-        return np.inf
-    return float(_ULP * places * (4.0 - 5.0 * np.log(smallest)))
+    with np.errstate(divide="ignore"):
+        lost: FloatArray = _ULP * places * (4.0 - 5.0 * np.log(smallest))
+    return lost

@@ -38,13 +38,22 @@ def read_exactly(
     """
     conductance, grid = cell_conductance(design, resistance), lines(design)
     linear = LinearReadout.of(design)
-    if linear is not None:
-        ended = linear.lines(grid)
-        transfer, off = (transfer_of or exact_transfer)(conductance, ended)
-        volts = linear.volts(transfer)
-        error = linear.error(off) + few_ulp(volts)
-        if linear.within_supply(volts, error).all():
-            return Reading(volts, np.zeros(volts.shape, dtype=np.bool_)), error
+    if linear is None:
+        return _read_ports(design, resistance)
+    ended = linear.lines(grid)
+    transfer, off = (transfer_of or exact_transfer)(conductance, ended)
+    volts = linear.volts(transfer)
+    error = linear.error(off) + few_ulp(volts)
+    saturated = np.zeros(volts.shape, dtype=np.bool_)
+    limited = ~linear.within_supply(volts, error)
+    if limited.any():
+        some, error[limited] = _read_ports(design, resistance[limited])
+        volts[limited], saturated[limited] = some
+    return Reading(volts, saturated), error
+
+
+def _read_ports(design: Design, resistance: FloatArray) -> tuple[Reading, FloatArray]:
+    """By the whole network between the ports, for any circuit."""
     with rounding_meter() as meter:
         ports = exact_ports(design, resistance)
         reading = read(design, ports)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
@@ -16,9 +16,10 @@ from ..errors import InputError, SolverError
 from . import banded
 from .attenuation import Attenuated, attenuate
 from .design import Design
-from .exact import few_ulp, read_exactly
+from .exact import Transfer, exact_transfer, few_ulp, read_exactly
 from .linear import LinearReadout
 from .parts import Parts, cell_conductance, lines
+from .ports import Lines
 from .readout import apparent_resistance
 from .series import terms
 
@@ -66,16 +67,29 @@ def scan(
     """
     check_request(tolerance, method)
     cells = design.resistance(resistance)
+    return solve(design, cells, tolerance, method, Tools())
+
+
+@dataclass(frozen=True)
+class Tools:
+    """What a frame is solved with; :class:`.incremental.Scanner` puts in such as remember the last one."""
+
+    attenuate: Callable[[FloatArray, Lines], Attenuated | None] = attenuate
+    transfer: Transfer = exact_transfer
+
+
+def solve(design: Design, cells: FloatArray, tolerance: float | None, method: str | None, tools: Tools) -> ScanResult:
+    """:func:`scan`, with everything checked."""
     start = time.perf_counter()
-    answer = _solve(design, cells, tolerance, method)
-    volts = _infinite_where_shorted(design, cells, answer.volts)
+    answer = _cheapest(design, cells, tolerance, method, tools)
+    volts = infinite_where_shorted(design, cells, answer.volts)
     seconds = time.perf_counter() - start
     return ScanResult(
         volts=volts,
         resistance=apparent_resistance(design, volts),
         saturated=answer.saturated,
         method=answer.method,
-        error_bound=_relative(answer.error, volts),
+        error_bound=relative(answer.error, volts),
         seconds=seconds,
     )
 
@@ -98,34 +112,46 @@ class _Answer(NamedTuple):
     method: str
 
 
-def _solve(design: Design, cells: FloatArray, tolerance: float | None, method: str | None) -> _Answer:
-    wanted = tolerance is not None or (method is None and design.adc is not None)
-
-    def kept(answer: _Answer) -> bool:
-        if tolerance is not None:
-            return _relative(answer.error, answer.volts) <= tolerance
-        assert design.adc is not None
-        return bool(answer.error.max() <= design.adc.step / 4.0)
-
-    if wanted or method not in {None, "exact"}:
+def _cheapest(design: Design, cells: FloatArray, tolerance: float | None, method: str | None, tools: Tools) -> _Answer:
+    demand = Demand.of(design, tolerance, method)
+    if demand is not None or method not in {None, "exact"}:
         some = 1 if method == "attenuation" else None if method == "series" else _worthwhile_terms(cells)
         fast: _Answer | None = None
-        for fast in _fast_answers(design, cells, some):
-            if wanted and kept(fast):
+        for fast in _fast_answers(design, cells, some, tools):
+            if demand is not None and demand.met(fast.error, fast.volts):
                 return fast
-        if fast is not None and not wanted:
+        if fast is not None and demand is None:
             return fast
-    reading, error = read_exactly(design, cells)
-    answer = _Answer(reading.volts, reading.saturated, error, "exact")
-    if tolerance is None or kept(answer):
-        return answer
-    for fast in _fast_answers(design, cells, None):
-        if kept(fast):
+    reading, error = read_exactly(design, cells, tools.transfer)
+    if tolerance is None or demand is None or demand.met(error, reading.volts):
+        return _Answer(reading.volts, reading.saturated, error, "exact")
+    for fast in _fast_answers(design, cells, None, tools):
+        if demand.met(fast.error, fast.volts):
             return fast
     raise SolverError(
         f"no method certifies a tolerance of {tolerance:g} here; method 'exact' certifies "
-        f"{_relative(error, reading.volts):.1e} of the largest output"
+        f"{relative(error, reading.volts):.1e} of the largest output"
     )
+
+
+class Demand(NamedTuple):
+    """How good a reading must at least be."""
+
+    relative: float
+    """error relative to the largest output"""
+    volts: float
+    """error of any output"""
+
+    @classmethod
+    def of(cls, design: Design, tolerance: float | None, method: str | None) -> Demand | None:
+        """None where nothing but the method is asked for."""
+        if tolerance is not None:
+            return cls(tolerance, inf)
+        return cls(inf, design.adc.step / 4.0) if method is None and design.adc is not None else None
+
+    def met(self, error: FloatArray, volts: FloatArray) -> bool:
+        """For the errors (rows, columns) of one frame in V."""
+        return float(error.max()) <= self.volts and relative(error, volts) <= self.relative
 
 
 def _worthwhile_terms(cells: FloatArray) -> int:
@@ -133,7 +159,7 @@ def _worthwhile_terms(cells: FloatArray) -> int:
     return 4 if banded.LARGEST < cells.size <= 700 else 1
 
 
-def _fast_answers(design: Design, cells: FloatArray, some: int | None) -> Iterator[_Answer]:
+def _fast_answers(design: Design, cells: FloatArray, some: int | None, tools: Tools) -> Iterator[_Answer]:
     """Better and better readings by ``some`` terms of the series, or as many as it takes; none where they do not
     apply, or where an output may saturate.
     """
@@ -143,7 +169,7 @@ def _fast_answers(design: Design, cells: FloatArray, some: int | None) -> Iterat
     grid = linear.lines(lines(design))
     conductance = cell_conductance(design, cells)
     if some == 1:
-        only = attenuate(conductance, grid)
+        only = tools.attenuate(conductance, grid)
         found: Iterator[Attenuated] = iter([] if only is None else [only])
     else:
         found = itertools.islice(terms(conductance, grid), some)
@@ -160,7 +186,7 @@ def _fast_answers(design: Design, cells: FloatArray, some: int | None) -> Iterat
             yield _Answer(volts, flags, error, "attenuation" if number == 0 else "series")
 
 
-def _relative(error: FloatArray, volts: FloatArray) -> float:
+def relative(error: FloatArray, volts: FloatArray) -> float:
     """Largest error relative to the largest finite output that is sure to be there."""
     finite = np.isfinite(volts)
     worst = float(np.max(error, where=finite, initial=0.0))
@@ -168,7 +194,7 @@ def _relative(error: FloatArray, volts: FloatArray) -> float:
     return worst / largest if largest > 0 else inf if worst else 0.0
 
 
-def _infinite_where_shorted(design: Design, cells: FloatArray, volts: FloatArray) -> FloatArray:
+def infinite_where_shorted(design: Design, cells: FloatArray, volts: FloatArray) -> FloatArray:
     """The output of an ideal amplifier on a shorted cell with ideal lines has no finite value."""
     if design.readout.circuit != "inverting-amplifier" or (cells > 0).all():
         return volts

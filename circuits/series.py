@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from .attenuation import Attenuated, Ladders, Wires, certify
+from .attenuation import Attenuated, Ladders, Wires, certify, endlessly
 from .ports import Lines
 
 FloatArray = NDArray[np.float64]
@@ -54,7 +54,7 @@ def terms(conductance: FloatArray, lines: Lines) -> Iterator[Attenuated]:
         relative += step
         returning = np.ascontiguousarray((conductance[:, None, :] * lifted).transpose(2, 0, 1))
         lift = along_column @ returning
-        rest = lift.max(axis=(0, 1)) * _SLACK / (1.0 - known.returned) if known.returned < 1.0 else known.row
+        rest = lift.max(axis=(0, 1)) * _SLACK * endlessly(known.returned)
         known = replace(
             known,
             transfer=known.transfer + term,
