@@ -92,7 +92,10 @@ def worst_reading_error(design: Design, cells: FloatArray) -> float:
     """Largest error of an apparent resistance in %, wherever in its ADC step a reading falls; either sign of parts."""
     half = 0.0 if design.adc is None else design.adc.step / 2
     return max(
-        100 * float(np.abs(apparent_resistance(variant, scan(variant, cells, method="exact").volts + shift) / cells - 1).max())
+        100
+        * float(
+            np.abs(apparent_resistance(variant, scan(variant, cells, method="exact").volts + shift) / cells - 1).max()
+        )
         for variant in either_sign(design)
         for shift in {half, -half}
     )
