@@ -15,7 +15,7 @@ from .exact import few_ulp, read_exactly
 from .linear import LinearReadout
 from .parts import cell_conductance, lines
 from .readout import apparent_resistance
-from .scan import Demand, check_request, infinite_where_shorted, relative, scan
+from .scan import Demand, check_request, ideal_limits, relative, scan
 
 FloatArray = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ def scan_batch(
                 one = scan(design, cells[frame], tolerance=tolerance, method=method)
                 volts[frame], saturated[frame] = one.volts, one.saturated
                 bound[frame], methods[frame] = one.error_bound, one.method
-    volts = infinite_where_shorted(design, cells, volts)
+    volts = ideal_limits(design, cells, volts)
     return BatchResult(
         volts=volts,
         resistance=apparent_resistance(design, volts),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from . import banded
 from .design import Design
-from .grid import exact_ports
+from .grid import exact_ports, refuse_contradictions
 from .linear import LinearReadout
 from .parts import Parts, cell_conductance, lines
 from .ports import Lines, has_ideal_lines, rounding_meter, transfer_conductances
@@ -40,6 +40,8 @@ def read_exactly(
     linear = LinearReadout.of(design)
     if linear is None:
         return _read_ports(design, resistance)
+    if (resistance == 0).any():
+        refuse_contradictions(design, resistance)
     ended = linear.lines(grid)
     transfer, off = (transfer_of or exact_transfer)(conductance, ended)
     volts = linear.volts(transfer)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.cluster.hierarchy import DisjointSet
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ..errors import SolverError
 from . import sheet
@@ -29,12 +30,14 @@ def exact_ports(design: Design, resistance: FloatArray) -> FloatArray:
         resistance: (..., rows, columns) ohm.
 
     Raises:
-        SolverError: bridged lines of no resistance leave it open what is read.
+        SolverError: parts of no resistance join sources that contradict each other.
 
     """
     if is_plain(design):
+        if (resistance == 0).any():
+            refuse_contradictions(design, resistance)
         return port_conductances(cell_conductance(design, resistance), lines(design))
-    _refuse_undetermined(design)
+    refuse_contradictions(design, resistance)
     return reduce(grid_network(design, resistance))
 
 
@@ -89,41 +92,55 @@ def grid_network(design: Design, resistance: FloatArray) -> Network:
     )
 
 
-def _refuse_undetermined(design: Design) -> None:
-    """Two drivers, or two ideal amplifiers, joined by nothing but parts of 0 ohm contradict each other."""
+def refuse_contradictions(design: Design, resistance: FloatArray) -> None:
+    """Raise SolverError where parts of 0 ohm alone join two row drivers, or two ideal amplifiers, with each other.
+
+    Such sources contradict each other, or leave it open how they share a current. Floating idle rows have no drivers.
+    One driver joined with one ideal amplifier is not refused: its reading is infinite.
+
+    Args:
+        design: the array and its faults.
+        resistance: (..., rows, columns) ohm; a cell shorted in any frame counts as shorted.
+
+    """
     parts = Parts.of(design)
     row, column = line_ohms(design)
     rows, columns = design.array.shape
-    joined: DisjointSet = DisjointSet()
-    for i in range(rows):
-        for j in range(columns):
-            for node in (("drive", i, 0), ("end", 0, j), ("row", i, j), ("column", i, j)):
-                joined.add(node)
-    for i in range(rows):
-        for j in range(columns):
-            if row[i, j] == 0:
-                joined.merge(("row", i, j - 1) if j else ("drive", i, 0), ("row", i, j))
-            if i and column[i, j] == 0:
-                joined.merge(("column", i - 1, j), ("column", i, j))
-    ideal = np.isinf(parts.gain) & (design.readout.circuit == "inverting-amplifier")
-    for j in np.flatnonzero((parts.column_lead == 0) & ideal).tolist():
-        joined.merge(("column", rows - 1, j), ("end", 0, j))
+    drivers, ends = np.arange(rows), rows + np.arange(columns)
+    on_row = rows + columns + np.arange(rows * columns).reshape(rows, columns)
+    on_column = on_row + rows * columns
+    ideal = (parts.column_lead == 0) & np.isinf(parts.gain) & (design.readout.circuit == "inverting-amplifier")
+    joints = [
+        (np.column_stack([drivers, on_row[:, :-1]])[row == 0], on_row[row == 0]),
+        (on_column[:-1][column[1:] == 0], on_column[1:][column[1:] == 0]),
+        (on_column[-1][ideal], ends[ideal]),
+    ]
+    shorted = (resistance == 0).any(axis=tuple(range(resistance.ndim - 2)))
     for fault in design.fault:
-        if fault.bridge and fault.ohms == 0:
-            line = "row" if fault.kind == "bridged-rows" else "column"
-            first, second = ((line, *end) for end in fault.ends)
-            joined.merge(first, second)
-    for kind, remedy in (
-        ("drive", "array.row_lead"),
-        ("end", "array.column_lead, or readout.open_loop_gain a finite value"),
+        if fault.kind == "open-cell" and fault.ohms > 0:
+            shorted[fault.place] = False
+    for fault in design.fault:
+        if fault.kind == "shorted-cell" and fault.ohms == 0:
+            shorted[fault.place] = True
+        elif fault.bridge and fault.ohms == 0:
+            line = on_row if fault.kind == "bridged-rows" else on_column
+            here, there = fault.ends
+            joints.append((np.array([line[here]]), np.array([line[there]])))
+    joints.append((on_row[shorted], on_column[shorted]))
+    first_nodes, second_nodes = (np.concatenate(side) for side in zip(*joints, strict=True))
+    size = rows + columns + 2 * rows * columns
+    links = coo_array((np.ones(len(first_nodes)), (first_nodes, second_nodes)), shape=(size, size))
+    _, island = connected_components(links, directed=False)
+    driven = drivers if design.drive.idle_rows == "ground" else drivers[:1]
+    for what, nodes, remedy in (
+        ("row drivers", driven, "array.row_lead"),
+        ("ideal amplifiers of columns", ends, "array.column_lead, or readout.open_loop_gain a finite value"),
     ):
-        roots: dict[object, int] = {}
-        for line_number in range(rows if kind == "drive" else columns):
-            node = (kind, line_number, 0) if kind == "drive" else (kind, 0, line_number)
-            other = roots.setdefault(joined[node], line_number)
-            if other != line_number:
-                what = "row drivers" if kind == "drive" else "ideal amplifiers of columns"
-                raise SolverError(
-                    f"the {what} {other} and {line_number} are joined by parts of 0 ohm; "
-                    f"give the bridge (fault.resistance) or {remedy} a resistance"
-                )
+        _, first, count = np.unique(island[nodes], return_index=True, return_counts=True)
+        if (count > 1).any():
+            one = int(first[count > 1][0])
+            other = int(np.flatnonzero(island[nodes] == island[nodes[one]])[1])
+            raise SolverError(
+                f"the {what} {one} and {other} are joined by parts of 0 ohm; "
+                f"give what joins them, or {remedy}, a resistance"
+            )

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .ports import IDEAL_WIRE, eliminate_leading
+from .ports import IDEAL_WIRE, LARGEST_PART, eliminate_leading
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
@@ -90,6 +90,6 @@ def reduce(network: Network) -> FloatArray:
 def capped(network: Network) -> FloatArray:
     """Conductances with each infinite one replaced by a large one: a short outdoes every part, a wire every short."""
     values = network.conductance
-    largest = float(np.max(values, where=np.isfinite(values), initial=np.finfo(np.float64).tiny))
+    largest = float(np.max(values, where=np.isfinite(values), initial=LARGEST_PART))
     short = IDEAL_WIRE * largest
     return np.minimum(values, np.where(network.wire, IDEAL_WIRE * short, short))

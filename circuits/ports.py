@@ -42,6 +42,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
 IDEAL_WIRE = 1e20  # conductance of 0 ohm, relative to the largest one it must outdo
+LARGEST_PART = 1e14  # S that a part outside the grid (load, lead, Rref/(1 + A)) is taken to have at most
 SAFE_GROWTH = 1e3  # diag(A) diag(A^-1) beyond which a block is inverted by halves
 LEAF = 4  # crosspoints along the side of a leaf
 _ONE_BLOCK = 20  # crosspoints up to which a whole grid is one leaf
@@ -595,8 +596,8 @@ def _ideal_lines(cells: FloatArray, lead: FloatArray, exits: FloatArray, ended: 
 
 
 def _largest_finite(values: FloatArray) -> float:
-    """Conductances above 1e200 S are as good as shorts."""
-    return float(np.max(values, where=values < 1e200, initial=np.finfo(np.float64).tiny))
+    """At least :data:`LARGEST_PART`; conductances above 1e200 S are as good as shorts."""
+    return float(np.max(values, where=values < 1e200, initial=LARGEST_PART))
 
 
 def eliminate_leading(network: FloatArray, count: int) -> FloatArray:

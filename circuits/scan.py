@@ -19,7 +19,7 @@ from .design import Design
 from .exact import Transfer, exact_transfer, few_ulp, read_exactly
 from .linear import LinearReadout
 from .parts import Parts, cell_conductance, lines
-from .ports import Lines
+from .ports import IDEAL_WIRE, LARGEST_PART, Lines
 from .readout import apparent_resistance
 from .series import terms
 
@@ -82,7 +82,7 @@ def solve(design: Design, cells: FloatArray, tolerance: float | None, method: st
     """:func:`scan`, with everything checked."""
     start = time.perf_counter()
     answer = _cheapest(design, cells, tolerance, method, tools)
-    volts = infinite_where_shorted(design, cells, answer.volts)
+    volts = ideal_limits(design, cells, answer.volts)
     seconds = time.perf_counter() - start
     return ScanResult(
         volts=volts,
@@ -194,13 +194,18 @@ def relative(error: FloatArray, volts: FloatArray) -> float:
     return worst / largest if largest > 0 else inf if worst else 0.0
 
 
-def infinite_where_shorted(design: Design, cells: FloatArray, volts: FloatArray) -> FloatArray:
-    """The output of an ideal amplifier on a shorted cell with ideal lines has no finite value."""
-    if design.readout.circuit != "inverting-amplifier" or (cells > 0).all():
+def ideal_limits(design: Design, cells: FloatArray, volts: FloatArray) -> FloatArray:
+    """What the large conductances that stand for ideal wires and shorts mean in the limit (amplifiers only).
+
+    The output of an ideal amplifier on a shorted cell with ideal lines has no finite value: a current far above what
+    LARGEST_PART could carry comes through nothing else. And no current leaks over an ideal line: what is smaller than
+    the largest signal by the square of IDEAL_WIRE came that way.
+    """
+    if design.readout.circuit != "inverting-amplifier":
         return volts
-    parts = Parts.of(design)
-    ohms = np.r_[cells.ravel(), parts.row_lead, parts.row_segment, parts.column_lead, parts.column_segment]
-    smallest = np.min(ohms, where=ohms > 0, initial=np.finfo(np.float64).max)
-    finite = abs(design.drive.voltage) * parts.reference * ohms.size / smallest
-    signal = volts - design.readout.reference_voltage
-    return np.where(np.abs(signal) > 1e9 * finite, np.copysign(np.inf, signal), volts)
+    level, reference = design.readout.reference_voltage, Parts.of(design).reference
+    signal = volts - level
+    most = 1e3 * LARGEST_PART * cells.size * abs(design.drive.voltage) * reference
+    finite = np.abs(signal) <= most
+    least = IDEAL_WIRE**-2 * np.max(np.abs(signal), where=finite, initial=0.0)
+    return np.where(finite, np.where(np.abs(signal) < least, level, volts), np.copysign(np.inf, signal))
