@@ -88,6 +88,8 @@ class PtyPort(Port):
     def _make_link(self, link: Path) -> None:
         if os.path.lexists(link) and not link.is_symlink():
             raise InputError(f"{link}: exists and is no symbolic link; expected a free name")
+        if link.exists():  # what an emulator that died has left behind points to nothing
+            raise InputError(f"{link}: leads to {os.path.realpath(link)}, which is there; expected a free name")
         partial = link.with_name(f".{link.name}.partial-{os.getpid()}")
         try:
             partial.symlink_to(self._device)

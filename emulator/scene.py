@@ -16,6 +16,7 @@ from scipy.special import erf
 from ..cell import Cell
 from ..circuits import Design
 from ..config import Section, parse, read_toml
+from ..errors import InputError
 
 FloatArray = NDArray[np.float64]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
@@ -195,11 +196,13 @@ class Scene(Section):
         """A scene from TOML tables; ``directory`` is where the paths in it start."""
         skin = tables.get("skin")
         if isinstance(skin, Mapping):
-            files = {
-                key: kind.load(directory / skin[key])
-                for key, kind in (("design", Design), ("cell", Cell))
-                if isinstance(skin.get(key), str)
-            }
+            files: dict[str, Any] = {}
+            for key, kind in (("design", Design), ("cell", Cell)):
+                if isinstance(skin.get(key), str):
+                    try:
+                        files[key] = kind.load(directory / skin[key])
+                    except InputError as error:
+                        raise InputError(f"{source}: skin.{key}: {error}") from error
             tables = {**tables, "skin": {**skin, **files}}
         return parse(tables, cls, source=source)
 

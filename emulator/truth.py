@@ -11,6 +11,7 @@ from typing import Self
 import numpy as np
 
 from ..errors import InputError
+from ..files import whole_file
 from .skin import Sample
 
 
@@ -64,14 +65,11 @@ class TruthFile:
                 self._write()
 
     def _write(self) -> None:
-        partial = self._path.with_name(f".{self._path.name}.partial-{os.getpid()}")
         try:
             self._spool.flush()
             empty = not os.fstat(self._spool.fileno()).st_size
             frames = np.empty(0, self._record) if empty else np.memmap(self._spool, self._record, mode="r")
-            with partial.open("wb") as file:
-                np.savez(file, allow_pickle=False, **{name: frames[name] for name in self._record.names or ()})
-            partial.replace(self._path)
         except OSError as error:
-            partial.unlink(missing_ok=True)
             raise InputError(f"{self._path}: cannot be written: {error.strerror}") from error
+        with whole_file(self._path) as file:
+            np.savez(file, allow_pickle=False, **{name: frames[name] for name in self._record.names or ()})

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +85,7 @@ BAD = {  # what is wrong: (replaced in design.toml, by, what the message names)
     "fractional rows": ("rows = 2", "rows = 2.5", ["array.rows", "2.5"]),
     "unknown circuit": ("inverting-amplifier", "op-amp", ["readout.circuit", "op-amp"]),
     "no drive": ("-1.0", "0.0", ["drive", "voltage"]),
+    "a number for a list": ("1000.0", "1000.0\nsupply = 3.3", ["readout.supply", "expected a list", "3.3"]),
     "not TOML": ("[array]", "[array", ["design.toml", "TOML"]),
     "wrong shape": ("columns = 3", "columns = 4", ["cells.csv", "2 lines of 3", "2 lines of 4"]),
 }
@@ -104,7 +107,8 @@ def test_a_bad_design_is_one_clear_line(fault: str, folder: Path, capsys: pytest
         ("1,2,3\n4,-5,6\n", ["cells.csv", "line 2", "-5"]),
         ("1,2,3\n4,nan,6\n", ["cells.csv", "line 2", "nan"]),
         ("1,2,3\n4,five,6\n", ["cells.csv", "line 2", "'five'"]),
-        ("1,2,3\n4,5\n", ["cells.csv", "unequal"]),
+        ("1,2,3\n4,5\n", ["cells.csv", "line 2", "unequal"]),
+        ("1;2;3\n4;5;6\n", ["cells.csv", "line 1", "separated by commas"]),
         ("1,2,3\n4,5,\n", ["cells.csv", "line 2"]),
         ("1,2\n3,4\n5,6\n", ["cells.csv", "3 lines of 2"]),
     ],
@@ -125,13 +129,42 @@ def test_bad_cells_are_one_clear_line(
         (["scan", "design.toml", "--cells", "cells.csv", "-o", "no/such/folder.csv"], ["folder.csv"]),
         (["scan", "design.toml", "--cells", "cells.csv", "--readout", "guess"], ["guess", "voltage-divider"]),
         (["scan", "design.toml", "--cells", "cells.csv", "--frobnicate"], ["--frobnicate"]),
-        (["snac"], ["snac"]),
+        (["scna"], ["scna", "'scan'"]),
     ],
 )
 def test_bad_arguments_are_one_clear_line(
     arguments: list[str], named: list[str], folder: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     _refused(arguments, named, capsys)
+
+
+def test_output_replaces_a_file_but_nothing_else(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scanning = ["scan", "design.toml", "--cells", "cells.csv", "-o"]
+    for place in (".", "", "/dev/full"):
+        _refused([*scanning, place], [place, "cannot be written"], capsys)
+    assert Path("/dev/full").is_char_device()
+    (folder / "real.csv").write_text("old")
+    (folder / "link.csv").symlink_to("real.csv")
+    assert run([*scanning, "link.csv"]) == 0
+    assert (folder / "link.csv").is_symlink()
+    assert (folder / "real.csv").read_text() != "old"
+    assert run([*scanning, "/dev/stdout"]) == 0
+
+
+def test_saturated_outputs_are_not_silent(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "design.toml").write_text(DESIGN + "supply = [0.0, 0.15]\n")
+    assert run(["scan", "design.toml", "--cells", "cells.csv"]) == 0
+    assert "1 outputs at a supply limit: (1, 2)" in capsys.readouterr().err
+
+
+def test_a_full_disk_behind_standard_output_is_one_line() -> None:
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "ohmskin", "--help"], stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert "No space left" in done.stderr
 
 
 def _refused(arguments: list[str], named: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -229,12 +229,16 @@ def test_a_stale_link_is_replaced_and_a_file_is_not(tmp_path: Path) -> None:
     assert link.read_text() == "precious"
 
 
-def test_a_link_taken_over_by_another_board_is_left_to_it(tmp_path: Path) -> None:
+def test_a_link_to_a_living_board_is_not_taken_over(tmp_path: Path) -> None:
     link = tmp_path / "skin"
-    first = PtyPort(link)
-    with PtyPort(link):
-        first.close()
-        assert link.is_symlink()
+    with PtyPort(link) as first:
+        with pytest.raises(InputError, match="skin: leads to .* expected a free name"):
+            PtyPort(link)
+        assert link.resolve() == Path(os.path.realpath(first.name))
+        link.unlink()
+        with PtyPort(link):
+            first.close()  # leaves a link that is no longer its own alone
+            assert link.is_symlink()
 
 
 @contextmanager

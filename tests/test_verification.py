@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 import threading
 import xml.etree.ElementTree as ET
 from collections.abc import Callable
@@ -154,6 +155,17 @@ def test_without_ngspice_its_check_is_not_run_and_the_rest_is(
     assert claim.outcome is Outcome.NOT_RUN
     assert {check.outcome for check in claim.finding.checks} == {Outcome.PASS, Outcome.NOT_RUN}
     assert report.exit_code == 3
+
+
+def test_without_the_extra_the_numbers_are_written_all_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, only: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    only("P3")
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    assert run(["verify", "-o", str(tmp_path / "out")]) == 0
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["outcome"] == "pass"
+    assert not (tmp_path / "out" / "report.html").exists()
+    assert "ohmskin[report]" in capsys.readouterr().err
 
 
 def test_a_defect_in_one_experiment_costs_only_that_one(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -30,6 +30,8 @@ class Report:
     target: str
     claims: list[Claim]
     seconds: float
+    command: str = "ohmskin verify"
+    """that makes this report again"""
     finished: datetime = field(default_factory=lambda: datetime.now(UTC))
 
     @property
@@ -45,14 +47,18 @@ class Report:
         """How many claims ended so."""
         return sum(claim.outcome == outcome for claim in self.claims)
 
-    def write(self, folder: str | Path) -> dict[str, Path]:
-        """Write ``report.html``, ``report.json`` and ``junit.xml``; returns their paths.
+    def write(self, folder: str | Path) -> tuple[dict[str, Path], list[str]]:
+        """Write ``report.json``, ``report.html`` and ``junit.xml``; returns their paths, and what was missing for some.
 
         Raises:
             InputError: the folder cannot be made or written to.
-            MissingExtra: the extra ``report`` is not installed.
         """
-        texts = {"report.html": self.html(), "report.json": self.json(), "junit.xml": self.junit()}
+        texts, missing = {"report.json": self.json()}, []
+        for name, make in (("report.html", self.html), ("junit.xml", self.junit)):
+            try:
+                texts[name] = make()
+            except MissingExtra as error:
+                missing.append(f"{name} not written: {error}")
         target = Path(folder)
         try:
             target.mkdir(parents=True, exist_ok=True)
@@ -60,7 +66,7 @@ class Report:
             raise InputError(f"{folder}: cannot be made: {error.strerror}") from error
         for name, text in texts.items():
             write_text(target / name, text)
-        return {name: target / name for name in texts}
+        return {name: target / name for name in texts}, missing
 
     def html(self) -> str:
         """A self-contained page."""
@@ -72,7 +78,9 @@ class Report:
         page = jinja2.Environment(
             autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
         )
-        return page.from_string(source).render(report=self, settings=self._settings(), environment=_environment())
+        return page.from_string(source).render(
+            report=self, settings=self._settings(), environment=_environment(), command=self.command
+        )
 
     def json(self) -> str:
         """Every claim and check with its numbers."""

@@ -53,7 +53,8 @@ def verify(
         with ProcessPoolExecutor(jobs) as pool:
             claims = list(pool.map(run, numbers))
     name = title or ("the paper's 4 × 4 prototype" if design is None else "readout design")
-    return Report(name, bench.design, target, claims, time.perf_counter() - start)
+    command = " ".join(["ohmskin verify", *([name] if design is not None else [])])
+    return Report(name, bench.design, target, claims, time.perf_counter() - start, command)
 
 
 def _run(bench: Bench, number: int) -> Claim:

@@ -72,6 +72,10 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
             return f"missing key '{where}'"
         case "value_error":
             message = str(first["ctx"]["error"])
+        case "tuple_type" | "list_type":
+            message = "expected a list [...]" if not isinstance(first["input"], dict) else "expected [[...]], not [...]"
+        case "dict_type" | "model_type" | "model_attributes_type":
+            message = "expected a table"
         case _:
             message = first["msg"][0].lower() + first["msg"][1:]
     given = first["input"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .errors import InputError
+from .files import whole_file
 
 FloatArray = NDArray[np.float64]
 
@@ -23,10 +23,11 @@ def read_cells(path: str | Path, shape: tuple[int, int]) -> FloatArray:
         InputError: unreadable, empty or ragged file, another shape, a field that is not a number, negative or NaN.
 
     """
-    rows = [[_resistance(path, line, field) for field in fields] for line, fields in _lines(path)]
-    widths = {len(row) for row in rows}
-    if len(widths) > 1:
-        raise InputError(f"{path}: lines of unequal length ({min(widths)} and {max(widths)} fields)")
+    lines = _lines(path)
+    rows = [[_resistance(path, line, field) for field in fields] for line, fields in lines]
+    for (line, _), row in zip(lines, rows, strict=True):
+        if len(row) != len(rows[0]):
+            raise InputError(f"{path}: line {line}: lines of unequal length, {len(row)} fields after {len(rows[0])}")
     matrix = np.array(rows, dtype=np.float64)
     if matrix.shape != shape:
         found, wanted = "{} lines of {} numbers".format(*matrix.shape), "{} lines of {}".format(*shape)
@@ -79,15 +80,9 @@ def write_columns(path: str | Path, columns: Mapping[str, Iterable[float]]) -> N
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a whole file or nothing: beside it first, then moved into place. Raises InputError."""
-    target = Path(path)
-    partial = target.with_name(f".{target.name}.partial-{os.getpid()}")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        partial.replace(target)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    """Write a whole file or nothing; InputError where it cannot be written."""
+    with whole_file(path) as file:
+        file.write(text.encode())
 
 
 def _lines(path: str | Path) -> list[tuple[int, list[str]]]:
@@ -116,4 +111,7 @@ def _number(path: str | Path, line: int, field: str, *, empty_is_nan: bool = Fal
     try:
         return float(field)
     except ValueError:
-        raise InputError(f"{path}: line {line}: {field.strip()!r} is not a number") from None
+        shown = field.strip() if len(field) < 40 else field.strip()[:36] + " ..."
+        raise InputError(
+            f"{path}: line {line}: {shown!r} is not a number; expected numbers separated by commas"
+        ) from None

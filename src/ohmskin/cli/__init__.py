@@ -6,7 +6,9 @@ line on standard error and nothing half-written; 3 something could not be run (`
 
 from __future__ import annotations
 
+import difflib
 import importlib
+import os
 import sys
 from typing import Any
 
@@ -38,6 +40,14 @@ class _LazyGroup(click.Group):
         command = importlib.import_module(f".{cmd_name}", __name__).command
         assert isinstance(command, click.Command)
         return command
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+            near = difflib.get_close_matches(args[0], COMMANDS, n=1, cutoff=0.0)[0]
+            raise click.UsageError(f"no command '{args[0]}'; the nearest is '{near}'")
+        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):
@@ -71,5 +81,11 @@ def run(args: list[str] | None = None) -> int:
     except click.exceptions.Exit as error:
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
+        click.echo("ohmskin: interrupted", err=True)
         return 130
+    except OSError as error:
+        # Files are the library's to open, and its errors are caught above: what is left is standard output.
+        sys.stdout = open(os.devnull, "w")  # noqa: SIM115  # so that its flush at exit does not fail again
+        click.echo(f"ohmskin: standard output: {error.strerror or error}", err=True)
+        return 2
     return result if isinstance(result, int) else 0

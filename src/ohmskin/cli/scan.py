@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from .. import tables
 from ..circuits import Design, scan
@@ -44,6 +45,10 @@ def command(
     if readout is not None:
         design = design.with_circuit(readout)
     result = scan(design, tables.read_cells(cells, design.array.shape), tolerance=tolerance, method=method)
+    if result.saturated.any():
+        places = ", ".join(f"({i}, {j})" for i, j in np.argwhere(result.saturated)[:5].tolist())
+        more = "" if result.saturated.sum() <= 5 else ", ..."
+        click.echo(f"ohmskin: {result.saturated.sum()} outputs at a supply limit: {places}{more}", err=True)
     if output is not None:
         tables.write_matrix(output, result.resistance)
     if as_json:
