@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from ..errors import SolverError
 from . import sheet
 from .design import Design
-from .network import Network, reduce
+from .network import Element, Network, reduce
 from .parts import Parts, cell_conductance, line_ohms, lines, series_faults, siemens
 from .ports import port_conductances
 
@@ -43,8 +43,8 @@ def exact_ports(design: Design, resistance: FloatArray) -> FloatArray:
 
 def grid_network(design: Design, resistance: FloatArray) -> Network:
     """All nodes and branches. Nodes: N row terminals, then the row lines' crosspoints (row by row), then the column
-    lines', then the boxes of a continuous sheet. Branches: row lines, column lines (from row 1), cells or boxes,
-    bridges. Ports: row terminals, then the column lines' last crosspoints.
+    lines', then the faces between the cells of a continuous sheet. Branches: row lines, column lines (from row 1), the
+    cells of a sliced sheet, bridges. Ports: row terminals, then the column lines' last crosspoints.
     """
     rows, columns = design.array.shape
     batch = resistance.shape[:-2]
@@ -58,18 +58,14 @@ def grid_network(design: Design, resistance: FloatArray) -> Network:
     crosspoints = np.column_stack([row_at, column_at]).astype(np.float64)
     terminals = np.column_stack([np.arange(rows), np.full(rows, -1)]).astype(np.float64)
     place = [terminals, crosspoints, crosspoints]
-    conductance = cell_conductance(design, resistance)
+    elements: tuple[Element, ...] = ()
     if design.array.sheet == "sliced":
         ends.append(np.stack([row_node, column_node], axis=-1))
-        values.append(conductance)
+        values.append(cell_conductance(design, resistance))
     else:
-        resistivity = (resistance + series_faults(design, "open-cell")) / sheet.unit_resistance(design.sheet)
-        boxes, box_ends, box_values = sheet.branches(
-            design.sheet, resistivity, row_node, column_node, rows + 2 * rows * columns
-        )
-        place.append(boxes)
-        ends.append(box_ends)
-        values.append(box_values)
+        cells = resistance + series_faults(design, "open-cell")
+        faces, elements = sheet.pieces(design.sheet, cells, row_node, column_node, rows + 2 * rows * columns)
+        place.append(faces)
     extra = [fault for fault in design.fault if fault.bridge]
     if design.array.sheet == "continuous":
         extra += [fault for fault in design.fault if fault.kind == "shorted-cell"]
@@ -89,6 +85,7 @@ def grid_network(design: Design, resistance: FloatArray) -> Network:
         conductance=flat,
         wire=np.arange(flat.shape[-1]) < wires,
         ports=np.concatenate([np.arange(rows), column_node[-1]]),
+        elements=elements,
     )
 
 

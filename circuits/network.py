@@ -1,8 +1,8 @@
 """Any resistor network reduced to its ports: what a plain grid is not (bridged lines, the continuous sheet).
 
 The same positive arithmetic as :mod:`.ports`, so the same accuracy whatever the resistances span, but the order of
-elimination follows from the nodes' places: the branches are halved by place until few are left, and of two halves
-together all nodes go that no other branch touches (nested dissection by substructures). For a plain grid
+elimination follows from the nodes' places: branches and elements are halved by place until few are left, and of two
+halves together all nodes go that nothing else touches (nested dissection by substructures). For a plain grid
 :func:`.ports.port_conductances` does the same with much less bookkeeping.
 """
 
@@ -22,9 +22,17 @@ IntArray = NDArray[np.intp]
 _LEAF = 48  # branches that are assembled and eliminated at once
 
 
+class Element(NamedTuple):
+    """A part with more than two ends, itself reduced to them."""
+
+    nodes: IntArray
+    between: FloatArray
+    """(..., nodes, nodes) S"""
+
+
 @dataclass(frozen=True)
 class Network:
-    """Nodes and the branches between them."""
+    """Nodes, the branches between them, and elements."""
 
     place: FloatArray
     """(nodes, axes): where each node is; only the order of elimination depends on it"""
@@ -36,60 +44,83 @@ class Network:
     """(branches,): of infinite conductances, those that hold their potential even against a short"""
     ports: IntArray
     """(ports,) nodes"""
+    elements: tuple[Element, ...] = ()
 
 
 class _Part(NamedTuple):
-    """What is left of a set of branches: some nodes, and the network between them."""
+    """What is left of some branches and elements: nodes, and the network between them."""
 
     nodes: IntArray
     touched: IntArray
-    """how many of each node's branches are in"""
+    """how many of each node's branches and elements are in"""
     between: FloatArray
 
 
 def reduce(network: Network) -> FloatArray:
     """Port conductances (..., ports, ports) in S, zero on the diagonal."""
-    conductance = capped(network)
+    conductance, elements = _capped(network)
+    branches = len(network.ends)
     degree = np.bincount(network.ends.ravel(), minlength=len(network.place))
+    for element in elements:
+        degree[element.nodes] += 1
     is_port = np.zeros(len(network.place), dtype=np.bool_)
     is_port[network.ports] = True
-    middle = network.place[network.ends].mean(axis=1)
+    middles = [network.place[element.nodes].mean(axis=0) for element in elements]
+    middle = np.concatenate([network.place[network.ends].mean(axis=1), *(place[None] for place in middles)])
 
-    def part(branches: IntArray) -> _Part:
-        if len(branches) <= _LEAF:
-            nodes, local = np.unique(network.ends[branches], return_inverse=True)
-            a, b = local.reshape(-1, 2).T
-            touched = np.bincount(local.ravel(), minlength=len(nodes))
-            between = np.zeros((*conductance.shape[:-1], len(nodes), len(nodes)))
-            for k, branch in enumerate(branches):
-                between[..., a[k], b[k]] += conductance[..., branch]
-            between += np.swapaxes(between, -1, -2)
-        else:
-            axis = int(np.argmax(np.ptp(middle[branches], axis=0)))
-            order = branches[np.argsort(middle[branches, axis], kind="stable")]
-            halves = [part(order[: len(order) // 2]), part(order[len(order) // 2 :])]
-            nodes = np.union1d(halves[0].nodes, halves[1].nodes)
-            touched = np.zeros(len(nodes), dtype=np.intp)
-            between = np.zeros((*conductance.shape[:-1], len(nodes), len(nodes)))
-            for half in halves:
-                at = np.searchsorted(nodes, half.nodes)
-                touched[at] += half.touched
-                between[..., at[:, None], at] += half.between
-        done = (touched == degree[nodes]) & ~is_port[nodes]
-        order = np.argsort(~done, kind="stable")
+    def leaf(lines: IntArray, whole: list[Element]) -> _Part:
+        nodes = np.unique(np.concatenate([network.ends[lines].ravel(), *(element.nodes for element in whole)]))
+        between = np.zeros((*conductance.shape[:-1], len(nodes), len(nodes)))
+        touched = np.zeros(len(nodes), dtype=np.intp)
+        local = np.searchsorted(nodes, network.ends[lines])
+        np.add.at(touched, local, 1)
+        for (a, b), line in zip(local.tolist(), lines.tolist(), strict=True):
+            between[..., a, b] += conductance[..., line]
+        between += np.swapaxes(between, -1, -2)
+        for element in whole:
+            at = np.searchsorted(nodes, element.nodes)
+            touched[at] += 1
+            between[..., at[:, None], at] += element.between
+        return _Part(nodes, touched, between)
+
+    def part(items: IntArray) -> _Part:
+        among = items[items >= branches] - branches
+        if len(items) == 1 or (len(items) <= _LEAF and len(among) <= 1):
+            return without_inner(leaf(items[items < branches], [elements[k] for k in among]))
+        axis = int(np.argmax(np.ptp(middle[items], axis=0)))
+        order = items[np.argsort(middle[items, axis], kind="stable")]
+        halves = [part(order[: len(order) // 2]), part(order[len(order) // 2 :])]
+        nodes = np.union1d(halves[0].nodes, halves[1].nodes)
+        touched = np.zeros(len(nodes), dtype=np.intp)
+        between = np.zeros((*conductance.shape[:-1], len(nodes), len(nodes)))
+        for half in halves:
+            at = np.searchsorted(nodes, half.nodes)
+            touched[at] += half.touched
+            between[..., at[:, None], at] += half.between
+        return without_inner(_Part(nodes, touched, between))
+
+    def without_inner(whole: _Part) -> _Part:
+        done = (whole.touched == degree[whole.nodes]) & ~is_port[whole.nodes]
         gone = int(done.sum())
+        if not gone:
+            return whole
+        order = np.argsort(~done, kind="stable")
         kept = order[gone:]
-        return _Part(nodes[kept], touched[kept], eliminate_leading(between[..., order[:, None], order], gone))
+        between = eliminate_leading(whole.between[..., order[:, None], order], gone)
+        return _Part(whole.nodes[kept], whole.touched[kept], between)
 
-    whole = part(np.arange(len(network.ends)))
-    # Kept nodes stay in ascending order, and so are found.
-    at = np.searchsorted(whole.nodes, network.ports)
+    whole = part(np.arange(branches + len(elements)))
+    order = np.argsort(whole.nodes)
+    at = order[np.searchsorted(whole.nodes, network.ports, sorter=order)]
     return whole.between[..., at[:, None], at]
 
 
-def capped(network: Network) -> FloatArray:
-    """Conductances with each infinite one replaced by a large one: a short outdoes every part, a wire every short."""
-    values = network.conductance
-    largest = float(np.max(values, where=np.isfinite(values), initial=LARGEST_PART))
+def _capped(network: Network) -> tuple[FloatArray, list[Element]]:
+    """With each infinite conductance replaced by a large one: a short outdoes every part, a wire every short."""
+    largest = max(
+        float(np.max(values, where=np.isfinite(values), initial=LARGEST_PART))
+        for values in (network.conductance, *(element.between for element in network.elements))
+    )
     short = IDEAL_WIRE * largest
-    return np.minimum(values, np.where(network.wire, IDEAL_WIRE * short, short))
+    conductance = np.minimum(network.conductance, np.where(network.wire, IDEAL_WIRE * short, short))
+    return conductance, [Element(nodes, np.minimum(between, short)) for nodes, between in network.elements]

@@ -11,82 +11,123 @@ their segments between the cells), a resistivity that varies inside a cell or wi
 
 A cell's resistance means the same as in the sliced sheet: its own piece, cut free on all four sides. The resistivity
 of its part of the sheet follows from that, so that slicing is the only difference between the two.
+
+All cells are the same piece of material but for its resistivity. So one piece is reduced, once and for good, to its two
+strips and to the boxes' faces on its sides; a frame then only joins such pieces, each divided by its resistivity.
 """
 
 from __future__ import annotations
 
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .design import Sheet
-from .network import Network, reduce
+from .network import Element, Network, reduce
 from .parts import siemens
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
 
-def branches(
-    sheet: Sheet, resistivity: FloatArray, row_node: IntArray, column_node: IntArray, first_box: int
-) -> tuple[FloatArray, IntArray, FloatArray]:
-    """The material as branches: places of its boxes (boxes, 2), ends (branches, 2) and S (..., branches).
+class Sides(NamedTuple):
+    """Which sides of a cell go on into a neighbour."""
+
+    left: bool = False
+    right: bool = False
+    up: bool = False
+    down: bool = False
+
+
+def pieces(
+    sheet: Sheet, resistance: FloatArray, row_node: IntArray, column_node: IntArray, first_face: int
+) -> tuple[FloatArray, tuple[Element, ...]]:
+    """The material as elements: places of the faces between cells (faces, 2), and one element per cell.
 
     Args:
         sheet: the geometry.
-        resistivity: (..., rows, columns) ohm m of each cell's part of the sheet; inf is void, 0 metal.
+        resistance: (..., rows, columns) ohm of the cells, each cut free; inf is void, 0 metal.
         row_node: (rows, columns) nodes of the crosspoints.
         column_node: the same of the column lines.
-        first_box: number of the first box's node; the others follow.
+        first_face: number of the first face's node; the others follow.
 
     """
-    *_, rows, columns = resistivity.shape
-    cut, layers = sheet.divisions, sheet.layers
-    per_box = np.repeat(np.repeat(resistivity, cut, axis=-2), cut, axis=-1)[..., None, :, :]
-    per_box = np.broadcast_to(per_box, (*per_box.shape[:-3], layers, rows * cut, columns * cut))
-    box = first_box + np.arange(layers * rows * cut * columns * cut).reshape(layers, rows * cut, columns * cut)
-    side, height = sheet.pitch / cut, sheet.thickness / layers
-
-    ends: list[IntArray] = []
-    values: list[FloatArray] = []
-
-    def join(a: IntArray, b: IntArray, ohms: FloatArray) -> None:
-        ends.append(np.stack([a.ravel(), b.ravel()], axis=-1))
-        values.append(siemens(ohms.reshape(*ohms.shape[: ohms.ndim - a.ndim], a.size)))
-
-    for axis, length, area in ((-3, height, side * side), (-2, side, side * height), (-1, side, side * height)):
-        count = box.shape[axis]
-        low, high = np.arange(count - 1), np.arange(1, count)
-        both = per_box.take(low, axis=axis) + per_box.take(high, axis=axis)
-        join(box.take(low, axis=axis), box.take(high, axis=axis), both * (length / area / 2))
-    covered = _covered(sheet)
-    for nodes, layer, share in (
-        (row_node, 0, np.tile(covered, rows)[:, None] * np.ones(columns * cut)),
-        (column_node, layers - 1, np.ones(rows * cut)[:, None] * np.tile(covered, columns)),
-    ):
-        above = np.repeat(np.repeat(nodes, cut, axis=0), cut, axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            ohms = per_box[..., layer, :, :] * (height / 2 / side**2) / share
-        join(above, box[layer], np.where(share > 0, ohms, np.inf))
-    row_at, column_at = np.divmod(np.arange(rows * cut * columns * cut), columns * cut)
-    place = np.tile(np.column_stack([row_at, column_at]) / cut - 0.5 + 0.5 / cut, (layers, 1))
-    return place, np.concatenate(ends), np.concatenate(values, axis=-1)
+    *_, rows, columns = resistance.shape
+    each = sheet.divisions * sheet.layers
+    beside = first_face + np.arange(rows * (columns - 1) * each).reshape(rows, columns - 1, each)
+    below = first_face + beside.size + np.arange((rows - 1) * columns * each).reshape(rows - 1, columns, each)
+    place = np.concatenate([_middles(rows, columns - 1, each, 0.0, 0.5), _middles(rows - 1, columns, each, 0.5, 0.0)])
+    scale = siemens(resistance / unit_resistance(sheet))
+    elements = []
+    for row in range(rows):
+        for column in range(columns):
+            sides = Sides(column > 0, column < columns - 1, row > 0, row < rows - 1)
+            nodes = [np.array([row_node[row, column], column_node[row, column]])]
+            nodes += [beside[row, column - 1]] if sides.left else []
+            nodes += [beside[row, column]] if sides.right else []
+            nodes += [below[row - 1, column]] if sides.up else []
+            nodes += [below[row, column]] if sides.down else []
+            unit, here = _unit(sheet, sides), scale[..., row, column, None, None]
+            with np.errstate(invalid="ignore"):
+                between = np.where(unit > 0, unit * here, 0.0)
+            elements.append(Element(np.concatenate(nodes), between))
+    return place, tuple(elements)
 
 
 @lru_cache(maxsize=16)
 def unit_resistance(sheet: Sheet) -> float:
     """Ohm of one free cell of 1 ohm m."""
-    row, column = np.array([[0]]), np.array([[1]])
-    place, ends, conductance = branches(sheet, np.ones((1, 1)), row, column, 2)
+    return float(1.0 / _unit(sheet, Sides())[0, 1])
+
+
+def _middles(rows: int, columns: int, each: int, down: float, along: float) -> FloatArray:
+    row_at, column_at = np.indices((rows, columns)).reshape(2, -1)
+    return np.repeat(np.column_stack([row_at + down, column_at + along]), each, axis=0)
+
+
+@lru_cache(maxsize=64)
+def _unit(sheet: Sheet, sides: Sides) -> FloatArray:
+    """S between the strips of row and column and the open faces, side by side, of one cell of 1 ohm m."""
+    cut, layers = sheet.divisions, sheet.layers
+    side, height = sheet.pitch / cut, sheet.thickness / layers
+    box = 2 + np.arange(layers * cut * cut).reshape(layers, cut, cut)
+    row, column = np.zeros((cut, cut), dtype=np.intp), np.ones((cut, cut), dtype=np.intp)
+    share = np.broadcast_to(_covered(sheet), (cut, cut))
+    joined: list[tuple[IntArray, IntArray, FloatArray | float]] = [
+        (box[:-1], box[1:], side * side / height),
+        (box[:, :-1], box[:, 1:], height),  # a face of side x height, over one side
+        (box[..., :-1], box[..., 1:], height),
+        (row, box[0], share.T * 2 * side * side / height),
+        (column, box[-1], share * 2 * side * side / height),
+    ]
+    ports = [np.array([0, 1])]
+    count = 2 + box.size
+    for wanted, rim in zip(sides, (box[..., 0], box[..., -1], box[:, 0], box[:, -1]), strict=True):
+        if wanted:
+            face = count + np.arange(rim.size)
+            joined.append((face, rim.ravel(), 2 * height))
+            ports.append(face)
+            count += rim.size
+    ends = [np.column_stack([a.ravel(), b.ravel()]) for a, b, _ in joined]
+    values = [np.broadcast_to(value, a.shape).ravel() for a, _, value in joined]
+    layer_at, row_at, column_at = np.indices(box.shape).reshape(3, -1)
+    place = np.zeros((count, 3))
+    place[box.ravel()] = np.column_stack([layer_at, row_at, column_at])
+    for a, b, _ in joined[5:]:
+        place[a] = place[b]
+    conductance = np.concatenate(values)
     network = Network(
-        place=np.concatenate([np.zeros((2, 2)), place]),
-        ends=ends,
+        place=place,
+        ends=np.concatenate(ends),
         conductance=conductance,
-        wire=np.zeros(len(ends), dtype=np.bool_),
-        ports=np.array([0, 1]),
+        wire=np.zeros(len(conductance), dtype=np.bool_),
+        ports=np.concatenate(ports),
     )
-    return float(1.0 / reduce(network)[0, 1])
+    unit = reduce(network)
+    unit.flags.writeable = False
+    return unit
 
 
 def _covered(sheet: Sheet) -> FloatArray:

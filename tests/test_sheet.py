@@ -29,6 +29,50 @@ def test_branch_by_branch_reduction_is_that_of_the_plain_grid(shape: tuple[int, 
     np.testing.assert_array_equal(together[1], reduce(grid_network(design, cells[1])))
 
 
+def boxes_one_by_one(design: Design, cells: np.ndarray) -> np.ndarray:
+    """Port conductances by the nodal matrix of all boxes, each branch by Ohm's law."""
+    sheet, (rows, columns) = design.sheet, cells.shape
+    cut, layers, side = sheet.divisions, sheet.layers, sheet.pitch / sheet.divisions
+    height = sheet.thickness / layers
+    resistivity = cells / unit_resistance(sheet)
+    count = rows + columns
+    laplacian = np.zeros((count + layers * rows * cut * columns * cut,) * 2)
+
+    def node(layer: int, y: int, x: int) -> int:
+        return count + (layer * rows * cut + y) * columns * cut + x
+
+    def join(a: int, b: int, ohms: float) -> None:
+        laplacian[[a, b], [a, b]] += 1 / ohms
+        laplacian[[a, b], [b, a]] -= 1 / ohms
+
+    margin = (sheet.pitch - sheet.electrode_width) / 2
+    for layer, y, x in np.ndindex(layers, rows * cut, columns * cut):
+        here = resistivity[y // cut, x // cut]
+        for to, length, area in (
+            ((layer + 1, y, x), height, side**2),
+            ((layer, y + 1, x), side, side * height),
+            ((layer, y, x + 1), side, side * height),
+        ):
+            if to[0] < layers and to[1] < rows * cut and to[2] < columns * cut:
+                there = resistivity[to[1] // cut, to[2] // cut]
+                join(node(layer, y, x), node(*to), (here + there) / 2 * length / area)
+        for strip, at, line in ((0, y, y // cut), (1, x, rows + x // cut)):
+            covered = margin <= (at % cut) * side + 1e-12 and (at % cut + 1) * side <= sheet.pitch - margin + 1e-12
+            if covered and layer == (0, layers - 1)[strip]:
+                join(node(layer, y, x), line, here * height / 2 / side**2)
+    inner = np.linalg.solve(laplacian[count:, count:], laplacian[count:, :count])
+    expected = laplacian[:count, count:] @ inner - laplacian[:count, :count]
+    np.fill_diagonal(expected, 0.0)
+    return expected
+
+
+@pytest.mark.parametrize(("shape", "layers"), [((1, 1), 2), ((1, 3), 1), ((3, 2), 2)])
+def test_pieces_joined_by_their_faces_are_the_whole_sheet(shape: tuple[int, int], layers: int) -> None:
+    design = in_one_piece(amplifier(*shape), divisions=4, layers=layers, electrode_width=0.0127)
+    cells = 10 ** np.random.default_rng(7).uniform(3, 5, shape)
+    np.testing.assert_allclose(exact_ports(design, cells), boxes_one_by_one(design, cells), rtol=1e-9)
+
+
 def test_a_slab_under_full_electrodes_is_resistivity_times_thickness_over_area() -> None:
     sheet = Sheet(pitch=0.01, thickness=0.002, electrode_width=0.01, divisions=3, layers=5)
     assert unit_resistance(sheet) == pytest.approx(0.002 / 0.01**2, rel=1e-12)
