@@ -28,9 +28,10 @@ from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
 
 from ..errors import InputError, SolverError
 from .design import Design
-from .grid import exact_ports, is_plain
+from .exact import read_exactly
+from .grid import is_plain
 from .parts import Parts, lines, series_faults
-from .readout import read
+from .readout import amplifier_ends
 from .sensitivity import LARGEST, sensitivity
 
 FloatArray = NDArray[np.float64]
@@ -261,6 +262,9 @@ class _Model:
         self.amplified = design.readout.circuit == "inverting-amplifier"
         self.level, self.drive = design.readout.reference_voltage, design.drive.voltage
         self._parts = parts = Parts.of(design)
+        ends = amplifier_ends(design)
+        alike = self.amplified and design.drive.idle_rows == "ground" and np.ptp(ends.source) == 0
+        self._output, self._source = ends.output, float(ends.source[0]) if alike else None
         self._turned = design.model_copy(update={"drive": design.drive.model_copy(update={"voltage": -self.drive})})
         self._has_rest = (
             bool(parts.offset.any() or parts.bias.any() or (self.level and np.isfinite(parts.gain).any()))
@@ -270,12 +274,17 @@ class _Model:
     def split(self, conductance: FloatArray) -> tuple[FloatArray, FloatArray | float]:
         """V that the drive makes, and what is there without it."""
         with np.errstate(divide="ignore"):
-            ports = exact_ports(self.design, 1.0 / conductance)
-        volts = read(self.design, ports).volts
+            cells = 1.0 / conductance
+        volts = read_exactly(self.design, cells)[0].volts
         if not self._has_rest:
             return volts - self.level, self.level
-        other = read(self._turned, ports).volts
-        return (volts - other) / 2, (volts + other) / 2
+        if self._source is None:
+            other = read_exactly(self._turned, cells)[0].volts
+            return (volts - other) / 2, (volts + other) / 2
+        # In its own step a cell gets the drive, and in every step all cells of a column get the same source.
+        above = volts - self._output
+        signal = above + self._source * (above.sum(axis=0) / (self.drive - len(volts) * self._source))
+        return signal, volts - signal
 
     def apparent(self, signal: FloatArray) -> FloatArray:
         """Conductance in S that the ideal circuit would need for a signal (N, M) in V; 0 where there is none."""
