@@ -30,7 +30,7 @@ from ..errors import InputError, SolverError
 from .design import Design
 from .exact import read_exactly
 from .grid import is_plain
-from .parts import Parts, lines, series_faults
+from .parts import Parts, lines, series_faults, siemens
 from .readout import amplifier_ends
 from .sensitivity import LARGEST, sensitivity
 
@@ -38,6 +38,7 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _MOST_ITERATIONS = 200
+_LEAST_SHARE = 1e-9  # of a place's current that a cell beside a known short must carry
 # Error that may be left of each iteration's before the derivatives are factored (anew), by number of cells: they cost
 # as much as 5 evaluations of an 8 x 8, 30 of a 32 x 32 and 300 of a 64 x 64.
 _SLOW = ((16 * 16, 0.03), (32 * 32, 0.5), (LARGEST, 0.9))
@@ -50,7 +51,7 @@ class Status(IntEnum):
     OPEN = 1
     """no current; the resistance is given as inf"""
     SATURATED = 2
-    """the output or the converter is at a limit, so the resistance is not known: NaN"""
+    """the output or the converter is at a limit, or a known short hides the cell; its resistance is not known: NaN"""
     DISTURBED = 3
     """shares a line with a saturated cell, and so is not to be trusted"""
 
@@ -201,18 +202,20 @@ class Recoverer:
     def _result(
         self, conductance: FloatArray, at_limit: BoolArray, residual: float, iterations: int, factored: int
     ) -> Recovery:
-        signal_side = conductance > 0
+        signal_side, own = conductance > 0, conductance
         for fault in self._design.fault:
             if fault.kind == "shorted-cell":
-                with np.errstate(divide="ignore"):
-                    conductance[fault.place] -= np.divide(1.0, fault.ohms)
+                own = own.copy()
+                own[fault.place] -= siemens(fault.ohms)
         with np.errstate(divide="ignore"):
-            resistance = np.where(conductance > 0, 1.0 / conductance, inf)
+            resistance = np.where(own > 0, 1.0 / own, inf)
         visible = np.isfinite(self._hidden)
         resistance = np.where(visible, np.maximum(resistance - np.where(visible, self._hidden, 0.0), 0.0), inf)
         status = np.where(np.isinf(resistance), Status.OPEN, Status.READ).astype(np.int8)
         lost: BoolArray = np.logical_and(at_limit, signal_side)
-        status[lost], resistance[lost] = Status.SATURATED, np.nan
+        # Beside a short that carries nearly all of the current, a cell is not to be seen.
+        unknown = lost | (own < _LEAST_SHARE * conductance)
+        status[unknown], resistance[unknown] = Status.SATURATED, np.nan
         if lost.any():
             status = np.where(self._disturbed(lost) & (status == Status.READ), Status.DISTURBED, status).astype(np.int8)
         return Recovery(resistance, status, residual, iterations, factored)

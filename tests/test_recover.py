@@ -184,6 +184,17 @@ def test_known_faults_are_taken_out() -> None:
     np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-9)
 
 
+def test_a_cell_behind_a_complete_short_is_not_invented() -> None:
+    design = amplifier(3, 3, lead=10.0, segment=1.0)
+    design = design.model_copy(update={"fault": (Fault(kind="shorted-cell", place=(1, 1)),)})
+    cells = 10 ** np.random.default_rng(4).uniform(3.5, 4, (3, 3))
+    recovery = recover(design, scan(design, cells).volts)
+    assert recovery.status[1, 1] == Status.SATURATED
+    assert np.isnan(recovery.resistance[1, 1])
+    recovery.resistance[1, 1] = cells[1, 1]
+    np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-6)
+
+
 def test_through_a_continuous_sheet_and_a_bridge_of_some_resistance() -> None:
     cells = 10 ** np.random.default_rng(2).uniform(3.5, 4, (3, 3))
     design = amplifier(3, 3, lead=5.0)
