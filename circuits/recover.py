@@ -149,6 +149,8 @@ class Recoverer:
         return self._result(conductance, at_limit, residual, iterations, factored)
 
     def _at_limit(self, measured: FloatArray) -> BoolArray:
+        if self._design.readout.circuit == "voltage-divider":  # no amplifier, no limit
+            return np.zeros(measured.shape, dtype=np.bool_)
         low, high = self._design.readout.supply
         at_limit: BoolArray = (measured <= low) | (measured >= high)
         return at_limit
@@ -174,7 +176,7 @@ class Recoverer:
             if error <= accuracy or (stalled > 3 and best <= 1e3 * accuracy):
                 self._start, self._factor = conductance, kept
                 # What a cell adds to its own reading must stand out from what the model is uncertain by.
-                seen = conductance > 1e3 * accuracy * target
+                seen = conductance > 10 * max(error, accuracy) * target
                 return np.where(seen, conductance, 0.0), error, iteration, factored
             if error > last and fresh and np.abs(change).max() > 1e-6:
                 change = change / 2  # a full step of Newton's method went too far

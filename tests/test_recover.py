@@ -143,6 +143,19 @@ def test_open_cells_and_lines_are_marked() -> None:
         np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-9)
 
 
+def test_a_cell_that_adds_little_to_its_own_reading_is_still_read() -> None:
+    """1 % of the current at its place is its own, the rest is crosstalk; only then does accuracy decide."""
+    cells = np.full((6, 6), 1e3)
+    cells[2, 3] = 1e7
+    design = amplifier(6, 6, lead=25.0)
+    volts = scan(design, cells).volts
+    assert apparent_resistance(design, volts)[2, 3] < 0.02 * cells[2, 3]
+    for accuracy in (1e-11, 1e-6):
+        recovery = recover(design, volts, accuracy=accuracy)
+        assert (recovery.status == Status.READ).all()
+        np.testing.assert_allclose(recovery.resistance, cells, rtol=1e4 * accuracy)
+
+
 @pytest.mark.parametrize("lead", [0.0, 30.0])
 def test_saturated_cells_are_not_invented_and_their_neighbours_are_not_trusted(lead: float) -> None:
     cells = np.full((4, 4), 5e3)
