@@ -101,25 +101,24 @@ class Attenuated:
         return bound
 
 
-def attenuate(conductance: FloatArray, lines: Lines) -> Attenuated | None:
+def attenuate(conductance: FloatArray, wires: Wires | None) -> Attenuated | None:
     """The zeroth term of the series and its certificate.
 
     Args:
         conductance: (..., N, M) S of the cells.
-        lines: the wires, with exits.
+        wires: of the grid, if none is broken.
 
     Returns:
         None for shorted cells and broken lines, which ladders cannot express, and where nothing is left of the drive
         at the end of a line.
 
     """
-    grid = Wires.of(lines)
-    if grid is None or not np.isfinite(conductance).all():
+    if wires is None or not np.isfinite(conductance).all():
         return None
     *batch, rows, columns = conductance.shape
     cells = conductance.reshape(-1, rows, columns)
-    row, column = grid.ladders(cells)
-    known = certify(grid, cells, row, column, tuple(batch))
+    row, column = wires.ladders(cells)
+    known = certify(wires, cells, row, column, tuple(batch))
     return known if np.isfinite(known.relative).all() else None
 
 

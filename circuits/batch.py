@@ -13,7 +13,7 @@ from .attenuation import attenuate
 from .design import Design
 from .exact import few_ulp, read_exactly
 from .linear import LinearReadout
-from .parts import cell_conductance, lines
+from .parts import cell_conductance
 from .readout import apparent_resistance
 from .scan import Demand, check_request, ideal_limits, relative, scan
 
@@ -104,7 +104,7 @@ def _attenuated(design: Design, cells: FloatArray) -> tuple[NDArray[np.intp], Fl
         return nothing
     conductance = cell_conductance(design, cells)
     found = np.flatnonzero(np.isfinite(conductance).all(axis=(1, 2)))
-    known = attenuate(conductance[found], linear.lines(lines(design))) if len(found) else None
+    known = attenuate(conductance[found], linear.wires) if len(found) else None
     if known is None:
         return nothing
     volts = linear.volts(known.transfer)

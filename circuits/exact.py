@@ -12,7 +12,7 @@ from . import banded
 from .design import Design
 from .grid import exact_ports, refuse_contradictions
 from .linear import LinearReadout
-from .parts import Parts, cell_conductance, lines
+from .parts import Parts, cell_conductance
 from .ports import Lines, has_ideal_lines, rounding_meter, transfer_conductances
 from .readout import Reading, amplifier_ends, read
 
@@ -36,14 +36,12 @@ def read_exactly(
         transfer_of: what to use in place of :func:`exact_transfer`.
 
     """
-    conductance, grid = cell_conductance(design, resistance), lines(design)
     linear = LinearReadout.of(design)
     if linear is None:
         return _read_ports(design, resistance)
     if (resistance == 0).any():
         refuse_contradictions(design, resistance)
-    ended = linear.lines(grid)
-    transfer, off = (transfer_of or exact_transfer)(conductance, ended)
+    transfer, off = (transfer_of or exact_transfer)(cell_conductance(design, resistance), linear.lines)
     volts = linear.volts(transfer)
     error = linear.error(off) + few_ulp(volts)
     saturated = np.zeros(volts.shape, dtype=np.bool_)

@@ -61,17 +61,15 @@ class _LastTree:
 
 class _LastLadders:
     def __init__(self) -> None:
-        self._wires: Wires | None = None
         self._cells: FloatArray | None = None
         self._ladders: tuple[Ladders, Ladders] | None = None
 
-    def attenuate(self, conductance: FloatArray, lines: Lines) -> Attenuated | None:
+    def attenuate(self, conductance: FloatArray, wires: Wires | None) -> Attenuated | None:
         """As :func:`.attenuation.attenuate`, for one frame."""
-        self._wires = self._wires or Wires.of(lines)
-        if self._wires is None or not np.isfinite(conductance).all():
+        if wires is None or not np.isfinite(conductance).all():
             return None
         if self._cells is None or self._ladders is None:
-            self._ladders = self._wires.ladders(conductance[None])
+            self._ladders = wires.ladders(conductance[None])
         else:
             changed = self._cells != conductance
             turned = conductance[::-1]
@@ -81,7 +79,7 @@ class _LastLadders:
                 _updated(column, turned, changed.any(axis=0)),
             )
         self._cells = conductance
-        known = certify(self._wires, conductance[None], *self._ladders, ())
+        known = certify(wires, conductance[None], *self._ladders, ())
         return known if np.isfinite(known.relative) else None
 
 

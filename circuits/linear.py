@@ -8,14 +8,16 @@ With grounded idle rows and amplifiers that all hold their inputs at one potenti
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .attenuation import Wires
 from .design import Design
 from .grid import is_plain
-from .parts import Parts
+from .parts import Parts, lines
 from .ports import Lines
 from .readout import amplifier_ends
 
@@ -26,8 +28,6 @@ FloatArray = NDArray[np.float64]
 class LinearReadout:
     """Outputs as a linear function of the transfer conductances (..., N, M)."""
 
-    resistance: FloatArray
-    """ohm (M,) that each column ends in: its lead and the amplifier's input"""
     output: FloatArray
     """V (M,) without current"""
     slope: FloatArray
@@ -37,10 +37,20 @@ class LinearReadout:
     source: float
     """V behind the columns' ends, against the reference"""
     supply: tuple[float, float]
+    lines: Lines
+    """of the grid, the columns' ends attached"""
+    wires: Wires | None
+    """the same for line attenuation; None where a line is broken"""
 
     @classmethod
     def of(cls, design: Design) -> LinearReadout | None:
         """None where the design's frames are not of this kind."""
+        if _recent.design is not design:  # frame after frame comes from one design, and is as quick as this is to make
+            _recent.design, _recent.readout = design, cls._of(design)
+        return _recent.readout
+
+    @classmethod
+    def _of(cls, design: Design) -> LinearReadout | None:
         ordinary = design.readout.circuit == "inverting-amplifier" and design.drive.idle_rows == "ground"
         if not (ordinary and is_plain(design)):
             return None
@@ -49,12 +59,18 @@ class LinearReadout:
         resistance = ends.resistance + Parts.of(design).column_lead
         if (source != source[0]).any() or np.isinf(resistance).any():
             return None
-        return cls(resistance, ends.output, ends.slope, design.drive.voltage, float(source[0]), design.readout.supply)
-
-    def lines(self, grid: Lines) -> Lines:
-        """``grid`` with the columns' ends attached."""
+        grid = lines(design)
         with np.errstate(divide="ignore"):
-            return Lines(grid.row, grid.column, 1.0 / self.resistance)
+            ended = Lines(grid.row, grid.column, 1.0 / resistance)
+        return cls(
+            output=ends.output,
+            slope=ends.slope,
+            drive=design.drive.voltage,
+            source=float(source[0]),
+            supply=design.readout.supply,
+            lines=ended,
+            wires=Wires.of(ended),
+        )
 
     def volts(self, transfer: FloatArray) -> FloatArray:
         """(..., N, M) V, had the amplifiers no limits."""
@@ -75,3 +91,13 @@ class LinearReadout:
         if source:
             currents += source * transfer.sum(axis=-2, keepdims=True)
         return currents
+
+
+class _Recent(threading.local):
+    """What was made of the design that this thread used last."""
+
+    design: Design | None = None
+    readout: LinearReadout | None = None
+
+
+_recent = _Recent()

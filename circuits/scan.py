@@ -14,12 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, SolverError
 from . import banded
-from .attenuation import Attenuated, attenuate
+from .attenuation import Attenuated, Wires, attenuate
 from .design import Design
 from .exact import Transfer, exact_transfer, few_ulp, read_exactly
 from .linear import LinearReadout
-from .parts import Parts, cell_conductance, lines
-from .ports import IDEAL_WIRE, LARGEST_PART, Lines
+from .parts import Parts, cell_conductance
+from .ports import IDEAL_WIRE, LARGEST_PART
 from .readout import apparent_resistance
 from .series import terms
 
@@ -74,7 +74,7 @@ def scan(
 class Tools:
     """What a frame is solved with; :class:`.incremental.Scanner` puts in such as remember the last one."""
 
-    attenuate: Callable[[FloatArray, Lines], Attenuated | None] = attenuate
+    attenuate: Callable[[FloatArray, Wires | None], Attenuated | None] = attenuate
     transfer: Transfer = exact_transfer
 
 
@@ -166,19 +166,18 @@ def _fast_answers(design: Design, cells: FloatArray, some: int | None, tools: To
     linear = LinearReadout.of(design)
     if linear is None:
         return
-    grid = linear.lines(lines(design))
     conductance = cell_conductance(design, cells)
     if some == 1:
-        only = tools.attenuate(conductance, grid)
+        only = tools.attenuate(conductance, linear.wires)
         found: Iterator[Attenuated] = iter([] if only is None else [only])
     else:
-        found = itertools.islice(terms(conductance, grid), some)
+        found = itertools.islice(terms(conductance, linear.wires), some)
     last = inf
     for number, known in enumerate(found):
         volts = linear.volts(known.transfer)
         error = linear.error(known.error) + few_ulp(volts)
         worst = float(error.max())
-        if number and worst > 0.7 * last:  # rounding is all that is left, or the lines are too heavy for this
+        if number and not worst < 0.7 * last:  # rounding is all that is left, or the lines are too heavy for this
             return
         last = worst
         if linear.within_supply(volts, error):

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .attenuation import Attenuated, Ladders, Wires, certify, endlessly
-from .ports import Lines
 
 FloatArray = NDArray[np.float64]
 
@@ -24,11 +23,10 @@ _SLACK = 1.0 + 1e-6  # for the rounding errors in the bounds themselves
 _ULP = float(np.finfo(np.float64).eps) / 2.0
 
 
-def terms(conductance: FloatArray, lines: Lines) -> Iterator[Attenuated]:
+def terms(conductance: FloatArray, wires: Wires | None) -> Iterator[Attenuated]:
     """Transfer conductances of one frame (N, M) in S with 1, 2, 3, ... terms, each with its certificate; nothing where
     ladders cannot express the grid (shorted cells, broken lines).
     """
-    wires = Wires.of(lines)
     if wires is None or not np.isfinite(conductance).all():
         return
     rows, columns = conductance.shape

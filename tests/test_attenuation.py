@@ -1,0 +1,115 @@
+"""Line attenuation and its series: one-sided, certified on anything, tight on ordinary arrays."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from ohmskin.circuits.attenuation import Wires, attenuate
+from ohmskin.circuits.ports import Lines, transfer_conductances
+from ohmskin.circuits.series import terms
+
+EXACT = 1e-11  # relative error of the exact method, tests/test_ports.py
+
+
+def uniform(shape: tuple[int, int], segment: float, lead: float) -> Lines:
+    row, column = np.full(shape, 1 / segment), np.full(shape, 1 / segment)
+    row[:, 0] = 1 / lead
+    return Lines(row, column, np.full(shape[1], 1 / lead))
+
+
+def ordinary(size: int, seed: int = 0) -> np.ndarray:
+    return 10 ** -np.random.default_rng(seed).uniform(4, 6, (size, size))
+
+
+OHMS = st.one_of(st.sampled_from([1e-6, 1.0, 1e6]), st.floats(1e-6, 1e6))
+CELLS = st.one_of(st.just(0.0), st.floats(-12.0, 0.0).map(lambda decade: 10**decade))
+
+
+@settings(deadline=None, max_examples=150)
+@given(
+    hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=6), elements=CELLS),
+    OHMS,
+    OHMS,
+    OHMS,
+)
+def test_the_certificate_holds_on_anything(cells: np.ndarray, row: float, column: float, lead: float) -> None:
+    lines = Lines(np.full(cells.shape, 1 / row), np.full(cells.shape, 1 / column), np.full(cells.shape[1], 1 / lead))
+    lines.row[:, 0] = 1 / lead
+    exact = transfer_conductances(cells, lines)
+    for known in islice(terms(cells, Wires.of(lines)), 4):
+        missing = exact - known.transfer
+        assert (missing >= -EXACT * exact - known.rounded).all()  # one-sided
+        # Where ladders are so heavy that no bound can be given, none is.
+        assert not (missing > known.error + EXACT * exact).any()
+
+
+@pytest.mark.parametrize("size", [4, 8, 16, 32, 64])
+@pytest.mark.parametrize("segment", [0.1, 1.0])
+def test_the_certificate_is_tight_on_ordinary_arrays(size: int, segment: float) -> None:
+    lines = uniform((size, size), segment, segment)
+    for seed in range(3):
+        cells = ordinary(size, seed)
+        known = attenuate(cells, Wires.of(lines))
+        assert known is not None
+        error = (transfer_conductances(cells, lines) - known.transfer).max()
+        assert error <= known.error.max() <= 30 * error
+
+
+@pytest.mark.parametrize(("size", "segment", "published"), [(32, 0.1, 5e-7), (64, 1.0, 7e-4), (128, 1.0, 6e-3)])
+def test_full_scale_errors_are_of_the_expected_size(size: int, segment: float, published: float) -> None:
+    lines, cells = uniform((size, size), segment, segment), ordinary(size)
+    known, exact = attenuate(cells, Wires.of(lines)), transfer_conductances(cells, lines)
+    assert known is not None
+    assert published / 3 < (exact - known.transfer).max() / exact.max() < 3 * published
+
+
+@pytest.mark.parametrize("segment", [0.1, 3.0, 30.0])
+def test_each_term_brings_the_error_and_its_bound_down(segment: float) -> None:
+    lines, cells = uniform((12, 17), segment, 2 * segment), 10 ** -np.random.default_rng(1).uniform(4, 6, (12, 17))
+    exact = transfer_conductances(cells, lines)
+    bounds = []
+    for known in islice(terms(cells, Wires.of(lines)), 9):
+        bounds.append(known.error.max() / exact.max())
+        error = (exact - known.transfer).max() / exact.max()
+        assert error <= bounds[-1]
+        if error > 1e-13:
+            assert bounds[-1] < 10 * error
+    assert bounds[1] < 0.1 * bounds[0]
+    assert bounds[-1] < 1e-12
+
+
+def test_ideal_lines_attenuate_nothing() -> None:
+    cells = ordinary(6)
+    wires = Wires.of(Lines(np.full((6, 6), np.inf), np.full((6, 6), np.inf), np.full(6, np.inf)))
+    known = attenuate(cells, wires)
+    assert known is not None
+    np.testing.assert_array_equal(known.transfer, cells)
+    assert (known.error <= 1e-12 * cells).all()
+
+
+def test_what_ladders_cannot_express_is_refused() -> None:
+    cells, lines = ordinary(4), uniform((4, 4), 1.0, 1.0)
+    shorted = np.where(np.eye(4) > 0, np.inf, cells)
+    assert attenuate(shorted, Wires.of(lines)) is None
+    assert list(terms(shorted, Wires.of(lines))) == []
+    broken = Lines(lines.row.copy(), lines.column, lines.exit)
+    broken.row[1, 2] = 0.0
+    assert Wires.of(broken) is None
+    assert attenuate(cells, None) is None
+
+
+def test_one_frame_without_a_bound_spoils_no_other() -> None:
+    lines, light = uniform((5, 5), 1.0, 1.0), ordinary(5)
+    heavy = np.full((5, 5), 1e6)
+    wires = Wires.of(lines)
+    together, alone = attenuate(np.stack([heavy, light]), wires), attenuate(light, wires)
+    assert together is not None
+    assert alone is not None
+    np.testing.assert_allclose(together.error[1], alone.error, rtol=1e-12)
+    np.testing.assert_array_equal(together.transfer[1], alone.transfer)

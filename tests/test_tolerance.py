@@ -1,0 +1,182 @@
+"""The stated bound holds and the tolerance is kept, whatever the method; against 50 digits on small grids."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+import pytest
+from designs import amplifier, divider
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+from parts_at_random import real_design
+from reference import reference_volts
+
+from ohmskin.circuits import METHODS, Adc, Design, scan
+from ohmskin.errors import InputError, SolverError
+
+HARD_CELLS = {
+    "ordinary": [[1e4, 1e5, 3e5], [1e6, 2e4, 5e5]],
+    "1 ohm to 1 Tohm": [[1.0, 1e12, 1e5], [1e3, 10.0, 1e9]],
+    "open cells": [[inf, 1e4, inf], [inf, inf, 1e5]],
+    "all open": [[inf] * 3] * 2,
+    "shorts": [[0.0, 1e4, 1e5], [1e6, 1e-3, 1e5]],
+}
+HARD_PARTS = [
+    {"lead": 1e-6, "segment": 1e-6},
+    {"lead": 1e6, "segment": 1.0},
+    {"lead": 1.0, "segment": 1e6},
+    {"lead": 5.0, "segment": 0.0},
+    {"lead": 20.0, "segment": 2.0, "open_loop_gain": 1.0, "offset_voltage": 1e-3, "bias_current": 1e-7},
+    {"lead": 20.0, "segment": 2.0, "open_loop_gain": 1e12, "reference_voltage": 1.65, "supply": (0.0, 3.3)},
+]
+
+
+def off(design: Design, cells: object, volts: np.ndarray) -> float:
+    """True worst error relative to the largest output."""
+    exact = reference_volts(design, cells, digits=50)
+    largest = np.abs(exact).max()
+    return float(np.abs(volts - exact).max() / largest) if largest else float(np.abs(volts).max())
+
+
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("cells", HARD_CELLS)
+@pytest.mark.parametrize("parts", HARD_PARTS, ids=str)
+def test_stated_bounds_hold_on_hard_cases(method: str, cells: str, parts: dict[str, float]) -> None:
+    design = amplifier(2, 3, **parts)
+    result = scan(design, HARD_CELLS[cells], method=method)
+    # 2 ulp: the volts themselves are rounded, and so is the reference.
+    assert off(design, HARD_CELLS[cells], result.volts) <= result.error_bound + 4.5e-16
+
+
+@pytest.mark.parametrize("seed", range(25))
+@pytest.mark.parametrize("method", METHODS)
+def test_stated_bounds_hold_for_unequal_parts_faults_and_every_circuit(seed: int, method: str) -> None:
+    design, cells = real_design(seed, faults=seed % 3)
+    try:
+        result = scan(design, cells, method=method)
+    except SolverError:
+        return  # contradictory ideal parts, tests/test_readout.py
+    assert off(design, cells, result.volts) <= result.error_bound + 4.5e-16
+    assert np.isfinite(result.error_bound)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    hnp.arrays(
+        np.float64,
+        hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=4),
+        elements=st.floats(0.0, 12.0).map(lambda decade: 10**decade),
+    ),
+    st.sampled_from([1e-6, 0.5, 50.0, 1e4]),
+    st.sampled_from([1e-2, 1e-4, 1e-7, 1e-10]),
+)
+def test_tolerances_are_kept_or_refused(cells: np.ndarray, ohms: float, tolerance: float) -> None:
+    design = amplifier(*cells.shape, lead=ohms, segment=ohms)
+    result = scan(design, cells, tolerance=tolerance)
+    assert result.error_bound <= tolerance
+    assert off(design, cells, result.volts) <= tolerance
+
+
+@pytest.mark.parametrize("size", [8, 20, 40])
+def test_from_1e_2_to_1e_12_every_tolerance_is_served_by_the_cheapest_method(size: int) -> None:
+    cells = 10 ** np.random.default_rng(0).uniform(4, 6, (size, size))
+    design = amplifier(size, size, lead=1.0, segment=1.0)
+    # Many terms of the series err by few ulp, and share no step with the elimination.
+    finest = scan(design, cells, tolerance=2e-13 if size == 8 else 1e-12)
+    methods = []
+    for decade in range(2, 13):
+        result = scan(design, cells, tolerance=10.0**-decade)
+        assert result.error_bound <= 10.0**-decade
+        error = np.abs(result.volts - finest.volts).max() / np.abs(finest.volts).max()
+        assert error <= result.error_bound + finest.error_bound
+        methods.append(result.method)
+    assert methods[0] == "attenuation"
+    assert methods[-1] != "attenuation"
+    assert scan(design, cells, method="exact").error_bound < 2e-11
+
+
+def test_the_exact_bound_covers_what_rounding_did() -> None:
+    for size in (16, 33, 64):
+        cells = 10 ** np.random.default_rng(size).uniform(4, 6, (size, size))
+        design = amplifier(size, size, lead=1.0, segment=1.0)
+        exact, series = scan(design, cells, method="exact"), scan(design, cells, method="series")
+        error = np.abs(exact.volts - series.volts).max() / np.abs(series.volts).max()
+        assert series.error_bound < 2e-13 * size
+        assert error <= exact.error_bound + series.error_bound
+        np.testing.assert_allclose(exact.volts, series.volts, rtol=1e-11)  # cell by cell
+
+
+def test_through_an_adc_a_quarter_of_a_step_is_kept_and_no_more_is_computed() -> None:
+    cells = 10 ** np.random.default_rng(0).uniform(4, 6, (32, 32))
+    exact = amplifier(32, 32, lead=1.0, segment=1.0, reference_resistance=3e4)
+    methods = []
+    for bits in (4, 8, 12, 16, 24, 32):
+        adc = Adc(bits=bits, range=(0.0, 3.3))
+        result = scan(exact.model_copy(update={"adc": adc}), cells)
+        assert np.abs(result.volts - scan(exact, cells).volts).max() <= adc.step / 4
+        assert result.error_bound * np.abs(result.volts).max() <= adc.step / 4 * (1 + 1e-9)
+        methods.append(result.method)
+    assert methods[0] == "attenuation"
+    assert methods[-1] == "exact"
+    assert methods == sorted(methods)  # once exact, always exact
+    assert scan(exact, cells).method == "exact"
+
+
+def test_an_adc_step_that_no_method_reaches_is_read_exactly() -> None:
+    design = amplifier(8, 8, lead=1.0, segment=1.0).model_copy(update={"adc": Adc(bits=32, range=(0.0, 1e-9))})
+    assert scan(design, np.full((8, 8), 1e4)).method == "exact"
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_what_a_fast_method_cannot_express_is_read_exactly(method: str) -> None:
+    cells = np.full((4, 4), 5e3)
+    shorted = cells.copy()
+    shorted[1, 2] = 0.0
+    saturating = amplifier(4, 4, lead=5.0, supply=(0.0, 0.15))
+    for design, frame in (
+        (divider(4, 4), cells),
+        (amplifier(4, 4, lead=5.0, open_loop_gain=1e4), shorted),
+        (saturating, cells),
+    ):
+        result = scan(design, frame, method=method)
+        assert result.method == "exact"
+        np.testing.assert_array_equal(result.volts, scan(design, frame).volts)
+    assert scan(saturating, cells, method=method).saturated.all()
+
+
+def test_an_output_near_its_limit_is_not_left_to_a_guess() -> None:
+    """Line attenuation reads low: an output that it puts just inside the supply may be at the limit."""
+    cells, unlimited = np.full((16, 16), 2e3), amplifier(16, 16, lead=1.0, segment=1.0)
+    true, guess = scan(unlimited, cells).volts.max(), scan(unlimited, cells, method="attenuation").volts.max()
+    assert guess < true
+    design = amplifier(16, 16, lead=1.0, segment=1.0, supply=(-1.0, (guess + true) / 2))
+    result = scan(design, cells, tolerance=0.1)
+    assert result.method == "exact"
+    assert result.saturated.any()
+
+
+def test_requests_that_make_no_sense_are_refused() -> None:
+    design, cells = amplifier(2, 2, lead=1.0, segment=1.0), np.full((2, 2), 1e4)
+    for arguments, message in (
+        ({"tolerance": 0.0}, "tolerance is 0.0; expected a number above 0"),
+        ({"tolerance": float("nan")}, "tolerance is nan"),
+        ({"method": "magic"}, "unknown method 'magic'; expected one of attenuation, series, exact"),
+        ({"method": "exact", "tolerance": 1e-3}, "a tolerance or a method, not both"),
+    ):
+        with pytest.raises(InputError, match=message):
+            scan(design, cells, **arguments)
+    with pytest.raises(SolverError, match=r"no method certifies a tolerance of 1e-17 here; method 'exact' certifies"):
+        scan(design, cells, tolerance=1e-17)
+
+
+@pytest.mark.parametrize(("row", "column"), [(0.0, 0.0), (0.0, 2.0), (2.0, 0.0), (2.0, 2.0)])
+def test_one_line_ideal_and_the_other_not(row: float, column: float) -> None:
+    cells = 10 ** np.random.default_rng(1).uniform(3, 5, (3, 4))
+    base = amplifier(3, 4, lead=1.0)
+    array = base.array.model_copy(update={"row_segment": row, "column_segment": column})
+    design = base.model_copy(update={"array": array})
+    for method in METHODS:
+        result = scan(design, cells, method=method)
+        assert off(design, cells, result.volts) <= result.error_bound
