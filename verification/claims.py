@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import NamedTuple
 
-from . import crosstalk, material, skin
+from . import crosstalk, material, mixture, skin
 from .bench import Bench
 from .outcome import Finding
 
@@ -29,7 +29,7 @@ STATEMENTS = (
         "II.B, Fig. 3",
         "Sensitivity (Rmax - R0)/R0 rises as the carbon-black fraction falls; below 1.5 % the resistance is too high "
         "for the acquisition, so 1.5 % is the compromise.",
-        None,
+        mixture.fraction,
     ),
     Statement(
         "P2",
@@ -65,7 +65,7 @@ STATEMENTS = (
         "Coefficients from the recovery curve",
         "(9)",
         "E_i is the inverse gain of each branch of the recovery curve, eta_i = T_i E_i.",
-        None,
+        material.identification,
     ),
     Statement(
         "P7",

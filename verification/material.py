@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from ..cell import Cell, ContactModel, PaperModel
+from ..cell.identify import recovery_branches
 from ..circuits import Design
 from ..errors import InputError
 from . import plots
@@ -167,6 +168,57 @@ def recovery(bench: Bench) -> Finding:
         ],
         figures=[
             Figure(picture, "Recovery and its serial components, as in Fig. 8. The elastic part is gone at once.")
+        ],
+    )
+
+
+def identification(bench: Bench) -> Finding:
+    """P6: the coefficients read from a recovery curve, equation (9)."""
+    model = _paper_model(bench)
+    time_s = np.arange(0.0, 300.0, 0.5)  # five minutes, as a person would record it
+    r = np.interp(time_s, *_release(bench))
+    held = np.r_[STEP_KPA * model.gain_per_kpa, r]
+    moments = np.r_[0.0, 1e-3 + time_s]
+    noise = 1 + 0.001 * np.random.default_rng(6).standard_normal(held.shape)
+    truth = (model.e1_kpa, model.e2_kpa, model.e3_kpa, model.t2_s, model.t3_s)
+    names = ("E1 / kPa", "E2 / kPa", "E3 / kPa", "T2 / s", "T3 / s")
+    found = {
+        "without noise": recovery_branches(moments, held, STEP_KPA),
+        "0.1 % noise on R": recovery_branches(moments, (1 + held) * noise - 1, STEP_KPA),
+    }
+    _, e2, e3, t2, t3 = found["without noise"]
+    with plots.drawing(1, 1, height=2.7) as (figure, axes):
+        panel = axes[0, 0]
+        panel.semilogy(time_s, r, color=plots.INK, lw=2, label="recovery curve")
+        panel.semilogy(time_s, STEP_KPA / e3 * np.exp(-time_s / t3), "--", label="slow branch: 1/E3, T3")
+        panel.semilogy(time_s, STEP_KPA / e2 * np.exp(-time_s / t2), "--", label="fast branch: 1/E2, T2")
+        panel.set(title="Branches of the recovery curve", xlabel="time after release / s", ylabel="r")
+        panel.set(xlim=(0, 120), ylim=(1e-3, 1))
+        panel.legend()
+        picture = plots.svg(figure)
+    off = {
+        case: max(abs(value / true - 1) for value, true in zip(values, truth, strict=True))
+        for case, values in found.items()
+    }
+    return Finding(
+        checks=[
+            Check("coefficients read without noise: worst error", 100 * off["without noise"], 5.0, "%"),
+            Check("coefficients read with 0.1 % noise on R: worst error", 100 * off["0.1 % noise on R"], 50.0, "%"),
+        ],
+        text=[
+            "Straight lines in the logarithm of the recovery curve: the slow branch from its end, the fast one from "
+            "what is left, the elastic one from what went at once. `ohmskin fit` starts from these values and then "
+            "fits all data."
+        ],
+        figures=[Figure(picture, "The recovery curve taken apart, as in Fig. 8.")],
+        tables=[
+            Table(
+                ["coefficient", "true", *found],
+                [
+                    [name, f"{true:.4g}", *(f"{values[k]:.4g}" for values in found.values())]
+                    for k, (name, true) in enumerate(zip(names, truth, strict=True))
+                ],
+            )
         ],
     )
 
