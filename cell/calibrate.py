@@ -22,6 +22,8 @@ MOST = 10000
 PREFERENCE: tuple[EstimatorName, ...] = ("distilled", "paper", "inverse", "play", "static")
 WORTH = 0.8
 """an estimator less preferred wins if its held-out error is below this share of the preferred one's"""
+EXACT = 0.02
+"""held-out error of a model, over the range of r, below which its inverse is trusted with any load"""
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     trial = cell.model_copy(update={"estimators": _learned(first, full)})
     judged = _judge(trial, thin, cut)
     percent = {name: float(100 * np.sqrt(np.mean(error**2)) / full) for name, (error, _) in judged.items()}
-    default, reason = _choose(percent)
+    default, reason = _choose(percent, found[0].held_out_error)
     final = _learned(whole, full)
     calibrated = {
         name: training.calibrated(learned, *(value / full for value in judged[name]))
@@ -142,13 +144,20 @@ def _judge(cell: Cell, recording: Recording, after_s: float) -> dict[EstimatorNa
     return judged
 
 
-def _choose(percent: dict[EstimatorName, float]) -> tuple[EstimatorName, str]:
-    """The preferred estimator, unless another one's held-out error is clearly less."""
+def _choose(percent: dict[EstimatorName, float], model_error: float) -> tuple[EstimatorName, str]:
+    """The preferred estimator, unless another one's held-out error is clearly less.
+
+    Where the model explains all there is, its inverse carries over to loads that nobody applied: it comes first.
+    """
     preferred = next(name for name in PREFERENCE if name in percent)
     best = min(percent, key=lambda name: percent[name])
     chosen = best if percent[best] < WORTH * percent[preferred] else preferred
+    why = ""
+    for name in ("paper", "inverse"):
+        if model_error < EXACT and percent.get(name, np.inf) < 2 * percent[chosen] + 0.5:
+            chosen, why = name, f"the model explains the resistance to {100 * model_error:.1f} % of its range; "
     others = ", ".join(f"{name} {value:.1f} %" for name, value in percent.items() if name != chosen)
-    return chosen, f"{percent[chosen]:.1f} % of full scale on the held-out third of the recording ({others})"
+    return chosen, f"{why}{percent[chosen]:.1f} % of full scale on the held-out third of the recording ({others})"
 
 
 def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:

@@ -29,7 +29,7 @@ class Bank:
     @property
     def count(self) -> int:
         """Number of features."""
-        return 1 + len(self.lags_s) + len(self.plays)
+        return 2 + len(self.lags_s) + len(self.plays)
 
     def begin(self, r: FloatArray) -> Memory:
         """The memory of cells that have always read ``r``."""
@@ -55,9 +55,10 @@ class Bank:
         }
 
     def features(self, memory: Memory) -> FloatArray:
-        """(count, *shape): the smoothed reading, then its distance from each memory."""
+        """(count, *shape): the smoothed reading, its distance from the last raw one, and from each memory."""
         smooth = memory["smooth"]
-        return np.concatenate([smooth[None], smooth - memory["lags"], smooth - memory["plays"]])
+        newest = memory["recent"][-1:]
+        return np.concatenate([smooth[None], smooth - newest, smooth - memory["lags"], smooth - memory["plays"]])
 
     def run(self, dt_s: FloatArray, r: FloatArray) -> FloatArray:
         """Features (n, count, *shape) of recordings (n, *shape) that start from a long-held reading."""

@@ -80,7 +80,7 @@ class Learned(Section):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        count = 1 + len(self.lags_s) + len(self.plays)
+        count = 2 + len(self.lags_s) + len(self.plays)
         terms = 3 + count + self.directions
         for name, length in (("mean", count), ("scale", count), ("weights", terms), ("error_weights", terms)):
             if len(getattr(self, name)) != length:
