@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from .adc import adc_error
 from .design import Adc, Design
-from .grid import exact_ports, is_plain
+from .grid import exact_ports
 from .parts import Parts
 from .readout import ideal_volts, read
 from .sensitivity import sensitivity
@@ -164,7 +164,7 @@ def _law(design: Design, cells: FloatArray) -> Law:
     grounded = design.readout.circuit == "inverting-amplifier" and design.drive.idle_rows == "ground"
     if grounded:
         return _ClosedLaw(design, cells)
-    if is_plain(design) and cells.size <= _MOST_CELLS:
+    if design.array.sheet == "sliced" and cells.size <= _MOST_CELLS:
         return _LawByDerivatives(design, cells)
     return lambda key, value: None
 

@@ -158,7 +158,7 @@ class Recoverer:
     def _iterate(self, measured: FloatArray) -> tuple[FloatArray, float, int, int]:
         """Conductances (N, M) in S, the residual, evaluations of the model and factorisations."""
         model, accuracy = self._model, self._accuracy
-        slow = next((rate for size, rate in _SLOW if measured.size <= size and is_plain(model.design)), inf)
+        slow = next((rate for size, rate in _SLOW if measured.size <= size and model.has_derivatives), inf)
         at_once = not model.amplified and slow < inf  # a divider's readings are far from its cells
         conductance = model.apparent(measured - model.level) if self._start is None else self._start
         kept, self._start = self._factor, None
@@ -234,7 +234,7 @@ def conditioning(design: Design, resistance: ArrayLike) -> Conditioning:
     """How much worse than the readings the recovered cells are.
 
     Args:
-        design: a plain grid of at most 64 x 64 cells.
+        design: with a sliced sheet, of at most 64 x 64 cells.
         resistance: (rows, columns) ohm, such as :attr:`Recovery.resistance`; cells that are NaN or inf are left out.
 
     Raises:
@@ -265,6 +265,7 @@ class _Model:
     def __init__(self, design: Design) -> None:
         self.design = design
         self.amplified = design.readout.circuit == "inverting-amplifier"
+        self.has_derivatives = design.array.sheet == "sliced"
         self.level, self.drive = design.readout.reference_voltage, design.drive.voltage
         self._parts = parts = Parts.of(design)
         ends = amplifier_ends(design)

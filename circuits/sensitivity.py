@@ -22,7 +22,7 @@ from scipy.sparse.linalg import splu
 
 from ..errors import InputError
 from .design import Design
-from .grid import exact_ports, grid_network, is_plain
+from .grid import exact_ports, grid_network
 from .parts import Parts, siemens
 from .ports import IDEAL_WIRE, impedance
 from .readout import Reading, amplifier_ends, read
@@ -74,16 +74,16 @@ def sensitivity(design: Design, resistance: ArrayLike) -> Sensitivity:
     An output at a supply limit does not move, and the others' derivatives hold while it stays there.
 
     Args:
-        design: a plain grid (sliced, no bridged lines) of at most 64 x 64 cells.
+        design: with a sliced sheet, of at most 64 x 64 cells.
         resistance: (rows, columns) ohm.
 
     Raises:
-        InputError: the cells do not fit, the grid is not plain or too large.
+        InputError: the cells do not fit, the sheet is continuous or the array too large.
 
     """
     cells = design.resistance(resistance)
-    if not is_plain(design):
-        raise InputError("sensitivities are for sliced sheets without bridged lines")
+    if design.array.sheet != "sliced":
+        raise InputError(f'sensitivities are for array.sheet = "sliced", not "{design.array.sheet}"')
     if cells.size > LARGEST:
         raise InputError(f"sensitivities are for at most {LARGEST} cells, the design has {cells.size}")
     ports = exact_ports(design, cells)
@@ -120,6 +120,10 @@ class _Fields(NamedTuple):
     """(N + M, N, M) V across the cells, from row to column"""
     conductance: FloatArray
     """(N, M) S"""
+    leaving_row: FloatArray
+    """(N + M, N, M) A that leaves each crosspoint of a row line, other than along it: by the cell and by bridges"""
+    entering_column: FloatArray
+    """(N + M, N, M) A that comes to each crosspoint of a column line"""
 
     @classmethod
     def of(cls, design: Design, cells: FloatArray) -> _Fields:
@@ -159,8 +163,23 @@ class _Fields(NamedTuple):
                 options={"SymmetricMode": True},
             )
             potential[inner] = factor.solve(graph[inner][:, port].toarray())
-        of_row, of_column = potential[node[network.ends[cell_at:]]].transpose(1, 2, 0)
-        return cls((of_row - of_column).reshape(-1, rows, columns), conductance[cell_at:].reshape(rows, columns))
+        first, second = potential[node[network.ends[cell_at:]]].transpose(1, 2, 0)
+        drops, siemens_at = first - second, conductance[cell_at:]
+        ours = slice(cells.size)
+        current = (drops * siemens_at).reshape(rows + columns, -1)
+        leaving = current[:, ours].reshape(-1, rows, columns).copy()
+        entering = leaving.copy()
+        for bridge, fault in enumerate((fault for fault in design.fault if fault.bridge), start=cells.size):
+            here, there = fault.ends
+            if fault.kind == "bridged-rows":
+                leaving[:, *here] += current[:, bridge]
+                leaving[:, *there] -= current[:, bridge]
+            else:
+                entering[:, *here] -= current[:, bridge]
+                entering[:, *there] += current[:, bridge]
+        return cls(
+            drops[:, ours].reshape(-1, rows, columns), siemens_at[ours].reshape(rows, columns), leaving, entering
+        )
 
 
 def _empty(volts: FloatArray, conductance: FloatArray) -> Sensitivity:
@@ -185,12 +204,14 @@ def _collect(result: Sensitivity, fields: _Fields, group: _Group) -> None:
     forward = np.tensordot(group.forward, fields.drops, axes=1)
     adjoint = np.tensordot(group.adjoint, fields.drops, axes=1)
     result.cell_conductance[at] = -forward * adjoint
-    flow, back = forward * fields.conductance, adjoint * fields.conductance
-    # A line carries what its cells beyond take (rows) or have brought so far (columns).
-    along = [np.cumsum(field[..., ::-1], axis=-1)[..., ::-1] for field in (flow, back)]
+    # A line carries what leaves it beyond (rows), or has come to it so far (columns).
+    along, down = [], []
+    for field in (group.forward, group.adjoint):
+        leaving = np.tensordot(field, fields.leaving_row, axes=1)
+        along.append(np.cumsum(leaving[..., ::-1], axis=-1)[..., ::-1])
+        down.append(np.cumsum(np.tensordot(field, fields.entering_column, axes=1), axis=-2)[..., :-1, :])
     result.row_lead[at] = along[0][..., 0] * along[1][..., 0]
     result.row_segment[at] = along[0][..., 1:] * along[1][..., 1:]
-    down = [np.cumsum(field, axis=-2)[..., :-1, :] for field in (flow, back)]
     result.column_segment[at] = down[0] * down[1]
     result.column_lead[at] = group.lead_current * group.adjoint_lead_current
     for name, values in group.amplifiers.items():
