@@ -15,7 +15,7 @@ import pytest
 from ohmskin.cli import COMMANDS
 
 ROOT = Path(__file__).parent.parent
-ROOMS = ("cell", "circuits", "driver", "emulator", "verification", "wire", "src/ohmskin")
+ROOMS = ("bench", "cell", "circuits", "driver", "emulator", "verification", "wire", "src/ohmskin")
 
 
 @pytest.fixture(scope="module")

@@ -25,6 +25,7 @@ COMMANDS = {
     "emulate": "Run a virtual scan board on a pty or TCP port.",
     "fit": "Identify a cell and calibrate its estimators from a recording.",
     "estimate": "Estimate pressure from a recording of resistance.",
+    "bench": "Measure speed against error: all methods and their peers.",
 }
 
 

@@ -1,0 +1,9 @@
+"""Speed against error: the solvers of :mod:`ohmskin.circuits` and, where installed, their peers on the same arrays.
+
+``measure(sizes=[8, 64], segments=[1.0])`` measures everything, row by row; :func:`table` and :func:`picture` show it.
+"""
+
+from .measurement import Row, board, cells, measure
+from .show import picture, table
+
+__all__ = ["Row", "board", "cells", "measure", "picture", "table"]

@@ -1,0 +1,54 @@
+"""``ohmskin bench``: speed against error, all methods and their peers on the same arrays in one run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from .. import bench, tables
+
+
+class _ManyValues(click.Command):
+    """Lets an option that may be repeated take several values at once: ``--size 8 16 32``."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        spread: list[str] = []
+        option: str | None = None
+        names = {name for part in self.params if getattr(part, "multiple", False) for name in part.opts}
+        for word in args:
+            if word.startswith("-"):
+                option = word if word in names else None
+                if option is None:
+                    spread.append(word)
+            elif option is not None:
+                spread += [option, word]
+            else:
+                spread.append(word)
+        return super().parse_args(ctx, spread)
+
+
+@click.command(cls=_ManyValues)
+@click.option("--size", "sizes", type=int, multiple=True, default=(8, 16, 32, 64), metavar="N ...", show_default=True)
+@click.option("--segment", "segments", type=float, multiple=True, default=(1.0,), metavar="R ...", show_default=True)
+@click.option("--memory/--no-memory", default=True, show_default=True, help="Measure memory, each in a new process.")
+@click.option("--peers/--no-peers", default=True, show_default=True, help="Measure other programs and libraries, too.")
+@click.option("--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Draw error against time.")
+@click.option("--json", "as_json", is_flag=True, help="Print the measurements as JSON.")
+def command(
+    sizes: tuple[int, ...],
+    segments: tuple[float, ...],
+    memory: bool,
+    peers: bool,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    """Measure N x N arrays of 10 kohm to 1 Mohm with R ohm per line segment and lead: time per frame, true error,
+    certified bound and memory of every method. Set OPENBLAS_NUM_THREADS=1 to compare on one thread.
+    """
+    rows = list(bench.measure(sizes, segments, memory=memory, peers=peers))
+    if picture is not None:
+        tables.write_text(picture, bench.picture(rows))
+    click.echo(json.dumps([asdict(row) for row in rows], indent=1) if as_json else bench.table(rows), nl=as_json)
