@@ -21,7 +21,7 @@ from ohmskin.emulator.scene import BoardSettings
 from ohmskin.emulator.scene import Skin as SkinSettings
 from ohmskin.errors import MissingExtra
 from ohmskin.verification import prototype, verify
-from ohmskin.verification.claims import STATEMENTS
+from ohmskin.verification.claims import APPENDICES, STATEMENTS
 from ohmskin.verification.outcome import Check, Finding, Outcome, not_run, worst
 from ohmskin.verification.variants import change, replaced
 
@@ -72,23 +72,22 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_no_requirement_of_the_prototype_fails(written: Path) -> None:
     report = json.loads((written / "report.json").read_text())
-    claims = {claim["id"]: claim for claim in report["claims"]}
-    assert list(claims) == [f"P{k}" for k in range(1, 15)]
-    for claim in claims.values():
+    assert [claim["id"] for claim in report["claims"]] == [f"P{k}" for k in range(1, 15)]
+    assert [claim["id"] for claim in report["appendices"]] == ["S1", "S2"]
+    for claim in report["claims"] + report["appendices"]:
         assert claim["outcome"] != "fail", claim
         for check in claim["checks"]:
             assert (check["measured"] is None) == (check["outcome"] == "not run")
             assert check["reason"] or check["outcome"] != "not run"
-    for built in claims:
-        assert claims[built]["outcome"] == "pass" or spice.available(), claims[built]
+        assert claim["outcome"] == "pass" or spice.available(), claim
 
 
 def test_the_three_files_tell_the_same(written: Path) -> None:
     report = json.loads((written / "report.json").read_text())
     page = (written / "report.html").read_text()
     suites = ET.parse(written / "junit.xml").getroot().findall("testsuite")
-    assert len(suites) == len(report["claims"])
-    for suite, claim in zip(suites, report["claims"], strict=True):
+    sections = report["claims"] + report["appendices"]
+    for suite, claim in zip(suites, sections, strict=True):
         assert suite.get("name") == f"{claim['id']} {claim['title']}"
         cases = suite.findall("testcase")
         for case, check in zip(cases, claim["checks"], strict=True):
@@ -110,8 +109,9 @@ def only(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     """Leave the named experiments, to keep a test short."""
 
     def choose(*ids: str) -> None:
-        kept = tuple(statement for statement in STATEMENTS if statement.id in ids)
-        monkeypatch.setattr("ohmskin.verification.run.STATEMENTS", kept)
+        for name, statements in (("STATEMENTS", STATEMENTS), ("APPENDICES", APPENDICES)):
+            kept = tuple(statement for statement in statements if statement.id in ids)
+            monkeypatch.setattr(f"ohmskin.verification.run.{name}", kept)
 
     return choose
 
@@ -176,6 +176,7 @@ def test_a_defect_in_one_experiment_costs_only_that_one(monkeypatch: pytest.Monk
         s._replace(experiment=broken if s.id == "P12" else s.experiment) for s in STATEMENTS if s.id in ("P11", "P12")
     )
     monkeypatch.setattr("ohmskin.verification.run.STATEMENTS", statements)
+    monkeypatch.setattr("ohmskin.verification.run.APPENDICES", ())
     other, claim = verify(divider(2, 2)).claims
     assert other.outcome is Outcome.PASS
     assert claim.outcome is Outcome.NOT_RUN

@@ -1,25 +1,25 @@
-"""The paper's claims P1 to P14, and the experiment that answers each."""
+"""The paper's claims P1 to P14, what goes beyond them, and the experiment that answers each."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from typing import NamedTuple
 
-from . import crosstalk, material, mixture, skin
-from .bench import Bench
+from . import crosstalk, material, mixture, skin, speed
 from .outcome import Finding
+from .subject import Subject
 
-Experiment = Callable[[Bench], Finding]
+Experiment = Callable[[Subject], Finding]
 
 
 class Statement(NamedTuple):
-    """A claim before its experiment was run; ``experiment`` is None where none is built yet."""
+    """A claim before its experiment was run."""
 
     id: str
     title: str
     where: str
     says: str
-    experiment: Experiment | None
+    experiment: Experiment
 
 
 STATEMENTS = (
@@ -122,5 +122,22 @@ STATEMENTS = (
         "I, VIII",
         "Several contacts at once, their places and their pressures, in real time.",
         skin.whole_skin,
+    ),
+)
+
+APPENDICES = (
+    Statement(
+        "S1",
+        "Solvers: speed against error",
+        "beyond the paper",
+        "A reading comes with a certified bound on its error, and the cheapest method that keeps a tolerance is taken.",
+        speed.solvers,
+    ),
+    Statement(
+        "S2",
+        "Estimators: speed against error",
+        "beyond the paper",
+        "Pressure is estimated in real time on materials that no model describes.",
+        speed.estimators,
     ),
 )

@@ -9,8 +9,8 @@ from ..circuits import Array, Design, ideal_volts, scan, spice
 from ..emulator import spread
 from ..errors import MissingExtra
 from . import plots
-from .bench import Bench
 from .outcome import Check, Figure, Finding, Table
+from .subject import Subject
 from .variants import (
     amplifiers,
     change,
@@ -30,21 +30,21 @@ OPEN_DIVIDER = "divider, idle lines open"
 SMALL_SIGNAL = 1e-3  # V: below it, ngspice is compared with this instead of with the reading, which may be 0
 
 
-def grid_resistance(bench: Bench) -> Finding:
+def grid_resistance(subject: Subject) -> Finding:
     """P11: with a plain divider the equivalent resistance of the whole grid is read."""
-    array = bench.design.array
+    array = subject.design.array
     shapes = [(2, 2), (4, 4), (8, 8), array.shape]
     worst, rows = 0.0, []
     for n, m in dict.fromkeys(shapes):
-        design = open_divider(bench.design)
+        design = open_divider(subject.design)
         design = design.model_copy(update={"array": Array(rows=n, columns=m)})
-        design = replaced(design, "readout", reference_resistance=bench.rest)
-        cells = np.full((n, m), bench.rest)
+        design = replaced(design, "readout", reference_resistance=subject.rest)
+        cells = np.full((n, m), subject.rest)
         read = scan(design, cells, method="exact").resistance
-        exact = bench.rest * (n + m - 1) / (n * m)
+        exact = subject.rest * (n + m - 1) / (n * m)
         worst = max(worst, float(np.abs(read / exact - 1).max()))
-        share = 100 * exact / bench.rest
-        rows.append([f"{n} × {m}", f"{bench.rest:.0f}", f"{read[0, 0]:.3f}", f"{exact:.3f}", f"{share:.1f} %"])
+        share = 100 * exact / subject.rest
+        rows.append([f"{n} × {m}", f"{subject.rest:.0f}", f"{read[0, 0]:.3f}", f"{exact:.3f}", f"{share:.1f} %"])
     return Finding(
         checks=[Check("uniform grid reads R (N+M-1)/(N M): worst relative deviation", worst, 1e-12)],
         text=[
@@ -56,40 +56,40 @@ def grid_resistance(bench: Bench) -> Finding:
     )
 
 
-def equation_10(bench: Bench) -> Finding:
+def equation_10(subject: Subject) -> Finding:
     """P12: Vout = -Vin Rref / Rij, and how far real parts depart from it."""
-    circuit = amplifiers(bench.design)
+    circuit = amplifiers(subject.design)
     rng = np.random.default_rng(12)
     worst = 0.0
     for _ in range(20):
-        cells = bench.rest * 10 ** rng.uniform(-1, 3, bench.design.array.shape)
+        cells = subject.rest * 10 ** rng.uniform(-1, 3, subject.design.array.shape)
         signal = scan(circuit, cells, method="exact").volts - circuit.readout.reference_voltage
         alone = ideal_volts(circuit, cells) - circuit.readout.reference_voltage
         worst = max(worst, float(np.abs(signal / alone - 1).max()))
-    amplified = bench.design.readout.circuit == "inverting-amplifier"
+    amplified = subject.design.readout.circuit == "inverting-amplifier"
     return Finding(
         checks=[
             Check("ideal parts give -Vin Rref/Rij whatever the neighbours: worst relative deviation", worst, 1e-12)
         ],
         text=["Twenty random arrays over four decades of resistance, read with ideal parts, against equation (10)."],
-        figures=[_sweep(bench)] if amplified else [],
+        figures=[_sweep(subject)] if amplified else [],
     )
 
 
-def _sweep(bench: Bench) -> Figure:
+def _sweep(subject: Subject) -> Figure:
     """One cell over its range, the others at rest, through the design."""
-    design, index = bench.design, (0, bench.design.array.columns - 1)
+    design, index = subject.design, (0, subject.design.array.columns - 1)
     factors = np.geomspace(0.5, 20, 60)
     exact, real, code = [], [], []
     for factor in factors:
-        cells = np.full(design.array.shape, bench.rest)
+        cells = np.full(design.array.shape, subject.rest)
         cells[index] *= factor
         volts = scan(design, cells, method="exact").volts
         exact.append(ideal_volts(design, cells)[index])
         real.append(volts[index])
         code.append(converted(design, volts)[index])
     with plots.drawing(1, 2) as (figure, (panels,)):
-        ohms = factors * bench.rest / 1e3
+        ohms = factors * subject.rest / 1e3
         panels[0].semilogx(ohms, exact, color=plots.INK, lw=3, alpha=0.25, label="equation (10)")
         panels[0].semilogx(ohms, real, label="as designed")
         panels[0].set(title="Output of one column", xlabel="cell resistance / kΩ", ylabel="output / V")
@@ -100,13 +100,13 @@ def _sweep(bench: Bench) -> Figure:
             panels[1].semilogx(ohms, 100 * departure, label=label)
         panels[1].set(title="Departure from equation (10)", xlabel="cell resistance / kΩ", ylabel="% of the signal")
         panels[1].legend()
-        caption = f"Cell {index} swept, all others at {bench.rest:.0f} ohm. Left: output. Right: what is left."
+        caption = f"Cell {index} swept, all others at {subject.rest:.0f} ohm. Left: output. Right: what is left."
         return Figure(plots.svg(figure), caption)
 
 
-def crosstalk(bench: Bench) -> Finding:
+def crosstalk(subject: Subject) -> Finding:
     """P13: grounded idle rows and an amplifier on each column leave no crosstalk but that of real parts."""
-    design, limits = bench.design, bench.design.requirements
+    design, limits = subject.design, subject.design.requirements
     patterns = _patterns(design.array.shape)
     readouts = {
         OPEN_DIVIDER: open_divider(design),
@@ -114,13 +114,13 @@ def crosstalk(bench: Bench) -> Finding:
         "amplifier, ideal parts": amplifiers(design),
         "as designed": design,
     }
-    at_rest = np.full(design.array.shape, bench.rest)
+    at_rest = np.full(design.array.shape, subject.rest)
     worst: dict[str, float] = {}
     rows, figures = [], []
     for title, pressed in patterns.items():
-        cells = np.where(pressed, bench.pressed, bench.rest)
+        cells = np.where(pressed, subject.pressed, subject.rest)
         seen = {name: change(readout, at_rest, cells) for name, readout in readouts.items()}
-        true = np.where(pressed, 100 * (bench.pressed / bench.rest - 1), 0.0)
+        true = np.where(pressed, 100 * (subject.pressed / subject.rest - 1), 0.0)
         figures.append(
             Figure(
                 plots.heat_maps(
@@ -143,7 +143,7 @@ def crosstalk(bench: Bench) -> Finding:
                     f"{100 * np.min(changed[pressed] / true[pressed]):.1f} %",
                 ]
             )
-    frames = [at_rest] + [np.where(pressed, bench.pressed, bench.rest) for pressed in patterns.values()]
+    frames = [at_rest] + [np.where(pressed, subject.pressed, subject.rest) for pressed in patterns.values()]
     scans = [scan(design, cells, method="exact") for cells in frames]
     error = max(worst_reading_error(design, cells) for cells in frames)
     checks = [
@@ -163,11 +163,11 @@ def crosstalk(bench: Bench) -> Finding:
     return Finding(
         checks=checks,
         text=[
-            f"Cells rest at {bench.rest:.0f} ohm and are pressed with {bench.full_scale_kpa:g} kPa, which raises them "
-            f"to {bench.pressed:.0f} ohm at equilibrium. Crosstalk is the change of an untouched cell's apparent "
-            "resistance, in % of its own reading. 'As designed' includes leads, segments, the amplifier's gain, "
-            "offset, bias current and swing, and the ADC; the checks take the worse sign of offset and bias current, "
-            "and the worst place within an ADC step."
+            f"Cells rest at {subject.rest:.0f} ohm and are pressed with {subject.full_scale_kpa:g} kPa, which raises "
+            f"them to {subject.pressed:.0f} ohm at equilibrium. Crosstalk is the change of an untouched cell's "
+            "apparent resistance, in % of its own reading. 'As designed' includes leads, segments, the amplifier's "
+            "gain, offset, bias current and swing, and the ADC; the checks take the worse sign of offset and bias "
+            "current, and the worst place within an ADC step."
         ],
         figures=figures,
         tables=[
@@ -176,28 +176,28 @@ def crosstalk(bench: Bench) -> Finding:
                 rows,
                 "Crosstalk of each readout.",
             ),
-            _budget(bench, patterns),
+            _budget(subject, patterns),
         ],
     )
 
 
-def slicing(bench: Bench) -> Finding:
+def slicing(subject: Subject) -> Finding:
     """P10: a sliced sheet isolates the cells; a continuous one still works, but they couple."""
-    array = bench.design.array
-    sliced = amplifiers(bench.design)
+    array = subject.design.array
+    sliced = amplifiers(subject.design)
     uncut = replaced(sliced, "array", sheet="continuous")
     pressed = next(iter(_patterns(array.shape).values()))
-    sheet = bench.design.sheet
+    sheet = subject.design.sheet
     felt = 100 * spread(pressed.astype(np.float64), sheet.thickness / 2 / sheet.pitch)
-    forward = bench.cell.forward(array.shape)
-    load = felt / 100 * bench.full_scale_kpa
+    forward = subject.cell.forward(array.shape)
+    load = felt / 100 * subject.full_scale_kpa
     forward.step(1.0, load)
     cells = forward.step(1e6, load)
-    at_rest = np.full(array.shape, bench.rest)
-    truth = 100 * (bench.pressed / bench.rest - 1)
+    at_rest = np.full(array.shape, subject.rest)
+    truth = 100 * (subject.pressed / subject.rest - 1)
     maps = {
-        "sliced": change(sliced, at_rest, np.where(pressed, bench.pressed, bench.rest)),
-        "uncut, electrically": change(uncut, at_rest, np.where(pressed, bench.pressed, bench.rest)),
+        "sliced": change(sliced, at_rest, np.where(pressed, subject.pressed, subject.rest)),
+        "uncut, electrically": change(uncut, at_rest, np.where(pressed, subject.pressed, subject.rest)),
         "uncut, mechanically": 100 * (cells / at_rest - 1),
         "uncut, both": change(uncut, at_rest, cells),
     }
@@ -276,11 +276,11 @@ def _patterns(shape: tuple[int, int]) -> dict[str, BoolArray]:
     return patterns
 
 
-def _budget(bench: Bench, patterns: dict[str, BoolArray]) -> Table:
+def _budget(subject: Subject, patterns: dict[str, BoolArray]) -> Table:
     """Each real part alone: what it costs, over all patterns."""
-    design = bench.design
+    design = subject.design
     perfect = ideal(design, design.readout.circuit, design.drive.idle_rows)
-    at_rest = np.full(design.array.shape, bench.rest)
+    at_rest = np.full(design.array.shape, subject.rest)
     array, readout = design.array, design.readout
     lines = ("row_segment", "column_segment")
     alone: dict[str, Design] = {
@@ -296,7 +296,7 @@ def _budget(bench: Bench, patterns: dict[str, BoolArray]) -> Table:
     }
     rows = []
     for name, variant in alone.items():
-        frames = [np.where(pressed, bench.pressed, bench.rest) for pressed in patterns.values()]
+        frames = [np.where(pressed, subject.pressed, subject.rest) for pressed in patterns.values()]
         error = max(worst_reading_error(variant, cells) for cells in frames)
         crosstalk = max(worst_crosstalk(variant, at_rest, cells) for cells in frames)
         rows.append([name, *(f"{value:.3g} %" if value > 1e-9 else "none" for value in (error, crosstalk))])

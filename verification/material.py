@@ -11,8 +11,8 @@ from ..cell.identify import recovery_branches
 from ..circuits import Design
 from ..errors import InputError
 from . import plots
-from .bench import Bench
 from .outcome import Check, Figure, Finding, Table
+from .subject import Subject
 from .variants import apparent
 
 FloatArray = NDArray[np.float64]
@@ -22,17 +22,17 @@ RATE_HZ = 50.0
 EDGE_S = 0.1  # time in which a press is applied and released
 
 
-def electrodes(bench: Bench) -> Finding:
+def electrodes(subject: Subject) -> Finding:
     """P2: bonded cells rise and remember, touching ones fall and do not."""
     contact = Cell(
-        rest_resistance_ohm=bench.rest * 20,
-        full_scale_kpa=bench.full_scale_kpa,
-        model=ContactModel(full_scale_resistance_ohm=bench.rest),
+        rest_resistance_ohm=subject.rest * 20,
+        full_scale_kpa=subject.full_scale_kpa,
+        model=ContactModel(full_scale_resistance_ohm=subject.rest),
     )
     time_s, pressure = _profile([(5, STEP_KPA, 20.0)], 60.0)
-    bonded_ohm, contact_ohm = (_respond(cell, time_s, pressure) for cell in (bench.cell, contact))
+    bonded_ohm, contact_ohm = (_respond(cell, time_s, pressure) for cell in (subject.cell, contact))
     released = time_s > 25 + 5 * EDGE_S
-    loads = np.geomspace(0.05, 1.0, 20) * bench.full_scale_kpa
+    loads = np.geomspace(0.05, 1.0, 20) * subject.full_scale_kpa
     ohms = contact.forward(loads.shape).step(1.0, loads)
     slope = float(np.polyfit(np.log(loads), np.log(1 / ohms - 1 / contact.rest_resistance_ohm), 1)[0])
     with plots.drawing(1, 2) as (figure, (panels,)):
@@ -75,12 +75,12 @@ def electrodes(bench: Bench) -> Finding:
     )
 
 
-def strain(bench: Bench) -> Finding:
+def strain(subject: Subject) -> Finding:
     """P3: the normalised change r = (R - R0)/R0 is proportional to stress in each phase, whatever R0."""
     time_s, pressure = _profile([(1, 1.0, 5.0)], 30.0)
     scales = np.array([0.1, 0.5, 1.0])
     rests = np.array([1e2, 1e4, 1e6])
-    cell = bench.cell
+    cell = subject.cell
     unit = _respond(cell, time_s, pressure) / cell.rest_resistance_ohm - 1
     worst_scale = max(
         float(np.abs((_respond(cell, time_s, k * pressure) / cell.rest_resistance_ohm - 1) / k - unit).max())
@@ -97,13 +97,13 @@ def strain(bench: Bench) -> Finding:
     )
 
 
-def rising(bench: Bench) -> Finding:
+def rising(subject: Subject) -> Finding:
     """P4: equation (3) in its corrected form."""
-    model = _paper_model(bench)
+    model = _paper_model(subject)
     (numerator, denominator), edge = model.rising_transfer_function(), 1e-3
     time_s = np.r_[0.0, edge + np.linspace(0.0, 8 * model.tu_s, 400)]
     pressure = np.minimum(time_s / edge, 1.0) * STEP_KPA
-    r = _respond(bench.cell, time_s, pressure) / bench.rest - 1
+    r = _respond(subject.cell, time_s, pressure) / subject.rest - 1
     grid = np.arange(0.0, time_s[-1], edge)  # lsim takes evenly spaced, piecewise-linear inputs
     _, filtered, _ = signal.lsim((numerator, denominator), np.minimum(grid / edge, 1.0) * STEP_KPA, grid)
     expected = np.interp(time_s, grid, filtered)
@@ -133,15 +133,15 @@ def rising(bench: Bench) -> Finding:
     )
 
 
-def recovery(bench: Bench) -> Finding:
+def recovery(subject: Subject) -> Finding:
     """P5: the augmented Burgers model, (4)-(7) and (8)."""
-    model = _paper_model(bench)
+    model = _paper_model(subject)
     numerator, denominator = model.transfer_function()
     omega = np.geomspace(1e-5, 1e3, 400)
     _, printed = signal.freqs(numerator, denominator, omega)
     s = 1j * omega
     summed = 1 / model.e1_kpa + 1 / (model.eta2_kpa_s * s + model.e2_kpa) + 1 / (model.eta3_kpa_s * s + model.e3_kpa)
-    time_s, r = _release(bench)
+    time_s, r = _release(subject)
     branches = {
         "elastic, 1/E1": np.zeros_like(time_s),
         f"T2 = {model.t2_s:.3g} s": np.exp(-time_s / model.t2_s) / model.e2_kpa,
@@ -172,11 +172,11 @@ def recovery(bench: Bench) -> Finding:
     )
 
 
-def identification(bench: Bench) -> Finding:
+def identification(subject: Subject) -> Finding:
     """P6: the coefficients read from a recovery curve, equation (9)."""
-    model = _paper_model(bench)
+    model = _paper_model(subject)
     time_s = np.arange(0.0, 300.0, 0.5)  # five minutes, as a person would record it
-    r = np.interp(time_s, *_release(bench))
+    r = np.interp(time_s, *_release(subject))
     held = np.r_[STEP_KPA * model.gain_per_kpa, r]
     moments = np.r_[0.0, 1e-3 + time_s]
     noise = 1 + 0.001 * np.random.default_rng(6).standard_normal(held.shape)
@@ -223,10 +223,10 @@ def identification(bench: Bench) -> Finding:
     )
 
 
-def recovery_times(bench: Bench) -> Finding:
+def recovery_times(subject: Subject) -> Finding:
     """P7: 25 s to 95 %, 5 minutes to full recovery."""
-    time_s, r = _release(bench)
-    left = r * bench.rest / (bench.pressed - bench.rest)
+    time_s, r = _release(subject)
+    left = r * subject.rest / (subject.pressed - subject.rest)
     to_95 = float(np.interp(-0.05, -left, time_s))
     at_5_minutes = float(100 * np.interp(300.0, time_s, left))
     return Finding(
@@ -239,13 +239,13 @@ def recovery_times(bench: Bench) -> Finding:
     )
 
 
-def inverse_filter(bench: Bench) -> Finding:
+def inverse_filter(subject: Subject) -> Finding:
     """P8: the paper's estimator, its switch, and what its thresholds are worth."""
-    model = _paper_model(bench)
+    model = _paper_model(subject)
     time_s, pressure = _profile([(2, STEP_KPA, 15.0)], 60.0)
-    ohms = _respond(bench.cell, time_s, pressure)
-    estimate = _estimate(bench.cell, time_s, ohms, "paper")
-    rising_per_s, falling_per_s = model.thresholds_per_s(bench.full_scale_kpa)
+    ohms = _respond(subject.cell, time_s, pressure)
+    estimate = _estimate(subject.cell, time_s, ohms, "paper")
+    rising_per_s, falling_per_s = model.thresholds_per_s(subject.full_scale_kpa)
     rng = np.random.default_rng(8)
     rows = []
     for factor in (0.5, 0.8, 1.0, 1.25, 2.0):
@@ -255,11 +255,11 @@ def inverse_filter(bench: Bench) -> Finding:
                 "recovery_threshold_per_s": -factor * falling_per_s,
             }
         )
-        cell = bench.cell.model_copy(update={"model": changed})
+        cell = subject.cell.model_copy(update={"model": changed})
         noisy = ohms * (1 + 0.005 * rng.standard_normal(ohms.shape))
-        errors = [_rmse(_estimate(cell, time_s, values, "paper"), pressure, bench) for values in (ohms, noisy)]
+        errors = [_rmse(_estimate(cell, time_s, values, "paper"), pressure, subject) for values in (ohms, noisy)]
         rows.append([f"{factor:g}", *(f"{error:.2f} %" for error in errors)])
-    slope = np.gradient(ohms / bench.rest, time_s)
+    slope = np.gradient(ohms / subject.rest, time_s)
     with plots.drawing(2, 1, height=4.2, sharex=True) as (figure, axes):
         top, below = axes[:, 0]
         top.plot(time_s, slope, lw=1)
@@ -273,10 +273,10 @@ def inverse_filter(bench: Bench) -> Finding:
         below.set(title="Pressure", xlabel="time / s", ylabel="kPa")
         below.legend()
         picture = plots.svg(figure)
-    settling = model.settling_slope_per_s(bench.full_scale_kpa)
+    settling = model.settling_slope_per_s(subject.full_scale_kpa)
     return Finding(
         checks=[
-            Check("RMSE without noise", _rmse(estimate, pressure, bench), 2.0, "% of full scale"),
+            Check("RMSE without noise", _rmse(estimate, pressure, subject), 2.0, "% of full scale"),
             Check(
                 "recovery threshold over the settling slope of a held load",
                 -falling_per_s / settling,
@@ -300,21 +300,21 @@ def inverse_filter(bench: Bench) -> Finding:
     )
 
 
-def steps(bench: Bench) -> Finding:
+def steps(subject: Subject) -> Finding:
     """P9: one 15.5 kPa step, then three in a row, through the readout as designed."""
     presses = {
         "one step": ([(5.0, STEP_KPA, 20.0)], 90.0),
         "three steps": ([(5.0 + 25.0 * k, STEP_KPA, 12.0) for k in range(3)], 110.0),
     }
     names = {"paper": "paper", "default": None}
-    if isinstance(bench.cell.estimator((1,)), type(bench.cell.estimator((1,), "paper"))):
+    if isinstance(subject.cell.estimator((1,)), type(subject.cell.estimator((1,), "paper"))):
         del names["default"]  # it is the paper's
     errors: dict[str, dict[str, float]] = {}
     with plots.drawing(2, 2, height=4.6, sharex="col") as (figure, axes):
         for column, (title, (profile, duration)) in enumerate(presses.items()):
             time_s, pressure = _profile(profile, duration)
-            true_ohm = _respond(bench.cell, time_s, pressure)
-            read_ohm = _through_readout(bench.design, bench.rest, true_ohm)
+            true_ohm = _respond(subject.cell, time_s, pressure)
+            read_ohm = _through_readout(subject.design, subject.rest, true_ohm)
             axes[0, column].plot(time_s, true_ohm / 1e3, color=plots.INK, lw=4, alpha=0.25, label="cell")
             axes[0, column].plot(time_s, read_ohm / 1e3, lw=1, label="as read")
             axes[0, column].set(title=title, ylabel="resistance / kΩ")
@@ -322,13 +322,13 @@ def steps(bench: Bench) -> Finding:
             axes[1, column].plot(time_s, pressure, color=plots.INK, lw=4, alpha=0.25, label="applied")
             for label, name in names.items():
                 zero = np.median(read_ohm[time_s < 4.0])  # R0 as a user has it: read at rest, through the same readout
-                estimate = _estimate(bench.cell, time_s, read_ohm, name, zero)
-                errors.setdefault(title, {})[label] = _rmse(estimate, pressure, bench)
+                estimate = _estimate(subject.cell, time_s, read_ohm, name, zero)
+                errors.setdefault(title, {})[label] = _rmse(estimate, pressure, subject)
                 axes[1, column].plot(time_s, estimate, lw=1.2, label=f"estimate: {label}")
             axes[1, column].set(xlabel="time / s", ylabel="pressure / kPa")
             axes[1, column].legend()
         picture = plots.svg(figure)
-    limit = bench.design.requirements.pressure_rmse_percent
+    limit = subject.design.requirements.pressure_rmse_percent
     return Finding(
         checks=[
             Check(f"{title}, estimator '{name}': RMSE", error, limit, "% of full scale")
@@ -343,10 +343,10 @@ def steps(bench: Bench) -> Finding:
     )
 
 
-def _paper_model(bench: Bench) -> PaperModel:
-    if not isinstance(bench.cell.model, PaperModel):
-        raise InputError(f"this experiment needs a cell of kind 'paper', got '{bench.cell.model.kind}'")
-    return bench.cell.model
+def _paper_model(subject: Subject) -> PaperModel:
+    if not isinstance(subject.cell.model, PaperModel):
+        raise InputError(f"this experiment needs a cell of kind 'paper', got '{subject.cell.model.kind}'")
+    return subject.cell.model
 
 
 def _profile(presses: list[tuple[float, float, float]], duration_s: float) -> tuple[FloatArray, FloatArray]:
@@ -379,21 +379,21 @@ def _estimate(
     )
 
 
-def _rmse(estimate: FloatArray, truth: FloatArray, bench: Bench) -> float:
-    return float(100 * np.sqrt(np.mean((estimate - truth) ** 2)) / bench.full_scale_kpa)
+def _rmse(estimate: FloatArray, truth: FloatArray, subject: Subject) -> float:
+    return float(100 * np.sqrt(np.mean((estimate - truth) ** 2)) / subject.full_scale_kpa)
 
 
-def _release(bench: Bench) -> tuple[FloatArray, FloatArray]:
+def _release(subject: Subject) -> tuple[FloatArray, FloatArray]:
     """r (samples,) after a release within 1 ms from equilibrium, at ``time_s`` after it."""
-    model = _paper_model(bench)
-    forward = bench.cell.forward((1,))
+    model = _paper_model(subject)
+    forward = subject.cell.forward((1,))
     load = np.array([STEP_KPA])
     forward.step(1.0, load)
     forward.step(1e3 * model.t3_s, load)
     first = forward.step(1e-3, np.zeros(1))
     time_s = np.r_[0.0, np.geomspace(1e-2, 10 * model.t3_s, 600)]
     samples = [first] + [forward.step(dt, np.zeros(1)) for dt in np.diff(time_s)]
-    return time_s, np.array(samples)[:, 0] / bench.rest - 1
+    return time_s, np.array(samples)[:, 0] / subject.rest - 1
 
 
 def _through_readout(design: Design, rest: float, ohms: FloatArray) -> FloatArray:

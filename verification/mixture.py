@@ -10,8 +10,8 @@ from ..circuits import Design, scan
 from ..circuits.noise import noise
 from ..errors import InputError
 from . import plots
-from .bench import Bench
 from .outcome import Check, Figure, Finding, Table
+from .subject import Subject
 from .variants import replaced
 
 FloatArray = NDArray[np.float64]
@@ -21,14 +21,16 @@ FRACTIONS = np.array([0.0112, 0.0125, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05])
 LOADS = np.linspace(0.0, 1.0, 21)
 
 
-def fraction(bench: Bench) -> Finding:
+def fraction(subject: Subject) -> Finding:
     """Sensitivity and resolution against the carbon-black fraction."""
-    if bench.design.readout.circuit != "inverting-amplifier" or bench.design.adc is None:
+    if subject.design.readout.circuit != "inverting-amplifier" or subject.design.adc is None:
         raise InputError("this study needs a design with inverting amplifiers and an [adc]")
-    law = Percolation(KNOWN, bench.rest, bench.pressed / bench.rest - 1)
+    law = Percolation(KNOWN, subject.rest, subject.pressed / subject.rest - 1)
     fine = np.geomspace(FRACTIONS[0], FRACTIONS[-1], 60)
-    fixed, chosen = (np.array([_resolution(bench, law, f, choose=choose) for f in fine]) for choose in (False, True))
-    eight, free = (np.array([_resolution(bench, law, f, choose=choose) for f in FRACTIONS]) for choose in (False, True))
+    fixed, chosen = (np.array([_resolution(subject, law, f, choose=choose) for f in fine]) for choose in (False, True))
+    eight, free = (
+        np.array([_resolution(subject, law, f, choose=choose) for f in FRACTIONS]) for choose in (False, True)
+    )
     best = float(FRACTIONS[np.nanargmin(eight)])
     sensitivity = law.sensitivities(FRACTIONS)
     with plots.drawing(1, 2) as (figure, (panels,)):
@@ -92,15 +94,15 @@ def _shown(sigma: float) -> str:
     return "saturates" if np.isnan(sigma) else f"{sigma:.4f}"
 
 
-def _resolution(bench: Bench, law: Percolation, f: float, *, choose: bool) -> float:
+def _resolution(subject: Subject, law: Percolation, f: float, *, choose: bool) -> float:
     """Standard deviation of one reading in % of full scale pressure, at the worst load; NaN where an output saturates.
 
     With ``choose`` the reference resistor is scaled with R0, which keeps the output at rest where it is.
     """
     ohms = law.resistance(f, LOADS)
-    design = bench.design
+    design = subject.design
     if choose:
-        reference = np.asarray(design.readout.reference_resistance) * (ohms[0] / bench.rest)
+        reference = np.asarray(design.readout.reference_resistance) * (ohms[0] / subject.rest)
         value = tuple(reference.tolist()) if reference.ndim else float(reference)
         design = replaced(design, "readout", reference_resistance=value)
     slope = np.gradient(ohms, LOADS)

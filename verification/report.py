@@ -29,14 +29,21 @@ class Report:
     design: Design
     target: str
     claims: list[Claim]
+    """P1 to P14"""
+    appendices: list[Claim]
+    """what goes beyond the paper"""
     seconds: float
     command: str = "ohmskin verify"
     """that makes this report again"""
     finished: datetime = field(default_factory=lambda: datetime.now(UTC))
 
     @property
+    def sections(self) -> list[Claim]:
+        return [*self.claims, *self.appendices]
+
+    @property
     def outcome(self) -> Outcome:
-        return worst(claim.outcome for claim in self.claims)
+        return worst(claim.outcome for claim in self.sections)
 
     @property
     def exit_code(self) -> int:
@@ -45,7 +52,7 @@ class Report:
 
     def count(self, outcome: str) -> int:
         """How many claims ended so."""
-        return sum(claim.outcome == outcome for claim in self.claims)
+        return sum(claim.outcome == outcome for claim in self.sections)
 
     def write(self, folder: str | Path) -> tuple[dict[str, Path], list[str]]:
         """Write ``report.json``, ``report.html`` and ``junit.xml``; returns their paths, and what was missing for some.
@@ -93,27 +100,8 @@ class Report:
                 "target": self.target,
                 "design": _jsonable(self.design.model_dump(mode="python")),
                 "environment": _environment(),
-                "claims": [
-                    {
-                        "id": claim.id,
-                        "title": claim.title,
-                        "where": claim.where,
-                        "outcome": claim.outcome,
-                        "checks": [
-                            {
-                                "name": check.name,
-                                "outcome": check.outcome,
-                                "measured": _jsonable(check.measured),
-                                "limit": check.limit,
-                                "relation": ">=" if check.at_least else "<=",
-                                "unit": check.unit,
-                                "reason": check.reason,
-                            }
-                            for check in claim.finding.checks
-                        ],
-                    }
-                    for claim in self.claims
-                ],
+                "claims": [_record(claim) for claim in self.claims],
+                "appendices": [_record(claim) for claim in self.appendices],
             },
             indent=2,
             allow_nan=False,
@@ -127,7 +115,7 @@ class Report:
         except ImportError as error:
             raise _missing("junitparser") from error
         xml = JUnitXml("ohmskin verify")
-        for claim in self.claims:
+        for claim in self.sections:
             suite = TestSuite(f"{claim.id} {claim.title}")
             for check in claim.finding.checks:
                 case = TestCase(check.name, classname=f"ohmskin.verify.{claim.id}")
@@ -150,6 +138,22 @@ class Report:
                 continue
             rows += [(section, key, _shown(value), key in part.model_fields_set) for key, value in part]
         return rows
+
+
+def _record(claim: Claim) -> dict[str, Any]:
+    checks = [
+        {
+            "name": check.name,
+            "outcome": check.outcome,
+            "measured": _jsonable(check.measured),
+            "limit": check.limit,
+            "relation": ">=" if check.at_least else "<=",
+            "unit": check.unit,
+            "reason": check.reason,
+        }
+        for check in claim.finding.checks
+    ]
+    return {"id": claim.id, "title": claim.title, "where": claim.where, "outcome": claim.outcome, "checks": checks}
 
 
 def _shown(value: Any) -> str:

@@ -12,10 +12,10 @@ from ..cell import Cell
 from ..circuits import Design
 from ..driver import Skin
 from ..errors import OhmskinError
-from .bench import Bench
-from .claims import STATEMENTS, Statement
+from .claims import APPENDICES, STATEMENTS, Statement
 from .outcome import Claim, Finding, not_run
 from .report import Report
+from .subject import Subject
 
 NO_PORT = ("emulated", "firmware")
 
@@ -44,29 +44,28 @@ def verify(
         with Skin.open(target) as skin:
             next(skin)
     start = time.perf_counter()
-    bench = Bench(prototype() if design is None else design, Cell.example(), target)
-    run = partial(_run, bench)
-    numbers = range(len(STATEMENTS))
+    subject = Subject(prototype() if design is None else design, Cell.example(), target)
+    run = partial(_run, subject)
+    statements = [*STATEMENTS, *APPENDICES]
     if jobs == 1:
-        claims = [run(number) for number in numbers]
+        claims = [run(statement) for statement in statements]
     else:
         with ProcessPoolExecutor(jobs) as pool:
-            claims = list(pool.map(run, numbers))
+            claims = list(pool.map(run, statements))
+    count = len(STATEMENTS)
     name = title or ("the paper's 4 × 4 prototype" if design is None else "readout design")
     command = " ".join(["ohmskin verify", *([name] if design is not None else [])])
-    return Report(name, bench.design, target, claims, time.perf_counter() - start, command)
+    seconds = time.perf_counter() - start
+    return Report(name, subject.design, target, claims[:count], claims[count:], seconds, command)
 
 
-def _run(bench: Bench, number: int) -> Claim:
-    statement = STATEMENTS[number]
-    return Claim(statement.id, statement.title, statement.where, statement.says, _finding(bench, statement))
+def _run(subject: Subject, statement: Statement) -> Claim:
+    return Claim(statement.id, statement.title, statement.where, statement.says, _finding(subject, statement))
 
 
-def _finding(bench: Bench, statement: Statement) -> Finding:
-    if statement.experiment is None:
-        return not_run("experiment", "not built yet")
+def _finding(subject: Subject, statement: Statement) -> Finding:
     try:
-        return statement.experiment(bench)
+        return statement.experiment(subject)
     except OhmskinError as error:
         return not_run("experiment", f"{type(error).__name__}: {error}")
     except Exception:  # a defect in one experiment must not cost the report of the others

@@ -20,8 +20,8 @@ from ..emulator.scene import BoardSettings
 from ..emulator.scene import Skin as SkinSettings
 from ..errors import InputError, OhmskinError
 from . import plots
-from .bench import Bench
 from .outcome import Check, Figure, Finding, not_run
+from .subject import Subject
 from .timing import timing
 
 FloatArray = NDArray[np.float64]
@@ -31,19 +31,19 @@ SECONDS = 40.0
 TOUCHED = 0.1  # of full scale: above it a cell counts as touched
 
 
-def whole_skin(bench: Bench) -> Finding:
+def whole_skin(subject: Subject) -> Finding:
     """P14: several contacts at once, their places and pressures, in real time."""
-    match bench.target:
+    match subject.target:
         case "emulated":
-            return _emulated(bench)
+            return _emulated(subject)
         case "firmware":
             return not_run("board firmware", "there is no firmware in this version")
         case port:
             return _hardware(port)
 
 
-def _emulated(bench: Bench) -> Finding:
-    scene = _scene(bench)
+def _emulated(subject: Subject) -> Finding:
+    scene = _scene(subject)
     with tempfile.TemporaryDirectory() as folder:
         truth_file = Path(folder) / "truth.npz"
         with _board(scene, truth_file) as port:
@@ -56,16 +56,16 @@ def _emulated(bench: Bench) -> Finding:
     frames = [frame for frame in frames if frame.sequence < len(truth["sequence"])]
     applied = truth["pressure_kpa"][[frame.sequence for frame in frames]]
     estimate = np.array([frame.pressure for frame in frames])
-    sent = adc_codes(bench.design, truth["volts"])
-    full = bench.full_scale_kpa
+    sent = adc_codes(subject.design, truth["volts"])
+    full = subject.full_scale_kpa
     error = (estimate - applied) / full
     unlike = sum(int((frame.counts != sent[frame.sequence]).sum()) for frame in frames)
     settled = _settled(applied, full)
     misplaced = (np.isnan(estimate) | ((estimate > TOUCHED * full) != (applied > TOUCHED * full)))[settled]
     per_cell = 100 * np.sqrt(np.mean(error**2, axis=0))
     worst = np.unravel_index(np.argmax(per_cell), per_cell.shape)
-    limit = bench.design.requirements.pressure_rmse_percent
-    speed = timing(bench, RATE_HZ)
+    limit = subject.design.requirements.pressure_rmse_percent
+    speed = timing(subject, RATE_HZ)
     return Finding(
         checks=[
             Check(
@@ -111,12 +111,12 @@ def _hardware(port: str) -> Finding:
     )
 
 
-def _scene(bench: Bench) -> Scene:
+def _scene(subject: Subject) -> Scene:
     """Three contacts that overlap in time, on whatever array the design has."""
-    if bench.design.adc is None:
+    if subject.design.adc is None:
         raise InputError("the design has no [adc] section; a board sends counts")
-    rows, columns = bench.design.array.shape
-    full = bench.full_scale_kpa
+    rows, columns = subject.design.array.shape
+    full = subject.full_scale_kpa
 
     def load(start: float, end: float, level: float) -> list[tuple[float, float]]:
         return [(start, 0.0), (start + 0.1, level * full), (end, level * full), (end + 0.1, 0.0)]
@@ -129,8 +129,8 @@ def _scene(bench: Bench) -> Scene:
             load_kpa=[(8.0, 0.0), (16.0, 0.8 * full), (24.0, 0.8 * full), (24.1, 0.0)],
         ),
     ]
-    board = BoardSettings(frame_rate=RATE_HZ, noise=bench.design.adc.step / 2)
-    return Scene(skin=SkinSettings(design=bench.design, cell=bench.cell), board=board, contact=contacts)
+    board = BoardSettings(frame_rate=RATE_HZ, noise=subject.design.adc.step / 2)
+    return Scene(skin=SkinSettings(design=subject.design, cell=subject.cell), board=board, contact=contacts)
 
 
 @contextmanager

@@ -9,21 +9,21 @@ from ..circuits.noise import noise
 from ..circuits.settling import Settling, stability
 from ..errors import InputError, SolverError
 from . import plots
-from .bench import Bench
 from .outcome import Check, Figure, Finding, Table
+from .subject import Subject
 
 
-def timing(bench: Bench, frame_rate_hz: float) -> Finding:
+def timing(subject: Subject, frame_rate_hz: float) -> Finding:
     """Fastest scan that settles to a quarter of an ADC step, stability, and noise of each reading.
 
     A divider, or a design whose dynamics or noise are not named, has no such numbers: its finding is without checks.
     """
-    design, adc = bench.design, bench.design.adc
+    design, adc = subject.design, subject.design.adc
     if design.readout.circuit != "inverting-amplifier" or adc is None:
         return Finding(checks=[])
     # The worst frame for settling: every other row pressed, so that each row switch is a jump for every column.
-    cells = np.full(design.array.shape, bench.rest)
-    cells[::2] = bench.pressed
+    cells = np.full(design.array.shape, subject.rest)
+    cells[::2] = subject.pressed
     checks, figures, rows = [], [], []
     try:
         settling = Settling(design, cells)
@@ -60,7 +60,7 @@ def timing(bench: Bench, frame_rate_hz: float) -> Finding:
         rows += [[f"noise: {name}", f"{1e6 * volts:.3g} µV rms"] for name, volts in loudest.items()]
         reading = scan(design, cells)
         ohms = cells**2 * scatter.volts / (abs(design.drive.voltage) * np.asarray(design.readout.reference_resistance))
-        share = ohms / (bench.pressed - bench.rest) * 100
+        share = ohms / (subject.pressed - subject.rest) * 100
         rows.append(["noise of a reading, all together", f"{1e6 * scatter.volts.max():.3g} µV rms"])
         rows.append(["... in pressure, worst cell", f"{share[~reading.saturated].max():.2g} % of full scale"])
     return Finding(

@@ -26,7 +26,7 @@ def command(design_file: str | None, output: str, target: str, jobs: int) -> int
     design = None if design_file is None else Design.load(design_file)
     report = verify(design, title=design_file, target=target, jobs=jobs)
     paths, missing = report.write(output)
-    for claim in report.claims:
+    for claim in report.sections:
         click.echo(f"{claim.id:>4}  {claim.outcome:<8} {claim.title}")
         for check in claim.finding.checks:
             if check.outcome != "pass":
@@ -35,5 +35,5 @@ def command(design_file: str | None, output: str, target: str, jobs: int) -> int
     for reason in missing:
         click.echo(f"ohmskin: {reason}", err=True)
     passed, failed, left = (report.count(outcome) for outcome in ("pass", "fail", "not run"))
-    click.echo(f"{passed} claims pass, {failed} fail, {left} not run: {paths.get('report.html', paths['report.json'])}")
+    click.echo(f"{passed} pass, {failed} fail, {left} not run: {paths.get('report.html', paths['report.json'])}")
     return report.exit_code

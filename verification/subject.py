@@ -11,7 +11,7 @@ from ..circuits import Design
 
 
 @dataclass(frozen=True)
-class Bench:
+class Subject:
     """Design, cell and target of one verification run."""
 
     design: Design
