@@ -42,10 +42,9 @@ def estimators(
     full = 15.5
     rng = np.random.default_rng(seed)
     time, load = protocol_load(dt_s)
-    test: FloatArray = np.concatenate(
-        [independent.presses(rng, seconds / 2, dt_s, holds=holds) for holds in (True, False)]
-    )
-    test_time = np.arange(len(test)) * dt_s
+    halves = [independent.presses(rng, seconds / 2, dt_s, holds=holds) for holds in (True, False)]
+    test = np.concatenate(halves)
+    test_time = dt_s * np.arange(float(len(test)))
     rows = []
     for material in ("relays and fractional creep", "the paper's model, 0.5 % noise"):
         if material.startswith("relays"):
@@ -95,7 +94,7 @@ def _cost(cell: Cell, name: str, moving: FloatArray, dt_s: float) -> float:
         start = perf_counter()
         estimator.update(n * dt_s, frame)
         spent.append(perf_counter() - start)
-    return float(np.median(spent[3:])) / moving.shape[1] * 1e6
+    return 1e6 * float(np.median(spent[3:])) / int(moving.shape[1])
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from .estimators import Estimator
 from .identify import HELD_OUT, Fit, fits
 from .inverse import margin
 from .lag import FloatArray
-from .learned import Learned
+from .learned import DRIFT, Learned
 from .models import AsymmetricModel, ContactModel, M10Model, PaperModel
 from .recording import Recording
 
@@ -92,7 +92,9 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
         for name in ("play", "distilled")
         if isinstance(learned := getattr(final, name), Learned) and name in judged
     }
-    static = final.static.model_copy(update={"std_kpa": max(final.static.std_kpa, percent["static"] / 100 * full)})
+    static = final.static.model_copy(
+        update={"std_kpa": max(final.static.std_kpa, DRIFT * percent["static"] / 100 * full)}
+    )
     estimators = Calibrated(default=default, reason=reason, held_out_percent=percent, static=static, **calibrated)
     return Calibration(cell.model_copy(update={"estimators": estimators}), recording, found, inverse)
 

@@ -18,7 +18,7 @@ from .estimators import EquilibriumEstimator, Estimator, PaperEstimator
 from .forward import Forward, make_forward
 from .inverse import InverseEstimator, margin
 from .lag import FloatArray
-from .learned import Learned, LearnedEstimator, StaticCurve, StaticCurveEstimator
+from .learned import DRIFT, Learned, LearnedEstimator, StaticCurve, StaticCurveEstimator
 from .models import AsymmetricModel, M10Model, Model, PaperModel, Positive
 
 ESTIMATORS = ("static", "paper", "inverse", "play", "distilled")
@@ -123,7 +123,7 @@ class Cell(Section):
         """A constant: the held-out error, for estimators that have no better idea of theirs."""
         if self.estimators is None or name not in self.estimators.held_out_percent:
             return None
-        return self.estimators.held_out_percent[name] / 100 * self.full_scale_kpa
+        return DRIFT * self.estimators.held_out_percent[name] / 100 * self.full_scale_kpa
 
     def _rest(self, given: ArrayLike | None) -> FloatArray:
         return np.asarray(self.rest_resistance_ohm if given is None else given, dtype=np.float64)

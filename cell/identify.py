@@ -160,10 +160,11 @@ def fits(recording: Recording, full_scale_kpa: float) -> list[Fit]:
         kinds = [_asymmetric_kind(start), _paper_kind(start), _m10_kind(start)]
         found = [_fit(kind, recording, full_scale_kpa, rest, lower) for kind in kinds]
     least = min(fit.held_out_error for fit in found)
-    if not least < 0.5:
+    blind = float(np.std(recording.resistance_ohm) / np.ptp(recording.resistance_ohm))
+    if not least < 0.9 * blind:
         raise InputError(
-            f"{recording.name}: the resistance does not follow the pressure (the best model leaves "
-            f"{100 * least:.0f} % of its range); are the columns right, and the sample rate the same for both?"
+            f"{recording.name}: the resistance does not follow the pressure: the best model leaves "
+            f"{100 * least:.0f} % of its range, knowing nothing {100 * blind:.0f} %; are the columns right?"
         )
     best = next(fit for fit in found if fit.held_out_error <= SIMPLER * least)
     return [best, *sorted((fit for fit in found if fit is not best), key=lambda fit: fit.held_out_error)]

@@ -22,6 +22,8 @@ Positives = Annotated[tuple[Positive, ...], Field(strict=False)]
 
 CLIP = 3.5
 """standard deviations to which a feature is limited: beyond, nothing was learned"""
+DRIFT = 1.5
+"""by which a standard deviation exceeds the error held out at calibration: creep goes on for hours after it"""
 STILL = 0.01
 """a cell is estimated afresh when a feature has moved by this many standard deviations since the last time"""
 BLOCK = 512

@@ -1,0 +1,66 @@
+"""The commands fit and estimate, end to end on files."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ohmskin.cell import Cell, ContactModel, protocol
+from ohmskin.cli import run
+from ohmskin.tables import read_columns, write_columns
+
+FULL = 15.5
+
+
+@pytest.fixture(scope="module")
+def steps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A contact cell through the protocol: the kind that is calibrated quickest."""
+    model = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
+    time, load = protocol.load(0.1)
+    forward = Cell.example().model_copy(update={"model": model}).forward(())
+    read = [float(forward.step(0.1, FULL * s)) for s in load]
+    path = tmp_path_factory.mktemp("contact") / "steps.csv"
+    write_columns(path, {"time_s": time, "pressure_kpa": FULL * load, "resistance_ohm": np.array(read)})
+    return path
+
+
+def test_fit_then_estimate(steps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    cell, out, plot = tmp_path / "cell.toml", tmp_path / "out.csv", tmp_path / "fit.png"
+    assert run(["fit", str(steps), "-o", str(cell), "--protocol", "--full-scale", "15.5", "--plot", str(plot)]) == 0
+    text = capsys.readouterr().out
+    assert "cell of kind contact" in text
+    assert "exponent" in text
+    assert plot.read_bytes().startswith(b"\x89PNG")
+    assert run(["estimate", str(steps), "--cell", str(cell), "-o", str(out)]) == 0
+    truth = read_columns(steps, ("time_s", "pressure_kpa"))
+    found = read_columns(out, ("time_s", "pressure_kpa", "std_kpa"))
+    assert (found["time_s"] == truth["time_s"]).all()
+    assert np.sqrt(np.mean((found["pressure_kpa"] - truth["pressure_kpa"]) ** 2)) < 0.02 * FULL
+    assert (found["std_kpa"] > 0).all()
+
+
+def test_the_protocol_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["fit", "--protocol"]) == 0
+    assert "conditioned" in capsys.readouterr().out
+
+
+def test_faults_are_one_line(steps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    flat = tmp_path / "flat.csv"
+    time = np.arange(0, 60, 0.1)
+    write_columns(flat, {"time_s": time, "pressure_kpa": 0 * time, "resistance_ohm": 0 * time + 1e4})
+    cell = tmp_path / "cell.toml"
+    Cell.example().save(cell)
+    out = tmp_path / "out.csv"
+    for arguments, message in (
+        (["fit"], "expected STEPS.csv"),
+        (["fit", str(flat), "-o", str(tmp_path / "none.toml")], "pressure_kpa stays at 0"),
+        (["estimate", str(steps), "--cell", str(tmp_path / "no.toml"), "-o", str(out)], "no.toml"),
+        (["estimate", str(steps), "--cell", str(cell), "-o", str(out), "--estimator", "magic"], "no estimator 'magic'"),
+        (["estimate", str(steps), "--cell", str(cell), "-o", str(out), "--estimator", "play"], "run ohmskin fit"),
+    ):
+        assert run(arguments) == 2
+        error = capsys.readouterr().err
+        assert message in error
+        assert error.count("\n") == 1
+    assert not out.exists()
+    assert not (tmp_path / "none.toml").exists()

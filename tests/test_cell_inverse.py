@@ -1,0 +1,116 @@
+"""The exact inverse on the cells it is meant for, and the hard cases every estimator must stand."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ohmskin.cell import AsymmetricModel, Cell, M10Model, inverse
+from ohmskin.errors import InputError
+
+EXAMPLE = Cell.example()
+
+
+def cell_of(model: AsymmetricModel | M10Model) -> Cell:
+    return EXAMPLE.model_copy(update={"model": model})
+
+
+ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
+SAFE = M10Model(a=0.5, b=-0.1, alpha1=0.3, rise1_s=0.3, fall1_s=4, alpha2=0.1, fall2_s=90, k=0.1, tau_s=20)
+WIDE = M10Model(a=0.4, alpha1=0.3, rise1_s=1e-3, fall1_s=2e-3, alpha2=0.2, rise2_s=1e-3, fall2_s=3600)
+CANCELLING = M10Model(a=0.5, alpha1=1e-9, rise1_s=3.0, fall1_s=3.0 + 1e-9, alpha2=0.2, rise2_s=3.0, fall2_s=3.0)
+STIFF_UNLOADING = M10Model(a=0.3, alpha1=0.8, rise1_s=0.4, fall1_s=5, alpha2=0.2, fall2_s=400, k=0.5, tau_s=50)
+
+
+@pytest.mark.parametrize("model", [ASYMMETRIC, SAFE, WIDE, CANCELLING], ids=["asymmetric", "m10", "wide", "cancel"])
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_the_inverse_is_exact_at_any_time_steps(model: AsymmetricModel | M10Model, seed: int) -> None:
+    """Random loads, time steps from 0.1 ms to 10 s in one recording."""
+    rng = np.random.default_rng(seed)
+    cell = cell_of(model)
+    dt = 10 ** rng.uniform(-4, 1, 60)
+    load = rng.choice([0.0, 15.5, -1.0], (60, 3)) * rng.random((60, 3))
+    load[0] = 0
+    forward, estimator = cell.forward((3,)), cell.estimator((3,), "inverse")
+    estimator.update(0.0, forward.step(1.0, load[0]))
+    time = np.cumsum(dt)
+    for n in range(1, 60):
+        read = forward.step(time[n] - (time[n - 1] if n > 1 else 0.0), load[n])
+        assert estimator.update(time[n], read).pressure_kpa == pytest.approx(load[n], abs=1e-5)
+
+
+def test_an_ambiguous_cell_is_refused() -> None:
+    assert inverse.margin(STIFF_UNLOADING, 15.5) < 0
+    with pytest.raises(InputError, match="more than one answer"):
+        cell_of(STIFF_UNLOADING).estimator((2,), "inverse")
+    assert cell_of(STIFF_UNLOADING).default_estimator == "static"
+    assert cell_of(SAFE).default_estimator == "inverse"
+    with pytest.raises(InputError, match="of kind 'asymmetric' or 'm10'"):
+        EXAMPLE.estimator((2,), "inverse")
+
+
+def test_the_margin_is_where_two_loads_begin_to_share_a_resistance() -> None:
+    """A fast release from a settled load: r falls if and only if the margin is positive."""
+    for k in (0.05, 0.29, 0.31, 0.6):
+        model = STIFF_UNLOADING.model_copy(update={"k": k})
+        forward = cell_of(model).forward(())
+        forward.step(1.0, 15.5)
+        held = forward.step(1000.0, 15.5)
+        assert (forward.step(1e-6, 15.0) < held) == (inverse.margin(model, 15.5) > 0)
+
+
+@pytest.mark.parametrize(
+    ("cell", "name"), [(EXAMPLE, "paper"), (cell_of(ASYMMETRIC), "inverse"), (cell_of(SAFE), "inverse")]
+)
+def test_a_held_load_does_not_fade(cell: Cell, name: str) -> None:
+    """An hour at 10 kPa, then a gap of a week: the estimate stays."""
+    forward, estimator = cell.forward(()), cell.estimator((), name)
+    time = 0.0
+    estimator.update(time, forward.step(1.0, 0.0))
+    time += 0.05
+    estimator.update(time, forward.step(0.05, 10.0))
+    for _ in range(900):
+        time += 4.0
+        held = estimator.update(time, forward.step(4.0, 10.0))
+    assert held.pressure_kpa == pytest.approx(10.0, abs=1e-6)
+    week = estimator.update(time + 604800, forward.step(604800.0, 10.0))
+    assert week.pressure_kpa == pytest.approx(10.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("cell", "name"), [(EXAMPLE, "paper"), (cell_of(ASYMMETRIC), "inverse")])
+def test_a_cell_that_opens_and_returns(cell: Cell, name: str) -> None:
+    """Open, shorted, saturated to nonsense: missing; when it is back, it reads as if it had been looked at rarely."""
+    forward, estimator = cell.forward((2,)), cell.estimator((2,), name)
+    for n in range(400):
+        load = 8.0 if n >= 100 else 0.0
+        read = forward.step(0.05, load)
+        if 150 <= n < 250:
+            read[0] = [np.inf, 0.0, -5.0, np.nan][n % 4]
+        found = estimator.update(n * 0.05, read).pressure_kpa
+        assert np.isfinite(found).all()
+    assert found == pytest.approx([8.0, 8.0], abs=1e-6)
+
+
+def test_a_wrong_rest_resistance_costs_no_more_than_itself() -> None:
+    """R0 off by 3 % shifts r by 3 % of 1 + r; the estimate is off by that over the slope, and does not run away."""
+    cell = cell_of(ASYMMETRIC)
+    estimator = cell.estimator((), "inverse", rest_resistance_ohm=1.03 * cell.rest_resistance_ohm)
+    forward = cell.forward(())
+    worst = 0.0
+    for n in range(4000):
+        load = 7.0 + 7.0 * np.sin(n / 150) * np.sin(n / 47)
+        worst = max(worst, abs(float(estimator.update(n * 0.1, forward.step(0.1, load)).pressure_kpa) - load))
+    assert worst < 2 * 0.03 * (1 + 0.775) * 32
+
+
+def test_a_week_of_noise_leaves_no_drift() -> None:
+    """Noise at rest for many time constants: the state stays within the noise times the slope of the inverse."""
+    cell = cell_of(ASYMMETRIC)
+    rng = np.random.default_rng(5)
+    estimator = cell.estimator((50,), "inverse")
+    means = []
+    for n in range(1000):
+        read = cell.rest_resistance_ohm * (1 + 0.001 * rng.standard_normal(50))
+        means.append(float(np.mean(estimator.update(n * 600.0, read).pressure_kpa)))
+    assert np.abs(np.mean(np.reshape(means, (4, -1)), axis=1)).max() < 0.05
