@@ -51,9 +51,11 @@ class Status(IntEnum):
     OPEN = 1
     """no current; the resistance is given as inf"""
     SATURATED = 2
-    """the output or the converter is at a limit, or a known short hides the cell; its resistance is not known: NaN"""
+    """the output or the converter is at a limit, so the resistance is not known: NaN"""
     DISTURBED = 3
-    """shares a line with a saturated cell, and so is not to be trusted"""
+    """not to be trusted, since it depends on cells that are not known (with amplifiers: on its own row or column)"""
+    HIDDEN = 4
+    """behind a fault of the design, so that no reading tells of it: NaN"""
 
 
 @dataclass(frozen=True)
@@ -122,8 +124,17 @@ class Recoverer:
 
     def __init__(self, design: Design, *, accuracy: float = 1e-11) -> None:
         self._design, self._accuracy = design, accuracy
-        self._hidden = series_faults(design, "open-cell")
-        faults = tuple(fault for fault in design.fault if fault.kind not in {"open-cell", "shorted-cell"})
+        self._series, self._cut_off = series_faults(design, "open-cell"), _cut_off(design)
+        # Faults of cells change what is sought, but for a complete short: there nothing is left to be sought.
+        faults = tuple(
+            fault
+            for fault in design.fault
+            if fault.kind not in {"open-cell", "shorted-cell"} or (fault.kind == "shorted-cell" and fault.ohms == 0)
+        )
+        self._shorted = np.zeros(design.array.shape, dtype=np.bool_)
+        for fault in faults:
+            if fault.kind == "shorted-cell":
+                self._shorted[fault.place] = True
         self._model = _Model(
             design.model_copy(
                 update={
@@ -160,13 +171,16 @@ class Recoverer:
         model, accuracy = self._model, self._accuracy
         slow = next((rate for size, rate in _SLOW if measured.size <= size and model.has_derivatives), inf)
         at_once = not model.amplified and slow < inf  # a divider's readings are far from its cells
+        unread = self._cut_off | self._shorted
         conductance = model.apparent(measured - model.level) if self._start is None else self._start
+        conductance = np.where(unread, 0.0, conductance)
         kept, self._start = self._factor, None
         base, change = conductance, np.zeros_like(conductance)
         factored, last, best, stalled, fresh = 0, inf, inf, 0, False
         for iteration in range(1, _MOST_ITERATIONS + 1):
             signal, rest = model.split(conductance)
             reading, target = model.apparent(signal), model.apparent(measured - rest)
+            reading[unread] = target[unread] = 0.0  # whatever these are, it does not tell of a cell
             largest = np.maximum(target, reading)
             missing = target - reading
             off = np.divide(np.abs(missing), largest, out=np.zeros_like(missing), where=largest > 0)
@@ -204,30 +218,45 @@ class Recoverer:
     def _result(
         self, conductance: FloatArray, at_limit: BoolArray, residual: float, iterations: int, factored: int
     ) -> Recovery:
-        signal_side, own = conductance > 0, conductance
+        own = conductance
         for fault in self._design.fault:
-            if fault.kind == "shorted-cell":
+            if fault.kind == "shorted-cell" and fault.ohms > 0:
                 own = own.copy()
                 own[fault.place] -= siemens(fault.ohms)
         with np.errstate(divide="ignore"):
             resistance = np.where(own > 0, 1.0 / own, inf)
-        visible = np.isfinite(self._hidden)
-        resistance = np.where(visible, np.maximum(resistance - np.where(visible, self._hidden, 0.0), 0.0), inf)
+        joined = np.isfinite(self._series)
+        resistance = np.where(joined, np.maximum(resistance - np.where(joined, self._series, 0.0), 0.0), inf)
         status = np.where(np.isinf(resistance), Status.OPEN, Status.READ).astype(np.int8)
-        lost: BoolArray = np.logical_and(at_limit, signal_side)
+        lost = np.logical_and(at_limit, conductance > 0)
         # Beside a short that carries nearly all of the current, a cell is not to be seen.
-        unknown = lost | (own < _LEAST_SHARE * conductance)
-        status[unknown], resistance[unknown] = Status.SATURATED, np.nan
-        if lost.any():
-            status = np.where(self._disturbed(lost) & (status == Status.READ), Status.DISTURBED, status).astype(np.int8)
+        status[~joined | (own < _LEAST_SHARE * conductance) | self._cut_off | self._shorted] = Status.HIDDEN
+        status[lost] = Status.SATURATED
+        disturbed = self._disturbed(lost | self._cut_off) & (status == Status.READ)
+        status = np.where(disturbed, Status.DISTURBED, status).astype(np.int8)
+        resistance[np.isin(status, (Status.SATURATED, Status.HIDDEN))] = np.nan
         return Recovery(resistance, status, residual, iterations, factored)
 
-    def _disturbed(self, lost: BoolArray) -> BoolArray:
-        """Cells that are read with a saturated one in the same step or on the same column."""
-        if not self._model.amplified:
-            return np.ones_like(lost)
-        in_row, in_column = lost.any(axis=1, keepdims=True), lost.any(axis=0, keepdims=True)
-        return np.logical_or(in_row, in_column)
+    def _disturbed(self, unknown: BoolArray) -> BoolArray:
+        """Cells whose readings depend on cells that conduct but are not known."""
+        in_column: BoolArray = np.logical_or(unknown.any(axis=0, keepdims=True), np.zeros_like(unknown))
+        if self._by_columns:
+            return in_column
+        if not self._model.amplified or self._design.drive.idle_rows == "float":
+            return np.full_like(unknown, unknown.any())
+        return np.logical_or(in_column, unknown.any(axis=1, keepdims=True))
+
+
+def _cut_off(design: Design) -> BoolArray:
+    """Cells (rows, columns) beyond a complete break of their line: they conduct, but no reading is theirs."""
+    cut = np.zeros(design.array.shape, dtype=np.bool_)
+    for fault in design.fault:
+        row, column = fault.place
+        if fault.kind == "broken-row" and fault.ohms == inf:
+            cut[row, column:] = True
+        elif fault.kind == "broken-column" and fault.ohms == inf:
+            cut[: row + 1, column] = True
+    return cut
 
 
 def conditioning(design: Design, resistance: ArrayLike) -> Conditioning:

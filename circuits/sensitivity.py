@@ -145,6 +145,7 @@ class _Fields(NamedTuple):
         size = int(node.max()) + 1
         graph = coo_array((value, (a, b)), shape=(size, size)).tocsr()
         graph = graph + graph.T
+        graph.eliminate_zeros()  # they would count as connections
         inner = np.setdiff1d(np.arange(size), port)
         potential = np.zeros((size, rows + columns))
         potential[port, np.arange(rows + columns)] = 1.0

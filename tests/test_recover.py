@@ -163,8 +163,9 @@ def test_saturated_cells_are_not_invented_and_their_neighbours_are_not_trusted(l
     design = amplifier(4, 4, lead=lead, supply=(-0.1, 3.3), open_loop_gain=1e6)
     recovery = recover(design, scan(design, cells).volts)
     status = np.full((4, 4), Status.READ)
-    status[1] = Status.DISTURBED
     status[:, 2] = Status.DISTURBED
+    if lead:  # else no other column knows of it
+        status[1] = Status.DISTURBED
     status[1, 2] = Status.SATURATED
     assert recovery.status.tolist() == status.tolist()
     assert np.isnan(recovery.resistance[1, 2])
@@ -178,7 +179,8 @@ def test_readings_clipped_by_the_converter_are_marked_as_told() -> None:
     clipped[0, 0] = True
     design = amplifier(3, 3)
     recovery = recover(design, scan(design, cells).volts, clipped=clipped)
-    assert recovery.status[0].tolist() == [Status.SATURATED, Status.DISTURBED, Status.DISTURBED]
+    assert recovery.status[:, 0].tolist() == [Status.SATURATED, Status.DISTURBED, Status.DISTURBED]
+    assert (recovery.status[:, 1:] == Status.READ).all()
     np.testing.assert_allclose(recovery.resistance.ravel()[1:], 5e3)
 
 
@@ -192,7 +194,7 @@ def test_known_faults_are_taken_out() -> None:
     )
     design = amplifier(3, 3, lead=10.0, segment=1.0).model_copy(update={"fault": faults})
     recovery = recover(design, scan(design, cells).volts)
-    assert recovery.status[2, 2] == Status.OPEN
+    assert recovery.status[2, 2] == Status.HIDDEN
     recovery.resistance[2, 2] = 5e3
     np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-9)
 
@@ -202,7 +204,7 @@ def test_a_cell_behind_a_complete_short_is_not_invented() -> None:
     design = design.model_copy(update={"fault": (Fault(kind="shorted-cell", place=(1, 1)),)})
     cells = 10 ** np.random.default_rng(4).uniform(3.5, 4, (3, 3))
     recovery = recover(design, scan(design, cells).volts)
-    assert recovery.status[1, 1] == Status.SATURATED
+    assert recovery.status[1, 1] == Status.HIDDEN
     assert np.isnan(recovery.resistance[1, 1])
     recovery.resistance[1, 1] = cells[1, 1]
     np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-6)
@@ -213,6 +215,25 @@ def test_through_a_continuous_sheet() -> None:
     design = amplifier(3, 3, lead=5.0)
     sheet = design.model_copy(update={"array": design.array.model_copy(update={"sheet": "continuous"})})
     np.testing.assert_allclose(recover(sheet, scan(sheet, cells).volts).resistance, cells, rtol=1e-9)
+
+
+@pytest.mark.parametrize("idle_rows", ["ground", "float"])
+def test_cells_beyond_a_break_are_hidden_and_disturb_others(idle_rows: str) -> None:
+    """They still conduct from line to line, and how well is not known."""
+    cells = 10 ** np.random.default_rng(3).uniform(3, 4, (4, 4))
+    design = amplifier(4, 4, lead=20.0, segment=1.0).model_copy(
+        update={"fault": (Fault(kind="broken-row", place=(1, 2)), Fault(kind="broken-column", place=(0, 0)))}
+    )
+    design = design.model_copy(update={"drive": design.drive.model_copy(update={"idle_rows": idle_rows})})
+    recovery = recover(design, scan(design, cells).volts)
+    hidden = np.zeros((4, 4), dtype=bool)
+    hidden[1, 2:] = hidden[0, 0] = True
+    assert np.array_equal(recovery.status == Status.HIDDEN, hidden)
+    assert np.array_equal(np.isnan(recovery.resistance), hidden)
+    disturbed = np.ones((4, 4), dtype=bool)
+    if idle_rows == "ground":
+        disturbed[2:, 1] = False
+    assert np.array_equal(recovery.status == Status.DISTURBED, disturbed & ~hidden)
 
 
 @pytest.mark.parametrize("kind", ["bridged-rows", "bridged-columns"])
