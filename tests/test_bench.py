@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+from dataclasses import asdict
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,6 +14,7 @@ from reference import reference_volts
 
 from ohmskin import bench
 from ohmskin.bench import memory, peers
+from ohmskin.cell import benchmark
 from ohmskin.circuits import METHODS
 from ohmskin.cli import run
 from ohmskin.errors import InputError
@@ -93,3 +95,14 @@ def test_bad_requests_are_refused_by_name(options: list[str], message: str, caps
 def test_measure_checks_before_it_measures() -> None:
     with pytest.raises(InputError, match="size is 5000"):
         bench.measure([8, 5000], [1.0])
+
+
+def test_the_estimators_have_a_table_of_their_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    row = benchmark.Row("foam", "play", rmse_percent=12.5, microseconds=0.25, is_default=True)
+    monkeypatch.setattr(benchmark, "estimators", lambda: [row])
+    assert run(["bench", "--estimators"]) == 0
+    assert "12.50" in capsys.readouterr().out
+    assert run(["bench", "--estimators", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == [asdict(row)]

@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from .. import bench, tables
+from ..cell import benchmark
 
 
 class _ManyValues(click.Command):
@@ -36,6 +37,7 @@ class _ManyValues(click.Command):
 @click.option("--memory/--no-memory", default=True, show_default=True, help="Measure memory, each in a new process.")
 @click.option("--peers/--no-peers", default=True, show_default=True, help="Measure other programs and libraries, too.")
 @click.option("--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Draw error against time.")
+@click.option("--estimators", is_flag=True, help="Measure the pressure estimators instead, on a material of their own.")
 @click.option("--json", "as_json", is_flag=True, help="Print the measurements as JSON.")
 def command(
     sizes: tuple[int, ...],
@@ -43,11 +45,16 @@ def command(
     memory: bool,
     peers: bool,
     picture: Path | None,
+    estimators: bool,
     as_json: bool,
 ) -> None:
     """Measure N x N arrays of 10 kohm to 1 Mohm with R ohm per line segment and lead: time per frame, true error,
     certified bound and memory of every method. Set OPENBLAS_NUM_THREADS=1 to compare on one thread.
     """
+    if estimators:
+        judged = benchmark.estimators()
+        click.echo(json.dumps([asdict(row) for row in judged], indent=1) if as_json else benchmark.table(judged))
+        return
     rows = list(bench.measure(sizes, segments, memory=memory, peers=peers))
     if picture is not None:
         tables.write_text(picture, bench.picture(rows))
