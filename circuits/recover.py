@@ -21,6 +21,7 @@ import warnings
 from dataclasses import dataclass
 from enum import IntEnum
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,6 +39,8 @@ FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 _MOST_ITERATIONS = 200
+_ROUNDING = 1e-8  # residual below which progress may end by rounding alone, not by a bad direction
+_LEAST_STRIDE = 1e-3  # along a path of readings
 _LEAST_SHARE = 1e-9  # of a place's current that a cell beside a known short must carry
 # Error that may be left of each iteration's before the derivatives are factored (anew), by number of cells: they cost
 # as much as 5 evaluations of an 8 x 8, 30 of a 32 x 32 and 300 of a 64 x 64.
@@ -69,7 +72,7 @@ class Recovery:
     residual: float
     """largest relative difference that is left between a reading and the model's, in apparent conductance"""
     iterations: int
-    """evaluations of the model; 0 for the closed form"""
+    """evaluations of the model on the way that led there; 0 for the closed form"""
     factored: int
     """how often the derivatives were computed"""
 
@@ -119,6 +122,16 @@ def recover(design: Design, volts: ArrayLike, *, accuracy: float = 1e-11, clippe
     return Recoverer(design, accuracy=accuracy)(volts, clipped=clipped)
 
 
+class _Found(NamedTuple):
+    conductance: FloatArray
+    """(N, M) S"""
+    target: FloatArray
+    """(N, M) S: apparent conductances, the model's offsets taken out"""
+    residual: float
+    iterations: int
+    factored: int
+
+
 class Recoverer:
     """:func:`recover` for a stream of frames: starts from the frame before and keeps its factorisation."""
 
@@ -131,10 +144,10 @@ class Recoverer:
             for fault in design.fault
             if fault.kind not in {"open-cell", "shorted-cell"} or (fault.kind == "shorted-cell" and fault.ohms == 0)
         )
-        self._shorted = np.zeros(design.array.shape, dtype=np.bool_)
+        self._unread = self._cut_off.copy()
         for fault in faults:
             if fault.kind == "shorted-cell":
-                self._shorted[fault.place] = True
+                self._unread[fault.place] = True
         self._model = _Model(
             design.model_copy(
                 update={
@@ -154,10 +167,11 @@ class Recoverer:
         if clipped is not None:
             at_limit = at_limit | np.asarray(clipped, dtype=np.bool_)
         if self._by_columns:
-            conductance, residual, iterations, factored = _column_conductance(self._design, measured), 0.0, 0, 0
+            conductance = _column_conductance(self._design, measured)
+            found = _Found(conductance, conductance, 0.0, 0, 0)
         else:
-            conductance, residual, iterations, factored = self._iterate(measured)
-        return self._result(conductance, at_limit, residual, iterations, factored)
+            found = self._iterate(measured)
+        return self._result(found, at_limit)
 
     def _at_limit(self, measured: FloatArray) -> BoolArray:
         if self._design.readout.circuit == "voltage-divider":  # no amplifier, no limit
@@ -166,38 +180,65 @@ class Recoverer:
         at_limit: BoolArray = (measured <= low) | (measured >= high)
         return at_limit
 
-    def _iterate(self, measured: FloatArray) -> tuple[FloatArray, float, int, int]:
-        """Conductances (N, M) in S, the residual, evaluations of the model and factorisations."""
-        model, accuracy = self._model, self._accuracy
+    def _iterate(self, measured: FloatArray) -> _Found:
+        """Directly or, where that leads nowhere, along a path of readings from a known frame to the measured one."""
+        model, start = self._model, self._start
+        apparent = np.where(self._unread, 0.0, model.apparent(measured - model.level))
+        found = self._follow(measured, apparent if start is None else start, self._accuracy, _MOST_ITERATIONS)
+        if found is None and start is not None:
+            self._factor = None
+            found = self._follow(measured, apparent, self._accuracy, _MOST_ITERATIONS)
+        if found is None:
+            signal, rest = model.split(apparent)
+            origin, here, done, stride, iterations, factored = signal + rest, apparent, 0.0, 0.25, 0, 0
+            while stride > _LEAST_STRIDE and done < 1:
+                goal = min(1.0, done + stride)
+                last = goal == 1
+                between = measured if last else origin + goal * (measured - origin)
+                found = self._follow(between, here, self._accuracy if last else 1e-4, 12)
+                if found is None:
+                    stride /= 2
+                else:
+                    here, done, stride = found.conductance, goal, 1.5 * stride
+                    iterations, factored = iterations + found.iterations, factored + found.factored
+            found = found and found._replace(iterations=iterations, factored=factored)
+        if found is None:
+            self._start = self._factor = None
+            raise SolverError(
+                "no cell resistances were found that give these readings; check that the design is that of the board, "
+                "and that its circuit determines the cells"
+            )
+        self._start = found.conductance
+        # What a cell adds to its own reading must stand out from what the model is uncertain by.
+        seen = found.conductance > 10 * max(found.residual, self._accuracy) * found.target
+        return found._replace(conductance=np.where(seen, found.conductance, 0.0))
+
+    def _follow(self, measured: FloatArray, conductance: FloatArray, accuracy: float, most: int) -> _Found | None:
+        """Correct ``conductance`` until its readings are the measured ones; None if it does not come to that."""
+        model, kept = self._model, self._factor
         slow = next((rate for size, rate in _SLOW if measured.size <= size and model.has_derivatives), inf)
         at_once = not model.amplified and slow < inf  # a divider's readings are far from its cells
-        unread = self._cut_off | self._shorted
-        conductance = model.apparent(measured - model.level) if self._start is None else self._start
-        conductance = np.where(unread, 0.0, conductance)
-        kept, self._start = self._factor, None
         base, change = conductance, np.zeros_like(conductance)
         factored, last, best, stalled, fresh = 0, inf, inf, 0, False
-        for iteration in range(1, _MOST_ITERATIONS + 1):
+        for iteration in range(1, most + 1):
             signal, rest = model.split(conductance)
             reading, target = model.apparent(signal), model.apparent(measured - rest)
-            reading[unread] = target[unread] = 0.0  # whatever these are, it does not tell of a cell
+            reading[self._unread] = target[self._unread] = 0.0  # whatever these are, it does not tell of a cell
             largest = np.maximum(target, reading)
             missing = target - reading
             off = np.divide(np.abs(missing), largest, out=np.zeros_like(missing), where=largest > 0)
             error = float(off.max(initial=0.0))
             stalled = stalled + 1 if error > 0.95 * best else 0
             best = min(best, error)
-            if error <= accuracy or (stalled > 3 and best <= 1e3 * accuracy):
-                self._start, self._factor = conductance, kept
-                # What a cell adds to its own reading must stand out from what the model is uncertain by.
-                seen = conductance > 10 * max(error, accuracy) * target
-                return np.where(seen, conductance, 0.0), error, iteration, factored
+            if error <= accuracy or (stalled > 3 and best <= _ROUNDING):
+                self._factor = kept
+                return _Found(conductance, target, error, iteration, factored)
             if error > last and fresh and np.abs(change).max() > 1e-6:
                 change = change / 2  # a full step of Newton's method went too far
                 conductance = base * (1.0 + change)
                 continue
             fresh = False
-            if (error > slow * last and error > 1e3 * accuracy) or (iteration == 1 and kept is None and at_once):
+            if (error > slow * last and error > _ROUNDING) or (iteration == 1 and kept is None and at_once):
                 kept, factored, fresh = _Factor.of(model, conductance), factored + 1, True
             live = (conductance > 0) & (reading > 0)
             if kept is None:
@@ -210,15 +251,10 @@ class Recoverer:
             base[(change <= -0.9) & (conductance < 1e-3 * target)] = 0.0
             base[target == 0] = 0.0
             conductance, last = base * (1.0 + change), error
-        raise SolverError(
-            f"no cell resistances were found that give these readings (the model still differs by {best:.2g} of a "
-            "reading); check that the design is that of the board, and that its circuit determines the cells"
-        )
+        return None
 
-    def _result(
-        self, conductance: FloatArray, at_limit: BoolArray, residual: float, iterations: int, factored: int
-    ) -> Recovery:
-        own = conductance
+    def _result(self, found: _Found, at_limit: BoolArray) -> Recovery:
+        conductance = own = found.conductance
         for fault in self._design.fault:
             if fault.kind == "shorted-cell" and fault.ohms > 0:
                 own = own.copy()
@@ -230,12 +266,12 @@ class Recoverer:
         status = np.where(np.isinf(resistance), Status.OPEN, Status.READ).astype(np.int8)
         lost = np.logical_and(at_limit, conductance > 0)
         # Beside a short that carries nearly all of the current, a cell is not to be seen.
-        status[~joined | (own < _LEAST_SHARE * conductance) | self._cut_off | self._shorted] = Status.HIDDEN
+        status[~joined | (own < _LEAST_SHARE * conductance) | self._unread] = Status.HIDDEN
         status[lost] = Status.SATURATED
         disturbed = self._disturbed(lost | self._cut_off) & (status == Status.READ)
         status = np.where(disturbed, Status.DISTURBED, status).astype(np.int8)
         resistance[np.isin(status, (Status.SATURATED, Status.HIDDEN))] = np.nan
-        return Recovery(resistance, status, residual, iterations, factored)
+        return Recovery(resistance, status, found.residual, found.iterations, found.factored)
 
     def _disturbed(self, unknown: BoolArray) -> BoolArray:
         """Cells whose readings depend on cells that conduct but are not known."""

@@ -261,6 +261,20 @@ def test_large_grids_with_heavy_lines(size: int) -> None:
     assert recovery.factored == 0
 
 
+@pytest.mark.parametrize(
+    ("circuit", "seed"), [("inverting-amplifier", 32), ("voltage-divider", 112), ("voltage-feedback", 125)]
+)
+def test_strongly_coupled_cells_are_found_along_a_path_of_readings(circuit: str, seed: int) -> None:
+    """From the readings taken at their word Newton's method alone does not come to these."""
+    gains = {} if circuit == "voltage-divider" else {"open_loop_gain": 1e5}
+    design, cells = real_design(seed, circuit=circuit, faults=seed % 3, largest=6, **gains)
+    cells = 1e3 * (cells / 1e3) ** 0.5
+    recovery = recover(design, scan(design, cells).volts)
+    read = recovery.status == Status.READ
+    assert read.sum() >= cells.size - 1
+    np.testing.assert_allclose(recovery.resistance[read], cells[read], rtol=1e-9)
+
+
 def test_readings_that_no_cells_give_are_refused() -> None:
     """Of four cells in a floating divider one cannot read more than the other three in series."""
     ohms = np.array([[1e3, 1e3], [1e3, 1e5]])
