@@ -155,7 +155,7 @@ class Demand(NamedTuple):
 
 
 def _worthwhile_terms(cells: FloatArray) -> int:
-    """Terms of the series that cost less than the exact method takes; at 10 x 10 ... 26 x 26."""
+    """Terms of the series that cost less than the exact method takes; at 17 x 17 ... 26 x 26."""
     return 4 if banded.LARGEST < cells.size <= 700 else 1
 
 

@@ -63,13 +63,14 @@ def test_fast_inverses_lose_nothing_cell_by_cell(
 
 def test_small_grids_by_cholesky_and_by_dissection_agree_within_both_bounds() -> None:
     rng = np.random.default_rng(4)
-    for shape in [(1, 1), (2, 3), (4, 4), (8, 8), (9, 9)]:
+    for shape in [(1, 1), (2, 3), (4, 4), (8, 8), (5, 13), (16, 16)]:
         lines, cells = lines_at_random(shape, rng, 0.3), 10 ** rng.uniform(-6, -4, shape)
         small = banded.transfer(cells, lines)
         assert small is not None
         found, error = small
         assert (np.abs(found - transfer_conductances(cells, lines)) <= error).all()
-        assert (error < 1e-11 * found).all()
+        assert (error < 1e-9 * found).all()
+        np.testing.assert_allclose(found, transfer_conductances(cells, lines), rtol=1e-12)
 
 
 def test_small_grids_that_cholesky_would_spoil_are_left_to_dissection(monkeypatch: pytest.MonkeyPatch) -> None:
