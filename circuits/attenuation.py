@@ -173,7 +173,8 @@ def certify(wires: Wires, cells: FloatArray, row: Ladders, column: Ladders, batc
     returned = (1.0 + relative - lowest) * (1.0 + relative - least)
     lift = over_wire.max(axis=-1)
     slack = (1.0 + relative) * _SLACK
-    lift *= (slack * endlessly(returned))[:, None]
+    factor = (slack * endlessly(returned))[:, None]
+    lift = np.multiply(lift, factor, out=lift, where=lift > 0)  # a row without cells lifts nothing, however often
     reaching *= lost
     return Attenuated(
         transfer=transfer.reshape(*batch, rows, columns),
