@@ -13,8 +13,8 @@ import pytest
 from reference import reference_volts
 
 from ohmskin import bench
+from ohmskin.bench import estimators as benchmark
 from ohmskin.bench import memory, peers
-from ohmskin.cell import benchmark
 from ohmskin.circuits import METHODS
 from ohmskin.cli import run
 from ohmskin.errors import InputError

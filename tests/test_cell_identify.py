@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel, independent, protocol, simulate
+from ohmskin.bench import independent
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel, protocol, simulate
 from ohmskin.cell.calibrate import Calibration, calibrate, run
 from ohmskin.cell.identify import fits, recovery_branches
 from ohmskin.cell.inverse import margin

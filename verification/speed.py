@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from .. import bench as measurements
-from ..cell import benchmark
+from ..bench import estimators as cost
 from .outcome import Check, Figure, Finding, Table
 from .subject import Subject
 
@@ -60,7 +60,7 @@ def solvers(_: Subject) -> Finding:
 
 def estimators(_: Subject) -> Finding:
     """S2: error and cost of every estimator on a material that none of the models describes."""
-    rows = benchmark.estimators()
+    rows = cost.estimators()
     checks = []
     for material in dict.fromkeys(row.material for row in rows):
         of = {row.estimator: row for row in rows if row.material == material}

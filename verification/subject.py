@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from ..cell import Cell
+from ..cell.material import sensitivity
 from ..circuits import Design
 
 
@@ -30,6 +29,5 @@ class Subject:
     @property
     def pressed(self) -> float:
         """ohm at equilibrium under full scale"""
-        forward = self.cell.forward((1,))
-        forward.step(1.0, np.array([self.full_scale_kpa]))
-        return float(forward.step(1e6, np.array([self.full_scale_kpa]))[0])
+        change = sensitivity(self.cell.model, self.full_scale_kpa, self.rest)
+        return self.rest * (1 + change)

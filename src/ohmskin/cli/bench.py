@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from .. import bench, tables
-from ..cell import benchmark
+from ..bench import estimators as of_cells
 
 
 class _ManyValues(click.Command):
@@ -52,8 +52,8 @@ def command(
     certified bound and memory of every method. Set OPENBLAS_NUM_THREADS=1 to compare on one thread.
     """
     if estimators:
-        judged = benchmark.estimators()
-        click.echo(json.dumps([asdict(row) for row in judged], indent=1) if as_json else benchmark.table(judged))
+        judged = of_cells.estimators()
+        click.echo(json.dumps([asdict(row) for row in judged], indent=1) if as_json else of_cells.table(judged))
         return
     rows = list(bench.measure(sizes, segments, memory=memory, peers=peers))
     if picture is not None:

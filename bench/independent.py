@@ -1,4 +1,4 @@
-"""A material that none of the models in this room describes, to judge estimators by.
+"""A material that none of the product's models describes, to judge estimators by.
 
 Hysteresis is a Preisach ensemble of relays, creep a fractional one (a power law of time, no time constant at all).
 Nothing here is shared with the forward models or the estimators.
@@ -7,9 +7,10 @@ Nothing here is shared with the forward models or the estimators.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import fftconvolve
 
-from .lag import FloatArray
+FloatArray = NDArray[np.float64]
 
 
 def preisach(load: FloatArray, rng: np.random.Generator, *, relays: int = 400) -> FloatArray:

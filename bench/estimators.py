@@ -1,6 +1,6 @@
 """Speed against error of the estimators, on a material that none of the models describes.
 
-``python -m ohmskin.cell.benchmark`` prints the table.
+``ohmskin bench --estimators`` prints the table.
 """
 
 from __future__ import annotations
@@ -10,13 +10,13 @@ from time import perf_counter
 
 import numpy as np
 
+from ..cell import ESTIMATORS, Cell
+from ..cell.calibrate import calibrate, run
+from ..cell.protocol import load as protocol_load
+from ..cell.recording import checked
 from ..errors import InputError
 from . import independent
-from .calibrate import calibrate, run
-from .cell import ESTIMATORS, Cell
-from .lag import FloatArray
-from .protocol import load as protocol_load
-from .recording import checked
+from .independent import FloatArray
 
 
 @dataclass(frozen=True)
@@ -96,6 +96,3 @@ def _cost(cell: Cell, name: str, moving: FloatArray, dt_s: float) -> float:
         spent.append(perf_counter() - start)
     return 1e6 * float(np.median(spent[3:])) / int(moving.shape[1])
 
-
-if __name__ == "__main__":
-    print(table(estimators()))
