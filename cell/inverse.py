@@ -16,6 +16,9 @@ from .forward import as_m10
 from .lag import FloatArray
 from .models import AsymmetricModel, M10Model
 
+ACCURACY = 1e-10
+"""of r, to which a step with a change-over is solved"""
+
 
 def margin(model: AsymmetricModel | M10Model, full_scale_kpa: float) -> float:
     """Least slope dr/ds of a fast step, over the slope at equilibrium; positive where the inverse is unique.
@@ -127,16 +130,16 @@ class InverseEstimator(Estimator):
             width = 2 * width
             low, high = np.where(f_low > 0, low - width, low), np.where(f_high < 0, high + width, high)
             f_low, f_high = excess(low), excess(high)
-        s = guess
+        s, f = guess, excess(guess)
         for _ in range(60):
-            share = np.divide(f_low, f_low - f_high, out=np.full_like(s, 0.5), where=f_low != f_high)
-            s = low + (high - low) * np.clip(share, 0, 1)
-            f = excess(s)
-            if np.abs(f).max() < 1e-13:
+            if np.abs(f).max() < ACCURACY:
                 break
             above = f > 0
             f_low, f_high = np.where(above, 0.5 * f_low, f), np.where(above, f, 0.5 * f_high)
             low, high = np.where(above, low, s), np.where(above, s, high)
+            share = np.divide(f_low, f_low - f_high, out=np.full_like(s, 0.5), where=f_low != f_high)
+            s = low + (high - low) * np.clip(share, 0, 1)
+            f = excess(s)
         return s
 
 
