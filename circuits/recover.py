@@ -38,7 +38,9 @@ from .sensitivity import LARGEST, sensitivity
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-_MOST_ITERATIONS = 200
+# By number of cells: error that may be left of each iteration's before the derivatives are factored (anew), and most
+# iterations. A factorisation costs as much as 5 evaluations of an 8 x 8, 30 of a 32 x 32 and 300 of a 64 x 64.
+_PATIENCE = ((16 * 16, 0.03, 40), (32 * 32, 0.5, 60), (LARGEST, 0.9, 200))
 _ROUNDING = 1e-8  # residual below which progress may end by rounding alone, not by a bad direction
 _LEAST_STRIDE = 1e-3  # along a path of readings
 _LEAST_SHARE = 1e-9  # of a place's current that a cell beside a known short must carry
@@ -157,6 +159,9 @@ class Recoverer:
             )
         )
         self._by_columns = _columns_are_independent(design)
+        cells = design.array.rows * design.array.columns
+        patience = (limits[1:] for limits in _PATIENCE if cells <= limits[0] and self._model.has_derivatives)
+        self._slow, self._most = next(patience, (inf, 200))
         self._start: FloatArray | None = None
         self._factor: _Factor | None = None
 
@@ -184,10 +189,10 @@ class Recoverer:
         """Directly or, where that leads nowhere, along a path of readings from a known frame to the measured one."""
         model, start = self._model, self._start
         apparent = np.where(self._unread, 0.0, model.apparent(measured - model.level))
-        found = self._follow(measured, apparent if start is None else start, self._accuracy, _MOST_ITERATIONS)
+        found = self._follow(measured, apparent if start is None else start, self._accuracy, self._most)
         if found is None and start is not None:
             self._factor = None
-            found = self._follow(measured, apparent, self._accuracy, _MOST_ITERATIONS)
+            found = self._follow(measured, apparent, self._accuracy, self._most)
         if found is None:
             signal, rest = model.split(apparent)
             origin, here, done, stride, iterations, factored = signal + rest, apparent, 0.0, 0.25, 0, 0
@@ -216,7 +221,7 @@ class Recoverer:
     def _follow(self, measured: FloatArray, conductance: FloatArray, accuracy: float, most: int) -> _Found | None:
         """Correct ``conductance`` until its readings are the measured ones; None if it does not come to that."""
         model, kept = self._model, self._factor
-        slow = next((rate for size, rate in _SLOW if measured.size <= size and model.has_derivatives), inf)
+        slow = self._slow
         at_once = not model.amplified and slow < inf  # a divider's readings are far from its cells
         base, change = conductance, np.zeros_like(conductance)
         factored, last, best, stalled, fresh = 0, inf, inf, 0, False

@@ -20,7 +20,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from ..errors import InputError
+from ..errors import InputError, SolverError
 from .design import Design
 from .grid import exact_ports, grid_network
 from .parts import Parts, siemens
@@ -79,6 +79,7 @@ def sensitivity(design: Design, resistance: ArrayLike) -> Sensitivity:
 
     Raises:
         InputError: the cells do not fit, the sheet is continuous or the array too large.
+        SolverError: parts of so many decades that the factorisation breaks down.
 
     """
     cells = design.resistance(resistance)
@@ -157,12 +158,18 @@ class _Fields(NamedTuple):
             loose[np.flatnonzero(adrift)[np.unique(island[adrift], return_index=True)[1]]] = 1.0
             total = np.asarray(graph.sum(axis=1)).ravel() + loose
             matrix = (coo_array((total, (np.arange(size), np.arange(size))), shape=(size, size)) - graph).tocsc()
-            factor = splu(
-                matrix[inner][:, inner],
-                permc_spec="MMD_AT_PLUS_A",
-                diag_pivot_thresh=0.0,
-                options={"SymmetricMode": True},
-            )
+            try:
+                factor = splu(
+                    matrix[inner][:, inner],
+                    permc_spec="MMD_AT_PLUS_A",
+                    diag_pivot_thresh=0.0,
+                    options={"SymmetricMode": True},
+                )
+            except RuntimeError as error:  # SuperLU's word for a singular matrix
+                raise SolverError(
+                    "the grid's parts span too many decades for sensitivities; give the smallest resistances as 0, or "
+                    "the largest as inf"
+                ) from error
             potential[inner] = factor.solve(graph[inner][:, port].toarray())
         first, second = potential[node[network.ends[cell_at:]]].transpose(1, 2, 0)
         drops, siemens_at = first - second, conductance[cell_at:]
