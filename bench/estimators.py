@@ -95,4 +95,3 @@ def _cost(cell: Cell, name: str, moving: FloatArray, dt_s: float) -> float:
         estimator.update(n * dt_s, frame)
         spent.append(perf_counter() - start)
     return 1e6 * float(np.median(spent[3:])) / int(moving.shape[1])
-
