@@ -35,6 +35,8 @@ def terms(conductance: FloatArray, wires: Wires | None) -> Iterator[Attenuated]:
     yield known
     if rows * conductance.size > LARGEST:
         return
+    if known.returned >= 1.0:
+        return  # nothing is left of the drive somewhere: ladders say no more about these lines
     along_row = _impedance(row)  # (N, M, M)
     along_column = _impedance(column)[:, ::-1, ::-1]  # (M, N, N), now from row 0 on
     profile, gain = row.profile.T, column.profile[::-1]
