@@ -8,12 +8,12 @@ from scipy import signal
 
 from ..cell import Cell, ContactModel, PaperModel
 from ..cell.identify import recovery_branches
-from ..circuits import Design
+from ..circuits import Design, apparent_resistance, scan_batch
 from ..errors import InputError
 from . import plots
 from .outcome import Check, Figure, Finding, Table
 from .subject import Subject
-from .variants import apparent
+from .variants import converted
 
 FloatArray = NDArray[np.float64]
 
@@ -397,11 +397,9 @@ def _release(subject: Subject) -> tuple[FloatArray, FloatArray]:
 
 
 def _through_readout(design: Design, rest: float, ohms: FloatArray) -> FloatArray:
-    """What the design reads of one cell with this history, among cells at rest."""
+    """What the design reads of one cell with this history (samples,), among cells at rest."""
     place = (design.array.rows // 2, design.array.columns // 2)
-    read = []
-    for value in ohms:
-        cells = np.full(design.array.shape, rest)
-        cells[place] = value
-        read.append(apparent(design, cells)[place])
-    return np.array(read)
+    cells = np.full((len(ohms), *design.array.shape), rest)
+    cells[:, *place] = ohms
+    volts = scan_batch(design, cells, method="exact").volts
+    return apparent_resistance(design, converted(design, volts))[:, *place]

@@ -18,7 +18,7 @@ FloatArray = NDArray[np.float64]
 
 KNOWN = 0.015  # the fraction that the paper chose, and that the shipped example cell stands for
 FRACTIONS = np.array([0.0112, 0.0125, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05])
-LOADS = np.linspace(0.0, 1.0, 21)
+LOADS = np.linspace(0.0, 1.0, 6)
 
 
 def fraction(subject: Subject) -> Finding:
@@ -26,7 +26,7 @@ def fraction(subject: Subject) -> Finding:
     if subject.design.readout.circuit != "inverting-amplifier" or subject.design.adc is None:
         raise InputError("this study needs a design with inverting amplifiers and an [adc]")
     law = Percolation(KNOWN, subject.rest, subject.pressed / subject.rest - 1)
-    fine = np.geomspace(FRACTIONS[0], FRACTIONS[-1], 60)
+    fine = np.geomspace(FRACTIONS[0], FRACTIONS[-1], 30)
     fixed, chosen = (np.array([_resolution(subject, law, f, choose=choose) for f in fine]) for choose in (False, True))
     eight, free = (
         np.array([_resolution(subject, law, f, choose=choose) for f in FRACTIONS]) for choose in (False, True)
