@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import inf
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ from ..errors import InputError, SolverError
 from . import banded
 from .attenuation import Attenuated, Wires, attenuate
 from .design import Design
+from .effects import Effect, effects
 from .exact import Transfer, exact_transfer, few_ulp, read_exactly
 from .linear import LinearReadout
 from .parts import Parts, cell_conductance
@@ -44,6 +45,14 @@ class ScanResult:
     """certified bound on the error of ``volts``, relative to the largest \\|volt\\|"""
     seconds: float
     """wall time of the solve"""
+    design: Design = field(repr=False)
+    cells: FloatArray = field(repr=False)
+    """(rows, columns) ohm that were read"""
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """What was modelled, and what was left out, each with its size to first order; worked out when asked for."""
+        return effects(self.design, self.cells)
 
 
 def scan(
@@ -91,6 +100,8 @@ def solve(design: Design, cells: FloatArray, tolerance: float | None, method: st
         method=answer.method,
         error_bound=relative(answer.error, volts),
         seconds=seconds,
+        design=design,
+        cells=cells,
     )
 
 

@@ -151,6 +151,16 @@ def test_output_replaces_a_file_but_nothing_else(folder: Path, capsys: pytest.Ca
     assert run([*scanning, "/dev/stdout"]) == 0
 
 
+def test_effects_are_listed_with_their_size(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["scan", "design.toml", "--cells", "cells.csv", "--effects"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (lead,) = [line for line in lines if "modelled" in line]
+    assert lead.startswith("row_lead")
+    result = scan(Design.load("design.toml"), np.array([[1e4, 2e4, np.inf], [1e4, 1e4, 5e3]]))
+    assert [effect.modelled for effect in result.effects].count(True) == 1
+    assert len(lines) == len(result.effects)
+
+
 def test_saturated_outputs_are_not_silent(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "design.toml").write_text(DESIGN + "supply = [0.0, 0.15]\n")
     assert run(["scan", "design.toml", "--cells", "cells.csv"]) == 0

@@ -30,6 +30,7 @@ from ..circuits.scan import METHODS
 @click.option("--tolerance", type=float, metavar="REL", help="Largest error accepted, relative to the largest output.")
 @click.option("--readout", type=click.Choice(CIRCUITS), help="Read with this circuit instead of the design's.")
 @click.option("-o", "--output", metavar="OUT.csv", help="Write the N x M apparent resistances here.")
+@click.option("--effects", is_flag=True, help="Print what was modelled and what was left out, with its size.")
 @click.option("--json", "as_json", is_flag=True, help="Print volts, resistance, method, error bound and time as JSON.")
 def command(
     design_file: Path,
@@ -38,6 +39,7 @@ def command(
     tolerance: float | None,
     readout: str | None,
     output: str | None,
+    effects: bool,
     as_json: bool,
 ) -> None:
     """Read one frame of cell resistances through the readout of DESIGN.toml."""
@@ -61,6 +63,11 @@ def command(
             "seconds": result.seconds,
         }
         click.echo(json.dumps(_null_where_infinite(values), allow_nan=False))
+    elif effects:
+        for effect in result.effects:
+            share = "" if effect.estimate is None else f"{100 * effect.estimate:.3g} % of a signal"
+            state = "modelled" if effect.modelled else "left out"
+            click.echo(f"{effect.name:<32} {state}  {share:<26} {effect.basis}".rstrip())
     elif output is None:
         click.echo(tables.format_matrix(result.resistance), nl=False)
 
