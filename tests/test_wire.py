@@ -52,7 +52,11 @@ sequences = st.integers(0, 2**32 - 1)
 times = st.integers(0, 2**64 - 1)
 texts = st.text(st.characters(codec="utf-8"), max_size=20)
 json_values = st.recursive(
-    st.none() | st.booleans() | st.integers(-(2**53), 2**53) | st.floats(allow_nan=False) | texts,
+    st.none()
+    | st.booleans()
+    | st.integers(-(2**53), 2**53)
+    | st.floats(allow_nan=False)
+    | texts.filter(lambda text: text not in {"Infinity", "-Infinity"}),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(texts, inner, max_size=3),
     max_leaves=8,
 )
@@ -240,6 +244,13 @@ def test_unknown_flags_and_unknown_data_are_left_unread() -> None:
     assert frame == FramePacket(3, 0, 1, 1, b"\5\0", Flag.OVERRUN)
     sheet = decode(raw(0x02, SHEET[:-1] + b',"colour":"red"}'))
     assert sheet == DescriptionPacket(0, 0, "A1", "0.1.0", {}, {})
+
+
+def test_the_text_of_an_infinity_is_a_number_in_tables_alone() -> None:
+    name = DescriptionPacket(0, 0, "Infinity", "-Infinity", {}, {})
+    assert Decoder().feed(encode(name)) == [name]
+    with pytest.raises(InputError, match="stands for a number"):
+        encode(DescriptionPacket(0, 0, "", "", {"a": ["Infinity"]}, {}))
 
 
 def test_infinite_values_of_ideal_parts_travel_as_text() -> None:

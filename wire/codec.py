@@ -152,25 +152,27 @@ def _read_frame(sequence: int, time_us: int, payload: bytes) -> FramePacket:
 
 
 def _write_sheet(packet: DescriptionPacket) -> bytes:
-    sheet = {
+    sheet: dict[str, Any] = {
         "serial_number": packet.serial_number,
         "firmware": packet.firmware,
-        "design": packet.design,
-        "cell": packet.cell,
     }
     try:
-        return json.dumps(_without_infinity(sheet), allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
+        sheet |= {"design": _without_infinity(packet.design), "cell": _without_infinity(packet.cell)}
+        return json.dumps(sheet, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
     except (TypeError, ValueError) as error:
         raise InputError(f"a data sheet that is not JSON: {error}") from error
 
 
 def _read_sheet(sequence: int, time_us: int, payload: bytes) -> DescriptionPacket:
     try:
-        sheet = _with_infinity(json.loads(payload.decode(), parse_constant=_refuse_constant))
+        sheet = json.loads(payload.decode(), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
         raise ProtocolError(f"description is not JSON: {error}") from error
     entries = {"serial_number": str, "firmware": str, "design": dict, "cell": dict}
-    return DescriptionPacket(sequence, time_us, **{key: _entry(sheet, key, kind) for key, kind in entries.items()})
+    found = {key: _entry(sheet, key, kind) for key, kind in entries.items()}
+    return DescriptionPacket(
+        sequence, time_us, **found | {key: _with_infinity(found[key]) for key in ("design", "cell")}
+    )
 
 
 def _entry(sheet: Any, key: str, kind: type) -> Any:
@@ -193,6 +195,8 @@ def _without_infinity(value: Any) -> Any:
             return [_without_infinity(item) for item in value]
         case float():
             return _INFINITIES.get(value, value)
+        case str() if value in _TEXTS:
+            raise ValueError(f"the text {value!r} stands for a number")
     return value
 
 
