@@ -166,13 +166,12 @@ def _write_sheet(packet: DescriptionPacket) -> bytes:
 def _read_sheet(sequence: int, time_us: int, payload: bytes) -> DescriptionPacket:
     try:
         sheet = json.loads(payload.decode(), parse_constant=_refuse_constant)
+        entries = {"serial_number": str, "firmware": str, "design": dict, "cell": dict}
+        found = {key: _entry(sheet, key, kind) for key, kind in entries.items()}
+        found |= {key: _with_infinity(found[key]) for key in ("design", "cell")}
     except (ValueError, RecursionError) as error:
         raise ProtocolError(f"description is not JSON: {error}") from error
-    entries = {"serial_number": str, "firmware": str, "design": dict, "cell": dict}
-    found = {key: _entry(sheet, key, kind) for key, kind in entries.items()}
-    return DescriptionPacket(
-        sequence, time_us, **found | {key: _with_infinity(found[key]) for key in ("design", "cell")}
-    )
+    return DescriptionPacket(sequence, time_us, **found)
 
 
 def _entry(sheet: Any, key: str, kind: type) -> Any:
