@@ -224,7 +224,11 @@ def test_one_changed_byte_never_passes_for_a_packet(packet: Packet, data: st.Dat
         (raw(0x02, b"{"), "description is not JSON"),
         (raw(0x02, b"\xff"), "description is not JSON"),
         (raw(0x02, b"[" * 200_000), "description is not JSON"),
-        (raw(0x02, b"[" * 900 + b"]" * 900), "description is not JSON"),
+        (raw(0x02, b"[" * 900 + b"]" * 900), "description without 'serial_number'"),
+        (
+            raw(0x02, SHEET.replace(b"{}", b'{"a":' + b"[" * 990 + b"]" * 990 + b"}", 1)),
+            "description is not JSON: maximum recursion",
+        ),
         (raw(0x02, SHEET.replace(b"{}", b'{"a":NaN}')), "description is not JSON: NaN is not a JSON number"),
         (raw(0x02, b"[]"), "description without 'serial_number' (text expected)"),
         (raw(0x02, SHEET.replace(b"{}", b"1", 1)), "description without 'design' (object expected)"),
