@@ -55,7 +55,7 @@ def picture(rows: Sequence[Row]) -> str:
     segments = list(dict.fromkeys(row.segment for row in rows))
     shown = [row for row in rows if row.seconds and row.error is not None]
     with mpl.rc_context({"svg.hashsalt": "ohmskin", "font.size": 9.0, "svg.fonttype": "path"}):
-        figure = Figure(figsize=(5.2 * len(segments), 4.6), layout="constrained")
+        figure = Figure(figsize=(1.9 + 4.6 * len(segments), 3.6), layout="constrained")
         panels = figure.subplots(1, len(segments), squeeze=False, sharey=True)[0]
         for panel, segment in zip(panels, segments, strict=True):
             for method in dict.fromkeys(row.method for row in shown):
@@ -73,7 +73,7 @@ def picture(rows: Sequence[Row]) -> str:
             panel.set(xscale="log", yscale="log", xlabel="time per frame / ms", title=f"{segment:g} ohm per segment")
             panel.grid(color="#e5e7eb", lw=0.6)
         panels[0].set_ylabel("worst error of a reading, relative to it")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", frameon=False, fontsize=8)
         text = io.StringIO()
         figure.savefig(text, format="svg", metadata={"Date": None})
     return text.getvalue()
