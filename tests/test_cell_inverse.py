@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import brentq
 
-from ohmskin.cell import AsymmetricModel, Cell, M10Model, inverse
+from ohmskin.cell import AsymmetricModel, Cell, M10Model, inverse, lag
 from ohmskin.errors import InputError
 
 EXAMPLE = Cell.example()
@@ -38,6 +39,56 @@ def test_the_inverse_is_exact_at_any_time_steps(model: AsymmetricModel | M10Mode
     for n in range(1, 60):
         read = forward.step(time[n] - (time[n - 1] if n > 1 else 0.0), load[n])
         assert estimator.update(time[n], read).pressure_kpa == pytest.approx(load[n], abs=1e-5)
+
+
+def bracketed(model: M10Model, dt: float, readings: np.ndarray) -> np.ndarray:
+    """The load of one cell at readings r, each step's equation solved by a root finder that knows only its sign."""
+    slope = model.a + model.alpha1 + model.alpha2
+    s = brentq(lambda load: model.b * load**2 + slope * load - readings[0], -2, 2, xtol=1e-15)
+    x, broken, loads = np.array([model.alpha1 * s, model.alpha2 * s]), 0.0, [s]
+    alpha = np.array([model.alpha1, model.alpha2])
+    rise, fall = np.array([model.rise1_s, model.rise2_s]), np.array([model.fall1_s, model.fall2_s])
+    gone, ramp = lag.weights(dt, model.tau_s)
+
+    def after(load: float) -> tuple[np.ndarray, float]:
+        moved = float(broken * (1 - gone) + model.k * abs(load - s) * (1 - ramp))
+        return lag.asymmetric(x, alpha * s, alpha * load, dt, rise, fall), moved
+
+    def excess(load: float, r: float) -> float:
+        branches, moved = after(load)
+        return float(model.a * load + model.b * load**2 + branches.sum() + moved - r)
+
+    for r in readings[1:]:
+        found = brentq(excess, s - 2, s + 2, args=(r,), xtol=1e-15)
+        x, broken = after(found)
+        s = found
+        loads.append(s)
+    return np.array(loads)
+
+
+REVERSED = M10Model(a=0.5, b=-0.1, alpha1=0.3, rise1_s=4, fall1_s=0.3, alpha2=0.1, fall2_s=90, k=0.1, tau_s=20)
+
+
+@pytest.mark.parametrize("dt", [1e-3, 0.05, 2.0])
+@pytest.mark.parametrize("model", [SAFE, WIDE, CANCELLING, REVERSED], ids=["m10", "wide", "cancel", "reversed"])
+def test_noise_that_turns_branches_in_every_sample_costs_no_accuracy(model: M10Model, dt: float) -> None:
+    """Noisy readings against bracketing, sample by sample: 1e-9 of full scale."""
+    rng = np.random.default_rng(9)
+    readings = 0.4 * np.sin(np.arange(120) / 15)[:, None] ** 2 + 0.005 * rng.standard_normal((120, 3))
+    estimator = cell_of(model).estimator((3,), "inverse")
+    rest = EXAMPLE.rest_resistance_ohm
+    found = np.stack([estimator.update(n * dt, rest * (1 + r)).pressure_kpa for n, r in enumerate(readings)])
+    for cell in range(3):
+        expected = 15.5 * bracketed(model, dt, readings[:, cell])
+        assert found[:, cell] == pytest.approx(expected, abs=15.5e-9)
+
+
+def test_a_reading_beyond_the_models_reach_stays_finite() -> None:
+    """With b < 0 the resistance has a top; above it there is no load, and the next readings are answered again."""
+    estimator = cell_of(SAFE).estimator((), "inverse")
+    rest = EXAMPLE.rest_resistance_ohm
+    for n, r in enumerate([0.0, 0.1, 0.05, 50.0, 40.0, 0.2, 0.1, 0.0]):
+        assert np.isfinite(estimator.update(n * 0.05, rest * (1 + r)).pressure_kpa)
 
 
 def test_an_ambiguous_cell_is_refused() -> None:
