@@ -293,7 +293,7 @@ class Design(Section):
 
         """
         try:
-            resistance = np.asarray(cells, dtype=np.float64)
+            resistance = np.array(cells, dtype=np.float64)  # a copy: results refer to it later
         except (TypeError, ValueError) as error:
             raise InputError(f"cell resistances are not numbers: {error}") from error
         if resistance.shape != self.array.shape:

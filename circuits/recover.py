@@ -41,6 +41,7 @@ BoolArray = NDArray[np.bool_]
 # By number of cells: error that may be left of each iteration's before the derivatives are factored (anew), and most
 # iterations. A factorisation costs as much as 5 evaluations of an 8 x 8, 30 of a 32 x 32 and 300 of a 64 x 64.
 _PATIENCE = ((16 * 16, 0.03, 40), (32 * 32, 0.5, 60), (LARGEST, 0.9, 200))
+_NOTHING = 1e-13  # of the largest apparent conductance: smaller ones are rounding
 _ROUNDING = 1e-8  # residual below which progress may end by rounding alone, not by a bad direction
 _LEAST_STRIDE = 1e-3  # along a path of readings
 _LEAST_SHARE = 1e-9  # of a place's current that a cell beside a known short must carry
@@ -173,10 +174,14 @@ class Recoverer:
             at_limit = at_limit | np.asarray(clipped, dtype=np.bool_)
         if self._by_columns:
             conductance = _column_conductance(self._design, measured)
+            unknown = np.isnan(conductance)
+            conductance[unknown] = 0.0
             found = _Found(conductance, conductance, 0.0, 0, 0)
         else:
-            found = self._iterate(measured)
-        return self._result(found, at_limit)
+            found, unknown = self._iterate(measured), np.zeros(measured.shape, dtype=np.bool_)
+        # At a limit without any signal stands the output of an open cell, on a board that reads down to its reference.
+        signal = np.abs(measured - self._design.readout.reference_voltage) > 1e-9 * abs(self._design.drive.voltage)
+        return self._result(found, (at_limit & (signal | (found.conductance > 0))) | unknown)
 
     def _at_limit(self, measured: FloatArray) -> BoolArray:
         if self._design.readout.circuit == "voltage-divider":  # no amplifier, no limit
@@ -231,11 +236,13 @@ class Recoverer:
             reading[self._unread] = target[self._unread] = 0.0  # whatever these are, it does not tell of a cell
             largest = np.maximum(target, reading)
             missing = target - reading
-            off = np.divide(np.abs(missing), largest, out=np.zeros_like(missing), where=largest > 0)
+            # What is below rounding of the largest reading tells nothing, and an open cell cannot give less than none.
+            telling = (largest > _NOTHING * largest.max(initial=0.0)) & ((target > 0) | (conductance > 0))
+            off = np.divide(np.abs(missing), largest, out=np.zeros_like(missing), where=telling)
             error = float(off.max(initial=0.0))
             stalled = stalled + 1 if error > 0.95 * best else 0
             best = min(best, error)
-            if error <= accuracy or (stalled > 3 and best <= _ROUNDING):
+            if error <= accuracy or (stalled > 3 and error <= _ROUNDING):
                 self._factor = kept
                 return _Found(conductance, target, error, iteration, factored)
             if error > last and fresh and np.abs(change).max() > 1e-6:
@@ -258,7 +265,8 @@ class Recoverer:
             conductance, last = base * (1.0 + change), error
         return None
 
-    def _result(self, found: _Found, at_limit: BoolArray) -> Recovery:
+    def _result(self, found: _Found, lost: BoolArray) -> Recovery:
+        """``lost``: whose readings do not tell their resistance."""
         conductance = own = found.conductance
         for fault in self._design.fault:
             if fault.kind == "shorted-cell" and fault.ohms > 0:
@@ -269,7 +277,6 @@ class Recoverer:
         joined = np.isfinite(self._series)
         resistance = np.where(joined, np.maximum(resistance - np.where(joined, self._series, 0.0), 0.0), inf)
         status = np.where(np.isinf(resistance), Status.OPEN, Status.READ).astype(np.int8)
-        lost = np.logical_and(at_limit, conductance > 0)
         # Beside a short that carries nearly all of the current, a cell is not to be seen.
         status[~joined | (own < _LEAST_SHARE * conductance) | self._unread] = Status.HIDDEN
         status[lost] = Status.SATURATED
@@ -423,7 +430,8 @@ def _columns_are_independent(design: Design) -> bool:
 
 
 def _column_conductance(design: Design, measured: FloatArray) -> FloatArray:
-    """Conductances (N, M) in S where columns are independent, 0 where no current is left for a cell.
+    """Conductances (N, M) in S where columns are independent, 0 where no current is left for a cell, NaN in columns
+    whose readings do not determine them.
 
     An output gives its column's current i and the potential w that its cells end at. With the selected row at the
     drive and the others at the reference, ``i = G drive - w sum(G)``; the sum follows from the sum over the rows.
@@ -434,12 +442,15 @@ def _column_conductance(design: Design, measured: FloatArray) -> FloatArray:
     input_at = parts.offset - measured / parts.gain
     broken = np.isinf(parts.column_lead)
     column = input_at + np.where(broken, 0.0, parts.column_lead) * current
-    total = current.sum(axis=0) / (drive - column.sum(axis=0))
-    conductance = (current + total * column) / drive
+    left = drive - column.sum(axis=0)
+    # A short holds its column at the drive: then nothing is left that would tell of the column's cells.
+    left[np.abs(left) <= 1e-9 * (abs(drive) + np.abs(column).sum(axis=0))] = np.nan
+    total = current.sum(axis=0) / left
+    conductance: FloatArray = (current + total * column) / drive
     noise = np.abs(measured) + np.abs(level) + np.abs(parts.offset) + np.abs(parts.reference * parts.bias)
     floor = 8 * np.finfo(np.float64).eps * noise / (parts.reference * abs(drive))
-    result: FloatArray = np.where((conductance > floor) & ~broken, conductance, 0.0)
-    return result
+    conductance[(conductance <= floor) | broken] = 0.0
+    return conductance
 
 
 def _checked(design: Design, volts: ArrayLike) -> FloatArray:

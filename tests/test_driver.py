@@ -133,6 +133,33 @@ def test_an_open_cell_disturbs_no_other() -> None:
     np.testing.assert_allclose(reading.resistance[reading.valid], 1e4, rtol=1e-3)
 
 
+@pytest.mark.parametrize("drive", [1.0, -1.0])
+@pytest.mark.parametrize("lead", [1.0, 25.0])
+@pytest.mark.parametrize("weak", [np.inf, 1e7])
+def test_a_faint_cell_costs_no_other_with_a_reference_in_mid_supply(drive: float, lead: float, weak: float) -> None:
+    """Its code may lie on the wrong side of the reference: no current is less than none."""
+    board = design(
+        array={"rows": 4, "columns": 4, "row_lead": lead, "column_lead": lead},
+        drive={"voltage": drive},
+        readout={
+            "circuit": "inverting-amplifier",
+            "reference_resistance": 1e3,
+            "reference_voltage": 1.65,
+            "supply": [0.0, 3.3],
+        },
+    )
+    cells = np.full((4, 4), 1e4)
+    cells[3, 3] = weak
+    volts, noise = scan(board, cells).volts, np.random.default_rng(4)
+    assert board.adc is not None
+    read = CountReader(board)
+    for _ in range(20):
+        reading = read(adc_codes(board, volts + noise.normal(scale=board.adc.step / 2, size=volts.shape)))
+        assert reading.solved
+        assert reading.valid.ravel()[:-1].all()
+        np.testing.assert_allclose(reading.resistance.ravel()[:-1], 1e4, rtol=0.03)
+
+
 def test_readings_that_no_cells_can_give_are_counted_and_not_valid() -> None:
     """Every cell at once near the most that a floating divider can show is beyond what its grid can do."""
     loaded = design(

@@ -304,3 +304,27 @@ def test_lines_bridged_by_nothing_do_not_determine_their_cells() -> None:
 def test_bad_readings_are_refused_by_name(volts: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         recover(amplifier(2, 2), volts)
+
+
+@pytest.mark.parametrize("cell", [18523.900393732307, 1e4, 2.2e4])
+@pytest.mark.parametrize("offset", [1e-3, -1e-3, 1.7e-4])
+@pytest.mark.parametrize("drive", [1.0, -1.0])
+def test_an_open_cell_does_not_hide_its_neighbour(cell: float, offset: float, drive: float) -> None:
+    """What the offset leaves of an open cell's reading is rounding, of either sign."""
+    base = amplifier(2, 1, lead=1.0, offset_voltage=offset)
+    design = base.model_copy(update={"drive": base.drive.model_copy(update={"voltage": drive})})
+    cells = np.array([[cell], [np.inf]])
+    found = recover(design, scan(design, cells).volts)
+    np.testing.assert_allclose(found.resistance, cells, rtol=1e-9)
+    assert found.status.ravel().tolist() == [Status.READ, Status.OPEN]
+
+
+def test_a_complete_short_is_never_called_open() -> None:
+    """It holds its column at the drive: of the column nothing else is left to read."""
+    design = amplifier(4, 2, open_loop_gain=1e3, offset_voltage=1e-3)
+    cells = np.full((4, 2), 5e3)
+    cells[0, 0] = 0.0
+    found = recover(design, scan(design, cells).volts)
+    assert (found.status != Status.OPEN).all()
+    assert np.isnan(found.resistance[0, 0])
+    np.testing.assert_allclose(found.resistance[1:, 1], 5e3, rtol=1e-9)

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from designs import divider
 
+from ohmskin.cell import Cell
 from ohmskin.circuits import Design, spice
 from ohmskin.cli import run
 from ohmskin.emulator import PtyPort, Scene, Stop, emulate
@@ -22,8 +23,10 @@ from ohmskin.emulator.scene import Skin as SkinSettings
 from ohmskin.errors import MissingExtra
 from ohmskin.verification import prototype, verify
 from ohmskin.verification.claims import APPENDICES, STATEMENTS
+from ohmskin.verification.material import recovery_times
 from ohmskin.verification.outcome import Check, Finding, Outcome, not_run, worst
-from ohmskin.verification.variants import change, replaced
+from ohmskin.verification.subject import Subject
+from ohmskin.verification.variants import change, replaced, worst_reading_error
 
 
 @pytest.mark.parametrize(
@@ -202,6 +205,24 @@ def _all_but_one(design: Design) -> tuple[np.ndarray, np.ndarray]:
     pressed = np.full(design.array.shape, 17.75e3)
     pressed[1, 2] = 10e3
     return rest, pressed
+
+
+@pytest.mark.parametrize("fault", [{"offset_voltage": 0.2}, {"gain_error": 0.2}, {"inl_steps": 300.0}])
+def test_the_converters_own_errors_count(fault: dict[str, float]) -> None:
+    design = prototype()
+    cells = np.full(design.array.shape, 10e3)
+    assert worst_reading_error(design, cells) < 5.0
+    assert worst_reading_error(replaced(design, "adc", **fault), cells) > 7.0
+    assert worst_reading_error(replaced(design, "adc", range=(0.0, 1.0)), cells) == math.inf
+
+
+@pytest.mark.parametrize("full_scale_kpa", [7.75, 62.0])
+def test_recovery_times_do_not_depend_on_the_unit_of_load(full_scale_kpa: float) -> None:
+    one, other = (
+        recovery_times(Subject(prototype(), Cell.example().model_copy(update={"full_scale_kpa": full})))
+        for full in (15.5, full_scale_kpa)
+    )
+    assert [check.measured for check in one.checks] == pytest.approx([check.measured for check in other.checks])
 
 
 def test_what_does_not_concern_the_divider_does_not_change_its_claim(only: Callable[..., None]) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..cell.percolation import Percolation
-from ..circuits import Design, scan
+from ..circuits import Design, adc_codes, clipped, scan
 from ..circuits.noise import noise
 from ..errors import InputError
 from . import plots
@@ -95,7 +95,7 @@ def _shown(sigma: float) -> str:
 
 
 def _resolution(subject: Subject, law: Percolation, f: float, *, choose: bool) -> float:
-    """Standard deviation of one reading in % of full scale pressure, at the worst load; NaN where an output saturates.
+    """Standard deviation of one reading in % of full scale pressure, at the worst load; NaN where a reading saturates.
 
     With ``choose`` the reference resistor is scaled with R0, which keeps the output at rest where it is.
     """
@@ -106,13 +106,15 @@ def _resolution(subject: Subject, law: Percolation, f: float, *, choose: bool) -
         value = tuple(reference.tolist()) if reference.ndim else float(reference)
         design = replaced(design, "readout", reference_resistance=value)
     slope = np.gradient(ohms, LOADS)
-    return max(_scatter(design, r, d) for r, d in zip(ohms, slope, strict=True))
+    scatter = [_scatter(design, r, d) if np.isfinite(r) else np.nan for r, d in zip(ohms, slope, strict=True)]
+    return float(np.max(scatter))  # NaN if any is
 
 
 def _scatter(design: Design, ohms: float, ohms_per_scale: float) -> float:
     """Standard deviation in % of full scale of a skin whose cells are all at ``ohms``; NaN if it saturates."""
     cells = np.full(design.array.shape, ohms)
-    if scan(design, cells, method="exact").saturated.any():
+    result = scan(design, cells, method="exact")
+    if result.saturated.any() or clipped(design, adc_codes(design, result.volts)).any():
         return float("nan")
     volts = noise(design, cells).volts
     reference = np.asarray(design.readout.reference_resistance)

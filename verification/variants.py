@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from itertools import product
+from math import inf
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..circuits import Design, adc_codes, apparent_resistance, scan, volts_of_codes
+from ..circuits import Design, adc_codes, apparent_resistance, clipped, scan, volts_of_codes
 
 FloatArray = NDArray[np.float64]
 
@@ -89,13 +90,23 @@ def worst_crosstalk(design: Design, before: FloatArray, after: FloatArray) -> fl
 
 
 def worst_reading_error(design: Design, cells: FloatArray) -> float:
-    """Largest error of an apparent resistance in %, wherever in its ADC step a reading falls; either sign of parts."""
-    half = 0.0 if design.adc is None else design.adc.step / 2
-    return max(
-        100
-        * float(
-            np.abs(apparent_resistance(variant, scan(variant, cells, method="exact").volts + shift) / cells - 1).max()
-        )
-        for variant in either_sign(design)
-        for shift in {half, -half}
-    )
+    """Largest error of an apparent resistance in %, wherever in its ADC step a reading falls; either sign of parts.
+
+    The converter's own errors count; a reading beyond its range has no bound: inf.
+    """
+    worst = 0.0
+    for variant in either_sign(design):
+        volts = scan(variant, cells, method="exact").volts
+        if variant.adc is None:
+            readings = [volts]
+        else:
+            codes = adc_codes(variant, volts)
+            if clipped(variant, codes).any():
+                return inf
+            read, half = volts_of_codes(variant, codes), variant.adc.step / 2
+            # An ideal converter's code is off by up to half a step; what this one adds to that shows in its code.
+            own = np.round((read - volts) / variant.adc.step) * variant.adc.step
+            readings = [volts + own + half, volts + own - half]
+        errors = [np.abs(apparent_resistance(variant, reading) / cells - 1).max() for reading in readings]
+        worst = max(worst, 100 * float(max(errors)))
+    return worst
