@@ -20,8 +20,11 @@ from .recording import Recording
 MOST = 10000
 """samples that are learned from; a longer recording is thinned"""
 PREFERENCE: tuple[EstimatorName, ...] = ("distilled", "paper", "inverse", "play", "static")
-WORTH = 0.8
-"""an estimator less preferred wins if its held-out error is below this share of the preferred one's"""
+WORTH = 0.6
+"""an estimator less preferred wins if its held-out error is below this share of the preferred one's: the held-out
+third has the loads of the rest, and flatters whatever was learned from those alone"""
+STATIC_WORTH = 0.9
+"""the same for the static curve, which has no memory to be misled by"""
 EXACT = 0.02
 """held-out error of a model, over the range of r, below which its inverse is trusted with any load"""
 
@@ -154,6 +157,8 @@ def _choose(percent: dict[EstimatorName, float], model_error: float) -> tuple[Es
     preferred = next(name for name in PREFERENCE if name in percent)
     best = min(percent, key=lambda name: percent[name])
     chosen = best if percent[best] < WORTH * percent[preferred] else preferred
+    if percent["static"] < STATIC_WORTH * percent[chosen]:
+        chosen = "static"
     why = ""
     for name in ("paper", "inverse"):
         if model_error < EXACT and percent.get(name, np.inf) < 2 * percent[chosen] + 0.5:
