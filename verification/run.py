@@ -29,7 +29,7 @@ def prototype() -> Design:
 def verify(
     design: Design | None = None, *, title: str | None = None, target: str = "emulated", jobs: int = 1
 ) -> Report:
-    """Run the experiments P1 to P14 on a design.
+    """Run the experiments P1 to P14 and the appendices on a design.
 
     Args:
         design: None takes :func:`prototype`.

@@ -9,16 +9,12 @@ import click
 from .. import tables
 from ..circuits import Design
 from ..circuits.netlist import netlist
+from . import arguments
 
 
 @click.command()
-@click.argument("design_file", metavar="DESIGN.toml", type=click.Path(path_type=Path))
-@click.option(
-    "--cells",
-    required=True,
-    metavar="CELLS.csv",
-    help="N lines of M resistances in ohm; inf = open, 0 = short.",
-)
+@arguments.design_file
+@arguments.cells
 @click.option("--row", required=True, type=int, metavar="I", help="The selected row, counted from 0.")
 @click.option("-o", "--output", metavar="FILE.cir", help="Write here instead of to standard output.")
 def command(design_file: Path, cells: str, row: int, output: str | None) -> None:

@@ -14,16 +14,12 @@ from .. import tables
 from ..circuits import Design, scan
 from ..circuits.design import CIRCUITS
 from ..circuits.scan import METHODS
+from . import arguments
 
 
 @click.command()
-@click.argument("design_file", metavar="DESIGN.toml", type=click.Path(path_type=Path))
-@click.option(
-    "--cells",
-    required=True,
-    metavar="CELLS.csv",
-    help="N lines of M resistances in ohm; inf = open, 0 = short.",
-)
+@arguments.design_file
+@arguments.cells
 @click.option(
     "--method", type=click.Choice(METHODS), help="Solve by this method instead of the cheapest sufficient one."
 )
