@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 
-from ..errors import MissingExtra
+from .. import plots
 from .measurement import Row
 
 _COLUMNS = ("method", "time", "worst cell", "full scale", "bound", "memory", "")
@@ -47,16 +46,10 @@ def picture(rows: Sequence[Row]) -> str:
         MissingExtra: matplotlib is not installed.
 
     """
-    try:
-        import matplotlib as mpl
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtra("the picture needs matplotlib: pip install 'ohmskin[report]'") from error
     segments = list(dict.fromkeys(row.segment for row in rows))
     shown = [row for row in rows if row.seconds and row.error is not None]
-    with mpl.rc_context({"svg.hashsalt": "ohmskin", "font.size": 9.0, "svg.fonttype": "path"}):
-        figure = Figure(figsize=(1.9 + 4.6 * len(segments), 3.6), layout="constrained")
-        panels = figure.subplots(1, len(segments), squeeze=False, sharey=True)[0]
+    with plots.drawing(1, len(segments), width=1.9 + 4.6 * len(segments), height=3.6, sharey=True) as (figure, axes):
+        panels = axes[0]
         for panel, segment in zip(panels, segments, strict=True):
             for method in dict.fromkeys(row.method for row in shown):
                 curve = sorted(
@@ -71,9 +64,6 @@ def picture(rows: Sequence[Row]) -> str:
                 for row, x, y in zip(curve, times, errors, strict=True):
                     panel.annotate(str(row.size), (x, y), textcoords="offset points", xytext=(3, 3), fontsize=6)
             panel.set(xscale="log", yscale="log", xlabel="time per frame / ms", title=f"{segment:g} ohm per segment")
-            panel.grid(color="#e5e7eb", lw=0.6)
         panels[0].set_ylabel("worst error of a reading, relative to it")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", frameon=False, fontsize=8)
-        text = io.StringIO()
-        figure.savefig(text, format="svg", metadata={"Date": None})
-    return text.getvalue()
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
+        return plots.svg(figure)

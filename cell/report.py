@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
-import os
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError, MissingExtra
+from .. import plots
+from ..files import whole_file
 from .calibrate import Calibration, run
 
 
@@ -51,11 +50,6 @@ def figure(calibration: Calibration, path: str | Path) -> None:
         MissingExtra: matplotlib is not installed.
         InputError: the file cannot be written.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtra("the figure needs matplotlib: pip install 'ohmskin[report]'") from error
-
     cell, recording = calibration.cell, calibration.recording
     time, resistance = recording.time_s, recording.resistance_ohm
     forward = cell.forward(())
@@ -63,26 +57,19 @@ def figure(calibration: Calibration, path: str | Path) -> None:
     model = np.array([float(forward.step(dt, p)) for dt, p in zip(steps, recording.pressure_kpa, strict=True)])
     pressure, _ = run(cell.estimator(()), time, resistance)
 
-    drawing = Figure(figsize=(9, 7), layout="constrained")
-    top, middle, bottom = drawing.subplots(3, 1, sharex=True)
-    top.plot(time, resistance, label="measured")
-    top.plot(time, model, label=f"model ({cell.model.kind})")
-    top.set_ylabel("resistance, ohm")
-    top.legend()
-    middle.plot(time, resistance - model)
-    middle.axhline(0, color="0.7")
-    middle.set_ylabel("residual, ohm")
-    bottom.plot(time, recording.pressure_kpa, label="applied")
-    bottom.plot(time, pressure, label=f"estimate ({cell.default_estimator})")
-    bottom.set_ylabel("pressure, kPa")
-    bottom.set_xlabel("time, s")
-    bottom.legend()
-    image = io.BytesIO()
-    drawing.savefig(image, format="png", dpi=120)
-    partial = Path(path).with_name(f".{Path(path).name}.partial-{os.getpid()}")
-    try:
-        partial.write_bytes(image.getvalue())
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    with plots.drawing(3, 1, width=9, height=7, sharex=True) as (drawing, axes):
+        top, middle, bottom = axes[:, 0]
+        top.plot(time, resistance, label="measured")
+        top.plot(time, model, label=f"model ({cell.model.kind})")
+        top.set_ylabel("resistance, ohm")
+        top.legend()
+        middle.plot(time, resistance - model)
+        middle.axhline(0, color="0.7")
+        middle.set_ylabel("residual, ohm")
+        bottom.plot(time, recording.pressure_kpa, label="applied")
+        bottom.plot(time, pressure, label=f"estimate ({cell.default_estimator})")
+        bottom.set_ylabel("pressure, kPa")
+        bottom.set_xlabel("time, s")
+        bottom.legend()
+        with whole_file(path) as file:
+            drawing.savefig(file, format="png", dpi=120, facecolor="white")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-SHARED = {"errors", "config", "files", "tables"}
+SHARED = {"errors", "config", "files", "plots", "tables"}
 MAY_IMPORT = {
     "circuits": SHARED,
     "cell": SHARED,

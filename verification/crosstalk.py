@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import plots
 from ..circuits import Array, Design, ideal_volts, scan, spice
 from ..emulator import spread
 from ..errors import MissingExtra
-from . import plots
+from .maps import heat_maps
 from .outcome import Check, Figure, Finding, Table
 from .subject import Subject
 from .variants import (
@@ -123,9 +124,7 @@ def crosstalk(subject: Subject) -> Finding:
         true = np.where(pressed, 100 * (subject.pressed / subject.rest - 1), 0.0)
         figures.append(
             Figure(
-                plots.heat_maps(
-                    {"truth": true} | seen, label="change of resistance / %", limit=true.max(), marked=pressed
-                ),
+                heat_maps({"truth": true} | seen, label="change of resistance / %", limit=true.max(), marked=pressed),
                 f"{title}: change of each cell's apparent resistance against rest. Outlined cells are pressed; every "
                 "other cell should read 0.",
             )
@@ -228,7 +227,7 @@ def slicing(subject: Subject) -> Finding:
         ],
         figures=[
             Figure(
-                plots.heat_maps(
+                heat_maps(
                     maps, label="change of resistance / %", limit=truth, marked=pressed, values="{:.2f}", size=2.0
                 ),
                 "One cell pressed (outlined): change of each cell's apparent resistance.",

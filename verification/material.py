@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from .. import plots
 from ..cell import Cell, ContactModel, PaperModel
 from ..cell.identify import recovery_branches
 from ..circuits import Design, apparent_resistance, scan_batch
 from ..errors import InputError
-from . import plots
 from .outcome import Check, Figure, Finding, Table
 from .subject import Subject
 from .variants import converted

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import plots
 from ..cell.percolation import Percolation
 from ..circuits import Design, adc_codes, clipped, scan
 from ..circuits.noise import noise
 from ..errors import InputError
-from . import plots
 from .outcome import Check, Figure, Finding, Table
 from .subject import Subject
 from .variants import replaced

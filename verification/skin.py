@@ -13,13 +13,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import plots
 from ..circuits import adc_codes
 from ..driver import Frame, Skin
 from ..emulator import Contact, PtyPort, Rectangle, Scene, Stop, emulate
 from ..emulator.scene import BoardSettings
 from ..emulator.scene import Skin as SkinSettings
 from ..errors import InputError, OhmskinError
-from . import plots
+from .maps import heat_maps
 from .outcome import Check, Figure, Finding, not_run
 from .subject import Subject
 from .timing import timing
@@ -186,6 +187,6 @@ def _snapshot(frames: list[Frame], applied: FloatArray, full: float) -> Figure:
     estimate = frames[busiest].pressure
     maps = {"applied": applied[busiest], "estimated": estimate, "difference": estimate - applied[busiest]}
     return Figure(
-        plots.heat_maps(maps, label="kPa", limit=full, size=2.3),
+        heat_maps(maps, label="kPa", limit=full, size=2.3),
         f"All cells at {frames[busiest].device_time:.2f} s, when most of them are touched.",
     )

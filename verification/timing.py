@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from .. import plots
 from ..circuits import scan
 from ..circuits.noise import noise
 from ..circuits.settling import Settling, stability
 from ..errors import InputError, SolverError
-from . import plots
 from .outcome import Check, Figure, Finding, Table
 from .subject import Subject
 
