@@ -3,7 +3,7 @@
 from .board import Board
 from .line import Line, TransmitBuffer
 from .ports import Port, PtyPort, TcpPort
-from .run import ClockName, Outcome, Stop, emulate, stop_on_signals
+from .run import ClockName, Outcome, Stop, emulate, running, stop_on_signals
 from .scene import Bump, Contact, Disc, Rectangle, Scene
 from .skin import EmulatedSkin, Sample
 from .spread import shares, spread
@@ -28,6 +28,7 @@ __all__ = [
     "TransmitBuffer",
     "TruthFile",
     "emulate",
+    "running",
     "shares",
     "spread",
     "stop_on_signals",

@@ -14,6 +14,7 @@ from __future__ import annotations
 import os
 import select
 import signal
+import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -139,6 +140,42 @@ def emulate(
         outcome.seconds = min(board.next_us / 1e6, duration_s)
         link.drain(stop)
     return outcome
+
+
+@contextmanager
+def running(
+    scene: Scene,
+    port: Port,
+    *,
+    clock: ClockName = "real",
+    duration_s: float = inf,
+    seed: int = 0,
+    truth: Path | None = None,
+) -> Iterator[None]:
+    """:func:`emulate` in a thread while the block lasts: a board for a test in the same process.
+
+    The port is closed when the board's time is over or the block ends. What :func:`emulate` raises is raised at the
+    end of the block.
+    """
+    stop, failures = Stop(), []
+
+    def live() -> None:
+        try:
+            with port:
+                emulate(scene, port, clock=clock, duration_s=duration_s, seed=seed, truth=truth, stop=stop)
+        except Exception as error:
+            failures.append(error)
+
+    thread = threading.Thread(target=live, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        stop.close()
+    if failures:
+        raise failures[0]
 
 
 class _Link:

@@ -1,14 +1,11 @@
-"""Emulated boards for the tests: scenes, a board without a port, and one on a port in a thread."""
+"""Emulated boards for the tests: scenes, and a board without a port."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from ohmskin.emulator import Board, ClockName, Line, Port, Scene, Stop, emulate
+from ohmskin.emulator import Board, Line, Scene
 from ohmskin.errors import LinkError
 
 DESIGN: dict[str, Any] = {
@@ -54,29 +51,3 @@ class Wire:
 
     def _carry(self, packet: bytes) -> bytes:
         return packet if self._line is None else self._line.carry(packet)
-
-
-@contextmanager
-def running(
-    what: Scene, port: Port, *, clock: ClockName = "real", duration_s: float = float("inf"), truth: Path | None = None
-) -> Iterator[None]:
-    """An emulated board on ``port``, in a thread; ended, and its port closed, on leaving."""
-    stop, failures = Stop(), []
-
-    def run() -> None:
-        try:
-            with port:
-                emulate(what, port, clock=clock, duration_s=duration_s, truth=truth, stop=stop)
-        except Exception as error:
-            failures.append(error)
-
-    thread = threading.Thread(target=run)
-    thread.start()
-    try:
-        yield
-    finally:
-        stop.set()
-        thread.join(20)
-        stop.close()
-    assert not thread.is_alive()
-    assert not failures, failures

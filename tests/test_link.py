@@ -17,12 +17,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import DESIGN, running, scene
+from boards import DESIGN, scene
 
 from ohmskin.circuits import Design, adc_codes
 from ohmskin.cli import run
 from ohmskin.driver import Frame, Skin
-from ohmskin.emulator import PtyPort, Scene, TcpPort
+from ohmskin.emulator import PtyPort, Scene, TcpPort, running
 from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
 
 SCENE = """

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import tempfile
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 
@@ -16,10 +13,10 @@ from numpy.typing import NDArray
 from .. import plots
 from ..circuits import adc_codes
 from ..driver import Frame, Skin
-from ..emulator import Contact, PtyPort, Rectangle, Scene, Stop, emulate
+from ..emulator import Contact, PtyPort, Rectangle, Scene, running
 from ..emulator.scene import BoardSettings
 from ..emulator.scene import Skin as SkinSettings
-from ..errors import InputError, OhmskinError
+from ..errors import InputError
 from .maps import heat_maps
 from .outcome import Check, Figure, Finding, not_run
 from .subject import Subject
@@ -47,9 +44,11 @@ def _emulated(subject: Subject) -> Finding:
     scene = _scene(subject)
     with tempfile.TemporaryDirectory() as folder:
         truth_file = Path(folder) / "truth.npz"
-        with _board(scene, truth_file) as port:
+        port = PtyPort()
+        # The board lives a little longer than what the host takes, so that it never waits for a last frame.
+        with running(scene, port, clock="fast", duration_s=SECONDS + 1.0, truth=truth_file):
             start = time.perf_counter()
-            with Skin.open(port) as skin:
+            with Skin.open(port.name) as skin:
                 frames = list(islice(skin, round(SECONDS * RATE_HZ)))
             elapsed = time.perf_counter() - start
         with np.load(truth_file) as file:
@@ -132,32 +131,6 @@ def _scene(subject: Subject) -> Scene:
     ]
     board = BoardSettings(frame_rate=RATE_HZ, noise=subject.design.adc.step / 2)
     return Scene(skin=SkinSettings(design=subject.design, cell=subject.cell), board=board, contact=contacts)
-
-
-@contextmanager
-def _board(scene: Scene, truth: Path) -> Iterator[str]:
-    """A board on a pseudo-terminal, in a thread; the truth is written when the block ends."""
-    failures: list[OhmskinError] = []
-    stop = Stop()
-
-    def live() -> None:
-        try:
-            # A little longer than what the host takes, so that it never waits for a last frame.
-            emulate(scene, port, clock="fast", duration_s=SECONDS + 1.0, truth=truth, stop=stop)
-        except OhmskinError as error:
-            failures.append(error)
-
-    with PtyPort() as port:
-        thread = threading.Thread(target=live, daemon=True)
-        thread.start()
-        try:
-            yield port.name
-        finally:
-            stop.set()
-            thread.join()
-            stop.close()
-    if failures:
-        raise failures[0]
 
 
 def _settled(applied: FloatArray, full: float) -> NDArray[np.bool_]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import pytest
-from boards import DESIGN, running, scene
+from boards import DESIGN, scene
 
-from ohmskin.emulator import PtyPort, TcpPort
+from ohmskin.emulator import PtyPort, TcpPort, running
 
 
 @pytest.fixture(params=["pty", "tcp"])
