@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
@@ -12,14 +14,13 @@ from ..cell.identify import recovery_branches
 from ..circuits import Design, apparent_resistance, scan_batch
 from ..errors import InputError
 from .outcome import Check, Figure, Finding, Table
+from .pressure import EDGE_S, STEP_KPA, draw, errors, estimate, pressed, respond, rmse, side_by_side
 from .subject import Subject
 from .variants import converted
 
 FloatArray = NDArray[np.float64]
 
-STEP_KPA = 15.5  # 10.0 N on one square inch (V.A)
-RATE_HZ = 50.0
-EDGE_S = 0.1  # time in which a press is applied and released
+HOLD_S = 60.0
 
 
 def electrodes(subject: Subject) -> Finding:
@@ -29,20 +30,23 @@ def electrodes(subject: Subject) -> Finding:
         full_scale_kpa=subject.full_scale_kpa,
         model=ContactModel(full_scale_resistance_ohm=subject.rest),
     )
-    time_s, pressure = _profile([(5, STEP_KPA, 20.0)], 60.0)
-    bonded_ohm, contact_ohm = (_respond(cell, time_s, pressure) for cell in (subject.cell, contact))
+    time_s, pressure = pressed([(5, STEP_KPA, 20.0)], 60.0)
+    bonded_ohm, contact_ohm = (respond(cell, time_s, pressure) for cell in (subject.cell, contact))
     released = time_s > 25 + 5 * EDGE_S
     loads = np.geomspace(0.05, 1.0, 20) * subject.full_scale_kpa
     ohms = contact.forward(loads.shape).step(1.0, loads)
     slope = float(np.polyfit(np.log(loads), np.log(1 / ohms - 1 / contact.rest_resistance_ohm), 1)[0])
-    with plots.drawing(1, 2) as (figure, (panels,)):
-        for panel, title, values in (
-            (panels[0], "electrodes cast in", bonded_ohm),
-            (panels[1], "electrodes touching", contact_ohm),
-        ):
+    found = {
+        "electrodes cast in": side_by_side(subject, time_s, bonded_ohm),
+        "electrodes touching": {"static": estimate(contact, "static", time_s, contact_ohm)},
+    }
+    with plots.drawing(2, 2, height=4.6, sharex=True) as (figure, axes):
+        for column, (title, values) in enumerate(zip(found, (bonded_ohm, contact_ohm), strict=True)):
+            panel = axes[0, column]
             panel.plot(time_s, values / 1e3)
             panel.axvspan(5, 25, color=plots.INK, alpha=0.06, lw=0)
-            panel.set(title=title, xlabel="time / s", ylabel="resistance / kΩ", ylim=(0, None))
+            panel.set(title=title, ylabel="resistance / kΩ", ylim=(0, None))
+            draw(axes[1, column], time_s, pressure, found[title])
         picture = plots.svg(figure)
     rise = 100 * (np.median(bonded_ohm[(time_s > 15) & (time_s < 25)]) / bonded_ohm[0] - 1)
     fall = 100 * (np.median(contact_ohm[(time_s > 15) & (time_s < 25)]) / contact_ohm[0] - 1)
@@ -71,22 +75,23 @@ def electrodes(subject: Subject) -> Finding:
             "remembers; touching ones show the contact, a static power law of the force (published exponents 0.7 to "
             "1.3). The contact cell's two resistances are the project's own choice."
         ],
-        figures=[Figure(picture, f"Grey: {STEP_KPA} kPa applied.")],
+        figures=[Figure(picture, f"Grey: {STEP_KPA} kPa applied. Below: what the estimators make of it.")],
+        tables=[errors({title: (pressure, estimates) for title, estimates in found.items()}, subject, "cell")],
     )
 
 
 def strain(subject: Subject) -> Finding:
     """P3: the normalised change r = (R - R0)/R0 is proportional to stress in each phase, whatever R0."""
-    time_s, pressure = _profile([(1, 1.0, 5.0)], 30.0)
+    time_s, pressure = pressed([(1, 1.0, 5.0)], 30.0)
     scales = np.array([0.1, 0.5, 1.0])
     rests = np.array([1e2, 1e4, 1e6])
     cell = subject.cell
-    unit = _respond(cell, time_s, pressure) / cell.rest_resistance_ohm - 1
+    unit = respond(cell, time_s, pressure) / cell.rest_resistance_ohm - 1
     worst_scale = max(
-        float(np.abs((_respond(cell, time_s, k * pressure) / cell.rest_resistance_ohm - 1) / k - unit).max())
+        float(np.abs((respond(cell, time_s, k * pressure) / cell.rest_resistance_ohm - 1) / k - unit).max())
         for k in scales
     )
-    several = _respond(cell, time_s, pressure, rests) / rests - 1
+    several = respond(cell, time_s, pressure, rests) / rests - 1
     worst_rest = float(np.abs(several - unit[:, None]).max())
     return Finding(
         checks=[
@@ -103,15 +108,18 @@ def rising(subject: Subject) -> Finding:
     (numerator, denominator), edge = model.rising_transfer_function(), 1e-3
     time_s = np.r_[0.0, edge + np.linspace(0.0, 8 * model.tu_s, 400)]
     pressure = np.minimum(time_s / edge, 1.0) * STEP_KPA
-    r = _respond(subject.cell, time_s, pressure) / subject.rest - 1
+    r = respond(subject.cell, time_s, pressure) / subject.rest - 1
     grid = np.arange(0.0, time_s[-1], edge)  # lsim takes evenly spaced, piecewise-linear inputs
     _, filtered, _ = signal.lsim((numerator, denominator), np.minimum(grid / edge, 1.0) * STEP_KPA, grid)
     expected = np.interp(time_s, grid, filtered)
     deviation = float(np.abs(r - expected)[time_s <= grid[-1]].max() / expected.max())
     settled = STEP_KPA / model.eu1_kpa
     printed = model.eu1_kpa / (model.eu1_kpa * model.eu2_kpa_per_s)
-    with plots.drawing(1, 1, height=2.7) as (figure, axes):
+    slow_s, load = pressed([(1.0, STEP_KPA, 1e3)], 1.0 + 8 * model.tu_s)
+    estimates = side_by_side(subject, slow_s, respond(subject.cell, slow_s, load))
+    with plots.drawing(1, 2) as (figure, axes):
         panel = axes[0, 0]
+        draw(axes[0, 1], slow_s, load, estimates)
         panel.plot(grid, filtered, lw=4, alpha=0.3, color=plots.INK, label="equation (3), scipy.signal.lsim")
         panel.plot(time_s, r, label="forward model")
         panel.axhline(settled, color=plots.ORANGE, lw=1, ls="--", label="σ / Eu1")
@@ -129,7 +137,8 @@ def rising(subject: Subject) -> Finding:
             f"up to Eu2. As printed, the gain at rest would be 1/Eu2 = {printed:.4g} instead of 1/Eu1 = "
             f"{1 / model.eu1_kpa:.4g} per kPa. The corrected form is used."
         ],
-        figures=[Figure(picture, "A jump, an overshoot, then slow settling, as in Fig. 6.")],
+        figures=[Figure(picture, "A jump, an overshoot, then slow settling, as in Fig. 6; right, what is made of it.")],
+        tables=[errors({f"step of {STEP_KPA} kPa within {EDGE_S} s": (load, estimates)}, subject, "load")],
     )
 
 
@@ -148,8 +157,10 @@ def recovery(subject: Subject) -> Finding:
         f"T3 = {model.t3_s:.3g} s": np.exp(-time_s / model.t3_s) / model.e3_kpa,
     }
     expected = STEP_KPA * sum(branches.values())
-    with plots.drawing(1, 1, height=2.7) as (figure, axes):
+    clock, load, estimates = _held_and_released(subject)
+    with plots.drawing(1, 2) as (figure, axes):
         panel = axes[0, 0]
+        draw(axes[0, 1], clock, load, estimates)
         panel.plot(time_s, r, color=plots.INK, lw=2, label="total")
         for label, branch in branches.items():
             panel.plot(time_s, STEP_KPA * branch, label=label)
@@ -167,8 +178,13 @@ def recovery(subject: Subject) -> Finding:
             Check("left after ten times T3, of the held value", float(abs(r[-1]) * model.eu1_kpa / STEP_KPA), 1e-4),
         ],
         figures=[
-            Figure(picture, "Recovery and its serial components, as in Fig. 8. The elastic part is gone at once.")
+            Figure(
+                picture,
+                "Recovery and its serial components, as in Fig. 8: the elastic part is gone at once. Right: what the "
+                "estimators make of a hold and the recovery from it.",
+            )
         ],
+        tables=[errors({f"{HOLD_S:g} s of {STEP_KPA} kPa and the recovery": (load, estimates)}, subject, "load")],
     )
 
 
@@ -198,6 +214,21 @@ def identification(subject: Subject) -> Finding:
         panel.set(xlim=(0, 120), ylim=(1e-3, 1))
         panel.legend()
         picture = plots.svg(figure)
+    clock, load = pressed([(2, STEP_KPA, 15.0)], 60.0)
+    ohms = respond(subject.cell, clock, load)
+    by_hand = {
+        case: estimate(_with_branches(subject.cell, values), "paper", clock, ohms) for case, values in found.items()
+    }
+    both = side_by_side(subject, clock, ohms)
+    paper, ours = both
+    pressures = {
+        "true": (load, {paper: both[paper]}),
+        **{f"read, {case}": (load, {paper: values}) for case, values in by_hand.items()},
+        "`ohmskin fit`, 0.5 % noise on R": (
+            load,
+            {paper: estimate(subject.calibrated, "paper", clock, ohms), ours: both[ours]},
+        ),
+    }
     off = {
         case: max(abs(value / true - 1) for value, true in zip(values, truth, strict=True))
         for case, values in found.items()
@@ -222,7 +253,8 @@ def identification(subject: Subject) -> Finding:
                     [name, f"{true:.4g}", *(f"{values[k]:.4g}" for values in found.values())]
                     for k, (name, true) in enumerate(zip(names, truth, strict=True))
                 ],
-            )
+            ),
+            errors(pressures, subject, "coefficients"),
         ],
     )
 
@@ -233,6 +265,8 @@ def recovery_times(subject: Subject) -> Finding:
     left = r / (STEP_KPA * _paper_model(subject).gain_per_kpa)
     to_95 = float(np.interp(-0.05, -left, time_s))
     at_5_minutes = float(100 * np.interp(300.0, time_s, left))
+    clock, load, estimates = _held_and_released(subject)
+    since = clock - float(clock[load > 0][-1])
     return Finding(
         checks=[
             Check("time to 95 % recovery", to_95, 25.0, "s"),
@@ -240,17 +274,29 @@ def recovery_times(subject: Subject) -> Finding:
             Check("left after 5 minutes", at_5_minutes, 0.5, "%"),
         ],
         text=["The shipped example cell, released after a hold long enough to reach equilibrium."],
+        tables=[
+            Table(
+                ["after release", *estimates],
+                [
+                    [f"{wait:g} s", *(f"{np.interp(wait, since, kpa):.3f} kPa" for kpa in estimates.values())]
+                    for wait in (1.0, 5.0, 25.0, 300.0)
+                ],
+                f"What the estimators show after {HOLD_S:g} s of {STEP_KPA} kPa, while the resistance still recovers.",
+            )
+        ],
     )
 
 
 def inverse_filter(subject: Subject) -> Finding:
     """P8: the paper's estimator, its switch, and what its thresholds are worth."""
     model = _paper_model(subject)
-    time_s, pressure = _profile([(2, STEP_KPA, 15.0)], 60.0)
-    ohms = _respond(subject.cell, time_s, pressure)
-    estimate = _estimate(subject.cell, time_s, ohms, "paper")
+    time_s, pressure = pressed([(2, STEP_KPA, 15.0)], 60.0)
+    ohms = respond(subject.cell, time_s, pressure)
+    estimates = side_by_side(subject, time_s, ohms)
+    paper, ours = estimates
     rising_per_s, falling_per_s = model.thresholds_per_s(subject.full_scale_kpa)
     rng = np.random.default_rng(8)
+    noisy = ohms * (1 + 0.005 * rng.standard_normal(ohms.shape))
     rows = []
     for factor in (0.5, 0.8, 1.0, 1.25, 2.0):
         changed = model.model_copy(
@@ -260,9 +306,10 @@ def inverse_filter(subject: Subject) -> Finding:
             }
         )
         cell = subject.cell.model_copy(update={"model": changed})
-        noisy = ohms * (1 + 0.005 * rng.standard_normal(ohms.shape))
-        errors = [_rmse(_estimate(cell, time_s, values, "paper"), pressure, subject) for values in (ohms, noisy)]
-        rows.append([f"{factor:g}", *(f"{error:.2f} %" for error in errors)])
+        off = [rmse(estimate(cell, "paper", time_s, values), pressure, subject) for values in (ohms, noisy)]
+        rows.append([f"{paper}, thresholds times {factor:g}", *(f"{error:.2f} %" for error in off)])
+    noisy_estimates = side_by_side(subject, time_s, noisy)
+    rows.append([ours, *(f"{rmse(found[ours], pressure, subject):.2f} %" for found in (estimates, noisy_estimates))])
     slope = np.gradient(ohms / subject.rest, time_s)
     with plots.drawing(2, 1, height=4.2, sharex=True) as (figure, axes):
         top, below = axes[:, 0]
@@ -272,15 +319,12 @@ def inverse_filter(subject: Subject) -> Finding:
         top.set(
             title="Derivative of r and the thresholds", ylabel="dr/dt / s⁻¹", ylim=(5 * falling_per_s, 5 * rising_per_s)
         )
-        below.plot(time_s, pressure, color=plots.INK, lw=4, alpha=0.25, label="applied")
-        below.plot(time_s, estimate, label="estimate")
-        below.set(title="Pressure", xlabel="time / s", ylabel="kPa")
-        below.legend()
+        draw(below, time_s, pressure, estimates)
         picture = plots.svg(figure)
     settling = model.settling_slope_per_s(subject.full_scale_kpa)
     return Finding(
         checks=[
-            Check("RMSE without noise", _rmse(estimate, pressure, subject), 2.0, "% of full scale"),
+            Check("RMSE without noise", rmse(estimates[paper], pressure, subject), 2.0, "% of full scale"),
             Check(
                 "recovery threshold over the settling slope of a held load",
                 -falling_per_s / settling,
@@ -296,9 +340,9 @@ def inverse_filter(subject: Subject) -> Finding:
         figures=[Figure(picture, "The switch at work, as in Fig. 9. Dashed: the thresholds.")],
         tables=[
             Table(
-                ["thresholds times", "RMSE without noise", "RMSE with 0.5 % noise on R"],
+                ["estimator", "RMSE without noise", "RMSE with 0.5 % noise on R"],
                 rows,
-                "What the thresholds are worth, in % of full scale.",
+                "What the thresholds are worth, in % of full scale; ours has none.",
             )
         ],
     )
@@ -310,38 +354,33 @@ def steps(subject: Subject) -> Finding:
         "one step": ([(5.0, STEP_KPA, 20.0)], 90.0),
         "three steps": ([(5.0 + 25.0 * k, STEP_KPA, 12.0) for k in range(3)], 110.0),
     }
-    names = {"paper": "paper", "default": None}
-    if isinstance(subject.cell.estimator((1,)), type(subject.cell.estimator((1,), "paper"))):
-        del names["default"]  # it is the paper's
-    errors: dict[str, dict[str, float]] = {}
+    found: dict[str, tuple[FloatArray, dict[str, FloatArray]]] = {}
     with plots.drawing(2, 2, height=4.6, sharex="col") as (figure, axes):
         for column, (title, (profile, duration)) in enumerate(presses.items()):
-            time_s, pressure = _profile(profile, duration)
-            true_ohm = _respond(subject.cell, time_s, pressure)
+            time_s, pressure = pressed(profile, duration)
+            true_ohm = respond(subject.cell, time_s, pressure)
             read_ohm = _through_readout(subject.design, subject.rest, true_ohm)
             axes[0, column].plot(time_s, true_ohm / 1e3, color=plots.INK, lw=4, alpha=0.25, label="cell")
             axes[0, column].plot(time_s, read_ohm / 1e3, lw=1, label="as read")
             axes[0, column].set(title=title, ylabel="resistance / kΩ")
             axes[0, column].legend()
-            axes[1, column].plot(time_s, pressure, color=plots.INK, lw=4, alpha=0.25, label="applied")
-            for label, name in names.items():
-                zero = np.median(read_ohm[time_s < 4.0])  # R0 as a user has it: read at rest, through the same readout
-                estimate = _estimate(subject.cell, time_s, read_ohm, name, zero)
-                errors.setdefault(title, {})[label] = _rmse(estimate, pressure, subject)
-                axes[1, column].plot(time_s, estimate, lw=1.2, label=f"estimate: {label}")
-            axes[1, column].set(xlabel="time / s", ylabel="pressure / kPa")
-            axes[1, column].legend()
+            zero = float(np.median(read_ohm[time_s < 4.0]))  # R0 as a user has it: read at rest, by the same readout
+            found[title] = pressure, side_by_side(subject, time_s, read_ohm, zero)
+            draw(axes[1, column], time_s, *found[title])
         picture = plots.svg(figure)
     limit = subject.design.requirements.pressure_rmse_percent
     return Finding(
         checks=[
-            Check(f"{title}, estimator '{name}': RMSE", error, limit, "% of full scale")
-            for title, by_name in errors.items()
-            for name, error in by_name.items()
+            Check(f"{title}, {label} estimator: RMSE", rmse(kpa, pressure, subject), limit, "% of full scale")
+            for title, (pressure, estimates) in found.items()
+            for label, kpa in estimates.items()
         ],
         text=[
             "The cell is read by the design under verification, among cells at rest; R0 is the median of the first "
-            "four seconds. Presses and releases take 0.1 s."
+            "four seconds. Presses and releases take 0.1 s. The cell obeys the paper's model to the letter, so the "
+            "paper's inverse filters, which know it, have nothing to lose but noise. Ours learned the cell from a "
+            "noisy recording of the calibration protocol and knows no model; S2 has both kinds on a material that "
+            "none describes."
         ],
         figures=[Figure(picture, "One press of 15.5 kPa (Fig. 10) and three in a row with creep (Fig. 11).")],
     )
@@ -353,38 +392,17 @@ def _paper_model(subject: Subject) -> PaperModel:
     return subject.cell.model
 
 
-def _profile(presses: list[tuple[float, float, float]], duration_s: float) -> tuple[FloatArray, FloatArray]:
-    """Presses (start s, kPa, length s) as samples at RATE_HZ."""
-    time_s = np.arange(0.0, duration_s, 1 / RATE_HZ)
-    pressure = np.zeros_like(time_s)
-    for start, kpa, length in presses:
-        corners = [start, start + EDGE_S, start + length, start + length + EDGE_S]
-        pressure += np.interp(time_s, corners, [0.0, kpa, kpa, 0.0])
-    return time_s, pressure
+def _with_branches(cell: Cell, branches: Sequence[float]) -> Cell:
+    """The cell with these E1, E2, E3 in kPa and T2, T3 in s."""
+    e1, e2, e3, t2, t3 = branches
+    read = {"e1_kpa": e1, "e2_kpa": e2, "e3_kpa": e3, "eta2_kpa_s": t2 * e2, "eta3_kpa_s": t3 * e3}
+    return cell.model_copy(update={"model": cell.model.model_copy(update=read)})
 
 
-def _respond(cell: Cell, time_s: FloatArray, pressure: FloatArray, rest: FloatArray | None = None) -> FloatArray:
-    """Resistance (samples,) of one cell, or (samples, cells) of several with their own R0."""
-    shape = (1,) if rest is None else rest.shape
-    forward = cell.forward(shape, rest_resistance_ohm=rest)
-    first = forward.step(1e-6, np.full(shape, pressure[0]))
-    samples = [first] + [
-        forward.step(dt, np.full(shape, kpa)) for dt, kpa in zip(np.diff(time_s), pressure[1:], strict=True)
-    ]
-    return np.array(samples)[:, 0] if rest is None else np.array(samples)
-
-
-def _estimate(
-    cell: Cell, time_s: FloatArray, ohms: FloatArray, name: str | None, rest: float | None = None
-) -> FloatArray:
-    estimator = cell.estimator((1,), name, rest_resistance_ohm=rest)
-    return np.array(
-        [estimator.update(t, np.array([value])).pressure_kpa[0] for t, value in zip(time_s, ohms, strict=True)]
-    )
-
-
-def _rmse(estimate: FloatArray, truth: FloatArray, subject: Subject) -> float:
-    return float(100 * np.sqrt(np.mean((estimate - truth) ** 2)) / subject.full_scale_kpa)
+def _held_and_released(subject: Subject) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
+    """Times (samples,), kPa applied, and what the estimators make of it."""
+    time_s, pressure = pressed([(1.0, STEP_KPA, HOLD_S)], HOLD_S + 302.0)
+    return time_s, pressure, side_by_side(subject, time_s, respond(subject.cell, time_s, pressure))
 
 
 def _release(subject: Subject) -> tuple[FloatArray, FloatArray]:

@@ -11,6 +11,7 @@ from ..circuits import Design, adc_codes, clipped, scan
 from ..circuits.noise import noise
 from ..errors import InputError
 from .outcome import Check, Figure, Finding, Table
+from .pressure import STEP_KPA, pressed, respond, rmse, side_by_side
 from .subject import Subject
 from .variants import replaced
 
@@ -33,6 +34,7 @@ def fraction(subject: Subject) -> Finding:
     )
     best = float(FRACTIONS[np.nanargmin(eight)])
     sensitivity = law.sensitivities(FRACTIONS)
+    pressures = [_estimated(subject, law, f, s) for f, s in zip(FRACTIONS, sensitivity, strict=True)]
     with plots.drawing(1, 2) as (figure, (panels,)):
         panels[0].semilogy(100 * fine, law.rest_resistance(fine) / 1e3)
         panels[0].set(title="Percolation", xlabel="carbon black / % by mass", ylabel="R0 / kΩ")
@@ -85,9 +87,33 @@ def fraction(subject: Subject) -> Finding:
                     )
                 ],
                 "Eight mixtures, with the design's reference resistor and with one that fills the range at rest.",
-            )
+            ),
+            Table(
+                ["carbon black", *pressures[list(FRACTIONS).index(KNOWN)]],
+                [
+                    [f"{100 * f:g} %", *(f"{error:.2f} %" for error in found.values())]
+                    for f, found in zip(FRACTIONS, pressures, strict=True)
+                    if found
+                ],
+                f"RMSE of the pressure of a {STEP_KPA} kPa press, in % of full scale, read with the noise of the "
+                "design. Every mixture has the memory of the example cell, scaled to its own sensitivity; those that "
+                "saturate at rest are left out.",
+            ),
         ],
     )
+
+
+def _estimated(subject: Subject, law: Percolation, f: float, sensitivity: float) -> dict[str, float]:
+    """RMSE in % of full scale by estimator; empty where the readout saturates at rest."""
+    rest = float(law.rest_resistance(f))
+    scatter = _scatter(subject.design, rest, rest * sensitivity) / 100
+    if np.isnan(scatter):
+        return {}
+    time_s, pressure = pressed([(2, STEP_KPA, 15.0)], 60.0)
+    noise_ohm = subject.rest * law.sensitivity * scatter  # on the example cell: as much of its change as on this one's
+    ohms = respond(subject.cell, time_s, pressure)
+    ohms = ohms + noise_ohm * np.random.default_rng(1).standard_normal(len(ohms))
+    return {label: rmse(kpa, pressure, subject) for label, kpa in side_by_side(subject, time_s, ohms).items()}
 
 
 def _shown(sigma: float) -> str:

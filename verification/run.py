@@ -50,6 +50,7 @@ def verify(
     if jobs == 1:
         claims = [run(statement) for statement in statements]
     else:
+        _ = subject.calibrated  # once, before it goes to every process
         with ProcessPoolExecutor(jobs) as pool:
             claims = list(pool.map(run, statements))
     count = len(STATEMENTS)
