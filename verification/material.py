@@ -224,7 +224,7 @@ def identification(subject: Subject) -> Finding:
     pressures = {
         "true": (load, {paper: both[paper]}),
         **{f"read, {case}": (load, {paper: values}) for case, values in by_hand.items()},
-        "`ohmskin fit`, 0.5 % noise on R": (
+        "ohmskin fit, 0.5 % noise on R": (
             load,
             {paper: estimate(subject.calibrated, "paper", clock, ohms), ours: both[ours]},
         ),
@@ -278,7 +278,7 @@ def recovery_times(subject: Subject) -> Finding:
             Table(
                 ["after release", *estimates],
                 [
-                    [f"{wait:g} s", *(f"{np.interp(wait, since, kpa):.3f} kPa" for kpa in estimates.values())]
+                    [f"{wait:g} s", *(f"{np.interp(wait, since, kpa):z.3f} kPa" for kpa in estimates.values())]
                     for wait in (1.0, 5.0, 25.0, 300.0)
                 ],
                 f"What the estimators show after {HOLD_S:g} s of {STEP_KPA} kPa, while the resistance still recovers.",
