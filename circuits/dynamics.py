@@ -22,9 +22,9 @@ from scipy.linalg import inv
 
 from ..errors import InputError
 from .design import Design
+from .elimination import eliminate_leading
 from .grid import exact_ports
 from .parts import Parts
-from .ports import eliminate_leading
 
 FloatArray = NDArray[np.float64]
 

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from . import banded
 from .design import Design
+from .elimination import rounding_meter
 from .grid import exact_ports, refuse_contradictions
 from .linear import LinearReadout
 from .parts import Parts, cell_conductance
-from .ports import Lines, has_ideal_lines, rounding_meter, transfer_conductances
+from .ports import Lines, has_ideal_lines, transfer_conductances
 from .readout import Reading, amplifier_ends, read
 
 FloatArray = NDArray[np.float64]
@@ -66,18 +67,18 @@ def few_ulp(volts: FloatArray) -> FloatArray:
 
 
 def exact_transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
-    """Transfer conductances (..., N, M) in S, and by how much each may be off, see :func:`.ports.rounding_meter`."""
+    """Transfer conductances (..., N, M) in S, and by how much each may be off: :func:`.elimination.rounding_meter`."""
     if conductance.size <= banded.LARGEST and conductance.ndim == 2 and not has_ideal_lines(grid):
         small = banded.transfer(conductance, grid)
         if small is not None:
             return small
-    with rounding_meter() as meter:
-        transfer = transfer_conductances(conductance, grid)
-    return transfer, transfer_error(conductance, grid, transfer, meter.relative)
+    transfer, relative = transfer_conductances(conductance, grid)
+    return transfer, transfer_error(conductance, grid, transfer, relative)
 
 
-def transfer_error(conductance: FloatArray, grid: Lines, transfer: FloatArray, relative: float) -> FloatArray:
-    """S by which transfer conductances may be off after a relative error in every stage."""
+def transfer_error(conductance: FloatArray, grid: Lines, transfer: FloatArray, relative: FloatArray) -> FloatArray:
+    """S by which transfer conductances may be off after a relative error (...,) in every stage."""
+    relative = relative[..., None, None]
     if has_ideal_lines(grid):
         return relative * transfer  # one elimination: each entry has that relative error
     row, column = port_roots(conductance, grid)

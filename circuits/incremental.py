@@ -12,7 +12,7 @@ from . import banded
 from .attenuation import Attenuated, Ladders, Wires, certify
 from .design import Design
 from .exact import exact_transfer, transfer_error
-from .ports import Lines, Tree, has_ideal_lines, rounding_meter
+from .ports import Lines, Stream, has_ideal_lines
 from .scan import ScanResult, Tools, check_request, solve
 
 FloatArray = NDArray[np.float64]
@@ -47,16 +47,15 @@ class Scanner:
 
 class _LastTree:
     def __init__(self) -> None:
-        self._tree: Tree | None = None
+        self._tree: Stream | None = None
 
     def transfer(self, conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray]:
         """As :func:`.exact.exact_transfer`, for one frame."""
         if conductance.size <= banded.LARGEST or has_ideal_lines(lines):
             return exact_transfer(conductance, lines)
-        self._tree = self._tree or Tree(lines)
-        with rounding_meter() as meter:
-            transfer = self._tree.transfer(conductance)
-        return transfer, transfer_error(conductance, lines, transfer, meter.relative)
+        self._tree = self._tree or Stream(lines)
+        transfer, relative = self._tree.transfer(conductance)
+        return transfer, transfer_error(conductance, lines, transfer, relative)
 
 
 class _LastLadders:

@@ -14,7 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .ports import IDEAL_WIRE, LARGEST_PART, eliminate_leading
+from .elimination import eliminate_leading
+from .ports import IDEAL_WIRE, LARGEST_PART
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]

@@ -17,8 +17,9 @@ from scipy.sparse.csgraph import connected_components
 
 from ..errors import SolverError
 from .design import Design
+from .elimination import eliminate_leading, impedance
 from .parts import Parts, siemens
-from .ports import IDEAL_WIRE, eliminate_leading, impedance
+from .ports import IDEAL_WIRE
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

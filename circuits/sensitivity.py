@@ -22,9 +22,10 @@ from scipy.sparse.linalg import splu
 
 from ..errors import InputError, SolverError
 from .design import Design
+from .elimination import impedance
 from .grid import exact_ports, grid_network
 from .parts import Parts, siemens
-from .ports import IDEAL_WIRE, impedance
+from .ports import IDEAL_WIRE
 from .readout import Reading, amplifier_ends, read
 
 FloatArray = NDArray[np.float64]
