@@ -33,6 +33,7 @@ IntArray = NDArray[np.intp]
 
 LEAF = 5  # crosspoints along the side of a leaf, at most
 _CHUNK = 1 << 16  # conductances of leaves eliminated together, so that they stay in the processor's cache
+_MOST = 0.6  # of a level's blocks; picking out more than that costs more than it saves
 _KEPT = 1 << 24  # numbers of memory that a thread keeps between calls (128 MB)
 
 Label = tuple[str, int, int]
@@ -381,6 +382,12 @@ class _Join:
         return relative
 
 
+def _joins(work: Plan, stacks: list[FloatArray], scratch: FloatArray) -> list[_Join]:
+    """The merges of whole stacks (frames, down, along, ...), each into the next one."""
+    levels = zip(work.merges, stacks, stacks[1:], strict=False)
+    return [_Join(merge, *_halves(merge.axis, below), above, scratch) for merge, below, above in levels]
+
+
 class Dissection:
     """All merges of grids of one size, and the memory for them."""
 
@@ -398,10 +405,7 @@ class Dissection:
         self._given = np.zeros((3 * work.leaf.rows * work.leaf.columns, frames, work.down, work.along))
         self._rims = _rims(work, rows, columns, np.ones((frames, work.down, work.along), dtype=np.bool_))
         self._leaves = stacks[0].reshape(leaves, *stacks[0].shape[-2:])
-        self._joins = [
-            _Join(merge, *_halves(merge.axis, below), above, self._scratch)
-            for merge, below, above in zip(work.merges, stacks, stacks[1:], strict=False)
-        ]
+        self._joins = _joins(work, stacks, self._scratch)
         self._root = stacks[-1][:, 0, 0]
         self.size = sum(turn.size for turn in turns) + self._scratch.size + self._given.size
 
@@ -531,6 +535,7 @@ class Tree:
         self._relative = [np.zeros(shape[:3]) for shape in shapes]
         self._given = np.full((3 * work.leaf.rows * work.leaf.columns, 1, work.down, work.along), np.nan)
         self._scratch = np.empty(_scratch(work, 1))
+        self._joins = _joins(work, self._stacks, self._scratch)
         self._some = [np.empty(max(stack.size for stack in self._stacks)) for _ in range(3)]
 
     def transfer(self, cells: FloatArray, row: FloatArray, column: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -553,26 +558,35 @@ class Tree:
     def _reduce(self, stale: NDArray[np.bool_]) -> None:
         """Eliminate the leaves again that have changed."""
         stack = self._stacks[0]
-        fresh = self._buffer(0, (int(stale.sum()), *stack.shape[-2:]))
+        if stale.mean() > _MOST:
+            stale = np.ones_like(stale)
         rims = _rims(self._plan, *self._grid, stale)
-        self._relative[0][stale] = _reduce_leaves(self._plan.leaf, self._given[:, stale], rims, fresh, self._scratch)
-        stack[stale] = fresh
+        given = self._given[:, stale]
+        whole = given.shape[1] == stale.size
+        fresh = stack.reshape(-1, *stack.shape[-2:]) if whole else self._buffer(0, (given.shape[1], *stack.shape[-2:]))
+        self._relative[0][stale] = _reduce_leaves(self._plan.leaf, given, rims, fresh, self._scratch)
+        if not whole:
+            stack[stale] = fresh
 
     def _merge(self, level: int, stale: NDArray[np.bool_]) -> None:
-        """Merge the pairs again of which a half has changed."""
+        """Merge the pairs again of which a half has changed, or all if that is no more work."""
+        if stale.mean() > _MOST:
+            first, second = _halves(self._plan.merges[level].axis, self._relative[level])
+            self._relative[level + 1] = self._joins[level].run() + np.maximum(first, second)
+            return
         merge, below, above = self._plan.merges[level], self._stacks[level], self._stacks[level + 1]
         count, blocks = int(stale.sum()), below.reshape(-1, *below.shape[-2:])
-        first, second = (
+        one_at, other_at = (
             places[stale] for places in _halves(merge.axis, np.arange(len(blocks)).reshape(below.shape[:3]))
         )
         one, other = (self._buffer(number, (count, *blocks.shape[1:])) for number in range(2))
-        np.take(blocks, first, axis=0, out=one, mode="clip")
-        np.take(blocks, second, axis=0, out=other, mode="clip")
+        np.take(blocks, one_at, axis=0, out=one, mode="clip")
+        np.take(blocks, other_at, axis=0, out=other, mode="clip")
         fresh = self._buffer(2, (count, *above.shape[-2:]))
         own = _Join(merge, one, other, fresh, self._scratch).run()
         above[stale] = fresh
         relative = self._relative[level].ravel()
-        self._relative[level + 1][stale] = own + np.maximum(relative[first], relative[second])
+        self._relative[level + 1][stale] = own + np.maximum(relative[one_at], relative[other_at])
 
     def _buffer(self, number: int, shape: tuple[int, ...]) -> FloatArray:
         return self._some[number][: math.prod(shape)].reshape(shape)
