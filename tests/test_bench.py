@@ -54,9 +54,21 @@ def test_errors_lie_within_bounds_and_methods_are_all_there() -> None:
         assert row.full_scale_error is not None
         assert row.full_scale_error <= row.bound + 5e-16
     assert all(row.seconds > 0 for row in rows if row.seconds is not None)
-    assert {"exact, 1 % changed", "exact, 10 % changed", "exact, 100 % changed", "exact, in a batch"} < {
-        row.method for row in rows
-    }
+    streams = {"1 x 1 cells", "1 %", "10 %", "100 %"}
+    assert {"exact, in a batch", *(f"exact, {what} changed" for what in streams)} < {row.method for row in rows}
+
+
+def test_slow_peers_are_left_out_by_name_and_waited_for_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
+    slow = peers.Peer("slow", lambda: None, peers.reference, 3)
+    monkeypatch.setattr("ohmskin.bench.measurement.PEERS", (slow,))
+    monkeypatch.setattr("ohmskin.bench.measurement._ONCE", 0.0)
+    for patient in (False, True):
+        row = next(row for row in bench.measure([4], [1.0], memory=False, patient=patient) if row.method == "slow")
+        if patient:
+            assert row.seconds is not None
+            assert (row.error, row.note) == (0.0, "once")
+        else:
+            assert (row.seconds, row.note) == (None, "not waited for beyond 3 x 3 (--wait)")
 
 
 def test_memory_is_that_of_a_frame(capsys: pytest.CaptureFixture[str]) -> None:
