@@ -19,7 +19,9 @@ FloatArray = NDArray[np.float64]
 
 LARGEST = 256  # crosspoints; beyond, dissection is faster
 _ULP = float(np.finfo(np.float64).eps) / 2.0
+_SLACK = 1.0 + 1e-6  # for the rounding errors in the bounds themselves
 _ACCEPTED = 5e-10  # certified relative error of a reading; the true one is a thousandth of it
+_SHARP = 2e-11  # and so good that a closer look is not worth the time
 
 
 def transfer(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray] | None:
@@ -50,12 +52,12 @@ def transfer(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatAr
     at[..., 0, 1] = -conductance
     at[:, :-1, 0, 2] = -row[:, 1:]
     at[:-1, :, 1, width] = -column[:-1]
-    # Cholesky and two triangular solves are exact for a matrix within 3 gamma |L||L^T|, which moves an entry of the
-    # inverse by no more than the sum over the nodes of total times own impedance, see ports._rounding. That impedance
-    # is less than what the wire to the end of the line has.
-    growth = (total[..., 0] * np.cumsum(1.0 / row, axis=1)).sum()
-    growth += (total[..., 1] * np.cumsum(1.0 / column[::-1], axis=0)[::-1]).sum()
-    relative = _ULP * ((9.0 * (width + 1) + 4.0) * growth + 4.0)
+    # Cholesky and two triangular solves are exact for a matrix within 3 gamma |L||L^T|, at most 4 diag(A) in effect,
+    # see elimination._rounding. That moves an entry of the inverse, relative to it, by no more than the sum over the
+    # nodes of total times own impedance, and that impedance is less than what the wire to the end of the line has.
+    along_row, along_column = np.cumsum(1.0 / row, axis=1), np.cumsum(1.0 / column[::-1], axis=0)[::-1]
+    step = _ULP * (12.0 * (width + 1) + 4.0)
+    relative = step * ((total[..., 0] * along_row).sum() + (total[..., 1] * along_column).sum()) + 4.0 * _ULP
     if not relative <= _ACCEPTED:
         return None
     injected = np.zeros((rows, nodes))
@@ -73,7 +75,29 @@ def transfer(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatAr
     out[1::2][np.arange(columns), np.arange(columns)] = column[-1]
     reached, _ = dtrtrs(at_end, out, lower=1)
     result: FloatArray = volts[-width:].T @ reached
-    return result, relative * result
+    if relative <= _SHARP:
+        return result, relative * result
+    lifted = _lifted(conductance, total, along_row, along_column)
+    return result, np.minimum(relative * result, step * lifted + 2.0 * (width + 4) * _ULP * result)
+
+
+def _lifted(conductance: FloatArray, total: FloatArray, along_row: FloatArray, along_column: FloatArray) -> FloatArray:
+    """Bounds (N, M) in S on the sum over all nodes of their diagonal entry, their volts for 1 V at row i, and their
+    volts for 1 V at column j: so much, in all, can a change of the matrix by its own diagonal do.
+
+    Volts along the driven line are at most 1. What stands on others is bounded as in :mod:`.attenuation`: the current
+    of a cell lifts the crossing line by no more than over that line's wire, and what comes back of such a lift is at
+    most ``returned`` of it.
+    """
+    dropped, raised = conductance * along_row, conductance * along_column
+    returned = dropped.sum(axis=1).max() * raised.sum(axis=0).max()
+    if not returned < 0.5:
+        return np.full(conductance.shape, np.inf)
+    by_row = raised.max(axis=1)[:, None] / (1.0 - returned)  # off row i, for 1 V at row i
+    by_column = dropped.max(axis=0) / (1.0 - returned)
+    on_row, on_column = total[..., 0].sum(axis=1)[:, None], total[..., 1].sum(axis=0)
+    lifted: FloatArray = _SLACK * (on_row * by_column + on_column * by_row + total.sum() * by_row * by_column)
+    return lifted
 
 
 @lru_cache(maxsize=32)

@@ -19,7 +19,7 @@ from .scan import Demand, check_request, ideal_limits, relative, scan
 
 FloatArray = NDArray[np.float64]
 
-_TOGETHER = 1 << 14  # cells solved in one go: enough to outweigh the calls, few enough for the processor's cache
+_TOGETHER = 1 << 13  # cells solved in one go: enough to outweigh the calls, few enough for the processor's cache
 
 
 @dataclass(frozen=True)

@@ -127,8 +127,9 @@ def _rounding(inverse: FloatArray, total: FloatArray, growth: FloatArray, ports:
     """Bound (...,) on the relative error of any conductance that an elimination through ``inverse`` leaves.
 
     LU with its two triangular solves is exact for a matrix within 3 gamma_n |L||U| of the given one (Higham, Accuracy
-    and Stability, theorem 9.4); the diagonal itself carries the rounding of its sum. For a diagonally dominant M-matrix
-    |L||U| is at most 3 total in the sense that (Z |L||U| Z)_ij <= 3 (Z diag(total) Z)_ij. What that is relative to
+    and Stability, theorem 9.4); the diagonal itself carries the rounding of its sum. The factors of an M-matrix are
+    M-matrices, so |L| = 2 - L and |U| = 2 diag(U) - U, and with Z = U^-1 L^-1, all of it nonnegative,
+    Z |L||U| Z = 4 Z diag(U) Z - 2 Z L^-1 - 2 U^-1 diag(U) Z + Z <= 4 Z diag(total) Z. What that is relative to
     Z_ij is computed, or for small blocks bounded by the sum of the growths, since Z_ik Z_kj <= Z_ij Z_kk in an inverse
     M-matrix. The two products with Z then add gamma_n each, being sums of nonnegative numbers.
     """
@@ -139,7 +140,7 @@ def _rounding(inverse: FloatArray, total: FloatArray, growth: FloatArray, ports:
         twice = (inverse * total[..., None, :]) @ inverse
         np.divide(twice, inverse, out=twice, where=inverse > 0)
         amplification = twice.max(axis=(-2, -1))
-    amplification *= ULP * (10.0 * nodes + ports)
+    amplification *= ULP * (13.0 * nodes + ports)
     amplification += ULP * (2.0 * nodes + 4.0)
     return amplification
 

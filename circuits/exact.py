@@ -115,15 +115,34 @@ def _in_series(one: FloatArray, other: FloatArray) -> FloatArray:
         return 1.0 / ohms
 
 
+def _into_rows(ports: FloatArray, rows: int, behind: FloatArray) -> FloatArray:
+    """Bounds (..., N) in S on the conductance of each row terminal, all others at ground, the columns behind so many
+    ohm.
+
+    By Dirichlet's principle any potentials of the column terminals give an upper bound; each stands at that of the row
+    or at ground, whichever costs less. So a short does not count more than what it leads to.
+    """
+    driven = ports[..., :rows, rows:]
+    others = np.zeros_like(driven)  # of all other rows: from above and from below, since subtracting would cost digits
+    np.cumsum(driven[..., :-1, :], axis=-2, out=others[..., 1:, :])
+    others[..., :-1, :] += np.cumsum(driven[..., :0:-1, :], axis=-2)[..., ::-1, :]
+    with np.errstate(divide="ignore"):
+        beyond = ports[..., rows:, rows:].sum(axis=-1) + 1.0 / behind
+    bound: FloatArray = ports[..., :rows, :rows].sum(axis=-1)
+    bound += np.minimum(driven, others + beyond[..., None, :]).sum(axis=-1)
+    return bound
+
+
 def _error(design: Design, ports: FloatArray, relative: float) -> FloatArray:
     """V by which rounding can have moved the outputs of any circuit: every port's voltage takes part."""
     part, parts = design.readout, Parts.of(design)
     behind = parts.column_lead
     behind = behind + (amplifier_ends(design).resistance if part.circuit == "inverting-amplifier" else parts.reference)
-    total = ports.sum(axis=-1)
-    row = np.sqrt(total[..., : design.array.rows])
+    rows = design.array.rows
+    total = ports.sum(axis=-1)[..., rows:]
+    row = np.sqrt(_into_rows(ports, rows, behind))
     with np.errstate(divide="ignore"):
-        column = np.sqrt(_in_series(total[..., design.array.rows :], 1.0 / behind))
+        column = np.sqrt(_in_series(total, 1.0 / behind))
     limits = [abs(limit - part.reference_voltage) for limit in part.supply if isfinite(limit)]
     others = np.maximum(np.abs(parts.offset), max(limits, default=0.0)) + np.abs(parts.reference * parts.bias)
     applied = abs(design.drive.voltage) * row[..., :, None] + (others * column).sum(axis=-1)[..., None, None]

@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from ..errors import SolverError
 from .design import Design
-from .elimination import eliminate_leading, impedance
+from .elimination import account, eliminate_leading, impedance, rounding_meter
 from .parts import Parts, siemens
 from .ports import IDEAL_WIRE
 
@@ -145,10 +145,14 @@ def _column_currents(design: Design, network: FloatArray, source: FloatArray) ->
         grounded: FloatArray = drive * transfer + idle[..., None, :]
         return grounded
     currents = np.empty((*network.shape[:-2], rows, columns))
+    worst = 0.0
     for row in range(rows):
         order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
-        alone = eliminate_leading(network[..., order[:, None], order], rows - 1)
+        with rounding_meter() as meter:
+            alone = eliminate_leading(network[..., order[:, None], order], rows - 1)
+        worst = max(worst, meter.relative)
         currents[..., row, :] = alone[..., 0, 1:] * (drive - source) + (alone[..., 1:, 1:] * difference).sum(axis=-1)
+    account(worst)  # each step is solved on its own
     return currents
 
 
@@ -162,8 +166,12 @@ def _read_amplifiers(design: Design, ports: FloatArray) -> Reading:
     if saturated.any():
         frames = ports.reshape(-1, *ports.shape[-2:])
         stacked, flags = volts.reshape(-1, rows, columns), saturated.reshape(-1, rows, columns)
+        worst = 0.0
         for frame in np.flatnonzero(flags.any(axis=(1, 2))):
-            stacked[frame], flags[frame] = _read_saturated(design, parts, frames[frame], stacked[frame])
+            with rounding_meter() as meter:
+                stacked[frame], flags[frame] = _read_saturated(design, parts, frames[frame], stacked[frame])
+            worst = max(worst, meter.relative)
+        account(worst)
     return Reading(volts, saturated)
 
 
@@ -254,11 +262,15 @@ def _effective_resistance(ports: FloatArray, rows: int) -> FloatArray:
     size = ports.shape[-1]
     result = np.empty((*ports.shape[:-2], rows, size - rows))
     flat, out = ports.reshape(-1, size, size), result.reshape(-1, rows, size - rows)
+    worst = 0.0
     for frame, network in enumerate(flat):
         _, island = connected_components(network > 0, directed=False)
         for row in range(rows):  # grounding the driven row, not a common node, keeps nearby pairs free of cancellation
             others = np.delete(np.arange(size), row)
-            inner = impedance(network[np.ix_(others, others)], network[row, others])
+            with rounding_meter() as meter:
+                inner = impedance(network[np.ix_(others, others)], network[row, others])
+            worst = max(worst, meter.relative)
             ohms = np.where(island[others] == island[row], np.diagonal(inner), inf)
             out[frame, row] = ohms[rows - 1 :]
+    account(worst)  # each row of each frame is solved on its own
     return result
