@@ -536,6 +536,7 @@ class Tree:
         self._given = np.full((3 * work.leaf.rows * work.leaf.columns, 1, work.down, work.along), np.nan)
         self._scratch = np.empty(_scratch(work, 1))
         self._joins = _joins(work, self._stacks, self._scratch)
+        self._some_joins: dict[tuple[int, int], tuple[FloatArray, FloatArray, _Join, FloatArray]] = {}
         self._some = [np.empty(max(stack.size for stack in self._stacks)) for _ in range(3)]
 
     def transfer(self, cells: FloatArray, row: FloatArray, column: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -579,14 +580,22 @@ class Tree:
         one_at, other_at = (
             places[stale] for places in _halves(merge.axis, np.arange(len(blocks)).reshape(below.shape[:3]))
         )
-        one, other = (self._buffer(number, (count, *blocks.shape[1:])) for number in range(2))
+        one, other, join, fresh = self._picked(level, count)
         np.take(blocks, one_at, axis=0, out=one, mode="clip")
         np.take(blocks, other_at, axis=0, out=other, mode="clip")
-        fresh = self._buffer(2, (count, *above.shape[-2:]))
-        own = _Join(merge, one, other, fresh, self._scratch).run()
+        own = join.run()
         above[stale] = fresh
         relative = self._relative[level].ravel()
         self._relative[level + 1][stale] = own + np.maximum(relative[one_at], relative[other_at])
+
+    def _picked(self, level: int, count: int) -> tuple[FloatArray, FloatArray, _Join, FloatArray]:
+        """Where to put so many pairs of halves, how to merge them, and where they will then be."""
+        if (level, count) not in self._some_joins:
+            half, whole = ((count, *self._stacks[k].shape[-2:]) for k in (level, level + 1))
+            one, other, fresh = self._buffer(0, half), self._buffer(1, half), self._buffer(2, whole)
+            join = _Join(self._plan.merges[level], one, other, fresh, self._scratch)
+            self._some_joins[level, count] = one, other, join, fresh
+        return self._some_joins[level, count]
 
     def _buffer(self, number: int, shape: tuple[int, ...]) -> FloatArray:
         return self._some[number][: math.prod(shape)].reshape(shape)

@@ -23,6 +23,7 @@ FloatArray = NDArray[np.float64]
 
 IDEAL_WIRE = 1e20  # conductance of 0 ohm, relative to the largest one it must outdo
 LARGEST_PART = 1e14  # S that a part outside the grid (load, lead, Rref/(1 + A)) is taken to have at most
+_AS_GOOD_AS_SHORT = 1e200  # S
 
 
 @dataclass(frozen=True)
@@ -107,10 +108,14 @@ def has_ideal_lines(lines: Lines) -> bool:
 def _capped(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Cells, row lines and column lines (from the exits backwards) with large numbers in place of infinite ones."""
     exits = np.full(conductance.shape[-1], np.inf) if lines.exit is None else lines.exit
-    short = IDEAL_WIRE * max(_largest_finite(part) for part in (conductance, lines.row, lines.column, exits))
-    wire = IDEAL_WIRE * short  # an ideal line holds its potential even across a shorted cell
     column = np.concatenate([exits[None], lines.column[:0:-1]])
-    return np.minimum(conductance, short), np.minimum(lines.row, wire), np.minimum(column, wire)
+    parts = conductance, lines.row, column
+    largest = [float(part.max(initial=0.0)) for part in parts]
+    short = IDEAL_WIRE * max(_largest_finite(part, most) for part, most in zip(parts, largest, strict=True))
+    wire = IDEAL_WIRE * short  # an ideal line holds its potential even across a shorted cell
+    limits = zip(parts, largest, (short, wire, wire), strict=True)
+    cells, row, column = (np.minimum(part, limit) if most > limit else part for part, most, limit in limits)
+    return cells, row, column
 
 
 def _ideal_lines(cells: FloatArray, row: FloatArray, column: FloatArray, exits: FloatArray | None) -> FloatArray:
@@ -137,6 +142,8 @@ def _ideal_lines(cells: FloatArray, row: FloatArray, column: FloatArray, exits: 
     return eliminate_leading(network[:, order[:, None], order], len(near)) if len(near) else network
 
 
-def _largest_finite(values: FloatArray) -> float:
+def _largest_finite(values: FloatArray, most: float) -> float:
     """At least :data:`LARGEST_PART`; conductances above 1e200 S are as good as shorts."""
-    return float(np.max(values, where=values < 1e200, initial=LARGEST_PART))
+    if most < _AS_GOOD_AS_SHORT:
+        return max(most, LARGEST_PART)
+    return float(np.max(values, where=values < _AS_GOOD_AS_SHORT, initial=LARGEST_PART))

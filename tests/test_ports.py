@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from ohmskin.circuits import banded, dissection, elimination
-from ohmskin.circuits.exact import exact_transfer
+from ohmskin.circuits.exact import exact_transfer, transfer_error
 from ohmskin.circuits.ports import Lines, Stream, port_conductances, transfer_conductances
 
 SHAPES = [(1, 1), (1, 7), (6, 1), (4, 5), (5, 5), (3, 11), (8, 8), (13, 18), (20, 17), (33, 9), (36, 40)]
@@ -25,6 +25,11 @@ def slowly(conductance: np.ndarray, lines: Lines, monkeypatch: pytest.MonkeyPatc
     with monkeypatch.context() as patch:
         patch.setattr(elimination, "SAFE_GROWTH", 0.0)
         return transfer_conductances(conductance, lines)[0]
+
+
+def exact_by_dissection(conductance: np.ndarray, lines: Lines) -> tuple[np.ndarray, np.ndarray]:
+    transfer, relative = transfer_conductances(conductance, lines)
+    return transfer, transfer_error(conductance, lines, transfer, relative)
 
 
 @pytest.mark.parametrize("shape", SHAPES)
@@ -70,6 +75,22 @@ def test_small_grids_by_cholesky_and_by_dissection_agree_within_both_bounds() ->
         assert (np.abs(found - transfer_conductances(cells, lines)[0]) <= error).all()
         assert (error < 1e-9 * found).all()
         np.testing.assert_allclose(found, transfer_conductances(cells, lines)[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("decades", [0.0, 1.0, 3.0])
+def test_the_bound_of_cholesky_holds_whatever_the_lines(decades: float) -> None:
+    rng = np.random.default_rng(9)
+    served = 0
+    for _ in range(200):
+        shape = tuple(rng.integers(1, 7, 2))
+        lines, cells = lines_at_random(shape, rng, decades), 10 ** rng.uniform(-7, -4, shape)
+        small = banded.transfer(cells, lines)
+        if small is not None:
+            served += 1
+            found, error = small
+            other, also = exact_by_dissection(cells, lines)
+            assert (np.abs(found - other) <= error + also).all()
+    assert served > 20
 
 
 def test_small_grids_that_cholesky_would_spoil_are_left_to_dissection(monkeypatch: pytest.MonkeyPatch) -> None:
