@@ -544,29 +544,29 @@ class Tree:
         given = np.zeros(self._given.shape)
         _load(self._plan, (cells, row[None], column[None]), given)
         stale = (given != self._given).any(axis=0)
-        self._given = given
+        self._given.fill(np.nan)  # should this be interrupted, nothing can be relied on
         if stale.any():
-            self._reduce(stale)
+            self._reduce(given, stale)
         for level, merge in enumerate(self._plan.merges):
             first, second = _halves(merge.axis, stale)
             stale = first | second
             if stale.any():
                 self._merge(level, stale)
-        return _whole(self._plan, self._stacks[-1][:, 0, 0], self._grid, transfer_only=True), self._relative[-1][
-            :, 0, 0
-        ]
+        self._given = given
+        network, relative = self._stacks[-1][:, 0, 0], self._relative[-1][:, 0, 0]
+        return _whole(self._plan, network, self._grid, transfer_only=True), relative
 
-    def _reduce(self, stale: NDArray[np.bool_]) -> None:
-        """Eliminate the leaves again that have changed."""
+    def _reduce(self, given: FloatArray, stale: NDArray[np.bool_]) -> None:
+        """Eliminate the leaves again that have changed, or all if that is no more work."""
         stack = self._stacks[0]
-        if stale.mean() > _MOST:
+        everything = bool(stale.mean() > _MOST)
+        if everything:
             stale = np.ones_like(stale)
+        count = int(stale.sum())
+        fresh = stack.reshape(-1, *stack.shape[-2:]) if everything else self._buffer(0, (count, *stack.shape[-2:]))
         rims = _rims(self._plan, *self._grid, stale)
-        given = self._given[:, stale]
-        whole = given.shape[1] == stale.size
-        fresh = stack.reshape(-1, *stack.shape[-2:]) if whole else self._buffer(0, (given.shape[1], *stack.shape[-2:]))
-        self._relative[0][stale] = _reduce_leaves(self._plan.leaf, given, rims, fresh, self._scratch)
-        if not whole:
+        self._relative[0][stale] = _reduce_leaves(self._plan.leaf, given[:, stale], rims, fresh, self._scratch)
+        if not everything:
             stack[stale] = fresh
 
     def _merge(self, level: int, stale: NDArray[np.bool_]) -> None:

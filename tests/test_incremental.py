@@ -47,7 +47,18 @@ def test_a_stream_reads_what_single_frames_read(name: str, asked: dict[str, Any]
         assert kept.method == alone.method
         np.testing.assert_allclose(kept.volts, alone.volts, rtol=1e-11)
         np.testing.assert_array_equal(kept.saturated, alone.saturated)
-        assert alone.error_bound * (1 - 1e-6) <= kept.error_bound <= 3 * alone.error_bound
+        assert kept.error_bound == pytest.approx(alone.error_bound, rel=1e-6)
+
+
+def test_a_stream_of_many_blocks_is_as_good_as_single_frames_and_says_so() -> None:
+    design, shape = amplifier(27, 33, lead=2.0, segment=1.0), (27, 33)
+    scanner, rng = Scanner(design, method="exact"), np.random.default_rng(6)
+    stream = [*frames(5, 7, shape), *frames(2, 8, shape)]
+    stream.append(stream[-1] * np.where(rng.random(shape) < 0.3, 1.5, 1.0))
+    for cells in stream:
+        kept, alone = scanner.scan(cells), scan(design, cells, method="exact")
+        np.testing.assert_allclose(kept.volts, alone.volts, rtol=1e-12)
+        assert kept.error_bound == pytest.approx(alone.error_bound, rel=1e-6)
 
 
 @settings(deadline=None, max_examples=20)
