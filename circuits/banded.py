@@ -8,6 +8,7 @@ would lose too many are left to dissection.
 from __future__ import annotations
 
 from functools import lru_cache
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,7 +61,7 @@ def transfer(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatAr
     relative = step * ((total[..., 0] * along_row).sum() + (total[..., 1] * along_column).sum()) + 4.0 * _ULP
     if not relative <= _ACCEPTED:
         return None
-    lifted = _lifted(conductance, total, along_row, along_column) if relative > _SHARP else np.inf
+    lifted = _lifted(conductance, total, along_row, along_column) if relative > _SHARP else inf
     injected = np.zeros((rows, nodes))
     i = np.arange(rows)
     injected[i, 2 * columns * i] = row[:, 0]
@@ -79,23 +80,25 @@ def transfer(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatAr
     return result, np.minimum(relative * result, step * lifted + 2.0 * (width + 4) * _ULP * result)
 
 
-def _lifted(conductance: FloatArray, total: FloatArray, along_row: FloatArray, along_column: FloatArray) -> FloatArray:
-    """Bounds (N, M) in S on the sum over all nodes of their diagonal entry, their volts for 1 V at row i, and their
-    volts for 1 V at column j: so much, in all, can a change of the matrix by its own diagonal do.
+def _lifted(conductance: FloatArray, total: FloatArray, along_row: FloatArray, along_column: FloatArray) -> float:
+    """Bound in S, for any row and column, on the sum over all nodes of their diagonal entry, their volts for 1 V at the
+    row, and their volts for 1 V at the column: so much can a change of the matrix by its own diagonal do.
 
     Volts along the driven line are at most 1. What stands on others is bounded as in :mod:`.attenuation`: the current
     of a cell lifts the crossing line by no more than over that line's wire, and what comes back of such a lift is at
     most ``returned`` of it.
     """
-    dropped, raised = conductance * along_row, conductance * along_column
-    returned = dropped.sum(axis=1).max() * raised.sum(axis=0).max()
+    rows, columns = conductance.shape
+    dropped, raised = float((conductance * along_row).max()), float((conductance * along_column).max())
+    returned = columns * dropped * rows * raised
     if not returned < 0.5:
-        return np.full(conductance.shape, np.inf)
-    by_row = raised.max(axis=1)[:, None] / (1.0 - returned)  # off row i, for 1 V at row i
-    by_column = dropped.max(axis=0) / (1.0 - returned)
-    on_row, on_column = total[..., 0].sum(axis=1)[:, None], total[..., 1].sum(axis=0)
-    lifted: FloatArray = _SLACK * (on_row * by_column + on_column * by_row + total.sum() * by_row * by_column)
-    return lifted
+        return inf
+    off_row, off_column = raised / (1.0 - returned), dropped / (1.0 - returned)  # for 1 V at the row, at the column
+    on_row, on_column = total[..., 0].sum(axis=1), total[..., 1].sum(axis=0)
+    lifted = (
+        on_row.max() * off_column + on_column.max() * off_row + (on_row.sum() + on_column.sum()) * off_row * off_column
+    )
+    return _SLACK * float(lifted)
 
 
 @lru_cache(maxsize=32)
