@@ -19,6 +19,7 @@ from .ports import Lines
 FloatArray = NDArray[np.float64]
 
 LARGEST = 324  # crosspoints; beyond, dissection is as fast and its bound is sharper
+_AT_ONCE = 8  # rows solved for together
 _ULP = float(np.finfo(np.float64).eps) / 2.0
 _SLACK = 1.0 + 1e-6  # for the rounding errors in the bounds themselves
 _ACCEPTED = 1e-9  # certified relative error of a reading; the true one is a thousandth of it
@@ -62,21 +63,25 @@ def transfer(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatAr
     if not relative <= _ACCEPTED:
         return None
     lifted = _lifted(conductance, total, along_row, along_column) if relative > _SHARP else inf
-    injected = np.zeros((rows, nodes))
-    i = np.arange(rows)
-    injected[i, 2 * columns * i] = row[:, 0]
     factor, failed = dpbtrf(band.T, lower=1, overwrite_ab=1)
     if failed:
         return None
-    volts, _ = dtbtrs(factor, injected.T, uplo="L", overwrite_b=1)
-    # Only the last row of the grid meets the exits: of their side of the factor the last block is enough.
+    # Nothing is there ahead of the row that is driven, and only the last row of the grid meets the exits: of their side
+    # of the factor the last block is enough.
+    driven = np.empty((rows, width))
+    for first in range(0, rows, _AT_ONCE):
+        ahead, steps = width * first, np.arange(min(_AT_ONCE, rows - first))
+        injected = np.zeros((len(steps), nodes - ahead))
+        injected[steps, width * steps] = row[first + steps, 0]
+        volts, _ = dtbtrs(factor[:, ahead:], injected.T, uplo="L", overwrite_b=1)
+        driven[first + steps] = volts[-width:].T
     at_end = np.zeros((width, width))
     down, along = _lower(width)
     at_end[down, along] = factor[down - along, nodes - width + along]
     out = np.zeros((width, columns))
     out[1::2][np.arange(columns), np.arange(columns)] = column[-1]
     reached, _ = dtrtrs(at_end, out, lower=1)
-    result: FloatArray = volts[-width:].T @ reached
+    result: FloatArray = driven @ reached
     return result, np.minimum(relative * result, step * lifted + 2.0 * (width + 4) * _ULP * result)
 
 
