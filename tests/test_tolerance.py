@@ -180,3 +180,17 @@ def test_one_line_ideal_and_the_other_not(row: float, column: float) -> None:
     for method in METHODS:
         result = scan(design, cells, method=method)
         assert off(design, cells, result.volts) <= result.error_bound
+
+
+@pytest.mark.parametrize("idle_rows", ["ground", "float"])
+@pytest.mark.parametrize("idle_columns", ["float", "load"])
+@pytest.mark.parametrize("ohms", [0.0, 2.0])
+def test_a_short_in_a_divider_does_not_loosen_its_bound(idle_rows: str, idle_columns: str, ohms: float) -> None:
+    cells = 10 ** np.random.default_rng(3).uniform(3, 5, (3, 4))
+    cells[1, 2] = 0.0
+    wires = {name: ohms for name in ("row_lead", "column_lead", "row_segment", "column_segment")}
+    design = divider(3, 4, idle_rows=idle_rows, idle_columns=idle_columns, **wires)
+    result = scan(design, cells)
+    exact = reference_volts(design, cells, digits=40)
+    error = np.abs(result.volts - exact).max() / np.abs(exact).max()
+    assert error <= result.error_bound < 1e-10
