@@ -33,7 +33,7 @@ class Peer(NamedTuple):
     solve: Callable[[Design, FloatArray], FloatArray]
     """design and cells in ohm to currents in A"""
     largest: int
-    """side of the largest grid that is worth waiting for"""
+    """side of the largest grid that is waited for unasked"""
 
 
 class Nodal(NamedTuple):
