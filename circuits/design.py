@@ -300,9 +300,8 @@ class Design(Section):
             raise InputError(
                 f"cell resistances have shape {resistance.shape}, expected {self.array.shape} (rows, columns)"
             )
-        bad = ~(resistance >= 0)
-        if bad.any():
-            row, column = np.argwhere(bad)[0]
+        if not resistance.min() >= 0:
+            row, column = np.argwhere(~(resistance >= 0))[0]
             raise InputError(
                 f"cell resistance at row {row}, column {column} is {resistance[row, column]}; "
                 "expected ohm >= 0 (inf = open, 0 = short)"

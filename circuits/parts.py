@@ -86,7 +86,7 @@ def siemens(ohms: FloatArray | float) -> FloatArray:
     """Conductances; what is below 1e-60 ohm is a wire, since products of larger conductances would overflow."""
     with np.errstate(divide="ignore", over="ignore"):
         conductance = np.divide(1.0, ohms)
-    return np.where(conductance > _WIRE, np.inf, conductance)
+    return conductance if conductance.max(initial=0.0) <= _WIRE else np.where(conductance > _WIRE, np.inf, conductance)
 
 
 def series_faults(design: Design, kind: str) -> FloatArray:
