@@ -1,103 +1,74 @@
-"""Line attenuation: every reading in O(N M), with a proof of how far it can be off.
+"""Line attenuation: every reading in O(N M) and two matrix products, with a proof of how far it can be off.
 
-Take the current from row i into column j as if all other lines stood at ground: a ladder along the row brings
-p_i(j) of the drive to the cell, and a ladder along the column brings h_j(i) of the cell's current to the amplifier,
+Take the current from row i into column j as if all other lines stood at ground: along the row p_i(j) of the drive
+reaches the cell, and along the column h_j(i) of the cell's current reaches the amplifier,
 
     T0 = h G p        (elementwise, N x M).
 
-What is left out is current that leaves a line, lifts a crossing one and comes back. With Ur and Uc the nodal matrices
-of the row and column ladders, the exact answer is the series
+**Profiles.** With K_jk the resistance that places j and k of a line share on the way to its driver or amplifier,
+p = 1 - K G p. The loss to first order, D = K G 1, nearly keeps its shape when K G is applied again: (K G D)_j / D_j is
+the mean of D with weights K_jk G_k, which lie farther out the farther out j is, as D grows. So it grows along the line,
+from no less than a = sum(G D) / sum(G) to b = (K G D) / D at the far end. Put into 1 - p = D - K G (1 - p) that gives
+
+    (1 - b) / (1 - a b) D  <=  1 - p  <=  (1 - a) / (1 - a b) D,
+
+to all orders and closely, since b - a is about a sixth of the largest D. About the middle is taken (:func:`_closed`).
+Where lines are so heavy that this is too coarse, or differ, :mod:`.ladders` solves them.
+
+**What is left out** is current that leaves a line, lifts a crossing one and comes back. With Ur and Uc the nodal
+matrices of the row and column lines, the exact answer is the series
 
     T = h' G (1 + P + P^2 + ...) p,      P = Ur^-1 G Uc^-1 G.
 
-All factors are nonnegative (M-matrices), so each term of the series that is left out could only have added: T0 is
-always low, and a bound on what follows is a bound on the error. It comes from two facts about ladders:
+Between square roots of G, P is the product of two symmetric matrices, R = G^1/2 Ur^-1 G^1/2 of the rows and C of the
+columns, with eigenvalues from 0 to below 1. Cauchy and Schwarz then bound what follows on the first term:
 
-* crossing lines that stand at W volts at most lift row a by no more than W (1 - p_a), since all of them at 1 V and the
-  source at ground is 1 V everywhere less the profile p_a; the same holds for columns with 1 - h_j;
-* the current G p of a cell lifts its own column by no more than over the column's wire alone, G R / (1 + G R) p, R the
-  resistance from the cell to the amplifier.
+    0 <= T_ij - T0_ij <= |C G^1/2 p_i| |R G^1/2 h_j| / (1 - |R| |C|).
 
-So with W_i the largest lift in step i, W_i <= max_j [G R / (1 + G R) p]_ij + kappa W_i, kappa = max(1 - p) max(1 - h),
-and T - T0 <= W_i D_j with D_j = sum_a h_j(a) G_aj (1 - p_a(j)). Further terms of the series (:mod:`.series`) replace
-the first summand by the lift that is still unaccounted for, by which the bound shrinks as fast as the error.
-
-The ladders are solved by continued fractions in positive numbers, so rounding is bounded as well (:func:`rounding`).
+Each vector in it is confined to one line, and for such (Ur^-1 G Ur^-1)_jj <= (Ur^-1)_jj (1 - p_j), where (Ur^-1)_jj is
+no more than the resistance of the wire to the line's end. The eigenvalues of K G are at most b (Collatz, Wielandt), so
+|R| <= b / (1 + b). Further terms of the series (:mod:`.series`) bring the rest down as fast as the error.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .ladders import Ladders, rounding
 from .ports import Lines
 
 FloatArray = NDArray[np.float64]
+SingleArray = NDArray[np.float32]
 
 _ULP = float(np.finfo(np.float64).eps) / 2.0
-_SLACK = 1.0 + 1e-6  # for the rounding errors in the bounds themselves
+_COARSE = float(np.finfo(np.float32).eps) / 2.0
+_TINY = np.finfo(np.float32).tiny
+_SINGLE = 1e6  # S; what underflows in single precision beside cells up to this is less than _TINY
+_LIGHT = 0.04  # |R| |C| for b = 1/4; above, the profiles' closed form would cost accuracy beside what is left out
+SLACK = 1.0 + 1e-6  # for the rounding errors in the bounds themselves
 
 
-@dataclass(frozen=True)
-class Ladders:
-    """Lines with the cells along them, in their order from the driven end (rows) or the amplifier (columns).
-
-    Arrays are (places, lines): a step along all lines at once is then one contiguous slice.
-    """
-
-    series: FloatArray
-    """ohm ahead of each place"""
-    shunt: FloatArray
-    """S to ground at each place"""
-    admittance: FloatArray
-    """S into the rest of the line, from each place on"""
-    profile: FloatArray
-    """volts at each place for 1 V at the end"""
-
-    @classmethod
-    def solve(cls, series: FloatArray, shunt: FloatArray) -> Ladders:
-        """Both (places, lines)."""
-        admittance, drop = np.empty_like(shunt), np.empty_like(shunt)
-        rest = np.zeros(shunt.shape[1:])
-        ohms, branches, sums, drops = list(series), list(shunt), list(admittance), list(drop)
-        for place in range(len(shunt) - 1, -1, -1):  # in place: at 64 x 64 the calls cost more than the arithmetic
-            np.add(rest, branches[place], out=sums[place])
-            np.multiply(ohms[place], sums[place], out=drops[place])
-            np.add(drops[place], 1.0, out=drops[place])
-            np.divide(sums[place], drops[place], out=rest)
-        np.divide(1.0, drop, out=drop)
-        return cls(series, shunt, admittance, np.multiply.accumulate(drop, axis=0, out=drop))
-
-    def part(self, lines: slice) -> Ladders:
-        """Some of the lines."""
-        return Ladders(self.series[:, lines], self.shunt[:, lines], self.admittance[:, lines], self.profile[:, lines])
-
-
-@dataclass(frozen=True)
-class Attenuated:
-    """Transfer conductances (..., N, M) that are at most too low, by ``row[..., :, None] * column[..., None, :]``."""
+class Attenuated(NamedTuple):
+    """Transfer conductances (..., N, M), off by at most ``row[..., :, None] * column[..., None, :]`` and a little."""
 
     transfer: FloatArray
     """S"""
     row: FloatArray
-    """(..., N): volts that the crossing lines can be lifted by in each step"""
+    """(..., N): sqrt(S), or V that the crossing lines can be lifted by in each step"""
     column: FloatArray
-    """(..., M): A into each column for 1 V of that lift"""
+    """(..., M): sqrt(S), or A into each column for 1 V of that lift"""
     rounded: FloatArray
-    """S (..., N, M) of rounding error in ``transfer``, either way"""
-    relative: FloatArray
-    """(...,) rounding error of the ladders' profiles, relative to each"""
-    returned: FloatArray
-    """(...,) largest part of a lift that can come back: at least so fast do the terms of the series shrink"""
+    """further error relative to ``transfer``, that of the profiles and of rounding; broadcasts against it"""
 
     @property
     def error(self) -> FloatArray:
         """S (..., N, M) by which the transfer conductances can be off."""
-        with np.errstate(invalid="ignore"):  # no bound on nothing is not a number, and so never good enough
-            bound: FloatArray = self.row[..., :, None] * self.column[..., None, :]
-        bound += self.rounded
+        bound: FloatArray = self.row[..., :, None] * self.column[..., None, :]
+        bound += self.rounded * self.transfer
         return bound
 
 
@@ -109,96 +80,178 @@ def attenuate(conductance: FloatArray, wires: Wires | None) -> Attenuated | None
         wires: of the grid, if none is broken.
 
     Returns:
-        None for shorted cells and broken lines, which ladders cannot express, and where nothing is left of the drive
+        None for shorted cells and broken lines, which profiles cannot express, and where nothing is left of the drive
         at the end of a line.
 
     """
-    if wires is None or not np.isfinite(conductance).all():
+    if wires is None or not (largest := conductance.max()) < np.inf:
         return None
-    *batch, rows, columns = conductance.shape
-    cells = conductance.reshape(-1, rows, columns)
-    row, column = wires.ladders(cells)
-    known = certify(wires, cells, row, column, tuple(batch))
-    return known if np.isfinite(known.relative).all() else None
+    if wires.shared is None or largest > _SINGLE:
+        *frames, rows, columns = conductance.shape
+        parts = by_ladders(conductance.reshape(-1, rows, columns), wires)
+        known = Attenuated(*(part.reshape((*frames, *part.shape[1:])) for part in parts))
+    else:
+        known, returned = _closed(conductance, wires.shared)
+        if not (returned <= _LIGHT).all():
+            heavy = ~(returned <= _LIGHT)
+            better = by_ladders(conductance[heavy], wires, returned=returned[heavy])
+            for part, instead in zip(known, better, strict=True):
+                part[heavy] = instead
+    return known if np.isfinite(known.rounded).all() else None
+
+
+class Shared(NamedTuple):
+    """What all rows, and all columns, have in common. The losses that it gives need not be known to more digits than
+    the closed form has, so it is kept in single precision.
+    """
+
+    row: SingleArray
+    """(M, M) ohm: K"""
+    column: SingleArray
+    """(N, N) ohm"""
+    to_driver: SingleArray
+    """(M,) ohm from each place to the row's end"""
+    to_amplifier: SingleArray
+    """(N,) ohm from each place to the column's end"""
+    ones: SingleArray
+    """as many as there are places in the longer lines"""
 
 
 @dataclass(frozen=True)
 class Wires:
-    """The wires of a grid in ohm."""
+    """The wires of a grid in ohm, none of them broken."""
 
     row: FloatArray
-    """(M, N): place along the row, row"""
+    """(N, M) ahead of each crosspoint along its row"""
     column: FloatArray
-    """(N, M): place along the column from the amplifier, column"""
-    path: FloatArray
-    """(N, M) from each crosspoint to the amplifier"""
+    """(N, M) behind each crosspoint along its column"""
+    to_driver: FloatArray
+    """(N, M) from each crosspoint to the row's end"""
+    to_amplifier: FloatArray
+    """(N, M) from each crosspoint to the column's end"""
+    shared: Shared | None
+    """None where lines differ"""
 
     @classmethod
     def of(cls, lines: Lines) -> Wires | None:
         """None where a line is broken."""
         assert lines.exit is not None
-        column = np.concatenate([lines.exit[None], lines.column[:0:-1]])
-        if not (lines.row.all() and column.all()):
+        behind = np.concatenate([lines.column[1:], lines.exit[None]])
+        if not (lines.row.all() and behind.all()):
             return None
-        ohms = 1.0 / column
-        return cls(np.ascontiguousarray(1.0 / lines.row.T), ohms, np.cumsum(ohms, axis=0)[::-1])
+        row, column = 1.0 / lines.row, 1.0 / behind
+        to_driver, to_amplifier = np.cumsum(row, axis=1), np.cumsum(column[::-1], axis=0)[::-1]
+        shared = None
+        if (row == row[0]).all() and (column == column[:, :1]).all():
+            with np.errstate(over="ignore"):  # lines that heavy are left to ladders
+                ahead, behind = to_driver[0].astype(np.float32), to_amplifier[:, 0].astype(np.float32)
+            ones = np.ones(max(row.shape), dtype=np.float32)
+            shared = Shared(np.minimum.outer(ahead, ahead), np.minimum.outer(behind, behind), ahead, behind, ones)
+        return cls(row, column, to_driver, to_amplifier, shared)
 
     def ladders(self, cells: FloatArray) -> tuple[Ladders, Ladders]:
-        """Row and column ladders of (frames, N, M) cells, lines counted frame by frame."""
+        """Of (frames, N, M) cells: rows and columns, lines counted frame by frame."""
         frames, rows, columns = cells.shape
         along_row = np.ascontiguousarray(cells.transpose(2, 0, 1).reshape(columns, -1))
         along_column = np.ascontiguousarray(cells[:, ::-1].transpose(1, 0, 2).reshape(rows, -1))
-        ohms = [np.tile(part, (1, frames)) if frames > 1 else part for part in (self.row, self.column)]
-        if rows == columns:  # one pass for both
-            both = Ladders.solve(np.hstack(ohms), np.hstack([along_row, along_column]))
-            half = along_row.shape[1]
-            return both.part(slice(None, half)), both.part(slice(half, None))
+        ohms = np.tile(self.row.T, (1, frames)), np.tile(self.column[::-1], (1, frames))
         return Ladders.solve(ohms[0], along_row), Ladders.solve(ohms[1], along_column)
 
 
-def certify(wires: Wires, cells: FloatArray, row: Ladders, column: Ladders, batch: tuple[int, ...]) -> Attenuated:
-    """Put the ladders of (frames, N, M) cells together."""
+@np.errstate(all="ignore")  # where lines are too heavy for this
+def _closed(cells: FloatArray, wires: Shared) -> tuple[Attenuated, FloatArray]:
+    """By profiles in closed form; and |R| |C| (...,), which is not above _LIGHT where that is good enough."""
+    *frames, rows, columns = cells.shape
+    sums = np.empty((4, *frames, rows + columns), np.float32)  # all lines at once: it is the calls that cost
+    far, near, end, total = sums
+    rough = cells.astype(np.float32)
+    row, column = rough @ wires.row, wires.column @ rough  # D
+    along, across = wires.ones[:columns], wires.ones[:rows]
+    np.matmul(rough, along, out=total[..., :rows])
+    np.matmul(across, rough, out=total[..., rows:])
+    lost = rough * row
+    np.matmul(lost, wires.to_driver, out=far[..., :rows])
+    np.matmul(lost, along, out=near[..., :rows])
+    np.multiply(rough, column, out=lost)
+    np.matmul(wires.to_amplifier, lost, out=far[..., rows:])
+    np.matmul(across, lost, out=near[..., rows:])
+    end[..., :rows], end[..., rows:] = row[..., -1], column[..., 0, :]
+    sums[2:] += _TINY
+    sums[:2] /= sums[2:]  # b and a
+    middle = 2.0 / (2.0 + far + near)  # no further than 0.56 (b - a) from both limits, while b is below a quarter
+    np.subtract(far, near, out=near)
+    np.multiply(near, end, out=total)
+    steepest, width, most, off = np.maximum.reduce(sums, axis=-1).astype(np.float64)
+    # Rounding, for n places: D is off by (n + 4) ulp, a and b by (4 n + 12), which moves 1 - p by half of that.
+    ulp = _COARSE * (4.0 * max(rows, columns) + 24.0)
+    off = (0.6 * off + ulp * most) / (1.0 - most)
+    relative = off * (2.0 + off) + 8.0 * _ULP
+    returned = (steepest * (1.0 + ulp) / (1.0 + steepest)) ** 2
+    row *= middle[..., :rows, None]  # 1 - p
+    column *= middle[..., None, rows:]  # 1 - h
+    np.multiply(rough, row, out=lost)
+    np.subtract(rough, lost, out=row)  # G p
+    column *= row
+    row_square = np.einsum("...ij,...ij->...i", row, column)
+    np.subtract(row, column, out=row)  # G h p
+    column_square = np.einsum("...ij,...ij->...j", lost, row)  # should be G h (1 - p) h, and p is at least 1 - most
+    lost += column
+    row_square += _TINY * columns  # for what is too small for single precision
+    column_square += _TINY * rows
+    row_square *= wires.to_amplifier
+    column_square *= wires.to_driver
+    certain = (1.0 + relative) ** 2 * (1.0 + ulp) * (1.0 + width) * (1.0 - most) ** -0.5 * endlessly(returned)
+    return (
+        Attenuated(
+            transfer=cells - lost,
+            row=np.sqrt(row_square) * np.asarray(certain)[..., None],
+            column=np.sqrt(column_square, dtype=np.float64),
+            rounded=np.asarray(relative)[..., None, None],
+        ),
+        np.asarray(returned),
+    )
+
+
+def by_ladders(
+    cells: FloatArray,
+    wires: Wires,
+    *,
+    returned: FloatArray | None = None,
+    ladders: tuple[Ladders, Ladders] | None = None,
+) -> Attenuated:
+    """By the ladders of (frames, N, M) cells: to rounding, however heavy the lines.
+
+    Args:
+        cells: S.
+        wires: of the grid.
+        returned: (frames,) |R| |C|, where more is known of it than the ladders tell.
+        ladders: of the rows and of the columns, where they are there already.
+
+    """
     frames, rows, columns = cells.shape
-    profile = row.profile.reshape(columns, frames, rows).transpose(1, 2, 0)
-    gain = column.profile.reshape(rows, frames, columns).transpose(1, 0, 2)[:, ::-1]
+    row, column = ladders or wires.ladders(cells)
+    profile, beyond = (_framed(part, frames).transpose(1, 2, 0) for part in (row.profile, row.admittance))
+    gain, above = (_framed(part, frames).swapaxes(0, 1)[:, ::-1] for part in (column.profile, column.admittance))
     lowest, least = profile.min(axis=(1, 2)), gain.min(axis=(1, 2))
     relative = rounding(columns, lowest) + rounding(rows, least) + 4.0 * _ULP
-    each = relative[:, None, None]
-    reaching = cells * gain
-    transfer = reaching * profile
-    lost = (1.0 + each) - profile  # at least 1 - p, rounding included
-    over_wire = cells * wires.path
-    over_wire /= 1.0 + over_wire
-    over_wire *= profile
-    returned = (1.0 + relative - lowest) * (1.0 + relative - least)
-    lift = over_wire.max(axis=-1)
-    slack = (1.0 + relative) * _SLACK
-    factor = (slack * endlessly(returned))[:, None]
-    lift = np.multiply(lift, factor, out=lift, where=lift > 0)  # a row without cells lifts nothing, however often
-    reaching *= lost
-    return Attenuated(
-        transfer=transfer.reshape(*batch, rows, columns),
-        row=lift.reshape(*batch, rows),
-        column=(reaching.sum(axis=-2) * slack[:, None]).reshape(*batch, columns),
-        rounded=(each * transfer).reshape(*batch, rows, columns),
-        relative=relative.reshape(batch),
-        returned=returned.reshape(batch),
-    )
+    into, out = cells * profile, cells * gain
+    transfer = into * gain
+    most = 1.0 + relative[:, None, None]
+    reach = wires.to_amplifier / (1.0 + wires.to_amplifier * above)  # at least (Uc^-1)_jj
+    row_square = np.einsum("...ij,...ij,...ij->...i", into, into * most - transfer, reach)
+    reach = wires.to_driver / (1.0 + wires.to_driver * beyond)
+    column_square = np.einsum("...ij,...ij,...ij->...j", out, out * most - transfer, reach)
+    seen: FloatArray = (1.0 + relative - lowest) * (1.0 + relative - least)
+    returned = seen if returned is None else np.fmin(seen, returned)
+    certain = SLACK * (1.0 + relative) ** 2 * endlessly(returned)
+    return Attenuated(transfer, certain[:, None] * np.sqrt(row_square), np.sqrt(column_square), most - 1.0)
+
+
+def _framed(part: FloatArray, frames: int) -> FloatArray:
+    """From (places, lines), all frames' together, to (places, frames, lines)."""
+    return part.reshape(len(part), frames, -1)
 
 
 def endlessly(returned: FloatArray) -> FloatArray:
     """Sum of 1 + returned + returned^2 + ..."""
-    with np.errstate(divide="ignore"):
-        return np.where(returned < 1.0, 1.0 / (1.0 - returned), np.inf)
-
-
-def rounding(places: int, smallest: FloatArray) -> FloatArray:
-    """Relative error of profiles that go down to ``smallest`` along ladders of so many places.
-
-    Each step back along a ladder adds 4 ulp to the relative error of its admittance Y, at most 4 n in all. A step of
-    the profile is 1 / (1 + r Y): 3 ulp of its own, and of Y's error the part r Y / (1 + r Y), which summed over the
-    steps is at most -ln of the whole profile.
-    """
-    with np.errstate(divide="ignore"):
-        lost: FloatArray = _ULP * places * (4.0 - 5.0 * np.log(smallest))
-    return lost
+    return 1.0 / np.maximum(1.0 - returned, 1e-60)  # what has no end is no less than that, and bounds nothing

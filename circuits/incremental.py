@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from . import banded
-from .attenuation import Attenuated, Ladders, Wires, certify
 from .design import Design
 from .exact import exact_transfer, transfer_error
 from .ports import Lines, Stream, has_ideal_lines
-from .scan import ScanResult, Tools, check_request, solve
+from .scan import ScanResult, check_request, solve
 
 FloatArray = NDArray[np.float64]
 
@@ -22,8 +21,8 @@ class Scanner:
     """Reads frame after frame; each costs what its changed cells cost.
 
     The methods, their choice and their certificates are those of :func:`.scan.scan`. Of the exact method, the blocks
-    without a changed cell are kept; of line attenuation, the ladders of rows and columns without one. A frame that is
-    the last one costs nothing.
+    without a changed cell are kept; line attenuation costs less than finding out what changed. A frame that is the last
+    one costs nothing. Results are the caller's own, whatever comes after them.
     """
 
     def __init__(self, design: Design, *, tolerance: float | None = None, method: str | None = None) -> None:
@@ -31,18 +30,19 @@ class Scanner:
         check_request(tolerance, method)
         self._design = design
         self._tolerance, self._method = tolerance, method
-        self._tools = Tools(_LastLadders().attenuate, _LastTree().transfer)
-        self._last: tuple[FloatArray, ScanResult] | None = None
+        self._tree = _LastTree()
+        self._last: ScanResult | None = None
 
     def scan(self, resistance: ArrayLike) -> ScanResult:
         """Read one frame (rows, columns) of cells in ohm. Raises InputError and SolverError as :func:`.scan.scan`."""
         start = time.perf_counter()
         cells = self._design.resistance(resistance)
-        if self._last is not None and np.array_equal(self._last[0], cells):
-            return replace(self._last[1], seconds=time.perf_counter() - start)
-        result = solve(self._design, cells, self._tolerance, self._method, self._tools)
-        self._last = cells.copy(), result
-        return result
+        last = self._last
+        if last is not None and np.array_equal(last.cells, cells):
+            last = replace(last, seconds=time.perf_counter() - start)
+        else:
+            last = self._last = solve(self._design, cells, self._tolerance, self._method, self._tree.transfer)
+        return replace(last, volts=last.volts.copy(), saturated=last.saturated.copy(), cells=last.cells.copy())
 
 
 class _LastTree:
@@ -56,39 +56,3 @@ class _LastTree:
         self._tree = self._tree or Stream(lines)
         transfer, relative = self._tree.transfer(conductance)
         return transfer, transfer_error(conductance, lines, transfer, relative)
-
-
-class _LastLadders:
-    def __init__(self) -> None:
-        self._cells: FloatArray | None = None
-        self._ladders: tuple[Ladders, Ladders] | None = None
-
-    def attenuate(self, conductance: FloatArray, wires: Wires | None) -> Attenuated | None:
-        """As :func:`.attenuation.attenuate`, for one frame."""
-        if wires is None or not np.isfinite(conductance).all():
-            return None
-        if self._cells is None or self._ladders is None:
-            self._ladders = wires.ladders(conductance[None])
-        else:
-            changed = self._cells != conductance
-            turned = conductance[::-1]
-            row, column = self._ladders
-            self._ladders = (
-                _updated(row, conductance.T, changed.any(axis=1)),
-                _updated(column, turned, changed.any(axis=0)),
-            )
-        self._cells = conductance
-        known = certify(wires, conductance[None], *self._ladders, ())
-        return known if np.isfinite(known.relative) else None
-
-
-def _updated(ladders: Ladders, shunt: FloatArray, changed: NDArray[np.bool_]) -> Ladders:
-    """The ladders with those lines solved again that have changed."""
-    if changed.all():
-        return Ladders.solve(ladders.series, np.ascontiguousarray(shunt))
-    if changed.any():
-        some = Ladders.solve(ladders.series[:, changed], shunt[:, changed])
-        ladders.shunt[:, changed] = some.shunt
-        ladders.admittance[:, changed] = some.admittance
-        ladders.profile[:, changed] = some.profile
-    return ladders

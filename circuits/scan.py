@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import itertools
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import inf
 from typing import NamedTuple
 
@@ -14,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, SolverError
 from . import banded
-from .attenuation import Attenuated, Wires, attenuate
+from .attenuation import attenuate
 from .design import Design
 from .effects import Effect, effects
-from .exact import Transfer, exact_transfer, few_ulp, read_exactly
+from .exact import Transfer, exact_transfer, read_exactly
 from .linear import LinearReadout
 from .parts import Parts, cell_conductance
 from .ports import IDEAL_WIRE, LARGEST_PART
@@ -36,8 +37,6 @@ class ScanResult:
 
     volts: FloatArray
     """V at the amplifier outputs, or across the divider's load"""
-    resistance: FloatArray
-    """ohm that equation (10) makes of ``volts``; inf where no current flows"""
     saturated: NDArray[np.bool_]
     """outputs at a supply limit"""
     method: str
@@ -48,6 +47,11 @@ class ScanResult:
     design: Design = field(repr=False)
     cells: FloatArray = field(repr=False)
     """(rows, columns) ohm that were read"""
+
+    @cached_property
+    def resistance(self) -> FloatArray:
+        """(rows, columns) ohm that equation (10) makes of ``volts``; inf where no current flows."""
+        return apparent_resistance(self.design, self.volts)
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -76,29 +80,21 @@ def scan(
     """
     check_request(tolerance, method)
     cells = design.resistance(resistance)
-    return solve(design, cells, tolerance, method, Tools())
+    return solve(design, cells, tolerance, method)
 
 
-@dataclass(frozen=True)
-class Tools:
-    """What a frame is solved with; :class:`.incremental.Scanner` puts in such as remember the last one."""
-
-    attenuate: Callable[[FloatArray, Wires | None], Attenuated | None] = attenuate
-    transfer: Transfer = exact_transfer
-
-
-def solve(design: Design, cells: FloatArray, tolerance: float | None, method: str | None, tools: Tools) -> ScanResult:
-    """:func:`scan`, with everything checked."""
+def solve(
+    design: Design, cells: FloatArray, tolerance: float | None, method: str | None, transfer: Transfer = exact_transfer
+) -> ScanResult:
+    """:func:`scan`, with everything checked; ``transfer`` solves the exact method's linear frames."""
     start = time.perf_counter()
-    answer = _cheapest(design, cells, tolerance, method, tools)
-    volts = ideal_limits(design, cells, answer.volts)
+    answer = _cheapest(design, cells, tolerance, method, transfer)
     seconds = time.perf_counter() - start
     return ScanResult(
-        volts=volts,
-        resistance=apparent_resistance(design, volts),
+        volts=answer.volts,
         saturated=answer.saturated,
         method=answer.method,
-        error_bound=relative(answer.error, volts),
+        error_bound=answer.bound,
         seconds=seconds,
         design=design,
         cells=cells,
@@ -118,31 +114,45 @@ def check_request(tolerance: float | None, method: str | None) -> None:
 class _Answer(NamedTuple):
     volts: FloatArray
     saturated: NDArray[np.bool_]
-    error: FloatArray
-    """V by which each output can be off"""
+    worst: float
+    """V that no output is off by more than"""
+    bound: float
+    """the same relative to the largest output"""
     method: str
 
 
-def _cheapest(design: Design, cells: FloatArray, tolerance: float | None, method: str | None, tools: Tools) -> _Answer:
+def _cheapest(
+    design: Design, cells: FloatArray, tolerance: float | None, method: str | None, transfer: Transfer
+) -> _Answer:
+    """In the order of what the methods cost, the first that does what is asked for."""
     demand = Demand.of(design, tolerance, method)
-    if demand is not None or method not in {None, "exact"}:
-        some = 1 if method == "attenuation" else None if method == "series" else _worthwhile_terms(cells)
-        fast: _Answer | None = None
-        for fast in _fast_answers(design, cells, some, tools):
-            if demand is not None and demand.met(fast.error, fast.volts):
-                return fast
-        if fast is not None and demand is None:
+    cheaper = {None: 0, "attenuation": 1, "series": None, "exact": 0}[method] if demand is None else _cheap_terms(cells)
+    fast: _Answer | None = None
+    for fast in _fast_answers(design, cells, cheaper):
+        if demand is not None and demand.kept(fast.worst, fast.bound):
             return fast
-    reading, error = read_exactly(design, cells, tools.transfer)
-    if tolerance is None or demand is None or demand.met(error, reading.volts):
-        return _Answer(reading.volts, reading.saturated, error, "exact")
-    for fast in _fast_answers(design, cells, None, tools):
-        if demand.met(fast.error, fast.volts):
+    if fast is not None and demand is None:
+        return fast
+    reading, error = read_exactly(design, cells, transfer)
+    volts = ideal_limits(design, cells, reading.volts)
+    exact = _Answer(volts, reading.saturated, float(error.max()), relative(error, volts), "exact")
+    if tolerance is None or demand is None or demand.kept(exact.worst, exact.bound):
+        return exact
+    for fast in _fast_answers(design, cells, None):
+        if demand.kept(fast.worst, fast.bound):
             return fast
     raise SolverError(
         f"no method certifies a tolerance of {tolerance:g} here; method 'exact' certifies "
-        f"{relative(error, reading.volts):.1e} of the largest output"
+        f"{exact.bound:.1e} of the largest output"
     )
+
+
+def _cheap_terms(cells: FloatArray) -> int:
+    """How many terms of the series are worth trying before the exact method; the first is line attenuation.
+
+    Up to 8 x 8 the exact method takes less than two tries. Where it goes over to dissection, a few terms cost less.
+    """
+    return 0 if cells.size <= 64 else 4 if banded.LARGEST < cells.size <= 700 else 1
 
 
 class Demand(NamedTuple):
@@ -160,48 +170,47 @@ class Demand(NamedTuple):
             return cls(tolerance, inf)
         return cls(inf, design.adc.step / 4.0) if method is None and design.adc is not None else None
 
+    def kept(self, worst: float, bound: float) -> bool:
+        """By outputs of which none is off by more than ``worst`` in V, ``bound`` relative to the largest."""
+        return worst <= self.volts and bound <= self.relative
+
     def met(self, error: FloatArray, volts: FloatArray) -> bool:
         """For the errors (rows, columns) of one frame in V."""
-        return float(error.max()) <= self.volts and relative(error, volts) <= self.relative
+        return self.kept(float(error.max()), relative(error, volts))
 
 
-def _worthwhile_terms(cells: FloatArray) -> int:
-    """Terms of the series that cost less than the exact method takes; at 17 x 17 ... 26 x 26."""
-    return 4 if banded.LARGEST < cells.size <= 700 else 1
-
-
-def _fast_answers(design: Design, cells: FloatArray, some: int | None, tools: Tools) -> Iterator[_Answer]:
+def _fast_answers(design: Design, cells: FloatArray, some: int | None) -> Iterator[_Answer]:
     """Better and better readings by ``some`` terms of the series, or as many as it takes; none where they do not
     apply, or where an output may saturate.
     """
     linear = LinearReadout.of(design)
-    if linear is None:
+    if linear is None or some == 0:
         return
     conductance = cell_conductance(design, cells)
-    if some == 1:
-        only = tools.attenuate(conductance, linear.wires)
-        found: Iterator[Attenuated] = iter([] if only is None else [only])
-    else:
-        found = itertools.islice(terms(conductance, linear.wires), some)
-    last = inf
-    for number, known in enumerate(found):
-        volts = linear.volts(known.transfer)
-        error = linear.error(known.error) + few_ulp(volts)
-        worst = float(error.max())
-        if number and not worst < 0.7 * last:  # rounding is all that is left, or the lines are too heavy for this
+    known, method, last = attenuate(conductance, linear.wires), "attenuation", inf
+    further = itertools.islice(terms(conductance, linear.wires), 1, some) if some != 1 else iter(())
+    while known is not None:
+        volts, error = linear.read(known)
+        worst = float(error)
+        if not (worst < 0.7 * last or last == inf):  # rounding is all that is left, or the lines are too heavy for this
             return
         last = worst
-        if linear.within_supply(volts, error):
-            flags = np.zeros(volts.shape, dtype=np.bool_)
-            yield _Answer(volts, flags, error, "attenuation" if number == 0 else "series")
+        if linear.within_supply(volts, worst):
+            flags, bound = np.zeros(volts.shape, dtype=np.bool_), _share(worst, float(np.abs(volts).max()))
+            yield _Answer(volts, flags, worst, bound, method)
+        known, method = next(further, None), "series"
 
 
 def relative(error: FloatArray, volts: FloatArray) -> float:
     """Largest error relative to the largest finite output that is sure to be there."""
     finite = np.isfinite(volts)
     worst = float(np.max(error, where=finite, initial=0.0))
-    largest = float(np.max(np.abs(volts), where=finite, initial=0.0)) - worst
-    return worst / largest if largest > 0 else inf if worst else 0.0
+    return _share(worst, float(np.max(np.abs(volts), where=finite, initial=0.0)))
+
+
+def _share(worst: float, largest: float) -> float:
+    sure = largest - worst
+    return worst / sure if sure > 0 else inf if worst else 0.0
 
 
 def ideal_limits(design: Design, cells: FloatArray, volts: FloatArray) -> FloatArray:

@@ -9,17 +9,17 @@ to be smaller, since few operations lie between the cells and a reading.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
+from math import inf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .attenuation import Attenuated, Ladders, Wires, certify, endlessly
+from .attenuation import SLACK, Attenuated, Wires, by_ladders, endlessly
+from .ladders import Ladders
 
 FloatArray = NDArray[np.float64]
 
 LARGEST = 1 << 22  # rows times crosspoints that are worth their memory
-_SLACK = 1.0 + 1e-6  # for the rounding errors in the bounds themselves
 _ULP = float(np.finfo(np.float64).eps) / 2.0
 
 
@@ -31,37 +31,42 @@ def terms(conductance: FloatArray, wires: Wires | None) -> Iterator[Attenuated]:
         return
     rows, columns = conductance.shape
     row, column = wires.ladders(conductance[None])
-    known = certify(wires, conductance[None], row, column, ())
-    yield known
-    if rows * conductance.size > LARGEST:
-        return
-    if known.returned >= 1.0:
+    known = Attenuated(*(part[0] for part in by_ladders(conductance[None], wires, ladders=(row, column))))
+    profile, gain = row.profile.T, column.profile[::-1]
+    relative = float(known.rounded[0, 0])
+    if not relative < inf:
         return  # nothing is left of the drive somewhere: ladders say no more about these lines
+    yield known
+    returned = (1.0 + relative - profile.min()) * (1.0 + relative - gain.min())
+    if rows * conductance.size > LARGEST or returned >= 1.0:
+        return
     along_row = _impedance(row)  # (N, M, M)
     along_column = _impedance(column)[:, ::-1, ::-1]  # (M, N, N), now from row 0 on
-    profile, gain = row.profile.T, column.profile[::-1]
     back = conductance * gain
+    reaching = (back * (1.0 + relative - profile)).sum(axis=0) * (1.0 + relative) * SLACK
     # A ladder's impedance carries the errors of two profiles, of 4 operations per place in each direction, and of the
     # sum over the places in the matrix product; twice that is a whole term.
-    step = 4.0 * known.relative + _ULP * (17.0 * (rows + columns) + 30.0)
-    relative = known.relative
+    step = 4.0 * relative + _ULP * (17.0 * (rows + columns) + 30.0)
+    transfer, rounded = known.transfer, relative * known.transfer
     # Lift of column j at row a in step i, as (j, a, i): at first by the current of cell (i, j) alone.
     lift = along_column * (conductance * profile).T[:, None, :]
     while True:
         current = conductance[:, None, :] * lift.transpose(1, 2, 0)  # into row a at column j in step i, (a, i, j)
         lifted = current @ along_row
         term = np.einsum("aj,aij->ij", back, lifted)
-        relative += step
+        relative = relative + step
         returning = np.ascontiguousarray((conductance[:, None, :] * lifted).transpose(2, 0, 1))
         lift = along_column @ returning
-        rest = lift.max(axis=(0, 1)) * _SLACK * endlessly(known.returned)
-        known = replace(
-            known,
-            transfer=known.transfer + term,
-            row=np.minimum(rest, known.row),
-            rounded=known.rounded + relative * term + _ULP * known.transfer,
+        rounded = rounded + relative * term + _ULP * transfer
+        transfer = transfer + term
+        yield Attenuated(
+            transfer=transfer,
+            # Crossing lines that stand at W volts at most lift a row by no more than W (1 - p), and it a column by no
+            # more than that times (1 - h).
+            row=lift.max(axis=(0, 1)) * (SLACK * endlessly(returned)),
+            column=reaching,
+            rounded=np.divide(rounded, transfer, out=np.zeros_like(transfer), where=transfer > 0.0),
         )
-        yield known
 
 
 def _impedance(ladders: Ladders) -> FloatArray:
