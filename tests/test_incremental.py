@@ -71,13 +71,29 @@ def test_a_stream_forgets_nothing_and_keeps_nothing_stale(seed: int, method: str
         np.testing.assert_allclose(scanner.scan(cells).volts, scan(design, cells, method=method).volts, rtol=1e-11)
 
 
-def test_a_frame_that_is_the_last_one_costs_nothing_and_may_be_overwritten() -> None:
+def test_a_frame_that_is_the_last_one_is_not_solved_again(monkeypatch: pytest.MonkeyPatch) -> None:
     design, cells = DESIGNS["plain"], frames(1, 2)[0]
     scanner = Scanner(design)
     first = scanner.scan(cells)
-    assert scanner.scan(cells.copy()).volts is first.volts
+    with monkeypatch.context() as patched:
+        patched.delattr("ohmskin.circuits.incremental.solve")
+        np.testing.assert_array_equal(scanner.scan(cells.copy()).volts, first.volts)
     cells[0, 0] *= 2  # the caller's own array
     assert scanner.scan(cells).volts[0, 0] < first.volts[0, 0]
+
+
+def test_what_a_caller_does_to_a_result_stays_with_it() -> None:
+    design, cells = DESIGNS["saturating"], frames(1, 2)[0]
+    scanner, alone = Scanner(design), scan(design, cells)
+    for _ in range(3):
+        result = scanner.scan(cells)
+        np.testing.assert_array_equal(result.volts, alone.volts)
+        np.testing.assert_array_equal(result.saturated, alone.saturated)
+        np.testing.assert_array_equal(result.resistance, alone.resistance)
+        result.volts[:] = 7.0
+        result.resistance[:] = 7.0
+        result.cells[:] = 7.0
+        result.saturated[:] = True
 
 
 @pytest.mark.parametrize("asked", [{}, {"tolerance": 1e-3}, {"tolerance": 1e-9}, *({"method": m} for m in METHODS)])
