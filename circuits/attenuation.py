@@ -113,6 +113,8 @@ class Shared(NamedTuple):
     """(M,) ohm from each place to the row's end"""
     to_amplifier: SingleArray
     """(N,) ohm from each place to the column's end"""
+    reach: SingleArray
+    """(N + M,) ohm: both, columns' ends first"""
     ones: SingleArray
     """as many as there are places in the longer lines"""
 
@@ -145,8 +147,14 @@ class Wires:
         if (row == row[0]).all() and (column == column[:, :1]).all():
             with np.errstate(over="ignore"):  # lines that heavy are left to ladders
                 ahead, behind = to_driver[0].astype(np.float32), to_amplifier[:, 0].astype(np.float32)
-            ones = np.ones(max(row.shape), dtype=np.float32)
-            shared = Shared(np.minimum.outer(ahead, ahead), np.minimum.outer(behind, behind), ahead, behind, ones)
+            shared = Shared(
+                row=np.minimum.outer(ahead, ahead),
+                column=np.minimum.outer(behind, behind),
+                to_driver=ahead,
+                to_amplifier=behind,
+                reach=np.concatenate([behind, ahead]),
+                ones=np.ones(max(row.shape), dtype=np.float32),
+            )
         return cls(row, column, to_driver, to_amplifier, shared)
 
     def ladders(self, cells: FloatArray) -> tuple[Ladders, Ladders]:
@@ -192,22 +200,18 @@ def _closed(cells: FloatArray, wires: Shared) -> tuple[Attenuated, FloatArray]:
     np.multiply(rough, row, out=lost)
     np.subtract(rough, lost, out=row)  # G p
     column *= row
-    row_square = np.einsum("...ij,...ij->...i", row, column)
+    squares = sums[0]
+    np.einsum("...ij,...ij->...i", row, column, out=squares[..., :rows])
     np.subtract(row, column, out=row)  # G h p
-    column_square = np.einsum("...ij,...ij->...j", lost, row)  # should be G h (1 - p) h, and p is at least 1 - most
+    np.einsum("...ij,...ij->...j", lost, row, out=squares[..., rows:])  # for G h (1 - p) h: p is at least 1 - most
     lost += column
-    row_square += _TINY * columns  # for what is too small for single precision
-    column_square += _TINY * rows
-    row_square *= wires.to_amplifier
-    column_square *= wires.to_driver
+    squares += _TINY * max(rows, columns)  # for what is too small for single precision
+    squares *= wires.reach
+    norms = np.sqrt(squares, dtype=np.float64)
     certain = (1.0 + relative) ** 2 * (1.0 + ulp) * (1.0 + width) * (1.0 - most) ** -0.5 * endlessly(returned)
+    norms[..., :rows] *= np.asarray(certain)[..., None]
     return (
-        Attenuated(
-            transfer=cells - lost,
-            row=np.sqrt(row_square) * np.asarray(certain)[..., None],
-            column=np.sqrt(column_square, dtype=np.float64),
-            rounded=np.asarray(relative)[..., None, None],
-        ),
+        Attenuated(cells - lost, norms[..., :rows], norms[..., rows:], np.asarray(relative)[..., None, None]),
         np.asarray(returned),
     )
 

@@ -96,9 +96,9 @@ class LinearReadout:
 
         Little more than the largest :meth:`error`, but without one for every output.
         """
-        gain, shift = self._gain
+        gain, size, shift = self._gain
         volts = gain * known.transfer
-        lifted = np.maximum.reduce(np.abs(gain) * known.column, axis=-1)
+        lifted = np.maximum.reduce(size * known.column, axis=-1)
         few = (20.0 + sum(volts.shape[-2:])) * _ULP  # conversion of the resistances, and the last steps
         rounded = np.abs(volts)
         rounded *= known.rounded + few
@@ -112,9 +112,10 @@ class LinearReadout:
         return volts, worst
 
     @cached_property
-    def _gain(self) -> tuple[FloatArray, float]:
-        """V/S (M,) of what the selected row brings, and the largest output in V without any current."""
-        return self.slope * self.drive, float(np.abs(self.output).max())
+    def _gain(self) -> tuple[FloatArray, FloatArray, float]:
+        """V/S (M,) of what the selected row brings, its size, and the largest output in V without any current."""
+        gain = self.slope * self.drive
+        return gain, np.abs(gain), float(np.abs(self.output).max())
 
     def within_supply(self, volts: FloatArray, error: FloatArray | float = 0.0) -> NDArray[np.bool_]:
         """(...,) whether no output of a frame can have reached a limit."""

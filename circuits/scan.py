@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
@@ -14,8 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError, SolverError
-from . import banded
-from .attenuation import attenuate
+from .attenuation import Attenuated, Wires, attenuate
 from .design import Design
 from .effects import Effect, effects
 from .exact import Transfer, exact_transfer, read_exactly
@@ -24,6 +22,8 @@ from .parts import Parts, cell_conductance
 from .ports import IDEAL_WIRE, LARGEST_PART
 from .readout import apparent_resistance
 from .series import terms
+
+_FEW = 64  # cells up to which the exact method takes less than two tries: 85 us against 45 us at 8 x 8
 
 METHODS = ("attenuation", "series", "exact")
 """From the cheapest to the most accurate."""
@@ -126,33 +126,27 @@ def _cheapest(
 ) -> _Answer:
     """In the order of what the methods cost, the first that does what is asked for."""
     demand = Demand.of(design, tolerance, method)
-    cheaper = {None: 0, "attenuation": 1, "series": None, "exact": 0}[method] if demand is None else _cheap_terms(cells)
-    fast: _Answer | None = None
-    for fast in _fast_answers(design, cells, cheaper):
-        if demand is not None and demand.kept(fast.worst, fast.bound):
+    first: Series | None = None
+    if method == "series":
+        first = terms
+    elif method == "attenuation" or (demand is not None and cells.size > _FEW):
+        first = _alone
+    if first is not None:
+        *_, fast = None, *_answers(design, cells, first)
+        if fast is not None and (demand is None or demand.kept(fast.worst, fast.bound)):
             return fast
-    if fast is not None and demand is None:
-        return fast
     reading, error = read_exactly(design, cells, transfer)
     volts = ideal_limits(design, cells, reading.volts)
     exact = _Answer(volts, reading.saturated, float(error.max()), relative(error, volts), "exact")
     if tolerance is None or demand is None or demand.kept(exact.worst, exact.bound):
         return exact
-    for fast in _fast_answers(design, cells, None):
-        if demand.kept(fast.worst, fast.bound):
-            return fast
+    for better in _answers(design, cells, terms):
+        if demand.kept(better.worst, better.bound):
+            return better
     raise SolverError(
         f"no method certifies a tolerance of {tolerance:g} here; method 'exact' certifies "
         f"{exact.bound:.1e} of the largest output"
     )
-
-
-def _cheap_terms(cells: FloatArray) -> int:
-    """How many terms of the series are worth trying before the exact method; the first is line attenuation.
-
-    Up to 8 x 8 the exact method takes less than two tries. Where it goes over to dissection, a few terms cost less.
-    """
-    return 0 if cells.size <= 64 else 4 if banded.LARGEST < cells.size <= 700 else 1
 
 
 class Demand(NamedTuple):
@@ -179,26 +173,29 @@ class Demand(NamedTuple):
         return self.kept(float(error.max()), relative(error, volts))
 
 
-def _fast_answers(design: Design, cells: FloatArray, some: int | None) -> Iterator[_Answer]:
-    """Better and better readings by ``some`` terms of the series, or as many as it takes; none where they do not
-    apply, or where an output may saturate.
-    """
-    linear = LinearReadout.of(design)
-    if linear is None or some == 0:
+Series = Callable[[FloatArray, Wires | None], Iterable[Attenuated]]
+"""Cells (N, M) in S and their wires to better and better transfer conductances, or none."""
+
+
+def _alone(conductance: FloatArray, wires: Wires | None) -> Iterable[Attenuated]:
+    known = attenuate(conductance, wires)
+    return () if known is None else (known,)
+
+
+def _answers(design: Design, cells: FloatArray, series: Series) -> Iterator[_Answer]:
+    """Better and better readings; none where the series does not apply, or where an output may saturate."""
+    linear, last = LinearReadout.of(design), inf
+    if linear is None:
         return
-    conductance = cell_conductance(design, cells)
-    known, method, last = attenuate(conductance, linear.wires), "attenuation", inf
-    further = itertools.islice(terms(conductance, linear.wires), 1, some) if some != 1 else iter(())
-    while known is not None:
+    for number, known in enumerate(series(cell_conductance(design, cells), linear.wires)):
         volts, error = linear.read(known)
         worst = float(error)
-        if not (worst < 0.7 * last or last == inf):  # rounding is all that is left, or the lines are too heavy for this
+        if number and not worst < 0.7 * last:  # rounding is all that is left, or the lines are too heavy for this
             return
         last = worst
         if linear.within_supply(volts, worst):
             flags, bound = np.zeros(volts.shape, dtype=np.bool_), _share(worst, float(np.abs(volts).max()))
-            yield _Answer(volts, flags, worst, bound, method)
-        known, method = next(further, None), "series"
+            yield _Answer(volts, flags, worst, bound, "series" if number else "attenuation")
 
 
 def relative(error: FloatArray, volts: FloatArray) -> float:

@@ -2,8 +2,8 @@
 
 The k-th term follows current that leaves its line and comes back k times. It needs the lift of every crosspoint in
 every step, N x N M numbers, and two products with the ladders' impedances, so it costs O(N^2 M^2) in matrix products.
-On small grids that is less than the exact method takes. On large ones it is more, but its rounding errors are certified
-to be smaller, since few operations lie between the cells and a reading.
+That is more than the exact method takes, but its rounding errors are certified to be smaller, since few operations lie
+between the cells and a reading.
 """
 
 from __future__ import annotations
