@@ -47,7 +47,9 @@ SingleArray = NDArray[np.float32]
 _ULP = float(np.finfo(np.float64).eps) / 2.0
 _COARSE = float(np.finfo(np.float32).eps) / 2.0
 _TINY = np.finfo(np.float32).tiny
-_SINGLE = 1e6  # S; what underflows in single precision beside cells up to this is less than _TINY
+_SINGLE = (
+    1e6  # S; what underflows in single precision beside cells up to this is less than _TINY, and as much as nothing
+)
 _LIGHT = 0.04  # |R| |C| for b = 1/4; above, the profiles' closed form would cost accuracy beside what is left out
 SLACK = 1.0 + 1e-6  # for the rounding errors in the bounds themselves
 
@@ -216,6 +218,7 @@ def _closed(cells: FloatArray, wires: Shared) -> tuple[Attenuated, FloatArray]:
     )
 
 
+@np.errstate(all="ignore")  # where nothing is left of the drive, and nothing can be said
 def by_ladders(
     cells: FloatArray,
     wires: Wires,
@@ -230,6 +233,9 @@ def by_ladders(
         wires: of the grid.
         returned: (frames,) |R| |C|, where more is known of it than the ladders tell.
         ladders: of the rows and of the columns, where they are there already.
+
+    Returns:
+        ``rounded`` is inf for frames in which nothing is left of the drive at the end of a line.
 
     """
     frames, rows, columns = cells.shape

@@ -138,6 +138,12 @@ def test_what_ladders_cannot_express_is_refused() -> None:
     assert attenuate(cells, None) is None
 
 
+def test_where_nothing_is_left_of_the_drive_nothing_is_said() -> None:
+    lines, cells = uniform((60, 60), 1e6, 1e6), np.full((60, 60), 1.0)
+    assert attenuate(cells, Wires.of(lines)) is None
+    assert list(terms(cells, Wires.of(lines))) == []
+
+
 def test_one_frame_without_a_bound_spoils_no_other() -> None:
     lines, light = uniform((5, 5), 1.0, 1.0), ordinary(5)
     heavy = np.full((5, 5), 1e6)
