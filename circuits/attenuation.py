@@ -13,7 +13,7 @@ from no less than a = sum(G D) / sum(G) to b = (K G D) / D at the far end. Put i
     (1 - b) / (1 - a b) D  <=  1 - p  <=  (1 - a) / (1 - a b) D,
 
 to all orders and closely, since b - a is about a sixth of the largest D. About the middle is taken (:func:`_closed`).
-Where lines are so heavy that this is too coarse, or differ, :mod:`.ladders` solves them.
+Where lines are so heavy that this is too coarse, or differ much, :mod:`.ladders` solves them.
 
 **What is left out** is current that leaves a line, lifts a crossing one and comes back. With Ur and Uc the nodal
 matrices of the row and column lines, the exact answer is the series
@@ -88,12 +88,12 @@ def attenuate(conductance: FloatArray, wires: Wires | None) -> Attenuated | None
     """
     if wires is None or not (largest := conductance.max()) < np.inf:
         return None
-    if wires.shared is None or largest > _SINGLE:
+    if wires.alike is None or largest > _SINGLE:
         *frames, rows, columns = conductance.shape
         parts = by_ladders(conductance.reshape(-1, rows, columns), wires)
         known = Attenuated(*(part.reshape((*frames, *part.shape[1:])) for part in parts))
     else:
-        known, returned = _closed(conductance, wires.shared)
+        known, returned = _closed(conductance, wires.alike)
         if not (returned <= _LIGHT).all():
             heavy = ~(returned <= _LIGHT)
             better = by_ladders(conductance[heavy], wires, returned=returned[heavy])
@@ -102,23 +102,56 @@ def attenuate(conductance: FloatArray, wires: Wires | None) -> Attenuated | None
     return known if np.isfinite(known.rounded).all() else None
 
 
-class Shared(NamedTuple):
-    """What all rows, and all columns, have in common. The losses that it gives need not be known to more digits than
-    the closed form has, so it is kept in single precision.
+class Alike(NamedTuple):
+    """Lines that all have one wire, or each a lead and equal segments of its own.
+
+    The losses that follow from it need not be known to more digits than the closed form has, so it is kept in single
+    precision.
     """
 
     row: SingleArray
-    """(M, M) ohm: K"""
+    """(M, M) ohm: K of each row, or of segments of 1 ohm"""
     column: SingleArray
     """(N, N) ohm"""
     to_driver: SingleArray
-    """(M,) ohm from each place to the row's end"""
+    """(M,) ohm from each place to the row's end, or over segments of 1 ohm to the first place"""
     to_amplifier: SingleArray
     """(N,) ohm from each place to the column's end"""
+    own: SingleArray | None
+    """(2, N + M) ohm: lead and segment of each row and column; None where they are all in K"""
     reach: SingleArray
-    """(N + M,) ohm: both, columns' ends first"""
+    """(N + M,) ohm: from each row to the columns' ends, and from each column to the rows' ends, at most"""
     ones: SingleArray
     """as many as there are places in the longer lines"""
+
+    @classmethod
+    def of(cls, row: FloatArray, column: FloatArray, to_driver: FloatArray, to_amplifier: FloatArray) -> Alike | None:
+        """Of wires as in :class:`Wires`; None where lines differ too much, or a fault is in one."""
+        rows, columns = row.shape
+        reach = np.concatenate([to_amplifier.max(axis=1), to_driver.max(axis=0)])
+        own = None
+        if (row == row[0]).all() and (column == column[:, :1]).all():
+            ahead, behind = to_driver[0], to_amplifier[:, 0]
+        elif (
+            (row[:, 1:] == row[:, 1:2]).all()
+            and (column[:-1] == column[:1]).all()
+            and (reach <= 4.0 * np.concatenate([to_amplifier.min(axis=1), to_driver.min(axis=0)])).all()
+        ):
+            ahead, behind = np.arange(float(columns)), np.arange(float(rows))[::-1]
+            own = np.stack([np.concatenate([row[:, 0], column[-1]]), np.concatenate([row[:, -1], column[0]])])
+        else:
+            return None
+        with np.errstate(over="ignore"):  # lines that heavy are left to ladders
+            along, down = ahead.astype(np.float32), behind.astype(np.float32)
+            return cls(
+                row=np.minimum.outer(along, along),
+                column=np.minimum.outer(down, down),
+                to_driver=along,
+                to_amplifier=down,
+                own=None if own is None else own.astype(np.float32),
+                reach=reach.astype(np.float32),
+                ones=np.ones(max(rows, columns), dtype=np.float32),
+            )
 
 
 @dataclass(frozen=True)
@@ -133,8 +166,8 @@ class Wires:
     """(N, M) from each crosspoint to the row's end"""
     to_amplifier: FloatArray
     """(N, M) from each crosspoint to the column's end"""
-    shared: Shared | None
-    """None where lines differ"""
+    alike: Alike | None
+    """for the closed form; None where lines differ too much for it"""
 
     @classmethod
     def of(cls, lines: Lines) -> Wires | None:
@@ -145,19 +178,7 @@ class Wires:
             return None
         row, column = 1.0 / lines.row, 1.0 / behind
         to_driver, to_amplifier = np.cumsum(row, axis=1), np.cumsum(column[::-1], axis=0)[::-1]
-        shared = None
-        if (row == row[0]).all() and (column == column[:, :1]).all():
-            with np.errstate(over="ignore"):  # lines that heavy are left to ladders
-                ahead, behind = to_driver[0].astype(np.float32), to_amplifier[:, 0].astype(np.float32)
-            shared = Shared(
-                row=np.minimum.outer(ahead, ahead),
-                column=np.minimum.outer(behind, behind),
-                to_driver=ahead,
-                to_amplifier=behind,
-                reach=np.concatenate([behind, ahead]),
-                ones=np.ones(max(row.shape), dtype=np.float32),
-            )
-        return cls(row, column, to_driver, to_amplifier, shared)
+        return cls(row, column, to_driver, to_amplifier, Alike.of(row, column, to_driver, to_amplifier))
 
     def ladders(self, cells: FloatArray) -> tuple[Ladders, Ladders]:
         """Of (frames, N, M) cells: rows and columns, lines counted frame by frame."""
@@ -169,7 +190,7 @@ class Wires:
 
 
 @np.errstate(all="ignore")  # where lines are too heavy for this
-def _closed(cells: FloatArray, wires: Shared) -> tuple[Attenuated, FloatArray]:
+def _closed(cells: FloatArray, wires: Alike) -> tuple[Attenuated, FloatArray]:
     """By profiles in closed form; and |R| |C| (...,), which is not above _LIGHT where that is good enough."""
     *frames, rows, columns = cells.shape
     sums = np.empty((4, *frames, rows + columns), np.float32)  # all lines at once: it is the calls that cost
@@ -179,6 +200,12 @@ def _closed(cells: FloatArray, wires: Shared) -> tuple[Attenuated, FloatArray]:
     along, across = wires.ones[:columns], wires.ones[:rows]
     np.matmul(rough, along, out=total[..., :rows])
     np.matmul(across, rough, out=total[..., rows:])
+    if wires.own is not None:
+        lead, segment = wires.own
+        row *= segment[:rows, None]
+        row += (lead * total)[..., :rows, None]
+        column *= segment[rows:]
+        column += (lead * total)[..., None, rows:]
     lost = rough * row
     np.matmul(lost, wires.to_driver, out=far[..., :rows])
     np.matmul(lost, along, out=near[..., :rows])
@@ -186,6 +213,9 @@ def _closed(cells: FloatArray, wires: Shared) -> tuple[Attenuated, FloatArray]:
     np.matmul(wires.to_amplifier, lost, out=far[..., rows:])
     np.matmul(across, lost, out=near[..., rows:])
     end[..., :rows], end[..., rows:] = row[..., -1], column[..., 0, :]
+    if wires.own is not None:
+        far *= segment
+        far += lead * near
     sums[2:] += _TINY
     sums[:2] /= sums[2:]  # b and a
     middle = 2.0 / (2.0 + far + near)  # no further than 0.56 (b - a) from both limits, while b is below a quarter

@@ -91,26 +91,36 @@ def test_each_term_brings_the_error_and_its_bound_down(segment: float) -> None:
     hnp.arrays(np.float64, hnp.array_shapes(min_dims=2, max_dims=2, min_side=1, max_side=8), elements=CELLS),
     st.floats(1e-3, 1e3),
     st.floats(-8.0, -1.0),
+    st.floats(1.0, 2.0),
 )
 def test_the_closed_form_is_what_ladders_give_within_what_it_says(
-    cells: np.ndarray, lead: float, weight: float
+    cells: np.ndarray, lead: float, weight: float, unequal: float
 ) -> None:
-    """Lines from next to nothing up to a tenth of the cells in parallel."""
+    """Lines from next to nothing up to a tenth of the cells in parallel, equal or up to twice each other."""
     segment = 10**weight / max(cells.max() * cells.size, 1e-12)
-    wires = Wires.of(uniform(cells.shape, segment, lead * segment))
+    lines = uniform(cells.shape, segment, lead * segment)
+    assert lines.exit is not None
+    lines.row[:, 1:] *= np.linspace(1.0, unequal, len(cells))[:, None]
+    lines.exit[:] *= np.linspace(unequal, 1.0, len(lines.exit))
+    wires = Wires.of(lines)
     assert wires is not None
+    assert wires.alike is not None
     known, ladders = attenuate(cells, wires), by_ladders(cells[None], wires)
     assert known is not None
     off = np.abs(known.transfer - ladders.transfer[0])
     assert (off <= (known.rounded + ladders.rounded[0]) * known.transfer).all()
+    exact = transfer_conductances(cells, lines)[0]
+    assert (np.abs(exact - known.transfer) <= known.error + EXACT * exact).all()
 
 
-def test_unequal_lines_and_heavy_ones_are_left_to_ladders() -> None:
+def test_heavy_lines_and_such_as_differ_much_are_left_to_ladders() -> None:
     cells = ordinary(6)
     equal, heavy = uniform((6, 6), 0.5, 2.0), uniform((6, 6), 1e4, 2.0)
-    unequal = Lines(equal.row.copy(), equal.column, equal.exit)
+    unequal, different, faulty = (Lines(equal.row.copy(), equal.column.copy(), equal.exit) for _ in range(3))
     unequal.row[3] /= 2.0
-    for lines, same in ((equal, False), (heavy, True), (unequal, True)):
+    different.row[3] /= 20.0
+    faulty.column[2, 4] /= 20.0
+    for lines, same in ((equal, False), (unequal, False), (heavy, True), (different, True), (faulty, True)):
         wires = Wires.of(lines)
         assert wires is not None
         known = attenuate(cells, wires)
