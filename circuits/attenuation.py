@@ -94,11 +94,12 @@ def attenuate(conductance: FloatArray, wires: Wires | None) -> Attenuated | None
         known = Attenuated(*(part.reshape((*frames, *part.shape[1:])) for part in parts))
     else:
         known, returned = _closed(conductance, wires.alike)
-        if not (returned <= _LIGHT).all():
-            heavy = ~(returned <= _LIGHT)
-            better = by_ladders(conductance[heavy], wires, returned=returned[heavy])
-            for part, instead in zip(known, better, strict=True):
-                part[heavy] = instead
+        light = returned <= _LIGHT
+        if light.all():
+            return known
+        better = by_ladders(conductance[~light], wires, returned=returned[~light])
+        for part, instead in zip(known, better, strict=True):
+            part[~light] = instead
     return known if np.isfinite(known.rounded).all() else None
 
 
