@@ -91,25 +91,31 @@ class LinearReadout:
             error += abs(self.source / self.drive) * error.sum(axis=-2, keepdims=True)
         return error
 
-    def read(self, known: Attenuated) -> tuple[FloatArray, FloatArray]:
-        """:meth:`volts`, and what none of a frame's (...,) is off by more than, in V.
+    def read(self, known: Attenuated) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """:meth:`volts`; what none of a frame's (...,) is off by more than; and what its largest is no less than; V.
 
-        Little more than the largest :meth:`error`, but without one for every output.
+        The second is little more than the largest :meth:`error`, but without one for every output. The third follows
+        from the transfer conductances being too low, if anything, where no output has another part.
         """
         gain, size, shift = self._gain
         volts = gain * known.transfer
         lifted = np.maximum.reduce(size * known.column, axis=-1)
         few = (20.0 + sum(volts.shape[-2:])) * _ULP  # conversion of the resistances, and the last steps
-        rounded = np.abs(volts)
-        rounded *= known.rounded + few
-        worst = lifted * np.maximum.reduce(known.row, axis=-1) + np.maximum.reduce(rounded, axis=(-2, -1))
+        relative = known.rounded + few
+        signal = np.abs(volts)
+        largest = np.maximum.reduce(signal, axis=(-2, -1))
+        sure = largest * (1.0 - np.maximum.reduce(relative, axis=(-2, -1)))
+        signal *= relative
+        worst = lifted * np.maximum.reduce(known.row, axis=-1) + np.maximum.reduce(signal, axis=(-2, -1))
         worst += few * shift
         if self.source:
             share = self.source / self.drive
             volts -= share * volts.sum(axis=-2, keepdims=True)
-            worst += abs(share) * (lifted * known.row.sum(axis=-1) + rounded.sum(axis=-2).max(axis=-1))
+            worst += abs(share) * (lifted * known.row.sum(axis=-1) + signal.sum(axis=-2).max(axis=-1))
         volts += self.output
-        return volts, worst
+        if self.source or shift:
+            sure = np.maximum.reduce(np.abs(volts), axis=(-2, -1)) - worst
+        return volts, worst, sure
 
     @cached_property
     def _gain(self) -> tuple[FloatArray, FloatArray, float]:

@@ -188,25 +188,24 @@ def _answers(design: Design, cells: FloatArray, series: Series) -> Iterator[_Ans
     if linear is None:
         return
     for number, known in enumerate(series(cell_conductance(design, cells), linear.wires)):
-        volts, error = linear.read(known)
-        worst = float(error)
+        volts, *limits = linear.read(known)
+        worst, sure = map(float, limits)
         if number and not worst < 0.7 * last:  # rounding is all that is left, or the lines are too heavy for this
             return
         last = worst
         if linear.within_supply(volts, worst):
-            flags, bound = np.zeros(volts.shape, dtype=np.bool_), _share(worst, float(np.abs(volts).max()))
-            yield _Answer(volts, flags, worst, bound, "series" if number else "attenuation")
+            flags = np.zeros(volts.shape, dtype=np.bool_)
+            yield _Answer(volts, flags, worst, _share(worst, sure), "series" if number else "attenuation")
 
 
 def relative(error: FloatArray, volts: FloatArray) -> float:
     """Largest error relative to the largest finite output that is sure to be there."""
     finite = np.isfinite(volts)
     worst = float(np.max(error, where=finite, initial=0.0))
-    return _share(worst, float(np.max(np.abs(volts), where=finite, initial=0.0)))
+    return _share(worst, float(np.max(np.abs(volts), where=finite, initial=0.0)) - worst)
 
 
-def _share(worst: float, largest: float) -> float:
-    sure = largest - worst
+def _share(worst: float, sure: float) -> float:
     return worst / sure if sure > 0 else inf if worst else 0.0
 
 

@@ -119,6 +119,17 @@ def test_from_1e_2_to_1e_12_every_tolerance_is_served_by_the_cheapest_method(siz
     assert scan(design, cells, method="exact").error_bound < 2e-11
 
 
+@pytest.mark.parametrize(("size", "ohms"), [(8, 0.1), (32, 10.0), (64, 1.0), (64, 10.0), (128, 10.0)])
+def test_what_a_scan_says_of_line_attenuation_is_no_more_than_thirty_times_the_error(size: int, ohms: float) -> None:
+    cells, design = (
+        10 ** np.random.default_rng(0).uniform(4, 6, (size, size)),
+        amplifier(size, size, lead=ohms, segment=ohms),
+    )
+    exact, result = scan(design, cells).volts, scan(design, cells, method="attenuation")
+    error = np.abs(result.volts - exact).max() / exact.max()
+    assert error <= result.error_bound <= 30 * error
+
+
 def test_the_exact_bound_covers_what_rounding_did() -> None:
     for size in (16, 33, 64):
         cells = 10 ** np.random.default_rng(size).uniform(4, 6, (size, size))
