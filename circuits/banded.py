@@ -62,7 +62,11 @@ def transfer(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatAr
     relative = step * ((total[..., 0] * along_row).sum() + (total[..., 1] * along_column).sum()) + 4.0 * _ULP
     if not relative <= _ACCEPTED:
         return None
-    lifted = _lifted(conductance, total, along_row, along_column) if relative > _SHARP else inf
+    lifted = inf
+    if relative > _SHARP:
+        lifted = _lifted(conductance, total, along_row, along_column)
+        if lifted == inf:  # lines so heavy that dissection's bound is far better
+            return None
     factor, failed = dpbtrf(band.T, lower=1, overwrite_ab=1)
     if failed:
         return None
