@@ -2,22 +2,27 @@
 
 Strategy
 --------
-What is compared is the conductance that equation (10) makes of a reading, after the model's own offsets are taken
-out of it. On a good board that is the cell's own but for a small crosstalk, so that correcting each cell by what its
-own reading still lacks gains a digit or more each time and needs no derivatives. Where it gains less, the derivatives
-of all readings by all cells (:mod:`.sensitivity`) are factored once, and kept as long as they serve: over the
-iterations of a frame, and over the frames of a stream.
-
 Without resistance in the row lines the columns are independent of each other and there is a closed form: of a column
-whose outputs are known, so are the potentials at its cells, and what is left is linear.
+whose outputs are known, so are the potentials at its cells, and what is left is linear. All other boards are for the
+iteration in :mod:`.inversion`. Either way each cell comes with how far it can be off.
 
-A reading at a limit says that a resistance lies beyond something, not what it is: such a cell is marked and NaN. In the
-model it stands at that limit, and cells that it can disturb are marked too. A reading without signal is an open cell.
+Cells that are not known
+------------------------
+A reading at a limit says that a cell's conductance lies beyond something, not what it is; a cell behind a complete
+break conducts as well, and no reading is its own. Such cells are marked and NaN, and what the others are depends on
+what those may be: from the conductance that just reaches the limit up to a short, or down to nothing; behind a break
+from nothing to a short. So the others are recovered once more with the unknown cells at the far end of their range,
+outputs at their supply limits as the circuit has them, and the interval between is what is known of them.
+
+Between the two ends nothing leaves the interval where one cell is unknown: whatever the other cells, in a network the
+potentials are Moebius functions of one conductance and so monotone in it. Several unknown cells could compensate each
+other; therefore they are also taken to the far end one line at a time, and their contributions to a cell added up with
+equal signs. The other cells move along with the unknown ones to keep their own readings, a coupling of second order,
+which :data:`_MARGIN` is for. That the intervals hold is tested against random cells within the range.
 """
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from enum import IntEnum
 from math import inf
@@ -25,29 +30,26 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
 
-from ..errors import InputError, SolverError
+from ..errors import InputError
 from .design import Design
-from .exact import read_exactly
 from .grid import is_plain
-from .parts import Parts, lines, series_faults, siemens
-from .readout import amplifier_ends
-from .sensitivity import LARGEST, sensitivity
+from .inversion import Factor, Found, Held, Inverter, Model
+from .parts import Parts, line_ohms, lines, series_faults, siemens
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
-# By number of cells: error that may be left of each iteration's before the derivatives are factored (anew), and most
-# iterations. A factorisation costs as much as 5 evaluations of an 8 x 8, 30 of a 32 x 32 and 300 of a 64 x 64.
-_PATIENCE = ((16 * 16, 0.03, 40), (32 * 32, 0.5, 60), (LARGEST, 0.9, 200))
-_NOTHING = 1e-13  # of the largest apparent conductance: smaller ones are rounding
-_ROUNDING = 1e-8  # residual below which progress may end by rounding alone, not by a bad direction
-_LEAST_STRIDE = 1e-3  # along a path of readings
 _LEAST_SHARE = 1e-9  # of a place's current that a cell beside a known short must carry
-# Error that may be left of each iteration's before the derivatives are factored (anew), by number of cells: they cost
-# as much as 5 evaluations of an 8 x 8, 30 of a 32 x 32 and 300 of a 64 x 64.
-_SLOW = ((16 * 16, 0.03), (32 * 32, 0.5), (LARGEST, 0.9))
+_SHORT = 1e-3  # ohm, or a hundredth of the smallest part of a line: less makes no difference to any reading
+_MARGIN = 1.5  # by which an interval is widened where cells are unknown
+_STAGES = (6.0, 40.0, inf)  # times the conductance recovered, at which the others are looked at
+_RETRIES = 1  # in smaller steps
+_RUNAWAY = 0.01  # relative change beyond which a cell may be anything where the far end was not reached
+_AROUND = 0.25
+_GROUPS = 3  # into which unknown cells are put at most
+_DIGITS_LOST = 1e4  # relative error of a cell that counts as read, in units of the accuracy asked for
+_ULP = float(np.finfo(np.float64).eps) / 2.0
 
 
 class Status(IntEnum):
@@ -59,7 +61,7 @@ class Status(IntEnum):
     SATURATED = 2
     """the output or the converter is at a limit, so the resistance is not known: NaN"""
     DISTURBED = 3
-    """not to be trusted, since it depends on cells that are not known (with amplifiers: on its own row or column)"""
+    """known no better than :attr:`Recovery.uncertainty` says, which is more than the accuracy asked for"""
     HIDDEN = 4
     """behind a fault of the design, so that no reading tells of it: NaN"""
 
@@ -72,6 +74,9 @@ class Recovery:
     """ohm"""
     status: NDArray[np.int8]
     """a :class:`Status` each"""
+    uncertainty: FloatArray
+    """relative half-width of the interval that a cell's conductance lies in, ``resistance`` being that of its middle: 1
+    where the cell may as well be open, inf where nothing is known"""
     residual: float
     """largest relative difference that is left between a reading and the model's, in apparent conductance"""
     iterations: int
@@ -107,192 +112,198 @@ class Conditioning:
         return std
 
 
-def recover(design: Design, volts: ArrayLike, *, accuracy: float = 1e-11, clipped: ArrayLike | None = None) -> Recovery:
+def recover(
+    design: Design,
+    volts: ArrayLike,
+    *,
+    accuracy: float = 1e-11,
+    clipped: ArrayLike | None = None,
+    least_ohm: float = 0.0,
+) -> Recovery:
     """The cells that a design's readings come from. For a stream of frames use a :class:`Recoverer`.
 
     Args:
         design: with its lines, faults, gains, offsets and bias currents as they are.
         volts: (rows, columns) V, as :func:`.scan` gives them.
-        accuracy: largest relative difference from the readings, in apparent conductance, to stop at.
-        clipped: (rows, columns) True where the reading is at a limit of the converter. Outputs at a supply limit are
-            found without.
+        accuracy: largest relative difference from the readings, in apparent conductance, to stop at. A cell counts as
+            read if it is known to 10,000 times that.
+        clipped: (rows, columns) True where the reading is at a limit of the converter: the one that it is nearer to, or
+            at either if the design has no [adc]. Outputs at a supply limit are found without.
+        least_ohm: what no cell can be less than. By default, one that is not known may be a short, and then little is
+            known of its column.
 
     Raises:
         InputError: wrong shape, or NaN.
         SolverError: no cells give these readings, or the design does not determine them.
 
     """
-    return Recoverer(design, accuracy=accuracy)(volts, clipped=clipped)
+    return Recoverer(design, accuracy=accuracy, least_ohm=least_ohm)(volts, clipped=clipped)
 
 
-class _Found(NamedTuple):
-    conductance: FloatArray
-    """(N, M) S"""
-    target: FloatArray
-    """(N, M) S: apparent conductances, the model's offsets taken out"""
-    residual: float
-    iterations: int
-    factored: int
+class _Unknown(NamedTuple):
+    """Cells (N, M) whose conductance is only known to be at least, or at most, the one recovered."""
+
+    at_least: BoolArray
+    at_most: BoolArray
+
+    @property
+    def any(self) -> BoolArray:
+        return self.at_least | self.at_most
+
+    def groups(self) -> list[_Unknown]:
+        """Parts of it, each on some lines of its own."""
+        rows, columns = (np.flatnonzero(self.any.any(axis=axis)) for axis in (1, 0))
+        by_row = len(rows) <= len(columns)
+        parts = []
+        for some in np.array_split(rows if by_row else columns, min(_GROUPS, len(rows), len(columns))):
+            inside = np.zeros_like(self.at_least)
+            inside[(some, slice(None)) if by_row else (slice(None), some)] = True
+            parts += [one for one in (self._of(inside, True), self._of(inside, False)) if one.any.any()]
+        return parts
+
+    def _of(self, inside: BoolArray, up: bool) -> _Unknown:
+        nowhere = np.zeros_like(inside)
+        return _Unknown(self.at_least & inside if up else nowhere, nowhere if up else self.at_most & inside)
+
+    def moved(self, conductance: FloatArray, times: float, most: float) -> FloatArray:
+        """S (N, M): these cells that much away from the conductance recovered, as far as they can be."""
+        ordinary = np.median(conductance[conductance > 0]) if (conductance > 0).any() else most
+        up = np.minimum(np.maximum(conductance, ordinary) * times, np.maximum(conductance, most))
+        return np.where(self.at_least, up, np.where(self.at_most, conductance / times, conductance))
 
 
 class Recoverer:
     """:func:`recover` for a stream of frames: starts from the frame before and keeps its factorisation."""
 
-    def __init__(self, design: Design, *, accuracy: float = 1e-11) -> None:
+    def __init__(self, design: Design, *, accuracy: float = 1e-11, least_ohm: float = 0.0) -> None:
+        """As :func:`recover`."""
+        if not least_ohm >= 0:
+            raise InputError(f"least_ohm is {least_ohm}; expected ohm >= 0")
         self._design, self._accuracy = design, accuracy
+        self._most = 1.0 / (least_ohm or _short(design))
         self._series, self._cut_off = series_faults(design, "open-cell"), _cut_off(design)
         # Faults of cells change what is sought, but for a complete short: there nothing is left to be sought.
-        faults = tuple(
-            fault
-            for fault in design.fault
-            if fault.kind not in {"open-cell", "shorted-cell"} or (fault.kind == "shorted-cell" and fault.ohms == 0)
-        )
+        shorts = [fault for fault in design.fault if fault.kind == "shorted-cell"]
+        self._shunts = [fault for fault in shorts if fault.ohms > 0]
+        kept = [fault for fault in design.fault if fault.kind != "open-cell" and fault not in self._shunts]
         self._unread = self._cut_off.copy()
-        for fault in faults:
-            if fault.kind == "shorted-cell":
-                self._unread[fault.place] = True
-        self._model = _Model(
-            design.model_copy(
-                update={
-                    "readout": design.readout.model_copy(update={"supply": (-inf, inf)}),
-                    "fault": faults,
-                }
-            )
-        )
+        for fault in shorts:
+            self._unread[fault.place] |= fault.ohms == 0
+            self._cut_off[fault.place] &= fault.ohms > 0
         self._by_columns = _columns_are_independent(design)
-        cells = design.array.rows * design.array.columns
-        patience = (limits[1:] for limits in _PATIENCE if cells <= limits[0] and self._model.has_derivatives)
-        self._slow, self._most = next(patience, (inf, 200))
-        self._start: FloatArray | None = None
-        self._factor: _Factor | None = None
+        self._model = Model(design.model_copy(update={"fault": tuple(kept)}))
+        self._inverter = Inverter(self._model, self._unread, accuracy)
+        self._far: dict[tuple[int, float], Inverter] = {}
 
     def __call__(self, volts: ArrayLike, *, clipped: ArrayLike | None = None) -> Recovery:
         """As :func:`recover`."""
         measured = _checked(self._design, volts)
-        at_limit = self._at_limit(measured)
-        if clipped is not None:
-            at_limit = at_limit | np.asarray(clipped, dtype=np.bool_)
-        if self._by_columns:
-            conductance = _column_conductance(self._design, measured)
-            unknown = np.isnan(conductance)
-            conductance[unknown] = 0.0
-            found = _Found(conductance, conductance, 0.0, 0, 0)
-        else:
-            found, unknown = self._iterate(measured), np.zeros(measured.shape, dtype=np.bool_)
+        columns = _Columns.of(self._design, measured) if self._by_columns else None
+        found = self._inverter(measured) if columns is None else columns.found()
+        lost = np.isnan(found.conductance)
+        found.conductance[lost] = 0.0
         # At a limit without any signal stands the output of an open cell, on a board that reads down to its reference.
         signal = np.abs(measured - self._design.readout.reference_voltage) > 1e-9 * abs(self._design.drive.voltage)
-        return self._result(found, (at_limit & (signal | (found.conductance > 0))) | unknown)
-
-    def _at_limit(self, measured: FloatArray) -> BoolArray:
-        if self._design.readout.circuit == "voltage-divider":  # no amplifier, no limit
-            return np.zeros(measured.shape, dtype=np.bool_)
-        low, high = self._design.readout.supply
-        at_limit: BoolArray = (measured <= low) | (measured >= high)
-        return at_limit
-
-    def _iterate(self, measured: FloatArray) -> _Found:
-        """Directly or, where that leads nowhere, along a path of readings from a known frame to the measured one."""
-        model, start = self._model, self._start
-        apparent = np.where(self._unread, 0.0, model.apparent(measured - model.level))
-        found = self._follow(measured, apparent if start is None else start, self._accuracy, self._most)
-        if found is None and start is not None:
-            self._factor = None
-            found = self._follow(measured, apparent, self._accuracy, self._most)
-        if found is None:
-            signal, rest = model.split(apparent)
-            origin, here, done, stride, iterations, factored = signal + rest, apparent, 0.0, 0.25, 0, 0
-            while stride > _LEAST_STRIDE and done < 1:
-                goal = min(1.0, done + stride)
-                last = goal == 1
-                between = measured if last else origin + goal * (measured - origin)
-                found = self._follow(between, here, self._accuracy if last else 1e-4, 12)
-                if found is None:
-                    stride /= 2
-                else:
-                    here, done, stride = found.conductance, goal, 1.5 * stride
-                    iterations, factored = iterations + found.iterations, factored + found.factored
-            found = found and found._replace(iterations=iterations, factored=factored)
-        if found is None:
-            self._start = self._factor = None
-            raise SolverError(
-                "no cell resistances were found that give these readings; check that the design is that of the board, "
-                "and that its circuit determines the cells"
+        limited = self._limited(measured, clipped, signal | (found.conductance > 0))
+        unknown = _Unknown(limited.at_least | self._cut_off, limited.at_most & (found.conductance > 0))
+        low, high = np.maximum(found.conductance - found.error, 0.0), found.conductance + found.error
+        if unknown.any.any():
+            down, up = (
+                self._spread(measured, found, unknown)
+                if columns is None
+                else columns.spread(found, unknown, self._most)
             )
-        self._start = found.conductance
-        # What a cell adds to its own reading must stand out from what the model is uncertain by.
-        seen = found.conductance > 10 * max(found.residual, self._accuracy) * found.target
-        return found._replace(conductance=np.where(seen, found.conductance, 0.0))
+            low, high = np.maximum(low - _MARGIN * down, 0.0), high + _MARGIN * up
+        return self._result(found, low, high, lost | limited.any)
 
-    def _follow(self, measured: FloatArray, conductance: FloatArray, accuracy: float, most: int) -> _Found | None:
-        """Correct ``conductance`` until its readings are the measured ones; None if it does not come to that."""
-        model, kept = self._model, self._factor
-        slow = self._slow
-        at_once = not model.amplified and slow < inf  # a divider's readings are far from its cells
-        base, change = conductance, np.zeros_like(conductance)
-        factored, last, best, stalled, fresh = 0, inf, inf, 0, False
-        for iteration in range(1, most + 1):
-            signal, rest = model.split(conductance)
-            reading, target = model.apparent(signal), model.apparent(measured - rest)
-            reading[self._unread] = target[self._unread] = 0.0  # whatever these are, it does not tell of a cell
-            largest = np.maximum(target, reading)
-            missing = target - reading
-            # What is below rounding of the largest reading tells nothing, and an open cell cannot give less than none.
-            telling = (largest > _NOTHING * largest.max(initial=0.0)) & ((target > 0) | (conductance > 0))
-            off = np.divide(np.abs(missing), largest, out=np.zeros_like(missing), where=telling)
-            error = float(off.max(initial=0.0))
-            stalled = stalled + 1 if error > 0.95 * best else 0
-            best = min(best, error)
-            if error <= accuracy or (stalled > 3 and error <= _ROUNDING):
-                self._factor = kept
-                return _Found(conductance, target, error, iteration, factored)
-            if error > last and fresh and np.abs(change).max() > 1e-6:
-                change = change / 2  # a full step of Newton's method went too far
-                conductance = base * (1.0 + change)
-                continue
-            fresh = False
-            if (error > slow * last and error > _ROUNDING) or (iteration == 1 and kept is None and at_once):
-                kept, factored, fresh = _Factor.of(model, conductance), factored + 1, True
-            live = (conductance > 0) & (reading > 0)
-            if kept is None:
-                change = np.divide(missing, np.minimum(conductance, reading), out=np.zeros_like(missing), where=live)
-            else:
-                change = kept.solve(np.divide(missing, reading, out=np.zeros_like(missing), where=live), live)
-            change = np.clip(change, -0.9, 6.0)
-            # Cells that give no current so far get what is missing; those that should give less than none, none.
-            base = np.where(live, conductance, np.maximum(missing, 0.0))
-            base[(change <= -0.9) & (conductance < 1e-3 * target)] = 0.0
-            base[target == 0] = 0.0
-            conductance, last = base * (1.0 + change), error
-        return None
+    def _limited(self, measured: FloatArray, clipped: ArrayLike | None, conducting: BoolArray) -> _Unknown:
+        """Which readings are at a limit, and on which side of what they say the cell's conductance then is."""
+        top = bottom = np.zeros(measured.shape, dtype=np.bool_)
+        if clipped is not None:
+            at_limit, adc = np.asarray(clipped, dtype=np.bool_), self._design.adc
+            middle = sum(adc.range) / 2 if adc else None
+            top = at_limit if middle is None else at_limit & (measured > middle)
+            bottom = at_limit if middle is None else at_limit & (measured <= middle)
+        if self._design.readout.circuit != "voltage-divider":  # which has no amplifier
+            low, high = self._design.readout.supply
+            top, bottom = top | (measured >= high), bottom | (measured <= low)
+        if (self._design.drive.voltage > 0) == self._model.amplified:
+            top, bottom = bottom, top
+        # How far below a limit an offset takes an output depends on all cells of its column.
+        return _Unknown((top | (bottom & top.any(axis=0))) & conducting, bottom & conducting)
 
-    def _result(self, found: _Found, lost: BoolArray) -> Recovery:
-        """``lost``: whose readings do not tell their resistance."""
-        conductance = own = found.conductance
-        for fault in self._design.fault:
-            if fault.kind == "shorted-cell" and fault.ohms > 0:
-                own = own.copy()
-                own[fault.place] -= siemens(fault.ohms)
-        with np.errstate(divide="ignore"):
-            resistance = np.where(own > 0, 1.0 / own, inf)
-        joined = np.isfinite(self._series)
-        resistance = np.where(joined, np.maximum(resistance - np.where(joined, self._series, 0.0), 0.0), inf)
-        status = np.where(np.isinf(resistance), Status.OPEN, Status.READ).astype(np.int8)
+    def _spread(self, measured: FloatArray, found: Found, unknown: _Unknown) -> tuple[FloatArray, FloatArray]:
+        """S (N, M) by which cells can be less, and more, than ``found``, see the top of this module."""
+        known, groups = found.conductance, unknown.groups()
+        down, up = [], []
+        sides = [bool(group.at_least.any()) for group in groups]
+        if max(sides.count(True), sides.count(False)) > 1:  # else one by one is also all together
+            groups.insert(0, unknown)
+        for number, some in enumerate(groups):
+            visited = self._visit(measured, known, unknown, some, number)
+            down.append(known - np.min(visited, axis=0))
+            up.append(np.max(visited, axis=0) - known)
+        less, more = (np.maximum(side[0], np.sum(side[1:], axis=0)) for side in (down, up))
+        # By way of an unknown cell and back by another line: as much as both lines are moved at most.
+        moved = np.divide(np.maximum(less, more), known, out=np.zeros_like(known), where=(known > 0) & ~unknown.any)
+        with np.errstate(invalid="ignore"):  # nothing times inf
+            around = _AROUND * known * np.nan_to_num(moved.max(axis=1, keepdims=True) * moved.max(axis=0), posinf=inf)
+            around = np.where(known > 0, around, 0.0)
+        return less + around, more + around
+
+    def _visit(
+        self, measured: FloatArray, known: FloatArray, unknown: _Unknown, some: _Unknown, number: int
+    ) -> list[FloatArray]:
+        """The conductances in S (N, M) while ``some`` of the unknown cells go to their far end."""
+        visited, pending, reached, retries = [known], list(_STAGES), 1.0, _RETRIES
+        while pending:
+            times = pending[0]
+            if (number, times) not in self._far:
+                self._far[number, times] = Inverter(self._model, self._unread, 1e3 * self._accuracy)
+            held = Held(unknown.any, some.moved(known, times, self._most))
+            there = self._far[number, times].beside(measured, held, visited[-1])
+            if there is not None:
+                visited.append(there)
+                reached = pending.pop(0)
+            elif retries:
+                retries -= 1
+                pending.insert(0, reached * float(np.sqrt(min(times / reached, 100.0))))
+            else:  # no cells give the readings with these so far out, and some may be anything by then
+                off = (np.abs(visited[-1] - known) > _RUNAWAY * known) | (known == 0) | (reached < _STAGES[0])
+                return [*visited, np.where(off, inf, visited[-1]), np.where(off, 0.0, visited[-1])]
+        return visited
+
+    def _result(self, found: Found, low: FloatArray, high: FloatArray, lost: BoolArray) -> Recovery:
+        """``low``, ``high``: S (N, M) between which conductances lie; ``lost``: readings that do not tell theirs."""
+        shunt = np.zeros_like(low)
+        for fault in self._shunts:
+            shunt[fault.place] += siemens(fault.ohms)
+        least, own, most = (self._own(value, shunt) for value in (low, found.conductance, high))
+        middle = np.where(np.isfinite(most), (least + most) / 2, own)
+        worth = _DIGITS_LOST * self._accuracy
+        none = (own == 0) & (most <= worth * np.maximum(found.target, 1e-6 * found.target.max(initial=0.0)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            resistance = np.where(none, inf, 1.0 / middle)
+            uncertainty = np.where(none, 0.0, np.where(np.isfinite(most), (most - least) / (most + least), inf))
+        status = np.where(uncertainty > worth, Status.DISTURBED, np.where(none, Status.OPEN, Status.READ))
         # Beside a short that carries nearly all of the current, a cell is not to be seen.
-        status[~joined | (own < _LEAST_SHARE * conductance) | self._unread] = Status.HIDDEN
+        hidden = np.isinf(self._series) | self._unread
+        hidden |= (shunt > 0) & (found.conductance - shunt < _LEAST_SHARE * found.conductance)
+        status[hidden] = Status.HIDDEN
         status[lost] = Status.SATURATED
-        disturbed = self._disturbed(lost | self._cut_off) & (status == Status.READ)
-        status = np.where(disturbed, Status.DISTURBED, status).astype(np.int8)
-        resistance[np.isin(status, (Status.SATURATED, Status.HIDDEN))] = np.nan
-        return Recovery(resistance, status, found.residual, found.iterations, found.factored)
+        gone = hidden | lost
+        resistance[gone], uncertainty[gone] = np.nan, inf
+        return Recovery(
+            resistance, status.astype(np.int8), uncertainty, found.residual, found.iterations, found.factored
+        )
 
-    def _disturbed(self, unknown: BoolArray) -> BoolArray:
-        """Cells whose readings depend on cells that conduct but are not known."""
-        in_column: BoolArray = np.logical_or(unknown.any(axis=0, keepdims=True), np.zeros_like(unknown))
-        if self._by_columns:
-            return in_column
-        if not self._model.amplified or self._design.drive.idle_rows == "float":
-            return np.full_like(unknown, unknown.any())
-        return np.logical_or(in_column, unknown.any(axis=1, keepdims=True))
+    def _own(self, conductance: FloatArray, shunt: FloatArray) -> FloatArray:
+        """S of the cells without what known faults put beside and ahead of them."""
+        own = np.maximum(conductance - shunt, 0.0)
+        if not self._series.any():
+            return own
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(own > 0, 1.0 / np.maximum(1.0 / own - self._series, 0.0), 0.0)
 
 
 def _cut_off(design: Design) -> BoolArray:
@@ -305,6 +316,11 @@ def _cut_off(design: Design) -> BoolArray:
         elif fault.kind == "broken-column" and fault.ohms == inf:
             cut[: row + 1, column] = True
     return cut
+
+
+def _short(design: Design) -> float:
+    ohms = np.concatenate([part.ravel() for part in line_ohms(design)])
+    return min(_SHORT, 0.01 * float(np.min(ohms, where=ohms > 0, initial=inf)))
 
 
 def conditioning(design: Design, resistance: ArrayLike) -> Conditioning:
@@ -320,105 +336,19 @@ def conditioning(design: Design, resistance: ArrayLike) -> Conditioning:
     """
     cells = np.asarray(resistance, dtype=np.float64)
     cells = design.resistance(np.where(np.isnan(cells), inf, cells))
-    unlimited = design.readout.model_copy(update={"supply": (-inf, inf)})
-    model = _Model(design.model_copy(update={"readout": unlimited}))
+    model = Model(design)
     with np.errstate(divide="ignore"):
         conductance = 1.0 / cells
     if np.isinf(conductance).any():
         raise InputError("a shorted cell (0 ohm) has no relative error; leave it out as nan")
     signal, _ = model.split(conductance)
     live = (conductance > 0) & (signal != 0)
-    per_volt = np.abs(model.log_slope(np.where(live, signal, model.drive / 2)))
+    slope = np.where(live, model.log_slope(signal), 0.0)
     return Conditioning(
-        inverse=_Factor.of(model, conductance).inverse(),
-        volts_to_relative=np.where(live, per_volt, 0.0),
+        inverse=Factor(model.design, conductance, conductance, slope, live).inverse(),
+        volts_to_relative=np.abs(slope),
         resistance=np.where(live, cells, np.where(np.isnan(resistance), np.nan, cells)),
     )
-
-
-class _Model:
-    """Readings as a function of conductances: the part that the drive makes, and the rest (reference, offsets)."""
-
-    def __init__(self, design: Design) -> None:
-        self.design = design
-        self.amplified = design.readout.circuit == "inverting-amplifier"
-        self.has_derivatives = design.array.sheet == "sliced"
-        self.level, self.drive = design.readout.reference_voltage, design.drive.voltage
-        self._parts = parts = Parts.of(design)
-        ends = amplifier_ends(design)
-        alike = self.amplified and design.drive.idle_rows == "ground" and np.ptp(ends.source) == 0
-        self._output, self._source = ends.output, float(ends.source[0]) if alike else None
-        self._turned = design.model_copy(update={"drive": design.drive.model_copy(update={"voltage": -self.drive})})
-        self._has_rest = (
-            bool(parts.offset.any() or parts.bias.any() or (self.level and np.isfinite(parts.gain).any()))
-            and design.readout.circuit != "voltage-divider"
-        )
-
-    def split(self, conductance: FloatArray) -> tuple[FloatArray, FloatArray | float]:
-        """V that the drive makes, and what is there without it."""
-        with np.errstate(divide="ignore"):
-            cells = 1.0 / conductance
-        volts = read_exactly(self.design, cells)[0].volts
-        if not self._has_rest:
-            return volts - self.level, self.level
-        if self._source is None:
-            other = read_exactly(self._turned, cells)[0].volts
-            return (volts - other) / 2, (volts + other) / 2
-        # In its own step a cell gets the drive, and in every step all cells of a column get the same source.
-        above = volts - self._output
-        signal = above + self._source * (above.sum(axis=0) / (self.drive - len(volts) * self._source))
-        return signal, volts - signal
-
-    def apparent(self, signal: FloatArray) -> FloatArray:
-        """Conductance in S that the ideal circuit would need for a signal (N, M) in V; 0 where there is none."""
-        ratio = signal / self.drive
-        if self.amplified:
-            ratio = -ratio
-        floor = 4 * np.finfo(np.float64).eps * (abs(self.level / self.drive) + 1e-12)
-        conductance: FloatArray = np.where(ratio > floor, ratio, 0.0) / self._parts.reference
-        return conductance if self.amplified else conductance / (1.0 - np.minimum(ratio, 1 - 1e-9))
-
-    def log_slope(self, signal: FloatArray) -> FloatArray:
-        """d(log apparent conductance)/d(signal), 1/V."""
-        if self.amplified:
-            return 1.0 / signal
-        return 1.0 / (signal * (1.0 - signal / self.drive))
-
-
-@dataclass(frozen=True)
-class _Factor:
-    """d(log apparent conductance)/d(log conductance), factored; cells without current are kept out of it."""
-
-    lu: tuple[FloatArray, NDArray[np.int32]]
-
-    @classmethod
-    def of(cls, model: _Model, conductance: FloatArray) -> _Factor:
-        with np.errstate(divide="ignore"):
-            found = sensitivity(model.design, 1.0 / conductance)
-        signal, _ = model.split(conductance)
-        live = ((conductance > 0) & (signal != 0)).ravel()
-        slope = model.log_slope(np.where(signal == 0, model.drive / 2, signal))
-        jacobian = (found.cell_conductance * conductance * slope[..., None, None]).reshape(live.size, live.size)
-        jacobian[~live] = 0.0
-        jacobian[:, ~live] = 0.0
-        jacobian[~live, ~live] = 1.0
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LinAlgWarning)  # singular: solve() finds out
-            return cls(lu_factor(jacobian, overwrite_a=True, check_finite=False))
-
-    def solve(self, off: FloatArray, live: BoolArray) -> FloatArray:
-        """Relative change (N, M) of the live cells for relative differences ``off`` of the readings."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            step = lu_solve(self.lu, off.ravel(), check_finite=False).reshape(off.shape)
-        if not np.isfinite(step).all():
-            raise SolverError("the readings do not determine the cells: other resistances would give the same ones")
-        return np.where(live, step, 0.0)
-
-    def inverse(self) -> FloatArray:
-        """(NM, NM); inf where there is none."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            inverse = lu_solve(self.lu, np.eye(len(self.lu[0])), check_finite=False)
-        return np.where(np.isfinite(inverse), inverse, inf)
 
 
 def _columns_are_independent(design: Design) -> bool:
@@ -429,28 +359,66 @@ def _columns_are_independent(design: Design) -> bool:
     return bool(np.isinf(line.row).all() and np.isinf(line.column[1:]).all())
 
 
-def _column_conductance(design: Design, measured: FloatArray) -> FloatArray:
-    """Conductances (N, M) in S where columns are independent, 0 where no current is left for a cell, NaN in columns
-    whose readings do not determine them.
+class _Columns(NamedTuple):
+    """The closed form where columns are independent.
 
     An output gives its column's current i and the potential w that its cells end at. With the selected row at the
     drive and the others at the reference, ``i = G drive - w sum(G)``; the sum follows from the sum over the rows.
     """
-    parts, level, drive = Parts.of(design), design.readout.reference_voltage, design.drive.voltage
-    share = 1.0 / (1.0 + 1.0 / parts.gain)
-    current = (level + parts.offset) / parts.reference + parts.bias - measured / (share * parts.reference)
-    input_at = parts.offset - measured / parts.gain
-    broken = np.isinf(parts.column_lead)
-    column = input_at + np.where(broken, 0.0, parts.column_lead) * current
-    left = drive - column.sum(axis=0)
-    # A short holds its column at the drive: then nothing is left that would tell of the column's cells.
-    left[np.abs(left) <= 1e-9 * (abs(drive) + np.abs(column).sum(axis=0))] = np.nan
-    total = current.sum(axis=0) / left
-    conductance: FloatArray = (current + total * column) / drive
-    noise = np.abs(measured) + np.abs(level) + np.abs(parts.offset) + np.abs(parts.reference * parts.bias)
-    floor = 8 * np.finfo(np.float64).eps * noise / (parts.reference * abs(drive))
-    conductance[(conductance <= floor) | broken] = 0.0
-    return conductance
+
+    drive: float
+    current: FloatArray
+    """(N, M) A"""
+    potential: FloatArray
+    """(N, M) V against the reference"""
+    rounding: FloatArray
+    """(N, M) A"""
+    broken: BoolArray
+    """(M,)"""
+
+    @classmethod
+    def of(cls, design: Design, measured: FloatArray) -> _Columns:
+        parts, level = Parts.of(design), design.readout.reference_voltage
+        share = 1.0 / (1.0 + 1.0 / parts.gain)
+        current = (level + parts.offset) / parts.reference + parts.bias - measured / (share * parts.reference)
+        broken = np.isinf(parts.column_lead)
+        potential = parts.offset - measured / parts.gain + np.where(broken, 0.0, parts.column_lead) * current
+        noise = np.abs(measured) + np.abs(level) + np.abs(parts.offset) + np.abs(parts.reference * parts.bias)
+        return cls(design.drive.voltage, current, potential, 16 * _ULP * noise / parts.reference, broken)
+
+    def found(self) -> Found:
+        """Conductances 0 where no current is left for a cell, NaN in columns whose readings do not determine them."""
+        drive, along = abs(self.drive), np.abs(self.potential).sum(axis=0)
+        left = self.drive - self.potential.sum(axis=0)
+        # A short holds its column at the drive: then nothing is left that would tell of the column's cells.
+        left[np.abs(left) <= 1e-9 * (drive + along)] = np.nan
+        back = self.potential * (self.current.sum(axis=0) / left)
+        conductance = (self.current + back) / self.drive
+        conductance[(conductance <= self.rounding / drive) | self.broken] = 0.0
+        lost = self.rounding + 8 * _ULP * np.abs(back) * (1.0 + (drive + along) / np.abs(left))
+        error = np.where(conductance > 0, lost / drive, 0.0)
+        return Found(conductance, np.abs(self.current) / drive, error, 0.0, 0.0, 0, 0)
+
+    def spread(self, found: Found, unknown: _Unknown, most: float) -> tuple[FloatArray, FloatArray]:
+        """S (N, M) by which cells can be less, and more, than ``found``: what the unknown ones add to their column's
+        sum, each cell's reading adds again in proportion to its potential.
+        """
+        left = 1.0 - np.sum(self.potential, axis=0, where=~unknown.any) / self.drive
+        share = np.divide(1.0, left, out=np.full_like(left, inf), where=left > 0)
+        per_sum = np.where(unknown.any | (self.potential == 0), 0.0, self.potential / self.drive)
+        change = [
+            np.where(part.any(axis=0), np.sum(by, axis=0, where=part) * share, 0.0)
+            for part, by in (
+                (unknown.at_least, np.maximum(most - found.conductance, 0.0)),
+                (unknown.at_most, found.conductance),
+            )
+        ]
+        up, down = np.maximum(per_sum, 0.0), np.maximum(-per_sum, 0.0)
+        with np.errstate(invalid="ignore"):  # no potential, no change, whatever the sum
+            less, more = (
+                np.nan_to_num(a * change[0] + b * change[1], nan=0.0, posinf=inf) for a, b in ((down, up), (up, down))
+            )
+        return less, more
 
 
 def _checked(design: Design, volts: ArrayLike) -> FloatArray:

@@ -13,6 +13,8 @@ from ..errors import ProtocolError, SolverError
 
 FloatArray = NDArray[np.float64]
 
+TOLERANCE = 0.01
+"""relative uncertainty of a conductance up to which a cell is valid in any case: a tenth of what pressing it lightly does"""
 _ACCURACY = 1e-6  # of an apparent conductance: far below the step of any converter
 
 
@@ -23,6 +25,8 @@ class Reading:
     volts: FloatArray
     resistance: FloatArray
     """of the cells, in ohm; NaN where not valid"""
+    uncertainty: FloatArray
+    """relative, of a cell's conductance: what other cells that are not known can make of it; inf where nothing is known"""
     valid: NDArray[np.bool_]
     solved: bool
     """False where no cell resistances give such readings: then no cell is valid"""
@@ -41,15 +45,14 @@ class CountReader:
             raise ProtocolError("the board's design has no [adc]; counts mean nothing without one")
         self._design, self._adc = design, design.adc
         self._recover = Recoverer(design, accuracy=_ACCURACY)
-        self._tolerated = [Status.DISTURBED] if design.readout.circuit == "inverting-amplifier" else []
 
     def __call__(self, counts: NDArray[np.integer]) -> Reading:
         """The resistances behind ``counts`` (rows, columns).
 
         A cell is not valid where the converter is at either end of its range or the output at a limit of its swing,
-        since the volts may then lie anywhere beyond, and where it gives no current. The unknown current of such a
-        cell disturbs others that share its lines: on amplified columns no more than crosstalk does without correction,
-        so that they stay valid; a divider tells nothing of any cell then.
+        since the volts may then lie anywhere beyond, and where it gives no current. Such a cell may be anything from
+        what just reaches the limit to a short, and what that makes of the others is their ``uncertainty``: they are
+        valid as long as it stays below :data:`TOLERANCE`, or below what one step of the converter makes of them.
 
         Raises:
             ProtocolError: the counts are not of this design: another shape, or beyond its ADC.
@@ -71,8 +74,11 @@ class CountReader:
         try:
             found = self._recover(volts, clipped=limited & ~faint)
         except SolverError:
-            nowhere = np.zeros(counts.shape, dtype=np.bool_)
-            return Reading(volts, np.full(counts.shape, np.nan), nowhere, solved=False)
-        trusted = [Status.READ, *self._tolerated]
-        valid = np.isin(found.status, trusted) & ~faint & (found.resistance > 0)
-        return Reading(volts, np.where(valid, found.resistance, np.nan), valid, solved=True)
+            nothing = np.full(counts.shape, np.nan)
+            return Reading(volts, nothing, np.full(counts.shape, np.inf), counts < 0, solved=False)
+        step = adc.step / np.maximum(np.abs(volts - design.readout.reference_voltage), adc.step)
+        known = np.isin(found.status, (Status.READ, Status.DISTURBED)) & (
+            found.uncertainty <= np.maximum(step, TOLERANCE)
+        )
+        valid = known & ~faint & (found.resistance > 0)
+        return Reading(volts, np.where(valid, found.resistance, np.nan), found.uncertainty, valid, solved=True)
