@@ -37,13 +37,18 @@ BoolArray = NDArray[np.bool_]
 # iterations. A factorisation costs as much as 5 evaluations of an 8 x 8, 30 of a 32 x 32 and 300 of a 64 x 64.
 _PATIENCE = ((16 * 16, 0.03, 40), (32 * 32, 0.5, 60), (LARGEST, 0.9, 200))
 _MOST = 200  # iterations without derivatives
+_FEW = 15  # iterations from one frame to a similar one
 _NOTHING = 1e-13  # of the largest apparent conductance: smaller ones are rounding
 _ROUNDING = 1e-8  # residual below which progress may end by rounding alone, not by a bad direction
 _LEAST_STRIDE = 1e-3  # along a path of readings
 _ULP = float(np.finfo(np.float64).eps) / 2.0
+_LEAST = 1e-300  # S
+_PROBES = 6  # evaluations for the slowest error
+_PROBE = 1e-4  # relative size of a probe
 _SIGNS = 16  # vectors of random signs
 _TOO_FAR = 0.1  # relative error over which the derivatives may have changed
 _TRIFLE = 1e-6  # relative error that derivatives are good for, whatever happens elsewhere
+_SINGULAR = 1e8  # amplification that derivatives in doubles may as well have from their rounding
 _CAUTION = 4.0  # by which an estimated amplification is multiplied: errors need not be independent
 
 
@@ -56,9 +61,9 @@ class Found(NamedTuple):
     """S: apparent conductances, the model's offsets taken out"""
     error: FloatArray
     """S by which the residual and the rounding of the readings can move them; inf where they say nothing"""
+    clamped: BoolArray
+    """open cells whose reading asks for less than none"""
     residual: float
-    below: float
-    """how much less than none a reading asks of an open cell, relative to the largest reading"""
     iterations: int
     factored: int
 
@@ -73,7 +78,10 @@ class Model:
         self.amplified = design.readout.circuit == "inverting-amplifier"
         self.has_derivatives = design.array.sheet == "sliced" and design.array.rows * design.array.columns <= LARGEST
         self.couples = (
-            design.readout.circuit == "voltage-divider" or design.drive.idle_rows == "float" or not is_plain(design)
+            design.readout.circuit == "voltage-divider"
+            or design.drive.idle_rows == "float"
+            or not is_plain(design)
+            or any(fault.kind == "shorted-cell" for fault in design.fault)
         )
         """whether readings may be far from their own cells, however light the lines are"""
         self.level, self.drive = design.readout.reference_voltage, design.drive.voltage
@@ -196,6 +204,29 @@ class Held(NamedTuple):
     conductance: FloatArray
     """S; of the others of no meaning"""
 
+    def put_into(self, conductance: FloatArray) -> FloatArray:
+        """``conductance`` with these cells at theirs."""
+        return np.where(self.cells, self.conductance, conductance)
+
+
+class _Solution(NamedTuple):
+    conductance: FloatArray
+    """S (N, M)"""
+    target: FloatArray
+    """S (N, M): what the readings say"""
+    signal: FloatArray
+    """V (N, M): what the model says"""
+    rounded: FloatArray
+    """V (N, M) that carry the rounding of the readings"""
+    residual: float
+    """relative, of readings that tell of their cells"""
+    clamped: BoolArray
+    """(N, M) open cells whose reading asks for less than none"""
+    below: float
+    """S that it asks at most for less"""
+    iterations: int
+    factored: int
+
 
 class Inverter:
     """Readings to conductances, frame after frame: starts from the frame before and keeps its factorisation."""
@@ -206,9 +237,11 @@ class Inverter:
         patience = (limits[1:] for limits in _PATIENCE if unread.size <= limits[0] and model.has_derivatives)
         self._slow, self._most = next(patience, (inf, _MOST))
         self._start: FloatArray | None = None
+        self._held: BoolArray | None = None  # the cells that were held then
         self._factor: Factor | None = None
         self._tried = False  # whether a path of readings has been gone in vain
         self._rate = 0.0  # at which errors shrink with it, at worst
+        self._singular = self._probed = False
         self._amplified: FloatArray | None = None  # S (3, N, M): what errors of the readings of size 1 become
 
     def __call__(self, measured: FloatArray) -> Found:
@@ -224,7 +257,7 @@ class Inverter:
         if found is None and start is not None:
             self._factor = None
             found = self._follow(measured, apparent, self._accuracy, self._most)
-        clamped = found is not None and found.below > 1e3 * self._accuracy
+        clamped = found is not None and found.below > 1e3 * self._accuracy * found.target.max()
         if found is None or (clamped and not self._tried):
             self._tried = True
             along = self._along_a_path(measured, apparent)
@@ -239,13 +272,21 @@ class Inverter:
         self._start = found.conductance
         # What a cell adds to its own reading must stand out from what the model is uncertain by.
         seen = found.conductance > 10 * max(found.residual, self._accuracy) * found.target
-        return found._replace(conductance=np.where(seen, found.conductance, 0.0))
+        return Found(
+            conductance=np.where(seen, found.conductance, 0.0),
+            target=found.target,
+            error=self._error(found),
+            clamped=found.clamped & (found.below > 1e3 * self._accuracy * found.target.max()),
+            residual=found.residual,
+            iterations=found.iterations,
+            factored=found.factored,
+        )
 
-    def _along_a_path(self, measured: FloatArray, apparent: FloatArray) -> Found | None:
+    def _along_a_path(self, measured: FloatArray, apparent: FloatArray) -> _Solution | None:
         """From the readings that the conductances ``apparent`` would give, step by step."""
         signal, rest = self._model.split(apparent)
         origin, here, done, stride, iterations, factored = signal + rest, apparent, 0.0, 0.25, 0, 0
-        found: Found | None = None
+        found: _Solution | None = None
         while stride > _LEAST_STRIDE and done < 1:
             goal = min(1.0, done + stride)
             last = goal == 1
@@ -267,9 +308,11 @@ class Inverter:
             start: (N, M) S where to look first, unless a frame before says better.
 
         """
+        if self._held is None or not np.array_equal(self._held, held.cells):
+            self._held, self._start, self._factor = held.cells, None, None
         for first in (start,) if self._start is None else (self._start, start):
             try:
-                found = self._follow(measured, np.where(held.cells, held.conductance, first), self._accuracy, 15, held)
+                found = self._follow(measured, held.put_into(first), self._accuracy, _FEW, held)
             except SolverError:  # singular on the way
                 found = None
             if found is not None:
@@ -280,7 +323,7 @@ class Inverter:
 
     def _follow(
         self, measured: FloatArray, conductance: FloatArray, accuracy: float, most: int, held: Held | None = None
-    ) -> Found | None:
+    ) -> _Solution | None:
         """Correct ``conductance`` until its readings are the measured ones; None if it does not come to that."""
         model, kept = self._model, self._factor
         slow = self._slow if held is None or conductance.size <= _PATIENCE[0][0] else inf
@@ -306,19 +349,16 @@ class Inverter:
             best = min(best, error)
             if error <= accuracy or (stalled > 3 and error <= _ROUNDING):
                 if kept is not self._factor:
-                    self._factor, self._amplified, self._rate = kept, None, 0.0
+                    self._factor, self._amplified, self._rate, self._singular = kept, None, 0.0, False
                 self._rate = max(self._rate, min(rate, 0.999))
-                below = float(np.max(-missing, where=(conductance == 0) & ~blind, initial=0.0))
-                off = np.zeros_like(missing)
-                if held is None:
-                    off = self._error(conductance, signal, np.abs(measured) + np.abs(rest), error, below)
-                below /= float(reading.max(initial=0.0)) or 1.0
-                return Found(conductance, target, off, error, below, iteration, factored)
+                clamped = (conductance == 0) & (missing < 0)
+                below = float(np.max(-missing, where=clamped, initial=0.0))
+                rounded = np.abs(measured) + np.abs(rest)
+                return _Solution(conductance, target, signal, rounded, error, clamped, below, iteration, factored)
             if error > last and fresh and np.abs(change).max() > 1e-6:
                 change = change / 2  # a full step of Newton's method went too far
                 conductance = base * (1.0 + change)
-                if held is not None:
-                    conductance[held.cells] = held.conductance[held.cells]
+                conductance = conductance if held is None else held.put_into(conductance)
                 continue
             fresh = False
             live = (conductance > 0) & (reading > 0)
@@ -336,40 +376,52 @@ class Inverter:
             base[(change <= -0.9) & (conductance < 1e-3 * target)] = 0.0
             base[target == 0] = 0.0
             conductance, last = base * (1.0 + change), error
-            if held is not None:
-                conductance[held.cells] = held.conductance[held.cells]
+            conductance = conductance if held is None else held.put_into(conductance)
         return None
 
-    def _error(
-        self, conductance: FloatArray, signal: FloatArray, volts: FloatArray, residual: float, below: float
-    ) -> FloatArray:
-        """:attr:`Found.error` of cells that were found by what this inverter remembers.
+    def _error(self, found: _Solution) -> FloatArray:
+        """:attr:`Found.error`, by what this inverter remembers."""
+        model, conductance, below = self._model, found.conductance, found.below
+        reading, slope = model.apparent(found.signal), model.slope(found.signal)
+        rounded, largest = found.rounded * np.abs(slope), float(reading.max(initial=0.0)) or 1.0
+        if self._factor is None:
+            if model.couples and not self._probed:
+                self._probed, self._rate = True, max(self._rate, self._probe(conductance, found.signal))
+            off = np.maximum(found.residual * reading, 8 * _ULP * rounded) + below * self._rate
+            error = off * np.maximum(conductance / np.maximum(reading, _LEAST), 1.0)
+        else:
+            if self._amplified is None:
+                unit = np.where(conductance > 0, conductance, np.maximum(reading, 1e-9 * largest))
+                factor = Factor(model.design, conductance, unit, slope / unit, ~self._unread)
+                kinds = np.array([reading, rounded, conductance == 0])
+                spread = factor.spread(kinds / unit)
+                self._amplified, self._singular = _CAUTION * unit * spread, bool(spread[0].max() > _SINGULAR)
+            sizes = np.array([found.residual, 8 * _ULP, below])
+            with np.errstate(invalid="ignore"):
+                error = np.nan_to_num(sizes[:, None, None] * self._amplified, posinf=inf).sum(axis=0)
+        # Readings that contradict each other by so much are not known any better.
+        error = (error + _CAUTION * below / largest * conductance) / (1.0 - self._rate)
+        own = np.where(conductance > 0, conductance, largest)
+        relative = error / own
+        if self._singular:  # for all that doubles tell, some cells may be anything: what else would that move?
+            relative = relative / (min(float(relative.max()), 1.0) or 1.0)
+        # Where the derivatives themselves do not hold over such an error, nothing is known of what it moves.
+        void = (relative > _TRIFLE) & ((relative > _TOO_FAR).any() | (conductance == 0))
+        return np.where(void, inf, relative * own)
 
-        Args:
-            conductance: S.
-            signal: V that the model makes of it.
-            volts: V that are rounded in the readings.
-            residual: relative, of readings that tell of their cells.
-            below: S that a reading asks for less than none.
-
+    def _probe(self, conductance: FloatArray, signal: FloatArray) -> float:
+        """At what rate errors of any kind shrink, by power iteration: those that the readings hardly show are not among
+        what a solution has left, and where there are no derivatives nothing else tells of them.
         """
         model = self._model
         reading = model.apparent(signal)
-        rounded = volts * np.abs(model.slope(signal))
-        if self._factor is None:
-            off = np.maximum(residual * reading, 8 * _ULP * rounded) + below * self._rate
-            error = off * np.divide(conductance, reading, out=np.ones_like(reading), where=conductance > reading)
-        else:
-            if self._amplified is None:
-                unit = np.where(conductance > 0, conductance, np.maximum(reading, 1e-9 * reading.max(initial=0.0)))
-                factor = Factor(model.design, conductance, unit, model.slope(signal) / unit, ~self._unread)
-                kinds = np.array([reading, rounded, conductance == 0])
-                self._amplified = _CAUTION * unit * factor.spread(kinds / unit)
-            sizes = np.array([residual, 8 * _ULP, below])
-            with np.errstate(invalid="ignore"):
-                error = np.nan_to_num(sizes[:, None, None] * self._amplified, posinf=inf).sum(axis=0)
-        error = error / (1.0 - self._rate)
-        # Where the derivatives themselves do not hold over such an error, nothing is known of what it moves.
-        relative = error / np.where(conductance > 0, conductance, reading.max(initial=0.0) or 1.0)
-        void = (relative > _TRIFLE) & ((relative > _TOO_FAR).any() | (conductance == 0))
-        return np.where(void, inf, error)
+        live = (conductance > 0) & (reading > 0)
+        error = np.where(live, np.random.default_rng(0).choice([-1.0, 1.0], live.shape), 0.0)
+        rate = 0.0
+        for _ in range(_PROBES):
+            moved, _ = model.split(conductance * (1.0 + _PROBE * error))
+            change = (model.apparent(moved) - reading) / _PROBE
+            error -= np.divide(change, np.minimum(conductance, reading), out=np.zeros_like(change), where=live)
+            rate = float(np.abs(error).max())
+            error /= rate or 1.0
+        return min(rate, 0.999)

@@ -42,10 +42,12 @@ BoolArray = NDArray[np.bool_]
 
 _LEAST_SHARE = 1e-9  # of a place's current that a cell beside a known short must carry
 _SHORT = 1e-3  # ohm, or a hundredth of the smallest part of a line: less makes no difference to any reading
+_NOTHING = 1e-15  # ohm of a short between ideal lines
 _MARGIN = 1.5  # by which an interval is widened where cells are unknown
 _STAGES = (6.0, 40.0, inf)  # times the conductance recovered, at which the others are looked at
 _RETRIES = 1  # in smaller steps
-_RUNAWAY = 0.01  # relative change beyond which a cell may be anything where the far end was not reached
+_ONWARDS = 4.0  # times as far the others may go there
+_RUNAWAY = 1e-3  # relative change beyond which a cell may be anything where the far end was not reached
 _AROUND = 0.25
 _GROUPS = 3  # into which unknown cells are put at most
 _DIGITS_LOST = 1e4  # relative error of a cell that counts as read, in units of the accuracy asked for
@@ -180,7 +182,8 @@ class Recoverer:
         if not least_ohm >= 0:
             raise InputError(f"least_ohm is {least_ohm}; expected ohm >= 0")
         self._design, self._accuracy = design, accuracy
-        self._most = 1.0 / (least_ohm or _short(design))
+        self._by_columns = _columns_are_independent(design)
+        self._most = 1.0 / (least_ohm or (_NOTHING if self._by_columns else _short(design)))
         self._series, self._cut_off = series_faults(design, "open-cell"), _cut_off(design)
         # Faults of cells change what is sought, but for a complete short: there nothing is left to be sought.
         shorts = [fault for fault in design.fault if fault.kind == "shorted-cell"]
@@ -190,7 +193,6 @@ class Recoverer:
         for fault in shorts:
             self._unread[fault.place] |= fault.ohms == 0
             self._cut_off[fault.place] &= fault.ohms > 0
-        self._by_columns = _columns_are_independent(design)
         self._model = Model(design.model_copy(update={"fault": tuple(kept)}))
         self._inverter = Inverter(self._model, self._unread, accuracy)
         self._far: dict[tuple[int, float], Inverter] = {}
@@ -198,14 +200,18 @@ class Recoverer:
     def __call__(self, volts: ArrayLike, *, clipped: ArrayLike | None = None) -> Recovery:
         """As :func:`recover`."""
         measured = _checked(self._design, volts)
+        limits = self._limits(measured, clipped)
         columns = _Columns.of(self._design, measured) if self._by_columns else None
-        found = self._inverter(measured) if columns is None else columns.found()
+        found = self._inverter(measured) if columns is None else columns.found(limits.any)
         lost = np.isnan(found.conductance)
         found.conductance[lost] = 0.0
         # At a limit without any signal stands the output of an open cell, on a board that reads down to its reference.
         signal = np.abs(measured - self._design.readout.reference_voltage) > 1e-9 * abs(self._design.drive.voltage)
-        limited = self._limited(measured, clipped, signal | (found.conductance > 0))
-        unknown = _Unknown(limited.at_least | self._cut_off, limited.at_most & (found.conductance > 0))
+        conducting = signal | (found.conductance > 0)
+        limited = _Unknown(limits.at_least & conducting, limits.at_most & conducting)
+        # Where an offset makes less than none of a reading, its gain is what other cells of the column make of it.
+        offset = found.clamped & (limited.any | self._cut_off).any(axis=0)
+        unknown = _Unknown(limited.at_least | self._cut_off | offset, limited.at_most & (found.conductance > 0))
         low, high = np.maximum(found.conductance - found.error, 0.0), found.conductance + found.error
         if unknown.any.any():
             down, up = (
@@ -216,7 +222,7 @@ class Recoverer:
             low, high = np.maximum(low - _MARGIN * down, 0.0), high + _MARGIN * up
         return self._result(found, low, high, lost | limited.any)
 
-    def _limited(self, measured: FloatArray, clipped: ArrayLike | None, conducting: BoolArray) -> _Unknown:
+    def _limits(self, measured: FloatArray, clipped: ArrayLike | None) -> _Unknown:
         """Which readings are at a limit, and on which side of what they say the cell's conductance then is."""
         top = bottom = np.zeros(measured.shape, dtype=np.bool_)
         if clipped is not None:
@@ -230,7 +236,7 @@ class Recoverer:
         if (self._design.drive.voltage > 0) == self._model.amplified:
             top, bottom = bottom, top
         # How far below a limit an offset takes an output depends on all cells of its column.
-        return _Unknown((top | (bottom & top.any(axis=0))) & conducting, bottom & conducting)
+        return _Unknown(top | (bottom & top.any(axis=0)), bottom)
 
     def _spread(self, measured: FloatArray, found: Found, unknown: _Unknown) -> tuple[FloatArray, FloatArray]:
         """S (N, M) by which cells can be less, and more, than ``found``, see the top of this module."""
@@ -246,9 +252,8 @@ class Recoverer:
         less, more = (np.maximum(side[0], np.sum(side[1:], axis=0)) for side in (down, up))
         # By way of an unknown cell and back by another line: as much as both lines are moved at most.
         moved = np.divide(np.maximum(less, more), known, out=np.zeros_like(known), where=(known > 0) & ~unknown.any)
-        with np.errstate(invalid="ignore"):  # nothing times inf
-            around = _AROUND * known * np.nan_to_num(moved.max(axis=1, keepdims=True) * moved.max(axis=0), posinf=inf)
-            around = np.where(known > 0, around, 0.0)
+        moved = np.minimum(moved, 1.0)
+        around = _AROUND * known * moved.max(axis=1, keepdims=True) * moved.max(axis=0)
         return less + around, more + around
 
     def _visit(
@@ -270,7 +275,8 @@ class Recoverer:
                 pending.insert(0, reached * float(np.sqrt(min(times / reached, 100.0))))
             else:  # no cells give the readings with these so far out, and some may be anything by then
                 off = (np.abs(visited[-1] - known) > _RUNAWAY * known) | (known == 0) | (reached < _STAGES[0])
-                return [*visited, np.where(off, inf, visited[-1]), np.where(off, 0.0, visited[-1])]
+                onwards = np.maximum(known + _ONWARDS * (visited[-1] - known), 0.0)
+                return [*visited, np.where(off, inf, onwards), np.where(off, 0.0, onwards)]
         return visited
 
     def _result(self, found: Found, low: FloatArray, high: FloatArray, lost: BoolArray) -> Recovery:
@@ -355,6 +361,8 @@ def _columns_are_independent(design: Design) -> bool:
     """Whether rows have no resistance of their own and columns none between their cells."""
     if design.readout.circuit != "inverting-amplifier" or design.drive.idle_rows != "ground" or not is_plain(design):
         return False
+    if any(fault.kind == "shorted-cell" and fault.ohms == 0 for fault in design.fault):
+        return False  # it holds its column
     line = lines(design)
     return bool(np.isinf(line.row).all() and np.isinf(line.column[1:]).all())
 
@@ -371,6 +379,8 @@ class _Columns(NamedTuple):
     """(N, M) A"""
     potential: FloatArray
     """(N, M) V against the reference"""
+    uncertain: FloatArray
+    """(N, M) V by which rounding can have moved it"""
     rounding: FloatArray
     """(N, M) A"""
     broken: BoolArray
@@ -382,22 +392,39 @@ class _Columns(NamedTuple):
         share = 1.0 / (1.0 + 1.0 / parts.gain)
         current = (level + parts.offset) / parts.reference + parts.bias - measured / (share * parts.reference)
         broken = np.isinf(parts.column_lead)
-        potential = parts.offset - measured / parts.gain + np.where(broken, 0.0, parts.column_lead) * current
+        lead = np.where(broken, 0.0, parts.column_lead)
+        potential = parts.offset - measured / parts.gain + lead * current
+        uncertain = 8 * _ULP * (np.abs(parts.offset) + np.abs(measured) / parts.gain + np.abs(lead * current))
         noise = np.abs(measured) + np.abs(level) + np.abs(parts.offset) + np.abs(parts.reference * parts.bias)
-        return cls(design.drive.voltage, current, potential, 16 * _ULP * noise / parts.reference, broken)
+        rounding = 16 * _ULP * noise / parts.reference
+        return cls(design.drive.voltage, current, potential, uncertain, rounding, broken)
 
-    def found(self) -> Found:
-        """Conductances 0 where no current is left for a cell, NaN in columns whose readings do not determine them."""
-        drive, along = abs(self.drive), np.abs(self.potential).sum(axis=0)
-        left = self.drive - self.potential.sum(axis=0)
+    def found(self, limited: BoolArray) -> Found:
+        """Conductances 0 where no current is left for a cell, NaN in columns whose readings do not determine them.
+
+        ``limited`` (N, M): readings at a limit. Where such a cell would have to conduct less than nothing, its output
+        is beyond the limit, and its current not the one that it seems.
+        """
+        conductance, lost = self._solve(np.zeros_like(limited))
+        beyond = limited & (conductance < 0)
+        if beyond.any():
+            conductance, lost = self._solve(beyond)
+        with np.errstate(invalid="ignore"):
+            none = conductance <= self.rounding / abs(self.drive)
+        conductance[none | self.broken | beyond] = 0.0
+        error = np.where(conductance > 0, lost / abs(self.drive), 0.0)
+        return Found(conductance, np.abs(self.current) / abs(self.drive), error, beyond, 0.0, 0, 0)
+
+    def _solve(self, without: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Conductances in S if those ``without`` conduct nothing, and by how many A rounding may have moved them."""
+        potential = np.where(without, 0.0, self.potential)
+        drive, along = abs(self.drive), np.abs(potential).sum(axis=0)
+        left = self.drive - potential.sum(axis=0)
         # A short holds its column at the drive: then nothing is left that would tell of the column's cells.
         left[np.abs(left) <= 1e-9 * (drive + along)] = np.nan
-        back = self.potential * (self.current.sum(axis=0) / left)
-        conductance = (self.current + back) / self.drive
-        conductance[(conductance <= self.rounding / drive) | self.broken] = 0.0
+        back = self.potential * (np.where(without, 0.0, self.current).sum(axis=0) / left)
         lost = self.rounding + 8 * _ULP * np.abs(back) * (1.0 + (drive + along) / np.abs(left))
-        error = np.where(conductance > 0, lost / drive, 0.0)
-        return Found(conductance, np.abs(self.current) / drive, error, 0.0, 0.0, 0, 0)
+        return (self.current + back) / self.drive, lost
 
     def spread(self, found: Found, unknown: _Unknown, most: float) -> tuple[FloatArray, FloatArray]:
         """S (N, M) by which cells can be less, and more, than ``found``: what the unknown ones add to their column's
@@ -405,7 +432,8 @@ class _Columns(NamedTuple):
         """
         left = 1.0 - np.sum(self.potential, axis=0, where=~unknown.any) / self.drive
         share = np.divide(1.0, left, out=np.full_like(left, inf), where=left > 0)
-        per_sum = np.where(unknown.any | (self.potential == 0), 0.0, self.potential / self.drive)
+        per_sum = np.where(unknown.any, 0.0, self.potential / self.drive)
+        either = np.where(unknown.any, 0.0, self.uncertain / abs(self.drive))
         change = [
             np.where(part.any(axis=0), np.sum(by, axis=0, where=part) * share, 0.0)
             for part, by in (
@@ -413,7 +441,7 @@ class _Columns(NamedTuple):
                 (unknown.at_most, found.conductance),
             )
         ]
-        up, down = np.maximum(per_sum, 0.0), np.maximum(-per_sum, 0.0)
+        up, down = np.maximum(per_sum, 0.0) + either, np.maximum(-per_sum, 0.0) + either
         with np.errstate(invalid="ignore"):  # no potential, no change, whatever the sum
             less, more = (
                 np.nan_to_num(a * change[0] + b * change[1], nan=0.0, posinf=inf) for a, b in ((down, up), (up, down))

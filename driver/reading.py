@@ -14,7 +14,7 @@ from ..errors import ProtocolError, SolverError
 FloatArray = NDArray[np.float64]
 
 TOLERANCE = 0.01
-"""relative uncertainty of a conductance up to which a cell is valid in any case: a tenth of what pressing it lightly does"""
+"""relative uncertainty of a conductance up to which a cell is valid in any case; the project's own choice"""
 _ACCURACY = 1e-6  # of an apparent conductance: far below the step of any converter
 
 
@@ -26,7 +26,7 @@ class Reading:
     resistance: FloatArray
     """of the cells, in ohm; NaN where not valid"""
     uncertainty: FloatArray
-    """relative, of a cell's conductance: what other cells that are not known can make of it; inf where nothing is known"""
+    """relative, of a cell's conductance: what cells that are not known can make of it; inf where nothing is known"""
     valid: NDArray[np.bool_]
     solved: bool
     """False where no cell resistances give such readings: then no cell is valid"""
