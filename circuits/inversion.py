@@ -46,6 +46,7 @@ _LEAST = 1e-300  # S
 _PROBES = 6  # evaluations for the slowest error
 _PROBE = 1e-4  # relative size of a probe
 _SIGNS = 16  # vectors of random signs
+_DOUBT = 1e-3  # relative error of cells that are not to be called read for a reason that has no number
 _TOO_FAR = 0.1  # relative error over which the derivatives may have changed
 _TRIFLE = 1e-6  # relative error that derivatives are good for, whatever happens elsewhere
 _SINGULAR = 1e8  # amplification that derivatives in doubles may as well have from their rounding
@@ -62,7 +63,7 @@ class Found(NamedTuple):
     error: FloatArray
     """S by which the residual and the rounding of the readings can move them; inf where they say nothing"""
     clamped: BoolArray
-    """open cells whose reading asks for less than none"""
+    """open cells whose reading no conductance gives"""
     residual: float
     iterations: int
     factored: int
@@ -221,9 +222,9 @@ class _Solution(NamedTuple):
     residual: float
     """relative, of readings that tell of their cells"""
     clamped: BoolArray
-    """(N, M) open cells whose reading asks for less than none"""
+    """(N, M) open cells whose reading no conductance gives"""
     below: float
-    """S that it asks at most for less"""
+    """S by which it is off at most"""
     iterations: int
     factored: int
 
@@ -351,8 +352,10 @@ class Inverter:
                 if kept is not self._factor:
                     self._factor, self._amplified, self._rate, self._singular = kept, None, 0.0, False
                 self._rate = max(self._rate, min(rate, 0.999))
-                clamped = (conductance == 0) & (missing < 0)
-                below = float(np.max(-missing, where=clamped, initial=0.0))
+                contradicted = np.where(
+                    (conductance == 0) & ~blind, model.slope(signal) * (measured - rest - signal), 0.0
+                )
+                below, clamped = float(np.abs(contradicted).max()), contradicted != 0
                 rounded = np.abs(measured) + np.abs(rest)
                 return _Solution(conductance, target, signal, rounded, error, clamped, below, iteration, factored)
             if error > last and fresh and np.abs(change).max() > 1e-6:
@@ -399,8 +402,12 @@ class Inverter:
             sizes = np.array([found.residual, 8 * _ULP, below])
             with np.errstate(invalid="ignore"):
                 error = np.nan_to_num(sizes[:, None, None] * self._amplified, posinf=inf).sum(axis=0)
-        # Readings that contradict each other by so much are not known any better.
-        error = (error + _CAUTION * below / largest * conductance) / (1.0 - self._rate)
+        error = error / (1.0 - self._rate)
+        # Readings that contradict each other may be of quite other cells, for all that was found. Noise does that, too.
+        doubt = min(_CAUTION * below / largest, _DOUBT)
+        if not model.has_derivatives and model.design.fault:  # which make couplings that no probe is sure to find
+            doubt = _DOUBT
+        error = error + doubt * conductance
         own = np.where(conductance > 0, conductance, largest)
         relative = error / own
         if self._singular:  # for all that doubles tell, some cells may be anything: what else would that move?

@@ -167,9 +167,9 @@ class _Unknown(NamedTuple):
         nowhere = np.zeros_like(inside)
         return _Unknown(self.at_least & inside if up else nowhere, nowhere if up else self.at_most & inside)
 
-    def moved(self, conductance: FloatArray, times: float, most: float) -> FloatArray:
+    def moved(self, conductance: FloatArray, times: float, most: FloatArray) -> FloatArray:
         """S (N, M): these cells that much away from the conductance recovered, as far as they can be."""
-        ordinary = np.median(conductance[conductance > 0]) if (conductance > 0).any() else most
+        ordinary = np.median(conductance[conductance > 0]) if (conductance > 0).any() else np.min(most)
         up = np.minimum(np.maximum(conductance, ordinary) * times, np.maximum(conductance, most))
         return np.where(self.at_least, up, np.where(self.at_most, conductance / times, conductance))
 
@@ -183,7 +183,7 @@ class Recoverer:
             raise InputError(f"least_ohm is {least_ohm}; expected ohm >= 0")
         self._design, self._accuracy = design, accuracy
         self._by_columns = _columns_are_independent(design)
-        self._most = 1.0 / (least_ohm or (_NOTHING if self._by_columns else _short(design)))
+        self._least_ohm, self._short = least_ohm, _NOTHING if self._by_columns else _short(design)
         self._series, self._cut_off = series_faults(design, "open-cell"), _cut_off(design)
         # Faults of cells change what is sought, but for a complete short: there nothing is left to be sought.
         shorts = [fault for fault in design.fault if fault.kind == "shorted-cell"]
@@ -196,6 +196,7 @@ class Recoverer:
         self._model = Model(design.model_copy(update={"fault": tuple(kept)}))
         self._inverter = Inverter(self._model, self._unread, accuracy)
         self._far: dict[tuple[int, float], Inverter] = {}
+        self._ends: dict[int, tuple[BoolArray, float]] = {}
 
     def __call__(self, volts: ArrayLike, *, clipped: ArrayLike | None = None) -> Recovery:
         """As :func:`recover`."""
@@ -217,10 +218,16 @@ class Recoverer:
             down, up = (
                 self._spread(measured, found, unknown)
                 if columns is None
-                else columns.spread(found, unknown, self._most)
+                else columns.spread(found, unknown, self._most(found.conductance))
             )
             low, high = np.maximum(low - _MARGIN * down, 0.0), high + _MARGIN * up
         return self._result(found, low, high, lost | limited.any)
+
+    def _most(self, conductance: FloatArray) -> FloatArray:
+        """S (N, M) of the cells where they are not known, but to be at least ``conductance``."""
+        if self._least_ohm:
+            return np.maximum(conductance, 1.0 / self._least_ohm)
+        return np.maximum(conductance / _SHORT, 1.0 / self._short)
 
     def _limits(self, measured: FloatArray, clipped: ArrayLike | None) -> _Unknown:
         """Which readings are at a limit, and on which side of what they say the cell's conductance then is."""
@@ -260,12 +267,16 @@ class Recoverer:
         self, measured: FloatArray, known: FloatArray, unknown: _Unknown, some: _Unknown, number: int
     ) -> list[FloatArray]:
         """The conductances in S (N, M) while ``some`` of the unknown cells go to their far end."""
-        visited, pending, reached, retries = [known], list(_STAGES), 1.0, _RETRIES
+        visited, reached, most = [known], 1.0, self._most(known)
+        # Where one frame's path came to an end, so will the next one's: looking for it costs many frames' time.
+        cells, end = self._ends.get(number, (None, inf))
+        ended = cells is not None and bool((cells == unknown.any).all())
+        pending, retries = [times for times in _STAGES if not ended or times < end], 0 if ended else _RETRIES
         while pending:
             times = pending[0]
             if (number, times) not in self._far:
                 self._far[number, times] = Inverter(self._model, self._unread, 1e3 * self._accuracy)
-            held = Held(unknown.any, some.moved(known, times, self._most))
+            held = Held(unknown.any, some.moved(known, times, most))
             there = self._far[number, times].beside(measured, held, visited[-1])
             if there is not None:
                 visited.append(there)
@@ -273,10 +284,12 @@ class Recoverer:
             elif retries:
                 retries -= 1
                 pending.insert(0, reached * float(np.sqrt(min(times / reached, 100.0))))
-            else:  # no cells give the readings with these so far out, and some may be anything by then
-                off = (np.abs(visited[-1] - known) > _RUNAWAY * known) | (known == 0) | (reached < _STAGES[0])
-                onwards = np.maximum(known + _ONWARDS * (visited[-1] - known), 0.0)
-                return [*visited, np.where(off, inf, onwards), np.where(off, 0.0, onwards)]
+            else:
+                self._ends[number], ended, pending = (unknown.any, times), True, []
+        if ended:  # no cells give the readings with these so far out, and some may be anything by then
+            off = (np.abs(visited[-1] - known) > _RUNAWAY * known) | (known == 0) | (reached < _STAGES[0])
+            onwards = np.maximum(known + _ONWARDS * (visited[-1] - known), 0.0)
+            visited += [np.where(off, inf, onwards), np.where(off, 0.0, onwards)]
         return visited
 
     def _result(self, found: Found, low: FloatArray, high: FloatArray, lost: BoolArray) -> Recovery:
@@ -426,7 +439,7 @@ class _Columns(NamedTuple):
         lost = self.rounding + 8 * _ULP * np.abs(back) * (1.0 + (drive + along) / np.abs(left))
         return (self.current + back) / self.drive, lost
 
-    def spread(self, found: Found, unknown: _Unknown, most: float) -> tuple[FloatArray, FloatArray]:
+    def spread(self, found: Found, unknown: _Unknown, most: FloatArray) -> tuple[FloatArray, FloatArray]:
         """S (N, M) by which cells can be less, and more, than ``found``: what the unknown ones add to their column's
         sum, each cell's reading adds again in proportion to its potential.
         """

@@ -160,6 +160,29 @@ def test_a_faint_cell_costs_no_other_with_a_reference_in_mid_supply(drive: float
         np.testing.assert_allclose(reading.resistance.ravel()[:-1], 1e4, rtol=0.03)
 
 
+@pytest.mark.parametrize("lead", [0.0, 1.0])
+def test_a_short_costs_the_cells_that_it_makes_wrong_and_no_others(lead: float) -> None:
+    """Over leads of 1 ohm its column reads half of its current, without leads what it should."""
+    board = design(
+        array={"rows": 5, "columns": 4, "row_lead": lead, "column_lead": lead},
+        readout={"circuit": "inverting-amplifier", "reference_resistance": 1e3, "supply": [-0.2, 3.3]},
+    )
+    cells = np.full((5, 4), 5e3)
+    cells[2, 1] = 1e-3
+    volts = scan(board, cells, method="exact").volts
+    raw = apparent_resistance(board, volts)[[0, 1, 3, 4], 1]
+    np.testing.assert_allclose(raw, 1e4 if lead else 5e3, rtol=0.01)
+    reading = CountReader(board)(adc_codes(board, volts))
+    expected = np.ones((5, 4), dtype=bool)
+    expected[2, 1] = False
+    if lead:
+        expected[:, 1] = False
+    np.testing.assert_array_equal(reading.valid, expected)
+    np.testing.assert_allclose(reading.resistance[reading.valid], 5e3, rtol=0.01)
+    assert (reading.uncertainty[reading.valid] < 0.01).all()
+    assert (reading.uncertainty[~expected] > 0.2).all()
+
+
 def test_readings_that_no_cells_can_give_are_counted_and_not_valid() -> None:
     """Every cell at once near the most that a floating divider can show is beyond what its grid can do."""
     loaded = design(
