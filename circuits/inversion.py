@@ -9,7 +9,9 @@ iterations of a frame, and over the frames of a stream.
 How far the cells can be off is what the readings are off, amplified. Of a factorisation at hand the amplification of
 each cell is estimated from its answers to random signs: their mean square is the sum of the squares of the cell's row
 of the inverse, and 16 of them tell it to a quarter. Where nothing was factored, corrections shrank by a factor rho in
-each iteration, so that they add up to 1 / (1 - rho) of what a cell's own reading asks for.
+each iteration, so that they add up to 1 / (1 - rho) of what a cell's own reading asks for. On boards whose readings may
+be far from their own cells a fast start says little of the slowest error: there the derivatives are factored at once
+or, where there are none, the slowest error is looked for by power iteration.
 """
 
 from __future__ import annotations
@@ -49,7 +51,7 @@ _SIGNS = 16  # vectors of random signs
 _DOUBT = 1e-3  # relative error of cells that are not to be called read for a reason that has no number
 _TOO_FAR = 0.1  # relative error over which the derivatives may have changed
 _TRIFLE = 1e-6  # relative error that derivatives are good for, whatever happens elsewhere
-_SINGULAR = 1e8  # amplification that derivatives in doubles may as well have from their rounding
+_SINGULAR = 1e7  # amplification that derivatives in doubles may as well have from their rounding
 _CAUTION = 4.0  # by which an estimated amplification is multiplied: errors need not be independent
 
 
@@ -411,7 +413,7 @@ class Inverter:
         own = np.where(conductance > 0, conductance, largest)
         relative = error / own
         if self._singular:  # for all that doubles tell, some cells may be anything: what else would that move?
-            relative = relative / (min(float(relative.max()), 1.0) or 1.0)
+            relative = np.maximum(relative / (min(float(relative.max()), 1.0) or 1.0), _DOUBT)
         # Where the derivatives themselves do not hold over such an error, nothing is known of what it moves.
         void = (relative > _TRIFLE) & ((relative > _TOO_FAR).any() | (conductance == 0))
         return np.where(void, inf, relative * own)

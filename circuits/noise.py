@@ -66,19 +66,26 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
     """How much each reading scatters, from the noise parameters that the design names.
 
     ``readout.voltage_noise`` and ``current_noise``, ``readout.temperature`` for all resistors, and the steps of the
-    ADC. All are off by default.
+    ADC. All are off by default. A divider has no amplifiers: its sampling capacitor holds kT/C, whatever the resistors
+    that it is charged through (the equipartition theorem), and that is all of their noise.
 
     Raises:
-        InputError: cells that do not fit the design; a readout without amplifiers; or nothing limits the bandwidth
-            of a noise, whose variance is then infinite.
+        InputError: cells that do not fit the design; a follower's circuit; or nothing limits the bandwidth of a noise,
+            whose variance is then infinite.
 
     """
-    require_amplifiers(design)
+    passive = design.readout.circuit == "voltage-divider"
+    if not passive:
+        require_amplifiers(design)
     cells = design.resistance(resistance)
     part, adc, shape = design.readout, design.adc, design.array.shape
     parts: dict[str, FloatArray] = {}
     kelvin = Boltzmann * part.temperature
-    if part.voltage_noise or part.current_noise or kelvin:
+    if passive and kelvin and not (adc and adc.sampling_capacitance):
+        raise InputError(
+            "noise of the resistors has no bandwidth limit and so no finite size; give adc.sampling_capacitance"
+        )
+    if not passive and (part.voltage_noise or part.current_noise or kelvin):
         conductances = column_conductances(design, cells)
         one = np.eye(shape[1])
         rows = []

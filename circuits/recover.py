@@ -4,21 +4,26 @@ Strategy
 --------
 Without resistance in the row lines the columns are independent of each other and there is a closed form: of a column
 whose outputs are known, so are the potentials at its cells, and what is left is linear. All other boards are for the
-iteration in :mod:`.inversion`. Either way each cell comes with how far it can be off.
+iteration in :mod:`.inversion`. Either way each cell comes with how far it can be off, and none is called read that
+may be off by more than 10,000 times the accuracy asked for.
 
 Cells that are not known
 ------------------------
 A reading at a limit says that a cell's conductance lies beyond something, not what it is; a cell behind a complete
 break conducts as well, and no reading is its own. Such cells are marked and NaN, and what the others are depends on
 what those may be: from the conductance that just reaches the limit up to a short, or down to nothing; behind a break
-from nothing to a short. So the others are recovered once more with the unknown cells at the far end of their range,
-outputs at their supply limits as the circuit has them, and the interval between is what is known of them.
+from nothing to a short. So the others are recovered again while the unknown cells go to the far end of their range,
+outputs at their supply limits as the circuit has them, and what they pass through on the way is what is known of them.
 
-Between the two ends nothing leaves the interval where one cell is unknown: whatever the other cells, in a network the
-potentials are Moebius functions of one conductance and so monotone in it. Several unknown cells could compensate each
-other; therefore they are also taken to the far end one line at a time, and their contributions to a cell added up with
-equal signs. The other cells move along with the unknown ones to keep their own readings, a coupling of second order,
-which :data:`_MARGIN` is for. That the intervals hold is tested against random cells within the range.
+In the closed form that is exact: an unknown cell counts with its column's sum alone, and all others are linear in it.
+Else it is an enclosure by argument and test, not by proof. Were the others fixed, every potential would be a Moebius
+function of one unknown conductance and so monotone in it, and the two ends would do. But they move along to keep
+their own readings, an effect of second order and of either sign; so two places between the ends are looked at as well
+(:data:`_STAGES`), the product of what a cell's two lines move by is added (:data:`_AROUND`), and all is widened
+(:data:`_MARGIN`). Several unknown cells can make up for each other; so they go to the far end together, then line by
+line, and what that does to a cell is added up with equal signs. Where no cells give the readings before the far end is
+reached, those that had moved by then may be anything. Tests draw the unknown cells at random and look whether the
+others lie within their intervals.
 """
 
 from __future__ import annotations
@@ -48,7 +53,7 @@ _STAGES = (6.0, 40.0, inf)  # times the conductance recovered, at which the othe
 _RETRIES = 1  # in smaller steps
 _ONWARDS = 4.0  # times as far the others may go there
 _RUNAWAY = 1e-3  # relative change beyond which a cell may be anything where the far end was not reached
-_AROUND = 0.25
+_AROUND = 0.25  # share of the product of what its two lines have moved by that a cell may move besides
 _GROUPS = 3  # into which unknown cells are put at most
 _DIGITS_LOST = 1e4  # relative error of a cell that counts as read, in units of the accuracy asked for
 _ULP = float(np.finfo(np.float64).eps) / 2.0

@@ -45,7 +45,7 @@ class Frame:
     """frames lost between the previous frame and this one, on the line or by the board"""
     counts: NDArray[np.uint16]
     valid: NDArray[np.bool_]
-    """where ``resistance`` is a measurement: neither clipped nor disturbed by a clipped reading"""
+    """where ``resistance`` is a measurement: not clipped, and known to 1 % or an ADC step whatever clipped ones are"""
     resistance: FloatArray
     """of the cells, in ohm, what the circuit adds taken out; NaN where not valid"""
     pressure: FloatArray

@@ -175,7 +175,28 @@ def test_noise_without_a_bandwidth_is_refused() -> None:
     with pytest.raises(InputError, match="grid has no bandwidth limit"):
         noise(board(gain_bandwidth=inf, temperature=300.0), CELLS)
     with pytest.raises(InputError, match="inverting-amplifier"):
-        noise(divider(3, 2), CELLS)
+        noise(board().with_circuit("voltage-feedback"), CELLS)
+    warm = divider(3, 2)
+    warm = warm.model_copy(update={"readout": warm.readout.model_copy(update={"temperature": 300.0})})
+    with pytest.raises(InputError, match=r"resistors has no bandwidth limit.*sampling_capacitance"):
+        noise(warm, CELLS)
+
+
+def test_a_divider_holds_kt_over_c_and_its_step() -> None:
+    """Against the noise currents of its resistors through the one pole that they make with the capacitor."""
+    design = divider(1, 1)
+    design = design.model_copy(
+        update={
+            "readout": design.readout.model_copy(update={"temperature": 300.0}),
+            "adc": Adc.model_validate({"bits": 12, "range": (0.0, 3.3)} | SAMPLER),
+        }
+    )
+    parts = noise(design, [[4e3]]).parts
+    ohms = 1 / (1 / 4e3 + 1 / 1e3) + SAMPLER["switch_resistance"]
+    bandwidth = 1 / (4 * ohms * SAMPLER["sampling_capacitance"])
+    np.testing.assert_allclose(parts["sampling"], sqrt(4 * Boltzmann * 300.0 * ohms * bandwidth), rtol=1e-12)
+    np.testing.assert_allclose(parts["quantisation"], 3.3 / 4096 / sqrt(12), rtol=1e-12)
+    assert parts.keys() == {"sampling", "quantisation"}
 
 
 def test_open_columns_have_no_grid_noise() -> None:
