@@ -192,7 +192,8 @@ class Recoverer:
         self._series, self._cut_off = series_faults(design, "open-cell"), _cut_off(design)
         # Faults of cells change what is sought, but for a complete short: there nothing is left to be sought.
         shorts = [fault for fault in design.fault if fault.kind == "shorted-cell"]
-        self._shunts = [fault for fault in shorts if fault.ohms > 0]
+        # In a continuous sheet the current beside a short is not the cell's own.
+        self._shunts = [fault for fault in shorts if fault.ohms > 0 and design.array.sheet == "sliced"]
         kept = [fault for fault in design.fault if fault.kind != "open-cell" and fault not in self._shunts]
         self._unread = self._cut_off.copy()
         for fault in shorts:

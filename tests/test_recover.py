@@ -328,6 +328,17 @@ def test_through_a_continuous_sheet() -> None:
     np.testing.assert_allclose(recover(sheet, scan(sheet, cells).volts).resistance, cells, rtol=1e-9)
 
 
+def test_a_short_in_a_continuous_sheet_is_beside_the_cell_and_not_part_of_it() -> None:
+    cells = 10 ** np.random.default_rng(2).uniform(3.5, 4, (3, 3))
+    design = amplifier(3, 3, lead=5.0)
+    array = design.array.model_copy(update={"sheet": "continuous"})
+    fault = Fault(kind="shorted-cell", place=(1, 1), resistance=300.0)
+    sheet = design.model_copy(update={"array": array, "fault": (fault,)})
+    recovery = recover(sheet, scan(sheet, cells).volts)
+    np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-8)
+    assert holds(recovery, cells).all()
+
+
 @pytest.mark.parametrize("idle_rows", ["ground", "float"])
 def test_cells_beyond_a_break_are_hidden_and_disturb_others(idle_rows: str) -> None:
     """They still conduct from line to line, and how well is not known."""
