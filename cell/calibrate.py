@@ -7,24 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError
-from . import training
-from .cell import Calibrated, Cell, EstimatorName
+from . import simulate, training
+from .cell import ESTIMATORS, Calibrated, Cell, EstimatorName
 from .estimators import Estimator
 from .identify import HELD_OUT, Fit, fits
 from .inverse import margin
 from .lag import FloatArray
-from .learned import DRIFT, Learned
-from .models import AsymmetricModel, ContactModel, M10Model, PaperModel
+from .learned import DRIFT, Learned, Seen
+from .models import AsymmetricModel, ContactModel, M10Model
 from .recording import Recording
 
 MOST = 10000
 """samples that are learned from; a longer recording is thinned"""
-PREFERENCE: tuple[EstimatorName, ...] = ("distilled", "paper", "inverse", "play", "static")
-WORTH = 0.6
-"""an estimator less preferred wins if its held-out error is below this share of the preferred one's: the held-out
-third has the loads of the rest, and flatters whatever was learned from those alone"""
-STATIC_WORTH = 0.9
-"""the same for the static curve, which has no memory to be misled by"""
+STATIC_WORTH = 0.5
+"""the static curve is chosen if its held-out error is below this share of the distilled estimator's: the held-out third
+has the loads of the rest, and flatters whatever has a memory of them"""
 EXACT = 0.02
 """held-out error of a model, over the range of r, below which its inverse is trusted with any load"""
 
@@ -85,10 +82,12 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     )
     cut = thin.time_s[0] + HELD_OUT * (thin.time_s[-1] - thin.time_s[0])
     first = replace(whole, simulation=teacher.simulate_partial).until(cut)
-    trial = cell.model_copy(update={"estimators": _learned(first, full)})
+    seen = _seen(thin)
+    trial = cell.model_copy(update={"estimators": _learned(first, full).model_copy(update={"seen": seen})})
     judged = _judge(trial, thin, cut)
     percent = {name: float(100 * np.sqrt(np.mean(error**2)) / full) for name, (error, _) in judged.items()}
-    default, reason = _choose(percent, found[0].held_out_error)
+    silent = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
+    default, reason = _choose(percent, float(np.sqrt(max(found[0].held_out_error ** 2 - silent**2, 0.0))))
     final = _learned(whole, full)
     calibrated = {
         name: training.calibrated(learned, *(value / full for value in judged[name]))
@@ -98,7 +97,9 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     static = final.static.model_copy(
         update={"std_kpa": max(final.static.std_kpa, DRIFT * percent["static"] / 100 * full)}
     )
-    estimators = Calibrated(default=default, reason=reason, held_out_percent=percent, static=static, **calibrated)
+    estimators = Calibrated(
+        default=default, reason=reason, held_out_percent=percent, seen=seen, static=static, **calibrated
+    )
     return Calibration(cell.model_copy(update={"estimators": estimators}), recording, found, inverse)
 
 
@@ -112,11 +113,13 @@ def run(estimator: Estimator, time_s: FloatArray, resistance_ohm: FloatArray) ->
 
 
 def _teacher(found: tuple[Fit, ...]) -> Fit:
-    """The fit that is varied for learning: of those with one set of states, unless the paper's is far better.
+    """The fit that is varied for learning: the richest with one set of states, unless the paper's is far better.
 
-    The paper's two models hand over at every change of direction, which a learned map of memories follows badly.
+    Which of two kinds predicts better is a close call on a short recording, and the poorer one, taught, misleads
+    more than the richer one's spare parameters do. The paper's two models hand over at every change of direction,
+    which a learned map of memories follows badly.
     """
-    smooth = min((fit for fit in found if not isinstance(fit.model, PaperModel)), key=lambda fit: fit.held_out_error)
+    smooth = next(fit for fit in found if isinstance(fit.model, M10Model))
     best = min(found, key=lambda fit: fit.held_out_error)
     return best if best.held_out_error < 0.5 * smooth.held_out_error else smooth
 
@@ -134,11 +137,21 @@ def _learned(calibration: training.Calibration, full_scale_kpa: float) -> Calibr
     )
 
 
+def _seen(recording: Recording) -> Seen:
+    time, load = recording.time_s, recording.quiet.pressure_kpa
+    later = np.interp(time + 1.0, time, load)
+    return Seen(
+        noise=simulate.white_noise(np.log(recording.resistance_ohm)),
+        step_s=recording.step_s,
+        speed_kpa_per_s=float(np.sqrt(np.mean((later - load) ** 2))),
+    )
+
+
 def _judge(cell: Cell, recording: Recording, after_s: float) -> dict[EstimatorName, tuple[FloatArray, FloatArray]]:
     """Errors and standard deviations in kPa after ``after_s``, of every estimator that this cell can have."""
     judged: dict[EstimatorName, tuple[FloatArray, FloatArray]] = {}
     part = recording.time_s >= after_s
-    for name in PREFERENCE:
+    for name in ESTIMATORS:
         try:
             estimator = cell.estimator((), name)
         except InputError:
@@ -149,20 +162,16 @@ def _judge(cell: Cell, recording: Recording, after_s: float) -> dict[EstimatorNa
     return judged
 
 
-def _choose(percent: dict[EstimatorName, float], model_error: float) -> tuple[EstimatorName, str]:
-    """The preferred estimator, unless another one's held-out error is clearly less.
+def _choose(percent: dict[EstimatorName, float], unexplained: float) -> tuple[EstimatorName, str]:
+    """The exact inverse, distilled or static, and why.
 
     Where the model explains all there is, its inverse carries over to loads that nobody applied: it comes first.
     """
-    preferred = next(name for name in PREFERENCE if name in percent)
-    best = min(percent, key=lambda name: percent[name])
-    chosen = best if percent[best] < WORTH * percent[preferred] else preferred
-    if percent["static"] < STATIC_WORTH * percent[chosen]:
-        chosen = "static"
+    chosen: EstimatorName = "static" if percent["static"] < STATIC_WORTH * percent["distilled"] else "distilled"
     why = ""
-    for name in ("paper", "inverse"):
-        if model_error < EXACT and percent.get(name, np.inf) < 2 * percent[chosen] + 0.5:
-            chosen, why = name, f"the model explains the resistance to {100 * model_error:.1f} % of its range; "
+    if unexplained < EXACT and percent.get("inverse", np.inf) < 2 * percent[chosen] + 0.5:
+        chosen = "inverse"
+        why = f"the model explains the resistance but for {100 * unexplained:.1f} % of its range and noise; "
     others = ", ".join(f"{name} {value:.1f} %" for name, value in percent.items() if name != chosen)
     return chosen, f"{why}{percent[chosen]:.1f} % of full scale on the held-out third of the recording ({others})"
 
@@ -186,6 +195,7 @@ def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
         default="static",
         reason=f"a contact without memory; {percent:.1f} % of full scale on the held-out third of the recording",
         held_out_percent={"static": percent},
+        seen=_seen(recording),
         static=curve.model_copy(update={"std_kpa": std}),
     )
     return cell.model_copy(update={"estimators": estimators})

@@ -6,7 +6,7 @@ import importlib.resources
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,15 +14,16 @@ from numpy.typing import ArrayLike
 from ..config import Section, load
 from ..errors import InputError
 from ..tables import write_text
-from .estimators import EquilibriumEstimator, Estimator, PaperEstimator
+from .estimators import Doubt, EquilibriumEstimator, Estimator, PaperEstimator
 from .forward import Forward, make_forward
 from .inverse import InverseEstimator, margin
 from .lag import FloatArray
-from .learned import DRIFT, Learned, LearnedEstimator, StaticCurve, StaticCurveEstimator
+from .learned import DRIFT, Learned, LearnedEstimator, Seen, StaticCurve, StaticCurveEstimator
 from .models import AsymmetricModel, M10Model, Model, PaperModel, Positive
+from .turning import TurningEstimator
 
-ESTIMATORS = ("static", "paper", "inverse", "play", "distilled")
 EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]
+ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 
 
 class Calibrated(Section):
@@ -33,6 +34,7 @@ class Calibrated(Section):
     """why that one"""
     held_out_percent: dict[EstimatorName, float]
     """rms error on the last third of the recording after learning from the rest, % of full scale"""
+    seen: Seen = Seen()
     static: StaticCurve
     play: Learned | None = None
     distilled: Learned | None = None
@@ -98,32 +100,42 @@ class Cell(Section):
             case "static":
                 if learned is None:
                     return EquilibriumEstimator(self.model, full, shape, rest)
-                return StaticCurveEstimator(learned.static, full, shape, rest)
+                return StaticCurveEstimator(learned.static, full, shape, rest, self._doubt(name))
             case "paper":
                 if not isinstance(self.model, PaperModel):
                     raise self._other_kind(name, "paper")
-                return PaperEstimator(self.model, full, shape, rest, std_kpa=self._std(name))
+                return PaperEstimator(self.model, full, shape, rest, self._doubt(name))
             case "inverse":
+                if isinstance(self.model, PaperModel):
+                    return TurningEstimator(self.model, full, shape, rest, self._doubt(name))
                 if not isinstance(self.model, AsymmetricModel | M10Model):
-                    raise self._other_kind(name, "asymmetric' or 'm10")
-                return InverseEstimator(self.model, full, shape, rest, std_kpa=self._std(name))
+                    raise self._other_kind(name, "paper', 'asymmetric' or 'm10")
+                return InverseEstimator(self.model, full, shape, rest, self._doubt(name))
             case "play" | "distilled":
                 found = None if learned is None else learned.play if name == "play" else learned.distilled
                 if found is None:
                     raise InputError(
                         f"the estimator '{name}' is learned from a recording, and this cell has none: run ohmskin fit"
                     )
-                return LearnedEstimator(found, full, shape, rest)
+                return LearnedEstimator(found, full, shape, rest, self._doubt(name))
         raise InputError(f"no estimator '{name}'; expected one of {', '.join(ESTIMATORS)}")
 
     def _other_kind(self, name: str, kind: str) -> InputError:
         return InputError(f"the estimator '{name}' inverts a cell of kind '{kind}'; this one is '{self.model.kind}'")
 
-    def _std(self, name: EstimatorName) -> float | None:
-        """A constant: the held-out error, for estimators that have no better idea of theirs."""
-        if self.estimators is None or name not in self.estimators.held_out_percent:
-            return None
-        return DRIFT * self.estimators.held_out_percent[name] / 100 * self.full_scale_kpa
+    def _doubt(self, name: EstimatorName) -> Doubt:
+        """With the held-out error as a constant, for estimators that have no better idea of theirs."""
+        learned = self.estimators
+        if learned is None:
+            return Doubt()
+        percent = learned.held_out_percent.get(name)
+        return Doubt(
+            std_kpa=None if percent is None else DRIFT * percent / 100 * self.full_scale_kpa,
+            noise=learned.seen.noise,
+            step_s=learned.seen.step_s,
+            speed_kpa_per_s=learned.seen.speed_kpa_per_s,
+            most_kpa=self.full_scale_kpa / 2,
+        )
 
     def _rest(self, given: ArrayLike | None) -> FloatArray:
         return np.asarray(self.rest_resistance_ohm if given is None else given, dtype=np.float64)

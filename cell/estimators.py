@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError
 from . import lag
 from .forward import resistance_of
-from .lag import FloatArray
+from .lag import BoolArray, FloatArray
 from .models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 
 Memory = dict[str, FloatArray]
@@ -29,18 +29,49 @@ class Estimate:
     """(shape) standard deviation, where the estimator has one"""
 
 
+@dataclass(frozen=True)
+class Doubt:
+    """What calibration says of errors that an estimator cannot see in its readings."""
+
+    std_kpa: float | None = None
+    """of the estimate, for estimators without an idea of their own; None: unknown, none is given"""
+    noise: float = 0.0
+    """standard deviation of a reading from sample to sample, relative to it"""
+    step_s: float = 0.0
+    """time between readings to which the standard deviation belongs"""
+    speed_kpa_per_s: float = 0.0
+    """by which a load changes in a second, rms"""
+    most_kpa: float = np.inf
+    """standard deviation of knowing nothing"""
+
+    def unread_kpa(self, seconds: FloatArray) -> FloatArray:
+        """What a load may have done in a gap of ``seconds`` between readings."""
+        gap = np.maximum(seconds - 2 * self.step_s, 0.0)
+        doubt: FloatArray = -self.most_kpa * np.expm1(-self.speed_kpa_per_s * gap / self.most_kpa)
+        return doubt
+
+
+CERTAIN = Doubt()
+AFTER_GAP = 0.3
+"""share of the doubt about a gap that the first reading after it leaves, for memories were not brought along in it"""
+AFTER_GAP_S = 10.0
+"""in which that fades to 1/e"""
+
+
 class Estimator(ABC):
     """The common part: time, missing samples, R0, and a state that can be saved and restored.
 
     A missing sample (NaN, or the infinite resistance of an open cell) does not advance its cell; the next
-    good one does, over the whole gap. The first reading of a cell is taken as one at rest or long held.
+    good one does, over the whole gap. Meanwhile, and for some time after, the standard deviation is wider.
+    The first reading of a cell is taken as one at rest or long held.
     """
 
-    def __init__(self, shape: tuple[int, ...], rest_resistance_ohm: FloatArray) -> None:
-        self.shape = shape
+    def __init__(self, shape: tuple[int, ...], rest_resistance_ohm: FloatArray, doubt: Doubt = CERTAIN) -> None:
+        self.shape, self.doubt = shape, doubt
         self._rest_ohm = resistance_of(shape, rest_resistance_ohm).ravel()
         self._memory = self._begin(np.zeros(self._rest_ohm.size))
         self._read_s = np.full(self._rest_ohm.size, np.nan)  # when each cell was last read
+        self._gap_kpa = np.zeros(self._rest_ohm.size)  # what is left of the doubt about gaps
         self._time_s = -np.inf
 
     def update(self, time_s: float, resistance_ohm: ArrayLike) -> Estimate:
@@ -57,12 +88,13 @@ class Estimator(ABC):
         resistance = resistance.ravel()
         r = resistance / self._rest_ohm - 1
         good, begun = np.isfinite(r) & (resistance > 0), ~np.isnan(self._read_s)
+        since = np.where(begun, time_s - self._read_s, 0.0)
         if (good & begun).all():
             self._memory = self._advance(self._memory, self._elapsed(time_s), r)
         else:
             starts, moves = good & ~begun, good & begun
             begin = self._begin(np.where(good, r, 0.0))
-            dt = np.where(moves, time_s - self._read_s, 1.0)
+            dt = np.where(moves, since, 1.0)
             moved = self._advance(self._memory, dt, np.where(moves, r, self._memory["r"]))
             self._memory = {
                 name: np.where(moves, moved[name], np.where(starts, begin[name], kept))
@@ -71,14 +103,19 @@ class Estimator(ABC):
         self._read_s = np.where(good, time_s, self._read_s)
         self._time_s = float(time_s)
         known, std = good | begun, self._memory.get("std_kpa")
-        return Estimate(
-            np.where(known, self._memory["pressure_kpa"], np.nan).reshape(self.shape),
-            None if std is None else np.where(known, std, np.nan).reshape(self.shape),
-        )
+        pressure = np.where(known, self._memory["pressure_kpa"], np.nan).reshape(self.shape)
+        if std is None:
+            return Estimate(pressure, None)
+        unread = self.doubt.unread_kpa(since)
+        faded = self._gap_kpa * np.exp(-since / AFTER_GAP_S)
+        after = np.hypot(faded, AFTER_GAP * unread)
+        self._gap_kpa = np.where(good, after, self._gap_kpa)
+        std = np.hypot(std, np.where(good, after, np.hypot(faded, unread)))
+        return Estimate(pressure, np.where(known, std, np.nan).reshape(self.shape))
 
     def state(self) -> dict[str, FloatArray]:
         """Everything remembered, as a copy that :meth:`restore` takes."""
-        own = {"read_s": self._read_s, "time_s": np.array(self._time_s)}
+        own = {"read_s": self._read_s, "gap_kpa": self._gap_kpa, "time_s": np.array(self._time_s)}
         return {name: value.copy() for name, value in (self._memory | own).items()}
 
     def restore(self, state: Mapping[str, NDArray[np.float64]]) -> None:
@@ -89,7 +126,8 @@ class Estimator(ABC):
         }:
             raise InputError(f"not a saved state of this estimator for cells of shape {self.shape}")
         self._memory = {name: np.array(state[name]) for name in self._memory}
-        self._read_s, self._time_s = np.array(state["read_s"]), float(state["time_s"])
+        self._read_s, self._gap_kpa = np.array(state["read_s"]), np.array(state["gap_kpa"])
+        self._time_s = float(state["time_s"])
 
     def _elapsed(self, time_s: float) -> FloatArray | float:
         """Seconds since each cell was last read: one number when they agree, the common case."""
@@ -104,15 +142,17 @@ class Estimator(ABC):
     def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
         """The memory after the reading went to ``r`` in ``dt_s``; leaves the memory given as it is."""
 
+    def _std(self) -> Memory:
+        """A constant standard deviation, if there is one."""
+        return {} if self.doubt.std_kpa is None else {"std_kpa": np.full(self._rest_ohm.shape, self.doubt.std_kpa)}
 
-class PaperEstimator(Estimator):
-    """The paper's estimator (P8): invert the rising or the recovery model, as dr/dt and two thresholds say.
 
-    What the paper leaves open is settled thus. dr/dt is (r - l)/T, with l the reading behind a lag
-    T = ``derivative_s``: noise is smoothed, yet a sudden change is seen in the sample in which it happens.
-    Between the thresholds the last model stays. A hand-over keeps pressure and resistance where they are, as
-    in :class:`~.forward.PaperForward`. Each inverse is the algebraic one of the lag discretised for a
-    pressure linear over the sample: exact for such loads as long as the chosen model is the right one.
+class TwoModels(Estimator):
+    """The paper's rising and recovery models inverted; which of them holds is for others to say.
+
+    A hand-over keeps pressure and resistance where they are, as in :class:`~.forward.PaperForward`. Each inverse is
+    the algebraic one of the lag discretised for a pressure linear over the sample: exact for such loads as long as
+    the model is the right one.
     """
 
     def __init__(
@@ -121,12 +161,10 @@ class PaperEstimator(Estimator):
         full_scale_kpa: float,
         shape: tuple[int, ...],
         rest_resistance_ohm: FloatArray,
-        *,
-        std_kpa: float | None = None,
+        doubt: Doubt = CERTAIN,
     ) -> None:
-        self.model, self.std_kpa = model, std_kpa
-        self.rising_per_s, self.falling_per_s = model.thresholds_per_s(full_scale_kpa)
-        super().__init__(shape, rest_resistance_ohm)
+        self.model, self.full_scale_kpa = model, full_scale_kpa
+        super().__init__(shape, rest_resistance_ohm, doubt)
 
     def _begin(self, r: FloatArray) -> Memory:
         m = self.model
@@ -135,18 +173,15 @@ class PaperEstimator(Estimator):
             "r": r,
             "pressure_kpa": pressure,
             "rising": np.ones_like(r),
-            "lagged_r": r,
             "settled_kpa": pressure,
             "x2": pressure / m.e2_kpa,
             "x3": pressure / m.e3_kpa,
         }
 
-    def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
+    def _inverted(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray, rising: BoolArray) -> Memory:
+        """The pressure that takes the reading to ``r`` in the model said, handed over to first if need be."""
         m, p0, r0, x3 = self.model, memory["pressure_kpa"], memory["r"], memory["x3"]
         was_rising = memory["rising"] > 0
-        smoothing = -np.expm1(-np.asarray(dt_s) / max(m.derivative_s, 1e-9))
-        slope = (r - memory["lagged_r"]) * smoothing / dt_s
-        rising = (slope > self.rising_per_s) | (was_rising & (slope >= self.falling_per_s))
         settled = np.where(
             rising & ~was_rising, p0 * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r0, memory["settled_kpa"]
         )
@@ -168,14 +203,30 @@ class PaperEstimator(Estimator):
             "r": r,
             "pressure_kpa": pressure,
             "rising": rising.astype(np.float64),
-            "lagged_r": memory["lagged_r"] + (r - memory["lagged_r"]) * smoothing,
             "settled_kpa": free_u + ramp_u * pressure,
             "x2": free2 + ramp2 / m.e2_kpa * pressure,
             "x3": free3 + ramp3 / m.e3_kpa * pressure,
         }
 
-    def _std(self) -> Memory:
-        return {} if self.std_kpa is None else {"std_kpa": np.full(self._rest_ohm.shape, self.std_kpa)}
+
+class PaperEstimator(TwoModels):
+    """The paper's estimator (P8): invert the rising or the recovery model, as dr/dt and two thresholds say.
+
+    What the paper leaves open is settled thus. dr/dt is (r - l)/T, with l the reading behind a lag
+    T = ``derivative_s``: noise is smoothed, yet a sudden change is seen in the sample in which it happens.
+    Between the thresholds the last model stays.
+    """
+
+    def _begin(self, r: FloatArray) -> Memory:
+        return super()._begin(r) | {"lagged_r": r}
+
+    def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
+        rises, falls = self.model.thresholds_per_s(self.full_scale_kpa)
+        smoothing = -np.expm1(-np.asarray(dt_s) / max(self.model.derivative_s, 1e-9))
+        slope = (r - memory["lagged_r"]) * smoothing / dt_s
+        rising = (slope > rises) | ((memory["rising"] > 0) & (slope >= falls))
+        lagged = memory["lagged_r"] + (r - memory["lagged_r"]) * smoothing
+        return self._inverted(memory, dt_s, r, rising) | {"lagged_r": lagged}
 
 
 class EquilibriumEstimator(Estimator):

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
@@ -14,7 +13,6 @@ from scipy.optimize import least_squares
 from ..errors import InputError
 from . import simulate
 from .features import play_follow
-from .forward import PaperForward
 from .lag import BoolArray, FloatArray
 from .models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 from .recording import Recording
@@ -27,6 +25,11 @@ HELD_OUT = 2 / 3
 """share of the recording that is fitted when kinds are compared; the rest judges"""
 SIMPLER = 1.05
 """a simpler kind wins when its held-out error is within this factor of the best"""
+PRIOR = 0.02
+"""residual, over the range of r, that a parameter one width from its usual value counts as: what the recording does not
+tell stays usual"""
+PRIOR_LOG, PRIOR_PLAIN, PRIOR_REST = 1.5, 0.5, 0.1
+"""those widths: of the logarithm of a positive parameter, over its bound for one of either sign, and of R0, relative"""
 INSTANT_S = 0.05
 
 
@@ -170,10 +173,10 @@ def fits(recording: Recording, full_scale_kpa: float) -> list[Fit]:
     return [best, *sorted((fit for fit in found if fit is not best), key=lambda fit: fit.held_out_error)]
 
 
-def _grid(recording: Recording, full_scale_kpa: float, rest: float, share: float, points: int) -> _Grid:
+def _grid(recording: Recording, full_scale_kpa: float, rest: float, share: float) -> _Grid:
     """``share`` of the recording counts as fitted."""
     time = recording.time_s
-    dt = max(recording.step_s, (time[-1] - time[0]) / points)
+    dt = max(recording.step_s, (time[-1] - time[0]) / POINTS)
     at = np.arange(time[0], time[-1], dt)
     quiet = recording.quiet
     load, r = quiet.pressure_kpa / full_scale_kpa, quiet.resistance_ohm / rest - 1
@@ -181,14 +184,13 @@ def _grid(recording: Recording, full_scale_kpa: float, rest: float, share: float
 
 
 def _fit(kind: _Kind, recording: Recording, full_scale_kpa: float, rest: float, lower: float) -> Fit:
-    points = POINTS // 4 if kind.kind == "paper" else POINTS  # stepped through the slower forward model
-    part = _grid(recording, full_scale_kpa, rest, HELD_OUT, points)
+    part = _grid(recording, full_scale_kpa, rest, HELD_OUT)
     partial, _ = _solve(kind, part, kind.starts, lower)
     spread = np.ptp(part.r)
     left = _predict(kind, partial, part) - part.r
     held_out = float(np.sqrt(np.mean(left[part.fitted :] ** 2)) / spread)
 
-    whole = _grid(recording, full_scale_kpa, rest, 1.0, points)
+    whole = _grid(recording, full_scale_kpa, rest, 1.0)
     found, covariance = _solve(kind, whole, (tuple(partial), *kind.starts[:1]), lower)
     error = float(np.sqrt(np.mean((_predict(kind, found, whole) - whole.r) ** 2)) / spread)
     offset = found[-1]
@@ -236,9 +238,10 @@ def _solve(
     def responses(q: FloatArray) -> FloatArray:
         p = natural(q)
         fit = kind.run(p[:-1], grid.load[fitted], grid.dt_s) + p[-1]
-        return np.concatenate([fit, _falling(kind, p) * np.sqrt(grid.fitted) * 0.3])
+        unusual = PRIOR * spread * (q - centre[:, None]) / width[:, None]
+        return np.concatenate([fit, _falling(kind, p) * np.sqrt(grid.fitted) * 0.3, unusual])
 
-    target = np.concatenate([grid.r[fitted], np.zeros(9)])
+    target = np.concatenate([grid.r[fitted], np.zeros(9 + len(low))])
 
     def residual(q: FloatArray) -> FloatArray:
         left: FloatArray = responses(q[:, None])[:, 0] - target
@@ -250,6 +253,10 @@ def _solve(
         return slopes
 
     bounds = free(low), free(high)
+    spread = float(np.ptp(grid.r[fitted]))
+    centre = free(np.clip(np.array([*starts[-1], 0.0]), low, high))
+    width = np.where(positive, PRIOR_LOG, PRIOR_PLAIN * np.abs(high))
+    width[-1] = PRIOR_REST
     best: Any = None
     for start in starts:
         first = np.array([*start, 0.0]) if len(start) == len(kind.names) else np.array(start)
@@ -348,23 +355,13 @@ def _paper_kind(start: tuple[float, ...]) -> _Kind:
     g1, g2, g3, t2, t3 = start
 
     def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-        gain1, gain2, fall2, gain3, fall3, overshoot, settle = parameters
-        total = gain1 + gain2 + gain3
-        # Only what PaperForward reads of a model, for many models at once; loads in full scales.
-        models = SimpleNamespace(
-            e1_kpa=1 / gain1, e2_kpa=1 / gain2, e3_kpa=1 / gain3, t2_s=fall2, t3_s=fall3,
-            eu1_kpa=1 / total, etau2_kpa=1 / (overshoot * total), tu_s=settle,
-        )  # fmt: skip
         columns = _columns(load)
-        cells = parameters.shape[1]
         noise = 4 * simulate.white_noise(columns[:, 0])  # would hand over at every sample
-        steady = play_follow(np.broadcast_to(columns, (len(columns), cells)), noise)
-        forward = PaperForward(cast(PaperModel, models), 1.0, (cells,), np.ones(()))
-        return np.stack([forward.step(dt, s) for s in steady]) - 1
+        return simulate.paper(parameters, play_follow(columns, noise), dt)
 
     return _Kind(
         kind="paper",
-        names=("gain1", "gain2", "fall2_s", "gain3", "fall3_s", "overshoot", "settle_s"),
+        names=simulate.PAPER_PARAMETERS,
         low=(1e-4, 1e-4, 0.2, 1e-4, 3.0, 1e-3, 0.1),
         high=(20.0, 20.0, 100.0, 20.0, 3000.0, 3.0, 300.0),
         starts=((g1, g2, t2, g3, t3, 0.2, 5.0),),

@@ -13,10 +13,11 @@ import numpy as np
 
 from ..errors import InputError
 from . import lag
-from .estimators import Estimator, Memory
+from .estimators import CERTAIN, Doubt, Estimator, Memory
 from .forward import as_m10
 from .lag import BoolArray, FloatArray
 from .models import AsymmetricModel, M10Model
+from .smoothing import Smoother
 
 ACCURACY = 1e-11
 """of full scale, to which a step with a change-over is solved"""
@@ -89,8 +90,7 @@ class InverseEstimator(Estimator):
         full_scale_kpa: float,
         shape: tuple[int, ...],
         rest_resistance_ohm: FloatArray,
-        *,
-        std_kpa: float | None = None,
+        doubt: Doubt = CERTAIN,
     ) -> None:
         found = margin(model, full_scale_kpa)
         if not found > 0:
@@ -99,24 +99,23 @@ class InverseEstimator(Estimator):
                 f"(a + 2 b s - k falls to {found:.2g} of the slope at equilibrium); use another estimator"
             )
         self.model = m = as_m10(model, full_scale_kpa) if isinstance(model, AsymmetricModel) else model
-        self.full_scale_kpa, self.std_kpa = full_scale_kpa, std_kpa
+        self.full_scale_kpa, self._smoother = full_scale_kpa, Smoother(doubt.noise)
         self._alpha = np.array([[m.alpha1], [m.alpha2]])
         self._rise_s, self._fall_s = np.array([[m.rise1_s], [m.rise2_s]]), np.array([[m.fall1_s], [m.fall2_s]])
         self._constants_s = np.concatenate([self._rise_s, self._fall_s, [[m.tau_s]]])
-        super().__init__(shape, rest_resistance_ohm)
+        super().__init__(shape, rest_resistance_ohm, doubt)
 
     def _begin(self, r: FloatArray) -> Memory:
         m = self.model
         s = _root(m.b, np.full_like(r, m.a + m.alpha1 + m.alpha2), r)
-        return self._memory_of(r, s, self._alpha * s, np.zeros_like(s))
+        return self._memory_of(r, s, self._alpha * s, np.zeros_like(s)) | self._smoother.begin(r)
 
     def _memory_of(self, r: FloatArray, s: FloatArray, branches: FloatArray, broken: FloatArray) -> Memory:
-        memory = {"r": r, "pressure_kpa": s * self.full_scale_kpa, "load": s, "branches": branches, "broken": broken}
-        if self.std_kpa is not None:
-            memory["std_kpa"] = np.full(r.shape, self.std_kpa)
-        return memory
+        found = {"r": r, "pressure_kpa": s * self.full_scale_kpa, "load": s, "branches": branches, "broken": broken}
+        return found | self._std()
 
     def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
+        smoother, r = self._smoother.advance(memory, dt_s, r)
         m, alpha, s0, x = self.model, self._alpha, memory["load"], memory["branches"]
         gone, ramp = lag.weights(dt_s, self._constants_s)  # (5, 1) or (5, n)
         target = alpha * s0
@@ -159,7 +158,7 @@ class InverseEstimator(Estimator):
                 found[left] = s - rest["load"]
                 ends[:, left] = self._branches(rest, dt[left], s)
             step[crossed], branches[:, crossed] = found, ends
-        return self._memory_of(r, s0 + step, branches, free + breaking * np.abs(step))
+        return self._memory_of(r, s0 + step, branches, free + breaking * np.abs(step)) | smoother
 
     def _newton(
         self, change_over: _ChangeOver, bend: FloatArray, slope: FloatArray, sums: FloatArray, step: FloatArray

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 from scipy.special import ndtri
 
 from ..config import Section
-from .estimators import Estimator, Memory
+from .estimators import CERTAIN, Doubt, Estimator, Memory
 from .features import Bank
 from .lag import FloatArray
 from .models import Finite, NonNegative, Positive
@@ -35,6 +35,17 @@ class Limits(Section):
 
     lowest: Finite
     highest: Finite
+
+
+class Seen(Section):
+    """What the calibration recording was like: with what readings and loads standard deviations hold."""
+
+    noise: NonNegative = 0.0
+    """of a reading from sample to sample, relative to it"""
+    step_s: NonNegative = 0.0
+    """usual time between samples"""
+    speed_kpa_per_s: NonNegative = 0.0
+    """rms change of the load in a second"""
 
 
 class StaticCurve(Section):
@@ -123,10 +134,15 @@ class StaticCurveEstimator(Estimator):
     """The calibrated cubic, without memory."""
 
     def __init__(
-        self, curve: StaticCurve, full_scale_kpa: float, shape: tuple[int, ...], rest_resistance_ohm: FloatArray
+        self,
+        curve: StaticCurve,
+        full_scale_kpa: float,
+        shape: tuple[int, ...],
+        rest_resistance_ohm: FloatArray,
+        doubt: Doubt = CERTAIN,
     ) -> None:
         self.curve, self.full_scale_kpa = curve, full_scale_kpa
-        super().__init__(shape, rest_resistance_ohm)
+        super().__init__(shape, rest_resistance_ohm, doubt)
 
     def _begin(self, r: FloatArray) -> Memory:
         limits = self.curve.limits
@@ -145,14 +161,19 @@ class LearnedEstimator(Estimator):
     """Runs a :class:`Learned` map; a cell that has not moved keeps its last answer."""
 
     def __init__(
-        self, learned: Learned, full_scale_kpa: float, shape: tuple[int, ...], rest_resistance_ohm: FloatArray
+        self,
+        learned: Learned,
+        full_scale_kpa: float,
+        shape: tuple[int, ...],
+        rest_resistance_ohm: FloatArray,
+        doubt: Doubt = CERTAIN,
     ) -> None:
         self.learned, self.full_scale_kpa = learned, full_scale_kpa
         self._bank = learned.bank
         self._terms = Terms(
             np.array(learned.mean), np.array(learned.scale), learned.seed, learned.directions, np.float32
         )
-        super().__init__(shape, rest_resistance_ohm)
+        super().__init__(shape, rest_resistance_ohm, doubt)
 
     @cached_property
     def _weights(self) -> NDArray[np.float32]:

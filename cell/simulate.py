@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from . import lag
-from .lag import FloatArray
+from .lag import BoolArray, FloatArray
 
 M10_PARAMETERS = ("a", "b", "alpha1", "rise1_s", "fall1_s", "alpha2", "rise2_s", "fall2_s", "k", "tau_s")
 
@@ -44,6 +44,61 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
     for cell in range(cells):
         broken[:, cell] = lfilter([1.0], [1.0, gone[cell] - 1], moved[:, cell])
     r: FloatArray = a * load + b * load**2 + branches.sum(axis=1) + broken
+    return r
+
+
+PAPER_PARAMETERS = ("gain1", "gain2", "fall2_s", "gain3", "fall3_s", "overshoot", "settle_s")
+
+
+def paper(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
+    """Normalised resistance (n, m) of m cells of kind paper, settled at their first load.
+
+    The same hand-overs as :class:`~.forward.PaperForward`, which only depend on the loads and are thus known before.
+
+    Args:
+        parameters: (7, m), in the order of ``PAPER_PARAMETERS``; gains are of r at full scale.
+        load: (n, m) or (n, 1), pressure / full scale.
+        dt_s: the time between samples.
+    """
+    gain1, gain2, fall2, gain3, fall3, overshoot, settle = parameters
+    samples, cells = len(load), parameters.shape[1]
+    load = np.broadcast_to(load, (samples, cells))
+    total = gain1 + gain2 + gain3
+    jump = overshoot * total  # 1/etau2, loads in full scales
+
+    gone_u, ramp_u = lag.weights(dt_s, settle)
+    gone2, ramp2 = lag.weights(dt_s, fall2)
+    gone3, ramp3 = lag.weights(dt_s, fall3)
+    into_u = load[:-1] * (gone_u - ramp_u) + load[1:] * ramp_u
+    into2 = gain2 * (load[:-1] * (gone2 - ramp2) + load[1:] * ramp2)
+    into3 = gain3 * (load[:-1] * (gone3 - ramp3) + load[1:] * ramp3)
+    stay_u, stay2 = 1 - gone_u, 1 - gone2
+    x3 = np.empty((samples, cells))
+    for cell in range(cells):
+        stay3 = 1 - gone3[cell]
+        x3[0, cell] = first = gain3[cell] * load[0, cell]
+        x3[1:, cell] = lfilter([1.0], [1.0, -stay3], into3[:, cell], zi=[stay3 * first])[0]
+
+    # Which way each load last went, upwards at first.
+    sign = np.sign(np.diff(load, axis=0, prepend=load[:1] - 1))
+    moved = np.maximum.accumulate(np.where(sign != 0, np.arange(samples)[:, None], 0), axis=0)
+    rising: BoolArray = np.take_along_axis(sign, moved, axis=0) > 0
+    starts, ends = rising[1:] & ~rising[:-1], ~rising[1:] & rising[:-1]
+    some_start, some_end = np.asarray(starts.any(axis=1)), np.asarray(ends.any(axis=1))
+
+    r = np.empty((samples, cells))
+    r[0] = total * load[0]
+    settled, x2 = load[0], gain2 * load[0]
+    for n in range(1, samples):
+        before, last = load[n - 1], r[n - 1]
+        if some_start[n - 1]:
+            settled = np.where(starts[n - 1], before + (total * before - last) / jump, settled)
+        if some_end[n - 1]:
+            x2 = np.where(ends[n - 1], last - gain1 * before - x3[n - 1], x2)
+        settled = settled * stay_u + into_u[n - 1]
+        x2 = x2 * stay2 + into2[n - 1]
+        s = load[n]
+        r[n] = np.where(rising[n], total * s + jump * (s - settled), gain1 * s + x2 + x3[n])
     return r
 
 
@@ -104,6 +159,14 @@ def wandering(
     white[1:] *= np.sqrt(1 - keep**2)
     noise: FloatArray = lfilter([1.0], [1.0, -keep], white, axis=0)
     return noise
+
+
+def lagging(load: FloatArray, dt_s: float, seconds: FloatArray, first: FloatArray) -> FloatArray:
+    """Loads (n, m) behind lags of ``seconds`` (m,) that begin at ``first`` (m,): slow creep, and what came before."""
+    found = np.empty_like(load)
+    for cell, keep in enumerate(np.exp(-dt_s / seconds)):
+        found[:, cell] = lfilter([1 - keep], [1.0, -keep], load[:, cell], zi=[keep * first[cell]])[0]
+    return found
 
 
 def white_noise(signal: FloatArray) -> float:

@@ -25,7 +25,12 @@ DIRECTIONS = 600
 CELLS, SECONDS = 96, 400.0
 R0_ERROR = 0.02
 """standard deviation of R0, relative: an estimator must live with a rest value that is a little off"""
-ROWS = 60000
+CREEP = 0.08
+"""of the range of r: what creep too slow for the recording, and loads before it, may add"""
+CREEP_S = (60.0, 1000.0)
+UNEXPLAINED = ((3.0, 0.5), (60.0, 0.7))
+"""over how many seconds the model's error wanders, and how much of it does"""
+ROWS = 20000
 """of synthetic samples that enter the regression"""
 
 
@@ -97,23 +102,35 @@ def variations(calibration: Calibration, rng: np.random.Generator) -> tuple[Floa
     )
     r = calibration.simulation(rng, load, dt) / calibration.rest_resistance_ohm - 1
     unexplained = max(calibration.unexplained, 0.005 * calibration.spread)
-    r = r + simulate.wandering(rng, samples, CELLS, dt, 3.0, 0.6 * unexplained)
-    r = r + simulate.wandering(rng, samples, CELLS, dt, 60.0, 0.8 * unexplained)
+    for seconds, share in UNEXPLAINED:
+        r = r + simulate.wandering(rng, samples, CELLS, dt, seconds, share * unexplained)
     r = r + simulate.white_noise(calibration.r) * rng.standard_normal(r.shape)
+    creep = CREEP * calibration.spread * np.abs(rng.standard_normal(CELLS))
+    seconds_of = np.exp(rng.uniform(np.log(CREEP_S[0]), np.log(CREEP_S[1]), CELLS))
+    r = r + creep * simulate.lagging(load, dt, seconds_of, rng.uniform(0, 0.6, CELLS))
     return load, (1 + r) * (1 + R0_ERROR * rng.standard_normal(CELLS)) - 1, dt
 
 
 def rows(calibration: Calibration, bank: Bank, simulated: tuple[FloatArray, FloatArray, float]) -> Rows:
-    """Features of the recording and of its variations, thinned."""
+    """Features of the recording and of its variations, thinned.
+
+    The recording enters as it is, as if R0 were lower or higher, and as if creep went on in it for longer.
+    """
     load, r, dt = simulated
     steps = np.diff(calibration.time_s, prepend=calibration.time_s[0])
     found = bank.run(np.full(len(r), dt), r)
     thin = max(1, round(load.size / ROWS))
     shifts = 1 + R0_ERROR * np.array([-1.5, 0.0, 0.0, 1.5])
-    real = bank.run(steps, (1 + calibration.r[:, None]) * shifts - 1)
+    slow = np.array([0.1, 0.5]) * CREEP_S[1]
+    lagged = np.repeat(calibration.load[:, None], len(slow), axis=1)
+    lagged = simulate.lagging(lagged, float(np.median(steps)), slow, np.array([0.2, 0.5]))
+    r_of = calibration.r[:, None]
+    real = bank.run(
+        steps, np.concatenate([(1 + r_of) * shifts - 1, r_of + CREEP * calibration.spread * lagged], axis=1)
+    )
     return Rows(
         real=real.transpose(0, 2, 1).reshape(-1, bank.count),
-        real_load=np.repeat(calibration.load, len(shifts)),
+        real_load=np.repeat(calibration.load, real.shape[2]),
         simulated=found[::thin].transpose(0, 2, 1).reshape(-1, bank.count),
         simulated_load=load[::thin].ravel(),
     )
@@ -177,7 +194,7 @@ def play(calibration: Calibration, simulated: tuple[FloatArray, FloatArray, floa
 def distilled(calibration: Calibration, simulated: tuple[FloatArray, FloatArray, float], *, seed: int = 1) -> Learned:
     """Lags, plays and cosines of them: the inverse of the identified model, distilled into a map."""
     plays = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
-    return learn(calibration, simulated, lags_s=LAGS_S, plays=plays, directions=DIRECTIONS, ridge=3e-5, seed=seed)
+    return learn(calibration, simulated, lags_s=LAGS_S, plays=plays, directions=DIRECTIONS, ridge=5e-5, seed=seed)
 
 
 def calibrated(learned: Learned, error: FloatArray, std: FloatArray) -> Learned:

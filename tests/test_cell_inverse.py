@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from ohmskin.cell import AsymmetricModel, Cell, M10Model, inverse, lag
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, inverse, lag
 from ohmskin.errors import InputError
 
 EXAMPLE = Cell.example()
@@ -97,8 +97,9 @@ def test_an_ambiguous_cell_is_refused() -> None:
         cell_of(STIFF_UNLOADING).estimator((2,), "inverse")
     assert cell_of(STIFF_UNLOADING).default_estimator == "static"
     assert cell_of(SAFE).default_estimator == "inverse"
-    with pytest.raises(InputError, match="of kind 'asymmetric' or 'm10'"):
-        EXAMPLE.estimator((2,), "inverse")
+    contact = EXAMPLE.model_copy(update={"model": ContactModel(full_scale_resistance_ohm=500)})
+    with pytest.raises(InputError, match="of kind 'paper', 'asymmetric' or 'm10'"):
+        contact.estimator((2,), "inverse")
 
 
 def test_the_margin_is_where_two_loads_begin_to_share_a_resistance() -> None:
