@@ -22,8 +22,8 @@ MOST = 10000
 STATIC_WORTH = 0.5
 """the static curve is chosen if its held-out error is below this share of the distilled estimator's: the held-out third
 has the loads of the rest, and flatters whatever has a memory of them"""
-EXACT = 0.02
-"""held-out error of a model, over the range of r, below which its inverse is trusted with any load"""
+EXACT = 0.01
+"""held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     default, reason = _choose(percent, float(np.sqrt(max(found[0].held_out_error ** 2 - silent**2, 0.0))))
     final = _learned(whole, full)
     calibrated = {
-        name: training.calibrated(learned, *(value / full for value in judged[name]))
+        name: training.calibrated(learned, *(value / full for value in judged[name]), most=final.static.std_kpa / full)
         for name in ("play", "distilled")
         if isinstance(learned := getattr(final, name), Learned) and name in judged
     }
@@ -169,7 +169,7 @@ def _choose(percent: dict[EstimatorName, float], unexplained: float) -> tuple[Es
     """
     chosen: EstimatorName = "static" if percent["static"] < STATIC_WORTH * percent["distilled"] else "distilled"
     why = ""
-    if unexplained < EXACT and percent.get("inverse", np.inf) < 2 * percent[chosen] + 0.5:
+    if unexplained < EXACT and percent.get("inverse", np.inf) < percent[chosen]:
         chosen = "inverse"
         why = f"the model explains the resistance but for {100 * unexplained:.1f} % of its range and noise; "
     others = ", ".join(f"{name} {value:.1f} %" for name, value in percent.items() if name != chosen)

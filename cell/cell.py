@@ -26,6 +26,10 @@ EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 
 
+SUREST_PERCENT = 1.0
+"""of full scale: no held-out error below that is believed, as presses unlike those recorded are answered worse"""
+
+
 class Calibrated(Section):
     """What ``ohmskin fit`` learned about estimating this cell."""
 
@@ -130,7 +134,7 @@ class Cell(Section):
             return Doubt()
         percent = learned.held_out_percent.get(name)
         return Doubt(
-            std_kpa=None if percent is None else DRIFT * percent / 100 * self.full_scale_kpa,
+            std_kpa=None if percent is None else DRIFT * max(percent, SUREST_PERCENT) / 100 * self.full_scale_kpa,
             noise=learned.seen.noise,
             step_s=learned.seen.step_s,
             speed_kpa_per_s=learned.seen.speed_kpa_per_s,

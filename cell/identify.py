@@ -30,6 +30,8 @@ PRIOR = 0.02
 tell stays usual"""
 PRIOR_LOG, PRIOR_PLAIN, PRIOR_REST = 1.5, 0.5, 0.1
 """those widths: of the logarithm of a positive parameter, over its bound for one of either sign, and of R0, relative"""
+SEEN_AT_REST, NEVER_AT_REST = 0.15, 0.7
+"""share by which the true R0 may be below what was read before the first press, or below the least reading"""
 INSTANT_S = 0.05
 
 
@@ -41,7 +43,8 @@ class Parameter:
     value: float
     std_error: float
     identified: bool
-    """False where the recording does not say: a time constant beyond half of it, or an error above half the value"""
+    """False where the recording does not say: a time constant beyond half of it, an error above half the value, or R0
+    of a cell that it never shows at rest"""
 
 
 @dataclass(frozen=True)
@@ -95,9 +98,9 @@ def rest_resistance(recording: Recording, full_scale_kpa: float) -> tuple[float,
     pressed = np.flatnonzero(pressure > 0.03 * full_scale_kpa)
     first = int(pressed[0]) if pressed.size else len(pressure)
     if first > 2 and recording.time_s[first] - recording.time_s[0] >= 1.0:
-        return float(np.median(recording.resistance_ohm[:first])), 0.15
+        return float(np.median(recording.resistance_ohm[:first])), SEEN_AT_REST
     light = pressure <= max(0.05 * full_scale_kpa, float(np.quantile(pressure, 0.02)))
-    return float(np.min(recording.resistance_ohm[light])), 0.5
+    return float(np.min(recording.resistance_ohm[light])), NEVER_AT_REST
 
 
 def recovery_branches(
@@ -196,14 +199,18 @@ def _fit(kind: _Kind, recording: Recording, full_scale_kpa: float, rest: float, 
     offset = found[-1]
     model = _model(kind.kind, found, full_scale_kpa)
     duration = recording.time_s[-1] - recording.time_s[0]
-    parameters = tuple(
-        Parameter(name, float(value), float(std), bool(std < 0.5 * abs(value)) and not _too_slow(name, value, duration))
-        for name, value, std in zip((*kind.names, "offset"), found, np.sqrt(np.diag(covariance)), strict=True)
-    )
+    *errors, rest_error = np.sqrt(np.diag(covariance)).tolist()
+    parameters = [
+        Parameter(name, float(value), std, std < 0.5 * abs(value) and not _too_slow(name, value, duration))
+        for name, value, std in zip(kind.names, found, errors, strict=False)
+    ]
+    corrected = rest * (1 + offset)
+    seen = lower == SEEN_AT_REST and rest_error < 0.05
+    parameters.append(Parameter("rest_resistance_ohm", float(corrected), rest * rest_error, seen))
     return Fit(
         model=model,
-        rest_resistance_ohm=rest * (1 + offset),
-        parameters=parameters,
+        rest_resistance_ohm=corrected,
+        parameters=tuple(parameters),
         error=error,
         held_out_error=held_out,
         simulate=_simulation(kind, found, rest),

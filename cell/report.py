@@ -30,6 +30,10 @@ def text(calibration: Calibration) -> str:
         f"  {p.name:<26} {p.value:10.4g} +- {p.std_error:.2g}" + ("" if p.identified else "   not identified")
         for p in fit.parameters
     ]
+    if any(p.name == "rest_resistance_ohm" and not p.identified for p in fit.parameters):
+        lines.append(
+            "R0 is what the model needs, not what the material has: the recording does not show the cell at rest"
+        )
     slow = [p.name for p in fit.parameters if p.name.endswith("_s") and not p.identified]
     if slow:
         lines.append(f"time constants this recording cannot tell: {', '.join(slow)}")

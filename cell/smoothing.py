@@ -21,7 +21,7 @@ ALLOWED = 0.75
 """standard deviations that a reading may be off without adding to the sum"""
 SUM = 4.0
 """standard deviations of the sum that begin a new line"""
-STEADY_S = 0.5
+STEADY_S = 0.1
 """in which a reading usually changes by less than its noise: a line through few readings is held flat by that"""
 NAMES = ("level", "slope", "std", "count", "age", "age2", "total", "first", "up", "down")
 

@@ -23,11 +23,13 @@ LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
 SMOOTHING_S = 0.1
 DIRECTIONS = 600
 CELLS, SECONDS = 96, 400.0
-R0_ERROR = 0.02
+R0_ERROR = 0.03
 """standard deviation of R0, relative: an estimator must live with a rest value that is a little off"""
 CREEP = 0.08
 """of the range of r: what creep too slow for the recording, and loads before it, may add"""
 CREEP_S = (60.0, 1000.0)
+WIDEST, FLOOR = 2.0, 0.5
+"""limits of the standard deviation of learned estimators, see :func:`calibrated`"""
 UNEXPLAINED = ((3.0, 0.5), (60.0, 0.7))
 """over how many seconds the model's error wanders, and how much of it does"""
 ROWS = 20000
@@ -197,16 +199,20 @@ def distilled(calibration: Calibration, simulated: tuple[FloatArray, FloatArray,
     return learn(calibration, simulated, lags_s=LAGS_S, plays=plays, directions=DIRECTIONS, ridge=5e-5, seed=seed)
 
 
-def calibrated(learned: Learned, error: FloatArray, std: FloatArray) -> Learned:
+def calibrated(learned: Learned, error: FloatArray, std: FloatArray, *, most: float) -> Learned:
     """``learned`` with the standard deviation such that 95 % of held-out ``error`` lie within 2 / ``DRIFT`` of it.
 
-    It never falls below half of that for the rms error: calibration sees too little to be surer anywhere.
+    It never falls below ``FLOOR`` of that for the rms error: calibration sees too little to be surer anywhere. Nor is
+    it widened by more than ``WIDEST``, or held up by errors above half of the static curve's: two thirds of a short
+    recording may have been too little to learn anything from, where the whole is enough.
 
     Args:
         learned: what gave ``error`` and ``std``.
         error: held-out errors, normalised load.
         std: the standard deviations it gave with them, normalised load.
+        most: rms error of the static curve, normalised load.
     """
-    widen = DRIFT * max(float(np.quantile(np.abs(error) / std, 0.95)) / 2, 0.5)
-    floor = max(learned.std_floor * widen, 0.5 * DRIFT * float(np.sqrt(np.mean(error**2))))
+    widen = DRIFT * float(np.clip(np.quantile(np.abs(error) / std, 0.95) / 2, 0.5, WIDEST))
+    rms = min(float(np.sqrt(np.mean(error**2))), most / 2)
+    floor = max(learned.std_floor * widen, FLOOR * DRIFT * rms)
     return learned.model_copy(update={"std_factor": learned.std_factor * widen, "std_floor": floor})

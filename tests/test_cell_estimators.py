@@ -11,7 +11,7 @@ from ohmskin.errors import InputError
 EXAMPLE = Cell.example()
 PAPER = EXAMPLE.model
 assert isinstance(PAPER, PaperModel)
-NAMES = ("static", "paper")
+NAMES = ("static", "paper", "inverse")
 
 
 def steps(time_s: np.ndarray, *presses: tuple[float, float]) -> np.ndarray:

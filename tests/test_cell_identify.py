@@ -1,53 +1,24 @@
 """Calibration: known cells are found again, unknown materials are estimated with honest errors."""
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
+import cells
 import numpy as np
 import pytest
+from cells import DT, EXAMPLE, FULL, Unknown, protocol_recording, sense
 
-from ohmskin.bench import independent
-from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel, protocol, simulate
-from ohmskin.cell.calibrate import Calibration, calibrate, run
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel, protocol, report, simulate
+from ohmskin.cell.calibrate import calibrate, run
 from ohmskin.cell.identify import fits, recovery_branches
 from ohmskin.cell.inverse import margin
-from ohmskin.cell.recording import Recording, checked
+from ohmskin.cell.recording import checked
 from ohmskin.errors import InputError
 
-EXAMPLE = Cell.example()
-DT = 0.1
-FULL = EXAMPLE.full_scale_kpa
 
-
-def sense(cell: Cell, load: np.ndarray, dt: float = DT) -> np.ndarray:
-    forward = cell.forward(())
-    return np.array([float(forward.step(dt, cell.full_scale_kpa * s)) for s in load])
-
-
-def protocol_recording(cell: Cell, noise: float, seed: int = 0) -> Recording:
-    time, load = protocol.load(DT)
-    clean = sense(cell, load)
-    return checked(time, FULL * load, clean * (1 + noise * np.random.default_rng(seed).standard_normal(len(load))))
-
-
-@pytest.fixture(scope="module")
-def paper() -> Calibration:
-    """The example cell, from the 251 s protocol with 0.5 % noise."""
-    return calibrate(protocol_recording(EXAMPLE, 0.005))
-
-
-@pytest.fixture(scope="module")
-def unknown() -> tuple[Calibration, np.ndarray, np.ndarray]:
-    """Relays and fractional creep: half to learn from, then loads and readings to judge by."""
-    rng = np.random.default_rng(3)
-    load = independent.presses(rng, 900, DT, holds=True)
-    read = independent.resistance(load, DT, rng)
-    load, read = load[-6000:], read[-6000:]  # conditioned before
-    part = len(load) // 2
-    found = calibrate(checked(DT * np.arange(part), FULL * load[:part], read[:part]), full_scale_kpa=FULL)
-    return found, load, read
-
-
-def test_the_example_cell_is_found_again(paper: Calibration) -> None:
+def test_the_example_cell_is_found_again() -> None:
+    paper = cells.paper()
     model = paper.cell.model
     assert isinstance(model, PaperModel)
     truth = EXAMPLE.model
@@ -64,8 +35,9 @@ def test_the_example_cell_is_found_again(paper: Calibration) -> None:
     assert "explains" in (paper.cell.estimators.reason if paper.cell.estimators else "")
 
 
-def test_the_default_estimates_the_papers_experiments(paper: Calibration) -> None:
+def test_the_default_estimates_the_papers_experiments() -> None:
     """P9 after calibration, with noise of 0.5 % of R0: at most 2 % of full scale."""
+    paper = cells.paper()
     time = np.arange(0, 140, DT)
     rng = np.random.default_rng(4)
     for presses in ([(10, 40)], [(10, 25), (35, 50), (60, 75)]):
@@ -78,79 +50,58 @@ def test_the_default_estimates_the_papers_experiments(paper: Calibration) -> Non
         assert np.mean(np.abs(error) * FULL < 2 * std) > 0.9
 
 
-def test_an_unknown_material_is_estimated_better_than_by_its_static_curve(
-    unknown: tuple[Calibration, np.ndarray, np.ndarray],
-) -> None:
-    found, load, read = unknown
-    later = np.arange(len(load)) >= len(load) // 2
-    time = DT * np.arange(len(load))
+@pytest.mark.parametrize("material", [cells.unknown, cells.creeping])
+def test_an_unknown_material_is_estimated_better_than_by_its_static_curve(material: Callable[[], Unknown]) -> None:
+    """By a quarter, also where creep goes on for longer than was recorded; the errors are stated."""
+    of = material()
+    later = np.arange(len(of.load)) >= len(of.load) - 3000
 
     def rmse(name: str | None) -> float:
-        pressure, std = run(found.cell.estimator((), name), time, read)
-        error = (pressure / FULL - load)[later]
+        pressure, std = run(of.found.cell.estimator((), name), of.time, of.read)
+        error = (pressure / FULL - of.load)[later]
         assert std is not None
-        assert np.mean(np.abs(error) * FULL < 2 * std[later]) > 0.90
+        assert np.mean(np.abs(error) * FULL < 2 * std[later]) > 0.9
         return float(np.sqrt(np.mean(error**2)))
 
-    best, static = rmse(None), rmse("static")
-    assert best < static
+    assert rmse(None) < 0.75 * rmse("static")
 
 
-def test_a_wrong_rest_resistance_is_survived(unknown: tuple[Calibration, np.ndarray, np.ndarray]) -> None:
-    """R0 off by 3 % cannot be told from load; it costs the learned estimator no more than the static curve."""
-    found, load, read = unknown
-    time = DT * np.arange(len(load))
+@pytest.mark.parametrize("material", [cells.unknown, cells.creeping])
+def test_a_wrong_rest_resistance_is_survived(material: Callable[[], Unknown]) -> None:
+    """R0 off by 3 % cannot be told from load; it costs the default no more than the static curve."""
+    of = material()
 
-    def rmse(name: str, factor: float) -> float:
-        rest = factor * found.cell.rest_resistance_ohm
-        pressure, _ = run(found.cell.estimator((), name, rest_resistance_ohm=rest), time, read)
-        return float(np.sqrt(np.mean((pressure / FULL - load) ** 2)))
+    def rmse(name: str | None, factor: float) -> float:
+        rest = factor * of.found.cell.rest_resistance_ohm
+        pressure, _ = run(of.found.cell.estimator((), name, rest_resistance_ohm=rest), of.time, of.read)
+        return float(np.sqrt(np.mean((pressure / FULL - of.load) ** 2)))
 
     for factor in (0.97, 1.03):
-        assert rmse("distilled", factor) < rmse("static", factor)
+        assert rmse(None, factor) < rmse("static", factor)
 
 
-def test_a_held_load_does_not_fade_by_more_than_the_stated_error(
-    unknown: tuple[Calibration, np.ndarray, np.ndarray],
-) -> None:
-    """Half of full scale for an hour, on the cell as identified: what the estimate loses is within two sd."""
-    cell = unknown[0].cell
-    time = np.concatenate([np.arange(0, 60, DT), np.arange(60, 3660, 1.0)])
-    forward = cell.forward(())
-    load = np.interp(time, [0, 5, 8, 3660], [0, 0, 0.5, 0.5]) * FULL
-    dt = np.diff(time, prepend=0.0)
-    read = np.array([float(forward.step(step, p)) for step, p in zip(dt, load, strict=True)])
-    for name in ("play", "distilled"):
-        pressure, std = run(cell.estimator((), name), time, read)
-        assert std is not None
-        early, late = np.searchsorted(time, 30.0), -1
-        assert abs(pressure[late] - pressure[early]) < 2 * (std[late] + std[early])
-
-
-def test_a_saved_cell_estimates_the_same(unknown: tuple[Calibration, np.ndarray, np.ndarray], tmp_path: Path) -> None:
-    found, _, read = unknown
-    found.cell.save(tmp_path / "cell.toml", comment="two\nlines")
+def test_a_saved_cell_estimates_the_same(tmp_path: Path) -> None:
+    of = cells.unknown()
+    of.found.cell.save(tmp_path / "cell.toml", comment="two\nlines")
     again = Cell.load(tmp_path / "cell.toml")
-    assert again == found.cell
-    time = DT * np.arange(200)
+    assert again == of.found.cell
     for name in ("static", "play", "distilled"):
-        assert (
-            run(again.estimator((), name), time, read[:200])[0]
-            == run(found.cell.estimator((), name), time, read[:200])[0]
-        ).all()
+        both = [run(cell.estimator((), name), of.time[:200], of.read[:200])[0] for cell in (again, of.found.cell)]
+        assert (both[0] == both[1]).all()
 
 
-def test_learned_estimators_keep_cells_apart(unknown: tuple[Calibration, np.ndarray, np.ndarray]) -> None:
-    """Many cells with missing samples, against each alone; still cells keep their answer within the tolerance."""
-    found, _, read = unknown
-    rng = np.random.default_rng(6)
-    frames = np.stack([read[start : start + 150] for start in rng.integers(0, len(read) - 150, 6)], axis=1)
-    frames[rng.random(frames.shape) < 0.1] = np.nan
-    many = found.cell.estimator((2, 3), "distilled")
-    together = np.stack([many.update(DT * n, frame.reshape(2, 3)).pressure_kpa for n, frame in enumerate(frames)])
-    for cell in range(6):
-        alone = run(found.cell.estimator((), "distilled"), DT * np.arange(150), frames[:, cell])[0]
-        assert together.reshape(150, 6)[:, cell] == pytest.approx(alone, abs=1e-4, nan_ok=True)
+def test_a_cell_never_seen_at_rest_has_no_rest_resistance() -> None:
+    """The model takes what R0 it needs; the report says that this is not the material's."""
+    load = 0.5 + 0.45 * np.sin(np.arange(0, 120, DT) / 7) * np.sin(np.arange(0, 120, DT) / 3)
+    read = sense(EXAMPLE, load) * (1 + 0.001 * np.random.default_rng(2).standard_normal(len(load)))
+    time = DT * np.arange(len(load))
+    found = fits(checked(time, FULL * load, read), FULL)
+    assert not any(fit.parameters[-1].identified for fit in found)
+    assert cells.paper().fit.parameters[-1].name == "rest_resistance_ohm"
+    assert cells.paper().fit.parameters[-1].identified
+    assert "R0 is what the model needs" not in report.text(cells.paper())
+    unsure = replace(cells.paper(), fits=tuple(found))
+    assert "R0 is what the model needs" in report.text(unsure)
 
 
 def test_contact_cells_are_told_apart() -> None:
@@ -189,6 +140,18 @@ def test_the_fast_simulation_is_the_forward_model() -> None:
     exact = sense(EXAMPLE.model_copy(update={"model": model}), load[:, 0]) / EXAMPLE.rest_resistance_ohm - 1
     assert fast == pytest.approx(exact, abs=0.01)
     assert np.sqrt(np.mean((fast - exact) ** 2)) < 0.001
+
+
+def test_the_fast_simulation_of_paper_cells_is_their_forward_model() -> None:
+    truth = EXAMPLE.model
+    assert isinstance(truth, PaperModel)
+    load = np.maximum(simulate.random_loads(np.random.default_rng(1), 2000, 3, DT), 0)
+    gains = [FULL / e for e in (truth.e1_kpa, truth.e2_kpa, truth.e3_kpa)]
+    values = [gains[0], gains[1], truth.t2_s, gains[2], truth.t3_s, truth.overshoot - 1, truth.tu_s]
+    fast = simulate.paper(np.repeat(np.array(values)[:, None], 3, axis=1), load, DT)
+    for cell in range(3):
+        exact = sense(EXAMPLE, load[:, cell]) / EXAMPLE.rest_resistance_ohm - 1
+        assert fast[:, cell] == pytest.approx(exact, abs=1e-12)
 
 
 def test_a_kind_that_forgets_is_not_taken_for_one_that_remembers() -> None:

@@ -113,7 +113,8 @@ def test_the_margin_is_where_two_loads_begin_to_share_a_resistance() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cell", "name"), [(EXAMPLE, "paper"), (cell_of(ASYMMETRIC), "inverse"), (cell_of(SAFE), "inverse")]
+    ("cell", "name"),
+    [(EXAMPLE, "paper"), (EXAMPLE, "inverse"), (cell_of(ASYMMETRIC), "inverse"), (cell_of(SAFE), "inverse")],
 )
 def test_a_held_load_does_not_fade(cell: Cell, name: str) -> None:
     """An hour at 10 kPa, then a gap of a week: the estimate stays."""
@@ -130,7 +131,7 @@ def test_a_held_load_does_not_fade(cell: Cell, name: str) -> None:
     assert week.pressure_kpa == pytest.approx(10.0, abs=1e-6)
 
 
-@pytest.mark.parametrize(("cell", "name"), [(EXAMPLE, "paper"), (cell_of(ASYMMETRIC), "inverse")])
+@pytest.mark.parametrize(("cell", "name"), [(EXAMPLE, "paper"), (EXAMPLE, "inverse"), (cell_of(ASYMMETRIC), "inverse")])
 def test_a_cell_that_opens_and_returns(cell: Cell, name: str) -> None:
     """Open, shorted, saturated to nonsense: missing; when it is back, it reads as if it had been looked at rarely."""
     forward, estimator = cell.forward((2,)), cell.estimator((2,), name)
@@ -154,15 +155,3 @@ def test_a_wrong_rest_resistance_costs_no_more_than_itself() -> None:
         load = 7.0 + 7.0 * np.sin(n / 150) * np.sin(n / 47)
         worst = max(worst, abs(float(estimator.update(n * 0.1, forward.step(0.1, load)).pressure_kpa) - load))
     assert worst < 2 * 0.03 * (1 + 0.775) * 32
-
-
-def test_a_week_of_noise_leaves_no_drift() -> None:
-    """Noise at rest for many time constants: the state stays within the noise times the slope of the inverse."""
-    cell = cell_of(ASYMMETRIC)
-    rng = np.random.default_rng(5)
-    estimator = cell.estimator((50,), "inverse")
-    means = []
-    for n in range(1000):
-        read = cell.rest_resistance_ohm * (1 + 0.001 * rng.standard_normal(50))
-        means.append(float(np.mean(estimator.update(n * 600.0, read).pressure_kpa)))
-    assert np.abs(np.mean(np.reshape(means, (4, -1)), axis=1)).max() < 0.05

@@ -1,0 +1,76 @@
+"""Calibrations that several test modules look at: each is made once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from ohmskin.bench import independent
+from ohmskin.cell import Cell, protocol
+from ohmskin.cell.calibrate import Calibration, calibrate
+from ohmskin.cell.recording import Recording, checked
+
+EXAMPLE = Cell.example()
+DT = 0.1
+FULL = EXAMPLE.full_scale_kpa
+
+
+def sense(cell: Cell, load: np.ndarray, dt: float = DT) -> np.ndarray:
+    """Resistance (n,) of a cell under normalised loads (n,)."""
+    forward = cell.forward(())
+    return np.array([float(forward.step(dt, cell.full_scale_kpa * s)) for s in load.tolist()])
+
+
+def protocol_recording(cell: Cell, noise: float, seed: int = 0) -> Recording:
+    """The calibration protocol on a cell, with noise relative to the reading."""
+    time, load = protocol.load(DT)
+    clean = sense(cell, load)
+    return checked(time, FULL * load, clean * (1 + noise * np.random.default_rng(seed).standard_normal(len(load))))
+
+
+@cache
+def paper() -> Calibration:
+    """The example cell, from the 251 s protocol with 0.5 % noise."""
+    return calibrate(protocol_recording(EXAMPLE, 0.005))
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """A material that no model describes: relays and fractional creep."""
+
+    found: Calibration
+    load: np.ndarray
+    read: np.ndarray
+    learned: int
+    """samples that it was calibrated on"""
+
+    @property
+    def time(self) -> np.ndarray:
+        return DT * np.arange(len(self.load))
+
+
+@cache
+def unknown() -> Unknown:
+    """Random presses: half to learn from, then loads and readings to judge by."""
+    rng = np.random.default_rng(3)
+    load = independent.presses(rng, 900, DT, holds=True)
+    read = independent.resistance(load, DT, rng)
+    load, read = load[-6000:], read[-6000:]  # conditioned before
+    part = len(load) // 2
+    found = calibrate(checked(DT * np.arange(part), FULL * load[:part], read[:part]), full_scale_kpa=FULL)
+    return Unknown(found, load, read, part)
+
+
+@cache
+def creeping() -> Unknown:
+    """The protocol to learn from, ten minutes at rest, then presses: creep goes on for longer than was recorded."""
+    rng = np.random.default_rng(1)
+    _, pressed = protocol.load(DT)
+    later = [independent.presses(rng, 200, DT, holds=holds) for holds in (True, False)]
+    load = np.concatenate([pressed, np.zeros(round(600 / DT)), *later])
+    read = independent.resistance(load, DT, rng)
+    part = len(pressed)
+    found = calibrate(checked(DT * np.arange(part), FULL * load[:part], read[:part]), full_scale_kpa=FULL)
+    return Unknown(found, load, read, part)

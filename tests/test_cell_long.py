@@ -1,0 +1,136 @@
+"""What only shows after long: a week of samples, an hour's load, gaps in the readings. Every estimator stands it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cells
+import numpy as np
+import pytest
+from cells import DT, EXAMPLE, FULL
+
+from ohmskin.cell import AsymmetricModel, Cell
+from ohmskin.cell.calibrate import run
+from ohmskin.cell.cell import Calibrated
+from ohmskin.cell.learned import Limits, Seen, StaticCurve
+
+
+def _unknown() -> Cell:
+    return cells.unknown().found.cell
+
+
+def _paper() -> Cell:
+    return cells.paper().cell
+
+
+def _asymmetric() -> Cell:
+    """As if calibrated from readings with a little noise."""
+    model = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
+    curve = StaticCurve(coefficients=(0.0, 1.3), limits=Limits(lowest=0, highest=1.2), std_kpa=1.0)
+    learned = Calibrated(
+        default="inverse",
+        reason="",
+        held_out_percent={"inverse": 1.0},
+        seen=Seen(noise=0.001, step_s=DT, speed_kpa_per_s=1.0),
+        static=curve,
+    )
+    return EXAMPLE.model_copy(update={"model": model, "estimators": learned})
+
+
+EVERY = pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (_unknown, "static"),
+        (_unknown, "play"),
+        (_unknown, "distilled"),
+        (_paper, "paper"),
+        (_paper, "inverse"),
+        (_asymmetric, "inverse"),
+    ],
+)
+
+
+@EVERY
+def test_a_week_at_rest_leaves_no_drift(make: Callable[[], Cell], name: str) -> None:
+    """Noise at rest, every ten minutes for a week: no trend, and a press after it is answered as on the first day."""
+    cell = make()
+    rest = cell.rest_resistance_ohm
+    rng = np.random.default_rng(5)
+    estimator = cell.estimator((50,), name)
+    days = []
+    for n in range(1008):
+        noisy = rest * (1 + 0.001 * rng.standard_normal(50))
+        days.append(float(np.mean(estimator.update(n * 600.0, noisy).pressure_kpa)))
+    means = np.reshape(days, (7, -1)).mean(axis=1)
+    assert np.ptp(means) < 0.01 * FULL
+    fresh = cell.estimator((50,), name)
+    press = rest * (1 + 0.5 * np.sin(np.linspace(0, np.pi, 200)) ** 2)
+    for n in range(100):  # at rest as often as the presses, so that both know the noise alike
+        for one, start in ((estimator, 1008 * 600.0), (fresh, 0.0)):
+            one.update(start + n * DT, np.full(50, rest))
+    for n, reading in enumerate(press, 100):
+        late = estimator.update(1008 * 600.0 + n * DT, np.full(50, reading)).pressure_kpa
+        first = fresh.update(n * DT, np.full(50, reading)).pressure_kpa
+        assert late == pytest.approx(first, abs=0.02 * FULL)
+
+
+@EVERY
+def test_an_hours_load_does_not_fade_by_more_than_the_stated_error(make: Callable[[], Cell], name: str) -> None:
+    """Half of full scale for an hour, on the cell as identified: what the estimate loses is within two sd."""
+    cell = make()
+    time = np.concatenate([np.arange(0, 60, DT), np.arange(60, 3660, 1.0)])
+    load = np.interp(time, [0, 5, 8, 3660], [0, 0, 0.5, 0.5]) * FULL
+    forward = cell.forward(())
+    steps = np.diff(time, prepend=0.0)
+    read = np.array([float(forward.step(dt, p)) for dt, p in zip(steps, load, strict=True)])
+    pressure, std = run(cell.estimator((), name), time, read)
+    assert std is not None
+    early = np.searchsorted(time, 30.0)
+    assert abs(pressure[-1] - pressure[early]) < 2 * (std[-1] + std[early])
+
+
+@EVERY
+@pytest.mark.parametrize("lost", [False, True])
+def test_a_gap_widens_the_stated_error(make: Callable[[], Cell], name: str, lost: bool) -> None:
+    """Whether a cell's samples are missing or whole frames: more doubt the longer, some left after it, then none."""
+    cell = make()
+    estimator = cell.estimator((2,), name)
+    rest = cell.rest_resistance_ohm
+    std: dict[float, np.ndarray] = {}
+    for n in range(1200):
+        time, reading = n * DT, np.full(2, rest)
+        if 20 <= time < 40:
+            if lost:
+                continue
+            reading[0] = np.nan
+        found = estimator.update(time, reading).std_kpa
+        assert found is not None
+        std[round(time, 1)] = found
+    usual = std[19.9][0]
+    assert std[40.0][0] > 1.05 * usual
+    assert std[119.9][0] == pytest.approx(usual, rel=0.01)
+    if lost:
+        assert std[40.0][1] == std[40.0][0]
+    else:
+        assert usual < std[21.0][0] < std[30.0][0] < std[39.9][0]
+        assert std[39.9][0] < FULL
+        assert std[39.9][1] == pytest.approx(usual, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["static", "play", "distilled"])
+def test_readings_with_gaps_are_within_the_stated_error(name: str) -> None:
+    """Seconds to half a minute without a reading, over and over: nine in ten within two sd, missing ones included."""
+    of = cells.unknown()
+    rng = np.random.default_rng(7)
+    read, n = of.read.copy(), 0
+    while n < len(read):
+        n += rng.integers(50, 300)
+        gap = rng.integers(10, 300)
+        read[n : n + gap] = np.nan
+        n += gap
+    pressure, std = run(of.found.cell.estimator((), name), of.time, read)
+    assert std is not None
+    off = np.abs(pressure - FULL * of.load)[of.learned :]
+    assert np.mean(off < 2 * std[of.learned :]) > 0.9
+    missing = np.isnan(read[of.learned :])
+    assert np.mean((off < 2 * std[of.learned :])[missing]) > 0.85
