@@ -46,7 +46,7 @@ def test_any_load_is_found(kind: str, seed: int, dt: float) -> None:
 @pytest.mark.parametrize("kind", ["steps", "presses", "slow ramps"])
 @pytest.mark.parametrize("dt", [0.02, 0.1])
 def test_noise_costs_less_than_the_noise_inverted(kind: str, dt: float) -> None:
-    """0.5 % of the reading is 1 % of full scale where E1 answers alone: the estimate is about as good, the paper's twice
+    """0.5 % of the reading is 1 % of full scale where E1 answers alone: the estimate is as good, the paper's twice
     as far off.
     """
     rng = np.random.default_rng(5)
