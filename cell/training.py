@@ -28,7 +28,7 @@ R0_ERROR = 0.03
 CREEP = 0.08
 """of the range of r: what creep too slow for the recording, and loads before it, may add"""
 CREEP_S = (60.0, 1000.0)
-WIDEST, FLOOR = 2.0, 0.5
+WIDEST, FLOOR, SUREST = 2.0, 0.5, 0.02
 """limits of the standard deviation of learned estimators, see :func:`calibrated`"""
 UNEXPLAINED = ((3.0, 0.5), (60.0, 0.7))
 """over how many seconds the model's error wanders, and how much of it does"""
@@ -202,9 +202,9 @@ def distilled(calibration: Calibration, simulated: tuple[FloatArray, FloatArray,
 def calibrated(learned: Learned, error: FloatArray, std: FloatArray, *, most: float) -> Learned:
     """``learned`` with the standard deviation such that 95 % of held-out ``error`` lie within 2 / ``DRIFT`` of it.
 
-    It never falls below ``FLOOR`` of that for the rms error: calibration sees too little to be surer anywhere. Nor is
-    it widened by more than ``WIDEST``, or held up by errors above half of the static curve's: two thirds of a short
-    recording may have been too little to learn anything from, where the whole is enough.
+    It never falls below ``FLOOR`` of that for the rms error, or for an error of ``SUREST``: calibration sees too little
+    to be surer anywhere. Nor is it widened by more than ``WIDEST``, or held up by errors above half of the static
+    curve's: two thirds of a short recording may have been too little to learn anything from, where the whole is enough.
 
     Args:
         learned: what gave ``error`` and ``std``.
@@ -214,5 +214,5 @@ def calibrated(learned: Learned, error: FloatArray, std: FloatArray, *, most: fl
     """
     widen = DRIFT * float(np.clip(np.quantile(np.abs(error) / std, 0.95) / 2, 0.5, WIDEST))
     rms = min(float(np.sqrt(np.mean(error**2))), most / 2)
-    floor = max(learned.std_floor * widen, FLOOR * DRIFT * rms)
+    floor = max(learned.std_floor * widen, DRIFT * max(FLOOR * rms, SUREST))
     return learned.model_copy(update={"std_factor": learned.std_factor * widen, "std_floor": floor})
