@@ -27,7 +27,8 @@ R0_ERROR = 0.03
 """standard deviation of R0, relative: an estimator must live with a rest value that is a little off"""
 CREEP = 0.08
 """of the range of r: what creep too slow for the recording, and loads before it, may add"""
-CREEP_S = (60.0, 1000.0)
+CREEP_LENGTH = (0.08, 1.33)
+"""its time constants, in lengths of the recording"""
 WIDEST, FLOOR, SUREST = 2.0, 0.5, 0.02
 """limits of the standard deviation of learned estimators, see :func:`calibrated`"""
 UNEXPLAINED = ((3.0, 0.5), (60.0, 0.7))
@@ -47,6 +48,11 @@ class Calibration:
     simulation: Simulation
     unexplained: float
     """rms of r that the identified model leaves"""
+
+    @property
+    def seconds(self) -> float:
+        """Length of the recording."""
+        return float(self.time_s[-1] - self.time_s[0])
 
     @property
     def spread(self) -> float:
@@ -108,7 +114,7 @@ def variations(calibration: Calibration, rng: np.random.Generator) -> tuple[Floa
         r = r + simulate.wandering(rng, samples, CELLS, dt, seconds, share * unexplained)
     r = r + simulate.white_noise(calibration.r) * rng.standard_normal(r.shape)
     creep = CREEP * calibration.spread * np.abs(rng.standard_normal(CELLS))
-    seconds_of = np.exp(rng.uniform(np.log(CREEP_S[0]), np.log(CREEP_S[1]), CELLS))
+    seconds_of = calibration.seconds * np.exp(rng.uniform(*np.log(CREEP_LENGTH), CELLS))
     r = r + creep * simulate.lagging(load, dt, seconds_of, rng.uniform(0, 0.6, CELLS))
     return load, (1 + r) * (1 + R0_ERROR * rng.standard_normal(CELLS)) - 1, dt
 
@@ -123,7 +129,7 @@ def rows(calibration: Calibration, bank: Bank, simulated: tuple[FloatArray, Floa
     found = bank.run(np.full(len(r), dt), r)
     thin = max(1, round(load.size / ROWS))
     shifts = 1 + R0_ERROR * np.array([-1.5, 0.0, 0.0, 1.5])
-    slow = np.array([0.1, 0.5]) * CREEP_S[1]
+    slow = calibration.seconds * np.array([0.133, 0.667])
     lagged = np.repeat(calibration.load[:, None], len(slow), axis=1)
     lagged = simulate.lagging(lagged, float(np.median(steps)), slow, np.array([0.2, 0.5]))
     r_of = calibration.r[:, None]
