@@ -114,7 +114,8 @@ def variations(calibration: Calibration, rng: np.random.Generator) -> tuple[Floa
         r = r + simulate.wandering(rng, samples, CELLS, dt, seconds, share * unexplained)
     r = r + simulate.white_noise(calibration.r) * rng.standard_normal(r.shape)
     creep = CREEP * calibration.spread * np.abs(rng.standard_normal(CELLS))
-    seconds_of = calibration.seconds * np.exp(rng.uniform(*np.log(CREEP_LENGTH), CELLS))
+    shortest, longest = calibration.seconds * np.array(CREEP_LENGTH)
+    seconds_of = np.exp(rng.uniform(np.log(shortest), np.log(longest), CELLS))
     r = r + creep * simulate.lagging(load, dt, seconds_of, rng.uniform(0, 0.6, CELLS))
     return load, (1 + r) * (1 + R0_ERROR * rng.standard_normal(CELLS)) - 1, dt
 

@@ -15,7 +15,7 @@ from ..circuits import Design, apparent_resistance, scan_batch
 from ..errors import InputError
 from .outcome import Check, Figure, Finding, Table
 from .pressure import EDGE_S, STEP_KPA, draw, errors, estimate, pressed, respond, rmse, side_by_side
-from .subject import Subject
+from .subject import NOISE, Subject
 from .variants import converted
 
 FloatArray = NDArray[np.float64]
@@ -371,16 +371,15 @@ def steps(subject: Subject) -> Finding:
     limit = subject.design.requirements.pressure_rmse_percent
     return Finding(
         checks=[
-            Check(f"{title}, {label} estimator: RMSE", rmse(kpa, pressure, subject), limit, "% of full scale")
+            Check(f"{title}, {label}: RMSE", rmse(kpa, pressure, subject), limit, "% of full scale")
             for title, (pressure, estimates) in found.items()
             for label, kpa in estimates.items()
         ],
         text=[
             "The cell is read by the design under verification, among cells at rest; R0 is the median of the first "
-            "four seconds. Presses and releases take 0.1 s. The cell obeys the paper's model to the letter, so the "
-            "paper's inverse filters, which know it, have nothing to lose but noise. Ours learned the cell from a "
-            "noisy recording of the calibration protocol and knows no model; S2 has both kinds on a material that "
-            "none describes."
+            "four seconds. Presses and releases take 0.1 s. The paper's estimator knows the cell's parameters to the "
+            "letter; ours is what `ohmskin fit` chooses and finds in a recording of the calibration protocol with "
+            f"{100 * NOISE:g} % noise. S2 has them on a material that no model describes."
         ],
         figures=[Figure(picture, "One press of 15.5 kPa (Fig. 10) and three in a row with creep (Fig. 11).")],
     )
