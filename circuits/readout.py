@@ -55,11 +55,10 @@ def apparent_resistance(design: Design, volts: FloatArray) -> FloatArray:
     """
     signal = np.asarray(volts, dtype=np.float64) - design.readout.reference_voltage
     reference, drive = Parts.of(design).reference, design.drive.voltage
-    with np.errstate(divide="ignore"):
+    with np.errstate(over="ignore"):  # a signal as small as that is none
         ratio = np.where(signal == 0, inf, drive / np.where(signal == 0, 1.0, signal))
-    if design.readout.circuit == "inverting-amplifier":
-        return np.where(np.isinf(ratio), inf, -reference * ratio)
-    return reference * (ratio - 1.0)
+        ohms = reference * (-ratio if design.readout.circuit == "inverting-amplifier" else ratio - 1.0)
+    return np.where(np.isinf(ohms), inf, ohms)
 
 
 def ideal_volts(design: Design, resistance: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from designs import amplifier, divider
 from parts_at_random import real_design
 from reference import reference_volts
 
-from ohmskin.circuits import Design, scan
+from ohmskin.circuits import Design, apparent_resistance, scan
 from ohmskin.config import parse
 from ohmskin.errors import InputError, SolverError
 
@@ -20,6 +20,12 @@ def assert_reads_as_the_reference(design: Design, cells: np.ndarray) -> None:
     level = design.readout.reference_voltage
     expected = reference_volts(design, cells, 50)
     np.testing.assert_allclose(scan(design, cells).volts - level, expected - level, rtol=1e-11, atol=1e-15)
+
+
+@pytest.mark.parametrize("design", [amplifier(1, 3), divider(1, 3)], ids=["amplifier", "divider"])
+def test_a_signal_too_small_for_a_quotient_is_none(design: Design) -> None:
+    ohms = apparent_resistance(design, np.array([[5e-324, -5e-324, 0.0]]))
+    np.testing.assert_array_equal(ohms, np.full((1, 3), np.inf))
 
 
 @pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "voltage-feedback"])
