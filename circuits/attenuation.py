@@ -50,6 +50,7 @@ _TINY = np.finfo(np.float32).tiny
 _SINGLE = (
     1e6  # S; what underflows in single precision beside cells up to this is less than _TINY, and as much as nothing
 )
+_HEAVY = 1e9  # ohm; over n places of lines up to this, what underflows (1e-45 S) moves no loss by more than n 1e-36
 _LIGHT = 0.04  # |R| |C| for b = 1/4; above, the profiles' closed form would cost accuracy beside what is left out
 SLACK = 1.0 + 1e-6  # for the rounding errors in the bounds themselves
 
@@ -127,10 +128,12 @@ class Alike(NamedTuple):
 
     @classmethod
     def of(cls, row: FloatArray, column: FloatArray, to_driver: FloatArray, to_amplifier: FloatArray) -> Alike | None:
-        """Of wires as in :class:`Wires`; None where lines differ too much, or a fault is in one."""
+        """Of wires as in :class:`Wires`; None where lines differ too much, are too heavy, or a fault is in one."""
         rows, columns = row.shape
         reach = np.concatenate([to_amplifier.max(axis=1), to_driver.max(axis=0)])
         own = None
+        if not reach.max() <= _HEAVY:
+            return None
         if (row == row[0]).all() and (column == column[:, :1]).all():
             ahead, behind = to_driver[0], to_amplifier[:, 0]
         elif (
@@ -142,17 +145,16 @@ class Alike(NamedTuple):
             own = np.stack([np.concatenate([row[:, 0], column[-1]]), np.concatenate([row[:, -1], column[0]])])
         else:
             return None
-        with np.errstate(over="ignore"):  # lines that heavy are left to ladders
-            along, down = ahead.astype(np.float32), behind.astype(np.float32)
-            return cls(
-                row=np.minimum.outer(along, along),
-                column=np.minimum.outer(down, down),
-                to_driver=along,
-                to_amplifier=down,
-                own=None if own is None else own.astype(np.float32),
-                reach=reach.astype(np.float32),
-                ones=np.ones(max(rows, columns), dtype=np.float32),
-            )
+        along, down = ahead.astype(np.float32), behind.astype(np.float32)
+        return cls(
+            row=np.minimum.outer(along, along),
+            column=np.minimum.outer(down, down),
+            to_driver=along,
+            to_amplifier=down,
+            own=None if own is None else own.astype(np.float32),
+            reach=reach.astype(np.float32),
+            ones=np.ones(max(rows, columns), dtype=np.float32),
+        )
 
 
 @dataclass(frozen=True)
@@ -239,8 +241,8 @@ def _closed(cells: FloatArray, wires: Alike) -> tuple[Attenuated, FloatArray]:
     np.einsum("...ij,...ij->...j", lost, row, out=squares[..., rows:])  # for G h (1 - p) h: p is at least 1 - most
     lost += column
     squares += _TINY * max(rows, columns)  # for what is too small for single precision
-    squares *= wires.reach
-    norms = np.sqrt(squares, dtype=np.float64)
+    norms = np.multiply(squares, wires.reach, dtype=np.float64)
+    np.sqrt(norms, out=norms)
     certain = (1.0 + relative) ** 2 * (1.0 + ulp) * (1.0 + width) * (1.0 - most) ** -0.5 * endlessly(returned)
     norms[..., :rows] *= np.asarray(certain)[..., None]
     return (

@@ -93,6 +93,7 @@ def test_each_term_brings_the_error_and_its_bound_down(segment: float) -> None:
     st.floats(-8.0, -1.0),
     st.floats(1.0, 2.0),
 )
+@example(np.array([[0.0, 1.0], [1e-10, 1e-2]]), 1.0, -8.0, 1.0)  # a bound on 1e-36 S, of squares of 1e-47
 def test_the_closed_form_is_what_ladders_give_within_what_it_says(
     cells: np.ndarray, lead: float, weight: float, unequal: float
 ) -> None:
@@ -126,6 +127,16 @@ def test_heavy_lines_and_such_as_differ_much_are_left_to_ladders() -> None:
         known = attenuate(cells, wires)
         assert known is not None
         assert np.array_equal(known.transfer, by_ladders(cells[None], wires).transfer[0]) == same
+
+
+@pytest.mark.parametrize(("line", "cell"), [(1e37, 1e-43), (1e36, 3e-46), (1e30, 1e-41), (1e8, 1e-41)])
+def test_the_certificate_holds_for_cells_that_single_precision_cannot_hold(line: float, cell: float) -> None:
+    ideal, cells = np.full((4, 5), np.inf), np.full((4, 5), cell)
+    lines = Lines(np.full((4, 5), 1.0 / line), ideal, ideal[0])  # no current comes back from columns: losses are all
+    known = attenuate(cells, Wires.of(lines))
+    assert known is not None
+    exact = transfer_conductances(cells, lines)[0]
+    assert (np.abs(exact - known.transfer) <= known.error + EXACT * exact).all()
 
 
 def test_ideal_lines_attenuate_nothing() -> None:
