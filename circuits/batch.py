@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from ..errors import InputError
 from .attenuation import attenuate
 from .design import Design
-from .exact import few_ulp, read_exactly
+from .exact import read_exactly
 from .linear import LinearReadout
 from .parts import cell_conductance
 from .readout import apparent_resistance
@@ -108,6 +108,6 @@ def _attenuated(design: Design, cells: FloatArray) -> tuple[NDArray[np.intp], Fl
     if known is None:
         return nothing
     volts = linear.volts(known.transfer)
-    error = linear.error(known.error) + few_ulp(volts)
+    error = linear.error(known.error, known.transfer)
     inside = linear.within_supply(volts, error)
     return found[inside], volts[inside], error[inside]

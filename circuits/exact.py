@@ -12,15 +12,12 @@ from . import banded
 from .design import Design
 from .elimination import rounding_meter
 from .grid import exact_ports, refuse_contradictions
-from .linear import LinearReadout
+from .linear import LinearReadout, few_ulp
 from .parts import Parts, cell_conductance
 from .ports import Lines, has_ideal_lines, transfer_conductances
 from .readout import Reading, amplifier_ends, read
 
 FloatArray = NDArray[np.float64]
-
-_ULP = float(np.finfo(np.float64).eps) / 2.0
-
 
 Transfer = Callable[[FloatArray, Lines], tuple[FloatArray, FloatArray]]
 """Cells (..., N, M) in S and their lines to transfer conductances in S, and by how much each may be off."""
@@ -44,7 +41,7 @@ def read_exactly(
         refuse_contradictions(design, resistance)
     transfer, off = (transfer_of or exact_transfer)(cell_conductance(design, resistance), linear.lines)
     volts = linear.volts(transfer)
-    error = linear.error(off) + few_ulp(volts)
+    error = linear.error(off, transfer)
     saturated = np.zeros(volts.shape, dtype=np.bool_)
     limited = ~linear.within_supply(volts, error)
     if limited.any():
@@ -58,12 +55,10 @@ def _read_ports(design: Design, resistance: FloatArray) -> tuple[Reading, FloatA
     with rounding_meter() as meter:
         ports = exact_ports(design, resistance)
         reading = read(design, ports)
-    return reading, _error(design, ports, meter.relative) + few_ulp(reading.volts)
-
-
-def few_ulp(volts: FloatArray) -> FloatArray:
-    """Conversion of the resistances, and the last steps from conductances to volts."""
-    return (20 + sum(volts.shape[-2:])) * _ULP * np.abs(volts)
+    few = few_ulp(reading.volts.shape)
+    parts = Parts.of(design)
+    without = abs(design.readout.reference_voltage) + np.abs(parts.offset) + np.abs(parts.reference * parts.bias)
+    return reading, _error(design, ports, meter.relative + few) + few * (np.abs(reading.volts) + without)
 
 
 def exact_transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
@@ -82,8 +77,9 @@ def transfer_error(conductance: FloatArray, grid: Lines, transfer: FloatArray, r
     if has_ideal_lines(grid):
         return relative * transfer  # one elimination: each entry has that relative error
     row, column = port_roots(conductance, grid)
-    error = relative * row[..., :, None] * np.where(column > 0, column, np.nan)[..., None, :]
-    return np.where(np.isnan(error), 0.0, error)  # nothing flows into a column that is open
+    row, column = (np.where(root > 0, root, np.nan) for root in (row, column))
+    error = relative * row[..., :, None] * column[..., None, :]
+    return np.where(np.isnan(error), 0.0, error)  # nothing flows from a row or into a column that is open
 
 
 def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
@@ -143,8 +139,10 @@ def _error(design: Design, ports: FloatArray, relative: float) -> FloatArray:
     row = np.sqrt(_into_rows(ports, rows, behind))
     with np.errstate(divide="ignore"):
         column = np.sqrt(_in_series(total, 1.0 / behind))
-    limits = [abs(limit - part.reference_voltage) for limit in part.supply if isfinite(limit)]
-    others = np.maximum(np.abs(parts.offset), max(limits, default=0.0)) + np.abs(parts.reference * parts.bias)
+    level = part.reference_voltage
+    limits = [abs(limit - level) for limit in part.supply if isfinite(limit)]
+    others = np.maximum(np.abs(parts.offset) + abs(level) / (1.0 + parts.gain), max(limits, default=0.0))
+    others += np.abs(parts.reference * parts.bias)
     applied = abs(design.drive.voltage) * row[..., :, None] + (others * column).sum(axis=-1)[..., None, None]
     error: FloatArray = parts.reference * relative * applied * column[..., None, :]
     return error

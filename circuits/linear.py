@@ -84,11 +84,16 @@ class LinearReadout:
         volts += self.output
         return volts
 
-    def error(self, transfer_error: FloatArray) -> FloatArray:
-        """How much the outputs (..., N, M) can be wrong, in V, for such errors of the transfer conductances."""
-        error = np.abs(self.slope * self.drive) * transfer_error
+    def error(self, transfer_error: FloatArray, transfer: FloatArray) -> FloatArray:
+        """How much the outputs (..., N, M) can be wrong, in V, for such errors of the transfer conductances.
+
+        Rounding counts for what an output is the sum of, since its parts may cancel.
+        """
+        few = few_ulp(transfer.shape)
+        error = self._gain[1] * (transfer_error + few * transfer)
         if self.source:
             error += abs(self.source / self.drive) * error.sum(axis=-2, keepdims=True)
+        error += few * np.abs(self.output)
         return error
 
     def read(self, known: Attenuated) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -100,7 +105,7 @@ class LinearReadout:
         gain, size, shift = self._gain
         volts = gain * known.transfer
         lifted = np.maximum.reduce(size * known.column, axis=-1)
-        few = (20.0 + sum(volts.shape[-2:])) * _ULP  # conversion of the resistances, and the last steps
+        few = few_ulp(volts.shape)
         relative = known.rounded + few
         signal = np.abs(volts)
         largest = np.maximum.reduce(signal, axis=(-2, -1))
@@ -129,6 +134,11 @@ class LinearReadout:
         if low == -inf and high == inf:
             return np.ones(volts.shape[:-2], dtype=np.bool_)
         return np.asarray(((volts - error >= low) & (volts + error <= high)).all(axis=(-2, -1)))
+
+
+def few_ulp(shape: tuple[int, ...]) -> float:
+    """Relative: the conversion of resistances (..., N, M), and the last steps from conductances to volts."""
+    return (20.0 + sum(shape[-2:])) * _ULP
 
 
 class _Recent(threading.local):

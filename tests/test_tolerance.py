@@ -13,7 +13,7 @@ from hypothesis.extra import numpy as hnp
 from parts_at_random import real_design
 from reference import reference_volts
 
-from ohmskin.circuits import METHODS, Adc, Design, scan
+from ohmskin.circuits import METHODS, Adc, Array, Design, Drive, Readout, scan, scan_batch
 from ohmskin.errors import InputError, SolverError
 
 HARD_CELLS = {
@@ -139,6 +139,38 @@ def test_the_exact_bound_covers_what_rounding_did() -> None:
         assert series.error_bound < 2e-13 * size
         assert error <= exact.error_bound + series.error_bound
         np.testing.assert_allclose(exact.volts, series.volts, rtol=1e-11)  # cell by cell
+
+
+@pytest.mark.parametrize("method", [None, "attenuation"])
+@pytest.mark.parametrize("parts", [{}, {"row_lead": 3.0}, {"row_lead": 3.0, "row_segment": 0.1, "column_lead": 1.0}])
+@pytest.mark.parametrize("offset", [0.0, (0.0, 1e-12)], ids=["equal", "unequal"])
+def test_outputs_whose_parts_cancel_do_not_make_their_errors_small(
+    method: str | None, parts: dict[str, float], offset: float | tuple[float, ...]
+) -> None:
+    """All of a frame's outputs next to 0 V: what is left of a reference of 1.65 V, and rounded as that is."""
+    readout = {"reference_resistance": 1000.0, "reference_voltage": 1.65, "offset_voltage": offset}
+    tables = {
+        "array": {"rows": 3, "columns": 2} | parts,
+        "drive": {"voltage": 1.65},
+        "readout": readout | {"circuit": "inverting-amplifier"},
+    }
+    design = Design.model_validate(tables)
+    for above in (1e-8, 3e-11, 7e-13):
+        cells = np.full((3, 2), (1000.0 - parts.get("row_lead", 0.0)) * (1.0 + above))
+        result = scan(design, cells, method=method)
+        assert off(design, cells, result.volts) <= result.error_bound
+
+
+@pytest.mark.parametrize("batch", [False, True])
+def test_a_short_beside_a_row_without_any_cell_is_read(batch: bool) -> None:
+    design = Design(
+        array=Array(rows=3, columns=2, row_lead=1.0, column_segment=0.5),
+        drive=Drive(voltage=-1.0),
+        readout=Readout(circuit="inverting-amplifier", reference_resistance=1000.0),
+    )
+    cells = [[inf, inf], [1e3, 1e3], [0.0, 5.0]]
+    volts = scan_batch(design, [cells]).volts[0] if batch else scan(design, cells).volts
+    np.testing.assert_allclose(volts, reference_volts(design, cells, digits=50), rtol=1e-12, atol=1e-20)
 
 
 def test_through_an_adc_a_quarter_of_a_step_is_kept_and_no_more_is_computed() -> None:
