@@ -103,9 +103,9 @@ def _solve(
     system = _Equations(number)
 
     parts: list[tuple[Node, Node, float]] = []
-    broken = {fault.place: fault.ohms for fault in design.fault if fault.kind == "broken-row"}
-    severed = {fault.place: fault.ohms for fault in design.fault if fault.kind == "broken-column"}
-    opened = {fault.place: fault.ohms for fault in design.fault if fault.kind == "open-cell"}
+    broken = _in_series(design, "broken-row")
+    severed = _in_series(design, "broken-column")
+    opened = _in_series(design, "open-cell")
     for i in range(rows):
         parts.append((("drive", i), ("row", i, 0), _of(array.row_lead, i) + broken.get((i, 0), 0.0)))
         for j in range(columns):
@@ -208,6 +208,15 @@ def _solve(
             outputs.append(value_of["end", j] + vref)
             unlimited.append(vref)  # no amplifier, no supply
     return outputs, unlimited
+
+
+def _in_series(design: Design, kind: str) -> dict[tuple[int, int], float]:
+    """Ohm at each place that has faults of this kind."""
+    ohms: dict[tuple[int, int], float] = defaultdict(float)
+    for fault in design.fault:
+        if fault.kind == kind:
+            ohms[fault.place] += fault.ohms
+    return dict(ohms)
 
 
 def _of(value: float | tuple[float, ...], line: int) -> float:

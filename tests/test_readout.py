@@ -45,6 +45,14 @@ def test_divider_with_line_resistance(idle_rows: str, idle_columns: str) -> None
         assert_reads_as_the_reference(design, 10 ** rng.uniform(2, 5, shape))
 
 
+@pytest.mark.parametrize("kind", ["open-cell", "broken-row", "broken-column"])
+@pytest.mark.parametrize("second", [50.0, np.inf])
+def test_faults_of_one_kind_at_one_place_are_in_series(kind: str, second: float) -> None:
+    faults = [{"kind": kind, "place": [1, 0], "resistance": ohms} for ohms in (second, 70.0)]
+    design = Design.model_validate(amplifier(2, 2, lead=3.0, segment=1.0).model_dump() | {"fault": faults})
+    assert_reads_as_the_reference(design, np.array([[1e3, 2e3], [3e3, 4e3]]))
+
+
 @pytest.mark.parametrize("seed", range(60))
 def test_faults(seed: int) -> None:
     design, cells = real_design(seed, faults=1 + seed % 3)
