@@ -41,7 +41,7 @@ class Doubt:
     """time between readings to which the standard deviation belongs"""
     speed_kpa_per_s: float = 0.0
     """by which a load changes in a second, rms"""
-    most_kpa: float = np.inf
+    most_kpa: float = 1e100
     """standard deviation of knowing nothing"""
 
     def unread_kpa(self, seconds: FloatArray) -> FloatArray:
@@ -52,6 +52,8 @@ class Doubt:
 
 
 CERTAIN = Doubt()
+LOADS = (-0.5, 3.0)
+"""times full scale that an exact inverse answers: what its memories take in from beyond, they carry for long"""
 AFTER_GAP = 0.3
 """share of the doubt about a gap that the first reading after it leaves, for memories were not brought along in it"""
 AFTER_GAP_S = 10.0
@@ -66,6 +68,9 @@ class Estimator(ABC):
     The first reading of a cell is taken as one at rest or long held.
     """
 
+    _credible = (-np.inf, np.inf)
+    """normalised resistances beyond which a reading is no load's: a cell about to open, a short, a spark"""
+
     def __init__(self, shape: tuple[int, ...], rest_resistance_ohm: FloatArray, doubt: Doubt = CERTAIN) -> None:
         self.shape, self.doubt = shape, doubt
         self._rest_ohm = resistance_of(shape, rest_resistance_ohm).ravel()
@@ -75,7 +80,8 @@ class Estimator(ABC):
         self._time_s = -np.inf
 
     def update(self, time_s: float, resistance_ohm: ArrayLike) -> Estimate:
-        """Take the frame read at ``time_s``; entries that are NaN, infinite or not positive are missing.
+        """Take the frame read at ``time_s``; entries that are NaN, infinite or not positive are missing, and to an
+        inverse of the model those that no load of -1/2 to 3 times full scale (:data:`LOADS`) can give.
 
         Raises:
             InputError: another shape, or a time that does not follow the last one.
@@ -87,7 +93,9 @@ class Estimator(ABC):
             raise InputError(f"time {time_s} s does not follow {self._time_s} s; expected time stamps that increase")
         resistance = resistance.ravel()
         r = resistance / self._rest_ohm - 1
-        good, begun = np.isfinite(r) & (resistance > 0), ~np.isnan(self._read_s)
+        low, high = self._credible
+        # NaN is not within any bounds.
+        good, begun = np.isfinite(r) & (resistance > 0) & (low <= r) & (r <= high), ~np.isnan(self._read_s)
         since = np.where(begun, time_s - self._read_s, 0.0)
         if (good & begun).all():
             self._memory = self._advance(self._memory, self._elapsed(time_s), r)
@@ -164,6 +172,8 @@ class TwoModels(Estimator):
         doubt: Doubt = CERTAIN,
     ) -> None:
         self.model, self.full_scale_kpa = model, full_scale_kpa
+        steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
+        self._credible = (LOADS[0] * steepest, LOADS[1] * steepest)
         super().__init__(shape, rest_resistance_ohm, doubt)
 
     def _begin(self, r: FloatArray) -> Memory:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from . import lag
-from .estimators import CERTAIN, Doubt, Estimator, Memory
+from .estimators import CERTAIN, LOADS, Doubt, Estimator, Memory
 from .forward import as_m10
 from .lag import BoolArray, FloatArray
 from .models import AsymmetricModel, M10Model
@@ -102,6 +102,8 @@ class InverseEstimator(Estimator):
         self.full_scale_kpa, self._smoother = full_scale_kpa, Smoother(doubt.noise)
         self._alpha = np.array([[m.alpha1], [m.alpha2]])
         self._rise_s, self._fall_s = np.array([[m.rise1_s], [m.rise2_s]]), np.array([[m.fall1_s], [m.fall2_s]])
+        steepest = m.a + 2 * max(m.b, 0.0) * LOADS[1] + m.alpha1 + m.alpha2 + m.k
+        self._credible = (LOADS[0] * steepest, LOADS[1] * steepest)
         self._constants_s = np.concatenate([self._rise_s, self._fall_s, [[m.tau_s]]])
         super().__init__(shape, rest_resistance_ohm, doubt)
 

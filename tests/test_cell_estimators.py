@@ -5,12 +5,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin.cell import Cell, PaperModel
+from ohmskin.cell import AsymmetricModel, Cell, M10Model, PaperModel
+from ohmskin.cell.learned import Limits, StaticCurve, StaticCurveEstimator
 from ohmskin.errors import InputError
 
 EXAMPLE = Cell.example()
 PAPER = EXAMPLE.model
 assert isinstance(PAPER, PaperModel)
+ASYMMETRIC = EXAMPLE.model_copy(
+    update={"model": AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=505, eta3_kpa_s=48000)}
+)
+M10 = EXAMPLE.model_copy(
+    update={
+        "model": M10Model(a=0.4, b=0.1, alpha1=0.15, rise1_s=0.3, fall1_s=3, alpha2=0.1, fall2_s=40, k=0.1, tau_s=20)
+    }
+)
 NAMES = ("static", "paper", "inverse")
 
 
@@ -128,6 +137,33 @@ def test_rest_resistance_per_cell(name: str) -> None:
     for t, step, p in zip(time, dt, load, strict=True):
         found = estimator.update(t, forward.step(step, p)).pressure_kpa
         assert found == pytest.approx(np.full(3, found[0]), rel=1e-9, abs=1e-9)
+
+
+@pytest.mark.parametrize("cell", [EXAMPLE, ASYMMETRIC, M10], ids=lambda cell: cell.model.kind)
+@pytest.mark.parametrize("ohm", [1.0, 1e6, 1e12])
+def test_a_reading_that_no_load_can_give_leaves_no_trace(cell: Cell, ohm: float) -> None:
+    """A cell about to open reads some megohms for one sample: a memory that takes that in is off for minutes."""
+    time = np.arange(0, 30, 0.05)
+    resistance = sense(cell, time, steps(time, (5, 15), (20, 25)))
+    clean = estimate(cell, "inverse", time, resistance)
+    resistance[200] = ohm
+    found = estimate(cell, "inverse", time, resistance)
+    assert found[200] == found[199]
+    np.testing.assert_allclose(found, clean, atol=1e-9 * cell.full_scale_kpa)
+
+
+def test_three_times_full_scale_is_still_answered() -> None:
+    time = np.arange(0, 30, 0.05)
+    load = 3 * steps(time, (5, 15))
+    for cell in (EXAMPLE, ASYMMETRIC, M10):
+        np.testing.assert_allclose(estimate(cell, "inverse", time, sense(cell, time, load)), load, atol=1e-6)
+
+
+def test_an_estimator_without_doubts_states_its_curve_s_deviation() -> None:
+    curve = StaticCurve(coefficients=(0.0, 1.0), limits=Limits(lowest=0.0, highest=1.0), std_kpa=0.5)
+    estimator = StaticCurveEstimator(curve, 10.0, (), np.array(1e3))
+    for time, resistance in ((0.0, 1.1e3), (5.0, np.nan), (9.0, 1.2e3)):
+        assert estimator.update(time, resistance).std_kpa == 0.5
 
 
 def test_bad_updates_are_refused() -> None:
