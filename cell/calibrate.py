@@ -22,6 +22,8 @@ MOST = 10000
 STATIC_WORTH = 0.5
 """the static curve is chosen if its held-out error is below this share of the distilled estimator's: the held-out third
 has the loads of the rest, and flatters whatever has a memory of them"""
+LEAST = 0.1
+"""share of the readings that must lie before the last third of a recording's time, and in it"""
 EXACT = 0.01
 """held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
 
@@ -60,6 +62,13 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     thin = Recording(
         recording.time_s[::every], recording.pressure_kpa[::every], recording.resistance_ohm[::every], recording.name
     )
+    cut = thin.time_s[0] + HELD_OUT * (thin.time_s[-1] - thin.time_s[0])
+    before = int(np.count_nonzero(thin.time_s < cut))
+    if not LEAST * len(thin.time_s) <= before <= (1 - LEAST) * len(thin.time_s):
+        raise InputError(
+            f"{recording.name}: {before} of {len(thin.time_s)} readings lie in the first two thirds of its time; "
+            "expected readings without a gap that takes up most of it"
+        )
     full = float(np.quantile(thin.pressure_kpa, 0.999)) if full_scale_kpa is None else full_scale_kpa
     if not 0 < full < np.inf:
         raise InputError(f"full scale is {full} kPa; expected more than 0")
@@ -80,7 +89,6 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
         simulation=teacher.simulate,
         unexplained=teacher.error * float(np.ptp(thin.resistance_ohm)) / rest,
     )
-    cut = thin.time_s[0] + HELD_OUT * (thin.time_s[-1] - thin.time_s[0])
     first = replace(whole, simulation=teacher.simulate_partial).until(cut)
     seen = _seen(thin)
     trial = cell.model_copy(update={"estimators": _learned(first, full).model_copy(update={"seen": seen})})

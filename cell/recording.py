@@ -51,6 +51,17 @@ class Recording:
         )
 
 
+def check_time(time_s: FloatArray, name: str) -> None:
+    """InputError, naming the sample, unless times (n,) are finite and increase."""
+    follows = np.isfinite(time_s) & (np.diff(time_s, prepend=-np.inf) > 0)
+    if not follows.all():
+        at = int(np.argmin(follows))
+        after = f" after {time_s[at - 1]:.17g} s" if at else ""
+        raise InputError(
+            f"{name}: time_s must increase and be finite, but sample {at + 1} is at {time_s[at]:.17g} s{after}"
+        )
+
+
 def checked(
     time_s: FloatArray, pressure_kpa: FloatArray, resistance_ohm: FloatArray, *, name: str = "recording"
 ) -> Recording:
@@ -60,12 +71,7 @@ def checked(
         InputError: time does not increase, resistance is not positive, the columns look exchanged, too few samples,
             too short, or a pressure that does not change or is never released.
     """
-    back = np.flatnonzero(~(np.diff(time_s) > 0))
-    if back.size:
-        at = back[0] + 1
-        raise InputError(
-            f"{name}: time_s must increase, but sample {at + 1} is at {time_s[at]:g} s after {time_s[at - 1]:g} s"
-        )
+    check_time(time_s, name)
     if not np.isfinite(pressure_kpa).all():
         at = int(np.flatnonzero(~np.isfinite(pressure_kpa))[0])
         raise InputError(f"{name}: pressure_kpa of sample {at + 1} is {pressure_kpa[at]}; expected a number")

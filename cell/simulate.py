@@ -132,7 +132,7 @@ def varied_loads(
     scaled, shifted, reversed in time or upside down, joined by ramps.
     """
     loads = np.empty((samples, cells))
-    shortest = min(len(recorded), round(20 / recorded_dt_s))
+    shortest = min(len(recorded), max(2, round(20 / recorded_dt_s)))
     for cell in range(cells):
         pieces: list[FloatArray] = [np.zeros(round(rng.uniform(1, 20) / dt_s))]
         while sum(map(len, pieces)) < samples:

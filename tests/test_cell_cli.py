@@ -64,3 +64,15 @@ def test_faults_are_one_line(steps: Path, tmp_path: Path, capsys: pytest.Capture
         assert error.count("\n") == 1
     assert not out.exists()
     assert not (tmp_path / "none.toml").exists()
+
+
+@pytest.mark.parametrize("times", ["0\n0", "2\n1", "0\nnan", "0\ninf"])
+def test_estimate_names_the_sample_whose_time_does_not_follow(
+    times: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cell, read, out = tmp_path / "cell.toml", tmp_path / "read.csv", tmp_path / "out.csv"
+    Cell.example().save(cell)
+    read.write_text("time_s,resistance_ohm\n" + "".join(f"{time},10000\n" for time in times.split()))
+    assert run(["estimate", str(read), "--cell", str(cell), "-o", str(out)]) == 2
+    assert f"{read}: time_s must increase and be finite, but sample 2 is at" in capsys.readouterr().err
+    assert not out.exists()

@@ -178,12 +178,30 @@ READ = 1e4 + 300 * PRESS
         (TIME, READ, PRESS, "are the columns exchanged"),
         (TIME, READ, 1 + PRESS, "never released"),
         (TIME[::-1], PRESS, READ, "time_s must increase"),
+        (np.append(TIME[:-1], np.inf), PRESS, READ, f"sample {len(TIME)} is at inf s"),
         (TIME, np.where(TIME > 5, np.nan, PRESS), READ, "pressure_kpa of sample 52 is nan"),
     ],
 )
 def test_nonsense_is_refused(time: np.ndarray, pressure: np.ndarray, resistance: np.ndarray, message: str) -> None:
     with pytest.raises(InputError, match=message):
         checked(time, pressure, resistance)
+
+
+@pytest.mark.parametrize("jump", [1, 10, 999])
+def test_readings_mostly_on_one_side_of_a_gap_are_refused(jump: int) -> None:
+    """Such as of a cell that was open in between: nothing could be learned, or judged, of the other side."""
+    load = np.clip(2 * np.sin(2 * np.pi * 0.1 * np.arange(1000) / 20), 0, 1)
+    time = 0.1 * np.arange(1000) + np.where(np.arange(1000) < jump, 0, 1000)
+    with pytest.raises(InputError, match="without a gap"):
+        calibrate(checked(time, FULL * load, sense(EXAMPLE, load)))
+
+
+def test_a_recording_with_a_minute_between_samples_is_learned_from() -> None:
+    load = np.clip(2 * np.sin(2 * np.pi * np.arange(100) / 12), 0, 1)
+    for dt in (41.0, 100.0):
+        time = dt * np.arange(100)
+        found = calibrate(checked(time, FULL * load, sense(EXAMPLE, load, dt)))
+        assert found.cell.estimators is not None
 
 
 def test_a_resistance_that_follows_nothing_is_refused() -> None:

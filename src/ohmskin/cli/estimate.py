@@ -8,6 +8,7 @@ import click
 
 from ..cell import Cell
 from ..cell.calibrate import run
+from ..cell.recording import check_time
 from ..tables import read_columns, write_columns
 
 
@@ -20,6 +21,7 @@ def command(recording: Path, cell_file: Path, output: Path, estimator: str | Non
     """Estimate pressure from the columns time_s,resistance_ohm of IN.csv, causally, sample by sample."""
     columns = read_columns(recording, ("time_s", "resistance_ohm"))
     time, resistance = columns["time_s"], columns["resistance_ohm"]
+    check_time(time, str(recording))
     pressure, std = run(Cell.load(cell_file).estimator((), estimator), time, resistance)
     found = {"time_s": time, "pressure_kpa": pressure}
     write_columns(output, found if std is None else found | {"std_kpa": std})
