@@ -148,8 +148,9 @@ def _learned(calibration: training.Calibration, full_scale_kpa: float) -> Calibr
 def _seen(recording: Recording) -> Seen:
     time, load = recording.time_s, recording.quiet.pressure_kpa
     later = np.interp(time + 1.0, time, load)
+    log_ohm = np.log(recording.resistance_ohm)
     return Seen(
-        noise=simulate.white_noise(np.log(recording.resistance_ohm)),
+        noise=simulate.white_noise(log_ohm) or simulate.step_noise(log_ohm),
         step_s=recording.step_s,
         speed_kpa_per_s=float(np.sqrt(np.mean((later - load) ** 2))),
     )

@@ -174,6 +174,12 @@ def white_noise(signal: FloatArray) -> float:
     return float(np.median(np.abs(np.diff(signal, 2))) / 0.6745 / np.sqrt(6)) if len(signal) > 2 else 0.0
 
 
+def step_noise(signal: FloatArray) -> float:
+    """Standard deviation of rounding to the steps that (n,) changes by, for readings coarser than their noise."""
+    steps = np.abs(np.diff(signal))
+    return float(np.min(steps, where=steps > 0, initial=np.inf) / np.sqrt(12)) if steps.any() else 0.0
+
+
 def smoothing_s(load: FloatArray, dt_s: float) -> float:
     """Over how long a force gauge's signal must be smoothed: its noise would add up in the integral of |ds|.
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ohmskin.cell.simulate import step_noise, white_noise
 from ohmskin.cell.smoothing import STEADY_S, Smoother
 
 NOISE = 0.005
@@ -64,3 +65,11 @@ def test_a_jump_is_seen_in_its_own_sample() -> None:
     assert np.abs(found - truth[:, None]).max() < 6 * NOISE * 1.4
     quiet = np.std((found - truth[:, None])[time > 8])
     assert quiet < 0.5 * NOISE * 1.4
+
+
+def test_readings_coarser_than_their_noise_have_that_of_their_steps() -> None:
+    fine = 10e3 + 3e3 * np.sin(np.linspace(0, 20, 5000))
+    coarse = 200.0 * np.round(fine / 200.0)
+    assert white_noise(coarse) == 0
+    assert step_noise(coarse) == pytest.approx(np.std(coarse - fine), rel=0.05)
+    assert step_noise(np.full(10, 3.0)) == 0
