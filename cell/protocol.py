@@ -28,8 +28,8 @@ class Step:
         return f"{'go steadily to' if self.ramp else 'hold'} {what} for {self.seconds:g} s"
 
 
-CONDITIONING = (Step(1.0, 10.0), Step(0.0, 20.0))
-"""done first: the rest value of a fresh cell rises by several percent in its very first press"""
+CONDITIONING = (Step(0.0, 2.0), Step(1.0, 10.0), Step(0.0, 20.0))
+"""done first: what R0 is told by, then a press, in which the rest value of a fresh cell rises by several percent"""
 PROTOCOL = (
     Step(0.5, 20.0),
     Step(0.0, 20.0),
@@ -51,14 +51,16 @@ def describe() -> str:
     """The protocol as a numbered list for the person who presses."""
     steps = [*CONDITIONING, *PROTOCOL]
     lines = [f"{n:2d}. {step}" for n, step in enumerate(steps, 1)]
-    lines.insert(len(CONDITIONING), "    (conditioned: the calibration starts here)")
+    lines.insert(len(CONDITIONING), "    (conditioned; keep recording)")
     seconds = sum(step.seconds for step in steps)
-    return "\n".join([f"Press the cell as follows, {seconds:.0f} s and about one second per change:", *lines])
+    return "\n".join(
+        [f"Press the cell as follows and record it all, {seconds:.0f} s and about one second per change:", *lines]
+    )
 
 
 def load(dt_s: float) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], ...]:
     """The protocol, conditioning included, as times and normalised loads (n,) every ``dt_s``; changes take 1 s."""
-    times, levels = [0.0, 2.0], [0.0, 0.0]
+    times, levels = [0.0], [0.0]
     for step in (*CONDITIONING, *PROTOCOL):
         change = step.seconds if step.ramp else 1.0 if step.level != levels[-1] else 0.0
         times += [times[-1] + change] + ([] if step.ramp else [times[-1] + change + step.seconds])

@@ -213,10 +213,21 @@ def test_a_resistance_that_follows_nothing_is_refused() -> None:
 def test_the_protocol_is_checked() -> None:
     recording = protocol_recording(EXAMPLE, 0.0)
     assert len(protocol.check(recording, FULL)) == len(protocol.CONDITIONING) + len(protocol.PROTOCOL)
-    assert len(protocol.check(recording)) == 11
+    assert len(protocol.check(recording)) == 12
     short = recording.time_s < 200
     cut = checked(recording.time_s[short], recording.pressure_kpa[short], recording.resistance_ohm[short])
-    with pytest.raises(InputError, match="step 10 of the protocol is missing: hold 100 % of full scale for 60 s"):
+    with pytest.raises(InputError, match="step 11 of the protocol is missing: hold 100 % of full scale for 60 s"):
         protocol.check(cut, FULL)
     text = protocol.describe()
     assert "hold 50 % of full scale for 20 s" in text
+
+
+def test_a_recording_of_just_what_is_printed_shows_the_cell_at_rest() -> None:
+    """Its first line is rest: a press at once leaves R0 to the model."""
+    first, *_ = [line for line in protocol.describe().splitlines() if line.lstrip().startswith("1.")]
+    assert "hold no load" in first
+    time, load = protocol.load(DT)
+    assert not load[time <= protocol.CONDITIONING[0].seconds].any()
+    printed = sum(step.seconds for step in (*protocol.CONDITIONING, *protocol.PROTOCOL))
+    assert f"{printed:.0f} s" in protocol.describe()
+    assert 0 < time[-1] - printed < 10  # what the changes take
