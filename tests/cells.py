@@ -32,7 +32,7 @@ def protocol_recording(cell: Cell, noise: float, seed: int = 0) -> Recording:
 
 @cache
 def paper() -> Calibration:
-    """The example cell, from the 251 s protocol with 0.5 % noise."""
+    """The example cell, from the 280 s protocol with 0.5 % noise."""
     return calibrate(protocol_recording(EXAMPLE, 0.005))
 
 
