@@ -125,7 +125,7 @@ def crosstalk(subject: Subject) -> Finding:
         figures.append(
             Figure(
                 heat_maps({"truth": true} | seen, label="change of resistance / %", limit=true.max(), marked=pressed),
-                f"{title}: change of each cell's apparent resistance against rest. Outlined cells are pressed; every "
+                f"{title.capitalize()}: change of each cell's apparent resistance against rest. Outlined cells are pressed; every "
                 "other cell should read 0.",
             )
         )

@@ -86,7 +86,7 @@ def fraction(subject: Subject) -> Finding:
                         FRACTIONS, law.rest_resistance(FRACTIONS), sensitivity, eight, free, strict=True
                     )
                 ],
-                "Eight mixtures, with the design's reference resistor and with one that fills the range at rest.",
+                "Eight mixtures, with the design's reference resistor and with one that grows with R0.",
             ),
             Table(
                 ["carbon black", *pressures[list(FRACTIONS).index(KNOWN)]],

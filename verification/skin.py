@@ -161,5 +161,5 @@ def _snapshot(frames: list[Frame], applied: FloatArray, full: float) -> Figure:
     maps = {"applied": applied[busiest], "estimated": estimate, "difference": estimate - applied[busiest]}
     return Figure(
         heat_maps(maps, label="kPa", limit=full, size=2.3),
-        f"All cells at {frames[busiest].device_time:.2f} s, when most of them are touched.",
+        f"All cells at {frames[busiest].device_time:.2f} s, when more of them are touched than at any other time.",
     )
