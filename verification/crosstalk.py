@@ -125,8 +125,8 @@ def crosstalk(subject: Subject) -> Finding:
         figures.append(
             Figure(
                 heat_maps({"truth": true} | seen, label="change of resistance / %", limit=true.max(), marked=pressed),
-                f"{title.capitalize()}: change of each cell's apparent resistance against rest. Outlined cells are pressed; every "
-                "other cell should read 0.",
+                f"{title.capitalize()}: change of each cell's apparent resistance against rest. Outlined cells are "
+                "pressed; every other cell should read 0.",
             )
         )
         for name, changed in seen.items():
