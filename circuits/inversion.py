@@ -342,8 +342,10 @@ class Inverter:
             reading[blind] = target[blind] = 0.0  # whatever these are, it does not tell of a cell
             largest = np.maximum(target, reading)
             missing = target - reading
-            # What is below rounding of the largest reading tells nothing, and an open cell cannot give less than none.
-            telling = (largest > _NOTHING * largest.max(initial=0.0)) & ((target > 0) | (conductance > 0))
+            # What is below rounding of the largest reading tells nothing, and an open cell cannot give less than none:
+            # beside held cells less than what others bring into its reading.
+            more = target > 0 if held is None else missing > 0
+            telling = (largest > _NOTHING * largest.max(initial=0.0)) & (more | (conductance > 0))
             off = np.divide(np.abs(missing), largest, out=np.zeros_like(missing), where=telling)
             error = float(off.max(initial=0.0))
             stalled = stalled + 1 if error > 0.95 * best else 0

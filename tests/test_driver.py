@@ -440,3 +440,21 @@ def test_whatever_arrives_ends_in_a_frame_or_a_link_or_protocol_error(pieces: li
         assert next(skin).sequence == 0
         with pytest.raises(LinkError, match="gone"):
             next(skin)
+
+
+def test_a_short_beside_an_open_cell_does_not_void_the_skin() -> None:
+    """The open cell reads now more, now less than the offset; what that does to its column voids no other one."""
+    cells = {
+        "array": {"rows": 8, "columns": 8, "row_lead": 4.0, "column_lead": 2.0, "row_segment": 0.2},
+        "readout": {**DESIGN["readout"], "reference_resistance": 4700.0, "open_loop_gain": 2e5, "offset_voltage": 5e-4},
+        "fault": [{"kind": "shorted-cell", "place": [3, 3]}, {"kind": "open-cell", "place": [6, 6]}],
+    }
+    design = parse({**DESIGN, **cells}, Design, source="board")
+    true = np.full((8, 8), 10e3)
+    read = CountReader(design)
+    for count in range(5):
+        counts = adc_codes(design, scan(design, true).volts)
+        counts[6, 6] = count
+        reading = read(counts)
+        assert reading.valid.sum() > 48
+        np.testing.assert_allclose(reading.resistance[reading.valid], 10e3, rtol=0.02)
