@@ -24,7 +24,7 @@ STATIC_WORTH = 0.5
 has the loads of the rest, and flatters whatever has a memory of them"""
 LEAST = 0.1
 """share of the readings that must lie before the last third of a recording's time, and in it"""
-EXACT = 0.01
+EXACT = 0.005
 """held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
 
 
