@@ -36,7 +36,7 @@ class _ManyValues(click.Command):
 @click.option("--segment", "segments", type=float, multiple=True, default=(1.0,), metavar="R ...", show_default=True)
 @click.option("--memory/--no-memory", default=True, show_default=True, help="Measure memory, each in a new process.")
 @click.option("--peers/--no-peers", default=True, show_default=True, help="Measure other programs and libraries, too.")
-@click.option("--wait", "patient", is_flag=True, help="Wait for slow peers, too: ngspice takes 15 s for 64 x 64.")
+@click.option("--wait", "patient", is_flag=True, help="Wait for slow peers, too: ngspice takes 20 s for 64 x 64.")
 @click.option("--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Draw error against time.")
 @click.option("--estimators", is_flag=True, help="Measure the pressure estimators instead, on a material of their own.")
 @click.option("--json", "as_json", is_flag=True, help="Print the measurements as JSON.")
