@@ -33,7 +33,9 @@ class Row:
 
 
 INDEPENDENT = "relays and fractional creep"
-EXAMPLE = "the paper's model, 0.5 % noise"
+NOISE = 0.005
+"""standard deviation of readings of a simulated cell, relative to R0"""
+EXAMPLE = f"the paper's model, {100 * NOISE:g} % noise"
 
 
 def estimators(
@@ -61,7 +63,7 @@ def estimators(
             both = independent.resistance(np.concatenate([load, np.zeros(round(600 / dt_s)), test]), dt_s, rng)
             recorded, read = both[: len(load)], both[-len(test) :]
         else:
-            recorded, read = _example(load, dt_s, rng), _example(test, dt_s, rng)
+            recorded, read = (noisy(Cell.example(), kind, dt_s, rng) for kind in (load, test))
         cell = calibrate(checked(time, full * load, recorded, name=material), full_scale_kpa=full).cell
         for name in ESTIMATORS:
             try:
@@ -88,12 +90,11 @@ def table(rows: list[Row]) -> str:
     return "\n".join(lines)
 
 
-def _example(load: FloatArray, dt_s: float, rng: np.random.Generator) -> FloatArray:
-    cell = Cell.example()
+def noisy(cell: Cell, load: FloatArray, dt_s: float, rng: np.random.Generator) -> FloatArray:
+    """Ohm (n,) of one cell under normalised loads ``dt_s`` apart, with noise of :data:`NOISE`."""
     forward = cell.forward(())
-    read = np.array([float(forward.step(dt_s, cell.full_scale_kpa * s)) for s in load.tolist()])
-    noisy: FloatArray = read + 0.005 * cell.rest_resistance_ohm * rng.standard_normal(len(load))
-    return noisy
+    ohms = np.array([float(forward.step(dt_s, cell.full_scale_kpa * s)) for s in load.tolist()])
+    return ohms + NOISE * cell.rest_resistance_ohm * rng.standard_normal(len(load))
 
 
 def _cost(cell: Cell, name: str, moving: FloatArray, dt_s: float) -> float:

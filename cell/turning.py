@@ -7,11 +7,12 @@ inverse goes back. That needs no slope, holds for slow ramps as for fast ones, a
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import numpy as np
 
-from .estimators import CERTAIN, Doubt, Memory, TwoModels
+from .estimators import Memory, TwoModels
 from .lag import FloatArray
-from .models import PaperModel
 from .smoothing import Smoother
 
 TURN = 0.01
@@ -29,16 +30,9 @@ class TurningEstimator(TwoModels):
     in one step: the cell's states are then as if the turn had been noticed at once.
     """
 
-    def __init__(
-        self,
-        model: PaperModel,
-        full_scale_kpa: float,
-        shape: tuple[int, ...],
-        rest_resistance_ohm: FloatArray,
-        doubt: Doubt = CERTAIN,
-    ) -> None:
-        self._smoother = Smoother(doubt.noise)
-        super().__init__(model, full_scale_kpa, shape, rest_resistance_ohm, doubt)
+    @cached_property
+    def _smoother(self) -> Smoother:
+        return Smoother(self.doubt.noise)
 
     def _begin(self, r: FloatArray) -> Memory:
         memory = super()._begin(r)

@@ -56,8 +56,9 @@ def scan_batch(
         if method == "attenuation" or demand is not None:
             found, attenuated, error = _attenuated(design, cells[pending])
             for frame, known, off in zip(pending[found], attenuated, error, strict=True):
-                if demand is None or demand.met(off, known):
-                    volts[frame], bound[frame], methods[frame] = known, relative(off, known), "attenuation"
+                share_off = relative(off, known)
+                if demand is None or demand.kept(float(off.max()), share_off):
+                    volts[frame], bound[frame], methods[frame] = known, share_off, "attenuation"
             pending = np.array([frame for frame in pending if methods[frame] == "exact"], dtype=np.intp)
         if method != "series" and len(pending):
             reading, error = read_exactly(design, cells[pending])

@@ -168,10 +168,6 @@ class Demand(NamedTuple):
         """By outputs of which none is off by more than ``worst`` in V, ``bound`` relative to the largest."""
         return worst <= self.volts and bound <= self.relative
 
-    def met(self, error: FloatArray, volts: FloatArray) -> bool:
-        """For the errors (rows, columns) of one frame in V."""
-        return self.kept(float(error.max()), relative(error, volts))
-
 
 Series = Callable[[FloatArray, Wires | None], Iterable[Attenuated]]
 """Cells (N, M) in S and their wires to better and better transfer conductances, or none."""

@@ -9,13 +9,14 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from .. import plots
+from ..bench.estimators import NOISE
 from ..cell import Cell, ContactModel, PaperModel
 from ..cell.identify import recovery_branches
 from ..circuits import Design, apparent_resistance, scan_batch
 from ..errors import InputError
 from .outcome import Check, Figure, Finding, Table
 from .pressure import EDGE_S, STEP_KPA, draw, errors, estimate, pressed, respond, rmse, side_by_side
-from .subject import NOISE, Subject
+from .subject import Subject
 from .variants import converted
 
 FloatArray = NDArray[np.float64]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,7 +13,7 @@ from ..circuits import Design, adc_codes, clipped, scan
 from ..circuits.noise import noise
 from ..errors import InputError
 from .outcome import Check, Figure, Finding, Table
-from .pressure import STEP_KPA, pressed, respond, rmse, side_by_side
+from .pressure import STEP_KPA, errors, pressed, respond, side_by_side
 from .subject import Subject
 from .variants import replaced
 
@@ -36,7 +38,7 @@ def fraction(subject: Subject) -> Finding:
         raise InputError("every mixture drives an output of this design into its supply at some load")
     best = float(FRACTIONS[np.nanargmin(eight)])
     sensitivity = law.sensitivities(FRACTIONS)
-    pressures = [_estimated(subject, law, f, s) for f, s in zip(FRACTIONS, sensitivity, strict=True)]
+    pressures = errors(_estimated(subject, law), subject, "carbon black")
     with plots.drawing(1, 2) as (figure, (panels,)):
         panels[0].semilogy(100 * fine, law.rest_resistance(fine) / 1e3)
         panels[0].set(title="Percolation", xlabel="carbon black / % by mass", ylabel="R0 / kΩ")
@@ -94,32 +96,29 @@ def fraction(subject: Subject) -> Finding:
                 ],
                 "Eight mixtures, with the design's reference resistor and with one that grows with R0.",
             ),
-            Table(
-                ["carbon black", *pressures[list(FRACTIONS).index(KNOWN)]],
-                [
-                    [f"{100 * f:g} %", *(f"{error:.2f} %" for error in found.values())]
-                    for f, found in zip(FRACTIONS, pressures, strict=True)
-                    if found
-                ],
-                f"RMSE of the pressure of a {STEP_KPA} kPa press, in % of full scale, read with the noise of the "
-                "design. Every mixture has the memory of the example cell, scaled to its own sensitivity; those that "
-                "saturate at rest are left out.",
+            replace(
+                pressures,
+                caption=f"RMSE of the pressure of a {STEP_KPA} kPa press, in % of full scale, read with the noise "
+                "of the design. Every mixture has the memory of the example cell, scaled to its own sensitivity; "
+                "those that saturate at rest are left out.",
             ),
         ],
     )
 
 
-def _estimated(subject: Subject, law: Percolation, f: float, sensitivity: float) -> dict[str, float]:
-    """RMSE in % of full scale by estimator; empty where the readout saturates at rest."""
-    rest = float(law.rest_resistance(f))
-    scatter = _scatter(subject.design, rest, rest * sensitivity) / 100
-    if np.isnan(scatter):
-        return {}
+def _estimated(subject: Subject, law: Percolation) -> dict[str, tuple[FloatArray, dict[str, FloatArray]]]:
+    """kPa applied and kPa by estimator, of the mixtures that do not saturate the readout at rest."""
     time_s, pressure = pressed([(2, STEP_KPA, 15.0)], 60.0)
-    noise_ohm = subject.rest * law.sensitivity * scatter  # on the example cell: as much of its change as on this one's
     ohms = respond(subject.cell, time_s, pressure)
-    ohms = ohms + noise_ohm * np.random.default_rng(1).standard_normal(len(ohms))
-    return {label: rmse(kpa, pressure, subject) for label, kpa in side_by_side(subject, time_s, ohms).items()}
+    unit = np.random.default_rng(1).standard_normal(len(ohms))
+    found = {}
+    for f, sensitivity in zip(FRACTIONS, law.sensitivities(FRACTIONS), strict=True):
+        rest = float(law.rest_resistance(f))
+        scatter = _scatter(subject.design, rest, rest * float(sensitivity)) / 100
+        if not np.isnan(scatter):  # on the example cell: as much of its change as on this one's
+            read = ohms + subject.rest * law.sensitivity * scatter * unit
+            found[f"{100 * f:g} %"] = pressure, side_by_side(subject, time_s, read)
+    return found
 
 
 def _shown(sigma: float) -> str:

@@ -7,15 +7,13 @@ from functools import cache, cached_property
 
 import numpy as np
 
+from ..bench.estimators import noisy
 from ..cell import Cell
 from ..cell.calibrate import calibrate
 from ..cell.material import sensitivity
 from ..cell.protocol import load as protocol_load
 from ..cell.recording import checked
 from ..circuits import Design
-
-NOISE = 0.005
-"""of R0, on what the cell is calibrated with"""
 
 
 @dataclass(frozen=True)
@@ -61,8 +59,6 @@ class Subject:
 @cache
 def _calibrated(cell: Cell) -> Cell:
     time_s, load = protocol_load(0.05)
-    pressure, forward = cell.full_scale_kpa * load, cell.forward(())
-    ohms = np.array([float(forward.step(0.05, kpa)) for kpa in pressure.tolist()])
-    ohms += NOISE * cell.rest_resistance_ohm * np.random.default_rng(0).standard_normal(len(ohms))
-    recording = checked(time_s, pressure, ohms, name="simulated protocol")
+    ohms = noisy(cell, load, 0.05, np.random.default_rng(0))
+    recording = checked(time_s, cell.full_scale_kpa * load, ohms, name="simulated protocol")
     return calibrate(recording, full_scale_kpa=cell.full_scale_kpa).cell
