@@ -38,13 +38,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from .elimination import ULP
 from .ladders import Ladders, rounding
 from .ports import Lines
 
 FloatArray = NDArray[np.float64]
 SingleArray = NDArray[np.float32]
 
-_ULP = float(np.finfo(np.float64).eps) / 2.0
 _COARSE = float(np.finfo(np.float32).eps) / 2.0
 _TINY = np.finfo(np.float32).tiny
 _SINGLE = (
@@ -228,7 +228,7 @@ def _closed(cells: FloatArray, wires: Alike) -> tuple[Attenuated, FloatArray]:
     # Rounding, for n places: D is off by (n + 4) ulp, a and b by (4 n + 12), which moves 1 - p by half of that.
     ulp = _COARSE * (4.0 * max(rows, columns) + 24.0)
     off = (0.6 * off + ulp * most) / (1.0 - most)
-    relative = off * (2.0 + off) + 8.0 * _ULP
+    relative = off * (2.0 + off) + 8.0 * ULP
     returned = (steepest * (1.0 + ulp) / (1.0 + steepest)) ** 2
     row *= middle[..., :rows, None]  # 1 - p
     column *= middle[..., None, rows:]  # 1 - h
@@ -276,7 +276,7 @@ def by_ladders(
     profile, beyond = (_framed(part, frames).transpose(1, 2, 0) for part in (row.profile, row.admittance))
     gain, above = (_framed(part, frames).swapaxes(0, 1)[:, ::-1] for part in (column.profile, column.admittance))
     lowest, least = profile.min(axis=(1, 2)), gain.min(axis=(1, 2))
-    relative = rounding(columns, lowest) + rounding(rows, least) + 4.0 * _ULP
+    relative = rounding(columns, lowest) + rounding(rows, least) + 4.0 * ULP
     into, out = cells * profile, cells * gain
     transfer = into * gain
     most = 1.0 + relative[:, None, None]

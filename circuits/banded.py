@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpbtrf, dtbtrs, dtrtrs
 
+from .elimination import ULP
 from .ports import Lines
 
 FloatArray = NDArray[np.float64]
 
 LARGEST = 324  # crosspoints; beyond, dissection is as fast and its bound is sharper
 _AT_ONCE = 8  # rows solved for together
-_ULP = float(np.finfo(np.float64).eps) / 2.0
 _SLACK = 1.0 + 1e-6  # for the rounding errors in the bounds themselves
 _ACCEPTED = 1e-9  # certified relative error of a reading; the true one is a thousandth of it
 _SHARP = 2e-11  # and so good that a closer look is not worth the time
@@ -58,8 +58,8 @@ def transfer(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatAr
     # see elimination._rounding. That moves an entry of the inverse, relative to it, by no more than the sum over the
     # nodes of total times own impedance, and that impedance is less than what the wire to the end of the line has.
     along_row, along_column = np.cumsum(1.0 / row, axis=1), np.cumsum(1.0 / column[::-1], axis=0)[::-1]
-    step = _ULP * (12.0 * (width + 1) + 4.0)
-    relative = step * ((total[..., 0] * along_row).sum() + (total[..., 1] * along_column).sum()) + 4.0 * _ULP
+    step = ULP * (12.0 * (width + 1) + 4.0)
+    relative = step * ((total[..., 0] * along_row).sum() + (total[..., 1] * along_column).sum()) + 4.0 * ULP
     if not relative <= _ACCEPTED:
         return None
     lifted = inf
@@ -86,7 +86,7 @@ def transfer(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatAr
     out[1::2][np.arange(columns), np.arange(columns)] = column[-1]
     reached, _ = dtrtrs(at_end, out, lower=1)
     result: FloatArray = driven @ reached
-    return result, np.minimum(relative * result, step * lifted + 2.0 * (width + 4) * _ULP * result)
+    return result, np.minimum(relative * result, step * lifted + 2.0 * (width + 4) * ULP * result)
 
 
 def _lifted(conductance: FloatArray, total: FloatArray, along_row: FloatArray, along_column: FloatArray) -> float:

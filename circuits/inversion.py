@@ -26,6 +26,7 @@ from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
 
 from ..errors import SolverError
 from .design import Design
+from .elimination import ULP
 from .exact import read_exactly
 from .grid import is_plain
 from .parts import Parts
@@ -43,7 +44,6 @@ _FEW = 15  # iterations from one frame to a similar one
 _NOTHING = 1e-13  # of the largest apparent conductance: smaller ones are rounding
 _ROUNDING = 1e-8  # residual below which progress may end by rounding alone, not by a bad direction
 _LEAST_STRIDE = 1e-3  # along a path of readings
-_ULP = float(np.finfo(np.float64).eps) / 2.0
 _LEAST = 1e-300  # S
 _PROBES = 6  # evaluations for the slowest error
 _PROBE = 1e-4  # relative size of a probe
@@ -394,7 +394,7 @@ class Inverter:
         if self._factor is None:
             if model.couples and not self._probed:
                 self._probed, self._rate = True, max(self._rate, self._probe(conductance, found.signal))
-            off = np.maximum(found.residual * reading, 8 * _ULP * rounded) + below * self._rate
+            off = np.maximum(found.residual * reading, 8 * ULP * rounded) + below * self._rate
             error = off * np.maximum(conductance / np.maximum(reading, _LEAST), 1.0)
         else:
             if self._amplified is None:
@@ -403,7 +403,7 @@ class Inverter:
                 kinds = np.array([reading, rounded, conductance == 0])
                 spread = factor.spread(kinds / unit)
                 self._amplified, self._singular = _CAUTION * unit * spread, bool(spread[0].max() > _SINGULAR)
-            sizes = np.array([found.residual, 8 * _ULP, below])
+            sizes = np.array([found.residual, 8 * ULP, below])
             with np.errstate(invalid="ignore"):
                 error = np.nan_to_num(sizes[:, None, None] * self._amplified, posinf=inf).sum(axis=0)
         error = error / (1.0 - self._rate)

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from .elimination import ULP
 
-_ULP = float(np.finfo(np.float64).eps) / 2.0
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -55,5 +55,5 @@ def rounding(places: int, smallest: FloatArray) -> FloatArray:
     steps is at most -ln of the whole profile.
     """
     with np.errstate(divide="ignore"):
-        lost: FloatArray = _ULP * places * (4.0 - 5.0 * np.log(smallest))
+        lost: FloatArray = ULP * places * (4.0 - 5.0 * np.log(smallest))
     return lost

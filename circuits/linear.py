@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 
 from .attenuation import Attenuated, Wires
 from .design import Design
+from .elimination import ULP
 from .grid import is_plain
 from .parts import Parts, lines
 from .ports import Lines
 from .readout import amplifier_ends
 
 FloatArray = NDArray[np.float64]
-
-_ULP = float(np.finfo(np.float64).eps) / 2.0
 
 
 @dataclass(frozen=True)
@@ -138,7 +137,7 @@ class LinearReadout:
 
 def few_ulp(shape: tuple[int, ...]) -> float:
     """Relative: the conversion of resistances (..., N, M), and the last steps from conductances to volts."""
-    return (20.0 + sum(shape[-2:])) * _ULP
+    return (20.0 + sum(shape[-2:])) * ULP
 
 
 class _Recent(threading.local):

@@ -38,6 +38,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
 from .design import Design
+from .elimination import ULP
 from .grid import is_plain
 from .inversion import Factor, Found, Held, Inverter, Model
 from .parts import Parts, line_ohms, lines, series_faults, siemens
@@ -56,7 +57,6 @@ _RUNAWAY = 1e-3  # relative change beyond which a cell may be anything where the
 _AROUND = 0.25  # share of the product of what its two lines have moved by that a cell may move besides
 _GROUPS = 3  # into which unknown cells are put at most
 _DIGITS_LOST = 1e4  # relative error of a cell that counts as read, in units of the accuracy asked for
-_ULP = float(np.finfo(np.float64).eps) / 2.0
 
 
 class Status(IntEnum):
@@ -413,9 +413,9 @@ class _Columns(NamedTuple):
         broken = np.isinf(parts.column_lead)
         lead = np.where(broken, 0.0, parts.column_lead)
         potential = parts.offset - measured / parts.gain + lead * current
-        uncertain = 8 * _ULP * (np.abs(parts.offset) + np.abs(measured) / parts.gain + np.abs(lead * current))
+        uncertain = 8 * ULP * (np.abs(parts.offset) + np.abs(measured) / parts.gain + np.abs(lead * current))
         noise = np.abs(measured) + np.abs(level) + np.abs(parts.offset) + np.abs(parts.reference * parts.bias)
-        rounding = 16 * _ULP * noise / parts.reference
+        rounding = 16 * ULP * noise / parts.reference
         return cls(design.drive.voltage, current, potential, uncertain, rounding, broken)
 
     def found(self, limited: BoolArray) -> Found:
@@ -442,7 +442,7 @@ class _Columns(NamedTuple):
         # A short holds its column at the drive: then nothing is left that would tell of the column's cells.
         left[np.abs(left) <= 1e-9 * (drive + along)] = np.nan
         back = self.potential * (np.where(without, 0.0, self.current).sum(axis=0) / left)
-        lost = self.rounding + 8 * _ULP * np.abs(back) * (1.0 + (drive + along) / np.abs(left))
+        lost = self.rounding + 8 * ULP * np.abs(back) * (1.0 + (drive + along) / np.abs(left))
         return (self.current + back) / self.drive, lost
 
     def spread(self, found: Found, unknown: _Unknown, most: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .attenuation import SLACK, Attenuated, Wires, by_ladders, endlessly
+from .elimination import ULP
 from .ladders import Ladders
 
 FloatArray = NDArray[np.float64]
 
 LARGEST = 1 << 22  # rows times crosspoints that are worth their memory
-_ULP = float(np.finfo(np.float64).eps) / 2.0
 
 
 def terms(conductance: FloatArray, wires: Wires | None) -> Iterator[Attenuated]:
@@ -46,7 +46,7 @@ def terms(conductance: FloatArray, wires: Wires | None) -> Iterator[Attenuated]:
     reaching = (back * (1.0 + relative - profile)).sum(axis=0) * (1.0 + relative) * SLACK
     # A ladder's impedance carries the errors of two profiles, of 4 operations per place in each direction, and of the
     # sum over the places in the matrix product; twice that is a whole term.
-    step = 4.0 * relative + _ULP * (17.0 * (rows + columns) + 30.0)
+    step = 4.0 * relative + ULP * (17.0 * (rows + columns) + 30.0)
     transfer, rounded = known.transfer, relative * known.transfer
     # Lift of column j at row a in step i, as (j, a, i): at first by the current of cell (i, j) alone.
     lift = along_column * (conductance * profile).T[:, None, :]
@@ -57,7 +57,7 @@ def terms(conductance: FloatArray, wires: Wires | None) -> Iterator[Attenuated]:
         relative = relative + step
         returning = np.ascontiguousarray((conductance[:, None, :] * lifted).transpose(2, 0, 1))
         lift = along_column @ returning
-        rounded = rounded + relative * term + _ULP * transfer
+        rounded = rounded + relative * term + ULP * transfer
         transfer = transfer + term
         yield Attenuated(
             transfer=transfer,
