@@ -3,7 +3,7 @@
 ``measure(sizes=[8, 64], segments=[1.0])`` measures everything, row by row; :func:`table` and :func:`picture` show it.
 """
 
-from .measurement import Row, board, cells, measure
-from .show import picture, table
+from ._measurement import Row, board, cells, measure
+from ._show import picture, table
 
 __all__ = ["Row", "board", "cells", "measure", "picture", "table"]

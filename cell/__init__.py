@@ -1,9 +1,9 @@
 """The piezoresistive cell: pressure to resistance, and back."""
 
-from .cell import ESTIMATORS, Cell
-from .estimators import Estimate, Estimator
-from .forward import Forward
-from .models import AsymmetricModel, ContactModel, M10Model, PaperModel
+from ._cell import ESTIMATORS, Cell
+from ._estimators import Estimate, Estimator
+from ._forward import Forward
+from ._models import AsymmetricModel, ContactModel, M10Model, PaperModel
 
 __all__ = [
     "ESTIMATORS",

@@ -3,15 +3,15 @@
 ``scan(Design.load("design.toml"), resistance)`` reads one frame.
 """
 
-from .adc import adc_codes, adc_error, clipped, volts_of_codes
-from .batch import BatchResult, scan_batch
-from .design import CIRCUITS, Adc, Array, Design, Drive, Fault, Readout, Requirements, Sheet
-from .effects import Effect, effects
-from .incremental import Scanner
-from .readout import apparent_resistance, ideal_volts
-from .recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover
-from .scan import METHODS, ScanResult, scan
-from .sensitivity import Sensitivity, sensitivity
+from ._adc import adc_codes, adc_error, clipped, volts_of_codes
+from ._batch import BatchResult, scan_batch
+from ._design import CIRCUITS, Adc, Array, Design, Drive, Fault, Readout, Requirements, Sheet
+from ._effects import Effect, effects
+from ._incremental import Scanner
+from ._readout import apparent_resistance, ideal_volts
+from ._scan import METHODS, ScanResult, scan
+from ._sensitivity import Sensitivity, sensitivity
+from .recovery._recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover
 
 __all__ = [
     "CIRCUITS",

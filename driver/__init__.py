@@ -7,8 +7,8 @@
             print(frame.pressure)
 """
 
-from .port import BAUDRATE, BytePort, SerialPort
-from .reading import CountReader, Reading
-from .skin import Frame, Skin
+from ._port import BAUDRATE, BytePort, SerialPort
+from ._reading import CountReader, Reading
+from ._skin import Frame, Skin
 
 __all__ = ["BAUDRATE", "BytePort", "CountReader", "Frame", "Reading", "SerialPort", "Skin"]

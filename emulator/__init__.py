@@ -1,13 +1,13 @@
 """A virtual ohmskin board: a scene of contacts to bytes on a pty or TCP port, and the truth beside them."""
 
-from .board import Board
-from .line import Line, TransmitBuffer
-from .ports import Port, PtyPort, TcpPort
-from .run import ClockName, Outcome, Stop, emulate, running, stop_on_signals
-from .scene import Bump, Contact, Disc, Rectangle, Scene
-from .skin import EmulatedSkin, Sample
-from .spread import shares, spread
-from .truth import TruthFile
+from ._board import Board
+from ._line import Line, TransmitBuffer
+from ._ports import Port, PtyPort, TcpPort
+from ._run import ClockName, Outcome, Stop, emulate, running, stop_on_signals
+from ._scene import Bump, Contact, Disc, Rectangle, Scene
+from ._skin import EmulatedSkin, Sample
+from ._spread import shares, spread
+from ._truth import TruthFile
 
 __all__ = [
     "Board",

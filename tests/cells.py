@@ -7,10 +7,11 @@ from functools import cache
 
 import numpy as np
 
-from ohmskin.bench import independent
-from ohmskin.cell import Cell, protocol
-from ohmskin.cell.calibrate import Calibration, calibrate
-from ohmskin.cell.recording import Recording, checked
+from ohmskin.bench import _independent as independent
+from ohmskin.cell import Cell
+from ohmskin.cell import _protocol as protocol
+from ohmskin.cell._calibrate import Calibration, calibrate
+from ohmskin.cell._recording import Recording, checked
 
 EXAMPLE = Cell.example()
 DT = 0.1

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
-from ohmskin.circuits.design import Design
+from ohmskin.circuits._design import Design
 
 Node = Hashable
 REFERENCE: Node = "reference"

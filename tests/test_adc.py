@@ -13,7 +13,7 @@ from ohmskin.errors import InputError
 
 
 def converter(**adc: float) -> Design:
-    return amplifier(1, 1).model_copy(update={"adc": Adc(bits=12, range=(-0.5, 3.5), **adc)})
+    return amplifier(1, 1).replace(adc=Adc(bits=12, range=(-0.5, 3.5), **adc))
 
 
 @given(st.floats(-0.5, 3.499))

@@ -10,9 +10,9 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from ohmskin.circuits.attenuation import Wires, attenuate, by_ladders
-from ohmskin.circuits.ports import Lines, transfer_conductances
-from ohmskin.circuits.series import terms
+from ohmskin.circuits.solvers._attenuation import Wires, attenuate, by_ladders
+from ohmskin.circuits.solvers._ports import Lines, transfer_conductances
+from ohmskin.circuits.solvers._series import terms
 
 EXACT = 1e-11  # relative error of the exact method, tests/test_ports.py
 

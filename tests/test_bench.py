@@ -13,8 +13,9 @@ import pytest
 from reference import reference_volts
 
 from ohmskin import bench
-from ohmskin.bench import estimators as benchmark
-from ohmskin.bench import memory, peers
+from ohmskin.bench import _estimators as benchmark
+from ohmskin.bench import _memory as memory
+from ohmskin.bench import _peers as peers
 from ohmskin.circuits import METHODS
 from ohmskin.cli import run
 from ohmskin.errors import InputError
@@ -22,7 +23,7 @@ from ohmskin.errors import InputError
 
 @pytest.fixture(autouse=True)
 def _quickly(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("ohmskin.bench.measurement._BUDGET", 0.002)
+    monkeypatch.setattr("ohmskin.bench._measurement._BUDGET", 0.002)
 
 
 def test_the_reference_is_right_to_the_last_digits() -> None:
@@ -60,8 +61,8 @@ def test_errors_lie_within_bounds_and_methods_are_all_there() -> None:
 
 def test_slow_peers_are_left_out_by_name_and_waited_for_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     slow = peers.Peer("slow", lambda: None, peers.reference, 3)
-    monkeypatch.setattr("ohmskin.bench.measurement.PEERS", (slow,))
-    monkeypatch.setattr("ohmskin.bench.measurement._ONCE", 0.0)
+    monkeypatch.setattr("ohmskin.bench._measurement.PEERS", (slow,))
+    monkeypatch.setattr("ohmskin.bench._measurement._ONCE", 0.0)
     for patient in (False, True):
         row = next(row for row in bench.measure([4], [1.0], memory=False, patient=patient) if row.method == "slow")
         if patient:

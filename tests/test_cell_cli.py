@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ohmskin.cell import Cell, ContactModel, protocol
+from ohmskin.cell import Cell, ContactModel
+from ohmskin.cell import _protocol as protocol
 from ohmskin.cli import run
 from ohmskin.tables import read_columns, write_columns
 
@@ -17,7 +18,7 @@ def steps(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A contact cell through the protocol: the kind that is calibrated quickest."""
     model = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
     time, load = protocol.load(0.1)
-    forward = Cell.example().model_copy(update={"model": model}).forward(())
+    forward = Cell.example().replace(model=model).forward(())
     read = [float(forward.step(0.1, FULL * s)) for s in load]
     path = tmp_path_factory.mktemp("contact") / "steps.csv"
     write_columns(path, {"time_s": time, "pressure_kpa": FULL * load, "resistance_ohm": np.array(read)})

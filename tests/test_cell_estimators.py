@@ -6,19 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.cell import AsymmetricModel, Cell, M10Model, PaperModel
-from ohmskin.cell.learned import Limits, StaticCurve, StaticCurveEstimator
+from ohmskin.cell._learned import Limits, StaticCurve, StaticCurveEstimator
 from ohmskin.errors import InputError
 
 EXAMPLE = Cell.example()
 PAPER = EXAMPLE.model
 assert isinstance(PAPER, PaperModel)
-ASYMMETRIC = EXAMPLE.model_copy(
-    update={"model": AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=505, eta3_kpa_s=48000)}
-)
-M10 = EXAMPLE.model_copy(
-    update={
-        "model": M10Model(a=0.4, b=0.1, alpha1=0.15, rise1_s=0.3, fall1_s=3, alpha2=0.1, fall2_s=40, k=0.1, tau_s=20)
-    }
+ASYMMETRIC = EXAMPLE.replace(model=AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=505, eta3_kpa_s=48000))
+M10 = EXAMPLE.replace(
+    model=M10Model(a=0.4, b=0.1, alpha1=0.15, rise1_s=0.3, fall1_s=3, alpha2=0.1, fall2_s=40, k=0.1, tau_s=20)
 )
 NAMES = ("static", "paper", "inverse")
 
@@ -73,8 +69,8 @@ def test_a_held_load_must_not_read_as_release() -> None:
     assert estimate(EXAMPLE, "paper", time, resistance)[-1] == pytest.approx(15.5, abs=1e-6)
     slope = PAPER.settling_slope_per_s(15.5)
     assert slope == pytest.approx(15.5 * 16 / 80**2)
-    hasty = PAPER.model_copy(update={"recovery_threshold_per_s": 0.3 * slope})
-    lost = estimate(EXAMPLE.model_copy(update={"model": hasty}), "paper", time, resistance)
+    hasty = PAPER.replace(recovery_threshold_per_s=0.3 * slope)
+    lost = estimate(EXAMPLE.replace(model=hasty), "paper", time, resistance)
     assert np.abs(lost[110:] - 15.5).max() > 0.3
 
 

@@ -15,7 +15,7 @@ assert isinstance(PAPER, PaperModel)
 ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=505, eta3_kpa_s=48000)
 M10 = M10Model(a=0.3, b=-0.2, alpha1=0.5, rise1_s=0.3, fall1_s=4, alpha2=0.2, fall2_s=90, k=0.2, tau_s=20)
 CONTACT = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
-CELLS = {model.kind: EXAMPLE.model_copy(update={"model": model}) for model in (PAPER, ASYMMETRIC, M10, CONTACT)}
+CELLS = {model.kind: EXAMPLE.replace(model=model) for model in (PAPER, ASYMMETRIC, M10, CONTACT)}
 
 
 def run(cell: Cell, time_s: np.ndarray, pressure_kpa: np.ndarray) -> np.ndarray:
@@ -80,9 +80,7 @@ def test_m10_contains_the_rising_phase() -> None:
     )
     time = np.linspace(0, 40, 401)
     load = np.interp(time, [0, 3, 10, 12, 40], [0, 10, 10, 15.5, 15.5])
-    assert run(EXAMPLE.model_copy(update={"model": model}), time, load) == pytest.approx(
-        run(EXAMPLE, time, load), abs=1e-7
-    )
+    assert run(EXAMPLE.replace(model=model), time, load) == pytest.approx(run(EXAMPLE, time, load), abs=1e-7)
 
 
 @pytest.mark.parametrize("kind", CELLS)

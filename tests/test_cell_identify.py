@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL, Unknown, protocol_recording, sense
 
-from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel, protocol, report, simulate
-from ohmskin.cell.calibrate import calibrate, run
-from ohmskin.cell.identify import fits, recovery_branches
-from ohmskin.cell.inverse import margin
-from ohmskin.cell.recording import checked
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
+from ohmskin.cell import _protocol as protocol
+from ohmskin.cell import _report as report
+from ohmskin.cell import _simulate as simulate
+from ohmskin.cell._calibrate import calibrate, run
+from ohmskin.cell._identify import fits, recovery_branches
+from ohmskin.cell._inverse import margin
+from ohmskin.cell._recording import checked
 from ohmskin.errors import InputError
 
 
@@ -107,13 +110,13 @@ def test_a_cell_never_seen_at_rest_has_no_rest_resistance() -> None:
 def test_contact_cells_are_told_apart() -> None:
     """P2: R falls with pressure; the exponent is found, the estimate is static, plateaus within 8 %."""
     model = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
-    found = calibrate(protocol_recording(EXAMPLE.model_copy(update={"model": model}), 0.01))
+    found = calibrate(protocol_recording(EXAMPLE.replace(model=model), 0.01))
     assert isinstance(found.cell.model, ContactModel)
     assert found.cell.model.exponent == pytest.approx(0.9, abs=0.03)
     assert found.cell.default_estimator == "static"
     time = np.arange(0, 60, DT)
     load = np.repeat([0.0, 0.25, 0.5, 0.75, 1.0, 0.3], 100)
-    read = sense(EXAMPLE.model_copy(update={"model": model}), load)
+    read = sense(EXAMPLE.replace(model=model), load)
     pressure, _ = run(found.cell.estimator(()), time, read)
     assert np.abs(pressure / FULL - load).max() < 0.08
 
@@ -137,7 +140,7 @@ def test_the_fast_simulation_is_the_forward_model() -> None:
     load = simulate.random_loads(np.random.default_rng(1), 2000, 1, DT)
     parameters = np.array([[getattr(model, name)] for name in simulate.M10_PARAMETERS])
     fast = simulate.m10(parameters, load, DT)[:, 0]
-    exact = sense(EXAMPLE.model_copy(update={"model": model}), load[:, 0]) / EXAMPLE.rest_resistance_ohm - 1
+    exact = sense(EXAMPLE.replace(model=model), load[:, 0]) / EXAMPLE.rest_resistance_ohm - 1
     assert fast == pytest.approx(exact, abs=0.01)
     assert np.sqrt(np.mean((fast - exact) ** 2)) < 0.001
 
@@ -157,7 +160,7 @@ def test_the_fast_simulation_of_paper_cells_is_their_forward_model() -> None:
 def test_a_kind_that_forgets_is_not_taken_for_one_that_remembers() -> None:
     """One set of states: the asymmetric cell is found as such, without breakdown or hand-over."""
     model = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
-    best = fits(protocol_recording(EXAMPLE.model_copy(update={"model": model}), 0.002), FULL)[0]
+    best = fits(protocol_recording(EXAMPLE.replace(model=model), 0.002), FULL)[0]
     assert isinstance(best.model, AsymmetricModel)
     assert best.model.e1_kpa == pytest.approx(32, rel=0.03)
     assert best.model.t2_s == pytest.approx(8.5, rel=0.1)

@@ -6,14 +6,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, inverse, lag
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model
+from ohmskin.cell import _inverse as inverse
+from ohmskin.cell import _lag as lag
 from ohmskin.errors import InputError
 
 EXAMPLE = Cell.example()
 
 
 def cell_of(model: AsymmetricModel | M10Model) -> Cell:
-    return EXAMPLE.model_copy(update={"model": model})
+    return EXAMPLE.replace(model=model)
 
 
 ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
@@ -97,7 +99,7 @@ def test_an_ambiguous_cell_is_refused() -> None:
         cell_of(STIFF_UNLOADING).estimator((2,), "inverse")
     assert cell_of(STIFF_UNLOADING).default_estimator == "static"
     assert cell_of(SAFE).default_estimator == "inverse"
-    contact = EXAMPLE.model_copy(update={"model": ContactModel(full_scale_resistance_ohm=500)})
+    contact = EXAMPLE.replace(model=ContactModel(full_scale_resistance_ohm=500))
     with pytest.raises(InputError, match="of kind 'paper', 'asymmetric' or 'm10'"):
         contact.estimator((2,), "inverse")
 
@@ -105,7 +107,7 @@ def test_an_ambiguous_cell_is_refused() -> None:
 def test_the_margin_is_where_two_loads_begin_to_share_a_resistance() -> None:
     """A fast release from a settled load: r falls if and only if the margin is positive."""
     for k in (0.05, 0.29, 0.31, 0.6):
-        model = STIFF_UNLOADING.model_copy(update={"k": k})
+        model = STIFF_UNLOADING.replace(k=k)
         forward = cell_of(model).forward(())
         forward.step(1.0, 15.5)
         held = forward.step(1000.0, 15.5)

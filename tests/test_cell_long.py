@@ -10,9 +10,9 @@ import pytest
 from cells import DT, EXAMPLE, FULL
 
 from ohmskin.cell import AsymmetricModel, Cell
-from ohmskin.cell.calibrate import run
-from ohmskin.cell.cell import Calibrated
-from ohmskin.cell.learned import Limits, Seen, StaticCurve
+from ohmskin.cell._calibrate import run
+from ohmskin.cell._cell import Calibrated
+from ohmskin.cell._learned import Limits, Seen, StaticCurve
 
 
 def _unknown() -> Cell:
@@ -34,7 +34,7 @@ def _asymmetric() -> Cell:
         seen=Seen(noise=0.001, step_s=DT, speed_kpa_per_s=1.0),
         static=curve,
     )
-    return EXAMPLE.model_copy(update={"model": model, "estimators": learned})
+    return EXAMPLE.replace(model=model, estimators=learned)
 
 
 EVERY = pytest.mark.parametrize(

@@ -2,12 +2,13 @@
 
 import pytest
 
-from ohmskin.cell import Cell, ContactModel, material
+from ohmskin.cell import Cell, ContactModel
+from ohmskin.cell import _material as material
 
 
 def test_sensitivity_of_a_cell_is_what_its_forward_model_settles_to() -> None:
     cell = Cell.example()
-    contact = cell.model_copy(update={"model": ContactModel(exponent=0.9, full_scale_resistance_ohm=500)})
+    contact = cell.replace(model=ContactModel(exponent=0.9, full_scale_resistance_ohm=500))
     for kind in (cell, contact):
         forward = kind.forward(())
         forward.step(1.0, kind.full_scale_kpa)

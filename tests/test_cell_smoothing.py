@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ohmskin.cell.simulate import step_noise, white_noise
-from ohmskin.cell.smoothing import STEADY_S, Smoother
+from ohmskin.cell._simulate import step_noise, white_noise
+from ohmskin.cell._smoothing import STEADY_S, Smoother
 
 NOISE = 0.005
 

@@ -6,10 +6,10 @@ from cells import EXAMPLE, FULL, sense
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin.bench.independent import presses
+from ohmskin.bench._independent import presses
 from ohmskin.cell import PaperModel
-from ohmskin.cell.estimators import Doubt, Estimator, PaperEstimator
-from ohmskin.cell.turning import TurningEstimator
+from ohmskin.cell._estimators import Doubt, Estimator, PaperEstimator
+from ohmskin.cell._turning import TurningEstimator
 
 MODEL = EXAMPLE.model
 assert isinstance(MODEL, PaperModel)
@@ -61,12 +61,10 @@ def test_noise_costs_less_than_the_noise_inverted(kind: str, dt: float) -> None:
 @pytest.mark.parametrize("factor", [0.8, 1.2])
 def test_wrong_time_constants_stay_bearable(kind: str, factor: float) -> None:
     """All off by 20 %: within 6 % of full scale, though a held load then seems to move."""
-    wrong = MODEL.model_copy(
-        update={
-            "eta2_kpa_s": MODEL.eta2_kpa_s * factor,
-            "eta3_kpa_s": MODEL.eta3_kpa_s * factor,
-            "eu2_kpa_per_s": MODEL.eu2_kpa_per_s / factor,
-        }
+    wrong = MODEL.replace(
+        eta2_kpa_s=MODEL.eta2_kpa_s * factor,
+        eta3_kpa_s=MODEL.eta3_kpa_s * factor,
+        eu2_kpa_per_s=MODEL.eu2_kpa_per_s / factor,
     )
     rng = np.random.default_rng(6)
     load = loads(kind, rng, 0.1)

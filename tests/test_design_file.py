@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from ohmskin.circuits import Design
-from ohmskin.circuits.design import Fault
+from ohmskin.circuits._design import Fault
 
 PAGE = (Path(__file__).parent.parent / "docs" / "design-file.md").read_text()
 

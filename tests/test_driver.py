@@ -19,7 +19,7 @@ from ohmskin.circuits import Design, adc_codes, apparent_resistance, ideal_volts
 from ohmskin.config import parse
 from ohmskin.driver import CountReader, Frame, Skin
 from ohmskin.emulator import Board, Line, Sample
-from ohmskin.emulator.scene import LineSettings
+from ohmskin.emulator._scene import LineSettings
 from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
 from ohmskin.wire import Corrupt, DescriptionPacket, Event, FramePacket, encode
 

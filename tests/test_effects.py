@@ -23,8 +23,8 @@ SMALL: list[tuple[str, str, Any]] = [
 
 
 def put_in(design: Design, table: str, key: str, value: Any) -> Design:
-    section = getattr(design, table).model_copy(update={key: value})
-    return design.model_copy(update={table: section})
+    section = getattr(design, table).replace(**{key: value})
+    return design.replace(**{table: section})
 
 
 def named(design: Design, cells: np.ndarray = CELLS) -> dict[str, Any]:
@@ -61,9 +61,9 @@ def test_supply_converter_faults_and_sheet() -> None:
     supply = named(design)["supply"]
     assert supply.modelled
     assert supply.estimate == pytest.approx(1 - 0.05 / (1000 / CELLS.min()))
-    design = design.model_copy(update={"adc": Adc(bits=10, range=(0.0, 1.024))})
+    design = design.replace(adc=Adc(bits=10, range=(0.0, 1.024)))
     assert named(design)["converter"].estimate == pytest.approx(0.5e-3 / (1000 / CELLS.max()))
-    broken = amplifier(5, 6).model_copy(update={"fault": (Fault(kind="open-cell", place=(1, 1)),)})
+    broken = amplifier(5, 6).replace(fault=(Fault(kind="open-cell", place=(1, 1)),))
     assert named(broken)["fault"].estimate == pytest.approx(1.0)
     sheet = put_in(amplifier(5, 6), "array", "sheet", "continuous")
     assert 1e-4 < named(sheet)["sheet"].estimate < 1e-1

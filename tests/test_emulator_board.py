@@ -16,7 +16,7 @@ from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.config import parse
 from ohmskin.emulator import Board, Line, Sample, Scene, TransmitBuffer, TruthFile
-from ohmskin.emulator.scene import LineSettings
+from ohmskin.emulator._scene import LineSettings
 from ohmskin.errors import InputError
 from ohmskin.wire import Command, Decoder, DescriptionPacket, Event, Flag, FramePacket, Order, encode
 

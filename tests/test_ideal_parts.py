@@ -14,7 +14,7 @@ from ohmskin.errors import SolverError
 
 
 def with_column_lead(design: Design, ohms: float) -> Design:
-    return design.model_copy(update={"array": design.array.model_copy(update={"column_lead": ohms})})
+    return design.replace(array={"column_lead": ohms})
 
 
 def read(design: Design, cells: Any) -> np.ndarray:
@@ -61,8 +61,8 @@ def test_an_offset_reads_as_itself_in_open_columns() -> None:
 
 def test_nothing_leaks_over_an_ideal_line() -> None:
     design = amplifier(3, 3, segment=1.0).model_copy()
-    array = design.array.model_copy(update={"row_lead": 0.0, "column_lead": 5.0, "row_segment": 0.0})
-    result = scan(design.model_copy(update={"array": array}), [[1e3, inf, 1e4], [1e3, 1e4, 1e4], [inf, 1e4, 1e4]])
+    array = design.array.replace(row_lead=0.0, column_lead=5.0, row_segment=0.0)
+    result = scan(design.replace(array=array), [[1e3, inf, 1e4], [1e3, 1e4, 1e4], [inf, 1e4, 1e4]])
     open_cells = np.array([[False, True, False], [False, False, False], [True, False, False]])
     assert (result.volts[open_cells] == 0).all()
     assert np.isinf(result.resistance[open_cells]).all()
@@ -77,9 +77,9 @@ def test_a_reference_voltage_costs_no_digits(vref: float, lead: float, parts: di
     cells = np.full((3, 3), 1e4)
     cells[0] = 0.0
     design = with_column_lead(amplifier(3, 3, reference_resistance=1e4, **parts), lead)
-    design = design.model_copy(update={"array": design.array.model_copy(update={"row_lead": 100.0})})
+    design = design.replace(array={"row_lead": 100.0})
     base = read(design, cells)
-    lifted = design.model_copy(update={"readout": design.readout.model_copy(update={"reference_voltage": vref})})
+    lifted = design.replace(readout={"reference_voltage": vref})
     share = design.readout.open_loop_gain
     droop = 0.0 if np.isinf(share) else vref / share  # of the level itself, at a finite gain: tested elsewhere
     np.testing.assert_allclose(read(lifted, cells) - vref, base, atol=np.abs(base).max() * 1e-12 + 1e5 * droop)

@@ -76,7 +76,7 @@ def test_a_frame_that_is_the_last_one_is_not_solved_again(monkeypatch: pytest.Mo
     scanner = Scanner(design)
     first = scanner.scan(cells)
     with monkeypatch.context() as patched:
-        patched.delattr("ohmskin.circuits.incremental.solve")
+        patched.delattr("ohmskin.circuits._incremental.solve")
         np.testing.assert_array_equal(scanner.scan(cells.copy()).volts, first.volts)
     cells[0, 0] *= 2  # the caller's own array
     assert scanner.scan(cells).volts[0, 0] < first.volts[0, 0]
@@ -114,7 +114,7 @@ def test_a_batch_reads_what_a_loop_reads(name: str, asked: dict[str, Any]) -> No
 
 def test_a_batch_through_an_adc_keeps_a_quarter_step() -> None:
     adc = Adc(bits=10, range=(0.0, 1.0))
-    design: Design = DESIGNS["plain"].model_copy(update={"adc": adc})
+    design: Design = DESIGNS["plain"].replace(adc=adc)
     cells = 10 ** np.random.default_rng(4).uniform(4, 6, (5, 10, 12))
     batch = scan_batch(design, cells)
     assert set(batch.method) == {"attenuation"}

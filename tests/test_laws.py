@@ -24,7 +24,7 @@ COLUMN_KEYS = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias
 
 
 def changed(design: Design, table: str, **keys: Any) -> Design:
-    return design.model_copy(update={table: getattr(design, table).model_copy(update=keys)})
+    return design.replace(**{table: getattr(design, table).replace(**keys)})
 
 
 def per_line(value: float | tuple[float, ...], lines: int) -> np.ndarray:

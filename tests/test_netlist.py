@@ -14,8 +14,8 @@ from reference import reference_volts
 from variety import any_design
 
 from ohmskin.circuits import Design
-from ohmskin.circuits.netlist import frame_deck, netlist
-from ohmskin.circuits.spice import command_available, run_control
+from ohmskin.circuits.spice._netlist import frame_deck, netlist
+from ohmskin.circuits.spice._ngspice import command_available, run_control
 from ohmskin.cli import run
 from ohmskin.errors import InputError, SolverError
 
@@ -88,7 +88,7 @@ def test_an_amplifier_on_a_driver_stands_at_its_supply() -> None:
     [
         (amplifier(2, 1, lead=0.0), [[0.0], [0.0]], "driven to different voltages"),
         (amplifier(2, 1), [[0.0], [1e3]], "not determined"),
-        (amplifier(1, 2).model_copy(update={"array": divider(1, 2, row_lead=5.0).array}), [[0.0, 0.0]], "share one"),
+        (amplifier(1, 2).replace(array=divider(1, 2, row_lead=5.0).array), [[0.0, 0.0]], "share one"),
         (divider(2, 2, idle_rows="ground"), [[0.0, 1e3], [0.0, 1e3]], "driven to different voltages"),
     ],
 )

@@ -12,9 +12,9 @@ from needs import need
 from scipy.constants import Boltzmann
 
 from ohmskin.circuits import Adc, Design, adc_codes, volts_of_codes
-from ohmskin.circuits.dynamics import column_conductances, column_dynamics
-from ohmskin.circuits.noise import noise
-from ohmskin.circuits.spice import available, run_library
+from ohmskin.circuits.spice._ngspice import available, run_library
+from ohmskin.circuits.timing._dynamics import column_conductances, column_dynamics
+from ohmskin.circuits.timing._noise import noise
 from ohmskin.errors import InputError
 
 CELLS = np.array([[1e4, 2e4], [3e4, 1.5e4], [np.inf, 1e4]])
@@ -26,11 +26,9 @@ def board(
     adc: dict[str, float] | None = None, *, idle_rows: str = "ground", lead: float = 0.0, **readout: Any
 ) -> Design:
     design = amplifier(*CELLS.shape, lead=lead, **{"reference_resistance": 2e4, "gain_bandwidth": 1e6} | readout)
-    return design.model_copy(
-        update={
-            "drive": design.drive.model_copy(update={"idle_rows": idle_rows}),
-            "adc": None if adc is None else Adc.model_validate({"bits": 12, "range": (0.0, 3.3)} | adc),
-        }
+    return design.replace(
+        drive={"idle_rows": idle_rows},
+        adc=None if adc is None else Adc.model_validate({"bits": 12, "range": (0.0, 3.3)} | adc),
     )
 
 
@@ -177,7 +175,7 @@ def test_noise_without_a_bandwidth_is_refused() -> None:
     with pytest.raises(InputError, match="inverting-amplifier"):
         noise(board().with_circuit("voltage-feedback"), CELLS)
     warm = divider(3, 2)
-    warm = warm.model_copy(update={"readout": warm.readout.model_copy(update={"temperature": 300.0})})
+    warm = warm.replace(readout={"temperature": 300.0})
     with pytest.raises(InputError, match=r"resistors has no bandwidth limit.*sampling_capacitance"):
         noise(warm, CELLS)
 
@@ -185,11 +183,8 @@ def test_noise_without_a_bandwidth_is_refused() -> None:
 def test_a_divider_holds_kt_over_c_and_its_step() -> None:
     """Against the noise currents of its resistors through the one pole that they make with the capacitor."""
     design = divider(1, 1)
-    design = design.model_copy(
-        update={
-            "readout": design.readout.model_copy(update={"temperature": 300.0}),
-            "adc": Adc.model_validate({"bits": 12, "range": (0.0, 3.3)} | SAMPLER),
-        }
+    design = design.replace(
+        readout={"temperature": 300.0}, adc=Adc.model_validate({"bits": 12, "range": (0.0, 3.3)} | SAMPLER)
     )
     parts = noise(design, [[4e3]]).parts
     ohms = 1 / (1 / 4e3 + 1 / 1e3) + SAMPLER["switch_resistance"]

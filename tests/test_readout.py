@@ -66,7 +66,7 @@ def saturating_design(seed: int, circuit: str) -> tuple[Design, np.ndarray]:
     supply = (level - float(rng.uniform(0.0, 0.3)), level + float(rng.uniform(0.02, 0.5)))
     design, cells = real_design(seed, circuit=circuit, reference_voltage=level, supply=supply)
     offsets = tuple(rng.uniform(-0.2, 0.2, design.array.columns).tolist())
-    return design.model_copy(update={"readout": design.readout.model_copy(update={"offset_voltage": offsets})}), cells
+    return design.replace(readout={"offset_voltage": offsets}), cells
 
 
 @pytest.mark.parametrize("seed", range(80))
@@ -104,7 +104,7 @@ def test_feedback_of_finite_gain_leaks_through_the_idle_lines() -> None:
     """The idle lines stand 1/(1+A) off the sensed one: R = Rij alone, and S/(1+A) to where they end."""
     gain, cells = 1e3, np.full((4, 4), 2e3)
     design = divider(4, 4).with_circuit("voltage-feedback")
-    design = design.model_copy(update={"readout": design.readout.model_copy(update={"open_loop_gain": gain})})
+    design = design.replace(readout={"open_loop_gain": gain})
     leak = 3 / 2e3 / (1 + gain)
     column = (1 / 2e3) / (1 / 2e3 + 1 / 1e3 + leak)
     assert scan(design, cells).volts == pytest.approx(np.full((4, 4), column * gain / (1 + gain)), rel=1e-12)
@@ -116,8 +116,8 @@ def test_a_list_of_equal_parts_is_the_number() -> None:
     keys = {"open_loop_gain": 1e4, "offset_voltage": 1e-3, "bias_current": 1e-8}
     one = scan(amplifier(2, 3, lead=5.0, segment=1.0, **keys), cells).volts
     listed = amplifier(2, 3, lead=5.0, segment=1.0, **{key: [value] * 3 for key, value in keys.items()})
-    array = listed.array.model_copy(update={"row_lead": (5.0, 5.0), "column_segment": (1.0, 1.0, 1.0)})
-    assert np.array_equal(scan(listed.model_copy(update={"array": array}), cells).volts, one)
+    array = listed.array.replace(row_lead=(5.0, 5.0), column_segment=(1.0, 1.0, 1.0))
+    assert np.array_equal(scan(listed.replace(array=array), cells).volts, one)
 
 
 def test_ideal_drivers_joined_by_a_bridge_are_refused() -> None:
@@ -189,5 +189,5 @@ def test_resistances_too_small_to_invert_are_none(circuit: str) -> None:
     design = amplifier(2, 2, open_loop_gain=1e5).with_circuit(circuit)
     none = cells.copy()
     none[1, 1] = 0.0
-    small = design.model_copy(update={"array": design.array.model_copy(update=tiny)})
+    small = design.replace(array=tiny)
     np.testing.assert_array_equal(scan(small, cells).volts, scan(design, none).volts)

@@ -56,10 +56,8 @@ def test_round_trip_through_unequal_parts(circuit: str, seed: int) -> None:
     gains = {} if circuit == "voltage-divider" else {"open_loop_gain": 1e5}
     design, cells = real_design(seed, circuit=circuit, idle_columns="load", **gains)
     cells = 1e3 * (cells / 1e3) ** 0.5  # a decade and a half to each side
-    drive = design.drive.model_copy(update={"idle_rows": "ground"})
-    recovery = recover(
-        design.model_copy(update={"drive": drive}), scan(design.model_copy(update={"drive": drive}), cells).volts
-    )
+    drive = design.drive.replace(idle_rows="ground")
+    recovery = recover(design.replace(drive=drive), scan(design.replace(drive=drive), cells).volts)
     np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-8)
 
 
@@ -107,11 +105,11 @@ def test_columns_that_are_independent_have_a_closed_form() -> None:
         "bias_current": 1e-8,
     }
     design = amplifier(5, 4, reference_voltage=1.65, **parts)
-    array = design.array.model_copy(update={"column_lead": (5.0, 50.0, 10.0, 0.0)})
-    design = design.model_copy(update={"array": array})
+    array = design.array.replace(column_lead=(5.0, 50.0, 10.0, 0.0))
+    design = design.replace(array=array)
     closed = round_trip(design, cells)
     assert closed.iterations == 0
-    almost = design.model_copy(update={"array": array.model_copy(update={"row_lead": 1e-9})})
+    almost = design.replace(array=array.replace(row_lead=1e-9))
     iterated = recover(almost, scan(almost, cells).volts)
     assert iterated.iterations > 0
     np.testing.assert_allclose(iterated.resistance, closed.resistance, rtol=1e-8)
@@ -250,7 +248,7 @@ def test_readings_clipped_by_the_converter_are_unknown_on_the_side_of_the_limit(
     clipped[0, 0] = True
     adc = Adc(bits=16, range=(0.0, 0.3) if upper else (0.1, 3.3))  # the others read 0.2 V
     for lead in (0.0, 10.0):
-        design = amplifier(3, 3, lead=lead).model_copy(update={"adc": adc})
+        design = amplifier(3, 3, lead=lead).replace(adc=adc)
         cells[0, 0] = 5e2 if upper else 5e4
         volts = np.clip(scan(design, cells, method="exact").volts, *adc.range)
         recovery = recover(design, volts, clipped=clipped)
@@ -303,7 +301,7 @@ def test_known_faults_are_taken_out() -> None:
         Fault(kind="open-cell", place=(2, 2)),
         Fault(kind="broken-row", place=(1, 1), resistance=90.0),
     )
-    design = amplifier(3, 3, lead=10.0, segment=1.0).model_copy(update={"fault": faults})
+    design = amplifier(3, 3, lead=10.0, segment=1.0).replace(fault=faults)
     recovery = recover(design, scan(design, cells).volts)
     assert recovery.status[2, 2] == Status.HIDDEN
     recovery.resistance[2, 2] = 5e3
@@ -312,7 +310,7 @@ def test_known_faults_are_taken_out() -> None:
 
 def test_a_cell_behind_a_complete_short_is_not_invented() -> None:
     design = amplifier(3, 3, lead=10.0, segment=1.0)
-    design = design.model_copy(update={"fault": (Fault(kind="shorted-cell", place=(1, 1)),)})
+    design = design.replace(fault=(Fault(kind="shorted-cell", place=(1, 1)),))
     cells = 10 ** np.random.default_rng(4).uniform(3.5, 4, (3, 3))
     recovery = recover(design, scan(design, cells).volts)
     assert recovery.status[1, 1] == Status.HIDDEN
@@ -324,16 +322,16 @@ def test_a_cell_behind_a_complete_short_is_not_invented() -> None:
 def test_through_a_continuous_sheet() -> None:
     cells = 10 ** np.random.default_rng(2).uniform(3.5, 4, (3, 3))
     design = amplifier(3, 3, lead=5.0)
-    sheet = design.model_copy(update={"array": design.array.model_copy(update={"sheet": "continuous"})})
+    sheet = design.replace(array={"sheet": "continuous"})
     np.testing.assert_allclose(recover(sheet, scan(sheet, cells).volts).resistance, cells, rtol=1e-9)
 
 
 def test_a_short_in_a_continuous_sheet_is_beside_the_cell_and_not_part_of_it() -> None:
     cells = 10 ** np.random.default_rng(2).uniform(3.5, 4, (3, 3))
     design = amplifier(3, 3, lead=5.0)
-    array = design.array.model_copy(update={"sheet": "continuous"})
+    array = design.array.replace(sheet="continuous")
     fault = Fault(kind="shorted-cell", place=(1, 1), resistance=300.0)
-    sheet = design.model_copy(update={"array": array, "fault": (fault,)})
+    sheet = design.replace(array=array, fault=(fault,))
     recovery = recover(sheet, scan(sheet, cells).volts)
     np.testing.assert_allclose(recovery.resistance, cells, rtol=1e-8)
     assert holds(recovery, cells).all()
@@ -343,10 +341,10 @@ def test_a_short_in_a_continuous_sheet_is_beside_the_cell_and_not_part_of_it() -
 def test_cells_beyond_a_break_are_hidden_and_disturb_others(idle_rows: str) -> None:
     """They still conduct from line to line, and how well is not known."""
     cells = 10 ** np.random.default_rng(3).uniform(3, 4, (4, 4))
-    design = amplifier(4, 4, lead=20.0, segment=1.0).model_copy(
-        update={"fault": (Fault(kind="broken-row", place=(1, 2)), Fault(kind="broken-column", place=(0, 0)))}
+    design = amplifier(4, 4, lead=20.0, segment=1.0).replace(
+        fault=(Fault(kind="broken-row", place=(1, 2)), Fault(kind="broken-column", place=(0, 0)))
     )
-    design = design.model_copy(update={"drive": design.drive.model_copy(update={"idle_rows": idle_rows})})
+    design = design.replace(drive={"idle_rows": idle_rows})
     recovery = recover(design, scan(design, cells).volts)
     hidden = np.zeros((4, 4), dtype=bool)
     hidden[1, 2:] = hidden[0, 0] = True
@@ -366,7 +364,7 @@ def test_over_a_bridge_of_some_resistance(kind: str, ohms: float) -> None:
     """With leads of 50 ohm a bridge of 5 makes two lines nearly one; the conditioning says what that costs."""
     cells = 10 ** np.random.default_rng(2).uniform(3.5, 4, (4, 4))
     fault = Fault.model_validate({"kind": kind, "place": [1, 1], "resistance": ohms})
-    design = amplifier(4, 4, lead=50.0).model_copy(update={"fault": (fault,)})
+    design = amplifier(4, 4, lead=50.0).replace(fault=(fault,))
     volts = scan(design, cells).volts
     assert np.abs(apparent_resistance(design, volts) / cells - 1).max() > 0.1
     np.testing.assert_allclose(recover(design, volts).resistance, cells, rtol=1e-9)
@@ -408,9 +406,7 @@ def test_readings_that_no_cells_give_are_refused() -> None:
 
 def test_lines_bridged_by_nothing_do_not_determine_their_cells() -> None:
     """Two columns that are one: their readings are each other's."""
-    design = amplifier(3, 3, lead=5.0, open_loop_gain=1e5).model_copy(
-        update={"fault": (Fault(kind="bridged-columns", place=(2, 0)),)}
-    )
+    design = amplifier(3, 3, lead=5.0, open_loop_gain=1e5).replace(fault=(Fault(kind="bridged-columns", place=(2, 0)),))
     volts = scan(design, np.full((3, 3), 5e3)).volts.copy()
     volts[0, 0] *= 3
     with pytest.raises(SolverError, match="do not determine the cells"):
@@ -436,7 +432,7 @@ def test_bad_readings_are_refused_by_name(volts: Any, message: str) -> None:
 def test_an_open_cell_does_not_hide_its_neighbour(cell: float, offset: float, drive: float) -> None:
     """What the offset leaves of an open cell's reading is rounding, of either sign."""
     base = amplifier(2, 1, lead=1.0, offset_voltage=offset)
-    design = base.model_copy(update={"drive": base.drive.model_copy(update={"voltage": drive})})
+    design = base.replace(drive={"voltage": drive})
     cells = np.array([[cell], [np.inf]])
     found = recover(design, scan(design, cells).volts)
     np.testing.assert_allclose(found.resistance, cells, rtol=1e-9)

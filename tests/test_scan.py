@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from ohmskin.circuits import ideal_volts, scan
-from ohmskin.circuits.grid import exact_ports
+from ohmskin.circuits._grid import exact_ports
 from ohmskin.errors import InputError
 
 ORDINARY = st.floats(1e2, 1e7)

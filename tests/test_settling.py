@@ -12,8 +12,8 @@ from needs import need
 from scipy.integrate import solve_ivp
 
 from ohmskin.circuits import Adc, Design, scan
-from ohmskin.circuits.settling import Settling, stability
-from ohmskin.circuits.spice import available, run_library
+from ohmskin.circuits.spice._ngspice import available, run_library
+from ohmskin.circuits.timing._settling import Settling, stability
 from ohmskin.errors import InputError, SolverError
 
 CELLS = np.array([[1e4, 2e4, 5e4], [3e4, np.inf, 1.5e4]])
@@ -24,11 +24,9 @@ def board(
 ) -> Design:
     rows, columns = CELLS.shape
     design = amplifier(rows, columns, lead=lead, **{"reference_resistance": 2e4, "gain_bandwidth": 1e6} | readout)
-    return design.model_copy(
-        update={
-            "drive": design.drive.model_copy(update={"idle_rows": idle_rows}),
-            "adc": None if adc is None else Adc.model_validate({"bits": 12, "range": (0.0, 3.3)} | adc),
-        }
+    return design.replace(
+        drive={"idle_rows": idle_rows},
+        adc=None if adc is None else Adc.model_validate({"bits": 12, "range": (0.0, 3.3)} | adc),
     )
 
 

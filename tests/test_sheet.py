@@ -7,14 +7,14 @@ import pytest
 from designs import amplifier
 
 from ohmskin.circuits import Design, Sheet, scan
-from ohmskin.circuits.grid import exact_ports, grid_network
-from ohmskin.circuits.network import reduce
-from ohmskin.circuits.sheet import unit_resistance
+from ohmskin.circuits._grid import exact_ports, grid_network
+from ohmskin.circuits._sheet import unit_resistance
+from ohmskin.circuits.solvers._network import reduce
 
 
 def in_one_piece(design: Design, **sheet: float) -> Design:
-    array = design.array.model_copy(update={"sheet": "continuous"})
-    return design.model_copy(update={"array": array, "sheet": Sheet(**sheet)})
+    array = design.array.replace(sheet="continuous")
+    return design.replace(array=array, sheet=Sheet(**sheet))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 4), (5, 1), (3, 4)])

@@ -12,7 +12,8 @@ from needs import need
 from reference import reference_volts
 from variety import any_design
 
-from ohmskin.circuits import scan, spice
+from ohmskin.circuits import scan
+from ohmskin.circuits.spice import _ngspice as spice
 from ohmskin.errors import MissingExtra, SolverError
 
 

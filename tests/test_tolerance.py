@@ -79,7 +79,7 @@ def test_line_attenuation_keeps_its_bound_on_lines_of_any_weight(
     names = ("row_lead", "row_segment", "column_lead", "column_segment")
     wires = {name: float(min(cells.min(), 1e12) * 10**decade) for name, decade in zip(names, lighter, strict=True)}
     base = amplifier(*cells.shape, open_loop_gain=gain)
-    design = base.model_copy(update={"array": base.array.model_copy(update=wires)})
+    design = base.replace(array=wires)
     result = scan(design, cells, method="attenuation")
     assert off(design, cells, result.volts) <= result.error_bound + 4.5e-16
 
@@ -179,7 +179,7 @@ def test_through_an_adc_a_quarter_of_a_step_is_kept_and_no_more_is_computed() ->
     methods = []
     for bits in (4, 8, 12, 16, 24, 32):
         adc = Adc(bits=bits, range=(0.0, 3.3))
-        result = scan(exact.model_copy(update={"adc": adc}), cells)
+        result = scan(exact.replace(adc=adc), cells)
         assert np.abs(result.volts - scan(exact, cells).volts).max() <= adc.step / 4
         assert result.error_bound * np.abs(result.volts).max() <= adc.step / 4 * (1 + 1e-9)
         methods.append(result.method)
@@ -190,7 +190,7 @@ def test_through_an_adc_a_quarter_of_a_step_is_kept_and_no_more_is_computed() ->
 
 
 def test_an_adc_step_that_no_method_reaches_is_read_exactly() -> None:
-    design = amplifier(8, 8, lead=1.0, segment=1.0).model_copy(update={"adc": Adc(bits=32, range=(0.0, 1e-9))})
+    design = amplifier(8, 8, lead=1.0, segment=1.0).replace(adc=Adc(bits=32, range=(0.0, 1e-9)))
     assert scan(design, np.full((8, 8), 1e4)).method == "exact"
 
 
@@ -241,8 +241,8 @@ def test_requests_that_make_no_sense_are_refused() -> None:
 def test_one_line_ideal_and_the_other_not(row: float, column: float) -> None:
     cells = 10 ** np.random.default_rng(1).uniform(3, 5, (3, 4))
     base = amplifier(3, 4, lead=1.0)
-    array = base.array.model_copy(update={"row_segment": row, "column_segment": column})
-    design = base.model_copy(update={"array": array})
+    array = base.array.replace(row_segment=row, column_segment=column)
+    design = base.replace(array=array)
     for method in METHODS:
         result = scan(design, cells, method=method)
         assert off(design, cells, result.volts) <= result.error_bound

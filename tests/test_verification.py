@@ -15,18 +15,19 @@ import pytest
 from designs import divider
 
 from ohmskin.cell import Cell
-from ohmskin.circuits import Design, spice
+from ohmskin.circuits import Design
+from ohmskin.circuits.spice import _ngspice as spice
 from ohmskin.cli import run
 from ohmskin.emulator import PtyPort, Scene, Stop, emulate
-from ohmskin.emulator.scene import BoardSettings
-from ohmskin.emulator.scene import Skin as SkinSettings
+from ohmskin.emulator._scene import BoardSettings
+from ohmskin.emulator._scene import Skin as SkinSettings
 from ohmskin.errors import MissingExtra
 from ohmskin.verification import prototype, verify
-from ohmskin.verification.claims import APPENDICES, STATEMENTS
-from ohmskin.verification.material import recovery_times
-from ohmskin.verification.outcome import Check, Finding, Outcome, not_run, worst
-from ohmskin.verification.subject import Subject
-from ohmskin.verification.variants import change, replaced, worst_reading_error
+from ohmskin.verification._claims import APPENDICES, STATEMENTS
+from ohmskin.verification._material import recovery_times
+from ohmskin.verification._outcome import Check, Finding, Outcome, not_run, worst
+from ohmskin.verification._subject import Subject
+from ohmskin.verification._variants import change, replaced, worst_reading_error
 
 
 @pytest.mark.parametrize(
@@ -114,7 +115,7 @@ def only(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
     def choose(*ids: str) -> None:
         for name, statements in (("STATEMENTS", STATEMENTS), ("APPENDICES", APPENDICES)):
             kept = tuple(statement for statement in statements if statement.id in ids)
-            monkeypatch.setattr(f"ohmskin.verification.run.{name}", kept)
+            monkeypatch.setattr(f"ohmskin.verification._run.{name}", kept)
 
     return choose
 
@@ -138,8 +139,8 @@ def test_a_divider_does_not_pass(tmp_path: Path, only: Callable[..., None]) -> N
 def test_the_smallest_arrays_are_verified_too(shape: tuple[int, int], only: Callable[..., None]) -> None:
     only("P10", "P11", "P12", "P13", "P14")
     design = prototype()
-    array = design.array.model_copy(update={"rows": shape[0], "columns": shape[1]})
-    report = verify(design.model_copy(update={"array": array}))
+    array = design.array.replace(rows=shape[0], columns=shape[1])
+    report = verify(design.replace(array=array))
     assert report.outcome is not Outcome.FAIL
     assert all("defect" not in check.reason for claim in report.claims for check in claim.finding.checks)
 
@@ -178,8 +179,8 @@ def test_a_defect_in_one_experiment_costs_only_that_one(monkeypatch: pytest.Monk
     statements = tuple(
         s._replace(experiment=broken if s.id == "P12" else s.experiment) for s in STATEMENTS if s.id in ("P11", "P12")
     )
-    monkeypatch.setattr("ohmskin.verification.run.STATEMENTS", statements)
-    monkeypatch.setattr("ohmskin.verification.run.APPENDICES", ())
+    monkeypatch.setattr("ohmskin.verification._run.STATEMENTS", statements)
+    monkeypatch.setattr("ohmskin.verification._run.APPENDICES", ())
     other, claim = verify(divider(2, 2)).claims
     assert other.outcome is Outcome.PASS
     assert claim.outcome is Outcome.NOT_RUN
@@ -218,8 +219,7 @@ def test_the_converters_own_errors_count(fault: dict[str, float]) -> None:
 
 def test_recovery_times_do_not_depend_on_the_unit_of_load() -> None:
     one, other = (
-        recovery_times(Subject(prototype(), Cell.example().model_copy(update={"full_scale_kpa": full})))
-        for full in (15.5, 62.0)
+        recovery_times(Subject(prototype(), Cell.example().replace(full_scale_kpa=full))) for full in (15.5, 62.0)
     )
     assert [check.measured for check in one.checks] == pytest.approx([check.measured for check in other.checks])
 

@@ -3,7 +3,7 @@
 ``verify(design).write("folder")`` runs them and writes ``report.html``, ``report.json`` and ``junit.xml``.
 """
 
-from .report import Report
-from .run import prototype, verify
+from ._report import Report
+from ._run import prototype, verify
 
 __all__ = ["Report", "prototype", "verify"]

@@ -3,8 +3,8 @@
 The format is in ``docs/wire.md``. :mod:`ohmskin.emulator` writes what :mod:`ohmskin.driver` reads.
 """
 
-from .codec import MAX_PAYLOAD, VERSION, Corrupt, Decoder, Event, Framer, decode, encode
-from .packets import Command, DescriptionPacket, Flag, FramePacket, Order, Packet
+from ._codec import MAX_PAYLOAD, VERSION, Corrupt, Decoder, Event, Framer, decode, encode
+from ._packets import Command, DescriptionPacket, Flag, FramePacket, Order, Packet
 
 __all__ = [
     "MAX_PAYLOAD",

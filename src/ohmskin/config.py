@@ -10,7 +10,7 @@ import difflib
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
@@ -21,6 +21,29 @@ class Section(BaseModel):
     """One table of a configuration file: immutable, no unknown keys, no conversion of text to numbers."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    def replace(self, **changes: Any) -> Self:
+        """A copy with some keys changed, validated as a whole like a file.
+
+        Args:
+            changes: new values by key. A mapping given for a key that holds a table changes the keys that it names and
+                keeps the others: ``design.replace(array={"row_lead": 5.0}, drive={"voltage": -0.5})``.
+
+        Raises:
+            InputError: an unknown key, or a value that does not fit.
+
+        """
+        tables: dict[str, Any] = dict(self)
+        for key, value in changes.items():
+            table = tables.get(key)
+            tables[key] = (
+                dict(table) | dict(value) if isinstance(table, Section) and isinstance(value, Mapping) else value
+            )
+        return parse(tables, type(self), source=type(self).__name__)
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """As pydantic's, but an update goes through :meth:`replace`: pydantic would not check it."""
+        return self.replace(**update) if update else super().model_copy(deep=deep)
 
 
 S = TypeVar("S", bound=BaseModel)

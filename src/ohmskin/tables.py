@@ -8,12 +8,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from .arrays import FloatArray
 from .errors import InputError
 from .files import whole_file
-
-FloatArray = NDArray[np.float64]
 
 
 def read_cells(path: str | Path, shape: tuple[int, int]) -> FloatArray:

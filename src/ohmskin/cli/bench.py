@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from .. import bench, tables
-from ..bench import estimators as of_cells
+from ..bench import _estimators as of_cells
 
 
 class _ManyValues(click.Command):

@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from ..cell import Cell
-from ..cell.calibrate import run
-from ..cell.recording import check_time
+from ..cell._calibrate import run
+from ..cell._recording import check_time
 from ..tables import read_columns, write_columns
 
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import click
 
-from ..cell import report
-from ..cell.calibrate import calibrate
-from ..cell.protocol import check, describe
-from ..cell.recording import Recording
+from ..cell import _report as report
+from ..cell._calibrate import calibrate
+from ..cell._protocol import check, describe
+from ..cell._recording import Recording
 
 
 @click.command()

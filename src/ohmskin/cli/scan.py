@@ -12,8 +12,8 @@ import numpy as np
 
 from .. import tables
 from ..circuits import Design, scan
-from ..circuits.design import CIRCUITS
-from ..circuits.scan import METHODS
+from ..circuits._design import CIRCUITS
+from ..circuits._scan import METHODS
 from . import arguments
 
 

@@ -1,0 +1,217 @@
+"""The measurements: time, true error, certified bound and memory of each method on the same arrays, in one run."""
+
+from __future__ import annotations
+
+import gc
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..circuits import METHODS, Array, Design, Drive, Readout, Scanner, scan, scan_batch
+from ..errors import InputError, MissingExtra, SolverError
+from ._peers import PEERS, reference
+
+TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
+CHANGED = (0.01, 0.1, 1.0)
+_ONCE = 5.0  # s beyond which a peer is not run again to find its best time
+_BUDGET = 0.4  # s for the repetitions of one measurement; at least two are made
+_LARGEST_SERIES = 64  # side; beyond, many terms take seconds
+
+
+@dataclass(frozen=True)
+class Row:
+    """One method on one array."""
+
+    size: int
+    segment: float
+    """ohm"""
+    method: str
+    seconds: float | None
+    """per frame, best of several runs (streams: median); None where it did not run, see ``note``"""
+    error: float | None = None
+    """worst over all cells, relative to that cell's own reading"""
+    full_scale_error: float | None = None
+    """worst over all cells, relative to the largest reading: what the bound bounds"""
+    bound: float | None = None
+    """certified beforehand; only ohmskin's methods have one"""
+    memory: int | None = None
+    """bytes that solving one frame added at its peak"""
+    note: str = ""
+
+
+def board(size: int, segment: float) -> Design:
+    """N x N, one resistance in ohm for every segment and lead, ideal amplifiers."""
+    return Design(
+        array=Array(
+            rows=size,
+            columns=size,
+            row_segment=segment,
+            column_segment=segment,
+            row_lead=segment,
+            column_lead=segment,
+        ),
+        drive=Drive(voltage=-1.0),
+        readout=Readout(circuit="inverting-amplifier", reference_resistance=1000.0),
+    )
+
+
+def cells(size: int, seed: int = 0, frames: int = 1) -> FloatArray:
+    """(frames, N, N) ohm from 10 kohm to 1 Mohm."""
+    return 10 ** np.random.default_rng(seed).uniform(4.0, 6.0, (frames, size, size))
+
+
+def measure(
+    sizes: Sequence[int],
+    segments: Sequence[float],
+    *,
+    memory: bool = True,
+    peers: bool = True,
+    patient: bool = False,
+) -> Iterator[Row]:
+    """Measure everything, row by row as it is done.
+
+    Args:
+        sizes: sides of the arrays.
+        segments: ohm per segment and lead.
+        memory: also measure memory, in a new process per method and size, at the first of the segments.
+        peers: also measure other programs and libraries.
+        patient: wait also for those that take far longer than the others.
+
+    Raises:
+        InputError: a size or a resistance that makes no array.
+
+    """
+    for size in sizes:
+        if not 1 <= size <= 1024:
+            raise InputError(f"size is {size}; expected 1 to 1024")
+    for segment in segments:
+        if not 0 < segment < np.inf:
+            raise InputError(f"segment is {segment} ohm; expected more than 0 and finite, as the peers need it")
+    return _rows(sizes, segments, memory, peers, patient)
+
+
+def _rows(sizes: Sequence[int], segments: Sequence[float], memory: bool, peers: bool, patient: bool) -> Iterator[Row]:
+    for size in sizes:
+        for segment in segments:
+            design, frame = board(size, segment), cells(size)[0]
+            true = reference(design, frame)
+            weighed = memory and segment == segments[0]
+            yield from _own(design, frame, true, segment, weighed)
+            yield from _streams(design, size, segment)
+            if peers:
+                yield from _others(design, frame, true, segment, weighed, patient)
+
+
+def _own(design: Design, frame: FloatArray, true: FloatArray, segment: float, weighed: bool) -> Iterator[Row]:
+    size = len(frame)
+    unit = -design.drive.voltage * np.max(design.readout.reference_resistance)
+    for name, asked in [
+        *((method, {"method": method}) for method in METHODS if method != "series" or size <= _LARGEST_SERIES),
+        *((f"tolerance {tolerance:g}", {"tolerance": tolerance}) for tolerance in TOLERANCES),
+    ]:
+        try:
+            result = scan(design, frame, **asked)  # type: ignore[arg-type]  # one of two keywords
+        except SolverError as error:
+            yield Row(size, segment, name, None, note=str(error))
+            continue
+        seconds = _best(lambda asked=asked: scan(design, frame, **asked))  # type: ignore[misc]
+        yield Row(
+            size,
+            segment,
+            name,
+            seconds,
+            *_errors(result.volts / unit, true),
+            bound=result.error_bound,
+            memory=_memory(name, size, segment) if weighed and name in METHODS else None,
+            note=f"by {result.method}" if name != result.method else "",
+        )
+
+
+def _streams(design: Design, size: int, segment: float) -> Iterator[Row]:
+    rng = np.random.default_rng(1)
+    side = max(1, size // 10)
+    for share in (None, *CHANGED):
+        scanner, frame = Scanner(design), cells(size)[0]
+        scanner.scan(frame)
+        times: list[float] = []
+        while len(times) < 3 or sum(times) < _BUDGET:
+            frame = frame.copy()
+            if share is None:  # a contact that comes or goes
+                row, column = rng.integers(0, size - side + 1, 2)
+                frame[row : row + side, column : column + side] = 10 ** rng.uniform(4.0, 6.0, (side, side))
+            else:
+                some = rng.permutation(frame.size)[: max(1, round(share * frame.size))]
+                frame.flat[some] = 10 ** rng.uniform(4.0, 6.0, len(some))
+            start = time.perf_counter()
+            scanner.scan(frame)
+            times.append(time.perf_counter() - start)
+        what = f"{side} x {side} cells" if share is None else f"{100 * share:g} %"
+        yield Row(size, segment, f"exact, {what} changed", float(np.median(times)), note="median")
+    count = max(2, min(200, 40000 // size**2))
+    together = cells(size, 2, count)
+    seconds = _best(lambda: scan_batch(design, together)) / count
+    yield Row(size, segment, "exact, in a batch", seconds, note=f"of {count} frames")
+
+
+def _others(
+    design: Design, frame: FloatArray, true: FloatArray, segment: float, weighed: bool, patient: bool
+) -> Iterator[Row]:
+    size = len(frame)
+    for peer in PEERS:
+        reason = peer.missing()
+        if reason is None and size > peer.largest and not patient:
+            reason = f"not waited for beyond {peer.largest} x {peer.largest} (--wait)"
+        if reason is not None:
+            yield Row(size, segment, peer.name, None, note=reason)
+            continue
+        start = time.perf_counter()
+        try:
+            currents = peer.solve(design, frame)
+        except (SolverError, MissingExtra, ValueError, RuntimeError) as error:
+            yield Row(size, segment, peer.name, None, note=f"failed: {error}")
+            continue
+        seconds = time.perf_counter() - start
+        if seconds < _ONCE:
+            seconds = _best(lambda peer=peer: peer.solve(design, frame))  # type: ignore[misc]  # bound now, called now
+        yield Row(
+            size,
+            segment,
+            peer.name,
+            seconds,
+            *_errors(currents, true),
+            memory=_memory(peer.name, size, segment) if weighed and peer.name != "ngspice" else None,
+            note="" if seconds < _ONCE else "once",
+        )
+
+
+def _errors(currents: FloatArray, true: FloatArray) -> tuple[float, float]:
+    off = np.abs(currents - true)
+    return float((off / true).max()), float(off.max() / true.max())
+
+
+def _best(work: Callable[[], object]) -> float:
+    """Seconds of the fastest of several runs."""
+    gc.collect()
+    best, spent, runs = np.inf, 0.0, 0
+    while runs < 2 or (spent < _BUDGET and runs < 1000):
+        start = time.perf_counter()
+        work()
+        took = time.perf_counter() - start
+        best, spent, runs = min(best, took), spent + took, runs + 1
+    return best
+
+
+def _memory(name: str, size: int, segment: float) -> int | None:
+    """Bytes by which one frame raises the peak of a new process; None where the system does not tell."""
+    command = [sys.executable, "-m", f"{__package__}.memory", name, str(size), str(segment)]
+    process = subprocess.run(command, capture_output=True, text=True, check=False)
+    if process.returncode:
+        return None
+    peak: int | None = json.loads(process.stdout)
+    return peak

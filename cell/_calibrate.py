@@ -1,0 +1,210 @@
+"""From a recording to CELL.toml: identify the cell, teach its estimators, choose one, and say how sure all that is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import InputError
+from . import _simulate as simulate
+from . import _training as training
+from ._cell import ESTIMATORS, Calibrated, Cell, EstimatorName
+from ._estimators import Estimator
+from ._identify import HELD_OUT, Fit, fits
+from ._inverse import margin
+from ._learned import DRIFT, Learned, Seen
+from ._models import AsymmetricModel, ContactModel, M10Model
+from ._recording import Recording
+
+MOST = 10000
+"""samples that are learned from; a longer recording is thinned"""
+STATIC_WORTH = 0.5
+"""the static curve is chosen if its held-out error is below this share of the distilled estimator's: the held-out third
+has the loads of the rest, and flatters whatever has a memory of them"""
+LEAST = 0.1
+"""share of the readings that must lie before the last third of a recording's time, and in it"""
+EXACT = 0.005
+"""held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A calibrated cell and everything the report of it says."""
+
+    cell: Cell
+    recording: Recording
+    fits: tuple[Fit, ...]
+    """the chosen kind first"""
+    inverse_margin: float | None
+    """least slope of a fast step over that at equilibrium: the exact inverse is safe where positive; None: no such"""
+
+    @property
+    def fit(self) -> Fit:
+        """Of the chosen kind."""
+        return self.fits[0]
+
+
+def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> Calibration:
+    """Identify the cell of a recording and calibrate its estimators.
+
+    The kind of model is chosen by its error on the last third of the recording when fitted to the first two; so
+    is the estimator. What is kept is then fitted and learned from the whole of it. Deterministic.
+
+    Args:
+        recording: presses and releases of one cell.
+        full_scale_kpa: None: the largest pressure of the recording.
+
+    Raises:
+        InputError: the resistance does not follow the pressure, or no model of any kind fits.
+    """
+    every = -(-len(recording.time_s) // MOST)
+    thin = Recording(
+        recording.time_s[::every], recording.pressure_kpa[::every], recording.resistance_ohm[::every], recording.name
+    )
+    cut = thin.time_s[0] + HELD_OUT * (thin.time_s[-1] - thin.time_s[0])
+    before = int(np.count_nonzero(thin.time_s < cut))
+    if not LEAST * len(thin.time_s) <= before <= (1 - LEAST) * len(thin.time_s):
+        raise InputError(
+            f"{recording.name}: {before} of {len(thin.time_s)} readings lie in the first two thirds of its time; "
+            "expected readings without a gap that takes up most of it"
+        )
+    full = float(np.quantile(thin.pressure_kpa, 0.999)) if full_scale_kpa is None else full_scale_kpa
+    if not 0 < full < np.inf:
+        raise InputError(f"full scale is {full} kPa; expected more than 0")
+    found = tuple(fits(thin, full))
+    model = found[0].model
+    rest = found[0].rest_resistance_ohm
+    cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
+    inverse = margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
+    if isinstance(model, ContactModel):
+        return Calibration(_calibrated_contact(cell, thin), recording, found, inverse)
+
+    teacher = _teacher(found)
+    whole = training.Calibration(
+        time_s=thin.time_s,
+        r=thin.resistance_ohm / rest - 1,
+        load=thin.pressure_kpa / full,
+        rest_resistance_ohm=rest,
+        simulation=teacher.simulate,
+        unexplained=teacher.error * float(np.ptp(thin.resistance_ohm)) / rest,
+    )
+    first = replace(whole, simulation=teacher.simulate_partial).until(cut)
+    seen = _seen(thin)
+    trial = cell.replace(estimators=_learned(first, full).replace(seen=seen))
+    judged = _judge(trial, thin, cut)
+    percent = {name: float(100 * np.sqrt(np.mean(error**2)) / full) for name, (error, _) in judged.items()}
+    silent = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
+    default, reason = _choose(percent, float(np.sqrt(max(found[0].held_out_error ** 2 - silent**2, 0.0))))
+    final = _learned(whole, full)
+    calibrated = {
+        name: training.calibrated(learned, *(value / full for value in judged[name]), most=final.static.std_kpa / full)
+        for name in ("play", "distilled")
+        if isinstance(learned := getattr(final, name), Learned) and name in judged
+    }
+    static = final.static.replace(std_kpa=max(final.static.std_kpa, DRIFT * percent["static"] / 100 * full))
+    estimators = Calibrated(
+        default=default, reason=reason, held_out_percent=percent, seen=seen, static=static, **calibrated
+    )
+    return Calibration(cell.replace(estimators=estimators), recording, found, inverse)
+
+
+def run(estimator: Estimator, time_s: FloatArray, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    """A single cell's estimates (n,) and standard deviations, in kPa, of a whole recording."""
+    estimates = [estimator.update(float(t), r) for t, r in zip(time_s, resistance_ohm, strict=True)]
+    pressure = np.array([float(e.pressure_kpa) for e in estimates])
+    if any(e.std_kpa is None for e in estimates):
+        return pressure, None
+    return pressure, np.array([float(e.std_kpa) for e in estimates if e.std_kpa is not None])
+
+
+def _teacher(found: tuple[Fit, ...]) -> Fit:
+    """The fit that is varied for learning: the richest with one set of states, unless the paper's is far better.
+
+    Which of two kinds predicts better is a close call on a short recording, and the poorer one, taught, misleads
+    more than the richer one's spare parameters do. The paper's two models hand over at every change of direction,
+    which a learned map of memories follows badly.
+    """
+    smooth = next(fit for fit in found if isinstance(fit.model, M10Model))
+    best = min(found, key=lambda fit: fit.held_out_error)
+    return best if best.held_out_error < 0.5 * smooth.held_out_error else smooth
+
+
+def _learned(calibration: training.Calibration, full_scale_kpa: float) -> Calibrated:
+    """All learned estimators, not judged yet."""
+    simulated = training.variations(calibration, np.random.default_rng(0))
+    return Calibrated(
+        default="distilled",
+        reason="",
+        held_out_percent={},
+        static=training.static_curve(calibration, full_scale_kpa),
+        play=training.play(calibration, simulated),
+        distilled=training.distilled(calibration, simulated),
+    )
+
+
+def _seen(recording: Recording) -> Seen:
+    time, load = recording.time_s, recording.quiet.pressure_kpa
+    later = np.interp(time + 1.0, time, load)
+    log_ohm = np.log(recording.resistance_ohm)
+    return Seen(
+        noise=simulate.white_noise(log_ohm) or simulate.step_noise(log_ohm),
+        step_s=recording.step_s,
+        speed_kpa_per_s=float(np.sqrt(np.mean((later - load) ** 2))),
+    )
+
+
+def _judge(cell: Cell, recording: Recording, after_s: float) -> dict[EstimatorName, tuple[FloatArray, FloatArray]]:
+    """Errors and standard deviations in kPa after ``after_s``, of every estimator that this cell can have."""
+    judged: dict[EstimatorName, tuple[FloatArray, FloatArray]] = {}
+    part = recording.time_s >= after_s
+    for name in ESTIMATORS:
+        try:
+            estimator = cell.estimator((), name)
+        except InputError:
+            continue  # not for this kind of cell
+        pressure, std = run(estimator, recording.time_s, recording.resistance_ohm)
+        error = (pressure - recording.pressure_kpa)[part]
+        judged[name] = error, np.full(error.shape, np.inf) if std is None else std[part]
+    return judged
+
+
+def _choose(percent: dict[EstimatorName, float], unexplained: float) -> tuple[EstimatorName, str]:
+    """The exact inverse, distilled or static, and why.
+
+    Where the model explains all there is, its inverse carries over to loads that nobody applied: it comes first, unless
+    clearly worse on those held out.
+    """
+    chosen: EstimatorName = "static" if percent["static"] < STATIC_WORTH * percent["distilled"] else "distilled"
+    why = ""
+    if unexplained < EXACT and percent.get("inverse", np.inf) < 1.25 * percent[chosen] + 0.25:
+        chosen = "inverse"
+        why = f"the model explains the resistance but for {100 * unexplained:.1f} % of its range and noise; "
+    others = ", ".join(f"{name} {value:.1f} %" for name, value in percent.items() if name != chosen)
+    return chosen, f"{why}{percent[chosen]:.1f} % of full scale on the held-out third of the recording ({others})"
+
+
+def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
+    """A contact has no memory: a cubic in log(R0/R), and nothing else to choose from."""
+    r, load = recording.resistance_ohm / cell.rest_resistance_ohm - 1, recording.pressure_kpa / cell.full_scale_kpa
+
+    def unused(rng: np.random.Generator, loads: FloatArray, dt: float) -> FloatArray:
+        raise AssertionError("the static curve is not learned from simulations")
+
+    whole = training.Calibration(recording.time_s, r, load, cell.rest_resistance_ohm, unused, 0.0)
+    cut = recording.time_s[0] + HELD_OUT * (recording.time_s[-1] - recording.time_s[0])
+    first = training.static_curve(whole.until(cut), cell.full_scale_kpa, logarithmic=True)
+    part = recording.time_s >= cut
+    error = np.clip(first.load(r[part]), first.limits.lowest, first.limits.highest) - load[part]
+    percent = float(100 * np.sqrt(np.mean(error**2)))
+    curve = training.static_curve(whole, cell.full_scale_kpa, logarithmic=True)
+    std = max(curve.std_kpa, percent / 100 * cell.full_scale_kpa)
+    estimators = Calibrated(
+        default="static",
+        reason=f"a contact without memory; {percent:.1f} % of full scale on the held-out third of the recording",
+        held_out_percent={"static": percent},
+        seen=_seen(recording),
+        static=curve.replace(std_kpa=std),
+    )
+    return cell.replace(estimators=estimators)

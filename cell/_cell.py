@@ -1,0 +1,164 @@
+"""CELL.toml: one identified cell, and the doors to its forward model and its estimators."""
+
+from __future__ import annotations
+
+import importlib.resources
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arrays import FloatArray
+from ..config import Section, load
+from ..errors import InputError
+from ..tables import write_text
+from ._estimators import Doubt, EquilibriumEstimator, Estimator, PaperEstimator
+from ._forward import Forward, make_forward
+from ._inverse import InverseEstimator, margin
+from ._learned import DRIFT, Learned, LearnedEstimator, Seen, StaticCurve, StaticCurveEstimator
+from ._models import AsymmetricModel, M10Model, Model, PaperModel, Positive
+from ._turning import TurningEstimator
+
+EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]
+ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
+
+
+SUREST_PERCENT = 1.0
+"""of full scale: no held-out error below that is believed, as presses unlike those recorded are answered worse"""
+
+
+class Calibrated(Section):
+    """What ``ohmskin fit`` learned about estimating this cell."""
+
+    default: EstimatorName
+    reason: str
+    """why that one"""
+    held_out_percent: dict[EstimatorName, float]
+    """rms error on the last third of the recording after learning from the rest, % of full scale"""
+    seen: Seen = Seen()
+    static: StaticCurve
+    play: Learned | None = None
+    distilled: Learned | None = None
+
+
+class Cell(Section):
+    """A piezoresistive cell. ``Cell.load("cell.toml")``, or ``Cell.example()`` for the shipped one."""
+
+    rest_resistance_ohm: Positive
+    """R0, unloaded; a skin whose cells differ passes an array to :meth:`forward` and :meth:`estimator`"""
+    full_scale_kpa: Positive
+    """the largest pressure the cell is meant for, and the unit of the normalised load"""
+    model: Model
+    estimators: Calibrated | None = None
+    """None: not calibrated, only what follows from the model can be had"""
+
+    @classmethod
+    def load(cls, path: str | Path) -> Cell:
+        """Read CELL.toml; InputError with one located message if it is not a valid cell."""
+        return load(path, cls)
+
+    @classmethod
+    def example(cls) -> Cell:
+        """The shipped example: the paper's model with the project's own values, which meet P7."""
+        with importlib.resources.as_file(importlib.resources.files(__package__) / "example.toml") as path:
+            return cls.load(path)
+
+    def save(self, path: str | Path, *, comment: str = "") -> None:
+        """Write CELL.toml, whole or not at all; ``comment`` goes to its head. Raises InputError."""
+        head = "".join(f"# {line}\n" for line in comment.splitlines())
+        write_text(path, head + _toml(self.model_dump(exclude_none=True)))
+
+    @property
+    def default_estimator(self) -> str:
+        """The estimator for this cell: the calibrated choice, else what its model allows."""
+        if self.estimators is not None:
+            return self.estimators.default
+        match self.model:
+            case PaperModel():
+                return "paper"
+            case AsymmetricModel() | M10Model() if margin(self.model, self.full_scale_kpa) > 0:
+                return "inverse"
+        return "static"
+
+    def forward(self, shape: tuple[int, ...], *, rest_resistance_ohm: ArrayLike | None = None) -> Forward:
+        """Cells of ``shape`` at rest, to be stepped through a pressure history.
+
+        ``rest_resistance_ohm`` (broadcast to ``shape``) replaces R0, cell by cell; InputError unless it fits.
+        """
+        return make_forward(self.model, self.full_scale_kpa, shape, self._rest(rest_resistance_ohm))
+
+    def estimator(
+        self, shape: tuple[int, ...], name: str | None = None, *, rest_resistance_ohm: ArrayLike | None = None
+    ) -> Estimator:
+        """A causal estimator for cells of ``shape``; ``name`` is one of ``ESTIMATORS``, None the default.
+
+        Raises:
+            InputError: no such estimator, or not one for this cell; R0 does not fit ``shape``.
+        """
+        name = name or self.default_estimator
+        rest, full, learned = self._rest(rest_resistance_ohm), self.full_scale_kpa, self.estimators
+        match name:
+            case "static":
+                if learned is None:
+                    return EquilibriumEstimator(self.model, full, shape, rest)
+                return StaticCurveEstimator(learned.static, full, shape, rest, self._doubt(name))
+            case "paper":
+                if not isinstance(self.model, PaperModel):
+                    raise self._other_kind(name, "paper")
+                return PaperEstimator(self.model, full, shape, rest, self._doubt(name))
+            case "inverse":
+                if isinstance(self.model, PaperModel):
+                    return TurningEstimator(self.model, full, shape, rest, self._doubt(name))
+                if not isinstance(self.model, AsymmetricModel | M10Model):
+                    raise self._other_kind(name, "paper', 'asymmetric' or 'm10")
+                return InverseEstimator(self.model, full, shape, rest, self._doubt(name))
+            case "play" | "distilled":
+                found = None if learned is None else learned.play if name == "play" else learned.distilled
+                if found is None:
+                    raise InputError(
+                        f"the estimator '{name}' is learned from a recording, and this cell has none: run ohmskin fit"
+                    )
+                return LearnedEstimator(found, full, shape, rest, self._doubt(name))
+        raise InputError(f"no estimator '{name}'; expected one of {', '.join(ESTIMATORS)}")
+
+    def _other_kind(self, name: str, kind: str) -> InputError:
+        return InputError(f"the estimator '{name}' inverts a cell of kind '{kind}'; this one is '{self.model.kind}'")
+
+    def _doubt(self, name: EstimatorName) -> Doubt:
+        """With the held-out error as a constant, for estimators that have no better idea of theirs."""
+        learned = self.estimators
+        if learned is None:
+            return Doubt()
+        percent = learned.held_out_percent.get(name)
+        return Doubt(
+            std_kpa=None if percent is None else DRIFT * max(percent, SUREST_PERCENT) / 100 * self.full_scale_kpa,
+            noise=learned.seen.noise,
+            step_s=learned.seen.step_s,
+            speed_kpa_per_s=learned.seen.speed_kpa_per_s,
+            most_kpa=self.full_scale_kpa / 2,
+        )
+
+    def _rest(self, given: ArrayLike | None) -> FloatArray:
+        return np.asarray(self.rest_resistance_ohm if given is None else given, dtype=np.float64)
+
+
+def _toml(tables: Mapping[str, Any], prefix: str = "") -> str:
+    """Nested tables of numbers, strings and lists of numbers as TOML; plain keys come before tables."""
+    plain = "".join(f"{key} = {_value(value)}\n" for key, value in tables.items() if not isinstance(value, dict))
+    nested = (
+        f"\n[{prefix}{key}]\n{_toml(value, f'{prefix}{key}.')}"
+        for key, value in tables.items()
+        if isinstance(value, dict)
+    )
+    return plain + "".join(nested)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(_value, value))}]"
+    if isinstance(value, str | bool):
+        return json.dumps(value)
+    return repr(value)

@@ -1,0 +1,471 @@
+"""Identification: which kind of cell a recording shows, and its parameters with their standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+from scipy.optimize import least_squares
+
+from ..arrays import BoolArray, FloatArray
+from ..errors import InputError
+from . import _simulate as simulate
+from ._features import play_follow
+from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
+from ._recording import Recording
+
+Simulation = Callable[[np.random.Generator, FloatArray, float], FloatArray]
+"""Cells like the identified one, jittered, under loads (n, m) at a time step: resistance (n, m) in ohm"""
+POINTS = 2500
+"""samples that enter the least squares; a longer recording is thinned"""
+HELD_OUT = 2 / 3
+"""share of the recording that is fitted when kinds are compared; the rest judges"""
+SIMPLER = 1.05
+"""a simpler kind wins when its held-out error is within this factor of the best"""
+PRIOR = 0.02
+"""residual, over the range of r, that a parameter one width from its usual value counts as: what the recording does not
+tell stays usual"""
+PRIOR_LOG, PRIOR_PLAIN, PRIOR_REST = 1.5, 0.5, 0.1
+"""those widths: of the logarithm of a positive parameter, over its bound for one of either sign, and of R0, relative"""
+SEEN_AT_REST, NEVER_AT_REST = 0.15, 0.7
+"""share by which the true R0 may be below what was read before the first press, or below the least reading"""
+INSTANT_S = 0.05
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One identified number."""
+
+    name: str
+    value: float
+    std_error: float
+    identified: bool
+    """False where the recording does not say: a time constant beyond half of it, an error above half the value, or R0
+    of a cell that it never shows at rest"""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """One kind of model fitted to a recording."""
+
+    model: Model
+    rest_resistance_ohm: float
+    parameters: tuple[Parameter, ...]
+    error: float
+    """rms of the resistance it leaves, over the range of the resistance, on what was fitted"""
+    held_out_error: float
+    """the same on the last third, fitted on the first two"""
+    simulate: Simulation
+    """jittered cells like it"""
+    simulate_partial: Simulation
+    """the same as fitted on the first two thirds only"""
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """A recording on a uniform, thinned time grid, normalised."""
+
+    dt_s: float
+    load: FloatArray
+    r: FloatArray
+    fitted: int
+    """samples that count in the fit; the ones after it are predicted"""
+
+
+@dataclass(frozen=True)
+class _Kind:
+    """How a kind of model is fitted: free parameters, which of them are positive, bounds, starts."""
+
+    kind: str
+    names: tuple[str, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    starts: tuple[tuple[float, ...], ...]
+    run: Callable[[FloatArray, FloatArray, float], FloatArray]
+    """parameters (p, m), load (n,), dt -> r (n, m), without the offset of R0"""
+
+
+def rest_resistance(recording: Recording, full_scale_kpa: float) -> tuple[float, float]:
+    """R0, and by which share of it the truth may be lower.
+
+    The median before the first press, if that lasts a second; else the lowest resistance while hardly loaded, and
+    then the cell may never have been seen at rest.
+    """
+    pressure = np.abs(recording.quiet.pressure_kpa)
+    pressed = np.flatnonzero(pressure > 0.03 * full_scale_kpa)
+    first = int(pressed[0]) if pressed.size else len(pressure)
+    if first > 2 and recording.time_s[first] - recording.time_s[0] >= 1.0:
+        return float(np.median(recording.resistance_ohm[:first])), SEEN_AT_REST
+    light = pressure <= max(0.05 * full_scale_kpa, float(np.quantile(pressure, 0.02)))
+    return float(np.min(recording.resistance_ohm[light])), NEVER_AT_REST
+
+
+def recovery_branches(
+    time_s: FloatArray, r: FloatArray, released_kpa: float
+) -> tuple[float, float, float, float, float]:
+    """The paper's graphical way (P6, equation 9): E1, E2, E3, T2, T3 from a recovery curve.
+
+    Args:
+        time_s: (n,) from the last loaded sample on, the cell unloaded from the second sample.
+        r: (n,) normalised resistance, in equilibrium at the first sample.
+        released_kpa: the pressure that was released.
+
+    The slow branch is the straight line that log r becomes, the fast branch the line that log of the remainder
+    becomes, the elastic one what went at once. Raises InputError if the curve does not decay.
+    """
+    t = time_s[1:] - time_s[1]
+    left = r[1:]
+    slow_gain, slow = _line(t, left, t >= 0.5 * t[-1])
+    rest = left - slow_gain * np.exp(-t / slow)
+    fast_gain, fast = _line(t, rest, (rest > 0.1 * rest[0]) & (t <= 0.5 * t[-1]))
+    gains = np.array([r[0] - fast_gain - slow_gain, fast_gain, slow_gain])
+    if not (gains > 0).all() or not fast < slow:
+        raise InputError("the recovery curve is not an instant part and two decays, the slower one smaller")
+    e1, e2, e3 = (released_kpa / gains).tolist()
+    return e1, e2, e3, fast, slow
+
+
+def _line(t: FloatArray, y: FloatArray, where: BoolArray) -> tuple[float, float]:
+    usable = where & (y > 0)
+    if np.count_nonzero(usable) < 3:
+        raise InputError("the recovery curve has too few samples above zero to read a decay from")
+    slope, log_gain = np.polyfit(t[usable], np.log(y[usable]), 1, w=y[usable])
+    if not slope < 0:
+        raise InputError("the recovery curve does not decay")
+    return float(np.exp(log_gain)), float(-1 / slope)
+
+
+def longest_recovery(recording: Recording, full_scale_kpa: float) -> slice | None:
+    """The samples of the longest stay at no load after a press, from the last loaded sample on."""
+    idle = np.abs(recording.pressure_kpa) < 0.05 * full_scale_kpa
+    edges = np.flatnonzero(np.diff(idle.astype(int), prepend=0, append=0))
+    runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a > 0 and b - a > 20]
+    if not runs:
+        return None
+    start, stop = max(runs, key=lambda run: recording.time_s[run[1] - 1] - recording.time_s[run[0]])
+    return slice(int(start) - 1, int(stop))
+
+
+def fits(recording: Recording, full_scale_kpa: float) -> list[Fit]:
+    """Every kind that can describe the recording, the best first.
+
+    Best is the simplest whose held-out error is within 5 % of the least one.
+
+    Raises:
+        InputError: the resistance does not follow the pressure.
+    """
+    rest, lower = rest_resistance(recording, full_scale_kpa)
+    load = recording.pressure_kpa / full_scale_kpa
+    if np.corrcoef(load, np.log(recording.resistance_ohm))[0, 1] < -0.3:
+        found = [_fit_contact(recording, full_scale_kpa, rest)]
+    else:
+        start = _start(recording, full_scale_kpa, rest)
+        kinds = [_asymmetric_kind(start), _paper_kind(start), _m10_kind(start)]
+        found = [_fit(kind, recording, full_scale_kpa, rest, lower) for kind in kinds]
+    least = min(fit.held_out_error for fit in found)
+    blind = float(np.std(recording.resistance_ohm) / np.ptp(recording.resistance_ohm))
+    if not least < 0.9 * blind:
+        raise InputError(
+            f"{recording.name}: the resistance does not follow the pressure: the best model leaves "
+            f"{100 * least:.0f} % of its range, knowing nothing {100 * blind:.0f} %; are the columns right?"
+        )
+    best = next(fit for fit in found if fit.held_out_error <= SIMPLER * least)
+    return [best, *sorted((fit for fit in found if fit is not best), key=lambda fit: fit.held_out_error)]
+
+
+def _grid(recording: Recording, full_scale_kpa: float, rest: float, share: float) -> _Grid:
+    """``share`` of the recording counts as fitted."""
+    time = recording.time_s
+    dt = max(recording.step_s, (time[-1] - time[0]) / POINTS)
+    at = np.arange(time[0], time[-1], dt)
+    quiet = recording.quiet
+    load, r = quiet.pressure_kpa / full_scale_kpa, quiet.resistance_ohm / rest - 1
+    return _Grid(dt, np.interp(at, time, load), np.interp(at, time, r), max(2, int(len(at) * share)))
+
+
+def _fit(kind: _Kind, recording: Recording, full_scale_kpa: float, rest: float, lower: float) -> Fit:
+    part = _grid(recording, full_scale_kpa, rest, HELD_OUT)
+    partial, _ = _solve(kind, part, kind.starts, lower)
+    spread = np.ptp(part.r)
+    left = _predict(kind, partial, part) - part.r
+    held_out = float(np.sqrt(np.mean(left[part.fitted :] ** 2)) / spread)
+
+    whole = _grid(recording, full_scale_kpa, rest, 1.0)
+    found, covariance = _solve(kind, whole, (tuple(partial), *kind.starts[:1]), lower)
+    error = float(np.sqrt(np.mean((_predict(kind, found, whole) - whole.r) ** 2)) / spread)
+    offset = found[-1]
+    model = _model(kind.kind, found, full_scale_kpa)
+    duration = recording.time_s[-1] - recording.time_s[0]
+    *errors, rest_error = np.sqrt(np.diag(covariance)).tolist()
+    parameters = [
+        Parameter(name, float(value), std, std < 0.5 * abs(value) and not _too_slow(name, value, duration))
+        for name, value, std in zip(kind.names, found, errors, strict=False)
+    ]
+    corrected = rest * (1 + offset)
+    seen = lower == SEEN_AT_REST and rest_error < 0.05
+    parameters.append(Parameter("rest_resistance_ohm", float(corrected), rest * rest_error, seen))
+    return Fit(
+        model=model,
+        rest_resistance_ohm=corrected,
+        parameters=tuple(parameters),
+        error=error,
+        held_out_error=held_out,
+        simulate=_simulation(kind, found, rest),
+        simulate_partial=_simulation(kind, partial, rest),
+    )
+
+
+def _too_slow(name: str, value: float, duration_s: float) -> bool:
+    return name.endswith("_s") and value > duration_s / 2
+
+
+def _predict(kind: _Kind, parameters: FloatArray, grid: _Grid) -> FloatArray:
+    predicted: FloatArray = kind.run(parameters[:-1, None], grid.load, grid.dt_s)[:, 0] + parameters[-1]
+    return predicted
+
+
+def _solve(
+    kind: _Kind, grid: _Grid, starts: tuple[tuple[float, ...], ...], lower: float
+) -> tuple[FloatArray, FloatArray]:
+    """Least squares from every start; the best parameters (the offset last) and their covariance."""
+    low, high = np.array([*kind.low, -lower]), np.array([*kind.high, 0.15])
+    positive = low > 0
+    fitted = slice(0, grid.fitted)
+    step = 1e-5
+
+    def natural(q: FloatArray) -> FloatArray:
+        return np.where(positive.reshape(-1, *(1,) * (q.ndim - 1)), np.exp(np.where(np.abs(q) < 700, q, 0)), q)
+
+    def free(p: FloatArray) -> FloatArray:
+        return np.where(positive, np.log(np.where(positive, p, 1.0)), p)
+
+    def responses(q: FloatArray) -> FloatArray:
+        p = natural(q)
+        fit = kind.run(p[:-1], grid.load[fitted], grid.dt_s) + p[-1]
+        unusual = PRIOR * spread * (q - centre[:, None]) / width[:, None]
+        return np.concatenate([fit, _falling(kind, p) * np.sqrt(grid.fitted) * 0.3, unusual])
+
+    target = np.concatenate([grid.r[fitted], np.zeros(9 + len(low))])
+
+    def residual(q: FloatArray) -> FloatArray:
+        left: FloatArray = responses(q[:, None])[:, 0] - target
+        return left
+
+    def jacobian(q: FloatArray) -> FloatArray:
+        tried = responses(np.column_stack([q, q[:, None] + step * np.eye(len(q))]))
+        slopes: FloatArray = (tried[:, 1:] - tried[:, :1]) / step
+        return slopes
+
+    bounds = free(low), free(high)
+    spread = float(np.ptp(grid.r[fitted]))
+    centre = free(np.clip(np.array([*starts[-1], 0.0]), low, high))
+    width = np.where(positive, PRIOR_LOG, PRIOR_PLAIN * np.abs(high))
+    width[-1] = PRIOR_REST
+    best: Any = None
+    for start in starts:
+        first = np.array([*start, 0.0]) if len(start) == len(kind.names) else np.array(start)
+        first = np.clip(free(np.clip(first, low, high)), bounds[0] + 1e-6, bounds[1] - 1e-6)
+        found = least_squares(residual, first, jacobian, bounds=bounds, x_scale="jac", max_nfev=40)
+        if best is None or found.cost < best.cost:
+            best = found
+    j = best.jac
+    left = best.fun[: grid.fitted]
+    scale = np.mean(left**2) * _correlation_length(left)
+    covariance = np.linalg.pinv(j.T @ j) * scale
+    value = natural(best.x)
+    unit = np.where(positive, value, 1.0)
+    return value, covariance * np.outer(unit, unit)
+
+
+def _correlation_length(left: FloatArray) -> float:
+    """Samples per independent one: model error is not white, and standard errors that say so are wider."""
+    around = left - left.mean()
+    power = np.abs(np.fft.rfft(around, 2 * len(around))) ** 2
+    correlation = np.fft.irfft(power)[: len(around)] / max(float(around @ around), 1e-300)
+    until = int(np.argmax(correlation < 0.05)) or len(correlation)
+    return float(1 + 2 * np.sum(correlation[1:until]))
+
+
+def _falling(kind: _Kind, p: FloatArray) -> FloatArray:
+    """(9, m) how much the equilibrium curve falls short of rising: it is what the static answer rests on."""
+    if kind.kind != "m10":
+        return np.zeros((9, p.shape[1]))
+    names = dict(zip(kind.names, p, strict=False))
+    load = np.linspace(0, 1, 9)[:, None]
+    slope = names["a"] + 2 * names["b"] * load + names["alpha1"] + names["alpha2"]
+    shortfall: FloatArray = np.minimum(slope - 0.1, 0.0)
+    return shortfall
+
+
+def _start(recording: Recording, full_scale_kpa: float, rest: float) -> tuple[float, ...]:
+    """Gains of the three parts at full scale and two times: graphically if there is a recovery to read (P6)."""
+    gain = float(np.percentile(recording.resistance_ohm, 98) / rest - 1)
+    place = longest_recovery(recording, full_scale_kpa)
+    if place is not None:
+        r = recording.resistance_ohm[place] / rest - 1
+        before = slice(max(0, place.start - 20), place.start + 1)
+        released = float(np.max(recording.pressure_kpa[before]))
+        try:
+            e1, e2, e3, t2, t3 = recovery_branches(recording.time_s[place], r - min(0.0, float(r.min())), released)
+            return full_scale_kpa / e1, full_scale_kpa / e2, full_scale_kpa / e3, t2, t3
+        except InputError:
+            pass  # not the shape that can be read graphically; least squares starts from plain values instead
+    return 0.5 * gain, 0.4 * gain, 0.1 * gain, 5.0, 100.0
+
+
+def _m10_kind(start: tuple[float, ...]) -> _Kind:
+    g1, g2, g3, t2, t3 = start
+    fixed = simulate.M10_PARAMETERS.index("rise2_s")
+    names = tuple(name for name in simulate.M10_PARAMETERS if name != "rise2_s")
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        full = np.insert(parameters, fixed, INSTANT_S, axis=0)
+        return simulate.m10(full, _columns(load), dt)
+
+    size = max(g1 + g2 + g3, 1e-3)
+    return _Kind(
+        kind="m10",
+        names=names,
+        low=(-2 * size, -2 * size, 1e-4 * size, 0.02, 0.2, 1e-4 * size, 3.0, 1e-4 * size, 1.0),
+        high=(4 * size, 2 * size, 5 * size, 20.0, 100.0, 5 * size, 3000.0, 3 * size, 300.0),
+        starts=(
+            (0.35 * size, -0.6 * size, size, 0.4, 5.0, 0.2 * size, 100.0, 0.2 * size, 30.0),
+            (g1, -0.05 * size, g2, 0.1, t2, g3, t3, 0.1 * size, 5.0),
+        ),
+        run=run,
+    )
+
+
+def _asymmetric_kind(start: tuple[float, ...]) -> _Kind:
+    g1, g2, g3, t2, t3 = start
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        a, alpha1, fall1, alpha2, fall2 = parameters
+        zero, instant = np.zeros_like(a), np.full_like(a, INSTANT_S)
+        full = np.stack([a, zero, alpha1, instant, fall1, alpha2, instant, fall2, zero, instant])
+        return simulate.m10(full, _columns(load), dt)
+
+    return _Kind(
+        kind="asymmetric",
+        names=("gain1", "gain2", "fall2_s", "gain3", "fall3_s"),
+        low=(1e-4, 1e-4, 0.2, 1e-4, 3.0),
+        high=(20.0, 20.0, 100.0, 20.0, 3000.0),
+        starts=((g1, g2, t2, g3, t3), (0.5 * (g1 + g2 + g3), 0.4 * g1, 5.0, 0.1 * g1, 100.0)),
+        run=run,
+    )
+
+
+def _paper_kind(start: tuple[float, ...]) -> _Kind:
+    g1, g2, g3, t2, t3 = start
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        columns = _columns(load)
+        noise = 4 * simulate.white_noise(columns[:, 0])  # would hand over at every sample
+        return simulate.paper(parameters, play_follow(columns, noise), dt)
+
+    return _Kind(
+        kind="paper",
+        names=simulate.PAPER_PARAMETERS,
+        low=(1e-4, 1e-4, 0.2, 1e-4, 3.0, 1e-3, 0.1),
+        high=(20.0, 20.0, 100.0, 20.0, 3000.0, 3.0, 300.0),
+        starts=((g1, g2, t2, g3, t3, 0.2, 5.0),),
+        run=run,
+    )
+
+
+def _columns(load: FloatArray) -> FloatArray:
+    return load[:, None] if load.ndim == 1 else load
+
+
+def _model(kind: str, found: FloatArray, full_scale_kpa: float) -> Model:
+    """The section of CELL.toml; gains are divided by 1 + offset, since r is taken from the corrected R0."""
+    unit = 1 + found[-1]
+    try:
+        if kind == "m10":
+            values = dict(
+                zip((n for n in simulate.M10_PARAMETERS if n != "rise2_s"), map(float, found[:-1]), strict=True)
+            )
+            for name in ("a", "b", "alpha1", "alpha2", "k"):
+                values[name] /= unit
+            return M10Model.model_validate(values | {"rise2_s": INSTANT_S})
+        g1, g2, t2, g3, t3 = found[:5]
+        (g2, t2), (g3, t3) = sorted(((g2, t2), (g3, t3)), key=lambda branch: branch[1])
+        e1, e2, e3 = (float(full_scale_kpa * unit / gain) for gain in (g1, g2, g3))
+        burgers = {"e1_kpa": e1, "e2_kpa": e2, "e3_kpa": e3, "eta2_kpa_s": e2 * float(t2), "eta3_kpa_s": e3 * float(t3)}
+        if kind == "asymmetric":
+            return AsymmetricModel.model_validate(burgers | {"rise_s": INSTANT_S})
+        eu1 = 1 / (1 / e1 + 1 / e2 + 1 / e3)
+        etau2 = eu1 / float(found[5])
+        rising = {"eu1_kpa": eu1, "etau2_kpa": etau2, "eu2_kpa_per_s": etau2 / float(found[6])}
+        return PaperModel.model_validate(burgers | rising)
+    except ValidationError as error:
+        raise InputError(f"no {kind} cell fits the recording: {error.errors()[0]['msg']}") from error
+
+
+def _simulation(kind: _Kind, found: FloatArray, rest: float) -> Simulation:
+    """Cells like the identified one, gains known to 6 %, times to 12 %."""
+
+    def run(rng: np.random.Generator, load: FloatArray, dt: float) -> FloatArray:
+        cells = load.shape[1]
+        jittered = np.repeat(found[:-1, None], cells, axis=1)
+        for place, name in enumerate(kind.names):
+            noise = rng.standard_normal(cells)
+            jittered[place] *= np.exp(0.12 * noise) if name.endswith("_s") else 1 + 0.06 * noise
+        resistance: FloatArray = rest * (1 + found[-1] + kind.run(jittered, load, dt))
+        return resistance
+
+    return run
+
+
+def _fit_contact(recording: Recording, full_scale_kpa: float, rest: float) -> Fit:
+    """P2: log of the contact's conductance against log of the load, where the load is felt."""
+    load = recording.quiet.pressure_kpa / full_scale_kpa
+    highest = float(np.max(recording.resistance_ohm[load < 0.05]))
+    rest = max(rest, highest)
+    conductance = 1 / recording.resistance_ohm - 1 / rest
+    felt = (load > 0.05) & (conductance > 0)
+
+    def line(where: BoolArray) -> tuple[FloatArray, FloatArray]:
+        (n, log_g), covariance = np.polyfit(np.log(load[where]), np.log(conductance[where]), 1, cov=True)
+        return np.array([n, np.exp(-log_g)]), covariance
+
+    def left(parameters: FloatArray, where: slice) -> float:
+        n, full = parameters
+        predicted = -np.log(1 / rest + np.maximum(load, 0) ** n / full)
+        target = np.log(recording.resistance_ohm)
+        return float(np.sqrt(np.mean((predicted - target)[where] ** 2)) / np.ptp(target))
+
+    cut = int(len(load) * HELD_OUT)
+    part = felt.copy()
+    part[cut:] = False
+    if np.count_nonzero(part) < 10:
+        raise InputError(f"{recording.name}: too little of it is pressed to read a contact's power law from")
+    partial, _ = line(part)
+    found, covariance = line(felt)
+    try:
+        model = ContactModel(exponent=float(found[0]), full_scale_resistance_ohm=float(found[1]))
+    except ValidationError as error:
+        raise InputError(
+            f"{recording.name}: no contact cell fits: {error.errors()[0]['msg']} (exponent {found[0]:.3g})"
+        ) from error
+    std = np.sqrt(np.diag(covariance)) * np.array([1.0, found[1]])
+
+    def simulation(rng: np.random.Generator, loads: FloatArray, dt: float) -> FloatArray:
+        resistance: FloatArray = 1 / (1 / rest + np.maximum(loads, 0) ** found[0] / found[1])
+        return resistance
+
+    return Fit(
+        model=model,
+        rest_resistance_ohm=rest,
+        parameters=tuple(
+            Parameter(name, float(value), float(error), bool(error < 0.5 * abs(value)))
+            for name, value, error in zip(("exponent", "full_scale_resistance_ohm"), found, std, strict=True)
+        ),
+        error=left(found, slice(None)),
+        held_out_error=left(partial, slice(cut, None)),
+        simulate=simulation,
+        simulate_partial=simulation,
+    )

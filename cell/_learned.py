@@ -1,0 +1,213 @@
+"""Estimators learned at calibration: what they are (tables of CELL.toml), and how they run."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from scipy.special import ndtri
+
+from ..arrays import FloatArray, SingleArray
+from ..config import Section
+from ._estimators import CERTAIN, Doubt, Estimator, Memory
+from ._features import Bank
+from ._models import Finite, NonNegative, Positive
+
+Numbers = Annotated[tuple[Finite, ...], Field(strict=False)]
+"""a list in TOML"""
+Positives = Annotated[tuple[Positive, ...], Field(strict=False)]
+
+CLIP = 3.5
+"""standard deviations to which a feature is limited: beyond, nothing was learned"""
+DRIFT = 1.5
+"""by which a standard deviation exceeds the error held out at calibration: creep goes on for hours after it"""
+STILL = 0.01
+"""a cell is estimated afresh when a feature has moved by this many standard deviations since the last time"""
+BLOCK = 512
+"""cells mapped at once, so that the cosines stay in the processor's cache"""
+
+
+class Limits(Section):
+    """What a learned estimator may answer, as normalised load."""
+
+    lowest: Finite
+    highest: Finite
+
+
+class Seen(Section):
+    """What the calibration recording was like: with what readings and loads standard deviations hold."""
+
+    noise: NonNegative = 0.0
+    """of a reading from sample to sample, relative to it"""
+    step_s: NonNegative = 0.0
+    """usual time between samples"""
+    speed_kpa_per_s: NonNegative = 0.0
+    """rms change of the load in a second"""
+
+
+class StaticCurve(Section):
+    """A cubic from the reading to the load: of r, or of log(R0/R) where contact dominates."""
+
+    coefficients: Numbers
+    """of the powers 0, 1, ... of the reading"""
+    logarithmic: bool = False
+    limits: Limits
+    std_kpa: Positive
+
+    def load(self, r: FloatArray) -> FloatArray:
+        """The normalised load for a normalised resistance, not limited."""
+        x = -np.log(np.maximum(1 + r, 1e-6)) if self.logarithmic else r
+        load: FloatArray = np.asarray(np.polynomial.polynomial.polyval(x, np.array(self.coefficients)))
+        return load
+
+
+class Learned(Section):
+    """A linear map of features, their cosines along fixed random directions, and the first one's powers.
+
+    The directions follow from ``seed``, so that all cells of a skin share them and the file stays short.
+    """
+
+    smoothing_s: Positive
+    lags_s: Positives
+    plays: Positives
+    mean: Numbers
+    scale: Positives
+    seed: Annotated[int, Field(ge=0)] = 0
+    directions: Annotated[int, Field(ge=0, le=20000)] = 0
+    weights: Numbers
+    """1, features, square and cube of the first feature, cosines -> normalised load"""
+    error_weights: Numbers
+    """the same -> expected absolute error of it"""
+    std_factor: Positive
+    """from expected absolute error to a standard deviation that held-out data bore out"""
+    std_floor: NonNegative
+    limits: Limits
+
+    @property
+    def bank(self) -> Bank:
+        """The memories that make the features."""
+        return Bank(smoothing_s=self.smoothing_s, lags_s=self.lags_s, plays=self.plays)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        count = 2 + len(self.lags_s) + len(self.plays)
+        terms = 3 + count + self.directions
+        for name, length in (("mean", count), ("scale", count), ("weights", terms), ("error_weights", terms)):
+            if len(getattr(self, name)) != length:
+                raise ValueError(f"{name} must have {length} entries, got {len(getattr(self, name))}")
+        return self
+
+
+class Terms:
+    """Features (count, m) to the terms of the linear map (m, 3 + count + directions)."""
+
+    def __init__(
+        self, mean: FloatArray, scale: FloatArray, seed: int, directions: int, dtype: type[np.floating] = np.float64
+    ) -> None:
+        self.mean, self.scale = mean, scale
+        raw = np.random.PCG64(seed).random_raw((len(mean) + 1) * directions)  # a stream that numpy keeps for ever
+        uniform = ((raw >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
+        uniform = uniform.reshape(len(mean) + 1, directions)
+        self._directions = (ndtri(uniform[1:]) / np.sqrt(len(mean))).astype(dtype)
+        self._phases = (2 * np.pi * uniform[0]).astype(dtype)
+        self._amplitude = dtype(np.sqrt(2.0 / max(directions, 1)))
+        self._dtype = dtype
+
+    def standardised(self, features: FloatArray) -> FloatArray:
+        """Features (count, ...) in standard deviations, limited."""
+        around = (-1, *(1,) * (features.ndim - 1))
+        z: FloatArray = np.clip((features - self.mean.reshape(around)) / self.scale.reshape(around), -CLIP, CLIP)
+        return z
+
+    def __call__(self, standardised: FloatArray) -> NDArray[np.floating]:
+        """All terms (m, terms) of standardised features (count, m)."""
+        z = standardised.T.astype(self._dtype)
+        first = z[:, :1]
+        cosines = self._amplitude * np.cos(z @ self._directions + self._phases)
+        return np.concatenate([np.ones_like(first), z, first**2, first**3, cosines], axis=1)
+
+
+class StaticCurveEstimator(Estimator):
+    """The calibrated cubic, without memory."""
+
+    def __init__(
+        self,
+        curve: StaticCurve,
+        full_scale_kpa: float,
+        shape: tuple[int, ...],
+        rest_resistance_ohm: FloatArray,
+        doubt: Doubt = CERTAIN,
+    ) -> None:
+        self.curve, self.full_scale_kpa = curve, full_scale_kpa
+        super().__init__(shape, rest_resistance_ohm, doubt)
+
+    def _begin(self, r: FloatArray) -> Memory:
+        limits = self.curve.limits
+        load = np.clip(self.curve.load(r), limits.lowest, limits.highest)
+        return {
+            "r": r,
+            "pressure_kpa": load * self.full_scale_kpa,
+            "std_kpa": np.full(r.shape, self.curve.std_kpa),
+        }
+
+    def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
+        return self._begin(r)
+
+
+class LearnedEstimator(Estimator):
+    """Runs a :class:`Learned` map; a cell that has not moved keeps its last answer."""
+
+    def __init__(
+        self,
+        learned: Learned,
+        full_scale_kpa: float,
+        shape: tuple[int, ...],
+        rest_resistance_ohm: FloatArray,
+        doubt: Doubt = CERTAIN,
+    ) -> None:
+        self.learned, self.full_scale_kpa = learned, full_scale_kpa
+        self._bank = learned.bank
+        self._terms = Terms(
+            np.array(learned.mean), np.array(learned.scale), learned.seed, learned.directions, np.float32
+        )
+        super().__init__(shape, rest_resistance_ohm, doubt)
+
+    @cached_property
+    def _weights(self) -> SingleArray:
+        return np.array([self.learned.weights, self.learned.error_weights], dtype=np.float32).T
+
+    def _begin(self, r: FloatArray) -> Memory:
+        memory = self._bank.begin(r)
+        seen = self._terms.standardised(self._bank.features(memory))
+        load, std = self._map(seen)
+        return memory | {
+            "r": r,
+            "seen": seen,
+            "pressure_kpa": load * self.full_scale_kpa,
+            "std_kpa": std * self.full_scale_kpa,
+        }
+
+    def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
+        bank = self._bank.advance(memory, dt_s, r)
+        now = self._terms.standardised(self._bank.features(bank))
+        seen, pressure, std = (memory[name].copy() for name in ("seen", "pressure_kpa", "std_kpa"))
+        moved = np.flatnonzero(np.abs(now - seen).max(axis=0) > STILL)
+        if moved.size:
+            seen[:, moved] = now[:, moved]
+            load, deviation = self._map(now[:, moved])
+            pressure[moved] = load * self.full_scale_kpa
+            std[moved] = deviation * self.full_scale_kpa
+        return bank | {"r": r, "seen": seen, "pressure_kpa": pressure, "std_kpa": std}
+
+    def _map(self, standardised: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Normalised load and its standard deviation (m) for standardised features (count, m)."""
+        learned = self.learned
+        found = np.empty((standardised.shape[1], 2))
+        for start in range(0, len(found), BLOCK):
+            block = slice(start, start + BLOCK)
+            found[block] = self._terms(standardised[:, block]) @ self._weights
+        load = np.clip(found[:, 0], learned.limits.lowest, learned.limits.highest)
+        return load, np.maximum(found[:, 1] * learned.std_factor, learned.std_floor)

@@ -1,0 +1,105 @@
+"""A calibration recording: pressure and resistance over time, and what makes it unusable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..errors import InputError
+from ..tables import read_columns
+from ._simulate import smoothed, smoothing_s
+
+COLUMNS = ("time_s", "pressure_kpa", "resistance_ohm")
+SHORTEST_S, FEWEST = 20.0, 100
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Columns of equal length (n,), time increasing, every value finite, resistance positive."""
+
+    time_s: FloatArray
+    pressure_kpa: FloatArray
+    resistance_ohm: FloatArray
+    name: str = "recording"
+
+    @classmethod
+    def load(cls, path: str | Path) -> Recording:
+        """Read ``time_s,pressure_kpa,resistance_ohm``; rows without a reading (NaN, open) are passed over.
+
+        Raises:
+            InputError: the file cannot be read, or what :func:`checked` refuses.
+        """
+        columns = read_columns(path, COLUMNS)
+        return checked(*(columns[name] for name in COLUMNS), name=str(path))
+
+    @property
+    def step_s(self) -> float:
+        """The usual time between samples."""
+        return float(np.median(np.diff(self.time_s)))
+
+    @property
+    def quiet(self) -> Recording:
+        """Itself if its pressure is free of noise; else both signals smoothed alike, which a model hardly sees."""
+        seconds = smoothing_s(self.pressure_kpa, self.step_s)
+        return replace(
+            self,
+            pressure_kpa=smoothed(self.pressure_kpa, self.step_s, seconds),
+            resistance_ohm=smoothed(self.resistance_ohm, self.step_s, seconds),
+        )
+
+
+def check_time(time_s: FloatArray, name: str) -> None:
+    """InputError, naming the sample, unless times (n,) are finite and increase."""
+    follows = np.isfinite(time_s) & (np.diff(time_s, prepend=-np.inf) > 0)
+    if not follows.all():
+        at = int(np.argmin(follows))
+        after = f" after {time_s[at - 1]:.17g} s" if at else ""
+        raise InputError(
+            f"{name}: time_s must increase and be finite, but sample {at + 1} is at {time_s[at]:.17g} s{after}"
+        )
+
+
+def checked(
+    time_s: FloatArray, pressure_kpa: FloatArray, resistance_ohm: FloatArray, *, name: str = "recording"
+) -> Recording:
+    """A recording that a cell can be identified from.
+
+    Raises:
+        InputError: time does not increase, resistance is not positive, the columns look exchanged, too few samples,
+            too short, or a pressure that does not change or is never released.
+    """
+    check_time(time_s, name)
+    if not np.isfinite(pressure_kpa).all():
+        at = int(np.flatnonzero(~np.isfinite(pressure_kpa))[0])
+        raise InputError(f"{name}: pressure_kpa of sample {at + 1} is {pressure_kpa[at]}; expected a number")
+    wrong = np.flatnonzero(resistance_ohm <= 0)
+    if wrong.size:
+        at = int(wrong[0])
+        raise InputError(
+            f"{name}: resistance_ohm of sample {at + 1} is {resistance_ohm[at]:g}, expected more than 0; "
+            "are the columns exchanged?"
+        )
+    read = np.isfinite(resistance_ohm)
+    found = Recording(time_s[read], pressure_kpa[read], resistance_ohm[read], name)
+    length = found.time_s[-1] - found.time_s[0] if read.any() else 0.0
+    if len(found.time_s) < FEWEST or length < SHORTEST_S:
+        raise InputError(
+            f"{name}: {len(found.time_s)} readings over {length:.3g} s are too short to identify a cell; "
+            f"expected at least {FEWEST} readings and {SHORTEST_S:g} s (see ohmskin fit --protocol)"
+        )
+    pressure = found.quiet.pressure_kpa
+    low, high = float(pressure.min()), float(pressure.max())
+    if not high > 0 or high - low < 1e-6 * high:
+        raise InputError(f"{name}: pressure_kpa stays at {high:g}; expected presses and releases")
+    if low > 0.3 * high:
+        raise InputError(
+            f"{name}: pressure_kpa goes from {low:g} to {high:g} and is never released; expected a recording that "
+            "includes the unloaded cell, or are the columns exchanged?"
+        )
+    resistance = found.resistance_ohm
+    if np.ptp(resistance) < 1e-9 * resistance.max():
+        raise InputError(f"{name}: resistance_ohm stays at {resistance[0]:g}; expected it to follow the pressure")
+    return found

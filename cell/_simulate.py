@@ -1,0 +1,195 @@
+"""Whole recordings of many cells at once: what identification and training spend their time on.
+
+The same equations as :mod:`._forward`, on a uniform time grid and with the change-over of an asymmetric lag placed
+at the end of a step instead of inside it, which is an order of magnitude faster; a test holds the two together.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
+
+from ..arrays import BoolArray, FloatArray
+from . import _lag as lag
+
+M10_PARAMETERS = ("a", "b", "alpha1", "rise1_s", "fall1_s", "alpha2", "rise2_s", "fall2_s", "k", "tau_s")
+
+
+def m10(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
+    """Normalised resistance (n, m) of m cells of kind m10, settled at their first load.
+
+    Args:
+        parameters: (10, m), in the order of ``M10_PARAMETERS``.
+        load: (n, m) or (n, 1), pressure / full scale.
+        dt_s: the time between samples.
+    """
+    a, b, alpha1, rise1, fall1, alpha2, rise2, fall2, k, tau = parameters
+    samples, cells = len(load), parameters.shape[1]
+    alpha = np.stack([alpha1, alpha2])
+    up, up_ramp = lag.weights(dt_s, np.stack([rise1, rise2]))
+    down, down_ramp = lag.weights(dt_s, np.stack([fall1, fall2]))
+    stay_up, stay_down = 1 - up, 1 - down
+    target = alpha * load[:, None, :]  # (n, 2, m)
+    into_up = target[:-1] * (up - up_ramp) + target[1:] * up_ramp
+    into_down = target[:-1] * (down - down_ramp) + target[1:] * down_ramp
+    branches = np.empty((samples, 2, cells))
+    x = branches[0] = np.broadcast_to(target[0], (2, cells))
+    for n in range(1, samples):
+        x = np.where(target[n] > x, x * stay_up + into_up[n - 1], x * stay_down + into_down[n - 1])
+        branches[n] = x
+    gone, ramp = lag.weights(dt_s, tau)
+    moved = np.abs(np.diff(load, axis=0, prepend=load[:1])) * (k * (1 - ramp))
+    broken = np.empty((samples, cells))
+    for cell in range(cells):
+        broken[:, cell] = lfilter([1.0], [1.0, gone[cell] - 1], moved[:, cell])
+    r: FloatArray = a * load + b * load**2 + branches.sum(axis=1) + broken
+    return r
+
+
+PAPER_PARAMETERS = ("gain1", "gain2", "fall2_s", "gain3", "fall3_s", "overshoot", "settle_s")
+
+
+def paper(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
+    """Normalised resistance (n, m) of m cells of kind paper, settled at their first load.
+
+    The same hand-overs as :class:`~.forward.PaperForward`, which only depend on the loads and are thus known before.
+
+    Args:
+        parameters: (7, m), in the order of ``PAPER_PARAMETERS``; gains are of r at full scale.
+        load: (n, m) or (n, 1), pressure / full scale.
+        dt_s: the time between samples.
+    """
+    gain1, gain2, fall2, gain3, fall3, overshoot, settle = parameters
+    samples, cells = len(load), parameters.shape[1]
+    load = np.broadcast_to(load, (samples, cells))
+    total = gain1 + gain2 + gain3
+    jump = overshoot * total  # 1/etau2, loads in full scales
+
+    gone_u, ramp_u = lag.weights(dt_s, settle)
+    gone2, ramp2 = lag.weights(dt_s, fall2)
+    gone3, ramp3 = lag.weights(dt_s, fall3)
+    into_u = load[:-1] * (gone_u - ramp_u) + load[1:] * ramp_u
+    into2 = gain2 * (load[:-1] * (gone2 - ramp2) + load[1:] * ramp2)
+    into3 = gain3 * (load[:-1] * (gone3 - ramp3) + load[1:] * ramp3)
+    stay_u, stay2 = 1 - gone_u, 1 - gone2
+    x3 = np.empty((samples, cells))
+    for cell in range(cells):
+        stay3 = 1 - gone3[cell]
+        x3[0, cell] = first = gain3[cell] * load[0, cell]
+        x3[1:, cell] = lfilter([1.0], [1.0, -stay3], into3[:, cell], zi=[stay3 * first])[0]
+
+    # Which way each load last went, upwards at first.
+    sign = np.sign(np.diff(load, axis=0, prepend=load[:1] - 1))
+    moved = np.maximum.accumulate(np.where(sign != 0, np.arange(samples)[:, None], 0), axis=0)
+    rising: BoolArray = np.take_along_axis(sign, moved, axis=0) > 0
+    starts, ends = rising[1:] & ~rising[:-1], ~rising[1:] & rising[:-1]
+    some_start, some_end = np.asarray(starts.any(axis=1)), np.asarray(ends.any(axis=1))
+
+    r = np.empty((samples, cells))
+    r[0] = total * load[0]
+    settled, x2 = load[0], gain2 * load[0]
+    for n in range(1, samples):
+        before, last = load[n - 1], r[n - 1]
+        if some_start[n - 1]:
+            settled = np.where(starts[n - 1], before + (total * before - last) / jump, settled)
+        if some_end[n - 1]:
+            x2 = np.where(ends[n - 1], last - gain1 * before - x3[n - 1], x2)
+        settled = settled * stay_u + into_u[n - 1]
+        x2 = x2 * stay2 + into2[n - 1]
+        s = load[n]
+        r[n] = np.where(rising[n], total * s + jump * (s - settled), gain1 * s + x2 + x3[n])
+    return r
+
+
+def random_loads(rng: np.random.Generator, samples: int, cells: int, dt_s: float) -> FloatArray:
+    """Normalised loads (n, m): random ramps to nothing, full scale or anywhere, some cells with holds, some without.
+
+    Ramps take 1 to 40 s per full scale, holds 1 to 160 s. Every cell rests first.
+    """
+    loads = np.empty((samples, cells))
+    end = samples * dt_s
+    for cell in range(cells):
+        times, levels = [0.0, rng.uniform(1, 20)], [0.0, 0.0]
+        holds = rng.choice([0.0, 0.3, 1.0])
+        while times[-1] < end:
+            kind = rng.random()
+            level = 0.0 if kind < 0.25 else 1.0 if kind < 0.45 else rng.uniform(-0.05, 1.2)
+            seconds_per_full_scale = np.exp(rng.uniform(np.log(1), np.log(40)))
+            times.append(times[-1] + max(0.2, abs(level - levels[-1]) * seconds_per_full_scale))
+            levels.append(level)
+            if holds:
+                times.append(times[-1] + holds * np.exp(rng.uniform(np.log(1), np.log(160))))
+                levels.append(level)
+        loads[:, cell] = np.interp(np.arange(samples) * dt_s, times, levels)
+    return loads
+
+
+def varied_loads(
+    rng: np.random.Generator, samples: int, cells: int, dt_s: float, recorded: FloatArray, recorded_dt_s: float
+) -> FloatArray:
+    """Normalised loads (n, m) with the texture of a recorded one: pieces of it, slower or faster by up to two,
+    scaled, shifted, reversed in time or upside down, joined by ramps.
+    """
+    loads = np.empty((samples, cells))
+    shortest = min(len(recorded), max(2, round(20 / recorded_dt_s)))
+    for cell in range(cells):
+        pieces: list[FloatArray] = [np.zeros(round(rng.uniform(1, 20) / dt_s))]
+        while sum(map(len, pieces)) < samples:
+            length = rng.integers(shortest, len(recorded) + 1)
+            start = rng.integers(0, len(recorded) - length + 1)
+            piece = recorded[start : start + length]
+            piece = piece[::-1] if rng.random() < 0.3 else piece
+            piece = 1 - piece if rng.random() < 0.2 else piece
+            step = dt_s / recorded_dt_s * np.exp(rng.uniform(-np.log(2), np.log(2)))
+            scale = rng.uniform(0.5, 1.1)
+            piece = np.interp(np.arange(0, length - 1, step), np.arange(length), piece) * scale
+            piece = piece + rng.uniform(-0.05, 1.05 - 0.9 * scale)
+            pieces += [np.linspace(pieces[-1][-1], piece[0], round(rng.uniform(1, 10) / dt_s)), piece]
+        loads[:, cell] = np.concatenate(pieces)[:samples]
+    return loads
+
+
+def wandering(
+    rng: np.random.Generator, samples: int, cells: int, dt_s: float, seconds: float, std: float
+) -> FloatArray:
+    """Stationary noise (n, m) that forgets itself in ``seconds``: what a model leaves unexplained."""
+    keep = np.exp(-dt_s / seconds)
+    white = std * rng.standard_normal((samples, cells))
+    white[1:] *= np.sqrt(1 - keep**2)
+    noise: FloatArray = lfilter([1.0], [1.0, -keep], white, axis=0)
+    return noise
+
+
+def lagging(load: FloatArray, dt_s: float, seconds: FloatArray, first: FloatArray) -> FloatArray:
+    """Loads (n, m) behind lags of ``seconds`` (m,) that begin at ``first`` (m,): slow creep, and what came before."""
+    found = np.empty_like(load)
+    for cell, keep in enumerate(np.exp(-dt_s / seconds)):
+        found[:, cell] = lfilter([1 - keep], [1.0, -keep], load[:, cell], zi=[keep * first[cell]])[0]
+    return found
+
+
+def white_noise(signal: FloatArray) -> float:
+    """Standard deviation of what changes from sample to sample: robust second differences of (n,)."""
+    return float(np.median(np.abs(np.diff(signal, 2))) / 0.6745 / np.sqrt(6)) if len(signal) > 2 else 0.0
+
+
+def step_noise(signal: FloatArray) -> float:
+    """Standard deviation of rounding to the steps that (n,) changes by, for readings coarser than their noise."""
+    steps = np.abs(np.diff(signal))
+    return float(np.min(steps, where=steps > 0, initial=np.inf) / np.sqrt(12)) if steps.any() else 0.0
+
+
+def smoothing_s(load: FloatArray, dt_s: float) -> float:
+    """Over how long a force gauge's signal must be smoothed: its noise would add up in the integral of |ds|.
+
+    Not at all if that is less than 5 % of the load's range in ten seconds.
+    """
+    return 0.5 if white_noise(load) * 10 / dt_s > 0.05 * np.ptp(load) else 0.0
+
+
+def smoothed(signal: FloatArray, dt_s: float, seconds: float) -> FloatArray:
+    """A signal (n,) behind a Gaussian window of that standard deviation."""
+    width = seconds / dt_s
+    result: FloatArray = gaussian_filter1d(signal, width) if width > 0.3 else signal
+    return result

@@ -1,0 +1,225 @@
+"""Calibration of the learned estimators: ridge regressions on the recording and on variations of the identified cell.
+
+The identified model, not trusted to be exact, is run through loads the recording does not have (random ones, and
+variations of its own), with its parameters jittered and its unexplained error added as slow noise; the recording
+itself weighs as much as all of that. An estimator thus knows what the material does under loads that nobody applied,
+but is not asked to believe the model to the last digit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import FloatArray
+from . import _simulate as simulate
+from ._features import Bank
+from ._identify import Simulation
+from ._learned import DRIFT, Learned, Limits, StaticCurve, Terms
+
+LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
+"""of the distilled estimator; longer ones are memories of how the recording began"""
+SMOOTHING_S = 0.1
+DIRECTIONS = 600
+CELLS, SECONDS = 96, 400.0
+R0_ERROR = 0.03
+"""standard deviation of R0, relative: an estimator must live with a rest value that is a little off"""
+CREEP = 0.08
+"""of the range of r: what creep too slow for the recording, and loads before it, may add"""
+CREEP_LENGTH = (0.08, 1.33)
+"""its time constants, in lengths of the recording"""
+WIDEST, FLOOR, SUREST = 2.0, 0.5, 0.02
+"""limits of the standard deviation of learned estimators, see :func:`calibrated`"""
+UNEXPLAINED = ((3.0, 0.5), (60.0, 0.7))
+"""over how many seconds the model's error wanders, and how much of it does"""
+ROWS = 20000
+"""of synthetic samples that enter the regression"""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A recording in normalised units, and the cell it was found to be."""
+
+    time_s: FloatArray
+    r: FloatArray
+    load: FloatArray
+    rest_resistance_ohm: float
+    simulation: Simulation
+    unexplained: float
+    """rms of r that the identified model leaves"""
+
+    @property
+    def seconds(self) -> float:
+        """Length of the recording."""
+        return float(self.time_s[-1] - self.time_s[0])
+
+    @property
+    def spread(self) -> float:
+        """Range of r, without its outliers."""
+        low, high = np.percentile(self.r, [0.5, 99.5])
+        return float(high - low)
+
+    @property
+    def limits(self) -> Limits:
+        """Loads worth answering: from the least seen to a fifth beyond full scale, which calibration may miss."""
+        low, high = np.percentile(self.load, [0.1, 99.9])
+        return Limits(lowest=min(float(low), 0.0), highest=max(float(high), 1.0) * 1.2)
+
+    def until(self, time_s: float) -> Calibration:
+        """The part of the recording before ``time_s``."""
+        part = self.time_s < time_s
+        return replace(self, time_s=self.time_s[part], r=self.r[part], load=self.load[part])
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Features (rows, count) and loads (rows,), of the recording and of the simulated variations of it."""
+
+    real: FloatArray
+    real_load: FloatArray
+    simulated: FloatArray
+    simulated_load: FloatArray
+
+
+def static_curve(calibration: Calibration, full_scale_kpa: float, *, logarithmic: bool = False) -> StaticCurve:
+    """The cubic that fits the recording best."""
+    r, load = calibration.r, calibration.load
+    x = -np.log(np.maximum(1 + r, 1e-6)) if logarithmic else r
+    coefficients = np.polynomial.Polynomial.fit(x, load, 3).convert().coef
+    curve = StaticCurve(
+        coefficients=tuple(map(float, coefficients)), logarithmic=logarithmic, limits=calibration.limits, std_kpa=1.0
+    )
+    error = np.clip(curve.load(r), curve.limits.lowest, curve.limits.highest) - load
+    std = max(float(np.sqrt(np.mean(error**2))), 1e-6) * full_scale_kpa
+    return curve.replace(std_kpa=std)
+
+
+def variations(calibration: Calibration, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, float]:
+    """Loads and readings (n, m) of simulated cells, and their time step."""
+    step = float(np.median(np.diff(calibration.time_s)))
+    dt = float(np.clip(step, 0.1, 0.2))
+    samples, half = round(SECONDS / dt), CELLS // 2
+    recorded = simulate.smoothed(calibration.load, step, simulate.smoothing_s(calibration.load, step))
+    load = np.concatenate(
+        [
+            simulate.random_loads(rng, samples, CELLS - half, dt),
+            simulate.varied_loads(rng, samples, half, dt, recorded, step),
+        ],
+        axis=1,
+    )
+    r = calibration.simulation(rng, load, dt) / calibration.rest_resistance_ohm - 1
+    unexplained = max(calibration.unexplained, 0.005 * calibration.spread)
+    for seconds, share in UNEXPLAINED:
+        r = r + simulate.wandering(rng, samples, CELLS, dt, seconds, share * unexplained)
+    r = r + simulate.white_noise(calibration.r) * rng.standard_normal(r.shape)
+    creep = CREEP * calibration.spread * np.abs(rng.standard_normal(CELLS))
+    shortest, longest = calibration.seconds * np.array(CREEP_LENGTH)
+    seconds_of = np.exp(rng.uniform(np.log(shortest), np.log(longest), CELLS))
+    r = r + creep * simulate.lagging(load, dt, seconds_of, rng.uniform(0, 0.6, CELLS))
+    return load, (1 + r) * (1 + R0_ERROR * rng.standard_normal(CELLS)) - 1, dt
+
+
+def rows(calibration: Calibration, bank: Bank, simulated: tuple[FloatArray, FloatArray, float]) -> Rows:
+    """Features of the recording and of its variations, thinned.
+
+    The recording enters as it is, as if R0 were lower or higher, and as if creep went on in it for longer.
+    """
+    load, r, dt = simulated
+    steps = np.diff(calibration.time_s, prepend=calibration.time_s[0])
+    found = bank.run(np.full(len(r), dt), r)
+    thin = max(1, round(load.size / ROWS))
+    shifts = 1 + R0_ERROR * np.array([-1.5, 0.0, 0.0, 1.5])
+    slow = calibration.seconds * np.array([0.133, 0.667])
+    lagged = np.repeat(calibration.load[:, None], len(slow), axis=1)
+    lagged = simulate.lagging(lagged, float(np.median(steps)), slow, np.array([0.2, 0.5]))
+    r_of = calibration.r[:, None]
+    real = bank.run(
+        steps, np.concatenate([(1 + r_of) * shifts - 1, r_of + CREEP * calibration.spread * lagged], axis=1)
+    )
+    return Rows(
+        real=real.transpose(0, 2, 1).reshape(-1, bank.count),
+        real_load=np.repeat(calibration.load, real.shape[2]),
+        simulated=found[::thin].transpose(0, 2, 1).reshape(-1, bank.count),
+        simulated_load=load[::thin].ravel(),
+    )
+
+
+def learn(
+    calibration: Calibration,
+    simulated: tuple[FloatArray, FloatArray, float],
+    *,
+    lags_s: tuple[float, ...],
+    plays: tuple[float, ...],
+    directions: int,
+    ridge: float,
+    seed: int,
+) -> Learned:
+    """Ridge regression of the load on the terms of :class:`~.learned.Learned`, then of its absolute error.
+
+    ``plays`` are half widths over the range of r. The standard deviation is only a proportion here; see
+    :func:`calibrated`.
+    """
+    widths = tuple(float(width) * calibration.spread for width in plays)
+    bank = Bank(smoothing_s=SMOOTHING_S, lags_s=lags_s, plays=widths)
+    data = rows(calibration, bank, simulated)
+    mean = data.simulated.mean(axis=0)
+    scale = np.maximum(data.simulated.std(axis=0), 1e-6 * max(calibration.spread, 1e-9))
+    terms = Terms(mean, scale, seed, directions)
+    real = np.asarray(terms(terms.standardised(data.real.T)), dtype=np.float64)
+    made = np.asarray(terms(terms.standardised(data.simulated.T)), dtype=np.float64)
+    penalty = ridge * np.eye(real.shape[1])
+    penalty[0, 0] = 0.0
+    normal = made.T @ made / len(made) + real.T @ real / len(real) + penalty
+
+    def solve(of_made: FloatArray, of_real: FloatArray) -> FloatArray:
+        moments = made.T @ of_made / len(made) + real.T @ of_real / len(real)
+        return np.asarray(np.linalg.solve(normal, moments), dtype=np.float64)
+
+    weights = solve(data.simulated_load, data.real_load)
+    errors = solve(np.abs(made @ weights - data.simulated_load), np.abs(real @ weights - data.real_load))
+    return Learned(
+        smoothing_s=SMOOTHING_S,
+        lags_s=lags_s,
+        plays=widths,
+        mean=tuple(map(float, mean)),
+        scale=tuple(map(float, scale)),
+        seed=seed,
+        directions=directions,
+        weights=tuple(map(float, weights)),
+        error_weights=tuple(map(float, errors)),
+        std_factor=1.25,
+        std_floor=0.005,
+        limits=calibration.limits,
+    )
+
+
+def play(calibration: Calibration, simulated: tuple[FloatArray, FloatArray, float]) -> Learned:
+    """A Prandtl-Ishlinskii inverse: ten plays and a cubic, linear in everything."""
+    plays = tuple(np.linspace(0.03, 0.6, 10))
+    return learn(calibration, simulated, lags_s=(), plays=plays, directions=0, ridge=1e-4, seed=0)
+
+
+def distilled(calibration: Calibration, simulated: tuple[FloatArray, FloatArray, float], *, seed: int = 1) -> Learned:
+    """Lags, plays and cosines of them: the inverse of the identified model, distilled into a map."""
+    plays = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
+    return learn(calibration, simulated, lags_s=LAGS_S, plays=plays, directions=DIRECTIONS, ridge=5e-5, seed=seed)
+
+
+def calibrated(learned: Learned, error: FloatArray, std: FloatArray, *, most: float) -> Learned:
+    """``learned`` with the standard deviation such that 95 % of held-out ``error`` lie within 2 / ``DRIFT`` of it.
+
+    It never falls below ``FLOOR`` of that for the rms error, or for an error of ``SUREST``: calibration sees too little
+    to be surer anywhere. Nor is it widened by more than ``WIDEST``, or held up by errors above half of the static
+    curve's: two thirds of a short recording may have been too little to learn anything from, where the whole is enough.
+
+    Args:
+        learned: what gave ``error`` and ``std``.
+        error: held-out errors, normalised load.
+        std: the standard deviations it gave with them, normalised load.
+        most: rms error of the static curve, normalised load.
+    """
+    widen = DRIFT * float(np.clip(np.quantile(np.abs(error) / std, 0.95) / 2, 0.5, WIDEST))
+    rms = min(float(np.sqrt(np.mean(error**2))), most / 2)
+    floor = max(learned.std_floor * widen, DRIFT * max(FLOOR * rms, SUREST))
+    return learned.replace(std_factor=learned.std_factor * widen, std_floor=floor)

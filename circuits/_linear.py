@@ -1,0 +1,148 @@
+"""Amplifier frames that need no more of the grid than the conductance from each row to each column.
+
+With grounded idle rows and amplifiers that all hold their inputs at one potential, a scan step is linear in the N x M
+*transfer conductances* of the grid with what the columns end in attached to it. That is most scans; the fast methods
+(:mod:`._attenuation`, :func:`._ports.transfer_conductances`) compute nothing else. The others go through
+:mod:`._readout`: dividers, floating rows, unequal offsets, and frames in which an output saturates.
+"""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from functools import cached_property
+from math import inf
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray
+from ._design import Design
+from ._grid import is_plain
+from ._parts import Parts, lines
+from ._readout import amplifier_ends
+from .solvers._attenuation import Attenuated, Wires
+from .solvers._elimination import ULP
+from .solvers._ports import Lines
+
+
+@dataclass(frozen=True)
+class LinearReadout:
+    """Outputs as a linear function of the transfer conductances (..., N, M)."""
+
+    output: FloatArray
+    """V (M,) without current"""
+    slope: FloatArray
+    """V/A (M,)"""
+    drive: float
+    """V of the selected row"""
+    source: float
+    """V behind the columns' ends, against the reference"""
+    supply: tuple[float, float]
+    lines: Lines
+    """of the grid, the columns' ends attached"""
+    wires: Wires | None
+    """the same for line attenuation; None where a line is broken"""
+
+    @classmethod
+    def of(cls, design: Design) -> LinearReadout | None:
+        """None where the design's frames are not of this kind."""
+        if _recent.design is not design:  # frame after frame comes from one design, and is as quick as this is to make
+            _recent.design, _recent.readout = design, cls._of(design)
+        return _recent.readout
+
+    @classmethod
+    def _of(cls, design: Design) -> LinearReadout | None:
+        ordinary = design.readout.circuit == "inverting-amplifier" and design.drive.idle_rows == "ground"
+        if not (ordinary and is_plain(design)):
+            return None
+        ends = amplifier_ends(design)
+        source = ends.source
+        resistance = ends.resistance + Parts.of(design).column_lead
+        if (source != source[0]).any() or np.isinf(resistance).any():
+            return None
+        grid = lines(design)
+        with np.errstate(divide="ignore"):
+            ended = Lines(grid.row, grid.column, 1.0 / resistance)
+        return cls(
+            output=ends.output,
+            slope=ends.slope,
+            drive=design.drive.voltage,
+            source=float(source[0]),
+            supply=design.readout.supply,
+            lines=ended,
+            wires=Wires.of(ended),
+        )
+
+    def volts(self, transfer: FloatArray) -> FloatArray:
+        """(..., N, M) V, had the amplifiers no limits."""
+        volts = self.slope * self.drive * transfer
+        if self.source:
+            volts -= self.source / self.drive * volts.sum(axis=-2, keepdims=True)
+        volts += self.output
+        return volts
+
+    def error(self, transfer_error: FloatArray, transfer: FloatArray) -> FloatArray:
+        """How much the outputs (..., N, M) can be wrong, in V, for such errors of the transfer conductances.
+
+        Rounding counts for what an output is the sum of, since its parts may cancel.
+        """
+        few = few_ulp(transfer.shape)
+        error = self._gain[1] * (transfer_error + few * transfer)
+        if self.source:
+            error += abs(self.source / self.drive) * error.sum(axis=-2, keepdims=True)
+        error += few * np.abs(self.output)
+        return error
+
+    def read(self, known: Attenuated) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """:meth:`volts`; what none of a frame's (...,) is off by more than; and what its largest is no less than; V.
+
+        The second is little more than the largest :meth:`error`, but without one for every output. The third follows
+        from the transfer conductances being too low, if anything, where no output has another part.
+        """
+        gain, size, shift = self._gain
+        volts = gain * known.transfer
+        lifted = np.maximum.reduce(size * known.column, axis=-1)
+        few = few_ulp(volts.shape)
+        relative = known.rounded + few
+        signal = np.abs(volts)
+        largest = np.maximum.reduce(signal, axis=(-2, -1))
+        sure = largest * (1.0 - np.maximum.reduce(relative, axis=(-2, -1)))
+        signal *= relative
+        worst = lifted * np.maximum.reduce(known.row, axis=-1) + np.maximum.reduce(signal, axis=(-2, -1))
+        worst += few * shift
+        if self.source:
+            share = self.source / self.drive
+            volts -= share * volts.sum(axis=-2, keepdims=True)
+            worst += abs(share) * (lifted * known.row.sum(axis=-1) + signal.sum(axis=-2).max(axis=-1))
+        volts += self.output
+        if self.source or shift:
+            sure = np.maximum.reduce(np.abs(volts), axis=(-2, -1)) - worst
+        return volts, worst, sure
+
+    @cached_property
+    def _gain(self) -> tuple[FloatArray, FloatArray, float]:
+        """V/S (M,) of what the selected row brings, its size, and the largest output in V without any current."""
+        gain = self.slope * self.drive
+        return gain, np.abs(gain), float(np.abs(self.output).max())
+
+    def within_supply(self, volts: FloatArray, error: FloatArray | float = 0.0) -> BoolArray:
+        """(...,) whether no output of a frame can have reached a limit."""
+        low, high = self.supply
+        if low == -inf and high == inf:
+            return np.ones(volts.shape[:-2], dtype=np.bool_)
+        return np.asarray(((volts - error >= low) & (volts + error <= high)).all(axis=(-2, -1)))
+
+
+def few_ulp(shape: tuple[int, ...]) -> float:
+    """Relative: the conversion of resistances (..., N, M), and the last steps from conductances to volts."""
+    return (20.0 + sum(shape[-2:])) * ULP
+
+
+class _Recent(threading.local):
+    """What was made of the design that this thread used last."""
+
+    design: Design | None = None
+    readout: LinearReadout | None = None
+
+
+_recent = _Recent()

@@ -1,0 +1,304 @@
+"""P11 to P13: what each readout says of cells that nobody touched."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .. import plots
+from ..arrays import BoolArray, FloatArray
+from ..circuits import Array, Design, ideal_volts, scan
+from ..circuits.spice import _ngspice as spice
+from ..emulator import spread
+from ..errors import MissingExtra
+from ._maps import heat_maps
+from ._outcome import Check, Figure, Finding, Table
+from ._subject import Subject
+from ._variants import (
+    amplifiers,
+    change,
+    converted,
+    grounded_divider,
+    ideal,
+    open_divider,
+    replaced,
+    worst_crosstalk,
+    worst_reading_error,
+)
+
+OPEN_DIVIDER = "divider, idle lines open"
+SMALL_SIGNAL = 1e-3  # V: below it, ngspice is compared with this instead of with the reading, which may be 0
+
+
+def grid_resistance(subject: Subject) -> Finding:
+    """P11: with a plain divider the equivalent resistance of the whole grid is read."""
+    array = subject.design.array
+    shapes = [(2, 2), (4, 4), (8, 8), array.shape]
+    worst, rows = 0.0, []
+    for n, m in dict.fromkeys(shapes):
+        design = open_divider(subject.design)
+        design = design.replace(array=Array(rows=n, columns=m))
+        design = replaced(design, "readout", reference_resistance=subject.rest)
+        cells = np.full((n, m), subject.rest)
+        read = scan(design, cells, method="exact").resistance
+        exact = subject.rest * (n + m - 1) / (n * m)
+        worst = max(worst, float(np.abs(read / exact - 1).max()))
+        share = 100 * exact / subject.rest
+        rows.append([f"{n} × {m}", f"{subject.rest:.0f}", f"{read[0, 0]:.3f}", f"{exact:.3f}", f"{share:.1f} %"])
+    return Finding(
+        checks=[Check("uniform grid reads R (N+M-1)/(N M): worst relative deviation", worst, 1e-12)],
+        text=[
+            "All cells have the same resistance R and all idle lines are left open. The divider then measures every "
+            "path from the driven row to the sensed column at once: R (N+M-1)/(N M) instead of R, so a larger skin "
+            "reads lower, and any cell changes every reading."
+        ],
+        tables=[Table(["array", "true R / ohm", "divider reads / ohm", "R (N+M-1)/(N M)", "of the true value"], rows)],
+    )
+
+
+def equation_10(subject: Subject) -> Finding:
+    """P12: Vout = -Vin Rref / Rij, and how far real parts depart from it."""
+    circuit = amplifiers(subject.design)
+    rng = np.random.default_rng(12)
+    worst = 0.0
+    for _ in range(20):
+        cells = subject.rest * 10 ** rng.uniform(-1, 3, subject.design.array.shape)
+        signal = scan(circuit, cells, method="exact").volts - circuit.readout.reference_voltage
+        alone = ideal_volts(circuit, cells) - circuit.readout.reference_voltage
+        worst = max(worst, float(np.abs(signal / alone - 1).max()))
+    amplified = subject.design.readout.circuit == "inverting-amplifier"
+    return Finding(
+        checks=[
+            Check("ideal parts give -Vin Rref/Rij whatever the neighbours: worst relative deviation", worst, 1e-12)
+        ],
+        text=["Twenty random arrays over four decades of resistance, read with ideal parts, against equation (10)."],
+        figures=[_sweep(subject)] if amplified else [],
+    )
+
+
+def _sweep(subject: Subject) -> Figure:
+    """One cell over its range, the others at rest, through the design."""
+    design, index = subject.design, (0, subject.design.array.columns - 1)
+    factors = np.geomspace(0.5, 20, 60)
+    exact, real, code = [], [], []
+    for factor in factors:
+        cells = np.full(design.array.shape, subject.rest)
+        cells[index] *= factor
+        volts = scan(design, cells, method="exact").volts
+        exact.append(ideal_volts(design, cells)[index])
+        real.append(volts[index])
+        code.append(converted(design, volts)[index])
+    with plots.drawing(1, 2) as (figure, (panels,)):
+        ohms = factors * subject.rest / 1e3
+        panels[0].semilogx(ohms, exact, color=plots.INK, lw=3, alpha=0.25, label="equation (10)")
+        panels[0].semilogx(ohms, real, label="as designed")
+        panels[0].set(title="Output of one column", xlabel="cell resistance / kΩ", ylabel="output / V")
+        panels[0].legend()
+        panels[1].axhline(0, color=plots.INK, lw=0.8)
+        for values, label in ((real, "at the amplifier"), (code, "after the ADC")):
+            departure = (np.array(values) - exact) / (np.array(exact) - design.readout.reference_voltage)
+            panels[1].semilogx(ohms, 100 * departure, label=label)
+        panels[1].set(title="Departure from equation (10)", xlabel="cell resistance / kΩ", ylabel="% of the signal")
+        panels[1].legend()
+        caption = f"Cell {index} swept, all others at {subject.rest:.0f} ohm. Left: output. Right: what is left."
+        return Figure(plots.svg(figure), caption)
+
+
+def crosstalk(subject: Subject) -> Finding:
+    """P13: grounded idle rows and an amplifier on each column leave no crosstalk but that of real parts."""
+    design, limits = subject.design, subject.design.requirements
+    patterns = _patterns(design.array.shape)
+    readouts = {
+        OPEN_DIVIDER: open_divider(design),
+        "divider, idle rows grounded": grounded_divider(design),
+        "amplifier, ideal parts": amplifiers(design),
+        "as designed": design,
+    }
+    at_rest = np.full(design.array.shape, subject.rest)
+    worst: dict[str, float] = {}
+    rows, figures = [], []
+    for title, pressed in patterns.items():
+        cells = np.where(pressed, subject.pressed, subject.rest)
+        seen = {name: change(readout, at_rest, cells) for name, readout in readouts.items()}
+        true = np.where(pressed, 100 * (subject.pressed / subject.rest - 1), 0.0)
+        figures.append(
+            Figure(
+                heat_maps({"truth": true} | seen, label="change of resistance / %", limit=true.max(), marked=pressed),
+                f"{title.capitalize()}: change of each cell's apparent resistance against rest. Outlined cells are "
+                "pressed; every other cell should read 0.",
+            )
+        )
+        for name, changed in seen.items():
+            untouched = np.abs(np.where(pressed, 0.0, changed))
+            place = np.unravel_index(np.argmax(untouched), untouched.shape)
+            worst[name] = max(worst.get(name, 0.0), worst_crosstalk(readouts[name], at_rest, cells))
+            rows.append(
+                [
+                    title,
+                    name,
+                    f"{untouched[place]:.3g} %" if untouched[place] > 1e-9 else "none",
+                    f"({place[0]}, {place[1]})" if untouched[place] > 1e-9 else "",
+                    f"{100 * np.min(changed[pressed] / true[pressed]):.1f} %",
+                ]
+            )
+    frames = [at_rest] + [np.where(pressed, subject.pressed, subject.rest) for pressed in patterns.values()]
+    scans = [scan(design, cells, method="exact") for cells in frames]
+    error = max(worst_reading_error(design, cells) for cells in frames)
+    checks = [
+        Check("crosstalk as designed, worst untouched cell", worst["as designed"], limits.crosstalk_percent, "%"),
+        Check("crosstalk with ideal parts, worst untouched cell", worst["amplifier, ideal parts"], 1e-10, "%"),
+        Check(
+            "reading error as designed, worst cell, uncalibrated",
+            error,
+            limits.reading_error_percent,
+            "%",
+        ),
+        Check("outputs at a supply limit", float(sum(int(result.saturated.sum()) for result in scans)), 0.0),
+        _against_ngspice(design, frames, [result.volts for result in scans]),
+    ]
+    if min(design.array.shape) > 1:
+        checks.append(Check("the plain divider does show crosstalk", worst[OPEN_DIVIDER], 1.0, "%", at_least=True))
+    return Finding(
+        checks=checks,
+        text=[
+            f"Cells rest at {subject.rest:.0f} ohm and are pressed with {subject.full_scale_kpa:g} kPa, which raises "
+            f"them to {subject.pressed:.0f} ohm at equilibrium. Crosstalk is the change of an untouched cell's "
+            "apparent resistance, in % of its own reading. 'As designed' includes leads, segments, the amplifier's "
+            "gain, offset, bias current and swing, and the ADC; the checks take the worse sign of offset and bias "
+            "current, and the worst place within an ADC step."
+        ],
+        figures=figures,
+        tables=[
+            Table(
+                ["pressed", "readout", "worst crosstalk", "at cell", "pressed cells show, of their true change"],
+                rows,
+                "Crosstalk of each readout.",
+            ),
+            _budget(subject, patterns),
+        ],
+    )
+
+
+def slicing(subject: Subject) -> Finding:
+    """P10: a sliced sheet isolates the cells; a continuous one still works, but they couple."""
+    array = subject.design.array
+    sliced = amplifiers(subject.design)
+    uncut = replaced(sliced, "array", sheet="continuous")
+    pressed = next(iter(_patterns(array.shape).values()))
+    sheet = subject.design.sheet
+    felt = 100 * spread(pressed.astype(np.float64), sheet.thickness / 2 / sheet.pitch)
+    forward = subject.cell.forward(array.shape)
+    load = felt / 100 * subject.full_scale_kpa
+    forward.step(1.0, load)
+    cells = forward.step(1e6, load)
+    at_rest = np.full(array.shape, subject.rest)
+    truth = 100 * (subject.pressed / subject.rest - 1)
+    maps = {
+        "sliced": change(sliced, at_rest, np.where(pressed, subject.pressed, subject.rest)),
+        "uncut, electrically": change(uncut, at_rest, np.where(pressed, subject.pressed, subject.rest)),
+        "uncut, mechanically": 100 * (cells / at_rest - 1),
+        "uncut, both": change(uncut, at_rest, cells),
+    }
+    untouched = {name: float(np.abs(np.where(pressed, 0.0, changed)).max()) for name, changed in maps.items()}
+    checks = [
+        Check("sliced: crosstalk, worst untouched cell", untouched["sliced"], 1e-10, "%"),
+        Check(
+            "uncut: pressed cell shows, of its true change",
+            100 * float(maps["uncut, both"][pressed].min() / truth),
+            80.0,
+            "%",
+            at_least=True,
+        ),
+    ]
+    if array.rows * array.columns > 1:
+        checks.append(
+            Check("uncut: crosstalk, worst untouched cell", untouched["uncut, both"], 0.01, "%", at_least=True)
+        )
+    return Finding(
+        checks=checks,
+        text=[
+            "Ideal amplifiers and wires, so that only the sheet can couple the cells. Electrically: the uncut sheet is "
+            f"a three-dimensional network of {sheet.divisions} x {sheet.divisions} x {sheet.layers} boxes per cell "
+            f"({1e3 * sheet.pitch:.3g} mm pitch, {1e3 * sheet.thickness:.3g} mm thick, strips of "
+            f"{1e3 * sheet.electrode_width:.3g} mm). Mechanically: cells feel the stress of an elastic half-space at "
+            "half the sheet's thickness. The geometry of the strips is the project's own. With virtual grounds on all "
+            "idle lines little current goes sideways; what couples the cells of an uncut sheet is mostly the load."
+        ],
+        figures=[
+            Figure(
+                heat_maps(
+                    maps, label="change of resistance / %", limit=truth, marked=pressed, values="{:.2f}", size=2.0
+                ),
+                "One cell pressed (outlined): change of each cell's apparent resistance.",
+            )
+        ],
+        tables=[
+            Table(
+                ["sheet", "worst untouched cell", "pressed cell, of its true change"],
+                [
+                    [name, f"{untouched[name]:.3g} %", f"{100 * float(changed[pressed].min()) / truth:.1f} %"]
+                    for name, changed in maps.items()
+                ],
+            )
+        ],
+    )
+
+
+def _against_ngspice(design: Design, frames: list[FloatArray], volts: list[FloatArray]) -> Check:
+    name = "against ngspice, worst relative difference of a reading"
+    try:
+        judged = [spice.spice_scan(design, cells) for cells in frames]
+    except MissingExtra as error:
+        return Check(name, None, 1e-6, reason=str(error))
+    zero = design.readout.reference_voltage
+    differences = [
+        np.abs((ours - its) / np.maximum(np.abs(its - zero), SMALL_SIGNAL)).max()
+        for ours, its in zip(volts, judged, strict=True)
+    ]
+    return Check(name, float(max(differences)), 1e-6)
+
+
+def _patterns(shape: tuple[int, int]) -> dict[str, BoolArray]:
+    """Which cells are pressed: one, three corners of a rectangle (the fourth is the ghost), all but one."""
+    rows, columns = shape
+    middle = (rows // 2 - (rows > 1), columns // 2)
+    one = np.zeros(shape, dtype=np.bool_)
+    one[middle] = True
+    patterns = {"one cell": one}
+    if rows > 1 and columns > 1:
+        corners = np.zeros(shape, dtype=np.bool_)
+        corners[0, 0] = corners[0, columns // 2] = corners[rows // 2, 0] = True
+        patterns["three corners of a rectangle"] = corners
+    if rows * columns > 1:
+        patterns["all but one"] = ~one
+    return patterns
+
+
+def _budget(subject: Subject, patterns: dict[str, BoolArray]) -> Table:
+    """Each real part alone: what it costs, over all patterns."""
+    design = subject.design
+    perfect = ideal(design, design.readout.circuit, design.drive.idle_rows)
+    at_rest = np.full(design.array.shape, subject.rest)
+    array, readout = design.array, design.readout
+    lines = ("row_segment", "column_segment")
+    alone: dict[str, Design] = {
+        "row leads and switches": replaced(perfect, "array", row_lead=array.row_lead),
+        "column leads": replaced(perfect, "array", column_lead=array.column_lead),
+        "fabric segments": replaced(perfect, "array", **{key: getattr(array, key) for key in lines}),
+        "open-loop gain": replaced(perfect, "readout", open_loop_gain=readout.open_loop_gain),
+        "offset voltage": replaced(perfect, "readout", offset_voltage=readout.offset_voltage),
+        "bias current": replaced(perfect, "readout", bias_current=readout.bias_current),
+        "output swing": replaced(perfect, "readout", supply=readout.supply),
+        "ADC": perfect.replace(adc=design.adc),
+        "all together": design,
+    }
+    rows = []
+    for name, variant in alone.items():
+        frames = [np.where(pressed, subject.pressed, subject.rest) for pressed in patterns.values()]
+        error = max(worst_reading_error(variant, cells) for cells in frames)
+        crosstalk = max(worst_crosstalk(variant, at_rest, cells) for cells in frames)
+        rows.append([name, *(f"{value:.3g} %" if value > 1e-9 else "none" for value in (error, crosstalk))])
+    return Table(
+        ["real part, alone", "worst reading error", "worst crosstalk"],
+        rows,
+        "Error budget of the design, over all patterns, for the worse sign of offset and bias current.",
+    )

@@ -1,0 +1,163 @@
+"""P14: a whole skin, from contacts over a serial port to pressures."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from .. import plots
+from ..arrays import BoolArray, FloatArray
+from ..circuits import adc_codes
+from ..driver import Frame, Skin
+from ..emulator import Contact, PtyPort, Rectangle, Scene, running
+from ..emulator._scene import BoardSettings
+from ..emulator._scene import Skin as SkinSettings
+from ..errors import InputError
+from ._maps import heat_maps
+from ._outcome import Check, Figure, Finding, not_run
+from ._subject import Subject
+from ._timing import timing
+
+RATE_HZ = 50.0
+SECONDS = 40.0
+TOUCHED = 0.1  # of full scale: above it a cell counts as touched
+
+
+def whole_skin(subject: Subject) -> Finding:
+    """P14: several contacts at once, their places and pressures, in real time."""
+    match subject.target:
+        case "emulated":
+            return _emulated(subject)
+        case "firmware":
+            return not_run("board firmware", "there is no firmware in this version")
+        case port:
+            return _hardware(port)
+
+
+def _emulated(subject: Subject) -> Finding:
+    scene = _scene(subject)
+    with tempfile.TemporaryDirectory() as folder:
+        truth_file = Path(folder) / "truth.npz"
+        port = PtyPort()
+        # The board lives a little longer than what the host takes, so that it never waits for a last frame.
+        with running(scene, port, clock="fast", duration_s=SECONDS + 1.0, truth=truth_file):
+            start = time.perf_counter()
+            with Skin.open(port.name) as skin:
+                frames = list(islice(skin, round(SECONDS * RATE_HZ)))
+            elapsed = time.perf_counter() - start
+        with np.load(truth_file) as file:
+            truth = {name: file[name] for name in file.files}
+    frames = [frame for frame in frames if frame.sequence < len(truth["sequence"])]
+    applied = truth["pressure_kpa"][[frame.sequence for frame in frames]]
+    estimate = np.array([frame.pressure for frame in frames])
+    sent = adc_codes(subject.design, truth["volts"])
+    full = subject.full_scale_kpa
+    error = (estimate - applied) / full
+    unlike = sum(int((frame.counts != sent[frame.sequence]).sum()) for frame in frames)
+    settled = _settled(applied, full)
+    misplaced = (np.isnan(estimate) | ((estimate > TOUCHED * full) != (applied > TOUCHED * full)))[settled]
+    per_cell = 100 * np.sqrt(np.mean(error**2, axis=0))
+    worst = np.unravel_index(np.argmax(per_cell), per_cell.shape)
+    limit = subject.design.requirements.pressure_rmse_percent
+    speed = timing(subject, RATE_HZ)
+    return Finding(
+        checks=[
+            Check(
+                "pressure RMSE, all cells and frames", 100 * float(np.sqrt(np.mean(error**2))), limit, "% of full scale"
+            ),
+            Check("pressure RMSE, worst cell", float(per_cell[worst]), 2 * limit, "% of full scale"),
+            Check("cells wrongly shown as touched or untouched", 100 * float(misplaced.mean()), 1.0, "%"),
+            Check("counts that differ from what the board sent", float(unlike), 0.0),
+            Check("frames lost", float(sum(frame.lost_before for frame in frames)), 0.0),
+            Check("frames received", float(len(frames)), SECONDS * RATE_HZ, at_least=True),
+            Check("speed over real time, emulator included", SECONDS / elapsed, 1.0, "times", at_least=True),
+            *speed.checks,
+        ],
+        text=[
+            f"The virtual board scans a skin with {len(scene.contact)} contacts {RATE_HZ:g} times a second and sends "
+            "packets over a pseudo-terminal; the driver opens it like any serial port, learns the design from the "
+            "board, and estimates the pressure of every cell. A cell counts as touched above "
+            f"{100 * TOUCHED:g} % of full scale; frames within 0.3 s of a change are left out of that comparison.",
+            *speed.text,
+        ],
+        figures=[_traces(scene, frames, applied, full), _snapshot(frames, applied, full), *speed.figures],
+        tables=speed.tables,
+    )
+
+
+def _hardware(port: str) -> Finding:
+    """What can be said of a real board without knowing what presses on it."""
+    with Skin.open(port) as skin:
+        start = time.perf_counter()
+        frames = list(islice(skin, 200))
+        elapsed = time.perf_counter() - start
+    lost = sum(frame.lost_before for frame in frames[1:])
+    valid = np.mean([frame.valid.mean() for frame in frames])
+    steps = np.diff([frame.device_time for frame in frames])
+    return Finding(
+        checks=[
+            Check("frames lost, of 200", float(lost), 0.0),
+            Check("valid cells", 100 * float(valid), 95.0, "%", at_least=True),
+            Check("device time goes forward: shortest step", float(steps.min()), 1e-6, "s", at_least=True),
+            Check("applied pressures", None, 0.0, reason="not known for a real board"),
+        ],
+        text=[f"200 frames from {port} in {elapsed:.1f} s."],
+    )
+
+
+def _scene(subject: Subject) -> Scene:
+    """Three contacts that overlap in time, on whatever array the design has."""
+    if subject.design.adc is None:
+        raise InputError("the design has no [adc] section; a board sends counts")
+    rows, columns = subject.design.array.shape
+    full = subject.full_scale_kpa
+
+    def load(start: float, end: float, level: float) -> list[tuple[float, float]]:
+        return [(start, 0.0), (start + 0.1, level * full), (end, level * full), (end + 0.1, 0.0)]
+
+    contacts = [
+        Contact(cells=[(0, 0)], load_kpa=load(2.0, 14.0, 1.0)),
+        Contact(cells=[(rows - 1, columns // 2)], load_kpa=[*load(5.0, 9.0, 0.6), *load(12.0, 20.0, 0.9)]),
+        Contact(
+            rectangle=Rectangle(center=(rows / 2, columns - 1.0), size_cells=(2.0, 1.0)),
+            load_kpa=[(8.0, 0.0), (16.0, 0.8 * full), (24.0, 0.8 * full), (24.1, 0.0)],
+        ),
+    ]
+    board = BoardSettings(frame_rate=RATE_HZ, noise=subject.design.adc.step / 2)
+    return Scene(skin=SkinSettings(design=subject.design, cell=subject.cell), board=board, contact=contacts)
+
+
+def _settled(applied: FloatArray, full: float) -> BoolArray:
+    """(frames,) where no cell's load has crossed the touch level within 0.3 s."""
+    touched = (applied > TOUCHED * full).reshape(len(applied), -1)
+    changes = np.r_[False, (touched[1:] != touched[:-1]).any(axis=1)]
+    near = np.convolve(changes, np.ones(2 * round(0.3 * RATE_HZ) + 1), mode="same")
+    settled: BoolArray = near < 0.5
+    return settled
+
+
+def _traces(scene: Scene, frames: list[Frame], applied: FloatArray, full: float) -> Figure:
+    places = sorted({tuple(np.argwhere(c.coverage(applied.shape[1:]) > 0)[0].tolist()) for c in scene.contact})
+    times = [frame.device_time for frame in frames]
+    with plots.drawing(len(places), 1, height=1.0 + 1.3 * len(places), sharex=True) as (figure, axes):
+        for panel, (row, column) in zip(axes[:, 0], places, strict=True):
+            panel.plot(times, applied[:, row, column], color=plots.INK, lw=4, alpha=0.25, label="applied")
+            panel.plot(times, [frame.pressure[row, column] for frame in frames], lw=1, label="driver's estimate")
+            panel.set(title=f"cell ({row}, {column})", ylabel="kPa", ylim=(-0.1 * full, 1.2 * full))
+        axes[0, 0].legend(ncols=2, loc="upper right")
+        axes[-1, 0].set_xlabel("device time / s")
+        return Figure(plots.svg(figure), "One cell of each contact, through board, port, driver and estimator.")
+
+
+def _snapshot(frames: list[Frame], applied: FloatArray, full: float) -> Figure:
+    busiest = int(np.argmax((applied > TOUCHED * full).sum(axis=(1, 2)) + applied.sum(axis=(1, 2)) / (1e3 * full)))
+    estimate = frames[busiest].pressure
+    maps = {"applied": applied[busiest], "estimated": estimate, "difference": estimate - applied[busiest]}
+    return Figure(
+        heat_maps(maps, label="kPa", limit=full, size=2.3),
+        f"All cells at {frames[busiest].device_time:.2f} s, when more of them are touched than at any other time.",
+    )

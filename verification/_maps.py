@@ -1,0 +1,51 @@
+"""Arrays of cells as pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .. import plots
+from ..arrays import BoolArray, FloatArray
+
+
+def heat_maps(
+    maps: Mapping[str, FloatArray],
+    *,
+    label: str,
+    limit: float,
+    marked: BoolArray | None = None,
+    values: str = "{:.1f}",
+    size: float = 1.75,
+) -> str:
+    """Arrays (rows, columns) side by side on one diverging scale from -limit to +limit; ``marked`` cells outlined.
+
+    Cells are drawn as they are, without interpolation, and small arrays carry their numbers.
+    """
+    rows, columns = next(iter(maps.values())).shape
+    width, height = size * len(maps) + 0.7, size * min(max(rows / columns, 0.4), 2) + 0.6
+    with plots.drawing(1, len(maps), width=width, height=height) as (figure, axes):
+        for panel, (title, array) in zip(axes[0], maps.items(), strict=True):
+            image = panel.imshow(array, cmap="RdBu_r", vmin=-limit, vmax=limit, interpolation="nearest")
+            panel.set_title(title.replace(", ", ",\n"), fontsize=8.5)
+            panel.grid(visible=False)
+            panel.set_xticks(range(columns) if columns <= 8 else [0, columns - 1])
+            panel.set_yticks(range(rows) if rows <= 8 else [0, rows - 1])
+            panel.tick_params(length=0)
+            if rows * columns <= 36:
+                for (i, j), value in np.ndenumerate(array):
+                    colour = "w" if abs(value) > 0.55 * limit else plots.INK
+                    panel.text(j, i, values.format(value), ha="center", va="center", fontsize=7, color=colour)
+            if marked is not None:
+                for i, j in np.argwhere(marked):
+                    panel.add_patch(_outline(j, i))
+        figure.colorbar(image, ax=axes[0].tolist(), shrink=0.85, label=label)
+        return plots.svg(figure)
+
+
+def _outline(column: int, row: int) -> Any:
+    from matplotlib.patches import Rectangle
+
+    return Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=plots.INK, linewidth=1.8)

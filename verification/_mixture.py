@@ -1,0 +1,151 @@
+"""P1: which carbon-black fraction gives the finest pressure reading through the readout under verification."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from .. import plots
+from ..arrays import FloatArray
+from ..cell._percolation import Percolation
+from ..circuits import Design, adc_codes, clipped, scan
+from ..circuits.timing._noise import noise
+from ..errors import InputError
+from ._outcome import Check, Figure, Finding, Table
+from ._pressure import STEP_KPA, errors, pressed, respond, side_by_side
+from ._subject import Subject
+from ._variants import replaced
+
+KNOWN = 0.015  # the fraction that the paper chose, and that the shipped example cell stands for
+FRACTIONS = np.array([0.0112, 0.0125, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05])
+LOADS = np.linspace(0.0, 1.0, 6)
+
+
+def fraction(subject: Subject) -> Finding:
+    """Sensitivity and resolution against the carbon-black fraction."""
+    if subject.design.readout.circuit != "inverting-amplifier" or subject.design.adc is None:
+        raise InputError("this study needs a design with inverting amplifiers and an [adc]")
+    law = Percolation(KNOWN, subject.rest, subject.pressed / subject.rest - 1)
+    fine = np.geomspace(FRACTIONS[0], FRACTIONS[-1], 30)
+    fixed, chosen = (np.array([_resolution(subject, law, f, choose=choose) for f in fine]) for choose in (False, True))
+    eight, free = (
+        np.array([_resolution(subject, law, f, choose=choose) for f in FRACTIONS]) for choose in (False, True)
+    )
+    if np.isnan(eight).all():
+        raise InputError("every mixture drives an output of this design into its supply at some load")
+    best = float(FRACTIONS[np.nanargmin(eight)])
+    sensitivity = law.sensitivities(FRACTIONS)
+    pressures = errors(_estimated(subject, law), subject, "carbon black")
+    with plots.drawing(1, 2) as (figure, (panels,)):
+        panels[0].semilogy(100 * fine, law.rest_resistance(fine) / 1e3)
+        panels[0].set(title="Percolation", xlabel="carbon black / % by mass", ylabel="R0 / kΩ")
+        other = panels[0].twinx()
+        other.plot(100 * fine, law.sensitivities(fine), color=plots.ORANGE)
+        other.plot(100 * FRACTIONS, sensitivity, "o", color=plots.ORANGE, ms=4)
+        other.set_ylabel("sensitivity (Rmax - R0)/R0", color=plots.ORANGE)
+        other.grid(visible=False)
+        panels[1].semilogy(100 * fine, chosen, label="reference resistor chosen for each")
+        panels[1].semilogy(100 * fine, fixed, label="reference resistor of the design")
+        panels[1].semilogy(100 * FRACTIONS, eight, "o", color=plots.ORANGE, ms=4)
+        panels[1].set(title="Resolution", xlabel="carbon black / % by mass", ylabel="σ of pressure / % of full scale")
+        panels[1].legend()
+        picture = plots.svg(figure)
+    return Finding(
+        checks=[
+            Check(
+                "sensitivity rises as the fraction falls: smallest ratio of neighbours",
+                float((sensitivity[:-1] / sensitivity[1:]).min()),
+                1.0,
+                at_least=True,
+            ),
+            Check(
+                "1.5 % against the finest of the eight, reference resistor chosen for each: standard deviation",
+                float(eight[FRACTIONS == KNOWN][0] / np.nanmin(free)),
+                1.5,
+                "times",
+            ),
+            Check(
+                "at 1.5 %: standard deviation of one reading, worst load",
+                float(eight[FRACTIONS == KNOWN][0]),
+                1.0,
+                "% of full scale",
+            ),
+        ],
+        text=[
+            "Each mixture is read by the design under verification, at every load from none to full scale: the noise "
+            "of amplifiers and resistors and the ADC's steps, divided by the slope of the output against pressure. "
+            "With the reference resistor of the design, less carbon black leaves less current to measure, and more "
+            f"drives the output into its supply (no number there): {100 * best:g} % is the finest of the eight. With a "
+            f"resistor chosen for each mixture it is {100 * FRACTIONS[np.nanargmin(free)]:g} %, by so little that the "
+            "acquisition decides, as the paper says. The "
+            f"family goes through the example cell at 1.5 %; threshold {100 * law.threshold:g} % and exponent "
+            f"{law.exponent:g} are the project's own."
+        ],
+        figures=[Figure(picture, "Left: percolation law, sensitivity (Fig. 3). Right: what the readout makes of it.")],
+        tables=[
+            Table(
+                ["carbon black", "R0 / ohm", "sensitivity", "σ of pressure, % of full scale", "... Rref chosen for it"],
+                [
+                    [f"{100 * f:g} %", f"{ohms:.0f}", f"{s:.3f}", _shown(own), _shown(chosen)]
+                    for f, ohms, s, own, chosen in zip(
+                        FRACTIONS, law.rest_resistance(FRACTIONS), sensitivity, eight, free, strict=True
+                    )
+                ],
+                "Eight mixtures, with the design's reference resistor and with one that grows with R0.",
+            ),
+            replace(
+                pressures,
+                caption=f"RMSE of the pressure of a {STEP_KPA} kPa press, in % of full scale, read with the noise "
+                "of the design. Every mixture has the memory of the example cell, scaled to its own sensitivity; "
+                "those that saturate at rest are left out.",
+            ),
+        ],
+    )
+
+
+def _estimated(subject: Subject, law: Percolation) -> dict[str, tuple[FloatArray, dict[str, FloatArray]]]:
+    """kPa applied and kPa by estimator, of the mixtures that do not saturate the readout at rest."""
+    time_s, pressure = pressed([(2, STEP_KPA, 15.0)], 60.0)
+    ohms = respond(subject.cell, time_s, pressure)
+    unit = np.random.default_rng(1).standard_normal(len(ohms))
+    found = {}
+    for f, sensitivity in zip(FRACTIONS, law.sensitivities(FRACTIONS), strict=True):
+        rest = float(law.rest_resistance(f))
+        scatter = _scatter(subject.design, rest, rest * float(sensitivity)) / 100
+        if not np.isnan(scatter):  # on the example cell: as much of its change as on this one's
+            read = ohms + subject.rest * law.sensitivity * scatter * unit
+            found[f"{100 * f:g} %"] = pressure, side_by_side(subject, time_s, read)
+    return found
+
+
+def _shown(sigma: float) -> str:
+    return "saturates" if np.isnan(sigma) else f"{sigma:.4f}"
+
+
+def _resolution(subject: Subject, law: Percolation, f: float, *, choose: bool) -> float:
+    """Standard deviation of one reading in % of full scale pressure, at the worst load; NaN where a reading saturates.
+
+    With ``choose`` the reference resistor is scaled with R0, which keeps the output at rest where it is.
+    """
+    ohms = law.resistance(f, LOADS)
+    design = subject.design
+    if choose:
+        reference = np.asarray(design.readout.reference_resistance) * (ohms[0] / subject.rest)
+        value = tuple(reference.tolist()) if reference.ndim else float(reference)
+        design = replaced(design, "readout", reference_resistance=value)
+    slope = np.gradient(ohms, LOADS)
+    scatter = [_scatter(design, r, d) if np.isfinite(r) else np.nan for r, d in zip(ohms, slope, strict=True)]
+    return float(np.max(scatter))  # NaN if any is
+
+
+def _scatter(design: Design, ohms: float, ohms_per_scale: float) -> float:
+    """Standard deviation in % of full scale of a skin whose cells are all at ``ohms``; NaN if it saturates."""
+    cells = np.full(design.array.shape, ohms)
+    result = scan(design, cells, method="exact")
+    if result.saturated.any() or clipped(design, adc_codes(design, result.volts)).any():
+        return float("nan")
+    volts = noise(design, cells).volts
+    reference = np.asarray(design.readout.reference_resistance)
+    volts_per_scale = abs(design.drive.voltage) * reference / ohms**2 * ohms_per_scale
+    return float(100 * (volts / volts_per_scale).max())

@@ -1,0 +1,82 @@
+"""What estimators make of a reading: the paper's and ours, side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .. import plots
+from ..arrays import FloatArray
+from ..cell import Cell
+from ..cell._calibrate import run
+from ._outcome import Table
+from ._subject import Subject
+
+STEP_KPA = 15.5  # 10.0 N on one square inch (V.A)
+RATE_HZ = 50.0
+EDGE_S = 0.1  # time in which a press is applied and released
+
+
+def pressed(presses: list[tuple[float, float, float]], duration_s: float) -> tuple[FloatArray, FloatArray]:
+    """Presses (start s, kPa, length s) as samples at RATE_HZ."""
+    time_s = np.arange(0.0, duration_s, 1 / RATE_HZ)
+    pressure = np.zeros_like(time_s)
+    for start, kpa, length in presses:
+        corners = [start, start + EDGE_S, start + length, start + length + EDGE_S]
+        pressure += np.interp(time_s, corners, [0.0, kpa, kpa, 0.0])
+    return time_s, pressure
+
+
+def respond(cell: Cell, time_s: FloatArray, pressure: FloatArray, rest: FloatArray | None = None) -> FloatArray:
+    """Resistance (samples,) of one cell, or (samples, cells) of several with their own R0."""
+    shape = (1,) if rest is None else rest.shape
+    forward = cell.forward(shape, rest_resistance_ohm=rest)
+    first = forward.step(1e-6, np.full(shape, pressure[0]))
+    samples = [first] + [
+        forward.step(dt, np.full(shape, kpa)) for dt, kpa in zip(np.diff(time_s), pressure[1:], strict=True)
+    ]
+    return np.array(samples)[:, 0] if rest is None else np.array(samples)
+
+
+def side_by_side(
+    subject: Subject, time_s: FloatArray, ohms: FloatArray, rest: float | None = None
+) -> dict[str, FloatArray]:
+    """kPa (samples,) by label, from a reading of the subject's cell; ``rest`` replaces R0."""
+    return {
+        "the paper's": estimate(subject.cell, "paper", time_s, ohms, rest),
+        f"ours ({subject.ours})": estimate(subject.calibrated, subject.ours, time_s, ohms, rest),
+    }
+
+
+def estimate(cell: Cell, name: str, time_s: FloatArray, ohms: FloatArray, rest: float | None = None) -> FloatArray:
+    """kPa (samples,) of one cell."""
+    return run(cell.estimator((), name, rest_resistance_ohm=rest), time_s, ohms)[0]
+
+
+def rmse(estimate: FloatArray, truth: FloatArray, subject: Subject) -> float:
+    """% of full scale."""
+    return float(100 * np.sqrt(np.mean((estimate - truth) ** 2)) / subject.full_scale_kpa)
+
+
+def errors(cases: Mapping[str, tuple[FloatArray, Mapping[str, FloatArray]]], subject: Subject, what: str) -> Table:
+    """RMSE of the estimates of several loads: name -> (kPa applied, kPa by estimator)."""
+    labels = list(dict.fromkeys(label for _, estimates in cases.values() for label in estimates))
+    return Table(
+        [what, *labels],
+        [
+            [case, *(f"{rmse(found[label], load, subject):.2f} %" if label in found else "-" for label in labels)]
+            for case, (load, found) in cases.items()
+        ],
+        "RMSE of the pressure, in % of full scale, of the paper's estimator and of ours.",
+    )
+
+
+def draw(panel: Any, time_s: FloatArray, pressure: FloatArray, estimates: Mapping[str, FloatArray]) -> None:
+    """Applied and estimated pressure into one panel."""
+    panel.plot(time_s, pressure, color=plots.INK, lw=4, alpha=0.25, label="applied")
+    for label, values in estimates.items():
+        panel.plot(time_s, values, lw=1.2, label=label)
+    panel.set(xlabel="time / s", ylabel="pressure / kPa")
+    panel.legend()

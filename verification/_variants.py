@@ -1,0 +1,110 @@
+"""The design under verification beside others that differ from it in one respect, and what each of them reads."""
+
+from __future__ import annotations
+
+from itertools import product
+from math import inf
+from typing import Any
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..circuits import Design, adc_codes, apparent_resistance, clipped, scan, volts_of_codes
+
+
+def replaced(design: Design, section: str, **values: Any) -> Design:
+    """The design with other values in one section."""
+    return design.replace(**{section: getattr(design, section).replace(**values)})
+
+
+def ideal(design: Design, circuit: str, idle_rows: str) -> Design:
+    """The same array, drive voltage and reference resistors with perfect wires, parts and converter."""
+    readout = design.readout
+    return Design.model_validate(
+        {
+            "array": {"rows": design.array.rows, "columns": design.array.columns},
+            "sheet": design.sheet,
+            "drive": {"voltage": design.drive.voltage, "idle_rows": idle_rows},
+            "readout": {
+                "circuit": circuit,
+                "reference_resistance": readout.reference_resistance,
+                "reference_voltage": readout.reference_voltage,
+            },
+        }
+    )
+
+
+def amplifiers(design: Design) -> Design:
+    """The paper's circuit with ideal parts: grounded idle rows, an inverting amplifier on each column."""
+    return ideal(design, "inverting-amplifier", "ground")
+
+
+def open_divider(design: Design) -> Design:
+    """A plain divider with all idle lines open, otherwise ideal."""
+    return ideal(design, "voltage-divider", "float")
+
+
+def grounded_divider(design: Design) -> Design:
+    """A plain divider with grounded idle rows, otherwise ideal."""
+    return ideal(design, "voltage-divider", "ground")
+
+
+def either_sign(design: Design) -> list[Design]:
+    """Offset voltage and bias current are named as magnitudes: boards with each sign of them."""
+    keys = [key for key in ("offset_voltage", "bias_current") if np.any(getattr(design.readout, key))]
+    return [
+        replaced(
+            design, "readout", **{k: _times(s, getattr(design.readout, k)) for k, s in zip(keys, signs, strict=True)}
+        )
+        for signs in product((1.0, -1.0), repeat=len(keys))
+    ]
+
+
+def _times(sign: float, value: float | tuple[float, ...]) -> float | tuple[float, ...]:
+    return tuple(sign * part for part in value) if isinstance(value, tuple) else sign * value
+
+
+def converted(design: Design, volts: FloatArray) -> FloatArray:
+    """The volts that the ADC's codes stand for; without an ADC, the volts themselves."""
+    return volts if design.adc is None else volts_of_codes(design, adc_codes(design, volts))
+
+
+def apparent(design: Design, cells: FloatArray) -> FloatArray:
+    """What equation (10) makes of the design's readings, ADC included."""
+    return apparent_resistance(design, converted(design, scan(design, cells, method="exact").volts))
+
+
+def change(design: Design, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Change of the apparent resistances in % of those before."""
+    return 100 * (apparent(design, after) / apparent(design, before) - 1)
+
+
+def worst_crosstalk(design: Design, before: FloatArray, after: FloatArray) -> float:
+    """Largest change, in % of its reading, of a cell that is the same before and after; either sign of the parts."""
+    untouched = before == after
+    return max(
+        float(np.abs(np.where(untouched, change(variant, before, after), 0.0)).max()) for variant in either_sign(design)
+    )
+
+
+def worst_reading_error(design: Design, cells: FloatArray) -> float:
+    """Largest error of an apparent resistance in %, wherever in its ADC step a reading falls; either sign of parts.
+
+    The converter's own errors count; a reading beyond its range has no bound: inf.
+    """
+    worst = 0.0
+    for variant in either_sign(design):
+        volts = scan(variant, cells, method="exact").volts
+        if variant.adc is None:
+            readings = [volts]
+        else:
+            codes = adc_codes(variant, volts)
+            if clipped(variant, codes).any():
+                return inf
+            read, half = volts_of_codes(variant, codes), variant.adc.step / 2
+            # An ideal converter's code is off by up to half a step; what this one adds to that shows in its code.
+            own = np.round((read - volts) / variant.adc.step) * variant.adc.step
+            readings = [volts + own + half, volts + own - half]
+        errors = [np.abs(apparent_resistance(variant, reading) / cells - 1).max() for reading in readings]
+        worst = max(worst, 100 * float(max(errors)))
+    return worst
