@@ -15,7 +15,7 @@ demo: $(VENV)/demo.stamp
 	 exit $$code
 
 test: system-test-packages $(VENV)/dev.stamp lint
-	$(BIN)/python -m pytest
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check .
