@@ -5,13 +5,18 @@
 
 from ._adc import adc_codes, adc_error, clipped, volts_of_codes
 from ._batch import BatchResult, scan_batch
-from ._design import CIRCUITS, Adc, Array, Design, Drive, Fault, Readout, Requirements, Sheet
+from ._board import Board
+from ._design import Adc, Array, Design, Drive, Fault, Readout, Requirements, Sheet
 from ._effects import Effect, effects
-from ._incremental import Scanner
-from ._readout import apparent_resistance, ideal_volts
+from ._ideal import apparent_resistance, ideal_volts
 from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
-from .recovery._recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover
+from .readouts import CIRCUITS as _CIRCUITS
+from .recovery import Conditioning, Recoverer, Recovery, Status, conditioning, recover
+from .timing import Noise, Settling, Stability, noise, stability
+
+CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
+"""Readout circuits that a design file can name"""
 
 __all__ = [
     "CIRCUITS",
@@ -19,19 +24,22 @@ __all__ = [
     "Adc",
     "Array",
     "BatchResult",
+    "Board",
     "Conditioning",
     "Design",
     "Drive",
     "Effect",
     "Fault",
+    "Noise",
     "Readout",
     "Recoverer",
     "Recovery",
     "Requirements",
     "ScanResult",
-    "Scanner",
     "Sensitivity",
+    "Settling",
     "Sheet",
+    "Stability",
     "Status",
     "adc_codes",
     "adc_error",
@@ -40,9 +48,11 @@ __all__ = [
     "conditioning",
     "effects",
     "ideal_volts",
+    "noise",
     "recover",
     "scan",
     "scan_batch",
     "sensitivity",
+    "stability",
     "volts_of_codes",
 ]

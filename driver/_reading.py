@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
-from ..circuits import Design, clipped, volts_of_codes
-from ..circuits.recovery._recover import Recoverer, Status
+from ..circuits import Design, Recoverer, Status, clipped, volts_of_codes
 from ..errors import ProtocolError, SolverError
 
 TOLERANCE = 0.01

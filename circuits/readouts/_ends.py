@@ -1,0 +1,96 @@
+"""Columns that end in a Thevenin equivalent: what amplifiers and loads have in common.
+
+Each column of a scan step ends in a resistance and a source (:class:`Ends`). Kron reduction joins the grid's port
+network with these ends; the currents into the ends then follow for all scan steps.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ..solvers import IDEAL_WIRE, account, eliminate_leading, rounding_meter, siemens
+
+if TYPE_CHECKING:
+    from .._board import Board
+
+
+class Ends(NamedTuple):
+    """The Thevenin equivalent that each column (M,) of one scan step ends in, and its output by its current.
+
+    Sources count from the reference voltage, so that a mid-supply reference costs no digits.
+    """
+
+    resistance: FloatArray
+    """ohm"""
+    source: FloatArray
+    """V against the reference"""
+    output: FloatArray
+    """V at zero current"""
+    slope: FloatArray
+    """V/A"""
+
+
+def terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> FloatArray:
+    """The network (..., N + M, N + M) in S between row terminals and the far ends of ``resistance`` (M,) in ohm.
+
+    ``ports`` is the network between row terminals and column terminals; each resistance goes behind a column terminal,
+    which is then eliminated.
+    """
+    if not resistance.any():
+        return ports
+    columns = len(resistance)
+    behind = siemens(resistance)
+    largest = np.max(behind, where=np.isfinite(behind), initial=ports.max(initial=0.0))
+    behind = np.minimum(behind, IDEAL_WIRE * largest)
+    network = np.zeros((*ports.shape[:-2], rows + 2 * columns, rows + 2 * columns))
+    near, row = slice(0, columns), slice(columns, columns + rows)
+    far = np.arange(columns + rows, rows + 2 * columns)
+    network[..., near, near] = ports[..., rows:, rows:]
+    network[..., near, row] = ports[..., rows:, :rows]
+    network[..., row, near] = ports[..., :rows, rows:]
+    network[..., row, row] = ports[..., :rows, :rows]
+    network[..., np.arange(columns), far] = network[..., far, np.arange(columns)] = behind
+    return eliminate_leading(network, columns)
+
+
+def column_currents(board: Board, network: FloatArray, source: FloatArray) -> FloatArray:
+    """Current (..., N, M) in A into the columns' sources (M,) in V, in every scan step.
+
+    Args:
+        board: drive and idle rows.
+        network: (..., N + M, N + M) S between the row terminals and the sources.
+        source: V against the reference.
+
+    """
+    rows, columns = board.shape
+    difference = source - source[:, None]  # of equal sources exactly zero, so that nothing large has to cancel
+    if not board.floating:
+        transfer = network[..., :rows, rows:]
+        idle = (network[..., rows:, rows:] * difference).sum(axis=-1) - transfer.sum(axis=-2) * source
+        grounded: FloatArray = board.drive * transfer + idle[..., None, :]
+        return grounded
+    currents = np.empty((*network.shape[:-2], rows, columns))
+    worst = 0.0
+    for row in range(rows):
+        order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
+        with rounding_meter() as meter:
+            alone = eliminate_leading(network[..., order[:, None], order], rows - 1)
+        worst = max(worst, meter.relative)
+        driven = alone[..., 0, 1:] * (board.drive - source)
+        currents[..., row, :] = driven + (alone[..., 1:, 1:] * difference).sum(axis=-1)
+    account(worst)  # each step is solved on its own
+    return currents
+
+
+def sum_of_others(values: FloatArray) -> FloatArray:
+    """Of values (..., n, any), the sum over the second last axis of all entries but the own one.
+
+    Partial sums from above and from below are added. Subtracting the own entry from the whole sum would cost digits.
+    """
+    others = np.zeros_like(values)
+    np.cumsum(values[..., :-1, :], axis=-2, out=others[..., 1:, :])
+    others[..., :-1, :] += np.cumsum(values[..., :0:-1, :], axis=-2)[..., ::-1, :]
+    return others
