@@ -67,7 +67,9 @@ class Forward(ABC):
         dt, pressure = np.asarray(dt_s, dtype=np.float64), np.asarray(pressure_kpa, dtype=np.float64)
         shape = self.shape if cells is None else cells.shape
         if dt.ndim != 1 or pressure.shape != (len(dt), *shape):
-            raise InputError(f"pressures have shape {pressure.shape}, expected (frames, *{shape}) and one dt_s per frame")
+            raise InputError(
+                f"pressures have shape {pressure.shape}, expected (frames, *{shape}) and one dt_s per frame"
+            )
         if not ((dt >= 0) & (dt < np.inf)).all():
             raise InputError("time steps must be finite numbers of seconds >= 0")
         if not np.isfinite(pressure).all():
@@ -161,7 +163,8 @@ class PaperForward(Forward):
 
     def _remembered(self) -> FloatArray:
         rising = np.abs(self._r - self._pressure / self.model.e1_kpa - self._x3)
-        return np.where(self._rising, rising, np.abs(self._x2)) + np.abs(self._x3)
+        remembered: FloatArray = np.where(self._rising, rising, np.abs(self._x2)) + np.abs(self._x3)
+        return remembered
 
     def _run(self, dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
         """All steps of a block as array operations over time.
@@ -292,10 +295,10 @@ def _recurrence(keep: FloatArray, driven: FloatArray, first: FloatArray) -> Floa
     result = np.array(driven)
     last = first
     carried = np.empty_like(first)
-    for factor, value in zip(keep, result, strict=True):
+    for factor, state in zip(keep, result, strict=True):
         np.multiply(factor, last, out=carried)
-        value += carried
-        last = value
+        np.add(state, carried, out=state)
+        last = state
     return result
 
 
