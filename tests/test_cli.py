@@ -235,8 +235,8 @@ def test_an_interrupt_at_any_time_of_the_start_is_one_line() -> None:
         outcomes.append(process.returncode)
         if process.returncode == 0:
             break
-        assert said == b"ohmskin: interrupted\n"
-        assert process.returncode == 130
+        # At its very end Python gives signals back to the system, which ends the process without a word.
+        assert (process.returncode, said) in ((130, b"ohmskin: interrupted\n"), (-signal.SIGINT, b""))
     assert 130 in outcomes
 
 
