@@ -32,7 +32,8 @@ class Wire:
         self.frames = frames
         """after which the board is gone"""
         self.closed = False
-        self._line = line
+        self.line = line
+        """what spoils the packets from now on"""
         self._pending = [b"\0"]
 
     def read(self, wait_s: float) -> bytes:
@@ -51,4 +52,4 @@ class Wire:
         self.closed = True
 
     def _carry(self, packet: bytes) -> bytes:
-        return packet if self._line is None else self._line.carry(packet)
+        return packet if self.line is None else self.line.carry(packet)
