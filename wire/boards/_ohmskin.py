@@ -101,7 +101,7 @@ class _Assembly:
         end = piece.offset + len(piece.data)
         self._text[piece.offset : end] = piece.data
         self._missing[piece.offset : end] = bytes(len(piece.data))
-        if any(self._missing):
+        if 1 in self._missing:
             return None
         text, self._text = bytes(self._text), bytearray()
         try:
