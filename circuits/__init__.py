@@ -6,11 +6,13 @@
 from ._adc import adc_codes, adc_error, clipped, volts_of_codes
 from ._batch import BatchResult, scan_batch
 from ._board import Board
-from ._design import Adc, Array, Design, Drive, Fault, Readout, Requirements, Sheet
+from ._design import Adc, Array, Cells, Design, Drive, Fault, Operation, Readout, Requirements, Sheet
 from ._effects import Effect, effects
 from ._ideal import apparent_resistance, ideal_volts
+from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
+from ._spread import Spread
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import Conditioning, Recoverer, Recovery, Status, conditioning, recover
 from .timing import Noise, Settling, Stability, noise, stability
@@ -25,20 +27,25 @@ __all__ = [
     "Array",
     "BatchResult",
     "Board",
+    "Cells",
     "Conditioning",
+    "Conditions",
     "Design",
     "Drive",
     "Effect",
     "Fault",
     "Noise",
+    "Operation",
     "Readout",
     "Recoverer",
     "Recovery",
+    "Requirement",
     "Requirements",
     "ScanResult",
     "Sensitivity",
     "Settling",
     "Sheet",
+    "Spread",
     "Stability",
     "Status",
     "adc_codes",

@@ -215,7 +215,7 @@ def _time(board: Board, cells: FloatArray) -> Iterator[Effect]:
 
 def _change(board: Board, without: Board, cells: FloatArray) -> float:
     """Largest relative change of a signal, by two scans."""
-    with_it, bare = (each.circuit.read(each, exact_ports(each, cells)).volts for each in (board, without))
+    with_it, bare = (each.circuit.read(each, exact_ports(each, cells).value).volts for each in (board, without))
     return _largest(np.abs(with_it - bare), np.abs(bare - board.level), _live(cells))
 
 

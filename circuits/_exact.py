@@ -14,7 +14,7 @@ from ..arrays import FloatArray
 from ._board import Board
 from ._grid import exact_ports, refuse_contradictions
 from .readouts import Reading, few_ulp, sum_of_others
-from .solvers import exact_transfer, rounding_meter, series_conductance
+from .solvers import exact_transfer, series_conductance
 
 
 def read_exactly(board: Board, cells: FloatArray) -> tuple[Reading, FloatArray]:
@@ -37,25 +37,25 @@ def read_exactly(board: Board, cells: FloatArray) -> tuple[Reading, FloatArray]:
     limited = ~linear.within_supply(volts, error)
     if limited.any():
         some, error[limited] = _read_ports(board, cells[limited])
-        volts[limited], saturated[limited] = some
+        volts[limited], saturated[limited] = some.volts, some.saturated
     return Reading(volts, saturated), error
 
 
 def _read_ports(board: Board, cells: FloatArray) -> tuple[Reading, FloatArray]:
     """By the whole network between the ports, for any circuit."""
-    with rounding_meter() as meter:
-        ports = exact_ports(board, cells)
-        reading = board.circuit.read(board, ports)
+    ports, relative = exact_ports(board, cells)
+    reading = board.circuit.read(board, ports)
     few = few_ulp(reading.volts.shape)
     without_current = abs(board.level) + np.abs(board.offset) + np.abs(board.lift)
-    return reading, _error(board, ports, meter.relative + few) + few * (np.abs(reading.volts) + without_current)
+    moved = float(relative.max(initial=0.0)) + reading.relative + few
+    return reading, _error(board, ports, moved) + few * (np.abs(reading.volts) + without_current)
 
 
 def _error(board: Board, ports: FloatArray, relative: float) -> FloatArray:
     """V (..., N, M) by which a relative error of all conductances can have moved the outputs of any circuit.
 
     Every port's voltage takes part: a change e of all conductances changes the current at port i for 1 V at port j by
-    at most e sqrt(Y_ii Y_jj) (:func:`.solvers._elimination.rounding_meter`).
+    at most e sqrt(Y_ii Y_jj) (:mod:`.solvers._elimination`).
     """
     behind = board.column_lead + board.circuit.end_resistance(board)
     rows = board.shape[0]

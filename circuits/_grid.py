@@ -10,11 +10,11 @@ from ..arrays import FloatArray
 from ..errors import SolverError
 from . import _sheet as sheet
 from ._board import Board
-from .solvers import Element, Network, port_conductances, reduce, siemens
+from .solvers import Element, Network, Rounded, port_conductances, reduce, siemens
 
 
-def exact_ports(board: Board, cells: FloatArray) -> FloatArray:
-    """Port conductances (..., N + M, N + M) in S of the board's grid, row leads included.
+def exact_ports(board: Board, cells: FloatArray) -> Rounded:
+    """Port conductances (..., N + M, N + M) in S of the board's grid, row leads included, and their relative error.
 
     Args:
         board: the lines and their faults.

@@ -89,7 +89,7 @@ def board_sensitivity(board: Board, cells: FloatArray) -> Sensitivity:
         raise InputError('sensitivities are for array.sheet = "sliced", not "continuous"')
     if cells.size > LARGEST:
         raise InputError(f"sensitivities are for at most {LARGEST} cells, the design has {cells.size}")
-    ports = exact_ports(board, cells)
+    ports = exact_ports(board, cells).value
     reading = board.circuit.read(board, ports)
     fields = _Fields.of(board, cells)
     result = _empty(reading.volts, fields.conductance)

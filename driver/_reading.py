@@ -34,7 +34,7 @@ class CountReader:
     """Counts of one board, frame by frame, to the resistances of its cells.
 
     The whole circuit is inverted: what leads, switches, lines, finite gain, offset and bias current add to the
-    readings is taken out of them (:mod:`ohmskin.circuits.recovery._recover`).
+    readings is taken out of them (:mod:`ohmskin.circuits.recovery`).
     """
 
     def __init__(self, design: Design) -> None:

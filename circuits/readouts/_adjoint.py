@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ..solvers import IDEAL_WIRE, impedance, siemens
+from ..solvers import IDEAL_WIRE, inverted, siemens
 from ._ends import Ends
 
 if TYPE_CHECKING:
@@ -53,7 +53,7 @@ class TiedPorts(NamedTuple):
         """Ports of a grid, and the conductance (N + M,) in S that ties each to its source; inf is an ideal wire."""
         largest = max(float(ports.max(initial=0.0)), float(np.max(tie, where=np.isfinite(tie), initial=1e-300)))
         tie = np.minimum(tie, IDEAL_WIRE * largest)
-        return cls(ports, tie, impedance(ports, tie))
+        return cls(ports, tie, inverted(ports, tie).value)
 
     def potentials(self, source: FloatArray) -> FloatArray:
         """(..., N + M) V at the ports for sources (..., N + M) behind their ties."""

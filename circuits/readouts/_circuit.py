@@ -30,6 +30,8 @@ class Reading(NamedTuple):
     """(..., N, M) V"""
     saturated: BoolArray
     """(..., N, M) outputs that stand at a supply limit"""
+    relative: float = 0.0
+    """bound on the rounding errors of the eliminations behind it, relative to the conductances they leave"""
 
 
 class ReadoutCircuit(ABC):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ...arrays import FloatArray
-from ..solvers import IDEAL_WIRE, account, eliminate_leading, rounding_meter, siemens
+from ..solvers import IDEAL_WIRE, Rounded, eliminate_leading, siemens
 
 if TYPE_CHECKING:
     from .._board import Board
@@ -33,14 +33,14 @@ class Ends(NamedTuple):
     """V/A"""
 
 
-def terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> FloatArray:
+def terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> Rounded:
     """The network (..., N + M, N + M) in S between row terminals and the far ends of ``resistance`` (M,) in ohm.
 
     ``ports`` is the network between row terminals and column terminals; each resistance goes behind a column terminal,
     which is then eliminated.
     """
     if not resistance.any():
-        return ports
+        return Rounded(ports, np.zeros(ports.shape[:-2]))
     columns = len(resistance)
     behind = siemens(resistance)
     largest = np.max(behind, where=np.isfinite(behind), initial=ports.max(initial=0.0))
@@ -56,33 +56,34 @@ def terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> FloatArra
     return eliminate_leading(network, columns)
 
 
-def column_currents(board: Board, network: FloatArray, source: FloatArray) -> FloatArray:
+def column_currents(board: Board, terminated: Rounded, source: FloatArray) -> Rounded:
     """Current (..., N, M) in A into the columns' sources (M,) in V, in every scan step.
+
+    The relative error (...,) is that of the network's conductances and of the eliminations that follow.
 
     Args:
         board: drive and idle rows.
-        network: (..., N + M, N + M) S between the row terminals and the sources.
+        terminated: (..., N + M, N + M) S between the row terminals and the sources.
         source: V against the reference.
 
     """
+    network, relative = terminated
     rows, columns = board.shape
     difference = source - source[:, None]  # of equal sources exactly zero, so that nothing large has to cancel
     if not board.floating:
         transfer = network[..., :rows, rows:]
         idle = (network[..., rows:, rows:] * difference).sum(axis=-1) - transfer.sum(axis=-2) * source
         grounded: FloatArray = board.drive * transfer + idle[..., None, :]
-        return grounded
+        return Rounded(grounded, relative)
     currents = np.empty((*network.shape[:-2], rows, columns))
-    worst = 0.0
+    worst = np.zeros(relative.shape)  # each step is solved on its own
     for row in range(rows):
         order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
-        with rounding_meter() as meter:
-            alone = eliminate_leading(network[..., order[:, None], order], rows - 1)
-        worst = max(worst, meter.relative)
+        alone, step = eliminate_leading(network[..., order[:, None], order], rows - 1)
+        worst = np.maximum(worst, step)
         driven = alone[..., 0, 1:] * (board.drive - source)
         currents[..., row, :] = driven + (alone[..., 1:, 1:] * difference).sum(axis=-1)
-    account(worst)  # each step is solved on its own
-    return currents
+    return Rounded(currents, relative + worst)
 
 
 def sum_of_others(values: FloatArray) -> FloatArray:

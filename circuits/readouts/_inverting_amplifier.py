@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
-from ..solvers import IDEAL_WIRE, LARGEST_PART, Lines, Wires, account, rounding_meter
+from ..solvers import IDEAL_WIRE, LARGEST_PART, Lines, Wires
 from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._circuit import Reading, ReadoutCircuit, rounding_floor
 from ._ends import Ends, column_currents, terminate
@@ -44,19 +44,17 @@ class InvertingAmplifier(ReadoutCircuit):
         rows, columns = board.shape
         ends = amplifier_ends(board)
         network = terminate(ports, rows, ends.resistance + board.column_lead)
-        volts = ends.output + ends.slope * column_currents(board, network, ends.source)
+        currents, errors = column_currents(board, network, ends.source)
+        volts, relative = ends.output + ends.slope * currents, float(errors.max(initial=0.0))
         low, high = board.supply
         saturated = (volts < low) | (volts > high)
         if saturated.any():
             frames = ports.reshape(-1, *ports.shape[-2:])
             stacked, flags = volts.reshape(-1, rows, columns), saturated.reshape(-1, rows, columns)
-            worst = 0.0
             for frame in np.flatnonzero(flags.any(axis=(1, 2))):
-                with rounding_meter() as meter:
-                    stacked[frame], flags[frame] = _read_saturated(board, frames[frame], stacked[frame])
-                worst = max(worst, meter.relative)
-            account(worst)
-        return Reading(volts, saturated)
+                stacked[frame], flags[frame], own = _read_saturated(board, frames[frame], stacked[frame])
+                relative = max(relative, own)
+        return Reading(volts, saturated, relative)
 
     def end_resistance(self, board: Board) -> FloatArray:
         return amplifier_ends(board).resistance
@@ -268,6 +266,7 @@ def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray) -> Readi
     state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
     volts = volts.copy()
     pending: BoolArray = np.atleast_1d(state.any(axis=1))
+    relative = 0.0
     for attempt in range(_MURTY_AFTER + 4 * columns):
         patterns, which = np.unique(state, axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
@@ -276,12 +275,13 @@ def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray) -> Readi
                 continue
             ends = amplifier_ends(board, pattern)
             network = terminate(ports, rows, ends.resistance + board.column_lead)
-            currents = column_currents(board, network, ends.source)[steps]
+            every_current, error = column_currents(board, network, ends.source)
+            currents, relative = every_current[steps], max(relative, float(error))
             volts[steps] = ends.output + ends.slope * currents
             wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
             # A clamped output stays so while the amplifier's input still drives it outwards.
-            error = board.offset - (ends.source + ends.resistance * currents)
-            held = ((pattern > 0) & (error >= at_high)) | ((pattern < 0) & (error <= at_low))
+            input_volts = board.offset - (ends.source + ends.resistance * currents)
+            held = ((pattern > 0) & (input_volts >= at_high)) | ((pattern < 0) & (input_volts <= at_low))
             wanted = np.where(pattern == 0, wanted, np.where(held, pattern, 0)).astype(np.int8)
             if attempt >= _MURTY_AFTER:
                 first = np.argmax(wanted != pattern, axis=1)[:, None] == np.arange(columns)
@@ -289,7 +289,7 @@ def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray) -> Readi
             pending[steps] = (wanted != pattern).any(axis=1)
             state[steps] = wanted
         if not pending.any():
-            return Reading(volts, state != 0)
+            return Reading(volts, state != 0, relative)
     raise SolverError("no consistent set of saturated outputs was found; check supply and reference_voltage")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from ...arrays import FloatArray, IntArray
-from ..solvers import account, impedance, rounding_meter
+from ..solvers import Rounded, inverted
 from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._circuit import Reading, ReadoutCircuit, rounding_floor
 from ._ends import Ends, column_currents, terminate
@@ -37,16 +37,17 @@ class VoltageDivider(ReadoutCircuit):
         rows, columns = board.shape
         load, behind = board.reference, board.reference + board.column_lead
         if not self.columns_one_by_one(board):
-            currents = column_currents(board, terminate(ports, rows, behind), np.zeros(columns))
+            currents, relative = column_currents(board, terminate(ports, rows, behind), np.zeros(columns))
             volts = board.level + load * currents
         elif not board.floating:
-            inner = impedance(ports[..., rows:, rows:], ports[..., :rows, rows:].sum(axis=-2))
+            inner, relative = inverted(ports[..., rows:, rows:], ports[..., :rows, rows:].sum(axis=-2), rows)
             open_circuit = board.drive * ports[..., :rows, rows:] @ inner
             source_resistance = np.einsum("...jj->...j", inner)[..., None, :]
             volts = board.level + open_circuit * load / (behind + source_resistance)
         else:
-            volts = board.level + board.drive * load / (behind + effective_resistance(ports, rows))
-        return Reading(volts, np.zeros(volts.shape, dtype=np.bool_))
+            between, relative = effective_resistance(ports, rows)
+            volts = board.level + board.drive * load / (behind + between)
+        return Reading(volts, np.zeros(volts.shape, dtype=np.bool_), float(relative.max(initial=0.0)))
 
     def end_resistance(self, board: Board) -> FloatArray:
         return board.reference
@@ -111,7 +112,7 @@ def _by_loads(some: IntArray, current: FloatArray, adjoint: FloatArray) -> dict[
     return {"reference_resistance": load}
 
 
-def effective_resistance(ports: FloatArray, rows: int) -> FloatArray:
+def effective_resistance(ports: FloatArray, rows: int) -> Rounded:
     """Ohm (..., N, M) between each row terminal and each column terminal with all others left open.
 
     The selected row is grounded in each step. Grounding a common node instead would cancel digits of nearby pairs.
@@ -119,15 +120,13 @@ def effective_resistance(ports: FloatArray, rows: int) -> FloatArray:
     size = ports.shape[-1]
     result = np.empty((*ports.shape[:-2], rows, size - rows))
     flat, out = ports.reshape(-1, size, size), result.reshape(-1, rows, size - rows)
-    worst = 0.0
+    relative = np.zeros(len(flat))  # each row of each frame is solved on its own
     for frame, network in enumerate(flat):
         _, island = connected_components(network > 0, directed=False)
         for row in range(rows):
             others = np.delete(np.arange(size), row)
-            with rounding_meter() as meter:
-                inner = impedance(network[np.ix_(others, others)], network[row, others])
-            worst = max(worst, meter.relative)
+            inner, error = inverted(network[np.ix_(others, others)], network[row, others])
+            relative[frame] = max(relative[frame], float(error))
             ohms = np.where(island[others] == island[row], np.diagonal(inner), inf)
             out[frame, row] = ohms[rows - 1 :]
-    account(worst)  # each row of each frame is solved on its own
-    return result
+    return Rounded(result, relative.reshape(ports.shape[:-2]))

@@ -42,7 +42,7 @@ class VoltageFeedback(VoltageDivider):
         only through S / (1 + A): that is how far the idle lines are kept away, and no large numbers are subtracted.
         """
         rows, _ = board.shape
-        network = terminate(ports, rows, board.column_lead)
+        network, relative = terminate(ports, rows, board.column_lead)
         driven = network[..., :rows, rows:]
         idle = sum_of_others(driven) + network[..., rows:, rows:].sum(axis=-1)[..., None, :]
         lift = board.loop_share * board.offset - board.inverse_gain * board.level
@@ -50,7 +50,8 @@ class VoltageFeedback(VoltageDivider):
         column = (injected + idle * lift) / (driven + idle * board.inverse_gain + siemens(board.reference))
         volts = board.loop_share * (board.level + column + board.offset)
         low, high = board.supply
-        return Reading(np.clip(volts, low, high), (volts < low) | (volts > high))
+        saturated = (volts < low) | (volts > high)
+        return Reading(np.clip(volts, low, high), saturated, float(relative.max(initial=0.0)))
 
     def columns_one_by_one(self, board: Board) -> bool:
         return True

@@ -14,7 +14,7 @@
 """
 
 from ._attenuation import Attenuated, Wires, attenuate
-from ._elimination import ULP, account, eliminate_leading, impedance, rounding_meter
+from ._elimination import ULP, Rounded, eliminate_leading, inverted
 from ._exact import exact_transfer, series_conductance
 from ._network import Element, Network, reduce
 from ._ports import IDEAL_WIRE, LARGEST_PART, Lines, has_ideal_lines, port_conductances
@@ -29,16 +29,15 @@ __all__ = [
     "Element",
     "Lines",
     "Network",
+    "Rounded",
     "Wires",
-    "account",
     "attenuate",
     "eliminate_leading",
     "exact_transfer",
     "has_ideal_lines",
-    "impedance",
+    "inverted",
     "port_conductances",
     "reduce",
-    "rounding_meter",
     "series_conductance",
     "siemens",
     "terms",
