@@ -12,6 +12,7 @@ from ._ideal import apparent_resistance, ideal_volts
 from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
+from ._sequence import scan_sequence
 from ._spread import Spread
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import Conditioning, Recoverer, Recovery, Status, conditioning, recover
@@ -59,6 +60,7 @@ __all__ = [
     "recover",
     "scan",
     "scan_batch",
+    "scan_sequence",
     "sensitivity",
     "stability",
     "volts_of_codes",

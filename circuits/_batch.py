@@ -43,7 +43,7 @@ def scan_batch(
     Arguments and errors are those of :func:`._scan.scan`; messages name the frame.
     """
     demand = Demand.of(design, tolerance, method)
-    cells = _checked(design, resistance)
+    cells = checked_frames(design, resistance)
     start = time.perf_counter()
     board = design.board
     lines = board.turn(cells)
@@ -81,7 +81,8 @@ def scan_batch(
     )
 
 
-def _checked(design: Design, resistance: ArrayLike) -> FloatArray:
+def checked_frames(design: Design, resistance: ArrayLike) -> FloatArray:
+    """``resistance`` as (frames, rows, columns) in ohm; InputError names the first frame that does not fit."""
     try:
         cells = np.asarray(resistance, dtype=np.float64)
     except (TypeError, ValueError) as error:

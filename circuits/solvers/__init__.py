@@ -9,6 +9,7 @@
 :mod:`._ladders`       ladder networks (single lines with their cells) by continued fractions
 :mod:`._attenuation`   the first term of a Neumann series in closed form, with a certificate
 :mod:`._series`        further terms of that series
+:mod:`._sequence`      sequences of frames, by interpolation of what attenuation misses, with a certificate
 :mod:`._exact`         transfer conductances by whichever of these is the fastest exact one
 =====================  ================================================================================================
 """
@@ -18,6 +19,7 @@ from ._elimination import ULP, Rounded, eliminate_leading, inverted
 from ._exact import exact_transfer, series_conductance
 from ._network import Element, Network, reduce
 from ._ports import IDEAL_WIRE, LARGEST_PART, Lines, has_ideal_lines, port_conductances
+from ._sequence import SequenceTransfer, sequence_transfer
 from ._series import terms
 from ._siemens import siemens
 
@@ -30,6 +32,7 @@ __all__ = [
     "Lines",
     "Network",
     "Rounded",
+    "SequenceTransfer",
     "Wires",
     "attenuate",
     "eliminate_leading",
@@ -38,6 +41,7 @@ __all__ = [
     "inverted",
     "port_conductances",
     "reduce",
+    "sequence_transfer",
     "series_conductance",
     "siemens",
     "terms",
