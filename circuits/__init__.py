@@ -3,7 +3,7 @@
 ``scan(Design.load("design.toml"), resistance)`` reads one frame.
 """
 
-from ._adc import adc_codes, adc_error, clipped, volts_of_codes
+from ._adc import adc_codes, adc_error, clipped, conversion_changes, conversion_limits, volts_of_codes
 from ._batch import BatchResult, scan_batch
 from ._design import (
     CIRCUITS,
@@ -57,6 +57,8 @@ __all__ = [
     "adc_error",
     "apparent_resistance",
     "clipped",
+    "conversion_changes",
+    "conversion_limits",
     "conditioning",
     "effects",
     "ideal_volts",
