@@ -1,10 +1,10 @@
 """The reference for readings: modified nodal analysis of a design in exact rational arithmetic.
 
 Every part is one equation or one stamp, as a textbook would write them (Ho, Ruehli and Brennan, IEEE Transactions on
-Circuits and Systems 22, 1975). FLINT solves the matrix of rational numbers without any rounding, so singular circuits are told from nearly
-singular ones for certain; only the answers are rounded to double precision. Nothing is shared with
-``ohmskin.circuits`` but the keys of a design: no ports, no elimination of the amplifiers, no symmetry, no large numbers
-that stand for ideal parts.
+Circuits and Systems 22, 1975). FLINT solves the matrix of rational numbers without any rounding, so singular circuits
+are told from nearly singular ones for certain; only the answers are rounded to double precision. Nothing is shared
+with ``ohmskin.circuits`` but the keys of a design: no ports, no elimination of the amplifiers, no symmetry, no large
+numbers that stand for ideal parts.
 
 Unknowns are the node potentials against the reference voltage, the currents of ideal sources and of parts of 0 ohm,
 and the outputs of the amplifiers.

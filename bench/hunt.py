@@ -28,7 +28,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..circuits import CIRCUITS, METHODS, Design, scan
-from ..errors import InputError, SolverError
+from ..errors import SolverError
 from ._reference import Indeterminate, reference_volts
 
 _ULP = float(np.finfo(np.float64).eps)
@@ -207,7 +207,7 @@ def check(family: str, number: int, tally: Tally) -> None:
         if exact is not None and _answer(unlimited, cells) is not None:
             found(f"needless refusal ({error})")
         return
-    except Exception as error:  # noqa: BLE001  # whatever it is, it is a finding
+    except Exception as error:  # whatever it is, it is a finding
         found(f"crash ({type(error).__name__}: {error})")
         return
     infinite = np.isinf(result.volts)
@@ -220,20 +220,20 @@ def check(family: str, number: int, tally: Tally) -> None:
         found("infinite, and has a value")
         return
     largest = float(np.abs(exact).max())
-    error = float(np.abs(result.volts - exact).max())
+    off = float(np.abs(result.volts - exact).max())
     if not result.error_bound <= _EMPTY:
         tally.empty += 1
     else:
         tally.bound = max(tally.bound, result.error_bound)
     if largest == 0.0:
-        if error > 0.0 and result.error_bound < inf:
-            found(f"{error} V, and is 0")
+        if off > 0.0 and result.error_bound < inf:
+            found(f"{off} V, and is 0")
         return
-    tally.error = max(tally.error, error / largest if method in (None, "exact") else 0.0)
-    if not error / largest <= result.error_bound + _ULP:
-        found(f"broken bound ({error / largest:.1e} of {result.error_bound:.1e})")
+    tally.error = max(tally.error, off / largest if method in (None, "exact") else 0.0)
+    if not off / largest <= result.error_bound + _ULP:
+        found(f"broken bound ({off / largest:.1e} of {result.error_bound:.1e})")
     if result.error_bound > 0:
-        tally.used = max(tally.used, (error / largest - _ULP) / result.error_bound)
+        tally.used = max(tally.used, (off / largest - _ULP) / result.error_bound)
 
 
 def _answer(design: Design, cells: FloatArray) -> FloatArray | None:
@@ -260,12 +260,12 @@ def search(families: list[str], seed: int, seconds: float) -> Iterator[dict[str,
 
 def table(tallies: dict[str, Tally]) -> str:
     """The tallies as text."""
-    head = f"{'family':12} {'designs':>8} {'refused':>8} {'infinite':>8} {'empty':>6} {'error':>8} {'/ bound':>8} {'bound':>8} findings"
-    lines = [head]
+    names = ("designs", "refused", "infinite", "empty", "error", "/ bound", "bound", "findings")
+    lines = [f"{'family':12} " + " ".join(f"{name:>8}" for name in names)]
     for family, tally in tallies.items():
         lines.append(
-            f"{family:12} {tally.designs:8} {tally.refused:8} {tally.infinite:8} {tally.empty:6} {tally.error:8.1e} "
-            f"{tally.used:8.1e} {tally.bound:8.1e} {len(tally.findings)}"
+            f"{family:12} {tally.designs:8} {tally.refused:8} {tally.infinite:8} {tally.empty:8} {tally.error:8.1e} "
+            f"{tally.used:8.1e} {tally.bound:8.1e} {len(tally.findings):8}"
         )
     return "\n".join(lines)
 

@@ -77,7 +77,8 @@ def conversion_changes(design: Design, before: FloatArray, after: FloatArray) ->
 
     Both readings meet the same thresholds, so the place of the first determines that of the second. A change of d steps
     changes the code by floor(d) at some places and by floor(d) + 1 at the others: a change much smaller than a step
-    can show as a whole one. (Below a millionth of a step it is rounding, and none.) Each kind of place is an interval, and its two ends are returned.
+    can show as a whole one. (Below a millionth of a step it is rounding, and none.) Each kind of place is an interval,
+    and its two ends are returned.
 
     Args:
         design: with an [adc] section.
