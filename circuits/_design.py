@@ -17,6 +17,9 @@ from ..errors import InputError
 from ._requirement import Requirement
 from ._spread import Spread, Spreadable
 
+LEAST_DRIVE_V = 1e-12
+"""far below the thermal noise of any cell; the ratio of an offset to the drive must stay a sensible number"""
+
 Circuit = Literal["inverting-amplifier", "voltage-divider", "voltage-feedback"]
 CIRCUITS: tuple[str, ...] = get_args(Circuit)
 FaultKind = Literal["open-cell", "shorted-cell", "broken-row", "broken-column", "bridged-rows", "bridged-columns"]
@@ -100,8 +103,8 @@ class Drive(Spreadable):
 
     @model_validator(mode="after")
     def _drives(self) -> Self:
-        if self.voltage == 0:
-            raise ValueError("voltage must not be 0: nothing would be read")
+        if abs(self.voltage) < LEAST_DRIVE_V:
+            raise ValueError(f"voltage must be at least {LEAST_DRIVE_V:g} V, up or down: nothing would be read")
         return self
 
 
