@@ -1,15 +1,17 @@
-"""The virtual board: ticks in, packets out, and a host's commands in between. No clock and no I/O.
+"""The virtual board: a state machine over ticks and commands, without clock and without I/O.
 
-What it does with a command depends on nothing but whether it streams:
+States and commands (``docs/wire.md`` has the same table for firmware):
 
-====================  =====================  ======================
-state                 START                  STOP
-====================  =====================  ======================
-streaming             streaming              stopped
-stopped               streaming              stopped
-====================  =====================  ======================
+=========  ==========  =========  =============================  ==========================
+state      START       STOP       ONE_FRAME                      RATE
+=========  ==========  =========  =============================  ==========================
+streaming  streaming   stopped    streaming (next frame answers)  streaming, at the new rate
+stopped    streaming   stopped    one frame, then stopped        stopped, at the new rate
+=========  ==========  =========  =============================  ==========================
 
-DESCRIBE is answered in both. Ticks pass in both: the skin lives on, but a stopped board does not scan it.
+IDENTIFY, DESCRIBE and SELF_TEST are answered in both states and change neither. Ticks pass in both: the skin lives on,
+but a stopped board does not scan it. Of each command at most one answer waits to be sent, so that a host that floods
+the board with commands gets fewer answers and cannot make the board grow.
 """
 
 from __future__ import annotations
@@ -19,34 +21,84 @@ from collections.abc import Callable
 import numpy as np
 
 from .. import __version__
-from ..wire import Command, Decoder, DescriptionPacket, Flag, FramePacket, Order, encode
+from ..wire import (
+    BadCommand,
+    BoardProtocol,
+    Command,
+    Flag,
+    FramePacket,
+    Identity,
+    Order,
+    Reply,
+    SelfTest,
+    Status,
+    board_protocol,
+    write_description,
+)
 from ._scene import Scene
+from ._self_test import self_test
 from ._skin import EmulatedSkin, Sample
 
-DESCRIPTION_PERIOD_US = 1_000_000
+IDENTITY_PERIOD_US = 1_000_000
+SHORTEST_PERIOD_US = 10
+"""us between two frames; what a scene's fastest frame rate has"""
 
 
 class Board:
-    """A board that reads ``scene`` at its frame rate. ``record`` is told of every frame that it scans."""
+    """A board that reads ``scene`` at its frame rate and speaks ``protocol``."""
 
-    def __init__(self, scene: Scene, *, seed: int = 0, record: Callable[[Sample], None] | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        seed: int = 0,
+        boot_id: int = 1,
+        protocol: BoardProtocol | None = None,
+        record: Callable[[Sample], None] | None = None,
+    ) -> None:
+        """Switch the board on.
+
+        Args:
+            scene: skin, board and contacts.
+            seed: for the noise of the converter.
+            boot_id: number of this start of the board.
+            protocol: the board's end of the line; None: the native one.
+            record: told of every frame that the board scans.
+
+        """
         self.scene = scene
-        self.streaming = True
+        self.protocol = board_protocol("ohmskin") if protocol is None else protocol
+        self.streaming = not self.protocol.family.polled
         self.orders = 0
-        """START and STOP commands taken so far"""
+        """commands taken so far that start or stop frames"""
         self.overrun = False
         """set by the sender when it had to drop a frame: the next one says so"""
+        self.boot_id = boot_id
         self._record = record
         self._skin = EmulatedSkin(scene, np.random.default_rng(seed))
+        self._period_us = 1e6 / scene.board.frame_rate
+        self._first_us = 0
+        """time of the first tick at the present rate"""
         self._ticks = 0
+        """ticks since then"""
         self._sequence = 0
-        self._next_description_us = 0
-        self._commands = Decoder()
+        self._frames_wanted = 0
+        self._resistance_ohm = np.full(scene.skin.design.array.shape, scene.skin.cell.rest_resistance_ohm)
+        """of the cells when they were last scanned"""
+        self._next_identity_us = 0
+        self._description = write_description(scene.skin.design.model_dump(), scene.skin.cell.model_dump())
+        self._waiting: dict[int, Command | BadCommand] = {Order.DESCRIBE.value: Command(Order.DESCRIBE)}
+        """commands to answer, by packet type"""
 
     @property
     def next_us(self) -> int:
-        """When the next tick is due, in us since the start."""
-        return round(self._ticks * 1e6 / self.scene.board.frame_rate)
+        """Time of the next tick, in us since the start."""
+        return self._first_us + round(self._ticks * self._period_us)
+
+    @property
+    def wants_tick(self) -> bool:
+        """Whether the host waits for frames."""
+        return self.streaming or self._frames_wanted > 0
 
     def tick(self) -> list[bytes]:
         """Live through the next tick; the packets to send, each one whole."""
@@ -54,38 +106,106 @@ class Board:
         self._ticks += 1
         self._skin.advance(time_us / 1e6)
         packets = []
-        if time_us >= self._next_description_us:
-            self._next_description_us += DESCRIPTION_PERIOD_US
-            packets.append(self._describe(time_us))
-        if self.streaming:
-            sample = self._skin.scan(self._sequence)
-            if self._record is not None:
-                self._record(sample)
-            flags, self.overrun = Flag.OVERRUN if self.overrun else Flag.NONE, False
-            packets.append(encode(FramePacket.of(sample.counts, sequence=self._sequence, time_us=time_us, flags=flags)))
-            self._sequence = (self._sequence + 1) % 2**32
+        if time_us >= self._next_identity_us:
+            self._next_identity_us += IDENTITY_PERIOD_US
+            packets.append(self._identify(time_us))
+        packets += self._answer(time_us)
+        if self.wants_tick:
+            packets.append(self._scan(time_us))
+        return [packet for packet in packets if packet]
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes of the host. Commands take effect at once; their answers wait for :meth:`answers`."""
+        for command in self.protocol.feed(data):
+            if isinstance(command, Command):
+                self._obey(command)
+            kind = command.order.value if isinstance(command, Command) else command.order
+            # Unknown packet types share one place, so that no more than a few answers ever wait.
+            self._waiting[kind if isinstance(command, Command) else -1] = command
+
+    def answers(self) -> list[bytes]:
+        """The packets that answer the commands received since the last call."""
+        return [packet for packet in self._answer(self.next_us) if packet]
+
+    def _obey(self, command: Command) -> None:
+        match command.order:
+            case Order.START:
+                self.streaming = True
+                self.orders += 1
+            case Order.STOP:
+                self.streaming = False
+                self._frames_wanted = 0
+                self.orders += 1
+            case Order.ONE_FRAME:
+                self._frames_wanted = 1
+                self.orders += 1
+            case Order.RATE if command.period_us >= SHORTEST_PERIOD_US:
+                self._first_us, self._ticks = self.next_us, 0
+                self._period_us = float(command.period_us)
+
+    def _answer(self, time_us: int) -> list[bytes]:
+        waiting, self._waiting = self._waiting, {}
+        packets: list[bytes] = []
+        for command in waiting.values():
+            match command:
+                case Command(order=Order.IDENTIFY):
+                    packets.append(self._identify(time_us))
+                case Command(order=Order.DESCRIBE):
+                    packets += self.protocol.describe(
+                        self._description, sequence=self._sequence, time_us=time_us, boot_id=self.boot_id
+                    )
+                case Command(order=Order.SELF_TEST):
+                    packets.append(self._test(time_us))
+                case Command(order=Order.ONE_FRAME):
+                    pass  # the frame is the answer
+                case Command(order=Order.RATE) if command.period_us < SHORTEST_PERIOD_US:
+                    packets.append(self._reply(time_us, command.order.value, command.sequence, Status.OUT_OF_RANGE))
+                case Command(order=order):
+                    packets.append(self._reply(time_us, order.value, command.sequence, Status.TAKEN))
+                case BadCommand():
+                    packets.append(self._reply(time_us, command.order, command.sequence, command.status))
         return packets
 
-    def receive(self, data: bytes) -> list[bytes]:
-        """Take bytes from the host; the packets that answer them. What is no command is ignored."""
-        answers = []
-        for event in self._commands.feed(data):
-            match event:
-                case Command(order=Order.DESCRIBE):
-                    answers.append(self._describe(self.next_us))
-                case Command(order=order):
-                    self.streaming = order is Order.START
-                    self.orders += 1
-        return answers
+    def _scan(self, time_us: int) -> bytes:
+        sample = self._skin.scan(self._sequence)
+        self._resistance_ohm = sample.resistance_ohm
+        if self._record is not None:
+            self._record(sample)
+        flags = Flag.OVERRUN if self.overrun else Flag.NONE
+        frame = FramePacket.of(
+            sample.counts, sequence=self._sequence, time_us=time_us, flags=flags, boot_id=self.boot_id
+        )
+        self.overrun = False
+        self._frames_wanted = max(self._frames_wanted - 1, 0)
+        self._sequence = (self._sequence + 1) % 2**32
+        return self.protocol.frame(frame)
 
-    def _describe(self, time_us: int) -> bytes:
-        return encode(
-            DescriptionPacket(
+    def _identify(self, time_us: int) -> bytes:
+        design = self.scene.skin.design
+        assert design.adc is not None  # a scene is refused without one
+        return self.protocol.identify(
+            Identity(
                 self._sequence,
                 time_us,
+                rows=design.array.rows,
+                columns=design.array.columns,
+                adc_bits=design.adc.bits,
+                streaming=self.streaming,
+                period_us=min(round(self._period_us), 2**32 - 1),
+                description_bytes=len(self._description),
                 serial_number=self.scene.board.serial_number,
                 firmware=f"ohmskin emulator {__version__}",
-                design=self.scene.skin.design.model_dump(),
-                cell=self.scene.skin.cell.model_dump(),
+                boot_id=self.boot_id,
             )
+        )
+
+    def _test(self, time_us: int) -> bytes:
+        rows, columns, references = self_test(
+            self.scene.skin.design, self._resistance_ohm, self.scene.board.reference_resistances
+        )
+        return self.protocol.self_test(SelfTest(self._sequence, time_us, rows, columns, references, self.boot_id))
+
+    def _reply(self, time_us: int, order: int, command_sequence: int, status: Status) -> bytes:
+        return self.protocol.reply(
+            Reply(self._sequence, time_us, order, status, command_sequence, boot_id=self.boot_id)
         )

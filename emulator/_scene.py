@@ -150,6 +150,8 @@ class BoardSettings(Section):
     serial_number: str = "EMULATED"
     noise: NotNegative = 0.0
     """V rms, white, at the input of the ADC"""
+    reference_resistances: Annotated[tuple[Positive, ...], Field(strict=False, max_length=64)] = ()
+    """ohm of resistors that the board's self-test can read in place of a cell"""
 
 
 class LineSettings(Section):

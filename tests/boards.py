@@ -44,7 +44,8 @@ class Wire:
         return b"".join(map(self._carry, self.board.tick()))
 
     def write(self, data: bytes) -> None:
-        self._pending += map(self._carry, self.board.receive(data))
+        self.board.receive(data)
+        self._pending += map(self._carry, self.board.answers())
 
     def close(self) -> None:
         self.closed = True
