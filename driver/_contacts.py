@@ -134,16 +134,16 @@ class ContactTracker:
             reach = REACH_PITCHES * self.pitch_m + SPEED_M_PER_S * elapsed
             overlap = np.array([[_share_cells(new, old) for old, _ in known] for new in found])
             possible = (distance <= reach) | overlap
-            # An impossible pair costs more than all possible ones together, so that it is chosen only for want of others.
+            # An impossible pair costs more than all possible ones together: it is chosen only for want of others.
             impossible = 1.0 + distance[possible].sum()
             rows, columns = linear_sum_assignment(np.where(possible, distance, impossible))
-            for k, j in zip(rows, columns, strict=True):
+            for k, j in zip(rows.tolist(), columns.tolist(), strict=True):
                 if possible[k, j]:
-                    ids[int(k)] = known[int(j)][0].id
-        for k, name in ids.items():
+                    ids[k] = known[j][0].id
+        for number, name in ids.items():
             if not name:
                 self._last_id += 1
-                ids[k] = self._last_id
+                ids[number] = self._last_id
         named = [_with_id(contact, ids[k]) for k, contact in enumerate(found)]
         return tuple(sorted(named, key=lambda contact: -contact.force_n))
 
@@ -199,6 +199,4 @@ def _share_cells(one: Contact, other: Contact) -> bool:
 
 
 def _with_id(contact: Contact, name: int) -> Contact:
-    return Contact(
-        name, contact.x_mm, contact.y_mm, contact.area_mm2, contact.force_n, contact.peak_kpa, contact.cells
-    )
+    return Contact(name, contact.x_mm, contact.y_mm, contact.area_mm2, contact.force_n, contact.peak_kpa, contact.cells)

@@ -119,9 +119,7 @@ class Converter:
             std = std if estimate.std_kpa is None else estimate.std_kpa
         view = PressureView(frame.time_s, _read_only(pressure), _read_only(std))
         self.contacts.pass_by(view)
-        return Measurement(
-            _read_only(reading.valid), _read_only(reading.resistance), pressure, std, view, self._starts
-        )
+        return Measurement(_read_only(reading.valid), _read_only(reading.resistance), pressure, std, view, self._starts)
 
     def _new_estimator(self) -> Estimator | None:
         self._starts += 1

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from ..errors import LinkError, OhmskinError
-from ..wire import FramePacket, Identity, Order, board_family
+from ..wire import Family, FramePacket, Identity, Order, board_family, host_protocol
 from ._port import open_port, serial_ports, usb_serial_number
 
 
@@ -27,7 +27,9 @@ class FoundBoard:
     """of the USB device that the port belongs to"""
 
 
-def discover(ports: Iterable[str] | None = None, *, board: str = "ohmskin", timeout: float = 1.5) -> list[FoundBoard]:
+def discover(
+    ports: Iterable[str] | None = None, *, board: str | Family = "ohmskin", timeout: float = 1.5
+) -> list[FoundBoard]:
     """The boards that answer, by serial number.
 
     Every port is opened for a moment, all at the same time. Ports that are in use, and ports where nothing answers in
@@ -52,7 +54,7 @@ def discover(ports: Iterable[str] | None = None, *, board: str = "ohmskin", time
     return sorted(found, key=lambda entry: (entry.serial_number, entry.port))
 
 
-def find_board(serial_number: str, ports: Iterable[str] | None = None, *, board: str = "ohmskin") -> str:
+def find_board(serial_number: str, ports: Iterable[str] | None = None, *, board: str | Family = "ohmskin") -> str:
     """The port of the board with this serial number, of its own or of its USB device.
 
     Raises:
@@ -67,10 +69,9 @@ def find_board(serial_number: str, ports: Iterable[str] | None = None, *, board:
     raise LinkError(f"no board with serial number {serial_number}; boards present: {present}")
 
 
-def _ask(name: str, board: str, timeout_s: float) -> FoundBoard | None:
+def _ask(name: str, board: str | Family, timeout_s: float) -> FoundBoard | None:
     """The board behind one port, or None."""
-    family = board_family(board)
-    protocol = family.protocol()
+    family, protocol = board_family(board), host_protocol(board)
     try:
         port = open_port(name, baudrate=family.baud_rate, dtr=family.dtr, rts=family.rts)
     except LinkError:

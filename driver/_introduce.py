@@ -43,8 +43,9 @@ class Introduction:
     @property
     def complete(self) -> bool:
         """Whether all is known that the board will say."""
-        needs_description = self.family.has_description and None in self._given
-        return self.description is not None or not needs_description
+        if self.description is not None or not self.family.has_description or None not in self._given:
+            return True
+        return self.identity is not None and not self.identity.description_bytes
 
     def hear(self, event: Identity | Description) -> None:
         """Take a packet.
@@ -81,7 +82,7 @@ class Introduction:
             return design
         if self.family.design is not None:
             return parse(self.family.design, Design, source=f"design of {self.family.name}")
-        raise InputError(f"{self.port_name}: the board does not describe its readout; expected design=Design.load(...)")
+        raise InputError(f"{self.port_name}: the board does not describe its readout; pass design=Design.load(...)")
 
     def cell(self) -> Cell | None:
         """The cell: as given or as described; None where neither is known. Raises ProtocolError."""
@@ -145,4 +146,6 @@ def _check_size(design: Design, name: str) -> None:
     fine = rows * columns * design.sheet.divisions**2 if continuous else 0
     if rows * columns > most or fine > MOST_FINE_PIECES:
         sheet = "a continuous sheet" if continuous else "an array"
-        raise ProtocolError(f"{name}: the board describes {sheet} of {rows} x {columns} cells; at most {most} are driven")
+        raise ProtocolError(
+            f"{name}: the board describes {sheet} of {rows} x {columns} cells; at most {most} are driven"
+        )

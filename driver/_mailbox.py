@@ -18,6 +18,8 @@ class Fault:
     number: int
     """from 1"""
     error: OhmskinError
+    after: int
+    """number of the last frame that came before it"""
 
 
 @dataclass(slots=True, eq=False)
@@ -38,7 +40,7 @@ class Mailbox:
         self.condition = threading.Condition()
         self.capacity = capacity
         self.newest: RawFrame | None = None
-        self.fault = Fault(0, LinkError("none"))
+        self.fault = Fault(0, LinkError("none"), 0)
         self.end: OhmskinError | None = None
         """why no frame will come any more"""
         self.away: str | None = None
@@ -61,7 +63,8 @@ class Mailbox:
     def report(self, error: OhmskinError) -> None:
         """Let every taker know of a fault after which frames go on."""
         with self.condition:
-            self.fault = Fault(self.fault.number + 1, error)
+            after = 0 if self.newest is None else self.newest.index
+            self.fault = Fault(self.fault.number + 1, error, after)
             self._tell()
 
     def set_away(self, reason: str | None) -> None:

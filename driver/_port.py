@@ -1,6 +1,6 @@
 """Serial ports and TCP sockets as byte streams. This module is the only one that knows pyserial.
 
-Waiting uses :mod:`selectors` and file descriptors, since ``select()`` (which pyserial uses) fails beyond descriptor 1023.
+Waiting uses :mod:`selectors` on file descriptors: ``select()``, which pyserial uses, fails beyond descriptor 1023.
 """
 
 from __future__ import annotations

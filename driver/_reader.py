@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 
 from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
@@ -22,7 +23,10 @@ PROOF_S = 3.0
 """after a reconnection: how long a board may take to show that it is the same one"""
 MOST_READS = 64
 """in one turn, so that a board that never pauses cannot hold a taker up"""
+MOST_UNPROVEN = 1000
+"""frames kept until then"""
 JOIN_S = 2.0
+"""how long closing waits for the thread, which may be about to open a port"""
 
 
 class Reader:
@@ -63,8 +67,11 @@ class Reader:
         """a frame has come since the board was last asked"""
         self._proof_until = float("inf")
         """set while the board has yet to show that it is the one from before"""
+        self._unproven: deque[tuple[FramePacket, Arrival]] = deque(maxlen=MOST_UNPROVEN)
+        """frames that came meanwhile"""
         self._away_since: float | None = None
         self._received, self._reason = 0, ""
+        """bytes since the last frame, and why the last of them were no packet"""
         self._thread = threading.Thread(target=self._run, name=f"ohmskin reader {port.name}", daemon=True)
 
     def start(self) -> None:
@@ -89,6 +96,8 @@ class Reader:
     def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
         """The error for a wait that brought nothing of the kind wanted."""
         where = f"{self.port_name}: no {what} within {timeout_s:g} s"
+        if self._mailbox.away is not None:
+            return LinkTimeout(f"{where}: {self._mailbox.away}; trying to open the port again")
         if not self._received:
             return LinkTimeout(f"{where}: the port is silent")
         if self._reason:
@@ -212,10 +221,22 @@ class Reader:
                 self._get_to_know(event)
             case FramePacket():
                 self._heard = True
-                if self.introduction.complete and self._is_same(event):
-                    self._take(event, arrival)
+                self._hear(event, arrival)
                 if self._family.polled:
                     self.send(Order.ONE_FRAME)
+
+    def _hear(self, packet: FramePacket, arrival: Arrival) -> None:
+        if not self.introduction.complete:
+            following = None if packet.sequence is None else (packet.sequence + 1) % 2**32
+            self.stream.announce(following, packet.boot_id)
+            return
+        if self._proof_until < float("inf"):
+            if self.introduction.identity is not None:
+                self._unproven.append((packet, arrival))
+                return
+            # A board that cannot say who it is is known by its port.
+            self._prove()
+        self._take(packet, arrival)
 
     def _take(self, packet: FramePacket, arrival: Arrival) -> None:
         try:
@@ -223,6 +244,7 @@ class Reader:
         except ProtocolError as error:
             self._mailbox.report(error)
             return
+        self._received = 0
         if frame is not None:
             self._mailbox.put(frame)
         if packet.flags & Flag.LAST:
@@ -248,21 +270,15 @@ class Reader:
         if self.introduction.complete:
             self.introduced.set()
 
-    def _is_same(self, packet: FramePacket) -> bool:
-        """Whether a frame comes from the board from before; always, unless the port was opened anew."""
-        if self._proof_until == float("inf"):
-            return True
-        # A board that cannot tell who it is is known by its port. A random boot id is as good as a serial number.
-        if self.introduction.identity is None or self.stream.is_same_boot(packet):
-            self._prove()
-            return True
-        return False
-
     def _prove(self) -> None:
+        """The board there is the one from before."""
         self._proof_until = float("inf")
         self._away_since = None
         self._counters.reconnects += 1
         self._mailbox.set_away(None)
+        unproven, self._unproven = self._unproven, deque(maxlen=MOST_UNPROVEN)
+        for packet, arrival in unproven:
+            self._take(packet, arrival)
 
     def _connect_again(self, error: LinkError) -> None:
         """Open the port again; raises LinkError when it has not come back in time."""
@@ -279,6 +295,7 @@ class Reader:
             with self._reading:
                 self._port = port
                 self._protocol = self._new_protocol()
+                self._unproven.clear()
                 self._proof_until = time.monotonic() + PROOF_S
             return
         raise LinkError(f"{error}; it has not come back within {self._reconnect_s:g} s")

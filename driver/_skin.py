@@ -14,7 +14,7 @@ import numpy as np
 from ..cell import Cell
 from ..circuits import Design
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
-from ..wire import Description, Family, Identity, Order, board_family
+from ..wire import Description, Family, HostProtocol, Identity, Order, board_family, host_protocol
 from ._convert import Converter
 from ._discover import find_board
 from ._frame import Frame
@@ -88,9 +88,10 @@ class Skin:
 
         """
         self._timeout = timeout
+        self._delivery = delivery
         deadline = time.monotonic() + timeout
         try:
-            family = board_family(board) if isinstance(board, str) else board
+            family = board_family(board)
             if queue < 1:
                 raise InputError(f"a queue of {queue} frames; expected at least 1")
             if delivery not in ("newest", "every", "lossless"):
@@ -100,7 +101,7 @@ class Skin:
             introduction = Introduction(family, port.name, design, cell)
             self._reader = Reader(
                 port,
-                protocol=lambda: family.protocol(None if design is None else design.array.shape),
+                protocol=lambda: _host_end(family, introduction),
                 introduction=introduction,
                 mailbox=self._mailbox,
                 counters=self._counters,
@@ -131,6 +132,7 @@ class Skin:
             self._counters,
             self._reader.poll,
             self._reader.now,
+            self._reader.nothing_came,
             newest_only=delivery == "newest",
         )
         self._taker = FrameTaker(self._source, from_start=True)
@@ -143,7 +145,7 @@ class Skin:
         cls,
         port: str | None = None,
         *,
-        board: str = "ohmskin",
+        board: str | Family = "ohmskin",
         serial_number: str | None = None,
         design: Design | None = None,
         cell: Cell | None = None,
@@ -388,14 +390,14 @@ class Skin:
     def _apply(self) -> None:
         tare = self._tares[-1]
         self._converter.use_rest(None if tare is None else tare.rest_resistance_ohm)
-        self._taker.pass_to_newest()
+        self._taker.forget()
 
     def _measure_rest(self, frames: int) -> Tare:
-        taker = FrameTaker(self._source)
-        try:
-            taken = [taker.take(self._timeout) for _ in range(frames)]
-        finally:
-            taker.leave()
+        if self._delivery == "every":
+            # What waits in the queue is of the past.
+            self._taker.pass_to_newest()
+        with self._taker.aside():
+            taken = [self._taker.take(self._timeout) for _ in range(frames)]
         losses = [frame.lost_before for frame in taken]
         readings = RestReadings(
             np.array([frame.resistance for frame in taken]),
@@ -413,6 +415,14 @@ class Skin:
             f"{self._reader.port_name}: the inverse of the board's circuit was not set up within {self._timeout:g} s; "
             "give a longer timeout, if the board's description is right"
         )
+
+
+def _host_end(family: Family, introduction: Introduction) -> HostProtocol:
+    """A new host's end of the line, told of the array where the board does not say it."""
+    if family.has_description:
+        return host_protocol(family)
+    design = introduction.design()
+    return host_protocol(family, shape=design.array.shape, adc_bits=None if design.adc is None else design.adc.bits)
 
 
 def _set_up(introduction: Introduction, estimator: str | None, pitch: float | None, counters: Counters) -> Converter:

@@ -66,13 +66,9 @@ class FrameStream:
         self._in_step = True
 
     def announce(self, sequence: int | None, boot_id: int | None) -> None:
-        """Take what the board says of itself before its first frame: the number that frame will have."""
-        if self._expected is None:
+        """Take the number that the first frame will have, as the packets before it say."""
+        if not self.counters.frames:
             self._expected, self._boot_id = sequence, boot_id
-
-    def is_same_boot(self, packet: FramePacket) -> bool:
-        """Whether a frame carries the boot id of the frames before it."""
-        return packet.boot_id is not None and packet.boot_id == self._boot_id
 
     def corrupt(self, event: Corrupt) -> None:
         """Count a stretch of bytes that was no packet."""

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import copy
+import dataclasses
 import threading
 import time
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from ..errors import LinkEnded, LinkTimeout
+from ..errors import LinkEnded, LinkTimeout, OhmskinError
 from ._convert import Converter, Measurement
 from ._frame import Frame
 from ._mailbox import Mailbox, Place
@@ -31,6 +33,8 @@ class Source:
     """lets what has come on the port be read at once, without waiting for the reader thread's turn"""
     now: Callable[[], float]
     """s, on the clock of the frames' monotonic times"""
+    nothing_came: Callable[[str, float], OhmskinError]
+    """the error for a wait in vain: what was waited for, and for how many s"""
     newest_only: bool
     """a taker gets the newest frame; otherwise every frame that is still queued"""
 
@@ -51,6 +55,11 @@ class FrameTaker:
         self._starts = 0
         self._frame: Frame | None = None
         weakref.finalize(self, mailbox.leave, self._place)
+
+    @property
+    def index(self) -> int:
+        """Number of the last frame taken or passed."""
+        return self._place.index
 
     def take(self, timeout_s: float, *, while_away: bool = False) -> Frame:
         """The next frame, waiting for it.
@@ -74,7 +83,7 @@ class FrameTaker:
             left = deadline - time.monotonic()
             away = self._source.mailbox.away
             if left <= 0 and not (away and while_away):
-                raise LinkTimeout(f"{self._source.name}: no frame within {timeout_s:g} s" + _because(away))
+                raise self._source.nothing_came("frame", timeout_s)
             self._wait(left if left > 0 else 1.0)
 
     def latest(self, max_age_s: float, timeout_s: float) -> Frame:
@@ -94,8 +103,8 @@ class FrameTaker:
                 frame = self._repeat(newest) or self._claim(newest)
                 if frame is not None and frame.age <= max_age_s:
                     return frame
-                if frame is None:
-                    continue
+                if frame is None and newest.index > self._before.index:
+                    continue  # another taker had a newer one converted
             self._check()
             left = deadline - time.monotonic()
             if left <= 0:
@@ -110,7 +119,8 @@ class FrameTaker:
         source = self._source
         source.poll()
         while True:
-            self._check_fault()
+            if source.newest_only or self._place.index >= source.mailbox.fault.after:
+                self._check_fault()
             with source.mailbox.condition:
                 newest = source.mailbox.newest
                 frame = newest if source.newest_only else source.mailbox.after(self._place.index)
@@ -122,12 +132,25 @@ class FrameTaker:
                 return taken
 
     def pass_to_newest(self) -> None:
-        """Take the frames that have come for seen, without counting them as skipped."""
+        """Pass the frames that have come; they count as skipped."""
         with self._lock, self._source.mailbox.condition:
             newest = self._source.mailbox.newest
             if newest is not None:
-                self._before.index = max(self._before.index, newest.index)
                 self._source.mailbox.move(self._place, newest.index)
+
+    @contextlib.contextmanager
+    def aside(self) -> Iterator[None]:
+        """Frames taken within the block are not skipped; what was lost meanwhile is told with the next frame."""
+        before = self._before
+        yield
+        with self._lock:
+            self._before = dataclasses.replace(before, index=self._before.index)
+            self._frame = None
+
+    def forget(self) -> None:
+        """Do not hand out the frame taken last again."""
+        with self._lock:
+            self._frame = None
 
     def leave(self) -> None:
         """Give up the place: frames are not kept for this taker any more."""
@@ -184,14 +207,14 @@ class FrameTaker:
         fault = self._source.mailbox.fault
         if fault.number > self._faults:
             self._faults = fault.number
-            raise fault.error.with_traceback(None)
+            raise copy.copy(fault.error)
 
     def _check(self) -> None:
         """Raise why no frame will come, if none will."""
         self._check_fault()
         end = self._source.mailbox.end
         if end is not None:
-            raise end.with_traceback(None)
+            raise copy.copy(end)
 
     def _wait(self, timeout_s: float, since: RawFrame | None = None) -> None:
         """Wait until something is new."""
@@ -245,7 +268,7 @@ class AsyncFrames:
             left = deadline - time.monotonic()
             away = self._source.mailbox.away
             if left <= 0 and not away:
-                raise LinkTimeout(f"{self._source.name}: no frame within {self._timeout_s:g} s")
+                raise self._source.nothing_came("frame", self._timeout_s)
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._event.wait(), left if left > 0 else 1.0)
 
