@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import inf, isfinite
+from math import inf
 from pathlib import Path
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field, PlainValidator, model_validator
 
 from ..arrays import FloatArray
-from ..config import Section, load
+from ..config import LEAST, MOST, Finite, NotNegative, Positive, Section, load
 from ..errors import InputError
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+from ._requirement import Requirement
+from ._spread import Spread, Spreadable
 
 Circuit = Literal["inverting-amplifier", "voltage-divider", "voltage-feedback"]
 CIRCUITS: tuple[str, ...] = get_args(Circuit)
@@ -36,16 +35,18 @@ def _per_line(expected: str, allowed: Callable[[float], bool]) -> PlainValidator
 
 
 PerLine = float | tuple[float, ...]
-Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: 0 <= x < inf)]
-PositiveOhms = Annotated[PerLine, _per_line("a number of ohm > 0", lambda x: 0 < x < inf)]
-Gains = Annotated[PerLine, _per_line("a number >= 1 (or inf)", lambda x: x >= 1)]
-Numbers = Annotated[PerLine, _per_line("a finite number", isfinite)]
+Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: 0 <= x <= MOST)]
+PositiveOhms = Annotated[PerLine, _per_line("a number of ohm > 0", lambda x: LEAST <= x <= MOST)]
+Gains = Annotated[PerLine, _per_line("a number >= 1 (or inf)", lambda x: 1 <= x <= MOST or x == inf)]
+Numbers = Annotated[PerLine, _per_line("a finite number", lambda x: abs(x) <= MOST)]
 
 
-class Array(Section):
+class Array(Spreadable):
     """The passive grid. Column j's line starts at row 0 and its amplifier follows row N-1;
     row i is driven at column 0. Each resistance is one number, or a list of one per line.
     """
+
+    PARTS: ClassVar[tuple[str, ...]] = ("row_lead", "row_segment", "column_lead", "column_segment")
 
     rows: Annotated[int, Field(ge=1, le=1024)]
     columns: Annotated[int, Field(ge=1, le=1024)]
@@ -69,11 +70,11 @@ class Sheet(Section):
     cells on a 1 inch pitch, 1/8 inch thick, under strips of 3/4 inch.
     """
 
-    pitch: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.0254
+    pitch: Positive = 0.0254
     """m"""
-    thickness: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.003175
+    thickness: Positive = 0.003175
     """m"""
-    electrode_width: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.01905
+    electrode_width: Positive = 0.01905
     """m, of a row's or column's strip"""
     divisions: Annotated[int, Field(ge=2, le=32)] = 8
     """boxes along a cell's side"""
@@ -87,8 +88,10 @@ class Sheet(Section):
         return self
 
 
-class Drive(Section):
+class Drive(Spreadable):
     """What the rows are driven with."""
+
+    PARTS: ClassVar[tuple[str, ...]] = ("voltage",)
 
     voltage: Finite
     """V, selected row against the reference"""
@@ -102,12 +105,23 @@ class Drive(Section):
         return self
 
 
-class Readout(Section):
+class Readout(Spreadable):
     """What each column ends in. What belongs to one column is one number, or a list of one per column.
 
     "voltage-feedback" is a divider whose sensed column also feeds a follower, and that drives every idle row and
     column; the follower's output is what is read.
     """
+
+    PARTS: ClassVar[tuple[str, ...]] = (
+        "reference_resistance",
+        "reference_voltage",
+        "open_loop_gain",
+        "gain_bandwidth",
+        "offset_voltage",
+        "bias_current",
+        "column_capacitance",
+        "feedback_capacitance",
+    )
 
     circuit: Circuit
     reference_resistance: PositiveOhms
@@ -115,7 +129,7 @@ class Readout(Section):
     reference_voltage: Finite = 0.0
     """V: non-inverting input and idle rows (single-supply boards)"""
     open_loop_gain: Gains = inf
-    gain_bandwidth: Annotated[float, Field(gt=0)] = inf
+    gain_bandwidth: Annotated[float, Field(ge=LEAST)] = inf
     """Hz"""
     offset_voltage: Numbers = 0.0
     """V, added to the non-inverting input"""
@@ -149,8 +163,10 @@ class Readout(Section):
 PER_COLUMN = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
 
 
-class Adc(Section):
+class Adc(Spreadable):
     """The converter behind the column outputs."""
+
+    PARTS: ClassVar[tuple[str, ...]] = ("offset_voltage", "gain_error", "inl_steps")
 
     bits: Annotated[int, Field(ge=1, le=32)]
     range: Annotated[tuple[Finite, Finite], Field(strict=False)]
@@ -163,7 +179,7 @@ class Adc(Section):
     """s that one sampling capacitor spends on each column in turn; 0: each column has its own, always connected"""
     offset_voltage: Finite = 0.0
     """V that the converter adds to its input"""
-    gain_error: Annotated[float, Field(gt=-1, allow_inf_nan=False)] = 0.0
+    gain_error: Annotated[float, Field(gt=-1, le=MOST, allow_inf_nan=False)] = 0.0
     """by which its slope exceeds 1, about the lower end of the range"""
     inl_steps: Finite = 0.0
     """integral nonlinearity in steps: a bow, largest at mid-range and 0 at both ends"""
@@ -231,12 +247,48 @@ class Fault(Section):
 class Requirements(Section):
     """What the design must keep for `ohmskin verify` to pass it; the defaults are the project's own."""
 
-    crosstalk_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 2.0
+    crosstalk_percent: Positive = 2.0
     """largest change of an untouched cell's reading, in % of that reading"""
-    reading_error_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5.0
+    reading_error_percent: Positive = 5.0
     """largest error of a resistance that equation (10) makes of an uncalibrated reading"""
-    pressure_rmse_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5.0
+    pressure_rmse_percent: Positive = 5.0
     """largest RMS error of the pressure estimate, in % of full scale"""
+
+
+class Cells(Spreadable):
+    """The resistances that the cells take, for the verification; a CELL.toml says more."""
+
+    PARTS: ClassVar[tuple[str, ...]] = ("rest_resistance",)
+
+    rest_resistance: Positive
+    """ohm of an untouched cell; its spread is that of the whole cell, pressed or not"""
+    full_scale_resistance: Positive
+    """ohm under full-scale pressure"""
+    full_scale_kpa: Positive | None = None
+    """kPa; None: quantities in kPa are not known"""
+
+    @model_validator(mode="after")
+    def _changes(self) -> Self:
+        if self.rest_resistance == self.full_scale_resistance:
+            raise ValueError("full_scale_resistance equals rest_resistance: such a cell measures nothing")
+        return self
+
+
+class Operation(Section):
+    """How the board is run; the verification judges the design under these conditions."""
+
+    frame_rate: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    """Hz: frames of all rows"""
+    temperature_range: Annotated[tuple[NotNegative, NotNegative], Field(strict=False)] | None = None
+    """K, lowest and highest ambient temperature; None: 298.15 K only"""
+    readings_per_calibration: Annotated[int, Field(ge=1)] = 20
+    """frames of the untouched skin that the driver averages when it is tared"""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.temperature_range is not None and not self.temperature_range[0] <= self.temperature_range[1]:
+            raise ValueError(f"temperature_range must be [lowest, highest] in K, got {list(self.temperature_range)}")
+        return self
 
 
 class Design(Section):
@@ -251,6 +303,11 @@ class Design(Section):
     """geometry of the material, if array.sheet is "continuous"; a sliced one needs none"""
     fault: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
     requirements: Requirements = Requirements()
+    requirement: Annotated[tuple[Requirement, ...], Field(strict=False, exclude=True)] = ()
+    """of the verification only; a board does not send them"""
+    cells: Cells | None = None
+    """None: as a CELL.toml says, or the shipped example cell"""
+    operation: Operation = Operation()
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -279,6 +336,16 @@ class Design(Section):
     def load(cls, path: str | Path) -> Design:
         """Read DESIGN.toml; InputError with one located message if it is not a valid design."""
         return load(path, cls)
+
+    @property
+    def spreads(self) -> dict[str, Spread]:
+        """How far each part may lie from its nominal value, by section and key: ``"readout.offset_voltage"``."""
+        found: dict[str, Spread] = {}
+        for name in ("array", "drive", "readout", "adc", "cells"):
+            section = getattr(self, name)
+            if section is not None:
+                found |= {f"{name}.{key}": spread for key, spread in section.spread.items()}
+        return found
 
     def with_circuit(self, circuit: str) -> Design:
         """The same array and parts read by another circuit."""

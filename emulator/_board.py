@@ -37,7 +37,7 @@ from ..wire import (
 )
 from ._scene import Scene
 from ._self_test import self_test
-from ._skin import EmulatedSkin, Sample
+from ._skin import EmulatedSkin, FrameBlock, Sample
 
 IDENTITY_PERIOD_US = 1_000_000
 SHORTEST_PERIOD_US = 10
@@ -75,16 +75,12 @@ class Board:
         """set by the sender when it had to drop a frame: the next one says so"""
         self.boot_id = boot_id
         self._record = record
-        self._skin = EmulatedSkin(scene, np.random.default_rng(seed))
+        self._skin = EmulatedSkin(scene, seed)
         self._period_us = 1e6 / scene.board.frame_rate
-        self._first_us = 0
-        """time of the first tick at the present rate"""
-        self._ticks = 0
-        """ticks since then"""
         self._sequence = 0
         self._frames_wanted = 0
-        self._resistance_ohm = np.full(scene.skin.design.array.shape, scene.skin.cell.rest_resistance_ohm)
-        """of the cells when they were last scanned"""
+        self._latest = np.full(scene.skin.design.array.shape, scene.skin.cell.rest_resistance_ohm)
+        """(rows, columns) ohm of the cells in the last frame"""
         self._next_identity_us = 0
         self._description = write_description(scene.skin.design.model_dump(), scene.skin.cell.model_dump())
         self._waiting: dict[int, Command | BadCommand] = {Order.DESCRIBE.value: Command(Order.DESCRIBE)}
@@ -93,7 +89,7 @@ class Board:
     @property
     def next_us(self) -> int:
         """Time of the next tick, in us since the start."""
-        return self._first_us + round(self._ticks * self._period_us)
+        return self._skin.next_us
 
     @property
     def wants_tick(self) -> bool:
@@ -103,15 +99,14 @@ class Board:
     def tick(self) -> list[bytes]:
         """Live through the next tick; the packets to send, each one whole."""
         time_us = self.next_us
-        self._ticks += 1
-        self._skin.advance(time_us / 1e6)
+        block, place = self._skin.read()
         packets = []
         if time_us >= self._next_identity_us:
             self._next_identity_us += IDENTITY_PERIOD_US
             packets.append(self._identify(time_us))
         packets += self._answer(time_us)
         if self.wants_tick:
-            packets.append(self._scan(time_us))
+            packets.append(self._send(block, place, time_us))
         return [packet for packet in packets if packet]
 
     def receive(self, data: bytes) -> None:
@@ -140,8 +135,8 @@ class Board:
                 self._frames_wanted = 1
                 self.orders += 1
             case Order.RATE if command.period_us >= SHORTEST_PERIOD_US:
-                self._first_us, self._ticks = self.next_us, 0
                 self._period_us = float(command.period_us)
+                self._skin.set_period(self._period_us)
 
     def _answer(self, time_us: int) -> list[bytes]:
         waiting, self._waiting = self._waiting, {}
@@ -166,14 +161,16 @@ class Board:
                     packets.append(self._reply(time_us, command.order, command.sequence, command.status))
         return packets
 
-    def _scan(self, time_us: int) -> bytes:
-        sample = self._skin.scan(self._sequence)
-        self._resistance_ohm = sample.resistance_ohm
+    def _send(self, block: FrameBlock, place: int, time_us: int) -> bytes:
+        self._latest = block.resistance_ohm[place]
         if self._record is not None:
-            self._record(sample)
-        flags = Flag.OVERRUN if self.overrun else Flag.NONE
+            self._record(block.sample(place, self._sequence))
         frame = FramePacket.of(
-            sample.counts, sequence=self._sequence, time_us=time_us, flags=flags, boot_id=self.boot_id
+            block.counts[place],
+            sequence=self._sequence,
+            time_us=time_us,
+            flags=Flag.OVERRUN if self.overrun else Flag.NONE,
+            boot_id=self.boot_id,
         )
         self.overrun = False
         self._frames_wanted = max(self._frames_wanted - 1, 0)
@@ -201,7 +198,7 @@ class Board:
 
     def _test(self, time_us: int) -> bytes:
         rows, columns, references = self_test(
-            self.scene.skin.design, self._resistance_ohm, self.scene.board.reference_resistances
+            self.scene.skin.design, self._latest, self.scene.board.reference_resistances
         )
         return self.protocol.self_test(SelfTest(self._sequence, time_us, rows, columns, references, self.boot_id))
 

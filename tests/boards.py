@@ -80,7 +80,8 @@ class Wire(MemoryPort):
         self.board = board
         self.frames = frames
         """after which the board is gone"""
-        self._line = line
+        self.line = line
+        """what spoils the packets from now on"""
         self._pending = [b"\0"]
 
     def ready(self) -> bool:
@@ -99,7 +100,7 @@ class Wire(MemoryPort):
         self._pending += map(self._carry, self.board.answers())
 
     def _carry(self, packet: bytes) -> bytes:
-        return packet if self._line is None else self._line.carry(packet)
+        return packet if self.line is None else self.line.carry(packet)
 
 
 class Script(MemoryPort):

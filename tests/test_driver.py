@@ -252,10 +252,12 @@ def total_lost(frames: list[Frame]) -> int:
 
 
 def test_what_the_line_loses_is_counted() -> None:
-    port = Wire(Board(scene()), Line(LineSettings(packet_loss=0.2), seed=5), frames=2000)
+    port = Wire(Board(scene()), frames=2000)
     frames: list[Frame] = []
-    with lossless(port) as skin, pytest.raises(LinkError, match="gone"):
-        frames.extend(skin)
+    with lossless(port) as skin:
+        port.line = Line(LineSettings(packet_loss=0.2), seed=5)
+        with pytest.raises(LinkError, match="gone"):
+            frames.extend(skin)
     assert 250 < 2000 - len(frames) < 550
     assert total_lost(frames) + len(frames) == frames[-1].sequence + 1
     assert skin.stats().corrupt == 0
@@ -266,10 +268,12 @@ def test_what_the_line_loses_is_counted() -> None:
 def test_what_the_line_spoils_is_counted_as_lost_and_never_believed() -> None:
     taken: dict[int, Sample] = {}
     board = Board(scene(), record=lambda sample: taken.__setitem__(sample.sequence, sample))
-    port = Wire(board, Line(LineSettings(bit_errors=1e-4), seed=5), frames=3000)
+    port = Wire(board, frames=3000)
     frames: list[Frame] = []
-    with lossless(port) as skin, pytest.raises(LinkError, match="gone"):
-        frames.extend(skin)
+    with lossless(port) as skin:
+        port.line = Line(LineSettings(bit_errors=1e-4), seed=5)
+        with pytest.raises(LinkError, match="gone"):
+            frames.extend(skin)
     assert skin.stats().corrupt > 50
     first = frames[0].sequence - frames[0].lost_before  # the description may have come late
     assert total_lost(frames) + len(frames) == frames[-1].sequence - first + 1

@@ -395,17 +395,26 @@ def test_a_description_comes_through_in_pieces_of_any_cut(
     assert events[0].received_at == 1.5  # type: ignore[union-attr]
 
 
-def test_a_description_with_a_lost_piece_is_dropped_and_the_next_one_taken() -> None:
-    board, host = board_protocol("ohmskin"), host_protocol("ohmskin")
-    text = write_description({"name": "x" * 1000}, {})
-    packets = board.describe(text, sequence=0, time_us=0, boot_id=1)
+def test_a_lost_piece_of_a_description_comes_with_the_next_description() -> None:
+    board = board_protocol("ohmskin")
+    tables = {"name": "x" * 1000}
+    packets = board.describe(write_description(tables, {}), sequence=0, time_us=0, boot_id=1)
     assert len(packets) > 4
     for lost in range(len(packets)):
+        host = host_protocol("ohmskin")
         assert not host.feed(b"".join(packets[:lost] + packets[lost + 1 :]), 0.0)
-        assert host.feed(b"".join(packets), 0.0) == [Description(0, 0, {"name": "x" * 1000}, {}, 1)]
-    rebooted = board.describe(text, sequence=0, time_us=0, boot_id=2)
-    assert not host.feed(b"".join(packets[:2] + rebooted[2:]), 0.0)
-    assert not host.feed(b"".join(packets[3:]), 0.0)
+        events = host.feed(b"".join(packets), 0.0)
+        assert events == [Description(0, 0, tables, {}, 1)]
+        assert host.feed(b"".join(packets), 0.0) == events
+
+
+def test_pieces_of_different_boots_are_not_mixed() -> None:
+    board, host = board_protocol("ohmskin"), host_protocol("ohmskin")
+    before, after = ({"name": letter * 1000} for letter in "ab")
+    old = board.describe(write_description(before, {}), sequence=0, time_us=0, boot_id=1)
+    new = board.describe(write_description(after, {}), sequence=0, time_us=0, boot_id=2)
+    assert not host.feed(b"".join(old[:2] + new[2:]), 0.0)
+    assert host.feed(b"".join(new[:2]), 0.0) == [Description(0, 0, after, {}, 2)]
 
 
 def test_every_order_of_a_host_is_understood_by_a_board() -> None:

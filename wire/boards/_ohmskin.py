@@ -85,31 +85,29 @@ class OhmskinBoard(BoardProtocol):
 
 
 class _Assembly:
-    """Joins the pieces of a description, which come in order unless the line loses one."""
+    """Joins the pieces of a description. A piece that the line lost is taken from the next time that they are sent."""
 
     def __init__(self) -> None:
         self._text = bytearray()
-        self._total = 0
+        self._missing = bytearray()
+        """for each byte of the text 1 until it has come"""
         self._boot_id = 0
 
     def add(self, piece: DescriptionPiece) -> Description | Corrupt | None:
-        """The description, when ``piece`` is the last one and none is missing; Corrupt when the text is wrong."""
-        if piece.offset == 0:
-            self._text = bytearray()
-            self._total, self._boot_id = piece.total, piece.boot_id
-        elif not self._total:
-            return None  # the host joined in the middle of a description
-        elif (piece.offset, piece.total, piece.boot_id) != (len(self._text), self._total, self._boot_id):
-            self._total = 0  # the line has lost a piece; the host will ask again
+        """The description, when ``piece`` was the last one missing; Corrupt when the text is wrong; else None."""
+        if (piece.total, piece.boot_id) != (len(self._text), self._boot_id):
+            self._text, self._missing = bytearray(piece.total), bytearray(b"\1" * piece.total)
+            self._boot_id = piece.boot_id
+        end = piece.offset + len(piece.data)
+        self._text[piece.offset : end] = piece.data
+        self._missing[piece.offset : end] = bytes(len(piece.data))
+        if 1 in self._missing:
             return None
-        self._text += piece.data
-        if len(self._text) < self._total:
-            return None
-        self._total = 0
+        text, self._text = bytes(self._text), bytearray()
         try:
-            design, cell = read_description(bytes(self._text))
+            design, cell = read_description(text)
         except ProtocolError as error:
-            return Corrupt(len(self._text), str(error))
+            return Corrupt(len(text), str(error))
         return Description(piece.sequence, piece.time_us, design, cell, piece.boot_id, received_at=piece.received_at)
 
 
