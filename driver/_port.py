@@ -29,6 +29,7 @@ WRITE_TIMEOUT_S = 1.0
 CONNECT_TIMEOUT_S = 5.0
 _CHUNK = 65536
 _NOT_NOW = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
+_HUNG_UP = (errno.EPIPE, errno.ECONNRESET, errno.EIO, errno.ENXIO, errno.ENODEV)
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +132,8 @@ class DescriptorPort(_RealTimePort):
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._wake_read, selectors.EVENT_READ)
         self._selector.register(descriptor, selectors.EVENT_READ)
+        self._readable = selectors.DefaultSelector()
+        self._readable.register(descriptor, selectors.EVENT_READ)
         self._closed = False
 
     def wait(self, timeout_s: float) -> bool:
@@ -144,12 +147,18 @@ class DescriptorPort(_RealTimePort):
         """Take the bytes that have come, without waiting; LinkError when the port is gone."""
         try:
             data = os.read(self._descriptor, _CHUNK)
+            # A terminal reads nothing when nothing has come. Any port reads nothing when the other end hung up, but
+            # is then said to be readable.
+            if not data and self._readable.select(0):
+                data = os.read(self._descriptor, _CHUNK)
+                if not data:
+                    raise self._gone("the other end hung up")
         except OSError as error:
+            if isinstance(error, LinkError):
+                raise
             if error.errno in _NOT_NOW:
                 return self._arrived(b"")
             raise self._gone(error) from error
-        if not data:
-            raise self._gone("the other end hung up")
         return self._arrived(data)
 
     def write(self, data: bytes) -> None:
@@ -160,6 +169,8 @@ class DescriptorPort(_RealTimePort):
             try:
                 rest = rest[os.write(self._descriptor, rest) :]
             except OSError as error:
+                if error.errno in _HUNG_UP:
+                    raise self._gone(error) from error
                 if error.errno not in _NOT_NOW:
                     raise LinkError(f"{self.name}: the board takes no commands ({_reason(error)})") from error
                 if time.monotonic() > deadline:
@@ -183,6 +194,7 @@ class DescriptorPort(_RealTimePort):
             return
         self._closed = True
         self._selector.close()
+        self._readable.close()
         os.close(self._wake_read)
         os.close(self._wake_write)
         self._release()

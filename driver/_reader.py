@@ -70,7 +70,7 @@ class Reader:
         self._unproven: deque[tuple[FramePacket, Arrival]] = deque(maxlen=MOST_UNPROVEN)
         """frames that came meanwhile"""
         self._away_since: float | None = None
-        self._received, self._reason = 0, ""
+        self._received, self._reason = 0, "no end of a packet"
         """bytes since the last frame, and why the last of them were no packet"""
         self._thread = threading.Thread(target=self._run, name=f"ohmskin reader {port.name}", daemon=True)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable
 from dataclasses import FrozenInstanceError, replace
 from itertools import islice
 
@@ -17,7 +16,7 @@ from hypothesis import strategies as st
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, apparent_resistance, ideal_volts, scan
 from ohmskin.config import parse
-from ohmskin.driver import CountReader, Frame, Skin
+from ohmskin.driver import CountReader, Frame
 from ohmskin.emulator import Board, Line, Sample
 from ohmskin.emulator._scene import LineSettings
 from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
