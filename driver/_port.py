@@ -10,6 +10,7 @@ import errno
 import os
 import selectors
 import socket
+import threading
 import time
 from abc import abstractmethod
 from dataclasses import dataclass
@@ -135,6 +136,7 @@ class DescriptorPort(_RealTimePort):
         self._readable = selectors.DefaultSelector()
         self._readable.register(descriptor, selectors.EVENT_READ)
         self._closed = False
+        self._closing = threading.Lock()
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until bytes have come or the port is gone; False after ``timeout_s`` or after :meth:`interrupt`."""
@@ -184,20 +186,21 @@ class DescriptorPort(_RealTimePort):
 
     def interrupt(self) -> None:
         """End a :meth:`wait` that another thread is in."""
-        if not self._closed:
-            with contextlib.suppress(BlockingIOError):
+        with self._closing, contextlib.suppress(BlockingIOError):
+            if not self._closed:
                 os.write(self._wake_write, b"!")
 
     def close(self) -> None:
-        """Give the port back; a second time does nothing."""
-        if self._closed:
-            return
-        self._closed = True
-        self._selector.close()
-        self._readable.close()
-        os.close(self._wake_read)
-        os.close(self._wake_write)
-        self._release()
+        """Give the port back; a second time does nothing. Not while another thread waits, reads or writes."""
+        with self._closing:
+            if self._closed:
+                return
+            self._closed = True
+            self._selector.close()
+            self._readable.close()
+            os.close(self._wake_read)
+            os.close(self._wake_write)
+            self._release()
 
     @abstractmethod
     def _release(self) -> None:

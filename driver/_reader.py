@@ -61,7 +61,8 @@ class Reader:
         self._mailbox, self._counters = mailbox, counters
         self._lossless = lossless
         self._reopen, self._reconnect_s = reopen, reconnect_s
-        self._reading = threading.Lock()
+        self._reading = threading.RLock()
+        """held by who reads from the port, writes to it, or replaces it"""
         self._stop = threading.Event()
         self._heard = False
         """a frame has come since the board was last asked"""
@@ -124,12 +125,12 @@ class Reader:
             LinkError: the port is gone, or the line is full.
 
         """
-        port = self._port
-        if port is None:
-            raise LinkError(f"{self.port_name}: the board is away")
-        data = self._protocol.request(order, period_us=period_us)
-        if data:
-            port.write(data)
+        with self._reading:
+            if self._port is None:
+                raise LinkError(f"{self.port_name}: the board is away")
+            data = self._protocol.request(order, period_us=period_us)
+            if data:
+                self._port.write(data)
 
     def stop(self) -> None:
         """End the thread, which closes the port. From another thread or from a callback."""

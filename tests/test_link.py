@@ -211,7 +211,10 @@ def test_a_signal_ends_the_run_with_the_truth_written(
 
 
 def test_a_board_killed_in_mid_stream_is_missed_at_once(scene_file: Path, tmp_path: Path) -> None:
-    with command(scene_file, "--link", tmp_path / "skin") as (process, port), Skin.open(port, timeout=30, reconnect=0.5) as skin:
+    with (
+        command(scene_file, "--link", tmp_path / "skin") as (process, port),
+        Skin.open(port, timeout=30, reconnect=0.5) as skin,
+    ):
         next(skin)
         process.kill()
         began = time.monotonic()
