@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from reference import reference_volts
 
+from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import Design, Recovery, Status, recover
 from ohmskin.errors import SolverError
 
