@@ -15,7 +15,17 @@ from ._sensitivity import Sensitivity, sensitivity
 from ._sequence import scan_sequence
 from ._spread import Spread
 from .readouts import CIRCUITS as _CIRCUITS
-from .recovery import Conditioning, Recoverer, Recovery, Status, conditioning, recover
+from .recovery import (
+    Conditioning,
+    LiveReading,
+    LiveRecovery,
+    Recoverer,
+    Recovery,
+    Status,
+    conditioning,
+    live_recovery,
+    recover,
+)
 from .timing import Noise, Settling, Stability, noise, stability
 
 CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
@@ -35,6 +45,8 @@ __all__ = [
     "Drive",
     "Effect",
     "Fault",
+    "LiveReading",
+    "LiveRecovery",
     "Noise",
     "Operation",
     "Readout",
@@ -58,6 +70,7 @@ __all__ = [
     "conversion_limits",
     "effects",
     "ideal_volts",
+    "live_recovery",
     "noise",
     "recover",
     "scan",
