@@ -1,0 +1,262 @@
+#include "commands.h"
+
+#include <avr/pgmspace.h>
+#include <stdbool.h>
+#include <stddef.h>
+#include <string.h>
+
+#include "clock.h"
+#include "description.h"
+#include "packet.h"
+#include "protocol.h"
+#include "scan.h"
+#include "settings.h"
+#include "uart.h"
+
+#define LONGEST_COMMAND (HEADER_SIZE + 4 + CRC_SIZE)
+#define PIECE_SIZE 64 /* bytes of the description in one packet */
+#define REPLIES 4     /* a host that sends more commands at once gets fewer replies */
+#define IDENTITY_TICKS (1000000UL * TICKS_PER_US)
+
+#define DESCRIPTION_SIZE (sizeof description - 1)
+
+static const char description[] PROGMEM = DESCRIPTION;
+static const char firmware[] PROGMEM = "ohmskin reference board 1.0";
+
+/* The packet that comes in: unstuffed bytes, and the state of the COBS decoder. */
+static uint8_t packet[LONGEST_COMMAND];
+static uint8_t packet_size;
+static uint32_t packet_crc = CRC_START;
+static uint8_t block_left;
+static bool zero_follows, spoilt;
+
+/* Answers that wait. */
+static struct reply {
+    uint8_t order, status;
+    uint32_t sequence;
+} replies[REPLIES];
+static uint8_t reply_count;
+static bool identity_wanted = true;
+static uint16_t description_sent; /* bytes; the board describes itself when it starts */
+static bool test_wanted;
+static struct self_test self_test;
+static uint32_t next_identity;
+
+static uint32_t read32(const uint8_t *bytes)
+{
+    return bytes[0] | (uint32_t)bytes[1] << 8 | (uint32_t)bytes[2] << 16 | (uint32_t)bytes[3] << 24;
+}
+
+static void reply(uint8_t order, uint32_t sequence, uint8_t status)
+{
+    if (reply_count < REPLIES) {
+        replies[reply_count].order = order;
+        replies[reply_count].status = status;
+        replies[reply_count++].sequence = sequence;
+    }
+}
+
+static void obey(uint8_t order, uint32_t sequence, const uint8_t *payload, uint8_t size)
+{
+    uint8_t expected = order == ORDER_RATE || order == ORDER_DWELL ? 4 : 0;
+    uint8_t status = STATUS_TAKEN;
+    if (order < ORDER_DESCRIBE || order > ORDER_DWELL)
+        status = STATUS_UNKNOWN_ORDER;
+    else if (size != expected)
+        status = STATUS_BAD_PAYLOAD;
+    if (status != STATUS_TAKEN) {
+        reply(order, sequence, status);
+        return;
+    }
+    switch (order) {
+    case ORDER_DESCRIBE:
+        description_sent = 0;
+        return;
+    case ORDER_IDENTIFY:
+        identity_wanted = true;
+        return;
+    case ORDER_ONE_FRAME:
+        scan_request_frame();
+        return;
+    case ORDER_SELF_TEST:
+        if (!test_wanted) {
+            test_wanted = true;
+            scan_request_self_test(&self_test);
+        }
+        return;
+    case ORDER_START:
+        streaming = true;
+        break;
+    case ORDER_STOP:
+        scan_stop();
+        break;
+    case ORDER_RATE:
+        if (!scan_set_period(read32(payload)))
+            status = STATUS_OUT_OF_RANGE;
+        break;
+    case ORDER_DWELL:
+        if (!scan_set_dwell(read32(payload)))
+            status = STATUS_OUT_OF_RANGE;
+        break;
+    }
+    reply(order, sequence, status);
+}
+
+static void packet_ends(void)
+{
+    bool intact = !spoilt && !block_left && packet_size >= HEADER_SIZE + CRC_SIZE && packet_crc == CRC_OF_GOOD_PACKET;
+    if (intact && packet[0] >= 0x80) { /* below are the packets of boards */
+        if (packet[1] != PROTOCOL_VERSION)
+            reply(packet[0], read32(packet + 6), STATUS_WRONG_VERSION);
+        else
+            obey(packet[0], read32(packet + 6), packet + HEADER_SIZE, packet_size - HEADER_SIZE - CRC_SIZE);
+    }
+    packet_size = block_left = 0;
+    zero_follows = spoilt = false;
+    packet_crc = CRC_START;
+}
+
+static void keep(uint8_t byte)
+{
+    if (packet_size == LONGEST_COMMAND) {
+        spoilt = true;
+    } else {
+        packet[packet_size++] = byte;
+        packet_crc = crc_add(packet_crc, byte);
+    }
+}
+
+static void unstuff(uint8_t byte)
+{
+    if (byte == 0) {
+        packet_ends();
+    } else if (block_left) {
+        block_left--;
+        keep(byte);
+    } else {
+        if (zero_follows)
+            keep(0);
+        block_left = byte - 1;
+        zero_follows = byte != 255;
+    }
+}
+
+static void begin(struct writer *writer, uint8_t *bytes, uint8_t type)
+{
+    writer_begin(writer, bytes, type, next_sequence, clock_us(clock_now()));
+}
+
+static void write_reply(struct writer *writer, uint8_t *bytes)
+{
+    struct reply first = replies[0];
+    reply_count--;
+    memmove(replies, replies + 1, reply_count * sizeof *replies);
+    begin(writer, bytes, PACKET_REPLY);
+    writer_add(writer, first.order);
+    writer_add(writer, first.status);
+    writer_add32(writer, first.sequence);
+}
+
+static void write_identity(struct writer *writer, uint8_t *bytes)
+{
+    uint8_t serial_size = strlen(settings.serial_number) + 1;
+    begin(writer, bytes, PACKET_IDENTITY);
+    writer_add16(writer, ROWS);
+    writer_add16(writer, COLUMNS);
+    writer_add(writer, 10);
+    writer_add(writer, streaming);
+    writer_add32(writer, settings.period_us);
+    writer_add32(writer, DESCRIPTION_SIZE);
+    for (uint8_t i = 0; i < serial_size; i++)
+        writer_add(writer, settings.serial_number[i]);
+    for (uint8_t i = 0; i < sizeof firmware; i++)
+        writer_add(writer, pgm_read_byte(&firmware[i]));
+}
+
+static void write_description(struct writer *writer, uint8_t *bytes)
+{
+    uint16_t piece = DESCRIPTION_SIZE - description_sent;
+    if (piece > PIECE_SIZE)
+        piece = PIECE_SIZE;
+    begin(writer, bytes, PACKET_DESCRIPTION);
+    writer_add32(writer, description_sent);
+    writer_add32(writer, DESCRIPTION_SIZE);
+    while (piece--)
+        writer_add(writer, pgm_read_byte(&description[description_sent++]));
+}
+
+static void add_float(struct writer *writer, float value)
+{
+    uint32_t bits;
+    memcpy(&bits, &value, sizeof bits);
+    writer_add32(writer, bits);
+}
+
+static float nominal_ohm(uint8_t column)
+{
+    return column & 1 ? ODD_REFERENCE_OHM : EVEN_REFERENCE_OHM;
+}
+
+/* The resistance by equation (10) of the paper: code above the reference is drive * Rref / R. */
+static float measured_ohm(uint16_t code)
+{
+    return DRIVE_CODE * FEEDBACK_OHM / (code + 0.5f - REFERENCE_CODE_EXACT);
+}
+
+static void write_self_test(struct writer *writer, uint8_t *bytes)
+{
+    begin(writer, bytes, PACKET_SELF_TEST);
+    writer_add16(writer, ROWS);
+    writer_add16(writer, COLUMNS);
+    writer_add16(writer, COLUMNS);
+    for (uint8_t i = 0; i < ROWS; i++)
+        writer_add(writer, self_test.row_state[i]);
+    for (uint8_t i = 0; i < COLUMNS; i++) {
+        float ratio = measured_ohm(self_test.reference_code[i]) / nominal_ohm(i);
+        bool off = ratio < 1 - REFERENCE_TOLERANCE || ratio > 1 + REFERENCE_TOLERANCE;
+        if (self_test.column_state[i] == LINE_GOOD && off)
+            self_test.column_state[i] = LINE_SHORTED; /* neighbours have different resistors: joined, both are off */
+        writer_add(writer, self_test.column_state[i]);
+    }
+    for (uint8_t i = 0; i < COLUMNS; i++) {
+        add_float(writer, nominal_ohm(i));
+        add_float(writer, measured_ohm(self_test.reference_code[i]));
+    }
+}
+
+static void answer(void)
+{
+    uint8_t *bytes = answer_buffer();
+    if (bytes == NULL)
+        return;
+    struct writer writer;
+    if (reply_count) {
+        write_reply(&writer, bytes);
+    } else if (identity_wanted) {
+        identity_wanted = false;
+        write_identity(&writer, bytes);
+    } else if (test_wanted && scan_self_test_done()) {
+        test_wanted = false;
+        write_self_test(&writer, bytes);
+    } else if (description_sent < DESCRIPTION_SIZE) {
+        write_description(&writer, bytes);
+    } else {
+        return;
+    }
+    writer_end(&writer);
+    answer_ready(writer.size);
+}
+
+void commands_service(void)
+{
+    uint8_t byte;
+    if (uart_receive(&byte))
+        unstuff(byte);
+    if (!scan_idle())
+        return;
+    if ((int32_t)(clock_now() - next_identity) >= 0) {
+        next_identity += IDENTITY_TICKS;
+        identity_wanted = true;
+    }
+    answer();
+}
