@@ -21,6 +21,12 @@ uint32_t clock_now(void)
     return low;
 }
 
+void clock_keep(void)
+{
+    if ((uint16_t)(TCNT1 - last) > UINT16_MAX / 4)
+        clock_now();
+}
+
 uint64_t clock_us(uint32_t ticks)
 {
     uint32_t upper = high;

@@ -126,7 +126,7 @@ static void keep(uint8_t byte)
     }
 }
 
-static void unstuff(uint8_t byte)
+static void __attribute__((noinline)) unstuff(uint8_t byte)
 {
     if (byte == 0) {
         packet_ends();
@@ -224,11 +224,15 @@ static void write_self_test(struct writer *writer, uint8_t *bytes)
     }
 }
 
-static void answer(void)
+static void __attribute__((noinline)) answer(void)
 {
     uint8_t *bytes = answer_buffer();
     if (bytes == NULL)
         return;
+    if ((int32_t)(clock_now() - next_identity) >= 0) {
+        next_identity += IDENTITY_TICKS;
+        identity_wanted = true;
+    }
     struct writer writer;
     if (reply_count) {
         write_reply(&writer, bytes);
@@ -252,11 +256,6 @@ void commands_service(void)
     uint8_t byte;
     if (uart_receive(&byte))
         unstuff(byte);
-    if (!scan_idle())
-        return;
-    if ((int32_t)(clock_now() - next_identity) >= 0) {
-        next_identity += IDENTITY_TICKS;
-        identity_wanted = true;
-    }
-    answer();
+    if (scan_idle())
+        answer();
 }

@@ -33,9 +33,10 @@ int main(void)
     wdt_enable(WDTO_250MS);
     sei();
     for (;;) {
-        clock_now();
+        clock_keep();
         uart_service();
         commands_service();
+        uart_service(); /* at 2 Mbaud a byte takes 80 cycles */
         scan_service();
         if (scan_alive())
             wdt_reset();

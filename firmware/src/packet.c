@@ -1,22 +1,25 @@
 #include "packet.h"
 
+#include <avr/io.h>
 #include <avr/pgmspace.h>
 
 #include "protocol.h"
 #include "settings.h"
 
+/* CRC-32 of each byte. The CRC is linear, so that of a byte is the sum (exclusive or) of those of its bits. */
+#define BIT(byte, bit, crc) ((byte) & _BV(bit) ? crc##UL : 0)
+#define CRC_OF(byte) \
+    (BIT(byte, 0, 0x77073096) ^ BIT(byte, 1, 0xee0e612c) ^ BIT(byte, 2, 0x076dc419) ^ BIT(byte, 3, 0x0edb8832) ^ \
+     BIT(byte, 4, 0x1db71064) ^ BIT(byte, 5, 0x3b6e20c8) ^ BIT(byte, 6, 0x76dc4190) ^ BIT(byte, 7, 0xedb88320))
+#define CRC_OF_4(byte) CRC_OF(byte), CRC_OF((byte) + 1), CRC_OF((byte) + 2), CRC_OF((byte) + 3)
+#define CRC_OF_16(byte) CRC_OF_4(byte), CRC_OF_4((byte) + 4), CRC_OF_4((byte) + 8), CRC_OF_4((byte) + 12)
+#define CRC_OF_64(byte) CRC_OF_16(byte), CRC_OF_16((byte) + 16), CRC_OF_16((byte) + 32), CRC_OF_16((byte) + 48)
 
-/* CRC of each nibble: 64 bytes of flash, two steps per byte. */
-static const uint32_t crc_of_nibble[16] PROGMEM = {
-    0x00000000, 0x1db71064, 0x3b6e20c8, 0x26d930ac, 0x76dc4190, 0x6b6b51f4, 0x4db26158, 0x5005713c,
-    0xedb88320, 0xf00f9344, 0xd6d6a3e8, 0xcb61b38c, 0x9b64c2b0, 0x86d3d2d4, 0xa00ae278, 0xbdbdf21c,
-};
+static const uint32_t crc_of_byte[256] PROGMEM = {CRC_OF_64(0), CRC_OF_64(64), CRC_OF_64(128), CRC_OF_64(192)};
 
 uint32_t crc_add(uint32_t crc, uint8_t byte)
 {
-    crc ^= byte;
-    crc = (crc >> 4) ^ pgm_read_dword(&crc_of_nibble[crc & 15]);
-    return (crc >> 4) ^ pgm_read_dword(&crc_of_nibble[crc & 15]);
+    return (crc >> 8) ^ pgm_read_dword(&crc_of_byte[(uint8_t)crc ^ byte]);
 }
 
 static void write_header(uint8_t *header, uint8_t type, uint32_t sequence, uint64_t time_us)

@@ -19,10 +19,12 @@
 #define IDLE_TICKS US(1000)
 #define ROW_OVERHEAD_US 12      /* from the last conversion of a row to the next row */
 
-#define ROWS_TESTED (ROWS + 1)  /* of the self-test: NO_ROW first, REFERENCE_ROW last */
 
 bool streaming = true;
 uint32_t next_sequence;
+
+/* Work that takes a few hundred cycles is kept out of line, so that a step without work costs next to nothing. */
+#define WORK static void __attribute__((noinline))
 
 static enum { WAITING, SETTLING, CONVERTING } phase;
 static enum { FRAME, SELF_TEST } job;
@@ -120,7 +122,7 @@ bool scan_idle(void)
     return phase == WAITING && !prepared;
 }
 
-static void prepare_frame(uint8_t *bytes)
+WORK prepare_frame(uint8_t *bytes)
 {
     writer_begin(&writer, bytes, PACKET_FRAME, next_sequence, clock_us(due));
     writer_add16(&writer, ROWS);
@@ -130,7 +132,7 @@ static void prepare_frame(uint8_t *bytes)
     prepared = true;
 }
 
-static void wait_for_frame(void)
+WORK wait_for_frame(void)
 {
     uint32_t now = clock_now();
     if (!prepared) {
@@ -163,7 +165,7 @@ static void wait_for_frame(void)
     phase = SETTLING;
 }
 
-static void wait_for_work(void)
+WORK wait_for_work(void)
 {
     if (test_requested && !prepared) {
         job = SELF_TEST;
@@ -196,7 +198,7 @@ static void settle(void)
 }
 
 /* One reading of the self-test. No current flows where a reading is that of the reference voltage. */
-static void examine(uint8_t in_row, uint8_t in_column, uint16_t code)
+WORK examine(uint8_t in_row, uint8_t in_column, uint16_t code)
 {
     bool silent = code < REFERENCE_CODE + FAINT_CODES && code + FAINT_CODES > REFERENCE_CODE;
     if (in_row == NO_ROW) {
@@ -215,7 +217,7 @@ static void examine(uint8_t in_row, uint8_t in_column, uint16_t code)
     }
 }
 
-static void finish_job(void)
+WORK finish_job(void)
 {
     phase = WAITING;
     if (job == FRAME) {
@@ -233,10 +235,8 @@ static uint8_t row_after(uint8_t which)
     return which + 1;
 }
 
-static void convert(void)
+WORK take_conversion(void)
 {
-    if (ADCSRA & _BV(ADSC))
-        return;
     uint16_t code = ADC;
     uint8_t read_row = row, read_column = column;
     uint8_t last_row = job == FRAME ? ROWS - 1 : REFERENCE_ROW;
@@ -270,7 +270,8 @@ void scan_service(void)
         settle();
         break;
     case CONVERTING:
-        convert();
+        if (!(ADCSRA & _BV(ADSC)))
+            take_conversion();
         break;
     }
 }
