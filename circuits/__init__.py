@@ -5,12 +5,26 @@
 
 from ._adc import adc_codes, adc_error, clipped, volts_of_codes
 from ._batch import BatchResult, scan_batch
-from ._design import CIRCUITS, Adc, Array, Design, Drive, Fault, Readout, Requirements, Sheet
+from ._design import (
+    CIRCUITS,
+    Adc,
+    Array,
+    Cells,
+    Design,
+    Drive,
+    Fault,
+    Operation,
+    Readout,
+    Requirements,
+    Sheet,
+)
 from ._effects import Effect, effects
 from ._incremental import Scanner
 from ._readout import apparent_resistance, ideal_volts
 from ._scan import METHODS, ScanResult, scan
+from ._requirement import Conditions, Requirement
 from ._sensitivity import Sensitivity, sensitivity
+from ._spread import Spread
 from .recovery._recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover
 
 __all__ = [
@@ -19,19 +33,24 @@ __all__ = [
     "Adc",
     "Array",
     "BatchResult",
+    "Cells",
     "Conditioning",
+    "Conditions",
     "Design",
     "Drive",
     "Effect",
     "Fault",
+    "Operation",
     "Readout",
     "Recoverer",
     "Recovery",
+    "Requirement",
     "Requirements",
     "ScanResult",
     "Scanner",
     "Sensitivity",
     "Sheet",
+    "Spread",
     "Status",
     "adc_codes",
     "adc_error",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import inf, isfinite
 from pathlib import Path
-from typing import Annotated, Literal, Self, get_args
+from typing import Annotated, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,6 +14,8 @@ from pydantic import Field, PlainValidator, model_validator
 from ..arrays import FloatArray
 from ..config import Section, load
 from ..errors import InputError
+from ._requirement import Requirement
+from ._spread import Spread, Spreadable
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -42,10 +44,12 @@ Gains = Annotated[PerLine, _per_line("a number >= 1 (or inf)", lambda x: x >= 1)
 Numbers = Annotated[PerLine, _per_line("a finite number", isfinite)]
 
 
-class Array(Section):
+class Array(Spreadable):
     """The passive grid. Column j's line starts at row 0 and its amplifier follows row N-1;
     row i is driven at column 0. Each resistance is one number, or a list of one per line.
     """
+
+    PARTS: ClassVar[tuple[str, ...]] = ("row_lead", "row_segment", "column_lead", "column_segment")
 
     rows: Annotated[int, Field(ge=1, le=1024)]
     columns: Annotated[int, Field(ge=1, le=1024)]
@@ -87,8 +91,10 @@ class Sheet(Section):
         return self
 
 
-class Drive(Section):
+class Drive(Spreadable):
     """What the rows are driven with."""
+
+    PARTS: ClassVar[tuple[str, ...]] = ("voltage",)
 
     voltage: Finite
     """V, selected row against the reference"""
@@ -102,12 +108,23 @@ class Drive(Section):
         return self
 
 
-class Readout(Section):
+class Readout(Spreadable):
     """What each column ends in. What belongs to one column is one number, or a list of one per column.
 
     "voltage-feedback" is a divider whose sensed column also feeds a follower, and that drives every idle row and
     column; the follower's output is what is read.
     """
+
+    PARTS: ClassVar[tuple[str, ...]] = (
+        "reference_resistance",
+        "reference_voltage",
+        "open_loop_gain",
+        "gain_bandwidth",
+        "offset_voltage",
+        "bias_current",
+        "column_capacitance",
+        "feedback_capacitance",
+    )
 
     circuit: Circuit
     reference_resistance: PositiveOhms
@@ -149,8 +166,10 @@ class Readout(Section):
 PER_COLUMN = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
 
 
-class Adc(Section):
+class Adc(Spreadable):
     """The converter behind the column outputs."""
+
+    PARTS: ClassVar[tuple[str, ...]] = ("offset_voltage", "gain_error", "inl_steps")
 
     bits: Annotated[int, Field(ge=1, le=32)]
     range: Annotated[tuple[Finite, Finite], Field(strict=False)]
@@ -239,6 +258,42 @@ class Requirements(Section):
     """largest RMS error of the pressure estimate, in % of full scale"""
 
 
+class Cells(Spreadable):
+    """The resistances that the cells take, for the verification; a CELL.toml says more."""
+
+    PARTS: ClassVar[tuple[str, ...]] = ("rest_resistance",)
+
+    rest_resistance: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    """ohm of an untouched cell; its spread is that of the whole cell, pressed or not"""
+    full_scale_resistance: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    """ohm under full-scale pressure"""
+    full_scale_kpa: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    """kPa; None: quantities in kPa are not known"""
+
+    @model_validator(mode="after")
+    def _changes(self) -> Self:
+        if self.rest_resistance == self.full_scale_resistance:
+            raise ValueError("full_scale_resistance equals rest_resistance: such a cell measures nothing")
+        return self
+
+
+class Operation(Section):
+    """How the board is run; the verification judges the design under these conditions."""
+
+    frame_rate: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    """Hz: frames of all rows"""
+    temperature_range: Annotated[tuple[NotNegative, NotNegative], Field(strict=False)] | None = None
+    """K, lowest and highest ambient temperature; None: 298.15 K only"""
+    readings_per_calibration: Annotated[int, Field(ge=1)] = 20
+    """frames of the untouched skin that the driver averages when it is tared"""
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        if self.temperature_range is not None and not self.temperature_range[0] <= self.temperature_range[1]:
+            raise ValueError(f"temperature_range must be [lowest, highest] in K, got {list(self.temperature_range)}")
+        return self
+
+
 class Design(Section):
     """A complete readout design. ``Design.load("design.toml")``."""
 
@@ -251,6 +306,11 @@ class Design(Section):
     """geometry of the material, if array.sheet is "continuous"; a sliced one needs none"""
     fault: Annotated[tuple[Fault, ...], Field(strict=False)] = ()
     requirements: Requirements = Requirements()
+    requirement: Annotated[tuple[Requirement, ...], Field(strict=False, exclude=True)] = ()
+    """of the verification only; a board does not send them"""
+    cells: Cells | None = None
+    """None: as a CELL.toml says, or the shipped example cell"""
+    operation: Operation = Operation()
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -279,6 +339,16 @@ class Design(Section):
     def load(cls, path: str | Path) -> Design:
         """Read DESIGN.toml; InputError with one located message if it is not a valid design."""
         return load(path, cls)
+
+    @property
+    def spreads(self) -> dict[str, Spread]:
+        """How far each part may lie from its nominal value, by section and key: ``"readout.offset_voltage"``."""
+        found: dict[str, Spread] = {}
+        for name in ("array", "drive", "readout", "adc", "cells"):
+            section = getattr(self, name)
+            if section is not None:
+                found |= {f"{name}.{key}": spread for key, spread in section.spread.items()}
+        return found
 
     def with_circuit(self, circuit: str) -> Design:
         """The same array and parts read by another circuit."""

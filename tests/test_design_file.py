@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from ohmskin.circuits import Design
+from ohmskin.circuits import Design, Requirement, Spread
 from ohmskin.circuits._design import Fault
 
 PAGE = (Path(__file__).parent.parent / "docs" / "design-file.md").read_text()
@@ -20,16 +20,22 @@ def test_the_page_is_a_design_with_every_key_at_its_default() -> None:
     assert block is not None
     tables = tomllib.loads(block[1])
     design = Design.model_validate(tables)
-    named: dict[str, Any] = {name: tables[name] for name in Design.model_fields if name != "fault"}
+    named: dict[str, Any] = {name: tables[name] for name in Design.model_fields if name not in {"fault", "requirement"}}
     assert tables.keys() == Design.model_fields.keys()
     for section, keys in named.items():
         model = type(getattr(design, section))
-        assert keys.keys() == model.model_fields.keys(), section
+        assert keys.keys() == model.model_fields.keys() - {"spread"}, section
         _defaults(getattr(design, section), model)
     assert tables["fault"][0].keys() == Fault.model_fields.keys()
+    assert tables["requirement"][0].keys() == Requirement.model_fields.keys() - {"min"}
+
+
+def test_the_page_names_every_key_of_a_spread() -> None:
+    section = PAGE.partition("## Tolerances")[2]
+    assert set(re.findall(r"^\| `(\w+)` \|", section, re.M)) == {"nominal", *Spread.model_fields}
 
 
 def _defaults(part: BaseModel, model: type[BaseModel]) -> None:
     for name, field in model.model_fields.items():
-        if not field.is_required():
+        if not field.is_required() and field.default is not None and name != "spread":
             assert getattr(part, name) == field.default, name

@@ -1,0 +1,86 @@
+"""Component tolerances: how far a part of a built board may lie from its nominal value.
+
+A part of DESIGN.toml is a number, or a table with its spread::
+
+    reference_resistance = { nominal = 20e3, tolerance = 0.01, matching = 0.001, package = 8 }
+
+The nominal value takes the place of the table, and the spread moves to the section's ``spread``. All code that reads
+a design therefore sees numbers; only the verification asks for spreads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+from pydantic import Field, model_validator
+
+from ..config import Section
+
+Share = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+
+ROOM_TEMPERATURE_K = 298.15
+"""at which nominal values hold; temperature coefficients count from here"""
+
+
+class Spread(Section):
+    """How the values of one kind of part scatter from line to line and from board to board."""
+
+    tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """largest deviation, relative to the nominal value"""
+    deviation: Share = 0.0
+    """largest deviation in the unit of the part, in addition to ``tolerance``"""
+    matching: Share | None = None
+    """largest deviation of lines of one package from their common value, relative to the nominal value; None: each line
+    deviates on its own by the whole tolerance"""
+    package: Annotated[int, Field(ge=1)] | None = None
+    """lines that share one package; None: all of them. Only with ``matching``"""
+    distribution: Literal["uniform", "normal", "two-point"] = "uniform"
+    """within the tolerance; "normal": the tolerance is three standard deviations, parts beyond it are sorted out;
+    "two-point": always at one end or the other"""
+    temperature_coefficient: Annotated[float, Field(allow_inf_nan=False)] = 0.0
+    """1/K, relative to the nominal value"""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.matching is not None and self.matching > self.tolerance:
+            raise ValueError(f"matching {self.matching} exceeds tolerance {self.tolerance}")
+        if self.package is not None and self.matching is None:
+            raise ValueError("package is given without matching; expected how well the lines of one package agree")
+        return self
+
+
+class Spreadable(Section):
+    """A section some of whose parts may be tables ``{nominal = ..., tolerance = ...}``."""
+
+    PARTS: ClassVar[tuple[str, ...]] = ()
+    """the keys that may have a spread"""
+
+    spread: dict[str, Spread] = {}
+    """by key; filled from the tables of the keys themselves"""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _take_out_spreads(cls, given: Any) -> Any:
+        if not isinstance(given, Mapping):
+            return given
+        tables = dict(given)
+        spread = dict(tables.get("spread") or {})
+        for key in cls.PARTS:
+            part = tables.get(key)
+            if not isinstance(part, Mapping):
+                continue
+            if "nominal" not in part:
+                raise ValueError(f"{key}: expected a number, or a table with the key 'nominal'")
+            tables[key] = part["nominal"]
+            spread[key] = {name: value for name, value in part.items() if name != "nominal"}
+        if spread:
+            tables["spread"] = spread
+        return tables
+
+    @model_validator(mode="after")
+    def _known_parts(self) -> Self:
+        for key in self.spread:
+            if key not in self.PARTS:
+                raise ValueError(f"spread.{key}: no such part; expected one of {', '.join(self.PARTS)}")
+        return self
