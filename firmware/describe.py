@@ -9,13 +9,14 @@ from __future__ import annotations
 import json
 import sys
 
+import numpy as np
+
 from ohmskin.cell import Cell
-from ohmskin.circuits import Design
+from ohmskin.circuits import Design, apparent_resistance
+from ohmskin.emulator.firmware import REFERENCE_RESISTORS_OHM, reference_outputs
 from ohmskin.wire import write_description
 
 COLUMNS_OF_TEXT = 100
-REFERENCE_RESISTORS_OHM = (10e3, 15e3)
-"""ohm, on even and on odd columns"""
 
 
 def header(design: Design, cell: Cell) -> str:
@@ -26,6 +27,9 @@ def header(design: Design, cell: Cell) -> str:
     reference_code = design.readout.reference_voltage / design.adc.step
     drive_code = -design.drive.voltage / design.adc.step
     even, odd = REFERENCE_RESISTORS_OHM
+    at_rest = np.full(design.array.shape, cell.rest_resistance_ohm)
+    outputs = np.broadcast_to(reference_outputs(design, at_rest), design.array.shape)
+    apparent = apparent_resistance(design, outputs)[0]
     lines = [
         "/* Written by describe.py from the DESIGN.toml of the board: do not edit. */",
         f"#define REFERENCE_CODE {round(reference_code)} /* of the reference voltage */",
@@ -34,6 +38,8 @@ def header(design: Design, cell: Cell) -> str:
         f"#define FEEDBACK_OHM {design.readout.reference_resistance:.1f}f",
         f"#define EVEN_REFERENCE_OHM {even:.1f}f",
         f"#define ODD_REFERENCE_OHM {odd:.1f}f",
+        f"#define EVEN_REFERENCE_APPARENT_OHM {apparent[0::2].mean():.1f}f /* behind their common switch */",
+        f"#define ODD_REFERENCE_APPARENT_OHM {apparent[1::2].mean():.1f}f",
         "#define DESCRIPTION \\",
         " \\\n".join(f"    {json.dumps(piece)}" for piece in pieces),
     ]

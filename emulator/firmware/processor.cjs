@@ -15,7 +15,8 @@
 //   'X'  something that is not modelled was used: register address (low, high), value; the program ends
 //   'T'  the cycle asked for is reached; waits for the next order
 // Orders on standard input: u8 kind and what belongs to it:
-//   'G'  f64 cycle, u16 n, n bytes: run until this cycle; the bytes arrive at RXD back to back from now on
+//   'G'  f64 cycle, u8 clear to send, u16 n, n bytes: run until this cycle; the bytes arrive at RXD back to back from
+//        now on; clear to send = 0 raises PD2, the handshake input
 //   'V'  f64 volts / reference voltage at the ADC, the answer to 'A'
 //   'H'  no answer to 'A': the conversion never ends (a fault, to test the watchdog)
 // End of input ends the program.
@@ -43,6 +44,7 @@ const FREQUENCY_HZ = 16e6;
 const FLASH_BYTES = 32768;
 const SRAM_BYTES = 2048;
 const EEPROM_BYTES = 1024;
+const HANDSHAKE_PIN = 2; // of port D
 
 // ---------------------------------------------------------------- the pipe
 
@@ -449,9 +451,10 @@ const chip = new Chip(readHex(hexFile), eeprom);
 
 for (;;) {
   if (pipe.take(1)[0] !== GO) process.exit(6);
-  const order = pipe.take(10);
+  const order = pipe.take(11);
   const until = order.readDoubleLE(0);
-  const arriving = pipe.take(order.readUInt16LE(8));
+  chip.ports[2].setPin(HANDSHAKE_PIN, order[8] === 0);
+  const arriving = pipe.take(order.readUInt16LE(9));
   if (arriving.length) chip.usart.arrive(arriving);
   chip.run(until);
   pipe.record(TIME, chip.cpu.cycles);

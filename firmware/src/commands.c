@@ -15,7 +15,7 @@
 
 #define LONGEST_COMMAND (HEADER_SIZE + 4 + CRC_SIZE)
 #define PIECE_SIZE 64 /* bytes of the description in one packet */
-#define REPLIES 4     /* a host that sends more commands at once gets fewer replies */
+#define ORDERS (ORDER_LAST - ORDER_DESCRIBE + 1)
 #define IDENTITY_TICKS (1000000UL * TICKS_PER_US)
 
 #define DESCRIPTION_SIZE (sizeof description - 1)
@@ -30,12 +30,12 @@ static uint32_t packet_crc = CRC_START;
 static uint8_t block_left;
 static bool zero_follows, spoilt;
 
-/* Answers that wait. */
+/* Answers that wait: at most one of each command, and one for all unknown ones. */
 static struct reply {
+    bool wanted;
     uint8_t order, status;
     uint32_t sequence;
-} replies[REPLIES];
-static uint8_t reply_count;
+} replies[ORDERS + 1];
 static bool identity_wanted = true;
 static uint16_t description_sent; /* bytes; the board describes itself when it starts */
 static bool test_wanted;
@@ -47,20 +47,25 @@ static uint32_t read32(const uint8_t *bytes)
     return bytes[0] | (uint32_t)bytes[1] << 8 | (uint32_t)bytes[2] << 16 | (uint32_t)bytes[3] << 24;
 }
 
+static bool known(uint8_t order)
+{
+    return order >= ORDER_DESCRIBE && order <= ORDER_LAST;
+}
+
 static void reply(uint8_t order, uint32_t sequence, uint8_t status)
 {
-    if (reply_count < REPLIES) {
-        replies[reply_count].order = order;
-        replies[reply_count].status = status;
-        replies[reply_count++].sequence = sequence;
-    }
+    struct reply *place = &replies[known(order) ? order - ORDER_DESCRIBE : ORDERS];
+    place->wanted = true;
+    place->order = order;
+    place->status = status;
+    place->sequence = sequence;
 }
 
 static void obey(uint8_t order, uint32_t sequence, const uint8_t *payload, uint8_t size)
 {
     uint8_t expected = order == ORDER_RATE || order == ORDER_DWELL ? 4 : 0;
     uint8_t status = STATUS_TAKEN;
-    if (order < ORDER_DESCRIBE || order > ORDER_DWELL)
+    if (!known(order))
         status = STATUS_UNKNOWN_ORDER;
     else if (size != expected)
         status = STATUS_BAD_PAYLOAD;
@@ -146,15 +151,21 @@ static void begin(struct writer *writer, uint8_t *bytes, uint8_t type)
     writer_begin(writer, bytes, type, next_sequence, clock_us(clock_now()));
 }
 
-static void write_reply(struct writer *writer, uint8_t *bytes)
+static struct reply *waiting_reply(void)
 {
-    struct reply first = replies[0];
-    reply_count--;
-    memmove(replies, replies + 1, reply_count * sizeof *replies);
+    for (uint8_t i = 0; i <= ORDERS; i++)
+        if (replies[i].wanted)
+            return &replies[i];
+    return NULL;
+}
+
+static void write_reply(struct writer *writer, uint8_t *bytes, struct reply *reply)
+{
+    reply->wanted = false;
     begin(writer, bytes, PACKET_REPLY);
-    writer_add(writer, first.order);
-    writer_add(writer, first.status);
-    writer_add32(writer, first.sequence);
+    writer_add(writer, reply->order);
+    writer_add(writer, reply->status);
+    writer_add32(writer, reply->sequence);
 }
 
 static void write_identity(struct writer *writer, uint8_t *bytes)
@@ -197,10 +208,12 @@ static float nominal_ohm(uint8_t column)
     return column & 1 ? ODD_REFERENCE_OHM : EVEN_REFERENCE_OHM;
 }
 
-/* The resistance by equation (10) of the paper: code above the reference is drive * Rref / R. */
-static float measured_ohm(uint16_t code)
+/* The resistance by equation (10) of the paper: the code above the reference is drive * Rref / R. The resistors share
+ * one switch, whose resistance makes all of them look larger: the design says by how much. */
+static float measured_ohm(uint8_t column, uint16_t code)
 {
-    return DRIVE_CODE * FEEDBACK_OHM / (code + 0.5f - REFERENCE_CODE_EXACT);
+    float apparent = DRIVE_CODE * FEEDBACK_OHM / (code + 0.5f - REFERENCE_CODE_EXACT);
+    return apparent * nominal_ohm(column) / (column & 1 ? ODD_REFERENCE_APPARENT_OHM : EVEN_REFERENCE_APPARENT_OHM);
 }
 
 static void write_self_test(struct writer *writer, uint8_t *bytes)
@@ -212,7 +225,7 @@ static void write_self_test(struct writer *writer, uint8_t *bytes)
     for (uint8_t i = 0; i < ROWS; i++)
         writer_add(writer, self_test.row_state[i]);
     for (uint8_t i = 0; i < COLUMNS; i++) {
-        float ratio = measured_ohm(self_test.reference_code[i]) / nominal_ohm(i);
+        float ratio = measured_ohm(i, self_test.reference_code[i]) / nominal_ohm(i);
         bool off = ratio < 1 - REFERENCE_TOLERANCE || ratio > 1 + REFERENCE_TOLERANCE;
         if (self_test.column_state[i] == LINE_GOOD && off)
             self_test.column_state[i] = LINE_SHORTED; /* neighbours have different resistors: joined, both are off */
@@ -220,7 +233,7 @@ static void write_self_test(struct writer *writer, uint8_t *bytes)
     }
     for (uint8_t i = 0; i < COLUMNS; i++) {
         add_float(writer, nominal_ohm(i));
-        add_float(writer, measured_ohm(self_test.reference_code[i]));
+        add_float(writer, measured_ohm(i, self_test.reference_code[i]));
     }
 }
 
@@ -234,8 +247,9 @@ static void __attribute__((noinline)) answer(void)
         identity_wanted = true;
     }
     struct writer writer;
-    if (reply_count) {
-        write_reply(&writer, bytes);
+    struct reply *waiting = waiting_reply();
+    if (waiting) {
+        write_reply(&writer, bytes, waiting);
     } else if (identity_wanted) {
         identity_wanted = false;
         write_identity(&writer, bytes);

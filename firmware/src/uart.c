@@ -8,6 +8,9 @@
 
 #define RECEIVED_SIZE 64 /* a power of two */
 
+/* PD2, to RTS of the USB converter: high while its buffer is full. A resistor to ground keeps it low if unconnected. */
+#define NOT_CLEAR_TO_SEND _BV(PD2)
+
 static volatile uint8_t received[RECEIVED_SIZE];
 static volatile uint8_t received_in;
 static uint8_t received_out;
@@ -57,7 +60,7 @@ bool uart_receive(uint8_t *byte)
 
 void uart_service(void)
 {
-    if (!(UCSR0A & _BV(UDRE0)))
+    if (!(UCSR0A & _BV(UDRE0)) || (PIND & NOT_CLEAR_TO_SEND))
         return;
     if (!left) {
         if (answer_size && !frames_before_answer) {
