@@ -21,8 +21,8 @@ from ._design import (
 from ._effects import Effect, effects
 from ._incremental import Scanner
 from ._readout import apparent_resistance, ideal_volts
-from ._scan import METHODS, ScanResult, scan
 from ._requirement import Conditions, Requirement
+from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
 from ._spread import Spread
 from .recovery._recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import inf, isfinite
+from math import inf
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self, get_args
 
@@ -12,13 +12,10 @@ from numpy.typing import ArrayLike
 from pydantic import Field, PlainValidator, model_validator
 
 from ..arrays import FloatArray
-from ..config import Section, load
+from ..config import LEAST, MOST, Finite, NotNegative, Positive, Section, load
 from ..errors import InputError
 from ._requirement import Requirement
 from ._spread import Spread, Spreadable
-
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
 Circuit = Literal["inverting-amplifier", "voltage-divider", "voltage-feedback"]
 CIRCUITS: tuple[str, ...] = get_args(Circuit)
@@ -38,10 +35,10 @@ def _per_line(expected: str, allowed: Callable[[float], bool]) -> PlainValidator
 
 
 PerLine = float | tuple[float, ...]
-Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: 0 <= x < inf)]
-PositiveOhms = Annotated[PerLine, _per_line("a number of ohm > 0", lambda x: 0 < x < inf)]
-Gains = Annotated[PerLine, _per_line("a number >= 1 (or inf)", lambda x: x >= 1)]
-Numbers = Annotated[PerLine, _per_line("a finite number", isfinite)]
+Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: 0 <= x <= MOST)]
+PositiveOhms = Annotated[PerLine, _per_line("a number of ohm > 0", lambda x: LEAST <= x <= MOST)]
+Gains = Annotated[PerLine, _per_line("a number >= 1 (or inf)", lambda x: 1 <= x <= MOST or x == inf)]
+Numbers = Annotated[PerLine, _per_line("a finite number", lambda x: abs(x) <= MOST)]
 
 
 class Array(Spreadable):
@@ -73,11 +70,11 @@ class Sheet(Section):
     cells on a 1 inch pitch, 1/8 inch thick, under strips of 3/4 inch.
     """
 
-    pitch: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.0254
+    pitch: Positive = 0.0254
     """m"""
-    thickness: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.003175
+    thickness: Positive = 0.003175
     """m"""
-    electrode_width: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.01905
+    electrode_width: Positive = 0.01905
     """m, of a row's or column's strip"""
     divisions: Annotated[int, Field(ge=2, le=32)] = 8
     """boxes along a cell's side"""
@@ -132,7 +129,7 @@ class Readout(Spreadable):
     reference_voltage: Finite = 0.0
     """V: non-inverting input and idle rows (single-supply boards)"""
     open_loop_gain: Gains = inf
-    gain_bandwidth: Annotated[float, Field(gt=0)] = inf
+    gain_bandwidth: Annotated[float, Field(ge=LEAST)] = inf
     """Hz"""
     offset_voltage: Numbers = 0.0
     """V, added to the non-inverting input"""
@@ -182,7 +179,7 @@ class Adc(Spreadable):
     """s that one sampling capacitor spends on each column in turn; 0: each column has its own, always connected"""
     offset_voltage: Finite = 0.0
     """V that the converter adds to its input"""
-    gain_error: Annotated[float, Field(gt=-1, allow_inf_nan=False)] = 0.0
+    gain_error: Annotated[float, Field(gt=-1, le=MOST, allow_inf_nan=False)] = 0.0
     """by which its slope exceeds 1, about the lower end of the range"""
     inl_steps: Finite = 0.0
     """integral nonlinearity in steps: a bow, largest at mid-range and 0 at both ends"""
@@ -250,11 +247,11 @@ class Fault(Section):
 class Requirements(Section):
     """What the design must keep for `ohmskin verify` to pass it; the defaults are the project's own."""
 
-    crosstalk_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 2.0
+    crosstalk_percent: Positive = 2.0
     """largest change of an untouched cell's reading, in % of that reading"""
-    reading_error_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5.0
+    reading_error_percent: Positive = 5.0
     """largest error of a resistance that equation (10) makes of an uncalibrated reading"""
-    pressure_rmse_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5.0
+    pressure_rmse_percent: Positive = 5.0
     """largest RMS error of the pressure estimate, in % of full scale"""
 
 
@@ -263,11 +260,11 @@ class Cells(Spreadable):
 
     PARTS: ClassVar[tuple[str, ...]] = ("rest_resistance",)
 
-    rest_resistance: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    rest_resistance: Positive
     """ohm of an untouched cell; its spread is that of the whole cell, pressed or not"""
-    full_scale_resistance: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    full_scale_resistance: Positive
     """ohm under full-scale pressure"""
-    full_scale_kpa: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    full_scale_kpa: Positive | None = None
     """kPa; None: quantities in kPa are not known"""
 
     @model_validator(mode="after")

@@ -17,32 +17,40 @@ from ..cell import Cell, Estimator
 from ..circuits import Design
 from ..config import parse
 from ..errors import InputError, LinkTimeout, ProtocolError
-from ..wire import Command, Corrupt, Decoder, DescriptionPacket, Event, FramePacket, Framer, Order, encode
-from ._port import BAUDRATE, BytePort, SerialPort
+from ..wire import (
+    Corrupt,
+    Description,
+    Event,
+    FramePacket,
+    HostProtocol,
+    Order,
+    board_family,
+    host_protocol,
+)
+from ._port import BytePort, SerialPort
 from ._reading import CountReader
 
 T = TypeVar("T", bound=np.generic)
-P = TypeVar("P", FramePacket, DescriptionPacket)
+P = TypeVar("P", FramePacket, Description)
 S = TypeVar("S", Design, Cell)
 
 ASK_AGAIN_S = 0.5
 """how long to wait for an answer before asking again"""
-# The zero ends what an earlier host may have left unfinished.
-_WAKE = b"\0" + encode(Command(Order.DESCRIBE)) + encode(Command(Order.START))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
     """One scan of the skin. Arrays are (rows, columns) and read-only."""
 
-    sequence: int
-    """the board's number of this frame, modulo 2**32"""
+    sequence: int | None
+    """the board's number of this frame, modulo 2**32; None: the board does not number its frames"""
     device_time: float
-    """s since the board started, when the scan began"""
+    """s since the board started, when the scan began; for a board without a clock, the host's time of arrival"""
     host_time: float
     """s since the epoch, when its last byte was here"""
-    lost_before: int
-    """frames lost between the previous frame and this one, on the line or by the board"""
+    lost_before: int | None
+    """frames lost between the previous frame and this one, on the line or by the board; None: the board does not
+    number its frames, so that losses are unknown"""
     counts: NDArray[np.uint16]
     valid: BoolArray
     """where ``resistance`` is a measurement: not clipped, and known to 1 % or an ADC step whatever clipped ones are"""
@@ -63,8 +71,7 @@ class Skin:
         cell: Cell | None = None,
         estimator: str | None = None,
         timeout: float = 3.0,
-        framer: Framer | None = None,
-        wake: bytes = _WAKE,
+        protocol: HostProtocol | None = None,
     ) -> None:
         """Introduce the board behind an open port.
 
@@ -74,8 +81,7 @@ class Skin:
             cell: what the skin is made of; None: as the board describes itself.
             estimator: name for :meth:`ohmskin.cell.Cell.estimator`.
             timeout: s to wait for the description here, and for each frame later.
-            framer: how the board's bytes become events; None: as ``docs/wire.md`` says.
-            wake: what to send when the board says nothing.
+            protocol: the host's end of the line to this family of boards; None: the native one.
 
         Raises:
             LinkTimeout: the board is silent.
@@ -86,19 +92,20 @@ class Skin:
         """
         self._port = port
         self._timeout = timeout
-        self._framer = Decoder() if framer is None else framer
-        self._wake = wake
+        self._protocol = host_protocol("ohmskin") if protocol is None else protocol
         self._events: deque[tuple[float, Event]] = deque()
         self._expected: int | None = None
         self._latest_us = -1
-        self.description: DescriptionPacket | None = None
+        self._latest_s = 0.0
+        self._boot_id: int | None = None
+        self.description: Description | None = None
         """the board's data sheet; None when design and cell were given and it was not needed"""
         self.corrupt = 0
         """stretches of bytes so far that were no packets"""
         self.unsolved = 0
         """frames so far whose readings no cell resistances can give: none of their cells is valid"""
         try:
-            port.write(wake)
+            self._wake()
             if design is None or cell is None:
                 self.description = self._introduce()
             self.design = self._described("design", Design) if design is None else design
@@ -120,15 +127,34 @@ class Skin:
         cell: Cell | None = None,
         estimator: str | None = None,
         timeout: float = 3.0,
-        baudrate: int = BAUDRATE,
+        board: str = "ohmskin",
+        baudrate: int | None = None,
     ) -> Skin:
         """Open a serial device, a pty or ``socket://HOST:PORT``; see :meth:`__init__` for the rest.
 
+        Args:
+            port: name of the device, or URL.
+            design: as in :meth:`__init__`; None for a board that does not describe itself: its family's usual circuit.
+            cell: as in :meth:`__init__`; None for a board that does not describe itself: the shipped example.
+            estimator: as in :meth:`__init__`.
+            timeout: as in :meth:`__init__`.
+            board: family of the board, a key of :data:`ohmskin.wire.BOARDS`.
+            baudrate: of a real UART; None: the family's.
+
         Raises:
             LinkError: the port is not there, may not be used, or is in use; and what :meth:`__init__` raises.
+            InputError: there is no such family of boards.
 
         """
-        return cls(SerialPort(port, baudrate), design=design, cell=cell, estimator=estimator, timeout=timeout)
+        family = board_family(board)
+        if design is None and family.design is not None:
+            design = parse(family.design, Design, source=f"board '{board}'")
+        if cell is None and not family.has_description:
+            cell = Cell.example()
+        known = {} if design is None or design.adc is None else {"adc_bits": design.adc.bits}
+        protocol = host_protocol(board, shape=None if design is None else design.array.shape, **known)
+        opened = SerialPort(port, family.baud_rate if baudrate is None else baudrate)
+        return cls(opened, design=design, cell=cell, estimator=estimator, timeout=timeout, protocol=protocol)
 
     def __enter__(self) -> Self:
         return self
@@ -155,13 +181,18 @@ class Skin:
 
         """
         host_time, packet = self._await(FramePacket, "frame")
+        self._poll()
         reading = self._read(packet.counts)
         self.unsolved += not reading.solved
         lost = self._count_lost(packet)
-        estimate = self._estimator.update(packet.time_us / 1e6, reading.resistance)
+        # Frames without time stamps that came in one piece are a moment apart, in their order.
+        arrival = max(host_time, np.nextafter(self._latest_s, np.inf))
+        device_time = float(arrival) if packet.time_us is None else packet.time_us / 1e6
+        self._latest_s = device_time
+        estimate = self._estimator.update(device_time, reading.resistance)
         return Frame(
             sequence=packet.sequence,
-            device_time=packet.time_us / 1e6,
+            device_time=device_time,
             host_time=host_time,
             lost_before=lost,
             counts=packet.counts,
@@ -195,21 +226,42 @@ class Skin:
     def _new_estimator(self) -> Estimator:
         return self.cell.estimator(self.design.array.shape, self._estimator_name, rest_resistance_ohm=self._rest)
 
-    def _introduce(self) -> DescriptionPacket:
-        _, description = self._await(DescriptionPacket, "description")
-        self._expected, self._latest_us = description.sequence, description.time_us - 1
+    def _introduce(self) -> Description:
+        _, description = self._await(Description, "description")
+        self._expected, self._boot_id = description.sequence, description.boot_id
+        if description.time_us is not None:
+            self._latest_us = description.time_us - 1
         return description
+
+    def _wake(self) -> None:
+        """Ask the board for what is missing; empty requests are orders that the family does not have."""
+        for order in (Order.IDENTIFY, Order.DESCRIBE, Order.START):
+            request = self._protocol.request(order)
+            if request:
+                self._port.write(request)
+
+    def _poll(self) -> None:
+        """Ask a board that sends frames only on request for the next one."""
+        if self._protocol.family.polled:
+            self._port.write(self._protocol.request(Order.ONE_FRAME))
 
     def _described(self, key: str, kind: type[S]) -> S:
         assert self.description is not None
+        tables = getattr(self.description, key)
+        if tables is None:
+            raise ProtocolError(f"{self._port.name}: the board does not describe its {key}; pass {key}=")
         try:
-            return parse(getattr(self.description, key), kind, source=key)
+            return parse(tables, kind, source=key)
         except InputError as error:
             raise ProtocolError(f"{self._port.name}: the board describes itself wrongly: {error}") from error
 
-    def _count_lost(self, packet: FramePacket) -> int:
+    def _count_lost(self, packet: FramePacket) -> int | None:
         """Frames missing before ``packet``, by the rule of docs/wire.md; a new start of the board is noticed here."""
-        if packet.time_us < self._latest_us:
+        if packet.sequence is None or packet.time_us is None:
+            return None
+        rebooted = self._boot_id is not None and packet.boot_id != self._boot_id
+        self._boot_id = packet.boot_id
+        if rebooted or packet.time_us < self._latest_us:
             self._expected = 0
             self._estimator = self._new_estimator()
         elif packet.time_us == self._latest_us:
@@ -242,12 +294,12 @@ class Skin:
             if now >= deadline:
                 raise self._nothing_came(what, received, reason)
             if now >= ask_at:
-                self._port.write(self._wake)
+                self._wake()
                 ask_at = now + ASK_AGAIN_S
             data = self._port.read(min(ask_at, deadline) - now)
             received += len(data)
             host_time = time.time()
-            self._events.extend((host_time, event) for event in self._framer.feed(data))
+            self._events.extend((host_time, event) for event in self._protocol.feed(data, host_time))
 
     def _nothing_came(self, what: str, received: int, reason: str) -> LinkTimeout | ProtocolError:
         """The error for a wait that brought no packet of the kind wanted; ``reason`` is that of the latest event."""

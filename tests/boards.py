@@ -32,7 +32,8 @@ class Wire:
         self.frames = frames
         """after which the board is gone"""
         self.closed = False
-        self._line = line
+        self.line = line
+        """what spoils the packets from now on"""
         self._pending = [b"\0"]
 
     def read(self, wait_s: float) -> bytes:
@@ -44,10 +45,11 @@ class Wire:
         return b"".join(map(self._carry, self.board.tick()))
 
     def write(self, data: bytes) -> None:
-        self._pending += map(self._carry, self.board.receive(data))
+        self.board.receive(data)
+        self._pending += map(self._carry, self.board.answers())
 
     def close(self) -> None:
         self.closed = True
 
     def _carry(self, packet: bytes) -> bytes:
-        return packet if self._line is None else self._line.carry(packet)
+        return packet if self.line is None else self.line.carry(packet)

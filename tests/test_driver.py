@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Callable
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from itertools import islice
 
 import numpy as np
@@ -21,7 +21,17 @@ from ohmskin.driver import CountReader, Frame, Skin
 from ohmskin.emulator import Board, Line, Sample
 from ohmskin.emulator._scene import LineSettings
 from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
-from ohmskin.wire import Corrupt, DescriptionPacket, Event, FramePacket, encode
+from ohmskin.wire import (
+    BOARDS,
+    Corrupt,
+    DescriptionPiece,
+    Event,
+    FramePacket,
+    HostProtocol,
+    Order,
+    encode,
+    write_description,
+)
 
 
 def design(**tables: object) -> Design:
@@ -33,7 +43,6 @@ def test_frames_are_what_the_board_sent() -> None:
     with Skin(Wire(Board(scene(), record=taken.append))) as skin:
         frames = list(islice(skin, 200))
     assert skin.description is not None
-    assert skin.description.serial_number == "EMULATED"
     assert skin.design == scene().skin.design
     assert skin.cell == Cell.example()
     for frame, sample in zip(frames, taken, strict=False):
@@ -239,14 +248,16 @@ def test_a_tare_leaves_cells_without_a_reading_at_the_data_sheet() -> None:
 
 
 def total_lost(frames: list[Frame]) -> int:
-    return sum(frame.lost_before for frame in frames)
+    return sum(frame.lost_before or 0 for frame in frames)
 
 
 def test_what_the_line_loses_is_counted() -> None:
-    port = Wire(Board(scene()), Line(LineSettings(packet_loss=0.2), seed=5), frames=2000)
+    port = Wire(Board(scene()), frames=2000)
     frames: list[Frame] = []
-    with Skin(port) as skin, pytest.raises(LinkError, match="gone"):
-        frames.extend(skin)
+    with Skin(port) as skin:
+        port.line = Line(LineSettings(packet_loss=0.2), seed=5)
+        with pytest.raises(LinkError, match="gone"):
+            frames.extend(skin)
     assert 250 < 2000 - len(frames) < 550
     assert total_lost(frames) + len(frames) == frames[-1].sequence + 1
     assert skin.corrupt == 0
@@ -257,10 +268,12 @@ def test_what_the_line_loses_is_counted() -> None:
 def test_what_the_line_spoils_is_counted_as_lost_and_never_believed() -> None:
     taken: dict[int, Sample] = {}
     board = Board(scene(), record=lambda sample: taken.__setitem__(sample.sequence, sample))
-    port = Wire(board, Line(LineSettings(bit_errors=1e-4), seed=5), frames=3000)
+    port = Wire(board, frames=3000)
     frames: list[Frame] = []
-    with Skin(port) as skin, pytest.raises(LinkError, match="gone"):
-        frames.extend(skin)
+    with Skin(port) as skin:
+        port.line = Line(LineSettings(bit_errors=1e-4), seed=5)
+        with pytest.raises(LinkError, match="gone"):
+            frames.extend(skin)
     assert skin.corrupt > 50
     first = frames[0].sequence - frames[0].lost_before  # the description may have come late
     assert total_lost(frames) + len(frames) == frames[-1].sequence - first + 1
@@ -300,8 +313,8 @@ class Script:
 
 def sheet(sequence: int = 0, time_us: int = 0) -> bytes:
     what = scene().skin
-    tables = what.design.model_dump(), what.cell.model_dump()
-    return encode(DescriptionPacket(sequence, time_us, "S", "F", *tables))
+    text = write_description(what.design.model_dump(), what.cell.model_dump())
+    return encode(DescriptionPiece(sequence, time_us, 0, len(text), text))
 
 
 def frame(sequence: int, time_us: int, *, level: int = 2000, shape: tuple[int, int] = (3, 2)) -> bytes:
@@ -351,7 +364,8 @@ def test_frames_that_contradict_the_board_are_protocol_errors(pieces: list[bytes
 
 
 def test_a_description_that_is_no_design_is_a_protocol_error() -> None:
-    wrong = encode(DescriptionPacket(0, 0, "S", "F", {"array": {"rows": 3}}, {}))
+    text = write_description({"array": {"rows": 3}}, {})
+    wrong = encode(DescriptionPiece(0, 0, 0, len(text), text))
     with pytest.raises(ProtocolError, match=re.escape("script: the board describes itself wrongly: design: missing")):
         Skin(Script(wrong))
 
@@ -376,7 +390,7 @@ def test_silence_is_a_timeout_and_the_board_is_asked_again() -> None:
     port = Script()
     with pytest.raises(LinkTimeout, match=re.escape("script: no description within 1.2 s: the port is silent")):
         Skin(port, timeout=1.2)
-    assert port.asked == 3
+    assert port.asked == 9  # three orders, three times
     assert port.closed
 
 
@@ -401,34 +415,37 @@ def test_a_board_that_only_describes_itself_is_told_apart_from_noise() -> None:
         next(skin)
 
 
-class TextLines:
+class TextLines(HostProtocol):
     """A foreign board as an example: each line a frame of decimals, no numbers, no time, no description."""
 
-    def __init__(self, columns: int) -> None:
-        self.columns, self.rest, self.frames = columns, b"", 0
+    rest = b""
 
-    def feed(self, data: bytes) -> list[Event]:
+    def feed(self, data: bytes, received_at: float) -> list[Event]:
         *lines, self.rest = (self.rest + data).split(b"\n")
-        return [self.read(line) for line in lines]
+        return [self.read(line, received_at) for line in lines]
 
-    def read(self, line: bytes) -> Event:
+    def read(self, line: bytes, received_at: float) -> Event:
         try:
-            counts = np.array([int(word) for word in line.split()]).reshape(-1, self.columns)
+            counts = np.array([int(word) for word in line.split()]).reshape(-1, self.layout.columns)
         except ValueError as error:
             return Corrupt(len(line), str(error))
-        self.frames += 1
-        return FramePacket.of(counts, sequence=self.frames, time_us=20_000 * self.frames)
+        return FramePacket.of(counts, sequence=None, time_us=None, received_at=received_at)
+
+    def request(self, order: Order, *, period_us: int = 0) -> bytes:
+        return b"a" if order is Order.START else b""
 
 
-def test_another_family_of_boards_needs_another_framer_only() -> None:
+def test_another_family_of_boards_needs_another_protocol_only() -> None:
     what = scene().skin
     port = Script(b"2000 2001 2002 20", b"03 2004 2005\n20 x\n0 1 2 3 4 4095\n")
-    with Skin(port, design=what.design, cell=what.cell, framer=TextLines(2), wake=b"a") as skin:
+    lines = TextLines(BOARDS["ohmskin"], replace(BOARDS["ohmskin"].layout, columns=2))
+    with Skin(port, design=what.design, cell=what.cell, protocol=lines) as skin:
         first, second = islice(skin, 2)
     np.testing.assert_array_equal(first.counts, np.arange(2000, 2006).reshape(3, 2))
     np.testing.assert_array_equal(second.valid, [[False, True], [True, True], [True, False]])
     assert skin.corrupt == 1
     assert first.pressure.shape == (3, 2)
+    assert (first.sequence, second.lost_before) == (None, None)
 
 
 @given(st.lists(st.binary(max_size=200), max_size=8))

@@ -341,7 +341,7 @@ def test_bad_input_of_the_command_is_one_line_and_leaves_nothing(
 def test_the_driver_example_runs_as_it_is(scene_file: Path, tmp_path: Path) -> None:
     example = Path(__file__).parents[1] / "examples" / "read_skin.py"
     assert len(example.read_text().splitlines()) <= 10
-    with command(scene_file, "--link", tmp_path / "skin", "--duration", "2") as (_, port):
+    with command(scene_file, "--link", tmp_path / "skin", "--clock", "fast", "--duration", "2") as (_, port):
         done = subprocess.run(
             [sys.executable, str(example), port], capture_output=True, text=True, timeout=60, check=False
         )
