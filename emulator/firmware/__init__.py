@@ -1,4 +1,4 @@
-"""The firmware in the loop: the reference board's program, run instruction by instruction against the modelled circuit.
+"""Firmware in the loop: the reference board's program, executed instruction by instruction, in the modelled circuit.
 
 ``firmware/`` has the program, ``docs/hardware.md`` the board. The emulated processor is avr8js, in a process of Node.js::
 

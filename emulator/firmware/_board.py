@@ -1,4 +1,4 @@
-"""A reference board in the loop: emulated processor, wiring, circuit and skin as one object that bytes go in and out of.
+"""A reference board in the loop: emulated processor, wiring, circuit and skin as one object with a serial line.
 
 Time passes only in :meth:`FirmwareBoard.run`, so that the same calls give the same bytes on any machine.
 """
@@ -79,7 +79,7 @@ def board_for(scene: Scene) -> BoardKind:
         )
     if design.readout.circuit != "inverting-amplifier":
         raise InputError(
-            f'skin.design.readout.circuit: "{design.readout.circuit}"; the board of the firmware has "inverting-amplifier"'
+            f'skin.design.readout.circuit: "{design.readout.circuit}"; the firmware\'s board has "inverting-amplifier"'
         )
     return kind
 

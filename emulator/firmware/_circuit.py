@@ -102,13 +102,14 @@ class ScanCircuit:
             target += self._outputs_of(row) - self._idle
         if self._rows:
             low, high = self._design.readout.supply
-            self._transient.aim(np.clip(target, low, high), min(min(self._rows), self._design.array.rows - 1))
+            self._transient.aim(np.clip(target, low, high), min(*self._rows, self._design.array.rows - 1))
         else:
             self._transient.aim(target)
 
     def _outputs_of(self, row: int) -> FloatArray:
         if row < len(self._settled):
-            return self._settled[row]
+            settled: FloatArray = self._settled[row]
+            return settled
         if self._reference is None:
             self._reference = reference_outputs(self._design, self.resistance_ohm)
         return self._reference
@@ -130,7 +131,8 @@ def reference_outputs(design: Design, resistance: FloatArray) -> FloatArray:
         },
         fault=tuple(_one_row_further(fault) for fault in design.fault),
     )
-    return scan(extended, np.vstack([known, resistance])).volts[0]
+    outputs: FloatArray = scan(extended, np.vstack([known, resistance])).volts[0]
+    return outputs
 
 
 def _before(value: float | tuple[float, ...]) -> float | tuple[float, ...]:

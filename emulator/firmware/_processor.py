@@ -1,4 +1,4 @@
-"""Lock-step with an emulated processor: it runs until it needs the circuit, and time stands still while that answers."""
+"""Co-simulation in lock-step: the emulated processor runs until it needs the circuit, and waits while that answers."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Processor:
         """CPU cycles since the start"""
         self._name = engine.name
         self._surroundings = surroundings
-        self._complaints = tempfile.TemporaryFile()
+        self._complaints = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
         self._pending = b""
         try:
             self._process = subprocess.Popen(

@@ -14,6 +14,7 @@
 #include "uart.h"
 
 #define LONGEST_COMMAND (HEADER_SIZE + 4 + CRC_SIZE)
+#define BYTES_AT_ONCE 4 /* so that bytes cannot come faster than they are taken */
 #define PIECE_SIZE 64 /* bytes of the description in one packet */
 #define ORDERS (ORDER_LAST - ORDER_DESCRIBE + 1)
 #define IDENTITY_TICKS (1000000UL * TICKS_PER_US)
@@ -268,7 +269,7 @@ static void __attribute__((noinline)) answer(void)
 void commands_service(void)
 {
     uint8_t byte;
-    if (uart_receive(&byte))
+    for (uint8_t i = 0; i < BYTES_AT_ONCE && uart_receive(&byte); i++)
         unstuff(byte);
     if (scan_idle())
         answer();

@@ -2,7 +2,7 @@
 #ifndef COMMANDS_H
 #define COMMANDS_H
 
-/* Take a byte of the host if one has come, and write one answer if there is time for it. */
+/* Take bytes of the host if any have come, and write one answer if there is time for it. */
 void commands_service(void);
 
 #endif

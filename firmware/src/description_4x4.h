@@ -5,6 +5,8 @@
 #define FEEDBACK_OHM 15000.0f
 #define EVEN_REFERENCE_OHM 10000.0f
 #define ODD_REFERENCE_OHM 15000.0f
+#define EVEN_REFERENCE_APPARENT_OHM 10084.6f /* behind their common switch */
+#define ODD_REFERENCE_APPARENT_OHM 15033.6f
 #define DESCRIPTION \
     "{\"design\":{\"array\":{\"rows\":4,\"columns\":4,\"row_segment\":0.254,\"column_segment\":0.254,\"row_lead\":70.25" \
     "4,\"column_lead\":0.254},\"drive\":{\"voltage\":-1.6667},\"readout\":{\"circuit\":\"inverting-amplifier\",\"refer" \

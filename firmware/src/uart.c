@@ -6,7 +6,7 @@
 
 #include "settings.h"
 
-#define RECEIVED_SIZE 64 /* a power of two */
+#define RECEIVED_SIZE 128 /* five commands; a power of two */
 
 /* PD2, to RTS of the USB converter: high while its buffer is full. A resistor to ground keeps it low if unconnected. */
 #define NOT_CLEAR_TO_SEND _BV(PD2)
