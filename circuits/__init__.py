@@ -24,6 +24,7 @@ from ._readout import apparent_resistance, ideal_volts
 from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
+from ._sequence import scan_sequence
 from ._spread import Spread
 from .recovery._recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover
 
@@ -62,6 +63,7 @@ __all__ = [
     "recover",
     "scan",
     "scan_batch",
+    "scan_sequence",
     "sensitivity",
     "volts_of_codes",
 ]

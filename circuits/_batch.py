@@ -44,7 +44,7 @@ def scan_batch(
     Arguments and errors are those of :func:`._scan.scan`; messages name the frame.
     """
     check_request(tolerance, method)
-    cells = _checked(design, resistance)
+    cells = checked_frames(design, resistance)
     start = time.perf_counter()
     volts, saturated = np.empty(cells.shape), np.zeros(cells.shape, dtype=np.bool_)
     bound, methods = np.empty(len(cells)), ["exact"] * len(cells)
@@ -79,7 +79,8 @@ def scan_batch(
     )
 
 
-def _checked(design: Design, resistance: ArrayLike) -> FloatArray:
+def checked_frames(design: Design, resistance: ArrayLike) -> FloatArray:
+    """``resistance`` as (frames, rows, columns) in ohm; InputError names the first frame that does not fit."""
     try:
         cells = np.asarray(resistance, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -93,6 +93,25 @@ class LinearReadout:
         error += few * np.abs(self.output)
         return error
 
+    def most_volts_per_siemens(self, rows: int) -> float:
+        """V that no output is off by more than, per S that the transfer conductances of ``rows`` rows are off by."""
+        return float(self._gain[1].max()) * (1.0 + abs(self.source / self.drive) * rows)
+
+    def cannot_saturate(self, transfer: FloatArray, error: float) -> bool:
+        """Whether one frame (N, M) in S, off by at most ``error``, stays within the supply.
+
+        Transfer conductances are never negative. So an output without signal, which stands at a limit of the supply on
+        many boards, is known to be on its right side.
+        """
+        bounds = np.stack([np.maximum(transfer - error, 0.0), transfer + error])
+        signals = self._gain[0] * bounds
+        low, high = signals.min(axis=0), signals.max(axis=0)
+        others = -self.source / self.drive * signals.sum(axis=1)
+        rounded = few_ulp(transfer.shape) * (high - low).max(initial=0.0)
+        low = low + others.min(axis=0) + self.output - rounded
+        high = high + others.max(axis=0) + self.output + rounded
+        return bool((low >= self.supply[0]).all() and (high <= self.supply[1]).all())
+
     def read(self, known: Attenuated) -> tuple[FloatArray, FloatArray, FloatArray]:
         """:meth:`volts`; what none of a frame's (...,) is off by more than; and what its largest is no less than; V.
 

@@ -17,7 +17,12 @@ from ..circuits._scan import METHODS
 from . import arguments
 
 
-@click.command()
+@click.command(
+    epilog=arguments.example(
+        "ohmskin scan design.toml --cells cells.csv",
+        "ohmskin scan design.toml --cells cells.csv --tolerance 1e-6 --json",
+    )
+)
 @arguments.design_file
 @arguments.cells
 @click.option(
@@ -27,7 +32,7 @@ from . import arguments
 @click.option("--readout", type=click.Choice(CIRCUITS), help="Read with this circuit instead of the design's.")
 @click.option("-o", "--output", metavar="OUT.csv", help="Write the N x M apparent resistances here.")
 @click.option("--effects", is_flag=True, help="Print what was modelled and what was left out, with its size.")
-@click.option("--json", "as_json", is_flag=True, help="Print volts, resistance, method, error bound and time as JSON.")
+@arguments.as_json("volts, resistance, method, error bound and time")
 def command(
     design_file: Path,
     cells: str,
