@@ -17,7 +17,7 @@ from scipy.linalg import expm
 
 from ...arrays import FloatArray
 from .._design import Design
-from ._dynamics import Dynamics, column_conductances, column_dynamics
+from ._dynamics import Dynamics, column_conductances, column_dynamics, require_amplifiers
 
 _WORST_CONDITION = 1e8
 """of the eigenvectors: the modal form then still has eight correct digits"""
@@ -28,7 +28,8 @@ _SLOW_ENOUGH = 1e-6
 class Transient:
     """Outputs of all columns and charge of the ADC's sampling capacitor over time, V.
 
-    Outputs that reach a supply limit are cut off there; how an amplifier comes out of saturation is not modelled.
+    Rows and columns are those of :mod:`.._board`: driven and sensed lines. Outputs that reach a supply limit are cut
+    off there; how an amplifier comes out of saturation is not modelled.
 
     Example::
 
@@ -52,10 +53,12 @@ class Transient:
 
         """
         self._design = design
+        self._board = board = design.board
+        require_amplifiers(board)
         adc = design.adc
         self._sampling_s = adc.switch_resistance * adc.sampling_capacitance if adc else 0.0
-        self._settled: FloatArray = np.full(design.array.columns, design.readout.reference_voltage)
-        self._held = design.readout.reference_voltage
+        self._settled: FloatArray = np.full(board.shape[1], board.level)
+        self._held = board.level
         self._connected: int | None = None
         self._row = 0
         self._load(resistance)
@@ -108,8 +111,9 @@ class Transient:
         return self._modes[self._row].dynamics
 
     def _load(self, resistance: ArrayLike) -> None:
-        conductances = column_conductances(self._design, self._design.resistance(resistance))
-        self._modes = [_Modes(column_dynamics(self._design, one)) for one in conductances]
+        board = self._board
+        conductances = column_conductances(board, board.turn(self._design.resistance(resistance)))
+        self._modes = [_Modes(column_dynamics(board, conductance)) for conductance in conductances]
 
     def _charged(self, mode: _Modes, seconds: float) -> float:
         """Charge of the connected capacitor after ``seconds``, V: C v' = (output - v) / R with the output's modes."""

@@ -48,7 +48,7 @@ class BoardKind:
     """us from selecting a row to its first conversion, unless the settings say otherwise"""
 
 
-BOARDS = (
+REFERENCE_BOARDS = (
     BoardKind("4x4", _HERE / "ohmskin-4x4.hex", DirectWiring, 7, 140),
     BoardKind("16x16", _HERE / "ohmskin-16x16.hex", ShiftedWiring, 5, 75),
 )
@@ -64,12 +64,12 @@ def board_for(scene: Scene) -> BoardKind:
     """
     design = scene.skin.design
     rows, columns = design.array.shape
-    for kind in BOARDS:
+    for kind in REFERENCE_BOARDS:
         wiring = kind.wiring()
         if (wiring.rows, wiring.columns) == (rows, columns):
             break
     else:
-        sizes = " and ".join(kind.name for kind in BOARDS)
+        sizes = " and ".join(kind.name for kind in REFERENCE_BOARDS)
         raise InputError(f"skin.design.array: {rows} x {columns} cells; the firmware is built for {sizes}")
     assert design.adc is not None  # a scene is refused without one
     if design.adc.bits != _ADC_BITS or design.adc.range[0] != 0.0:
@@ -187,7 +187,7 @@ class FirmwareBoard:
         return self._processor.cycle / CLOCK_HZ
 
     @property
-    def events(self) -> list[tuple[float, int, int]]:
+    def sample_instants(self) -> list[tuple[float, int, int]]:
         """(s, row, column) of each sample instant of the latest whole frame; for measurements of timing."""
         return self._observer.instants
 
@@ -212,6 +212,10 @@ class FirmwareBoard:
         sent = self._processor.run(until, received, clear_to_send=self.clear_to_send)
         self._observer.sent(sent)
         return sent
+
+    def hold_cells(self, resistance: FloatArray) -> None:
+        """Cells of these resistances from now on, (rows, columns) ohm, instead of those of the scene."""
+        self._circuit.hold_cells(resistance)
 
     def close(self) -> None:
         """Switch the board off."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...arrays import FloatArray
-from ...circuits import Design, Fault, adc_codes, scan, volts_of_codes
-from ...circuits.timing import Transient
+from ...circuits import Design, Fault, Transient, adc_codes, scan, volts_of_codes
 from .._scene import Scene
 from .._spread import spread
 
@@ -44,6 +43,7 @@ class ScanCircuit:
         """(rows, columns) on the surface at the last look"""
         self.resistance_ohm: FloatArray = self._cells.step(0.0, self.pressure_kpa)
         """(rows, columns) of the cells at the last look"""
+        self._cells_held = False
         self._time_s = 0.0
         self._rows: frozenset[int] = frozenset()
         self._transient = Transient(self._design, self.resistance_ohm)
@@ -53,8 +53,16 @@ class ScanCircuit:
         """Other rows are pulled to ground from now on; index ``rows`` of the array is the reference resistors."""
         self._advance(time_s)
         self._rows = rows
-        if time_s - self._cells_time_s >= CELLS_PERIOD_S:
+        if not self._cells_held and time_s - self._cells_time_s >= CELLS_PERIOD_S:
             self._look_at_cells(time_s)
+        self._aim()
+
+    def hold_cells(self, resistance: FloatArray) -> None:
+        """From now on the cells have these resistances, (rows, columns) ohm, whatever the scene says."""
+        self._cells_held = True
+        self.resistance_ohm = self._design.resistance(resistance)
+        self._transient.change_cells(self.resistance_ohm)
+        self._solve()
         self._aim()
 
     def connect(self, time_s: float, column: int) -> None:

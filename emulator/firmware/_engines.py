@@ -13,7 +13,7 @@ from pathlib import Path
 from ...errors import MissingExtra
 
 AVR8JS_VERSION = "0.21.1"
-OLDEST_NODE = 20
+OLDEST_NODE = 18
 HELPER = Path(__file__).with_name("processor.cjs")
 
 

@@ -18,6 +18,7 @@
 #define PIECE_SIZE 64 /* bytes of the description in one packet */
 #define ORDERS (ORDER_LAST - ORDER_DESCRIBE + 1)
 #define IDENTITY_TICKS (1000000UL * TICKS_PER_US)
+#define LOOK_TICKS (10000 * TICKS_PER_US) /* between two looks at the clock */
 
 #define DESCRIPTION_SIZE (sizeof description - 1)
 
@@ -37,11 +38,13 @@ static struct reply {
     uint8_t order, status;
     uint32_t sequence;
 } replies[ORDERS + 1];
+static bool answer_wanted = true; /* one of these: */
 static bool identity_wanted = true;
 static uint16_t description_sent; /* bytes; the board describes itself when it starts */
 static bool test_wanted;
 static struct self_test self_test;
-static uint32_t next_identity;
+static uint32_t next_identity = IDENTITY_TICKS;
+static uint16_t looked_at;
 
 static uint32_t read32(const uint8_t *bytes)
 {
@@ -56,7 +59,7 @@ static bool known(uint8_t order)
 static void reply(uint8_t order, uint32_t sequence, uint8_t status)
 {
     struct reply *place = &replies[known(order) ? order - ORDER_DESCRIBE : ORDERS];
-    place->wanted = true;
+    place->wanted = answer_wanted = true;
     place->order = order;
     place->status = status;
     place->sequence = sequence;
@@ -64,7 +67,8 @@ static void reply(uint8_t order, uint32_t sequence, uint8_t status)
 
 static void obey(uint8_t order, uint32_t sequence, const uint8_t *payload, uint8_t size)
 {
-    uint8_t expected = order == ORDER_RATE || order == ORDER_DWELL ? 4 : 0;
+    answer_wanted = true;
+    uint8_t expected = order == ORDER_RATE ? 4 : 0;
     uint8_t status = STATUS_TAKEN;
     if (!known(order))
         status = STATUS_UNKNOWN_ORDER;
@@ -98,10 +102,6 @@ static void obey(uint8_t order, uint32_t sequence, const uint8_t *payload, uint8
         break;
     case ORDER_RATE:
         if (!scan_set_period(read32(payload)))
-            status = STATUS_OUT_OF_RANGE;
-        break;
-    case ORDER_DWELL:
-        if (!scan_set_dwell(read32(payload)))
             status = STATUS_OUT_OF_RANGE;
         break;
     }
@@ -238,15 +238,8 @@ static void write_self_test(struct writer *writer, uint8_t *bytes)
     }
 }
 
-static void __attribute__((noinline)) answer(void)
+static void __attribute__((noinline)) answer(uint8_t *bytes)
 {
-    uint8_t *bytes = answer_buffer();
-    if (bytes == NULL)
-        return;
-    if ((int32_t)(clock_now() - next_identity) >= 0) {
-        next_identity += IDENTITY_TICKS;
-        identity_wanted = true;
-    }
     struct writer writer;
     struct reply *waiting = waiting_reply();
     if (waiting) {
@@ -260,6 +253,7 @@ static void __attribute__((noinline)) answer(void)
     } else if (description_sent < DESCRIPTION_SIZE) {
         write_description(&writer, bytes);
     } else {
+        answer_wanted = test_wanted; /* its result is yet to come */
         return;
     }
     writer_end(&writer);
@@ -271,6 +265,13 @@ void commands_service(void)
     uint8_t byte;
     for (uint8_t i = 0; i < BYTES_AT_ONCE && uart_receive(&byte); i++)
         unstuff(byte);
-    if (scan_idle())
-        answer();
+    if ((uint16_t)(TCNT1 - looked_at) >= LOOK_TICKS) {
+        looked_at = TCNT1;
+        if ((int32_t)(clock_now() - next_identity) >= 0) {
+            next_identity += IDENTITY_TICKS;
+            identity_wanted = answer_wanted = true;
+        }
+    }
+    if (answer_wanted && scan_idle() && answer_buffer() != NULL)
+        answer(answer_buffer());
 }

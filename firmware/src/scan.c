@@ -16,8 +16,14 @@
 #define SPIN_TICKS US(20)       /* nothing else is done so shortly before an instant that must be met */
 #define PREPARE_TICKS US(400)   /* to write the header of a frame */
 #define HANGING_TICKS US(10000) /* no conversion takes that long */
-#define IDLE_TICKS US(1000)
-#define ROW_OVERHEAD_US 12      /* from the last conversion of a row to the next row */
+#define AHEAD_TICKS US(1000)    /* the header of a frame is written so long before it is due */
+#define LOOK_TICKS US(50)       /* between two looks at the clock while nothing is measured */
+
+/* Time that the program itself takes at most, when a byte is sent in every pass of the loop. */
+#define CONVERSION_OVERHEAD_US 7  /* from the end of a conversion to the start of the next */
+#define SHORTEST_CONVERSION_US 36 /* to stuff a reading into its packet, while the next is converted */
+#define ROW_OVERHEAD_US 12        /* from the last conversion of a row to the selection of the next row */
+#define FRAME_OVERHEAD_US 450     /* from the last row of a frame to the first of the next, its header included */
 
 
 bool streaming = true;
@@ -32,7 +38,8 @@ static enum { FRAME, SELF_TEST } job;
 static bool frame_requested;
 static bool prepared; /* the header of the next frame is written */
 static bool overrun;  /* frames were dropped since the last one that was sent */
-static uint32_t due;  /* ticks at which the next frame begins */
+static uint32_t due;  /* ticks at which the next frame begins; as the timer, it counts from power-up */
+static uint16_t looked_at;
 static struct writer writer;
 
 static uint8_t row, column;
@@ -65,29 +72,24 @@ void scan_start(void)
         ;
     if (!scan_set_period(settings.period_us))
         scan_set_period(DEFAULT_PERIOD_US);
-    due = clock_now() + IDLE_TICKS;
+    due = clock_now() + AHEAD_TICKS;
 }
 
-/* Time that one scan takes, in us. */
-static uint32_t scan_us(uint32_t dwell_us)
+/* Time that one frame takes at least, in us. */
+static uint32_t shortest_period_us(void)
 {
-    uint32_t row_us = ((uint32_t)COLUMNS * 14 << settings.adc_prescaler_log2) / 16;
-    return ROWS * (dwell_us + row_us + ROW_OVERHEAD_US) + PREPARE_TICKS / TICKS_PER_US;
+    uint32_t conversion_us = (13UL << settings.adc_prescaler_log2) / 16 + CONVERSION_OVERHEAD_US;
+    if (conversion_us < SHORTEST_CONVERSION_US)
+        conversion_us = SHORTEST_CONVERSION_US;
+    uint32_t row_us = settings.dwell_us + COLUMNS * conversion_us + ROW_OVERHEAD_US;
+    return ROWS * row_us + FRAME_OVERHEAD_US;
 }
 
 bool scan_set_period(uint32_t period_us)
 {
-    if (period_us < scan_us(settings.dwell_us) || period_us > LONGEST_PERIOD_US)
+    if (period_us < shortest_period_us() || period_us > LONGEST_PERIOD_US)
         return false;
     settings.period_us = period_us;
-    return true;
-}
-
-bool scan_set_dwell(uint32_t dwell_us)
-{
-    if (dwell_us > LONGEST_DWELL_US || scan_us(dwell_us) > settings.period_us)
-        return false;
-    settings.dwell_us = (uint16_t)dwell_us;
     return true;
 }
 
@@ -99,6 +101,7 @@ void scan_request_frame(void)
 void scan_stop(void)
 {
     streaming = frame_requested = false;
+    prepared = false;
 }
 
 void scan_request_self_test(struct self_test *result)
@@ -114,7 +117,10 @@ bool scan_self_test_done(void)
 
 bool scan_alive(void)
 {
-    return phase != CONVERTING || (uint16_t)(TCNT1 - converting_since) < HANGING_TICKS;
+    static bool hangs; /* kept, since the timer goes round */
+    if (phase == CONVERTING && (uint16_t)(TCNT1 - converting_since) > HANGING_TICKS)
+        hangs = true;
+    return !hangs;
 }
 
 bool scan_idle(void)
@@ -132,28 +138,28 @@ WORK prepare_frame(uint8_t *bytes)
     prepared = true;
 }
 
+/* Write the header of the next frame when it is nearly due. */
 WORK wait_for_frame(void)
 {
     uint32_t now = clock_now();
-    if (!prepared) {
-        if ((int32_t)(due - now) < (int32_t)PREPARE_TICKS)
-            due = now + PREPARE_TICKS; /* late: the frame says when it really began */
-        if ((int32_t)(due - now) > (int32_t)IDLE_TICKS)
-            return;
-        uint8_t *bytes = frame_buffer();
-        if (bytes == NULL) { /* the host reads too slowly */
-            overrun = true;
-            next_sequence++;
-            due += US(settings.period_us);
-            frame_requested = false;
-            return;
-        }
+    if ((int32_t)(due - now) < (int32_t)PREPARE_TICKS)
+        due = now + PREPARE_TICKS; /* late: the frame says when it really began */
+    if ((int32_t)(due - now) > (int32_t)AHEAD_TICKS)
+        return;
+    uint8_t *bytes = frame_buffer();
+    if (bytes != NULL) {
         prepare_frame(bytes);
-        return;
+    } else { /* the host reads too slowly */
+        overrun = true;
+        next_sequence++;
+        due += US(settings.period_us);
+        frame_requested = false;
     }
-    if ((int32_t)(due - now) > (int32_t)SPIN_TICKS)
-        return;
-    while ((int32_t)(due - clock_now()) > 0)
+}
+
+WORK begin_frame(void)
+{
+    while ((int16_t)((uint16_t)due - TCNT1) > 0)
         ;
     row = column = 0;
     select_row(0);
@@ -165,9 +171,11 @@ WORK wait_for_frame(void)
     phase = SETTLING;
 }
 
-WORK wait_for_work(void)
+/* Something to begin? Looks at the clock no more than is needed: while nothing is measured the line is served. */
+WORK look_for_work(void)
 {
-    if (test_requested && !prepared) {
+    looked_at = TCNT1;
+    if (test_requested) {
         job = SELF_TEST;
         memset(test, LINE_OPEN, ROWS);
         memset(test->column_state, LINE_GOOD, COLUMNS);
@@ -178,8 +186,17 @@ WORK wait_for_work(void)
     } else if (streaming || frame_requested) {
         wait_for_frame();
     } else {
-        prepared = false;
         due = clock_now() + PREPARE_TICKS;
+    }
+}
+
+static void wait(void)
+{
+    if (prepared) { /* the frame is due within a millisecond, so that 16 bits tell when */
+        if ((int16_t)((uint16_t)due - TCNT1) <= (int16_t)SPIN_TICKS)
+            begin_frame();
+    } else if ((uint16_t)(TCNT1 - looked_at) >= LOOK_TICKS) {
+        look_for_work();
     }
 }
 
@@ -264,7 +281,7 @@ void scan_service(void)
 {
     switch (phase) {
     case WAITING:
-        wait_for_work();
+        wait();
         break;
     case SETTLING:
         settle();

@@ -15,7 +15,7 @@ void scan_start(void);
 /* One small step; call it all the time. */
 void scan_service(void);
 
-/* Whether no conversion hangs: the watchdog is fed only then. */
+/* Whether no conversion has hung: the watchdog is fed only then. */
 bool scan_alive(void);
 
 /* Whether nothing is being measured, so that a millisecond of work does no harm. */
@@ -29,9 +29,6 @@ void scan_stop(void);
 
 /* Time from frame to frame. False if the scan takes longer than that. */
 bool scan_set_period(uint32_t period_us);
-
-/* Time from selecting a row to its first conversion. False if it is too long for the timer or the frame period. */
-bool scan_set_dwell(uint32_t dwell_us);
 
 /* Result of the self-test. */
 struct self_test {

@@ -44,13 +44,17 @@ class Section(BaseModel):
             InputError: an unknown key, or a value that does not fit.
 
         """
-        tables: dict[str, Any] = dict(self)
+        tables = self._tables()
         for key, value in changes.items():
             table = tables.get(key)
             tables[key] = (
-                dict(table) | dict(value) if isinstance(table, Section) and isinstance(value, Mapping) else value
+                table._tables() | dict(value) if isinstance(table, Section) and isinstance(value, Mapping) else value
             )
         return parse(tables, type(self), source=type(self).__name__)
+
+    def _tables(self) -> dict[str, Any]:
+        """Values by key, without what the section has worked out for itself (``cached_property``)."""
+        return {key: getattr(self, key) for key in type(self).model_fields}
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """As pydantic's, but an update goes through :meth:`replace`: pydantic would not check it."""

@@ -9,6 +9,7 @@ from typing import cast
 import click
 
 from ..emulator import ClockName, PtyPort, Scene, TcpPort, emulate, stop_on_signals
+from ..emulator.firmware import AVR8JS, board_for, emulate_firmware
 from . import arguments
 
 
@@ -18,6 +19,13 @@ from . import arguments
 @click.option("--tcp", metavar="HOST:PORT", help="Listen here instead of on a pty; :PORT is the loopback.")
 @click.option("--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True)
 @click.option(
+    "--engine",
+    type=click.Choice(["model", "firmware"]),
+    default="model",
+    show_default=True,
+    help="What runs the board: a model of it, or the reference board's program on an emulated processor (Node.js).",
+)
+@click.option(
     "--duration", type=click.FloatRange(min=0, min_open=True), default=inf, metavar="S", help="Seconds of board time."
 )
 @click.option(
@@ -25,7 +33,14 @@ from . import arguments
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="K", help="For noise and line faults.")
 def command(
-    scene_file: Path, link: Path | None, tcp: str | None, clock: str, duration: float, truth: Path | None, seed: int
+    scene_file: Path,
+    link: Path | None,
+    tcp: str | None,
+    clock: str,
+    engine: str,
+    duration: float,
+    truth: Path | None,
+    seed: int,
 ) -> int:
     """Emulate the board and skin of SCENE.toml; the port to open is printed first.
 
@@ -34,9 +49,13 @@ def command(
     if link is not None and tcp is not None:
         raise click.UsageError("--link and --tcp exclude each other")
     scene = Scene.load(scene_file)
+    if engine == "firmware":
+        board_for(scene)
+        AVR8JS.require()
     with stop_on_signals() as stop, PtyPort(link) if tcp is None else TcpPort.at(tcp) as port:
         click.echo(port.name)
-        outcome = emulate(
+        run = emulate_firmware if engine == "firmware" else emulate
+        outcome = run(
             scene,
             port,
             clock=cast("ClockName", clock),
