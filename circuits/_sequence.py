@@ -10,12 +10,11 @@ from numpy.typing import ArrayLike
 from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
 from ._batch import BatchResult, checked_frames, scan_batch
+from ._board import Board
 from ._design import Design
-from ._exact import exact_transfer
-from ._linear import LinearReadout, few_ulp
-from ._parts import cell_conductance
-from ._readout import apparent_resistance
-from .solvers._sequence import SequenceTransfer, sequence_transfer
+from ._ideal import apparent_resistance
+from .readouts import few_ulp
+from .solvers import SequenceTransfer, exact_transfer, sequence_transfer
 
 
 def scan_sequence(design: Design, resistance: ArrayLike, *, error_volts: float | None = None) -> BatchResult:
@@ -45,10 +44,12 @@ def scan_sequence(design: Design, resistance: ArrayLike, *, error_volts: float |
     if not error_volts > 0:
         raise InputError(f"error_volts is {error_volts}; expected more than 0")
     start = time.perf_counter()
-    found = _interpolated(design, cells, error_volts) if len(cells) > 2 else None
+    board = design.board
+    found = _interpolated(board, board.turn(cells), error_volts) if len(cells) > 2 else None
     if found is None:
         return scan_batch(design, cells)
-    volts, bound, solved, inside = found
+    lines, bound, solved, inside = found
+    volts = board.turn(lines)
     methods = np.where(solved, "exact", "interpolation")
     saturated = np.zeros(volts.shape, dtype=np.bool_)
     if not inside.all():
@@ -67,17 +68,20 @@ def scan_sequence(design: Design, resistance: ArrayLike, *, error_volts: float |
 
 
 def _interpolated(
-    design: Design, cells: FloatArray, error_volts: float
+    board: Board, cells: FloatArray, error_volts: float
 ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray] | None:
-    """Volts, relative error bounds, which frames are knots, and which cannot have reached a limit of the supply."""
-    linear = LinearReadout.of(design)
+    """Volts, relative error bounds, which frames are knots, and which cannot have reached a limit of the supply.
+
+    In line coordinates.
+    """
+    linear = board.linear
     if linear is None or linear.wires is None:
         return None
-    conductance = cell_conductance(design, cells)
+    conductance = board.cell_conductance(cells)
     if not np.isfinite(conductance.max()):
         return None
     lines = linear.lines
-    volts_per_siemens = linear.most_volts_per_siemens(design.array.rows)
+    volts_per_siemens = linear.most_volts_per_siemens(board.shape[0])
     known: SequenceTransfer = sequence_transfer(
         conductance, linear.wires, lambda frames: exact_transfer(frames, lines), error_volts / volts_per_siemens
     )

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from designs import amplifier
 
-from ohmskin.circuits import Design, scan
+from ohmskin.circuits import Design, effects, scan
 from ohmskin.cli import COMMANDS, ohmskin, run
 
 DESIGN = """
@@ -180,8 +180,8 @@ def test_effects_are_listed_with_their_size(folder: Path, capsys: pytest.Capture
     (lead,) = [line for line in lines if "modelled" in line]
     assert lead.startswith("row_lead")
     result = scan(Design.load("design.toml"), np.array([[1e4, 2e4, np.inf], [1e4, 1e4, 5e3]]))
-    assert [effect.modelled for effect in result.effects].count(True) == 1
-    assert len(lines) == len(result.effects)
+    assert [effect.modelled for effect in effects(result.design, result.cells)].count(True) == 1
+    assert len(lines) == len(effects(result.design, result.cells))
 
 
 def test_saturated_outputs_are_not_silent(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,13 +8,26 @@ import os
 import shlex
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from ohmskin.cli import run
-from ohmskin.doctor import State, System, _installation, _serial, examine_device, examine_installation
+from ohmskin.doctor import (
+    State,
+    System,
+    _installation,
+    _listening,
+    _serial,
+    examine_device,
+    examine_installation,
+    examine_traffic,
+    judge,
+)
 from ohmskin.emulator import PtyPort
+from ohmskin.wire import BOARDS, Family, FramePacket, board_protocol
 
 
 @pytest.fixture
@@ -116,10 +129,80 @@ def test_a_program_that_is_missing_or_broken_is_optional(tmp_path: Path, monkeyp
     assert "does not start" in _installation._program("Node", ("node",), "tests", "apt").found
 
 
-def test_the_exit_code_tells_of_problems(capsys: pytest.CaptureFixture[str]) -> None:
+class Played(PtyPort):
+    """A board of one family on a pty: random frames, by itself or when asked."""
+
+    def __init__(self, family: Family) -> None:
+        super().__init__()
+        self._family = family
+        self._protocol = board_protocol(family.name)
+        self._rng = np.random.default_rng(0)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._live)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        super().close()
+
+    def _live(self) -> None:
+        number = 0
+        while not self._ended.wait(0.02):
+            asked = self._protocol.feed(self.read() or b"") if self.host_present() else []
+            if asked or (not self._family.polled and self.host_present()):
+                number += 1
+                self.write(self._frame(number))
+
+    def _frame(self, number: int) -> bytes:
+        layout = self._family.layout
+        counts = self._rng.integers(0, 2**layout.adc_bits, (layout.rows, layout.columns), dtype=np.uint16)
+        return self._protocol.frame(FramePacket.of(counts, sequence=number, time_us=20_000 * number))
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_a_port_sounds_like_the_board_behind_it(name: str) -> None:
+    with Played(BOARDS[name]) as port:
+        (finding,) = examine_traffic(port.name, listen_s=1.0)
+    assert finding.state is State.OK
+    assert f"family '{name}'" in finding.found
+    assert f"{BOARDS[name].layout.rows} x {BOARDS[name].layout.columns} cells" in finding.found
+
+
+def test_a_port_that_sends_something_else_is_described() -> None:
     with PtyPort() as port:
-        assert run(["doctor", port.name, "--json"]) == 0
-    (finding,) = json.loads(capsys.readouterr().out)
-    assert finding["state"] == "ok"
+        stop = threading.Event()
+
+        def chatter() -> None:
+            while not stop.wait(0.02):
+                if port.host_present():
+                    port.write(b"boot: calibrating sensor\r\n")
+
+        thread = threading.Thread(target=chatter)
+        thread.start()
+        (finding,) = examine_traffic(port.name, listen_s=0.2)
+        stop.set()
+        thread.join()
+    assert finding.state is State.PROBLEM
+    assert "sends what no known family does" in finding.found
+    assert "100 % of them text" in finding.found
+    assert "ohmskin" in finding.mend
+
+
+def test_random_bytes_sound_like_no_board() -> None:
+    rng = np.random.default_rng(1)
+    assert all(judge(rng.bytes(20_000)) is None for _ in range(20))
+
+
+def test_the_exit_code_tells_of_problems(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_listening, "LISTEN_S", 0.1)
+    with PtyPort() as port:
+        assert run(["doctor", port.name, "--json"]) == 3
+    opened, silent = json.loads(capsys.readouterr().out)
+    assert (opened["state"], opened["found"]) == ("ok", "may be opened")
+    assert silent["state"] == "problem"
+    assert "silent" in silent["found"]
     assert run(["doctor", "/dev/no-such-port"]) == 3
     assert "-> plug the board in" in capsys.readouterr().out
+    assert run(["doctor", "socket://127.0.0.1:9"]) == 3
+    assert "cannot be opened" in capsys.readouterr().out

@@ -7,7 +7,8 @@ from dataclasses import asdict
 
 import click
 
-from ..doctor import Finding, State, examine_device, examine_installation, examine_ports
+from ..doctor import Finding, State, examine_device, examine_installation, examine_ports, examine_traffic
+from ..errors import LinkError
 from ..text import one_line
 from . import arguments
 
@@ -25,13 +26,24 @@ def command(port: str | None, as_json: bool) -> int:
 
     Exit code 0: no problem; 3: a problem. A missing optional part is no problem.
     """
-    findings = [*examine_installation(), *examine_ports()] if port is None else examine_device(port)
+    findings = [*examine_installation(), *examine_ports()] if port is None else _examine_port(port)
     if as_json:
         click.echo(json.dumps([asdict(finding) for finding in findings], indent=1))
     else:
         for finding in findings:
             _show(finding)
     return 3 if any(finding.state is State.PROBLEM for finding in findings) else 0
+
+
+def _examine_port(port: str) -> list[Finding]:
+    """The device first; its traffic only where the device can be opened."""
+    findings = [] if "://" in port else examine_device(port)
+    try:
+        return [*findings, *examine_traffic(port)]
+    except LinkError as error:
+        if any(finding.state is State.PROBLEM for finding in findings):
+            return findings  # which say why it cannot be opened
+        return [*findings, Finding(State.PROBLEM, port, str(error).removeprefix(f"{port}: "))]
 
 
 def _show(finding: Finding) -> None:

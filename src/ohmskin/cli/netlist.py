@@ -8,7 +8,7 @@ import click
 
 from .. import tables
 from ..circuits import Design
-from ..circuits.spice._netlist import netlist
+from ..circuits.spice import netlist
 from . import arguments
 
 

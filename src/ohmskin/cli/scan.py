@@ -10,10 +10,8 @@ from typing import Any
 import click
 import numpy as np
 
-from .. import tables
-from ..circuits import Design, scan
-from ..circuits._design import CIRCUITS
-from ..circuits._scan import METHODS
+from .. import circuits, tables
+from ..circuits import CIRCUITS, METHODS, Design, scan
 from . import arguments
 
 
@@ -65,7 +63,7 @@ def command(
         }
         click.echo(json.dumps(_null_where_infinite(values), allow_nan=False))
     elif effects:
-        for effect in result.effects:
+        for effect in circuits.effects(design, result.cells):
             share = "" if effect.estimate is None else f"{100 * effect.estimate:.3g} % of a signal"
             state = "modelled" if effect.modelled else "left out"
             click.echo(f"{effect.name:<32} {state}  {share:<26} {effect.basis}".rstrip())

@@ -1,28 +1,21 @@
-"""Amplifier frames that need no more of the grid than the conductance from each row to each column.
+"""Outputs as a linear function of the grid's transfer conductances.
 
 With grounded idle rows and amplifiers that all hold their inputs at one potential, a scan step is linear in the N x M
-*transfer conductances* of the grid with what the columns end in attached to it. That is most scans; the fast methods
-(:mod:`._attenuation`, :func:`._ports.transfer_conductances`) compute nothing else. The others go through
-:mod:`._readout`: dividers, floating rows, unequal offsets, and frames in which an output saturates.
+*transfer conductances* of the grid with the columns' ends attached: the current into each column for each row's volts.
+Most frames are of this kind, and the fast solvers compute nothing else. All other frames go through the port network
+(:meth:`._circuit.ReadoutCircuit.read`): dividers, floating rows, unequal offsets, and outputs that saturate.
 """
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
-from ._design import Design
-from ._grid import is_plain
-from ._parts import Parts, lines
-from ._readout import amplifier_ends
-from .solvers._attenuation import Attenuated, Wires
-from .solvers._elimination import ULP
-from .solvers._ports import Lines
+from ...arrays import BoolArray, FloatArray
+from ..solvers import ULP, Attenuated, Lines, Wires
 
 
 @dataclass(frozen=True)
@@ -42,36 +35,6 @@ class LinearReadout:
     """of the grid, the columns' ends attached"""
     wires: Wires | None
     """the same for line attenuation; None where a line is broken"""
-
-    @classmethod
-    def of(cls, design: Design) -> LinearReadout | None:
-        """None where the design's frames are not of this kind."""
-        if _recent.design is not design:  # frame after frame comes from one design, and is as quick as this is to make
-            _recent.design, _recent.readout = design, cls._of(design)
-        return _recent.readout
-
-    @classmethod
-    def _of(cls, design: Design) -> LinearReadout | None:
-        ordinary = design.readout.circuit == "inverting-amplifier" and design.drive.idle_rows == "ground"
-        if not (ordinary and is_plain(design)):
-            return None
-        ends = amplifier_ends(design)
-        source = ends.source
-        resistance = ends.resistance + Parts.of(design).column_lead
-        if (source != source[0]).any() or np.isinf(resistance).any():
-            return None
-        grid = lines(design)
-        with np.errstate(divide="ignore"):
-            ended = Lines(grid.row, grid.column, 1.0 / resistance)
-        return cls(
-            output=ends.output,
-            slope=ends.slope,
-            drive=design.drive.voltage,
-            source=float(source[0]),
-            supply=design.readout.supply,
-            lines=ended,
-            wires=Wires.of(ended),
-        )
 
     def volts(self, transfer: FloatArray) -> FloatArray:
         """(..., N, M) V, had the amplifiers no limits."""
@@ -155,13 +118,3 @@ class LinearReadout:
 def few_ulp(shape: tuple[int, ...]) -> float:
     """Relative: the conversion of resistances (..., N, M), and the last steps from conductances to volts."""
     return (20.0 + sum(shape[-2:])) * ULP
-
-
-class _Recent(threading.local):
-    """What was made of the design that this thread used last."""
-
-    design: Design | None = None
-    readout: LinearReadout | None = None
-
-
-_recent = _Recent()
