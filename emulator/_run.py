@@ -135,6 +135,7 @@ def emulate(
             scene,
             seed=seed,
             boot_id=secrets.randbits(32),
+            duration_s=duration_s,
             protocol=_protocol(family, scene),
             record=None if file is None else file.append,
         )
