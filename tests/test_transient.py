@@ -68,7 +68,7 @@ def test_outputs_go_on_without_a_jump_when_row_or_cells_change() -> None:
     transient.aim(settled[2])
     np.testing.assert_allclose(transient.outputs(), before, rtol=1e-12)
     other = np.where(np.isinf(CELLS), 20e3, CELLS)
-    transient.change_cells(other)
+    transient.change(BOARD, other)
     transient.aim(scan(BOARD, other).volts[2])
     np.testing.assert_allclose(transient.outputs(), before, rtol=1e-12)
     transient.advance(1e-2)

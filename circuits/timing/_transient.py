@@ -64,8 +64,15 @@ class Transient:
         self._load(resistance)
         self._deviation: FloatArray = np.zeros(len(self._present.matrix))
 
-    def change_cells(self, resistance: ArrayLike) -> None:
-        """Cells have other resistances from now on, (rows, columns) ohm; :meth:`aim` at the new outputs next."""
+    def change(self, design: Design, resistance: ArrayLike) -> None:
+        """Cells or lines are others from now on; outputs go on from where they are. :meth:`aim` at the new ones next.
+
+        Args:
+            design: with the amplifiers of the first one; its lines, faults and drive may differ.
+            resistance: (rows, columns) ohm.
+
+        """
+        self._design, self._board = design, design.board
         self._load(resistance)
 
     def aim(self, settled: FloatArray, row: int = 0) -> None:

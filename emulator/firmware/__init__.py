@@ -10,7 +10,6 @@ from ._board import REFERENCE_BOARDS, BoardKind, BoardSettings, FirmwareBoard, b
 from ._circuit import REFERENCE_RESISTORS_OHM, reference_outputs
 from ._engines import AVR8JS, Engine, missing_for
 from ._loop import emulate_firmware, running_firmware
-from ._port import FirmwarePort
 from ._processor import CLOCK_HZ, Processor
 
 __all__ = [
@@ -22,7 +21,6 @@ __all__ = [
     "BoardSettings",
     "Engine",
     "FirmwareBoard",
-    "FirmwarePort",
     "Processor",
     "board_for",
     "emulate_firmware",

@@ -7,7 +7,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ...circuits import Design, Fault, Transient, adc_codes, scan, volts_of_codes
 from .._scene import Scene
-from .._spread import spread
+from .._skin import ScenePhysics
 
 CELLS_PERIOD_S = 1e-3
 """s between two looks at what presses on the skin; a frame takes one or more of them"""
@@ -33,17 +33,17 @@ class ScanCircuit:
             InputError: the design's circuit has no dynamic model.
 
         """
-        self._scene = scene
-        self._design = scene.skin.design
-        self._noise = np.random.default_rng(seed)
-        shape = self._design.array.shape
-        self._cells = scene.skin.cell.forward(shape)
-        self._cells_time_s = 0.0
-        self.pressure_kpa: FloatArray = np.zeros(shape)
+        self._noise_volts = scene.board.noise
+        self._random = np.random.default_rng(seed)
+        self._physics = ScenePhysics(scene, self._random)
+        self._design = self._physics.design(0.0)
+        surface, cells = self._physics.cells(np.array([0]))
+        self.pressure_kpa: FloatArray = surface[0]
         """(rows, columns) on the surface at the last look"""
-        self.resistance_ohm: FloatArray = self._cells.step(0.0, self.pressure_kpa)
+        self.resistance_ohm: FloatArray = cells[0]
         """(rows, columns) of the cells at the last look"""
         self._cells_held = False
+        self._looked_at_s = 0.0
         self._time_s = 0.0
         self._rows: frozenset[int] = frozenset()
         self._transient = Transient(self._design, self.resistance_ohm)
@@ -53,16 +53,14 @@ class ScanCircuit:
         """Other rows are pulled to ground from now on; index ``rows`` of the array is the reference resistors."""
         self._advance(time_s)
         self._rows = rows
-        if not self._cells_held and time_s - self._cells_time_s >= CELLS_PERIOD_S:
-            self._look_at_cells(time_s)
+        if not self._cells_held and time_s - self._looked_at_s >= CELLS_PERIOD_S:
+            self._look_at_skin(time_s)
         self._aim()
 
     def hold_cells(self, resistance: FloatArray) -> None:
         """From now on the cells have these resistances, (rows, columns) ohm, whatever the scene says."""
         self._cells_held = True
-        self.resistance_ohm = self._design.resistance(resistance)
-        self._transient.change_cells(self.resistance_ohm)
-        self._solve()
+        self._change(self._design, self._design.resistance(resistance))
         self._aim()
 
     def connect(self, time_s: float, column: int) -> None:
@@ -74,8 +72,7 @@ class ScanCircuit:
         """End of the acquisition: V at the converter, noise included."""
         self._advance(time_s)
         volts = self._transient.disconnect()
-        noise = self._scene.board.noise
-        return volts + float(self._noise.normal(scale=noise)) if noise else volts
+        return volts + float(self._random.normal(scale=self._noise_volts)) if self._noise_volts else volts
 
     def code_volts(self, volts: float) -> float:
         """Input of an ideal converter, V, that reads as ``volts`` do with the offset, gain and bow of this one."""
@@ -86,18 +83,24 @@ class ScanCircuit:
         self._transient.advance(time_s - self._time_s)
         self._time_s = max(self._time_s, time_s)
 
-    def _look_at_cells(self, time_s: float) -> None:
-        self.pressure_kpa = self._scene.pressure_kpa(time_s)
-        felt = spread(self.pressure_kpa, self._scene.skin.spreading_pitches)
-        self.resistance_ohm = self._cells.step(time_s - self._cells_time_s, felt)
-        self._cells_time_s = time_s
-        if not np.allclose(self.resistance_ohm, self._solved_for, rtol=_SAME_RESISTANCE, atol=0.0, equal_nan=True):
-            self._transient.change_cells(self.resistance_ohm)
+    def _look_at_skin(self, time_s: float) -> None:
+        self._looked_at_s = time_s
+        surface, cells = self._physics.cells(np.array([round(time_s * 1e6)]))
+        self.pressure_kpa = surface[0]
+        self._change(self._physics.design(time_s), cells[0])
+
+    def _change(self, design: Design, resistance: FloatArray) -> None:
+        """The circuit is this one from now on; it is solved again only if that makes a difference."""
+        self.resistance_ohm = resistance
+        same = design is self._design and np.allclose(resistance, self._solved_for, rtol=_SAME_RESISTANCE, atol=0.0)
+        if not same:
+            self._design = design
+            self._transient.change(design, resistance)
             self._solve()
 
     def _solve(self) -> None:
         """Settled outputs of every row, of none, and (when it is asked for) of the reference resistors."""
-        self._solved_for = self.resistance_ohm.copy()
+        self._solved_for = self.resistance_ohm
         self._settled = scan(self._design, self.resistance_ohm).volts
         undriven = self._design.replace(drive={"voltage": _NO_DRIVE})
         self._idle = scan(undriven, self.resistance_ohm).volts[0]
