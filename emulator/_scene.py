@@ -18,8 +18,8 @@ from ..cell import Cell
 from ..circuits import Design
 from ..config import Finite, NotNegative, Positive, Section, parse, read_toml
 from ..errors import InputError
+from ._line_settings import ClockSettings, LineSettings, LinkFault
 
-Share = Annotated[float, Field(ge=0, lt=1)]
 CellIndex = Annotated[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], Field(strict=False)]
 LoadPoint = Annotated[tuple[Finite, NotNegative], Field(strict=False)]
 Place = Annotated[tuple[Finite, Finite], Field(strict=False)]
@@ -153,21 +153,14 @@ class BoardSettings(Section):
     """ohm of resistors that the board's self-test can read in place of a cell"""
 
 
-class LineSettings(Section):
-    """What the line to the host does to the bytes."""
-
-    packet_loss: Share = 0.0
-    """chance that a packet vanishes"""
-    bit_errors: Share = 0.0
-    """chance of each bit to be flipped"""
-
-
 class Scene(Section):
     """A skin, its board, the line, and the contacts. ``Scene.load("scene.toml")``."""
 
     skin: Skin
     board: BoardSettings = BoardSettings()
     line: LineSettings = LineSettings()
+    clock: ClockSettings = ClockSettings()
+    link_fault: list[LinkFault] = Field(default_factory=list)
     contact: list[Contact] = Field(default_factory=list)
 
     @model_validator(mode="after")
