@@ -60,16 +60,21 @@ class Device:
         self._random = np.random.default_rng([seed, 2])
         self._line_us = 0.0
         """latest line time at which something was sent"""
+        self._behind_us = 0.0
 
     @property
     def next_us(self) -> float:
         """Line time of the next tick."""
-        return self.board.next_us / (1.0 + self._clock.drift_ppm / 1e6)
+        return self._behind_us + self.board.next_us / (1.0 + self._clock.drift_ppm / 1e6)
 
     @property
     def time_s(self) -> float:
         """Board time of the next tick in s."""
         return self.board.next_us / 1e6
+
+    def fall_behind(self, delay_us: float) -> None:
+        """Let all ticks to come be due later: who runs the device cannot keep up."""
+        self._behind_us += delay_us
 
     def tick(self, *, host_present: bool) -> None:
         """Live through the next tick and send what the board has to say; without a host nobody hears it."""

@@ -368,7 +368,7 @@ class _RealPace(_Pace):
     def due(self, *, host_present: bool) -> bool:
         late_s = (self.now_us() - self._device.next_us) / 1e6
         if late_s > MOST_BEHIND_S:
-            self._start += late_s
+            self._device.fall_behind(1e6 * late_s)
             self._outcome.behind_s += late_s
         return late_s >= 0
 
