@@ -3,29 +3,23 @@
 ``scan(Design.load("design.toml"), resistance)`` reads one frame.
 """
 
-from ._adc import adc_codes, adc_error, clipped, volts_of_codes
+from ._adc import adc_codes, adc_error, clipped, conversion_changes, conversion_limits, volts_of_codes
 from ._batch import BatchResult, scan_batch
-from ._design import (
-    CIRCUITS,
-    Adc,
-    Array,
-    Cells,
-    Design,
-    Drive,
-    Fault,
-    Operation,
-    Readout,
-    Requirements,
-    Sheet,
-)
+from ._board import Board
+from ._design import Adc, Array, Cells, Design, Drive, Fault, Operation, Readout, Requirements, Sheet
 from ._effects import Effect, effects
-from ._incremental import Scanner
-from ._readout import apparent_resistance, ideal_volts
+from ._ideal import apparent_resistance, ideal_volts
 from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
+from ._sequence import scan_sequence
 from ._spread import Spread
-from .recovery._recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover
+from .readouts import CIRCUITS as _CIRCUITS
+from .recovery import Conditioning, Recoverer, Recovery, Status, conditioning, recover
+from .timing import Noise, Settling, Stability, noise, stability
+
+CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
+"""Readout circuits that a design file can name"""
 
 __all__ = [
     "CIRCUITS",
@@ -33,6 +27,7 @@ __all__ = [
     "Adc",
     "Array",
     "BatchResult",
+    "Board",
     "Cells",
     "Conditioning",
     "Conditions",
@@ -40,6 +35,7 @@ __all__ = [
     "Drive",
     "Effect",
     "Fault",
+    "Noise",
     "Operation",
     "Readout",
     "Recoverer",
@@ -47,21 +43,27 @@ __all__ = [
     "Requirement",
     "Requirements",
     "ScanResult",
-    "Scanner",
     "Sensitivity",
+    "Settling",
     "Sheet",
     "Spread",
+    "Stability",
     "Status",
     "adc_codes",
     "adc_error",
     "apparent_resistance",
     "clipped",
     "conditioning",
+    "conversion_changes",
+    "conversion_limits",
     "effects",
     "ideal_volts",
+    "noise",
     "recover",
     "scan",
     "scan_batch",
+    "scan_sequence",
     "sensitivity",
+    "stability",
     "volts_of_codes",
 ]

@@ -3,22 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 from math import inf
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self, get_args
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, PlainValidator, model_validator
+from pydantic import AfterValidator, Field, PlainValidator, model_validator
 
 from ..arrays import FloatArray
 from ..config import LEAST, MOST, Finite, NotNegative, Positive, Section, load
 from ..errors import InputError
+from ._board import Board
 from ._requirement import Requirement
 from ._spread import Spread, Spreadable
+from .readouts import CIRCUITS
 
-Circuit = Literal["inverting-amplifier", "voltage-divider", "voltage-feedback"]
-CIRCUITS: tuple[str, ...] = get_args(Circuit)
+LEAST_DRIVE_V = 1e-12
+"""far below the thermal noise of any cell; the ratio of an offset to the drive must stay a sensible number"""
+
+
+def _known_circuit(name: str) -> str:
+    if name not in CIRCUITS:
+        raise ValueError(f"unknown circuit; expected one of {', '.join(map(repr, CIRCUITS))}")
+    return name
+
+
+Circuit = Annotated[str, AfterValidator(_known_circuit)]
+
 FaultKind = Literal["open-cell", "shorted-cell", "broken-row", "broken-column", "bridged-rows", "bridged-columns"]
 
 
@@ -96,20 +109,25 @@ class Drive(Spreadable):
     voltage: Finite
     """V, selected row against the reference"""
     idle_rows: Literal["ground", "float"] = "ground"
-    """at the reference, or open; the circuit "voltage-feedback" drives them itself"""
+    """driven lines that are not selected: at the reference, or open; "voltage-feedback" drives them itself"""
 
     @model_validator(mode="after")
     def _drives(self) -> Self:
-        if self.voltage == 0:
-            raise ValueError("voltage must not be 0: nothing would be read")
+        if abs(self.voltage) < LEAST_DRIVE_V:
+            raise ValueError(f"voltage must be at least {LEAST_DRIVE_V:g} V, up or down: nothing would be read")
         return self
 
 
 class Readout(Spreadable):
-    """What each column ends in. What belongs to one column is one number, or a list of one per column.
+    """What each sensed line ends in. Keys of a single line's parts take one number, or a list of one per line.
 
-    "voltage-feedback" is a divider whose sensed column also feeds a follower, and that drives every idle row and
-    column; the follower's output is what is read.
+    ======================  =========================================================================================
+    inverting-amplifier     a transimpedance amplifier on each column; rows are driven
+    row-amplifier           a transimpedance amplifier on each row; columns are driven
+    voltage-divider         a load on each column; rows are driven
+    voltage-feedback        a divider whose sensed column feeds a follower, which drives all idle rows and columns;
+                            the follower's output is read
+    ======================  =========================================================================================
     """
 
     PARTS: ClassVar[tuple[str, ...]] = (
@@ -138,7 +156,7 @@ class Readout(Spreadable):
     supply: Annotated[tuple[float, float], Field(strict=False)] = (-inf, inf)
     """V, output swing"""
     idle_columns: Literal["float", "load"] = "float"
-    """divider only: what the columns that are not being read end in"""
+    """"voltage-divider" only: what the columns that are not being read end in"""
     column_capacitance: NotNegative = 0.0
     """F, from each inverting input to ground: column line and amplifier"""
     feedback_capacitance: NotNegative = 0.0
@@ -160,7 +178,7 @@ class Readout(Spreadable):
         return self
 
 
-PER_COLUMN = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
+PER_LINE = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
 
 
 class Adc(Spreadable):
@@ -314,10 +332,13 @@ class Design(Section):
         rows, columns = self.array.shape
         keys = [("array.row_segment", self.array.row_segment, rows), ("array.row_lead", self.array.row_lead, rows)]
         keys += [(f"array.{name}", getattr(self.array, name), columns) for name in ("column_segment", "column_lead")]
-        keys += [(f"readout.{name}", getattr(self.readout, name), columns) for name in PER_COLUMN]
+        sensed_rows = CIRCUITS[self.readout.circuit].senses == "rows"
+        sensed = rows if sensed_rows else columns
+        keys += [(f"readout.{name}", getattr(self.readout, name), sensed) for name in PER_LINE]
         for key, value, lines in keys:
             if isinstance(value, tuple) and len(value) != lines:
-                line = "row" if key.startswith("array.row") else "column"
+                by_row = sensed_rows if key.startswith("readout") else key.startswith("array.row")
+                line = "row" if by_row else "column"
                 raise ValueError(f"{key} has {len(value)} entries, expected one number or {lines} (one per {line})")
         for number, fault in enumerate(self.fault):
             for row, column in fault.ends if fault.bridge else [fault.place]:
@@ -349,8 +370,12 @@ class Design(Section):
 
     def with_circuit(self, circuit: str) -> Design:
         """The same array and parts read by another circuit."""
-        readout = self.readout.model_dump() | {"circuit": circuit}
-        return self.replace(readout=Readout.model_validate(readout))
+        return self.replace(readout={"circuit": circuit})
+
+    @cached_property
+    def board(self) -> Board:
+        """The design expanded into arrays, once."""
+        return Board.of(self, CIRCUITS[self.readout.circuit])
 
     def resistance(self, cells: ArrayLike) -> FloatArray:
         """``cells`` as a checked (rows, columns) array in ohm; inf is an open cell, 0 a short.

@@ -3,19 +3,22 @@
 import serial
 
 from ._board import Board
+from ._contacts import Contact
 from ._device import Device
 from ._faults import Line
 from ._line import Transmission
 from ._line_settings import ClockSettings, LineSettings, LinkFault
 from ._ports import PairPort, Port, PtyPort, Rfc2217Port, TcpPort
 from ._run import ClockName, Outcome, Stop, emulate, running, stop_on_signals
-from ._scene import Bump, Contact, Disc, Rectangle, Scene
+from ._scene import BoardSettings, Scene, SkinSettings
+from ._shapes import Bump, Disc, Image, Point, Rectangle
 from ._skin import EmulatedSkin, FrameBlock, Sample
 from ._spread import shares, spread
 from ._truth import TruthFile
 
 __all__ = [
     "Board",
+    "BoardSettings",
     "Bump",
     "ClockName",
     "ClockSettings",
@@ -24,17 +27,20 @@ __all__ = [
     "Disc",
     "EmulatedSkin",
     "FrameBlock",
+    "Image",
     "Line",
     "LineSettings",
     "LinkFault",
     "Outcome",
     "PairPort",
+    "Point",
     "Port",
     "PtyPort",
     "Rectangle",
     "Rfc2217Port",
     "Sample",
     "Scene",
+    "SkinSettings",
     "Stop",
     "TcpPort",
     "Transmission",

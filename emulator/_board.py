@@ -16,6 +16,7 @@ the board with commands gets fewer answers and cannot make the board grow.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -53,6 +54,7 @@ class Board:
         *,
         seed: int = 0,
         boot_id: int = 1,
+        duration_s: float = math.inf,
         protocol: BoardProtocol | None = None,
         record: Callable[[Sample], None] | None = None,
     ) -> None:
@@ -62,6 +64,7 @@ class Board:
             scene: skin, board and contacts.
             seed: for the noise of the converter.
             boot_id: number of this start of the board.
+            duration_s: after which no frame comes any more; the one before says so.
             protocol: the board's end of the line; None: the native one.
             record: told of every frame that the board scans.
 
@@ -74,6 +77,7 @@ class Board:
         self.overrun = False
         """set by the sender when it had to drop a frame: the next one says so"""
         self.boot_id = boot_id
+        self.duration_s = duration_s
         self._record = record
         self._skin = EmulatedSkin(scene, seed)
         self._period_us = 1e6 / scene.board.frame_rate
@@ -189,6 +193,12 @@ class Board:
                     packets.append(self._reply(time_us, command.order, command.sequence, command.status))
         return packets
 
+    def _flags(self) -> Flag:
+        flags = Flag.OVERRUN if self.overrun else Flag.NONE
+        if self.next_us >= 1e6 * self.duration_s:
+            flags |= Flag.LAST
+        return flags
+
     def _send(self, block: FrameBlock, place: int, time_us: int) -> bytes:
         self._latest = block.resistance_ohm[place]
         if self._record is not None:
@@ -197,7 +207,7 @@ class Board:
             block.counts[place],
             sequence=self._sequence,
             time_us=time_us,
-            flags=Flag.OVERRUN if self.overrun else Flag.NONE,
+            flags=self._flags(),
             boot_id=self.boot_id,
         )
         self.overrun = False

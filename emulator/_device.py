@@ -7,6 +7,7 @@ whose clock is fast by 100 ppm reaches its tick at 10 s after 9.999 s of line ti
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 
 import numpy as np
 
@@ -32,6 +33,7 @@ class Device:
         *,
         seed: int = 0,
         boot_id: int = 1,
+        duration_s: float = inf,
         protocol: BoardProtocol | None = None,
         record: Callable[[Sample], None] | None = None,
         capacity: int | None = None,
@@ -42,12 +44,13 @@ class Device:
             scene: skin, board, line and faults.
             seed: for the converter's noise, the line's faults and the jitter.
             boot_id: number of this start of the board.
+            duration_s: s after which no frame comes any more.
             protocol: the board's end of the line.
             record: told of every frame that the board scans.
             capacity: bytes of the transmit buffer; None: those of a microcontroller.
 
         """
-        self.board = Board(scene, seed=seed, boot_id=boot_id, protocol=protocol, record=record)
+        self.board = Board(scene, seed=seed, boot_id=boot_id, duration_s=duration_s, protocol=protocol, record=record)
         if capacity is None:
             rows, columns = scene.skin.design.array.shape
             capacity = 8192 + 8 * rows * columns

@@ -154,6 +154,7 @@ def emulate(
             scene,
             seed=seed,
             boot_id=secrets.randbits(32),
+            duration_s=duration_s,
             protocol=protocol,
             record=None if file is None else file.append,
             # At the fast clock no tick is due while more than a little waits; only a UART can overflow.

@@ -10,12 +10,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from reference import reference_volts
 
 from ohmskin import bench
 from ohmskin.bench import _estimators as benchmark
 from ohmskin.bench import _memory as memory
 from ohmskin.bench import _peers as peers
+from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import METHODS
 from ohmskin.cli import run
 from ohmskin.errors import InputError
@@ -28,7 +28,7 @@ def _quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_reference_is_right_to_the_last_digits() -> None:
     design, frame = bench.board(3, 2.0), bench.cells(3)[0]
-    exact = reference_volts(design, frame, digits=40) / 1000.0
+    exact = reference_volts(design, frame) / 1000.0
     np.testing.assert_allclose(peers.reference(design, frame), exact, rtol=5e-16)
 
 
@@ -50,13 +50,12 @@ def test_errors_lie_within_bounds_and_methods_are_all_there() -> None:
     for size in (4, 12):
         assert set(METHODS) < {row.method for row in rows if row.size == size}
     certified = [row for row in rows if row.bound is not None]
-    assert len(certified) == 4 * 7
+    assert len(certified) == 4 * 6
     for row in certified:
         assert row.full_scale_error is not None
         assert row.full_scale_error <= row.bound + 5e-16
     assert all(row.seconds > 0 for row in rows if row.seconds is not None)
-    streams = {"1 x 1 cells", "1 %", "10 %", "100 %"}
-    assert {"exact, in a batch", *(f"exact, {what} changed" for what in streams)} < {row.method for row in rows}
+    assert "exact, in a batch" in {row.method for row in rows}
 
 
 def test_slow_peers_are_left_out_by_name_and_waited_for_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,8 +14,7 @@ from ..arrays import BoolArray, FloatArray
 from ..circuits import adc_codes
 from ..driver import Frame, Skin
 from ..emulator import Contact, PtyPort, Rectangle, Scene, running
-from ..emulator._scene import BoardSettings
-from ..emulator._scene import Skin as SkinSettings
+from ..emulator._scene import BoardSettings, SkinSettings
 from ..errors import InputError
 from ._maps import heat_maps
 from ._outcome import Check, Figure, Finding, not_run
@@ -46,7 +45,7 @@ def _emulated(subject: Subject) -> Finding:
         # The board lives a little longer than what the host takes, so that it never waits for a last frame.
         with running(scene, port, clock="fast", duration_s=SECONDS + 1.0, truth=truth_file):
             start = time.perf_counter()
-            with Skin.open(port.name) as skin:
+            with Skin.open(port.name, delivery="lossless") as skin:
                 frames = list(islice(skin, round(SECONDS * RATE_HZ)))
             elapsed = time.perf_counter() - start
         with np.load(truth_file) as file:
@@ -91,7 +90,7 @@ def _emulated(subject: Subject) -> Finding:
 
 def _hardware(port: str) -> Finding:
     """What can be said of a real board without knowing what presses on it."""
-    with Skin.open(port) as skin:
+    with Skin.open(port, delivery="every") as skin:
         start = time.perf_counter()
         frames = list(islice(skin, 200))
         elapsed = time.perf_counter() - start

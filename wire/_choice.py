@@ -10,19 +10,23 @@ from ._protocol import BoardProtocol, Family, HostProtocol, Layout
 from .boards import BOARDS
 
 
-def board_family(name: str) -> Family:
-    """The family called ``name``; InputError with the nearest known name where there is none."""
+def board_family(name: str | Family) -> Family:
+    """The family called ``name``; InputError with the nearest known name where there is none. A family is itself."""
+    if isinstance(name, Family):
+        return name
     if name not in BOARDS:
         (near,) = difflib.get_close_matches(name, BOARDS, n=1, cutoff=0.0)
         raise InputError(f"no family of boards '{name}'; the nearest is '{near}', all are {', '.join(BOARDS)}")
     return BOARDS[name]
 
 
-def host_protocol(name: str, *, shape: tuple[int, int] | None = None, adc_bits: int | None = None) -> HostProtocol:
+def host_protocol(
+    name: str | Family, *, shape: tuple[int, int] | None = None, adc_bits: int | None = None
+) -> HostProtocol:
     """A new host end of the line to a board.
 
     Args:
-        name: family of the board, a key of ``BOARDS``.
+        name: family of the board: a key of ``BOARDS``, or the family itself.
         shape: (rows, columns) of the board's array, where its packets do not say it; None: the usual ones.
         adc_bits: of the board's converter, likewise.
 

@@ -27,6 +27,8 @@ class Flag(enum.Flag):
     NONE = 0
     OVERRUN = 1
     """the board dropped frames just before this one because the host reads too slowly"""
+    LAST = 2
+    """no frame follows: an emulation or a played recording is at its end"""
 
 
 class Order(enum.Enum):

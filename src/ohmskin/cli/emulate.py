@@ -10,9 +10,10 @@ import click
 
 from ..emulator import ClockName, Port, PtyPort, Rfc2217Port, Scene, TcpPort, emulate, stop_on_signals
 from ..wire import BOARDS, board_family
+from . import arguments
 
 
-@click.command()
+@click.command(epilog=arguments.example("ohmskin emulate scene.toml --link /tmp/skin --truth truth.npz"))
 @click.argument("scene_file", metavar="SCENE.toml", type=click.Path(path_type=Path))
 @click.option(
     "--board",

@@ -6,9 +6,10 @@ import click
 
 from ..circuits import Design
 from ..verification import verify
+from . import arguments
 
 
-@click.command()
+@click.command(epilog=arguments.example("ohmskin verify design.toml -o report --jobs 2"))
 @click.argument("design_file", metavar="[DESIGN.toml]", required=False)
 @click.option(
     "-o", "--output", default="ohmskin-report", show_default=True, metavar="DIR", help="Where the report goes."
