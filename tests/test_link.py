@@ -314,7 +314,7 @@ def test_a_port_without_permission_names_the_group(tmp_path: Path, monkeypatch: 
         (["{scene}", "--tcp", "4711x"], "'4711x' is no address; expected HOST:PORT or :PORT"),
         (["{scene}", "--tcp", "localhost:70000"], "'localhost:70000' is no address"),
         (["{scene}", "--tcp", "192.0.2.1:1"], "192.0.2.1:1: cannot listen there"),
-        (["{scene}", "--link", "{tmp}/a", "--tcp", ":0"], "--link and --tcp exclude each other"),
+        (["{scene}", "--link", "{tmp}/a", "--tcp", ":0"], "--link, --tcp and --rfc2217 exclude each other"),
         (["{scene}", "--duration", "-1"], "-1.0 is not in the range x>0"),
         (["{scene}", "--duration", "nan"], "duration is nan s; expected more than 0"),
         (["{scene}", "--clock", "slow"], "'slow' is not one of 'real', 'fast'"),
