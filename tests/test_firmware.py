@@ -29,7 +29,7 @@ from ohmskin.emulator.firmware import (
     BoardSettings,
     FirmwareBoard,
     Processor,
-    board_for,
+    check_scene,
     missing_for,
 )
 from ohmskin.errors import InputError, LinkError, MissingExtra
@@ -354,7 +354,7 @@ def test_settings_that_no_board_can_have_are_refused(settings: dict[str, Any], m
 @pytest.mark.without_node
 def test_a_scene_that_no_firmware_fits_is_refused(replace: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as caught:
-        board_for(scene(replace=replace))
+        check_scene(scene(replace=replace))
     assert message in str(caught.value)
 
 

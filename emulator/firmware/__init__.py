@@ -6,7 +6,7 @@
         data = board.run(0.5)  # the bytes that the board sends in half a second of its own time
 """
 
-from ._board import REFERENCE_BOARDS, BoardKind, BoardSettings, FirmwareBoard, board_for
+from ._board import REFERENCE_BOARDS, BoardKind, BoardSettings, FirmwareBoard, check_scene
 from ._circuit import REFERENCE_RESISTORS_OHM, reference_outputs
 from ._engines import AVR8JS, Engine, missing_for
 from ._loop import emulate_firmware, running_firmware
@@ -22,7 +22,7 @@ __all__ = [
     "Engine",
     "FirmwareBoard",
     "Processor",
-    "board_for",
+    "check_scene",
     "emulate_firmware",
     "missing_for",
     "reference_outputs",

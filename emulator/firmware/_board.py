@@ -19,6 +19,7 @@ from ...arrays import FloatArray
 from ...circuits import adc_codes
 from ...errors import InputError
 from ...wire import FramePacket, PacketDecoder
+from .._line_settings import BYTE_FAULTS, PACKET_FAULTS, ClockSettings
 from .._scene import Scene
 from .._skin import Sample
 from ._circuit import ScanCircuit
@@ -27,10 +28,13 @@ from ._processor import CLOCK_HZ, Processor
 from ._wiring import DirectWiring, ShiftedWiring, Wiring
 
 _HERE = Path(__file__).parent
+_LINK_FAULTS = (*BYTE_FAULTS, *PACKET_FAULTS, "stall")
 _FIRST_ROW = frozenset({0})
 _ADC_BITS = 10
 _STORED = struct.Struct("<BBBxHxxI16s")  # the settings in EEPROM, see docs/hardware.md
 _MAGIC = 0x5A
+DEFAULT_BAUD = 1_000_000
+"""bit/s of a board with an erased EEPROM"""
 _FASTEST_BAUD = 2_000_000  # 16 MHz / 8
 _BOOTS = struct.Struct("<I")
 _BOOTS_ADDRESS = 32
@@ -55,13 +59,20 @@ REFERENCE_BOARDS = (
 """boards of docs/hardware.md"""
 
 
-def board_for(scene: Scene) -> BoardKind:
+def check_scene(scene: Scene) -> BoardKind:
     """The board whose firmware can scan a scene's array.
 
     Raises:
-        InputError: there is none of that size, or the scene's converter is not that of the chip.
+        InputError: there is none of that size, the scene's converter is not that of the chip, or the scene asks for
+            something that only the model of a board does.
 
     """
+    for number, fault in enumerate(scene.link_fault):
+        if fault.kind not in _LINK_FAULTS:
+            kinds = ", ".join(_LINK_FAULTS)
+            raise InputError(f'link_fault[{number}]: "{fault.kind}"; the firmware engine has {kinds}')
+    if scene.clock != ClockSettings():
+        raise InputError("clock: the firmware engine has the exact clock of its processor; leave the table out")
     design = scene.skin.design
     rows, columns = design.array.shape
     for kind in REFERENCE_BOARDS:
@@ -92,7 +103,7 @@ class BoardSettings:
     """us between two frames at power-up"""
     dwell_us: int | None = None
     """us from selecting a row to its first conversion; None: as the board needs it"""
-    baud: int = 1_000_000
+    baud: int = DEFAULT_BAUD
     adc_prescaler_log2: int | None = None
     """ADC clock = 16 MHz / 2**this, 4 to 7; None: as the board needs it"""
     serial_number: str = "UNNAMED"
@@ -160,10 +171,12 @@ class FirmwareBoard:
 
         """
         self.scene = scene
-        self.kind = board_for(scene)
+        self.kind = check_scene(scene)
         if settings is None:
             settings = BoardSettings(
-                period_us=round(1e6 / scene.board.frame_rate), serial_number=scene.board.serial_number[:15]
+                period_us=round(1e6 / scene.board.frame_rate),
+                baud=scene.line.baud_rate or DEFAULT_BAUD,
+                serial_number=scene.board.serial_number[:15],
             )
         self.settings = settings
         self.clear_to_send = True

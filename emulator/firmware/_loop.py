@@ -12,7 +12,7 @@ board may not send, and drops whole frames.
 from __future__ import annotations
 
 import secrets
-import select
+import selectors
 import threading
 import time
 from collections.abc import Iterator
@@ -21,7 +21,7 @@ from math import inf
 from pathlib import Path
 
 from ...errors import InputError
-from .._line import Line, TransmitBuffer
+from .._faults import Line, Schedule
 from .._ports import Port
 from .._run import ClockName, Outcome, Stop
 from .._scene import Scene
@@ -79,7 +79,7 @@ def emulate_firmware(
         record = None if file is None else file.append
         boot_id = secrets.randbits(32)
         with FirmwareBoard(scene, settings=settings, engine=engine, seed=seed, boot_id=boot_id, record=record) as board:
-            converter = _Converter(board, port, Line(scene.line, seed))
+            converter = _Converter(board, port, seed)
             start = time.monotonic()
             while board.time_s < duration_s and not stop.is_set():
                 converter.exchange()
@@ -152,10 +152,12 @@ def running_firmware(
 class _Converter:
     """The USB converter: bytes of the board on one side, the port on the other."""
 
-    def __init__(self, board: FirmwareBoard, port: Port, line: Line) -> None:
-        self._board, self._port, self._line = board, port, line
+    def __init__(self, board: FirmwareBoard, port: Port, seed: int) -> None:
+        self._board, self._port = board, port
+        self._line = Line(board.scene.line, seed, board.scene.link_fault)
+        self._schedule = Schedule(board.scene.link_fault)
         self._present = False
-        self._buffer = TransmitBuffer(2**62)  # the handshake limits what is in it
+        self._buffer = bytearray()
         self._packet = b""
         """the beginning of a packet whose end has not left the board"""
 
@@ -170,7 +172,7 @@ class _Converter:
         if self._present != was_present:
             self._buffer.clear()
         if self._present and not was_present:
-            self._buffer.offer(b"\0")  # ends what may have been cut off for the last host
+            self._buffer += b"\0"  # ends what may have been cut off for the last host
         if self._present:
             data = self._port.read()
             if data is None:
@@ -178,8 +180,9 @@ class _Converter:
                 self._buffer.clear()
             else:
                 self._board.send(data)
-        if self._present and self._buffer:
-            self._buffer.sent(self._port.write(self._buffer.peek()))
+        stalled = self._schedule.active("stall", self._board.time_s) is not None
+        if self._present and self._buffer and not stalled:
+            del self._buffer[: self._port.write(bytes(self._buffer))]
         self._board.clear_to_send = len(self._buffer) < CONVERTER_BYTES
 
     def run(self, seconds: float) -> None:
@@ -187,13 +190,16 @@ class _Converter:
         *packets, self._packet = (self._packet + self._board.run(seconds)).split(b"\0")
         if self._present:
             for packet in packets:
-                self._buffer.offer(self._line.carry(packet + b"\0"))
+                self._buffer += self._line.carry(packet + b"\0", self._board.time_s)
 
     def wait(self, stop: Stop, timeout_s: float) -> None:
         """Until the port or ``stop`` wants attention, or ``timeout_s`` has passed."""
-        readable: list[Stop | Port] = [stop, self._port] if self._present else [stop]
-        writable = [self._port] if self._present and self._buffer else []
-        select.select(readable, writable, [], min(timeout_s, HOST_POLL_S))
+        with selectors.DefaultSelector() as selector:
+            selector.register(stop, selectors.EVENT_READ)
+            if self._present:
+                both = selectors.EVENT_WRITE if self._buffer else 0
+                selector.register(self._port, selectors.EVENT_READ | both)
+            selector.select(min(timeout_s, HOST_POLL_S))
 
     def drain(self, stop: Stop) -> None:
         """Let a host read to the end what was sent, as long as it goes on reading."""
@@ -210,4 +216,4 @@ class _Converter:
                 return
             # The kernel moves bytes on in steps: empty for a moment is not empty yet.
             quiet = quiet + 1 if left == (0, 0) else 0
-            select.select([stop], [], [], HOST_POLL_S)
+            self.wait(stop, HOST_POLL_S)
