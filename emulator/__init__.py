@@ -6,6 +6,7 @@ from ._line import Line, TransmitBuffer
 from ._ports import Port, PtyPort, TcpPort
 from ._run import ClockName, Outcome, Stop, emulate, running, stop_on_signals
 from ._scene import BoardSettings, Scene, SkinSettings
+from ._score import Recording, Score, Truth, score, score_text
 from ._shapes import Bump, Disc, Image, Point, Rectangle
 from ._skin import EmulatedSkin, FrameBlock, Sample
 from ._spread import shares, spread
@@ -26,16 +27,21 @@ __all__ = [
     "Point",
     "Port",
     "PtyPort",
+    "Recording",
     "Rectangle",
     "Sample",
     "Scene",
+    "Score",
     "SkinSettings",
     "Stop",
     "TcpPort",
     "TransmitBuffer",
+    "Truth",
     "TruthFile",
     "emulate",
     "running",
+    "score",
+    "score_text",
     "shares",
     "spread",
     "stop_on_signals",

@@ -75,10 +75,11 @@ class Stop:
 
 @contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """A :class:`Stop` that SIGINT and SIGTERM set, instead of what they did before. In the main thread only."""
+    """A :class:`Stop` that SIGHUP, SIGINT and SIGTERM set, instead of what they did before. In the main thread only."""
     stop = Stop()
     before = {
-        number: signal.signal(number, lambda number, _: stop.set(number)) for number in (signal.SIGINT, signal.SIGTERM)
+        number: signal.signal(number, lambda number, _: stop.set(number))
+        for number in (signal.SIGHUP, signal.SIGINT, signal.SIGTERM)
     }
     try:
         yield stop
@@ -130,7 +131,7 @@ def emulate(
     """
     if not duration_s > 0:
         raise InputError(f"duration is {duration_s} s; expected more than 0")
-    with nullcontext() if truth is None else TruthFile(truth, scene.skin.design.array.shape) as file:
+    with nullcontext() if truth is None else _truth_file(truth, scene) as file:
         board = Board(
             scene,
             seed=seed,
@@ -191,6 +192,16 @@ def running(
         stop.close()
     if failures:
         raise failures[0]
+
+
+def _truth_file(path: Path, scene: Scene) -> TruthFile:
+    skin = scene.skin
+    return TruthFile(
+        path,
+        skin.design.array.shape,
+        pitch_mm=skin.cell_pitch_mm,
+        full_scale_kpa=skin.cell.full_scale_kpa,
+    )
 
 
 def _protocol(family: str, scene: Scene) -> BoardProtocol:
