@@ -1,9 +1,14 @@
-"""A virtual ohmskin board: a scene of contacts to bytes on a pty or TCP port, and the truth beside them."""
+"""A virtual ohmskin board: a scene of contacts to bytes on a serial link, and the truth beside them."""
+
+import serial
 
 from ._board import Board
 from ._contacts import Contact
-from ._line import Line, TransmitBuffer
-from ._ports import Port, PtyPort, TcpPort
+from ._device import Device
+from ._faults import Line
+from ._line import Transmission
+from ._line_settings import ClockSettings, LineSettings, LinkFault
+from ._ports import PairPort, Port, PtyPort, Rfc2217Port, TcpPort
 from ._run import ClockName, Outcome, Stop, emulate, running, stop_on_signals
 from ._scene import BoardSettings, Scene, SkinSettings
 from ._shapes import Bump, Disc, Image, Point, Rectangle
@@ -16,23 +21,29 @@ __all__ = [
     "BoardSettings",
     "Bump",
     "ClockName",
+    "ClockSettings",
     "Contact",
+    "Device",
     "Disc",
     "EmulatedSkin",
     "FrameBlock",
     "Image",
     "Line",
+    "LineSettings",
+    "LinkFault",
     "Outcome",
+    "PairPort",
     "Point",
     "Port",
     "PtyPort",
     "Rectangle",
+    "Rfc2217Port",
     "Sample",
     "Scene",
     "SkinSettings",
     "Stop",
     "TcpPort",
-    "TransmitBuffer",
+    "Transmission",
     "TruthFile",
     "emulate",
     "running",
@@ -40,3 +51,7 @@ __all__ = [
     "spread",
     "stop_on_signals",
 ]
+
+# pyserial looks for the handler of ohmskin:// URLs in the packages of this list.
+if __name__ not in serial.protocol_handler_packages:
+    serial.protocol_handler_packages.append(__name__)

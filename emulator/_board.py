@@ -81,6 +81,10 @@ class Board:
         self._record = record
         self._skin = EmulatedSkin(scene, seed)
         self._period_us = 1e6 / scene.board.frame_rate
+        self._booted_us = -round(1e6 * scene.clock.offset)
+        """board time at which the time stamps begin with 0"""
+        self._silent_until_us = 0
+        """board time up to which the boot loader runs"""
         self._sequence = 0
         self._frames_wanted = 0
         self._latest = np.full(scene.skin.design.array.shape, scene.skin.cell.rest_resistance_ohm)
@@ -104,17 +108,21 @@ class Board:
         """Live through the next tick; the packets to send, each one whole."""
         time_us = self.next_us
         block, place = self._skin.read()
+        if time_us < self._silent_until_us:
+            return []
         packets = []
         if time_us >= self._next_identity_us:
             self._next_identity_us += IDENTITY_PERIOD_US
-            packets.append(self._identify(time_us))
-        packets += self._answer(time_us)
+            packets.append(self._identify(time_us - self._booted_us))
+        packets += self._answer(time_us - self._booted_us)
         if self.wants_tick:
-            packets.append(self._send(block, place, time_us))
+            packets.append(self._send(block, place, time_us - self._booted_us))
         return [packet for packet in packets if packet]
 
     def receive(self, data: bytes) -> None:
         """Take bytes of the host. Commands take effect at once; their answers wait for :meth:`answers`."""
+        if self.next_us < self._silent_until_us:
+            return  # the boot loader takes no commands
         for command in self.protocol.feed(data):
             if isinstance(command, Command):
                 self._obey(command)
@@ -124,7 +132,27 @@ class Board:
 
     def answers(self) -> list[bytes]:
         """The packets that answer the commands received since the last call."""
-        return [packet for packet in self._answer(self.next_us) if packet]
+        return [packet for packet in self._answer(self.next_us - self._booted_us) if packet]
+
+    def reset(self, *, boots_for_us: int = 0) -> None:
+        """Start anew, as after a reset or a loss of power; the skin lives on.
+
+        Args:
+            boots_for_us: us for which the boot loader runs and the board is silent.
+
+        """
+        self.boot_id = (self.boot_id + 1) % 2**32
+        self.streaming = not self.protocol.family.polled
+        self.overrun = False
+        self._frames_wanted = 0
+        self._sequence = 0
+        self._booted_us = self.next_us
+        self._next_identity_us = self.next_us
+        self._silent_until_us = self.next_us + boots_for_us
+        self._waiting = {Order.DESCRIBE.value: Command(Order.DESCRIBE)}
+        if self._period_us != 1e6 / self.scene.board.frame_rate:
+            self._period_us = 1e6 / self.scene.board.frame_rate
+            self._skin.set_period(self._period_us)
 
     def _obey(self, command: Command) -> None:
         match command.order:

@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from boards import DESIGN, scene
-from hypothesis import given
-from hypothesis import strategies as st
 
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.config import parse
-from ohmskin.emulator import Board, Line, Sample, Scene, TransmitBuffer, TruthFile
+from ohmskin.emulator import Board, Line, Sample, Scene, TruthFile
 from ohmskin.emulator._scene import LineSettings
 from ohmskin.errors import InputError
 from ohmskin.wire import (
@@ -201,22 +199,6 @@ def test_a_noisy_line_flips_bits_at_its_rate() -> None:
     packet = bytes(range(256)) * 40
     flipped = np.unpackbits(np.frombuffer(line.carry(packet), np.uint8) ^ np.frombuffer(packet, np.uint8))
     assert flipped.mean() == pytest.approx(0.01, rel=0.15)
-
-
-@given(st.lists(st.one_of(st.binary(min_size=1, max_size=30), st.integers(0, 40)), max_size=40))
-def test_a_transmit_buffer_takes_whole_packets_and_keeps_their_order(moves: list[bytes | int]) -> None:
-    buffer, expected, out = TransmitBuffer(50), b"", b""
-    for move in moves:
-        if isinstance(move, bytes):
-            fits = not buffer or len(buffer) + len(move) <= 50
-            assert buffer.offer(move) == fits
-            expected += move if fits else b""
-        else:
-            out += buffer.peek()[:move]
-            buffer.sent(min(move, len(buffer)))
-    assert out + buffer.peek() == expected
-    buffer.clear()
-    assert not len(buffer)
 
 
 def sample(k: int, shape: tuple[int, int] = (3, 2)) -> Sample:
