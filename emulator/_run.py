@@ -152,7 +152,7 @@ def emulate(
     if not duration_s > 0:
         raise InputError(f"duration is {duration_s} s; expected more than 0")
     protocol = _protocol(family, scene)
-    with nullcontext() if truth is None else TruthFile(truth, scene.skin.design.array.shape) as file:
+    with nullcontext() if truth is None else _truth_file(truth, scene) as file:
         device = Device(
             scene,
             seed=seed,
@@ -224,6 +224,16 @@ def running(
         stop.close()
     if failures:
         raise failures[0]
+
+
+def _truth_file(path: Path, scene: Scene) -> TruthFile:
+    skin = scene.skin
+    return TruthFile(
+        path,
+        skin.design.array.shape,
+        pitch_mm=skin.cell_pitch_mm,
+        full_scale_kpa=skin.cell.full_scale_kpa,
+    )
 
 
 def _protocol(family: str, scene: Scene) -> BoardProtocol:
