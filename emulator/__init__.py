@@ -6,6 +6,7 @@ from ._board import Board
 from ._contacts import Contact
 from ._device import Device
 from ._faults import Line
+from ._hand import Hand
 from ._line import Transmission
 from ._line_settings import ClockSettings, LineSettings, LinkFault
 from ._ports import PairPort, Port, PtyPort, Rfc2217Port, TcpPort
@@ -28,6 +29,7 @@ __all__ = [
     "Disc",
     "EmulatedSkin",
     "FrameBlock",
+    "Hand",
     "Image",
     "Line",
     "LineSettings",

@@ -117,12 +117,20 @@ class EmulatedSkin:
     def set_period(self, period_us: float) -> None:
         """Frames come every ``period_us`` from the next one on, which stays where it was due."""
         next_us = self.next_us
+        self._forget_frames_ahead()
+        self._ticks, self._next_tick = Ticks(period_us, next_us), 0
+
+    def press(self, pressure_kpa: FloatArray) -> None:
+        """From the next frame on ``pressure_kpa`` (rows, columns) lies on the skin, beside the loads of the scene."""
+        self._forget_frames_ahead()
+        self._physics.by_hand_kpa = pressure_kpa.ravel()
+
+    def _forget_frames_ahead(self) -> None:
+        """Frames computed ahead did not happen: live through those before them again."""
         if self._block is not None and self._place < len(self._block):
-            # Frames computed ahead at the old rate did not happen: live through those before them again.
             self._physics = self._before
             if self._place:
                 self._physics.run(self._block.time_us[: self._place])
-        self._ticks, self._next_tick = Ticks(period_us, next_us), 0
         self._block, self._place = None, 0
 
     def _compute(self) -> None:
@@ -155,6 +163,8 @@ class ScenePhysics:
         self._active = np.empty(0, dtype=np.intp)
         self._time_us: int | None = None
         self._designs: dict[tuple[int, ...], Design] = {(): design}
+        self.by_hand_kpa = np.zeros(self._rest_ohm.size)
+        """(cells,) load beside those of the scene"""
 
     def copy(self) -> ScenePhysics:
         """An independent copy, to come back to."""
@@ -198,7 +208,7 @@ class ScenePhysics:
         surface = np.zeros((frames, self._rest_ohm.size))
         if movie is not None and movie.quantity == "resistance":
             return surface.reshape(frames, *self._shape), movie.at(time_s, self._shape)
-        touched, pressure = self._scene.pressure_on(time_s)
+        touched, pressure = self._with_hand(*self._scene.pressure_on(time_s))
         surface[:, touched] = pressure
         felt_cells, felt = self._spreading.below(touched, pressure)
         felt = felt * self._sensitivity.flat[felt_cells]
@@ -213,6 +223,16 @@ class ScenePhysics:
         if (drift != 1.0).any():
             resistance *= drift[:, None]
         return surface.reshape(frames, *self._shape), resistance.reshape(frames, *self._shape)
+
+    def _with_hand(self, touched: IntArray, pressure: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Cells (k,) and their pressures (frames, k) with the load by hand added."""
+        by_hand = np.flatnonzero(self.by_hand_kpa)
+        if not by_hand.size:
+            return touched, pressure
+        cells = np.union1d(touched, by_hand)
+        total = np.repeat(self.by_hand_kpa[cells][None], len(pressure), axis=0)
+        total[:, np.searchsorted(cells, touched)] += pressure
+        return cells, total
 
     def _volts(self, time_s: FloatArray, resistance: FloatArray) -> FloatArray:
         """V (frames, rows, columns) at the ADC, each stretch of frames by the circuit that the events leave."""
