@@ -26,7 +26,7 @@ from .recovery import (
     live_recovery,
     recover,
 )
-from .timing import Noise, Settling, Stability, noise, stability
+from .timing import Noise, Settling, Stability, Transient, noise, stability
 
 CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
 """Readout circuits that a design file can name"""
@@ -61,6 +61,7 @@ __all__ = [
     "Spread",
     "Stability",
     "Status",
+    "Transient",
     "adc_codes",
     "adc_error",
     "apparent_resistance",

@@ -29,8 +29,8 @@ class Reading:
     valid: BoolArray
     """where ``resistance`` is a measurement"""
     status: NDArray[np.int8]
-    """a :class:`ohmskin.circuits.Status` each, which says why a cell is not valid: open, at a limit, disturbed by others
-    or by a change that the frame's time did not suffice for, or hidden behind a known fault"""
+    """a :class:`ohmskin.circuits.Status` each, which says why a cell is not valid: open, at a limit, disturbed by
+    others or by a change that the frame's time did not suffice for, or hidden behind a known fault"""
     solved: bool
     """False where no cell resistances give such readings: then no cell is valid"""
 

@@ -14,8 +14,7 @@ from ..arrays import BoolArray, FloatArray
 from ..circuits import adc_codes
 from ..driver import Frame, Skin
 from ..emulator import Contact, PtyPort, Rectangle, Scene, running
-from ..emulator._scene import BoardSettings
-from ..emulator._scene import Skin as SkinSettings
+from ..emulator._scene import BoardSettings, SkinSettings
 from ..errors import InputError
 from ._maps import heat_maps
 from ._outcome import Check, Figure, Finding, not_run
