@@ -86,11 +86,15 @@ class CountReader:
         if counts.max() >= self._codes:
             bits = self._codes.bit_length() - 1
             raise ProtocolError(f"the board sends a count of {counts.max()}; its ADC has {bits} bits")
-        self._counts, self._reading = same, self._read(counts)
-        return self._reading
+        reading = self._read(counts)
+        # What is not settled yet may be so after another frame of the same counts.
+        self._counts, self._reading = same, None if (reading.status == Status.DISTURBED).any() else reading
+        return reading
 
     def _read(self, counts: NDArray[np.integer]) -> Reading:
-        volts = counts * self._step + (self._lowest + 0.5 * self._step)
+        volts = counts.astype(np.float64)
+        volts *= self._step
+        volts += self._lowest + 0.5 * self._step
         limited = (counts < self._first) | (counts >= self._last)
         faint = None
         if limited.any():

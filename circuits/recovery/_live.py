@@ -42,11 +42,17 @@ _SHARE_OF_STEP = 0.25  # of an ADC step that the model may leave as its own erro
 _MARGIN = 2.0  # by which intervals from first-order bounds on unknown cells are widened
 _PRIOR = 3.0  # standard deviation of the logarithm of a conductance before anything is read: a factor of 20
 _UNKNOWN = 8.0  # the same for a cell whose reading is at a limit: from what reaches the limit up to a short
-_SETTLED = 3e-3  # relative change by a further step at which the base is left as it is
+_SETTLED = 0.3  # posterior standard deviations that a further step would change a cell by
+_UNSETTLED = 3.0  # half steps between readings and model beyond which a fit says nothing yet
 _MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
 _LEAST_SHARE = 1e-9  # of the largest conductance: an open cell's stand-in, so that every ratio is defined
 _FAR = 0.1  # relative change by a further step at which the derivatives no longer serve
 _SIGMAS = 4.0  # posterior standard deviations that an uncertainty covers
+_BOUNDLESS = 1e6  # relative change of a conductance that counts for any larger one
+_LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
+_NO_STEP = 1e-3  # relative change by a further step that is none
+_GAINS_NOTHING = 0.999  # of the misfit is left after a step that gained nothing
+_FITS = 0.8  # half steps between readings and model that rounding alone makes
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
 
 
@@ -150,6 +156,9 @@ class _AmplifiedLive:
         self._to_amplifier = np.cumsum(behind[::-1], axis=0)[::-1]
         self._half_step = adc_error(board.design) * np.abs(self._per_volt / board.drive)  # S (M,), of T
         self._tolerance = _SHARE_OF_STEP * adc.step * np.abs(self._per_volt / board.drive)  # S (M,), of T
+        self._step, self._middle = adc.step, sum(adc.range) / 2
+        swing = max((abs(limit - board.level) for limit in board.supply if np.isfinite(limit)), default=inf)
+        self._most_per_ohm = (1.0 + swing / abs(board.drive)) / board.reference  # S (M,) into a saturated column's end
         self._ideal = not (self._to_driver.any() or board.column_ohms.any())
         shunts = [fault for fault in board.shorts if fault.ohms > 0]
         self._shunt = np.zeros(board.shape)
@@ -179,7 +188,7 @@ class _AmplifiedLive:
             uncertainty += unsettled / known
             status[unsettled > self._tolerance] = _DISTURBED
         if limited.any():
-            uncertainty += self._by_unknown(conductance, limited)
+            uncertainty += self._by_unknown(conductance, volts, limited)
             uncertainty[limited] = inf
             status[limited] = _SATURATED
         if self._faulty:
@@ -255,28 +264,54 @@ class _AmplifiedLive:
         self._anchor = _Anchor(transfer - known.transfer, bound)
         return transfer
 
-    def _by_unknown(self, conductance: FloatArray, unknown: BoolArray) -> FloatArray:
-        """Relative change of each cell while unknown ones go from what reaches their limit up to a short, at most.
+    def _by_unknown(self, conductance: FloatArray, volts: FloatArray, limited: BoolArray) -> FloatArray:
+        """Relative change of each cell while those whose reading is at a limit take any value that they can have."""
+        low, high = self._board.supply
+        at_high, at_low = volts >= high - self._step, volts <= low + self._step
+        upper = at_high | ((volts > self._middle) & ~at_low)
+        more_current = upper == ((self._board.drive > 0) != self._board.circuit.inverts)
+        conducts_less = limited & ~more_current
+        change = self._by_lines(np.where(conducts_less, conductance, 0.0))
+        conducts_more = limited & more_current
+        if conducts_more.any():
+            change += self._by_shorts(conductance, conducts_more, conducts_more & (at_high | at_low))
+        return change
+
+    def _by_shorts(self, conductance: FloatArray, unknown: BoolArray, saturated: BoolArray) -> FloatArray:
+        """Relative change of each cell while ``unknown`` ones go from what reaches their limit up to a short.
+
+        ``saturated``: those whose amplifier, not only the converter, is at a limit.
 
         To first order in the lines' losses, each effect bounded on its own and all of them added up:
 
-        * along its row, a short takes the drive from all cells: to_driver / to_amplifier, like a divider;
+        * along its row, a short takes the drive from all cells: to_driver / to_amplifier, like a divider. Where its
+          output is at a limit, its column ends in the reference resistor instead, which leaves it little current;
         * down its column, a short into an idle row takes their current: to_amplifier / to_driver;
         * a column that the current of row k lifts also lifts the short's row, whose cells then add to row k's readings;
+        * the offset of its column's amplifier drives a current through it, in all steps alike, and lifts its row;
         * in its own step, the short lifts its column, and that the other rows, whose cells add to its row's readings.
         """
+        board = self._board
         with np.errstate(divide="ignore", invalid="ignore"):
             along = np.where(unknown, np.nan_to_num(self._to_driver / self._to_amplifier, nan=0.0, posinf=inf), 0.0)
             down = np.where(unknown, np.nan_to_num(self._to_amplifier / self._to_driver, nan=0.0, posinf=inf), 0.0)
-        own = along.sum(axis=1)[:, None] + down.sum(axis=0)
+        held = np.where(saturated, np.minimum(along, self._to_driver * self._most_per_ohm), 0.0)
+        own = np.where(saturated, 0.0, along).sum(axis=1)[:, None] + down.sum(axis=0)
         lifts = conductance @ np.where(unknown, self._to_amplifier, 0.0).T
         takes = unknown @ (self._to_driver * conductance).T
         np.fill_diagonal(lifts, 0.0)
         np.fill_diagonal(takes, 0.0)
         added = (lifts + takes) @ np.where(unknown, 0.0, conductance)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            short = np.where(unknown, 1.0 / (self._to_driver + self._to_amplifier), 0.0)
+            offset = np.abs(self._source / board.drive)
+            added += np.nan_to_num(offset * short.sum(axis=0), nan=0.0, posinf=inf)
+        added += offset * (unknown.any(axis=1) @ conductance)
         floor = np.maximum(conductance, _LEAST_SHARE * max(float(conductance.max()), 1e-12))
-        total: FloatArray = _MARGIN * (own + added / floor)
-        return total
+        direct: FloatArray = _MARGIN * (own + added / floor) + held.sum(axis=1)[:, None]
+        # Cells that are misjudged load their lines otherwise than the model has it, and that concerns all cells there.
+        misjudged = np.where(unknown, 0.0, np.minimum(direct, _BOUNDLESS) * conductance)
+        return direct + self._by_lines(misjudged)
 
     def _without_faults(self, conductance: FloatArray) -> FloatArray:
         """S of the cells without what known faults put beside and ahead of them."""
@@ -318,6 +353,7 @@ class _CoupledLive:
         self._half_step = adc_error(board.design)
         self._noise = self._half_step / np.sqrt(3.0)  # V, standard deviation of an error within a step
         self._shape = board.shape
+        self._mixes = board.circuit.mixes_cells or board.floating
         self._hidden = (broken_off(board) | np.isinf(board.series_ohms)).ravel()
         self._base: _CoupledBase | None = None
         self._x: FloatArray | None = None
@@ -328,15 +364,20 @@ class _CoupledLive:
         return LiveReading(turn(found.resistance), turn(found.uncertainty), turn(found.own_step), turn(found.status))
 
     def _read(self, volts: FloatArray, limited: BoolArray) -> LiveReading:
+        if self._mixes and limited.any():
+            # A cell beyond its limit may be a short, and what that does to all others no derivative at the limit tells.
+            nothing, status = np.full(self._shape, np.nan), np.full(self._shape, _DISTURBED, dtype=np.int8)
+            status[limited] = _SATURATED
+            return LiveReading(nothing, np.full(self._shape, inf), np.ones(self._shape), status)
         measured, at_limit = volts.ravel(), limited.ravel()
         first = self._base is None
         if self._base is None or (self._base.limited != at_limit).any():
             start = self._start(volts) if self._x is None else self._x
             self._base = self._based_on(start, at_limit)
-        x, left, misfit = self._solve(measured, 40 if first else _EVALUATIONS)
+        x, left, misfit, stalled = self._solve(measured, 40 if first else _EVALUATIONS)
         self._x = x
         base = self._base
-        if misfit > _MISFIT and float(np.abs(left).max()) < _SETTLED:
+        if misfit > _MISFIT and (first or stalled):
             self._base = self._x = None
             raise SolverError("no cell resistances give these readings; check that the design is that of the board")
         conductance = np.exp(x)
@@ -344,10 +385,12 @@ class _CoupledLive:
         slope = self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)
         own_step = self._half_step * np.abs(slope).ravel()
         own_step[slope.ravel() == 0] = 1.0
-        uncertainty = np.maximum(_SIGMAS * base.std, own_step) + np.abs(left) + base.others
+        # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
+        uncertainty = np.maximum(_SIGMAS * base.std * max(1.0, misfit), own_step) + np.abs(left) + base.others
         open_cells = signal <= self._half_step
         status = np.where(open_cells, _OPEN, _READ).astype(np.int8)
-        status[np.abs(left) > np.maximum(_SETTLED, _SIGMAS * base.std)] = _DISTURBED
+        if misfit > _UNSETTLED:  # the frame's budget did not suffice, or no cells give quite these readings
+            status[:], uncertainty[:] = _DISTURBED, inf
         status[at_limit], status[self._hidden] = _SATURATED, _HIDDEN
         gone = at_limit | self._hidden
         uncertainty[gone | (uncertainty > 1.0)] = inf
@@ -360,18 +403,23 @@ class _CoupledLive:
             resistance.reshape(shape), uncertainty.reshape(shape), own_step.reshape(shape), status.reshape(shape)
         )
 
-    def _solve(self, measured: FloatArray, evaluations: int) -> tuple[FloatArray, FloatArray, float]:
-        """Logarithms (n,) of the conductances, the change that a further step would make, and the misfit in half steps
-        (root mean square).
+    def _solve(self, measured: FloatArray, evaluations: int) -> tuple[FloatArray, FloatArray, float, bool]:
+        """Logarithms (n,) of the conductances, the change that a further step would make, the misfit, and whether the
+        last step has hardly changed it.
+
+        The misfit is in half steps: the root mean square over all readings, or half of the largest if that is more.
         """
         assert self._base is not None
         x = self._base.log + self._step(measured - self._base.volts)
+        misfit, stalled = inf, False
         renewals = 1 if evaluations == _EVALUATIONS else evaluations  # the derivatives cost many evaluations
         for count in range(evaluations):
             volts = self._model(x)
             left = self._step(measured - volts)
-            off = float(np.abs(left[~self._loose()]).max(initial=0.0))
-            if off <= _SETTLED:
+            off = float(np.abs(left).max())
+            last, misfit = misfit, self._misfit(measured - volts)
+            stalled = misfit > _GAINS_NOTHING * last
+            if off <= _NO_STEP or (misfit <= _FITS and self._serves(left)):
                 break
             if count < evaluations - 1:
                 x = x + left
@@ -379,14 +427,20 @@ class _CoupledLive:
                     renewals -= 1
                     self._base = self._based_on(x, self._base.limited)
                     x = x + self._step(measured - self._base.volts)
-        known = ~self._base.limited
-        misfit = float(np.sqrt(np.mean(((measured - volts)[known] / self._half_step) ** 2))) if known.any() else 0.0
-        return x, left, misfit
+        return x, left, misfit, stalled
 
-    def _loose(self) -> BoolArray:
-        """(n,) cells that the readings do not determine to a tenth: where they are does not matter."""
+    def _misfit(self, apart: FloatArray) -> float:
+        """Half steps between readings and model (n,): root mean square, or half of the largest if that is more."""
         assert self._base is not None
-        return np.asarray((self._base.std > 0.1) | (self._base.others > 0.1))
+        known = np.abs(apart)[~self._base.limited] / self._half_step
+        return max(float(np.sqrt(np.mean(known**2))), 0.5 * float(known.max())) if len(known) else 0.0
+
+    def _serves(self, left: FloatArray) -> bool:
+        """Whether a further step would move no cell that the readings determine by more than its own uncertainty."""
+        assert self._base is not None
+        std = self._base.std
+        determined = (std <= _LOOSE) & (self._base.others <= _LOOSE)
+        return bool((np.abs(left) <= np.maximum(_SETTLED * std, 1e-6))[determined].all())
 
     def _step(self, volts: FloatArray) -> FloatArray:
         """Change (n,) of the logarithms for a difference (n,) of the readings in V."""
