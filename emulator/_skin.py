@@ -52,6 +52,12 @@ class FrameBlock:
     resistance_ohm: FloatArray
     volts: FloatArray
     counts: CodeArray
+    method: tuple[str, ...]
+    """(frames,) how the circuit was solved, as :class:`ohmskin.circuits.BatchResult` says"""
+    error_volts: FloatArray
+    """(frames,) V by which no output is off, certified; noise not counted"""
+    cells_stepped: int
+    """cells that were not at rest during the block"""
 
     def __len__(self) -> int:
         return len(self.time_us)
@@ -104,6 +110,16 @@ class EmulatedSkin:
         """Time of the next frame, in us since the start."""
         return self._ticks.at(self._next_tick)
 
+    @property
+    def block(self) -> FrameBlock | None:
+        """The block of the latest frame; None before the first."""
+        return self._block
+
+    @property
+    def frames_ready(self) -> int:
+        """Frames that are computed and not read."""
+        return 0 if self._block is None else len(self._block) - self._place
+
     def read(self) -> tuple[FrameBlock, int]:
         """The next frame, as a block and the frame's place in it."""
         if self._block is None or self._place >= len(self._block):
@@ -153,6 +169,7 @@ class _Physics:
         self._rest_ohm = self._cells.rest_resistance_ohm.ravel()
         self._rest_tolerance = _REST_STEPS / 2.0**design.adc.bits
         self._active = np.empty(0, dtype=np.intp)
+        self._stepped = 0
         self._time_us: int | None = None
         self._designs: dict[tuple[int, ...], Design] = {(): design}
 
@@ -169,10 +186,11 @@ class _Physics:
                 assert event.place is not None
                 place = (slice(None), *event.place)
                 resistance[place] = event.changed_cells(time_s, resistance[place])
-        volts = self._volts(time_s, resistance)
+        volts, method, error_volts = self._read(time_s, resistance)
         if self._scene.board.noise:
             volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
-        return FrameBlock(time_us, surface, resistance, volts, adc_codes(self._scene.skin.design, volts))
+        counts = adc_codes(self._scene.skin.design, volts)
+        return FrameBlock(time_us, surface, resistance, volts, counts, method, error_volts, self._stepped)
 
     def _cells_at(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
         """KPa on the surface and ohm of the cells, both (frames, rows, columns)."""
@@ -182,6 +200,7 @@ class _Physics:
         self._time_us = int(time_us[-1])
         surface = np.zeros((frames, self._rest_ohm.size))
         if movie is not None and movie.quantity == "resistance":
+            self._stepped = 0
             return surface.reshape(frames, *self._shape), movie.at(time_s, self._shape)
         touched, pressure = self._scene.pressure_on(time_s)
         surface[:, touched] = pressure
@@ -189,6 +208,7 @@ class _Physics:
         felt = felt * self._sensitivity.flat[felt_cells]
 
         self._active = np.union1d(self._active, felt_cells)
+        self._stepped = len(self._active)
         on_active = np.zeros((frames, len(self._active)))
         on_active[:, np.searchsorted(self._active, felt_cells)] = felt
         resistance = np.repeat(self._rest_ohm[None], frames, axis=0)
@@ -199,18 +219,20 @@ class _Physics:
             resistance *= drift[:, None]
         return surface.reshape(frames, *self._shape), resistance.reshape(frames, *self._shape)
 
-    def _volts(self, time_s: FloatArray, resistance: FloatArray) -> FloatArray:
-        """V (frames, rows, columns) at the ADC, each stretch of frames by the circuit that the events leave."""
+    def _read(self, time_s: FloatArray, resistance: FloatArray) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
+        """Volts at the ADC, methods and certified errors, each stretch of frames by the circuit that events leave."""
         events = [(k, event) for k, event in enumerate(self._scene.event) if not event.changes_cells]
-        if not events:
-            return scan_sequence(self._scene.skin.design, resistance).volts
-        happening = np.array([event.happening(time_s) for _, event in events])
+        happening = np.array([event.happening(time_s) for _, event in events]).reshape(len(events), len(time_s))
         changes = np.flatnonzero((happening[:, 1:] != happening[:, :-1]).any(axis=0)) + 1
-        volts = np.empty(resistance.shape)
+        volts, error = np.empty(resistance.shape), np.empty(len(time_s))
+        methods: tuple[str, ...] = ()
         for first, last in pairwise([0, *changes.tolist(), len(time_s)]):
             now = tuple(k for (k, _), on in zip(events, happening[:, first], strict=True) if on)
-            volts[first:last] = scan_sequence(self._design_during(now), resistance[first:last]).volts
-        return volts
+            read = scan_sequence(self._design_during(now), resistance[first:last])
+            volts[first:last] = read.volts
+            error[first:last] = read.error_bound * np.abs(read.volts).max(axis=(1, 2))
+            methods += read.method
+        return volts, methods, error
 
     def _design_during(self, events: tuple[int, ...]) -> Design:
         """The design while these events last."""
