@@ -32,7 +32,8 @@ class PlannedEffect:
     name: str
     modelled: bool
     steps: float | None
-    """ADC steps, to first order, on the largest signal; None where there is no simple law"""
+    """ADC steps, to first order, at most: the largest relative change of a cell's signal times the largest signal; None
+    where there is no simple law"""
     basis: str
     """the part that the size is for"""
 
@@ -68,7 +69,7 @@ class Plan:
             f"certified error: at most {self.error_steps:.2g} ADC steps, before noise and rounding to a code",
             f"speed: about {self._speed()}",
             "",
-            f"{'effect':<18} {'modelled':<9} {'ADC steps':>9}  basis",
+            f"{'effect':<18} {'modelled':<9} {'steps <=':>9}  basis",
         ]
         for effect in self.effects:
             steps = "-" if effect.steps is None else f"{effect.steps:.2g}"
