@@ -12,6 +12,8 @@ from . import _sheet as sheet
 from ._board import Board
 from .solvers import Element, Network, Rounded, port_conductances, reduce, siemens
 
+_SHORT = 1e-60  # ohm; at most that is a wire, see :func:`.solvers.siemens`
+
 
 def exact_ports(board: Board, cells: FloatArray) -> Rounded:
     """Port conductances (..., N + M, N + M) in S of the board's grid, row leads included, and their relative error.
@@ -84,30 +86,25 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> None:
 
     Args:
         board: the lines and their faults.
-        cells: (..., N, M) ohm; a cell shorted in any frame counts as shorted.
+        cells: (..., N, M) ohm; a cell that is a short in any frame counts as one.
 
     """
-    if not ((cells == 0).any() or any(fault.ohms == 0 for fault in board.faults)):
+    if cells.min() > _SHORT and not any(fault.ohms <= _SHORT for fault in board.faults):
         return
-    row, column = board.row_ohms, board.column_ohms
+    row, column = np.isinf(board.lines.row), np.isinf(board.lines.column)
     rows, columns = board.shape
     drivers, ends = np.arange(rows), rows + np.arange(columns)
     on_row = rows + columns + np.arange(rows * columns).reshape(rows, columns)
     on_column = on_row + rows * columns
     ideal = board.circuit.ideal_inputs(board)
     joints = [
-        (np.column_stack([drivers, on_row[:, :-1]])[row == 0], on_row[row == 0]),
-        (on_column[:-1][column[1:] == 0], on_column[1:][column[1:] == 0]),
+        (np.column_stack([drivers, on_row[:, :-1]])[row], on_row[row]),
+        (on_column[:-1][column[1:]], on_column[1:][column[1:]]),
         (on_column[-1][ideal], ends[ideal]),
     ]
-    shorted = (cells == 0).any(axis=tuple(range(cells.ndim - 2)))
-    for fault in board.faults:
-        if fault.kind == "open-cell" and fault.ohms > 0:
-            shorted[fault.place] = False
-    for fault in board.faults:
-        if fault.kind == "shorted-cell" and fault.ohms == 0:
-            shorted[fault.place] = True
-        elif fault.bridge and fault.ohms == 0:
+    shorted = np.isinf(board.cell_conductance(cells)).any(axis=tuple(range(cells.ndim - 2)))
+    for fault in board.bridges:
+        if fault.ohms <= _SHORT:
             line = on_row if fault.kind == "bridged-rows" else on_column
             here, there = fault.ends
             joints.append((np.array([line[here]]), np.array([line[there]])))

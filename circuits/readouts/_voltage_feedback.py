@@ -103,7 +103,7 @@ class VoltageFeedback(VoltageDivider):
 
     def ideal_inputs(self, board: Board) -> BoolArray:
         """The follower holds every idle column."""
-        ideal: BoolArray = board.column_lead == 0
+        ideal: BoolArray = np.isinf(siemens(board.column_lead))
         return ideal
 
     def contradiction(self, board: Board, rows: IntArray, columns: IntArray) -> Contradiction | None:
