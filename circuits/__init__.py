@@ -20,9 +20,10 @@ from ._design import (
 )
 from ._effects import Effect, effects
 from ._incremental import Scanner
+from ._population import Boards, PopulationReading, scan_population
 from ._readout import apparent_resistance, ideal_volts
-from ._scan import METHODS, ScanResult, scan
 from ._requirement import Conditions, Requirement
+from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
 from ._spread import Spread
 from .recovery._recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover
@@ -33,6 +34,7 @@ __all__ = [
     "Adc",
     "Array",
     "BatchResult",
+    "Boards",
     "Cells",
     "Conditioning",
     "Conditions",
@@ -41,6 +43,7 @@ __all__ = [
     "Effect",
     "Fault",
     "Operation",
+    "PopulationReading",
     "Readout",
     "Recoverer",
     "Recovery",
@@ -62,6 +65,7 @@ __all__ = [
     "recover",
     "scan",
     "scan_batch",
+    "scan_population",
     "sensitivity",
     "volts_of_codes",
 ]

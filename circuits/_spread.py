@@ -56,7 +56,7 @@ class Spreadable(Section):
     PARTS: ClassVar[tuple[str, ...]] = ()
     """the keys that may have a spread"""
 
-    spread: dict[str, Spread] = {}
+    spread: dict[str, Spread] = Field(default_factory=dict)
     """by key; filled from the tables of the keys themselves"""
 
     @model_validator(mode="before")
