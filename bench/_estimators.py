@@ -11,10 +11,7 @@ from time import perf_counter
 import numpy as np
 
 from ..arrays import FloatArray
-from ..cell import ESTIMATORS, Cell
-from ..cell._calibrate import calibrate, run
-from ..cell._protocol import load as protocol_load
-from ..cell._recording import checked
+from ..cell import ESTIMATORS, Cell, calibrate, checked_recording, estimate_recording, protocol_load
 from ..errors import InputError
 from . import _independent as independent
 
@@ -64,13 +61,13 @@ def estimators(
             recorded, read = both[: len(load)], both[-len(test) :]
         else:
             recorded, read = (noisy(Cell.example(), kind, dt_s, rng) for kind in (load, test))
-        cell = calibrate(checked(time, full * load, recorded, name=material), full_scale_kpa=full).cell
+        cell = calibrate(checked_recording(time, full * load, recorded, name=material), full_scale_kpa=full).cell
         for name in ESTIMATORS:
             try:
                 estimator = cell.estimator((), name)
             except InputError:
                 continue  # not for this kind of cell
-            pressure, _ = run(estimator, test_time, read)
+            pressure, _ = estimate_recording(estimator, test_time, read)
             rmse = float(np.sqrt(np.mean((pressure / full - test) ** 2)))
             moving = read[np.linspace(0, len(read) - frames - 1, side * side).astype(int) + np.arange(frames)[:, None]]
             rows.append(

@@ -1,13 +1,21 @@
 """The piezoresistive cell: pressure to resistance, and back."""
 
+from ._calibrate import CalibrationResult, calibrate, estimate_recording
 from ._cell import ESTIMATORS, Cell
 from ._estimators import Estimate, Estimator
 from ._forward import Forward
+from ._identify import recovery_branches
+from ._material import drifted_rest_resistance, sensitivity
 from ._models import AsymmetricModel, ContactModel, M10Model, PaperModel
+from ._percolation import Percolation
+from ._protocol import check_protocol, protocol_load, protocol_text
+from ._recording import Recording, check_times, checked_recording
+from ._report import calibration_figure, calibration_text
 
 __all__ = [
     "ESTIMATORS",
     "AsymmetricModel",
+    "CalibrationResult",
     "Cell",
     "ContactModel",
     "Estimate",
@@ -15,4 +23,18 @@ __all__ = [
     "Forward",
     "M10Model",
     "PaperModel",
+    "Percolation",
+    "Recording",
+    "calibrate",
+    "calibration_figure",
+    "calibration_text",
+    "check_protocol",
+    "check_times",
+    "checked_recording",
+    "drifted_rest_resistance",
+    "estimate_recording",
+    "protocol_load",
+    "protocol_text",
+    "recovery_branches",
+    "sensitivity",
 ]

@@ -30,7 +30,7 @@ EXACT = 0.005
 
 
 @dataclass(frozen=True)
-class Calibration:
+class CalibrationResult:
     """A calibrated cell and everything the report of it says."""
 
     cell: Cell
@@ -46,7 +46,7 @@ class Calibration:
         return self.fits[0]
 
 
-def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> Calibration:
+def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> CalibrationResult:
     """Identify the cell of a recording and calibrate its estimators.
 
     The kind of model is chosen by its error on the last third of the recording when fitted to the first two; so
@@ -79,10 +79,10 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
     inverse = margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
     if isinstance(model, ContactModel):
-        return Calibration(_calibrated_contact(cell, thin), recording, found, inverse)
+        return CalibrationResult(_calibrated_contact(cell, thin), recording, found, inverse)
 
     teacher = _teacher(found)
-    whole = training.Calibration(
+    whole = training.NormalisedRecording(
         time_s=thin.time_s,
         r=thin.resistance_ohm / rest - 1,
         load=thin.pressure_kpa / full,
@@ -107,10 +107,12 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     estimators = Calibrated(
         default=default, reason=reason, held_out_percent=percent, seen=seen, static=static, **calibrated
     )
-    return Calibration(cell.replace(estimators=estimators), recording, found, inverse)
+    return CalibrationResult(cell.replace(estimators=estimators), recording, found, inverse)
 
 
-def run(estimator: Estimator, time_s: FloatArray, resistance_ohm: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+def estimate_recording(
+    estimator: Estimator, time_s: FloatArray, resistance_ohm: FloatArray
+) -> tuple[FloatArray, FloatArray | None]:
     """A single cell's estimates (n,) and standard deviations, in kPa, of a whole recording."""
     estimates = [estimator.update(float(t), r) for t, r in zip(time_s, resistance_ohm, strict=True)]
     pressure = np.array([float(e.pressure_kpa) for e in estimates])
@@ -131,7 +133,7 @@ def _teacher(found: tuple[Fit, ...]) -> Fit:
     return best if best.held_out_error < 0.5 * smooth.held_out_error else smooth
 
 
-def _learned(calibration: training.Calibration, full_scale_kpa: float) -> Calibrated:
+def _learned(calibration: training.NormalisedRecording, full_scale_kpa: float) -> Calibrated:
     """All learned estimators, not judged yet."""
     simulated = training.variations(calibration, np.random.default_rng(0))
     return Calibrated(
@@ -164,7 +166,7 @@ def _judge(cell: Cell, recording: Recording, after_s: float) -> dict[EstimatorNa
             estimator = cell.estimator((), name)
         except InputError:
             continue  # not for this kind of cell
-        pressure, std = run(estimator, recording.time_s, recording.resistance_ohm)
+        pressure, std = estimate_recording(estimator, recording.time_s, recording.resistance_ohm)
         error = (pressure - recording.pressure_kpa)[part]
         judged[name] = error, np.full(error.shape, np.inf) if std is None else std[part]
     return judged
@@ -192,7 +194,7 @@ def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
     def unused(rng: np.random.Generator, loads: FloatArray, dt: float) -> FloatArray:
         raise AssertionError("the static curve is not learned from simulations")
 
-    whole = training.Calibration(recording.time_s, r, load, cell.rest_resistance_ohm, unused, 0.0)
+    whole = training.NormalisedRecording(recording.time_s, r, load, cell.rest_resistance_ohm, unused, 0.0)
     cut = recording.time_s[0] + HELD_OUT * (recording.time_s[-1] - recording.time_s[0])
     first = training.static_curve(whole.until(cut), cell.full_scale_kpa, logarithmic=True)
     part = recording.time_s >= cut

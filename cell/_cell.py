@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import importlib.resources
-import json
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
-from ..config import Section, load
+from ..config import Section, load, write_toml
 from ..errors import InputError
-from ..tables import write_text
 from ._estimators import Doubt, EquilibriumEstimator, Estimator, PaperEstimator
 from ._forward import Forward, make_forward
 from ._inverse import InverseEstimator, margin
@@ -68,8 +65,7 @@ class Cell(Section):
 
     def save(self, path: str | Path, *, comment: str = "") -> None:
         """Write CELL.toml, whole or not at all; ``comment`` goes to its head. Raises InputError."""
-        head = "".join(f"# {line}\n" for line in comment.splitlines())
-        write_text(path, head + _toml(self.model_dump(exclude_none=True)))
+        write_toml(path, self.model_dump(exclude_none=True), comment=comment)
 
     @property
     def default_estimator(self) -> str:
@@ -143,22 +139,3 @@ class Cell(Section):
 
     def _rest(self, given: ArrayLike | None) -> FloatArray:
         return np.asarray(self.rest_resistance_ohm if given is None else given, dtype=np.float64)
-
-
-def _toml(tables: Mapping[str, Any], prefix: str = "") -> str:
-    """Nested tables of numbers, strings and lists of numbers as TOML; plain keys come before tables."""
-    plain = "".join(f"{key} = {_value(value)}\n" for key, value in tables.items() if not isinstance(value, dict))
-    nested = (
-        f"\n[{prefix}{key}]\n{_toml(value, f'{prefix}{key}.')}"
-        for key, value in tables.items()
-        if isinstance(value, dict)
-    )
-    return plain + "".join(nested)
-
-
-def _value(value: Any) -> str:
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(map(_value, value))}]"
-    if isinstance(value, str | bool):
-        return json.dumps(value)
-    return repr(value)

@@ -78,6 +78,24 @@ class Estimator(ABC):
         self._read_s = np.full(self._rest_ohm.size, np.nan)  # when each cell was last read
         self._gap_kpa = np.zeros(self._rest_ohm.size)  # what is left of the doubt about gaps
         self._time_s = -np.inf
+        self._std_kpa = np.full(shape, np.nan)
+
+    def step(self, elapsed_s: float, resistance_ohm: ArrayLike) -> FloatArray:
+        """Take the frame read ``elapsed_s`` after the last one; :attr:`std_kpa` then belongs to what is returned.
+
+        Returns:
+            (shape) pressure in kPa; a cell whose reading is missing keeps its last value, NaN before its first reading.
+
+        Raises:
+            InputError: another shape, or a time that does not follow the last one.
+        """
+        start = self._time_s if np.isfinite(self._time_s) else 0.0
+        return self.update(start + elapsed_s, resistance_ohm).pressure_kpa
+
+    @property
+    def std_kpa(self) -> FloatArray:
+        """(shape) standard deviation of the estimate of the last step, in kPa; NaN where none can be stated."""
+        return self._std_kpa
 
     def update(self, time_s: float, resistance_ohm: ArrayLike) -> Estimate:
         """Take the frame read at ``time_s``; entries that are NaN, infinite or not positive are missing, and to an
@@ -113,13 +131,15 @@ class Estimator(ABC):
         known, std = good | begun, self._memory.get("std_kpa")
         pressure = np.where(known, self._memory["pressure_kpa"], np.nan).reshape(self.shape)
         if std is None:
+            self._std_kpa = np.full(self.shape, np.nan)
             return Estimate(pressure, None)
         unread = self.doubt.unread_kpa(since)
         faded = self._gap_kpa * np.exp(-since / AFTER_GAP_S)
         after = np.hypot(faded, AFTER_GAP * unread)
         self._gap_kpa = np.where(good, after, self._gap_kpa)
         std = np.hypot(std, np.where(good, after, np.hypot(faded, unread)))
-        return Estimate(pressure, np.where(known, std, np.nan).reshape(self.shape))
+        self._std_kpa = np.where(known, std, np.nan).reshape(self.shape)
+        return Estimate(pressure, self._std_kpa)
 
     def state(self) -> dict[str, FloatArray]:
         """Everything remembered, as a copy that :meth:`restore` takes."""

@@ -47,7 +47,7 @@ ENOUGH = 0.7
 """of the seconds asked for"""
 
 
-def describe() -> str:
+def protocol_text() -> str:
     """The protocol as a numbered list for the person who presses."""
     steps = [*CONDITIONING, *PROTOCOL]
     lines = [f"{n:2d}. {step}" for n, step in enumerate(steps, 1)]
@@ -58,7 +58,7 @@ def describe() -> str:
     )
 
 
-def load(dt_s: float) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], ...]:
+def protocol_load(dt_s: float) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], ...]:
     """The protocol, conditioning included, as times and normalised loads (n,) every ``dt_s``; changes take 1 s."""
     times, levels = [0.0], [0.0]
     for step in (*CONDITIONING, *PROTOCOL):
@@ -69,7 +69,7 @@ def load(dt_s: float) -> tuple[np.ndarray[tuple[int], np.dtype[np.float64]], ...
     return at, np.interp(at, times, levels)
 
 
-def check(recording: Recording, full_scale_kpa: float | None = None) -> list[str]:
+def check_protocol(recording: Recording, full_scale_kpa: float | None = None) -> list[str]:
     """One line for every step, with when it was done; without a full scale, the level held most counts as it.
 
     Raises:

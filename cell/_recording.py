@@ -30,10 +30,10 @@ class Recording:
         """Read ``time_s,pressure_kpa,resistance_ohm``; rows without a reading (NaN, open) are passed over.
 
         Raises:
-            InputError: the file cannot be read, or what :func:`checked` refuses.
+            InputError: the file cannot be read, or what :func:`checked_recording` refuses.
         """
         columns = read_columns(path, COLUMNS)
-        return checked(*(columns[name] for name in COLUMNS), name=str(path))
+        return checked_recording(*(columns[name] for name in COLUMNS), name=str(path))
 
     @property
     def step_s(self) -> float:
@@ -51,7 +51,7 @@ class Recording:
         )
 
 
-def check_time(time_s: FloatArray, name: str) -> None:
+def check_times(time_s: FloatArray, name: str) -> None:
     """InputError, naming the sample, unless times (n,) are finite and increase."""
     follows = np.isfinite(time_s) & (np.diff(time_s, prepend=-np.inf) > 0)
     if not follows.all():
@@ -62,7 +62,7 @@ def check_time(time_s: FloatArray, name: str) -> None:
         )
 
 
-def checked(
+def checked_recording(
     time_s: FloatArray, pressure_kpa: FloatArray, resistance_ohm: FloatArray, *, name: str = "recording"
 ) -> Recording:
     """A recording that a cell can be identified from.
@@ -71,7 +71,7 @@ def checked(
         InputError: time does not increase, resistance is not positive, the columns look exchanged, too few samples,
             too short, or a pressure that does not change or is never released.
     """
-    check_time(time_s, name)
+    check_times(time_s, name)
     if not np.isfinite(pressure_kpa).all():
         at = int(np.flatnonzero(~np.isfinite(pressure_kpa))[0])
         raise InputError(f"{name}: pressure_kpa of sample {at + 1} is {pressure_kpa[at]}; expected a number")

@@ -8,10 +8,10 @@ import numpy as np
 
 from .. import plots
 from ..files import whole_file
-from ._calibrate import Calibration, run
+from ._calibrate import CalibrationResult, estimate_recording
 
 
-def text(calibration: Calibration) -> str:
+def calibration_text(calibration: CalibrationResult) -> str:
     """Kind, parameters with standard errors, what is not identified, whether the exact inverse is safe, estimators."""
     cell, fit = calibration.cell, calibration.fit
     assert cell.estimators is not None
@@ -47,7 +47,7 @@ def text(calibration: Calibration) -> str:
     return "\n".join(lines)
 
 
-def figure(calibration: Calibration, path: str | Path) -> None:
+def calibration_figure(calibration: CalibrationResult, path: str | Path) -> None:
     """Write a PNG: the recording with the fitted model, what the model leaves, the estimate.
 
     Raises:
@@ -59,7 +59,7 @@ def figure(calibration: Calibration, path: str | Path) -> None:
     forward = cell.forward(())
     steps = np.diff(time, prepend=time[0])
     model = np.array([float(forward.step(dt, p)) for dt, p in zip(steps, recording.pressure_kpa, strict=True)])
-    pressure, _ = run(cell.estimator(()), time, resistance)
+    pressure, _ = estimate_recording(cell.estimator(()), time, resistance)
 
     with plots.drawing(3, 1, width=9, height=7, sharex=True) as (drawing, axes):
         top, middle, bottom = axes[:, 0]

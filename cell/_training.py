@@ -38,7 +38,7 @@ ROWS = 20000
 
 
 @dataclass(frozen=True)
-class Calibration:
+class NormalisedRecording:
     """A recording in normalised units, and the cell it was found to be."""
 
     time_s: FloatArray
@@ -66,7 +66,7 @@ class Calibration:
         low, high = np.percentile(self.load, [0.1, 99.9])
         return Limits(lowest=min(float(low), 0.0), highest=max(float(high), 1.0) * 1.2)
 
-    def until(self, time_s: float) -> Calibration:
+    def until(self, time_s: float) -> NormalisedRecording:
         """The part of the recording before ``time_s``."""
         part = self.time_s < time_s
         return replace(self, time_s=self.time_s[part], r=self.r[part], load=self.load[part])
@@ -82,7 +82,7 @@ class Rows:
     simulated_load: FloatArray
 
 
-def static_curve(calibration: Calibration, full_scale_kpa: float, *, logarithmic: bool = False) -> StaticCurve:
+def static_curve(calibration: NormalisedRecording, full_scale_kpa: float, *, logarithmic: bool = False) -> StaticCurve:
     """The cubic that fits the recording best."""
     r, load = calibration.r, calibration.load
     x = -np.log(np.maximum(1 + r, 1e-6)) if logarithmic else r
@@ -95,7 +95,7 @@ def static_curve(calibration: Calibration, full_scale_kpa: float, *, logarithmic
     return curve.replace(std_kpa=std)
 
 
-def variations(calibration: Calibration, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, float]:
+def variations(calibration: NormalisedRecording, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, float]:
     """Loads and readings (n, m) of simulated cells, and their time step."""
     step = float(np.median(np.diff(calibration.time_s)))
     dt = float(np.clip(step, 0.1, 0.2))
@@ -120,7 +120,7 @@ def variations(calibration: Calibration, rng: np.random.Generator) -> tuple[Floa
     return load, (1 + r) * (1 + R0_ERROR * rng.standard_normal(CELLS)) - 1, dt
 
 
-def rows(calibration: Calibration, bank: Bank, simulated: tuple[FloatArray, FloatArray, float]) -> Rows:
+def rows(calibration: NormalisedRecording, bank: Bank, simulated: tuple[FloatArray, FloatArray, float]) -> Rows:
     """Features of the recording and of its variations, thinned.
 
     The recording enters as it is, as if R0 were lower or higher, and as if creep went on in it for longer.
@@ -146,7 +146,7 @@ def rows(calibration: Calibration, bank: Bank, simulated: tuple[FloatArray, Floa
 
 
 def learn(
-    calibration: Calibration,
+    calibration: NormalisedRecording,
     simulated: tuple[FloatArray, FloatArray, float],
     *,
     lags_s: tuple[float, ...],
@@ -194,13 +194,15 @@ def learn(
     )
 
 
-def play(calibration: Calibration, simulated: tuple[FloatArray, FloatArray, float]) -> Learned:
+def play(calibration: NormalisedRecording, simulated: tuple[FloatArray, FloatArray, float]) -> Learned:
     """A Prandtl-Ishlinskii inverse: ten plays and a cubic, linear in everything."""
     plays = tuple(np.linspace(0.03, 0.6, 10))
     return learn(calibration, simulated, lags_s=(), plays=plays, directions=0, ridge=1e-4, seed=0)
 
 
-def distilled(calibration: Calibration, simulated: tuple[FloatArray, FloatArray, float], *, seed: int = 1) -> Learned:
+def distilled(
+    calibration: NormalisedRecording, simulated: tuple[FloatArray, FloatArray, float], *, seed: int = 1
+) -> Learned:
     """Lags, plays and cosines of them: the inverse of the identified model, distilled into a map."""
     plays = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
     return learn(calibration, simulated, lags_s=LAGS_S, plays=plays, directions=DIRECTIONS, ridge=5e-5, seed=seed)

@@ -214,7 +214,7 @@ def _time(design: Design, cells: FloatArray) -> Iterator[Effect]:
 
 def _change(design: Design, without: Design, cells: FloatArray) -> float:
     """Largest relative change of a signal, by two scans."""
-    with_it, bare = (read(each, exact_ports(each, cells)).volts for each in (design, without))
+    with_it, bare = (read(each, exact_ports(each, cells).value).volts for each in (design, without))
     signal = np.abs(bare - design.readout.reference_voltage)
     return _largest(np.abs(with_it - bare), signal, _live(cells))
 

@@ -14,7 +14,6 @@ from ._linear import LinearReadout, few_ulp
 from ._parts import Parts, cell_conductance
 from ._readout import Reading, amplifier_ends, read
 from .solvers import _banded as banded
-from .solvers._elimination import rounding_meter
 from .solvers._ports import Lines, has_ideal_lines, transfer_conductances
 
 Transfer = Callable[[FloatArray, Lines], tuple[FloatArray, FloatArray]]
@@ -44,23 +43,23 @@ def read_exactly(
     limited = ~linear.within_supply(volts, error)
     if limited.any():
         some, error[limited] = _read_ports(design, resistance[limited])
-        volts[limited], saturated[limited] = some
+        volts[limited], saturated[limited] = some.volts, some.saturated
     return Reading(volts, saturated), error
 
 
 def _read_ports(design: Design, resistance: FloatArray) -> tuple[Reading, FloatArray]:
     """By the whole network between the ports, for any circuit."""
-    with rounding_meter() as meter:
-        ports = exact_ports(design, resistance)
-        reading = read(design, ports)
+    ports, relative = exact_ports(design, resistance)
+    reading = read(design, ports)
     few = few_ulp(reading.volts.shape)
     parts = Parts.of(design)
     without = abs(design.readout.reference_voltage) + np.abs(parts.offset) + np.abs(parts.reference * parts.bias)
-    return reading, _error(design, ports, meter.relative + few) + few * (np.abs(reading.volts) + without)
+    moved = float(relative.max(initial=0.0)) + reading.relative + few
+    return reading, _error(design, ports, moved) + few * (np.abs(reading.volts) + without)
 
 
 def exact_transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
-    """Transfer conductances (..., N, M) in S, and by how much each may be off: :func:`._elimination.rounding_meter`."""
+    """Transfer conductances (..., N, M) in S, and by how much each may be off, see :mod:`._elimination`."""
     if conductance.size <= banded.LARGEST and conductance.ndim == 2 and not has_ideal_lines(grid):
         small = banded.transfer(conductance, grid)
         if small is not None:

@@ -11,6 +11,7 @@ from ..errors import SolverError
 from . import _sheet as sheet
 from ._design import Design
 from ._parts import Parts, cell_conductance, line_ohms, lines, series_faults, siemens
+from .solvers._elimination import Rounded
 from .solvers._network import Element, Network, reduce
 from .solvers._ports import port_conductances
 
@@ -20,8 +21,8 @@ def is_plain(design: Design) -> bool:
     return design.array.sheet == "sliced" and not any(fault.bridge for fault in design.fault)
 
 
-def exact_ports(design: Design, resistance: FloatArray) -> FloatArray:
-    """Port conductances (..., N + M, N + M) in S of the design's grid, row leads included.
+def exact_ports(design: Design, resistance: FloatArray) -> Rounded:
+    """Port conductances (..., N + M, N + M) in S of the design's grid, row leads included, and their relative error.
 
     Args:
         design: the array and its faults.

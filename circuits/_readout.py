@@ -19,7 +19,7 @@ from ..arrays import BoolArray, FloatArray
 from ..errors import SolverError
 from ._design import Design
 from ._parts import Parts, siemens
-from .solvers._elimination import account, eliminate_leading, impedance, rounding_meter
+from .solvers._elimination import Rounded, eliminate_leading, inverted
 from .solvers._ports import IDEAL_WIRE
 
 
@@ -28,6 +28,8 @@ class Reading(NamedTuple):
 
     volts: FloatArray
     saturated: BoolArray
+    relative: float = 0.0
+    """bound on the rounding errors of the eliminations behind it, relative to the conductances they leave"""
 
 
 def read(design: Design, ports: FloatArray) -> Reading:
@@ -41,8 +43,8 @@ def read(design: Design, ports: FloatArray) -> Reading:
         return _read_amplifiers(design, ports)
     if design.readout.circuit == "voltage-feedback":
         return _read_feedback(design, ports)
-    volts = _read_divider(design, ports)
-    return Reading(volts, np.zeros(volts.shape, dtype=np.bool_))
+    volts, relative = _read_divider(design, ports)
+    return Reading(volts, np.zeros(volts.shape, dtype=np.bool_), float(relative.max(initial=0.0)))
 
 
 def apparent_resistance(design: Design, volts: FloatArray) -> FloatArray:
@@ -109,10 +111,10 @@ def amplifier_ends(design: Design, state: NDArray[np.int8] | None = None) -> End
     )
 
 
-def _terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> FloatArray:
+def _terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> Rounded:
     """Put ``resistance`` (M,) behind the column terminals: the network of the N row terminals and the M far ends."""
     if not resistance.any():
-        return ports
+        return Rounded(ports, np.zeros(ports.shape[:-2]))
     columns = len(resistance)
     behind = siemens(resistance)
     largest = np.max(behind, where=np.isfinite(behind), initial=ports.max(initial=0.0))
@@ -131,8 +133,12 @@ def _terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> FloatArr
     return eliminate_leading(network, columns)
 
 
-def _column_currents(design: Design, network: FloatArray, source: FloatArray) -> FloatArray:
-    """Current (..., N, M) into the column terminations in every scan step, for one set of sources (M,)."""
+def _column_currents(design: Design, terminated: Rounded, source: FloatArray) -> Rounded:
+    """Current (..., N, M) in A into the column terminations in every scan step, for one set of sources (M,).
+
+    The relative error (...,) is that of ``terminated``'s conductances and of the eliminations that follow.
+    """
+    network, relative = terminated
     rows, columns = design.array.shape
     drive = design.drive.voltage
     difference = source - source[:, None]  # of equal sources exactly zero, so that nothing large has to cancel
@@ -140,36 +146,32 @@ def _column_currents(design: Design, network: FloatArray, source: FloatArray) ->
         transfer = network[..., :rows, rows:]
         idle = (network[..., rows:, rows:] * difference).sum(axis=-1) - transfer.sum(axis=-2) * source
         grounded: FloatArray = drive * transfer + idle[..., None, :]
-        return grounded
+        return Rounded(grounded, relative)
     currents = np.empty((*network.shape[:-2], rows, columns))
-    worst = 0.0
+    worst = np.zeros(relative.shape)  # each step is solved on its own
     for row in range(rows):
         order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
-        with rounding_meter() as meter:
-            alone = eliminate_leading(network[..., order[:, None], order], rows - 1)
-        worst = max(worst, meter.relative)
+        alone, step = eliminate_leading(network[..., order[:, None], order], rows - 1)
+        worst = np.maximum(worst, step)
         currents[..., row, :] = alone[..., 0, 1:] * (drive - source) + (alone[..., 1:, 1:] * difference).sum(axis=-1)
-    account(worst)  # each step is solved on its own
-    return currents
+    return Rounded(currents, relative + worst)
 
 
 def _read_amplifiers(design: Design, ports: FloatArray) -> Reading:
     rows, columns = design.array.shape
     parts, ends = Parts.of(design), amplifier_ends(design)
     network = _terminate(ports, rows, ends.resistance + parts.column_lead)
-    volts = ends.output + ends.slope * _column_currents(design, network, ends.source)
+    currents, errors = _column_currents(design, network, ends.source)
+    volts, relative = ends.output + ends.slope * currents, float(errors.max(initial=0.0))
     low, high = design.readout.supply
     saturated = (volts < low) | (volts > high)
     if saturated.any():
         frames = ports.reshape(-1, *ports.shape[-2:])
         stacked, flags = volts.reshape(-1, rows, columns), saturated.reshape(-1, rows, columns)
-        worst = 0.0
         for frame in np.flatnonzero(flags.any(axis=(1, 2))):
-            with rounding_meter() as meter:
-                stacked[frame], flags[frame] = _read_saturated(design, parts, frames[frame], stacked[frame])
-            worst = max(worst, meter.relative)
-        account(worst)
-    return Reading(volts, saturated)
+            stacked[frame], flags[frame], own = _read_saturated(design, parts, frames[frame], stacked[frame])
+            relative = max(relative, own)
+    return Reading(volts, saturated, relative)
 
 
 def _read_saturated(design: Design, parts: Parts, ports: FloatArray, volts: FloatArray) -> Reading:
@@ -183,6 +185,7 @@ def _read_saturated(design: Design, parts: Parts, ports: FloatArray, volts: Floa
     state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
     volts = volts.copy()
     pending: BoolArray = np.atleast_1d(state.any(axis=1))
+    relative = 0.0
     for attempt in range(50 + 4 * columns):
         patterns, which = np.unique(state, axis=0, return_inverse=True)
         for number, pattern in enumerate(patterns):
@@ -191,12 +194,13 @@ def _read_saturated(design: Design, parts: Parts, ports: FloatArray, volts: Floa
                 continue
             ends = amplifier_ends(design, pattern)
             network = _terminate(ports, rows, ends.resistance + parts.column_lead)
-            currents = _column_currents(design, network, ends.source)[steps]
+            every_current, error = _column_currents(design, network, ends.source)
+            currents, relative = every_current[steps], max(relative, float(error))
             volts[steps] = ends.output + ends.slope * currents
             wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
             # A clamped output stays so while the amplifier's input still drives it outwards.
-            error = parts.offset - (ends.source + ends.resistance * currents)
-            held = ((pattern > 0) & (error >= at_high)) | ((pattern < 0) & (error <= at_low))
+            input_volts = parts.offset - (ends.source + ends.resistance * currents)
+            held = ((pattern > 0) & (input_volts >= at_high)) | ((pattern < 0) & (input_volts <= at_low))
             wanted = np.where(pattern == 0, wanted, np.where(held, pattern, 0)).astype(np.int8)
             if attempt >= 50:  # Murty: one column at a time cannot cycle
                 first = np.argmax(wanted != pattern, axis=1)[:, None] == np.arange(columns)
@@ -204,25 +208,26 @@ def _read_saturated(design: Design, parts: Parts, ports: FloatArray, volts: Floa
             pending[steps] = (wanted != pattern).any(axis=1)
             state[steps] = wanted
         if not pending.any():
-            return Reading(volts, state != 0)
+            return Reading(volts, state != 0, relative)
     raise SolverError("no consistent set of saturated outputs was found; check supply and reference_voltage")
 
 
-def _read_divider(design: Design, ports: FloatArray) -> FloatArray:
+def _read_divider(design: Design, ports: FloatArray) -> Rounded:
     """Volts across the load of the sensed column, every (row, column) pair a measurement."""
     rows, columns = design.array.shape
     parts = Parts.of(design)
     load, behind = parts.reference, parts.reference + parts.column_lead
     drive, level = design.drive.voltage, design.readout.reference_voltage
     if design.readout.idle_columns == "load":
-        return level + load * _column_currents(design, _terminate(ports, rows, behind), np.zeros(columns))
+        currents, relative = _column_currents(design, _terminate(ports, rows, behind), np.zeros(columns))
+        return Rounded(level + load * currents, relative)
     if design.drive.idle_rows == "ground":
-        inner = impedance(ports[..., rows:, rows:], ports[..., :rows, rows:].sum(axis=-2))
+        inner, relative = inverted(ports[..., rows:, rows:], ports[..., :rows, rows:].sum(axis=-2), rows)
         open_circuit = drive * ports[..., :rows, rows:] @ inner
         source_resistance = np.einsum("...jj->...j", inner)[..., None, :]
-        volts: FloatArray = level + open_circuit * load / (behind + source_resistance)
-        return volts
-    return level + drive * load / (behind + _effective_resistance(ports, rows))
+        return Rounded(level + open_circuit * load / (behind + source_resistance), relative)
+    between, relative = _effective_resistance(ports, rows)
+    return Rounded(level + drive * load / (behind + between), relative)
 
 
 def _read_feedback(design: Design, ports: FloatArray) -> Reading:
@@ -236,7 +241,7 @@ def _read_feedback(design: Design, ports: FloatArray) -> Reading:
     rows, _ = design.array.shape
     parts = Parts.of(design)
     drive, level = design.drive.voltage, design.readout.reference_voltage
-    network = _terminate(ports, rows, parts.column_lead)
+    network, relative = _terminate(ports, rows, parts.column_lead)
     driven = network[..., :rows, rows:]
     # Sums of what is left beside the driven row: from above and from below, since subtracting it would cost digits.
     idle = np.zeros_like(driven)
@@ -251,23 +256,21 @@ def _read_feedback(design: Design, ports: FloatArray) -> Reading:
     volts = share * (level + column + parts.offset)
     low, high = design.readout.supply
     saturated = (volts < low) | (volts > high)
-    return Reading(np.clip(volts, low, high), saturated)
+    return Reading(np.clip(volts, low, high), saturated, float(relative.max(initial=0.0)))
 
 
-def _effective_resistance(ports: FloatArray, rows: int) -> FloatArray:
+def _effective_resistance(ports: FloatArray, rows: int) -> Rounded:
     """Ohm (..., N, M) between each row and each column terminal with all others left open."""
     size = ports.shape[-1]
     result = np.empty((*ports.shape[:-2], rows, size - rows))
     flat, out = ports.reshape(-1, size, size), result.reshape(-1, rows, size - rows)
-    worst = 0.0
+    relative = np.zeros(len(flat))  # each row of each frame is solved on its own
     for frame, network in enumerate(flat):
         _, island = connected_components(network > 0, directed=False)
         for row in range(rows):  # grounding the driven row, not a common node, keeps nearby pairs free of cancellation
             others = np.delete(np.arange(size), row)
-            with rounding_meter() as meter:
-                inner = impedance(network[np.ix_(others, others)], network[row, others])
-            worst = max(worst, meter.relative)
+            inner, error = inverted(network[np.ix_(others, others)], network[row, others])
+            relative[frame] = max(relative[frame], float(error))
             ohms = np.where(island[others] == island[row], np.diagonal(inner), inf)
             out[frame, row] = ohms[rows - 1 :]
-    account(worst)  # each row of each frame is solved on its own
-    return result
+    return Rounded(result, relative.reshape(ports.shape[:-2]))

@@ -26,7 +26,7 @@ from ._design import Design
 from ._grid import exact_ports, grid_network
 from ._parts import Parts, siemens
 from ._readout import Reading, amplifier_ends, read
-from .solvers._elimination import impedance
+from .solvers._elimination import inverted
 from .solvers._ports import IDEAL_WIRE
 
 LARGEST = 64 * 64
@@ -86,7 +86,7 @@ def sensitivity(design: Design, resistance: ArrayLike) -> Sensitivity:
         raise InputError(f'sensitivities are for array.sheet = "sliced", not "{design.array.sheet}"')
     if cells.size > LARGEST:
         raise InputError(f"sensitivities are for at most {LARGEST} cells, the design has {cells.size}")
-    ports = exact_ports(design, cells)
+    ports = exact_ports(design, cells).value
     reading = read(design, ports)
     fields = _Fields.of(design, cells)
     result = _empty(reading.volts, fields.conductance)
@@ -238,7 +238,7 @@ class _Ties(NamedTuple):
     def of(cls, ports: FloatArray, tie: FloatArray) -> _Ties:
         largest = max(float(ports.max(initial=0.0)), float(np.max(tie, where=np.isfinite(tie), initial=1e-300)))
         tie = np.minimum(tie, IDEAL_WIRE * largest)
-        return cls(ports, tie, impedance(ports, tie))
+        return cls(ports, tie, inverted(ports, tie).value)
 
     def potentials(self, source: FloatArray) -> FloatArray:
         """(..., N + M) V at the ports for sources (..., N + M) behind their ties."""

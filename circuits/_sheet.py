@@ -122,7 +122,7 @@ def _unit(sheet: Sheet, sides: Sides) -> FloatArray:
         wire=np.zeros(len(conductance), dtype=np.bool_),
         ports=np.concatenate(ports),
     )
-    unit = reduce(network)
+    unit = reduce(network).value
     unit.flags.writeable = False
     return unit
 

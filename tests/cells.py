@@ -8,10 +8,8 @@ from functools import cache
 import numpy as np
 
 from ohmskin.bench import _independent as independent
-from ohmskin.cell import Cell
+from ohmskin.cell import CalibrationResult, Cell, Recording, calibrate, checked_recording
 from ohmskin.cell import _protocol as protocol
-from ohmskin.cell._calibrate import Calibration, calibrate
-from ohmskin.cell._recording import Recording, checked
 
 EXAMPLE = Cell.example()
 DT = 0.1
@@ -26,13 +24,15 @@ def sense(cell: Cell, load: np.ndarray, dt: float = DT) -> np.ndarray:
 
 def protocol_recording(cell: Cell, noise: float, seed: int = 0) -> Recording:
     """The calibration protocol on a cell, with noise relative to the reading."""
-    time, load = protocol.load(DT)
+    time, load = protocol.protocol_load(DT)
     clean = sense(cell, load)
-    return checked(time, FULL * load, clean * (1 + noise * np.random.default_rng(seed).standard_normal(len(load))))
+    return checked_recording(
+        time, FULL * load, clean * (1 + noise * np.random.default_rng(seed).standard_normal(len(load)))
+    )
 
 
 @cache
-def paper() -> Calibration:
+def paper() -> CalibrationResult:
     """The example cell, from the 280 s protocol with 0.5 % noise."""
     return calibrate(protocol_recording(EXAMPLE, 0.005))
 
@@ -41,7 +41,7 @@ def paper() -> Calibration:
 class Unknown:
     """A material that no model describes: relays and fractional creep."""
 
-    found: Calibration
+    found: CalibrationResult
     load: np.ndarray
     read: np.ndarray
     learned: int
@@ -60,7 +60,7 @@ def unknown() -> Unknown:
     read = independent.resistance(load, DT, rng)
     load, read = load[-6000:], read[-6000:]  # conditioned before
     part = len(load) // 2
-    found = calibrate(checked(DT * np.arange(part), FULL * load[:part], read[:part]), full_scale_kpa=FULL)
+    found = calibrate(checked_recording(DT * np.arange(part), FULL * load[:part], read[:part]), full_scale_kpa=FULL)
     return Unknown(found, load, read, part)
 
 
@@ -68,10 +68,10 @@ def unknown() -> Unknown:
 def creeping() -> Unknown:
     """The protocol to learn from, ten minutes at rest, then presses: creep goes on for longer than was recorded."""
     rng = np.random.default_rng(1)
-    _, pressed = protocol.load(DT)
+    _, pressed = protocol.protocol_load(DT)
     later = [independent.presses(rng, 200, DT, holds=holds) for holds in (True, False)]
     load = np.concatenate([pressed, np.zeros(round(600 / DT)), *later])
     read = independent.resistance(load, DT, rng)
     part = len(pressed)
-    found = calibrate(checked(DT * np.arange(part), FULL * load[:part], read[:part]), full_scale_kpa=FULL)
+    found = calibrate(checked_recording(DT * np.arange(part), FULL * load[:part], read[:part]), full_scale_kpa=FULL)
     return Unknown(found, load, read, part)

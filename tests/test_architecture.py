@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-SHARED = {"arrays", "errors", "config", "files", "plots", "tables"}
+SHARED = {"arrays", "errors", "config", "files", "plots", "progress", "tables", "text", "workers"}
 MAY_IMPORT = {
     "circuits": SHARED,
     "cell": SHARED,

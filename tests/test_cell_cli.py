@@ -17,7 +17,7 @@ FULL = 15.5
 def steps(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A contact cell through the protocol: the kind that is calibrated quickest."""
     model = ContactModel(exponent=0.9, full_scale_resistance_ohm=500)
-    time, load = protocol.load(0.1)
+    time, load = protocol.protocol_load(0.1)
     forward = Cell.example().replace(model=model).forward(())
     read = [float(forward.step(0.1, FULL * s)) for s in load]
     path = tmp_path_factory.mktemp("contact") / "steps.csv"

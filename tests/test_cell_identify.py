@@ -9,14 +9,21 @@ import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL, Unknown, protocol_recording, sense
 
-from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
+from ohmskin.cell import (
+    AsymmetricModel,
+    Cell,
+    ContactModel,
+    M10Model,
+    PaperModel,
+    calibrate,
+    calibration_text,
+    checked_recording,
+    estimate_recording,
+)
 from ohmskin.cell import _protocol as protocol
-from ohmskin.cell import _report as report
 from ohmskin.cell import _simulate as simulate
-from ohmskin.cell._calibrate import calibrate, run
 from ohmskin.cell._identify import fits, recovery_branches
 from ohmskin.cell._inverse import margin
-from ohmskin.cell._recording import checked
 from ohmskin.errors import InputError
 
 
@@ -46,7 +53,7 @@ def test_the_default_estimates_the_papers_experiments() -> None:
     for presses in ([(10, 40)], [(10, 25), (35, 50), (60, 75)]):
         load = sum(((time > a) & (time <= b)).astype(float) for a, b in presses)
         read = sense(EXAMPLE, np.asarray(load)) + 50 * rng.standard_normal(len(time))
-        pressure, std = run(paper.cell.estimator(()), time, read)
+        pressure, std = estimate_recording(paper.cell.estimator(()), time, read)
         error = pressure / FULL - load
         assert np.sqrt(np.mean(error**2)) < 0.02
         assert std is not None
@@ -60,7 +67,7 @@ def test_an_unknown_material_is_estimated_better_than_by_its_static_curve(materi
     later = np.arange(len(of.load)) >= len(of.load) - 3000
 
     def rmse(name: str | None) -> float:
-        pressure, std = run(of.found.cell.estimator((), name), of.time, of.read)
+        pressure, std = estimate_recording(of.found.cell.estimator((), name), of.time, of.read)
         error = (pressure / FULL - of.load)[later]
         assert std is not None
         assert np.mean(np.abs(error) * FULL < 2 * std[later]) > 0.9
@@ -76,7 +83,7 @@ def test_a_wrong_rest_resistance_is_survived(material: Callable[[], Unknown]) ->
 
     def rmse(name: str | None, factor: float) -> float:
         rest = factor * of.found.cell.rest_resistance_ohm
-        pressure, _ = run(of.found.cell.estimator((), name, rest_resistance_ohm=rest), of.time, of.read)
+        pressure, _ = estimate_recording(of.found.cell.estimator((), name, rest_resistance_ohm=rest), of.time, of.read)
         return float(np.sqrt(np.mean((pressure / FULL - of.load) ** 2)))
 
     for factor in (0.97, 1.03):
@@ -89,7 +96,10 @@ def test_a_saved_cell_estimates_the_same(tmp_path: Path) -> None:
     again = Cell.load(tmp_path / "cell.toml")
     assert again == of.found.cell
     for name in ("static", "play", "distilled"):
-        both = [run(cell.estimator((), name), of.time[:200], of.read[:200])[0] for cell in (again, of.found.cell)]
+        both = [
+            estimate_recording(cell.estimator((), name), of.time[:200], of.read[:200])[0]
+            for cell in (again, of.found.cell)
+        ]
         assert (both[0] == both[1]).all()
 
 
@@ -98,13 +108,13 @@ def test_a_cell_never_seen_at_rest_has_no_rest_resistance() -> None:
     load = 0.5 + 0.45 * np.sin(np.arange(0, 120, DT) / 7) * np.sin(np.arange(0, 120, DT) / 3)
     read = sense(EXAMPLE, load) * (1 + 0.001 * np.random.default_rng(2).standard_normal(len(load)))
     time = DT * np.arange(len(load))
-    found = fits(checked(time, FULL * load, read), FULL)
+    found = fits(checked_recording(time, FULL * load, read), FULL)
     assert not any(fit.parameters[-1].identified for fit in found)
     assert cells.paper().fit.parameters[-1].name == "rest_resistance_ohm"
     assert cells.paper().fit.parameters[-1].identified
-    assert "R0 is what the model needs" not in report.text(cells.paper())
+    assert "R0 is what the model needs" not in calibration_text(cells.paper())
     unsure = replace(cells.paper(), fits=tuple(found))
-    assert "R0 is what the model needs" in report.text(unsure)
+    assert "R0 is what the model needs" in calibration_text(unsure)
 
 
 def test_contact_cells_are_told_apart() -> None:
@@ -117,7 +127,7 @@ def test_contact_cells_are_told_apart() -> None:
     time = np.arange(0, 60, DT)
     load = np.repeat([0.0, 0.25, 0.5, 0.75, 1.0, 0.3], 100)
     read = sense(EXAMPLE.replace(model=model), load)
-    pressure, _ = run(found.cell.estimator(()), time, read)
+    pressure, _ = estimate_recording(found.cell.estimator(()), time, read)
     assert np.abs(pressure / FULL - load).max() < 0.08
 
 
@@ -187,7 +197,7 @@ READ = 1e4 + 300 * PRESS
 )
 def test_nonsense_is_refused(time: np.ndarray, pressure: np.ndarray, resistance: np.ndarray, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        checked(time, pressure, resistance)
+        checked_recording(time, pressure, resistance)
 
 
 @pytest.mark.parametrize("jump", [1, 10, 999])
@@ -196,41 +206,41 @@ def test_readings_mostly_on_one_side_of_a_gap_are_refused(jump: int) -> None:
     load = np.clip(2 * np.sin(2 * np.pi * 0.1 * np.arange(1000) / 20), 0, 1)
     time = 0.1 * np.arange(1000) + np.where(np.arange(1000) < jump, 0, 1000)
     with pytest.raises(InputError, match="without a gap"):
-        calibrate(checked(time, FULL * load, sense(EXAMPLE, load)))
+        calibrate(checked_recording(time, FULL * load, sense(EXAMPLE, load)))
 
 
 def test_a_recording_with_a_minute_between_samples_is_learned_from() -> None:
     load = np.clip(2 * np.sin(2 * np.pi * np.arange(100) / 12), 0, 1)
     for dt in (41.0, 100.0):
         time = dt * np.arange(100)
-        found = calibrate(checked(time, FULL * load, sense(EXAMPLE, load, dt)))
+        found = calibrate(checked_recording(time, FULL * load, sense(EXAMPLE, load, dt)))
         assert found.cell.estimators is not None
 
 
 def test_a_resistance_that_follows_nothing_is_refused() -> None:
     noise = np.random.default_rng(8).standard_normal(len(TIME))
     with pytest.raises(InputError, match="does not follow the pressure"):
-        fits(checked(TIME, PRESS, 1e4 + 100 * noise), 10.0)
+        fits(checked_recording(TIME, PRESS, 1e4 + 100 * noise), 10.0)
 
 
 def test_the_protocol_is_checked() -> None:
     recording = protocol_recording(EXAMPLE, 0.0)
-    assert len(protocol.check(recording, FULL)) == len(protocol.CONDITIONING) + len(protocol.PROTOCOL)
-    assert len(protocol.check(recording)) == 12
+    assert len(protocol.check_protocol(recording, FULL)) == len(protocol.CONDITIONING) + len(protocol.PROTOCOL)
+    assert len(protocol.check_protocol(recording)) == 12
     short = recording.time_s < 200
-    cut = checked(recording.time_s[short], recording.pressure_kpa[short], recording.resistance_ohm[short])
+    cut = checked_recording(recording.time_s[short], recording.pressure_kpa[short], recording.resistance_ohm[short])
     with pytest.raises(InputError, match="step 11 of the protocol is missing: hold 100 % of full scale for 60 s"):
-        protocol.check(cut, FULL)
-    text = protocol.describe()
+        protocol.check_protocol(cut, FULL)
+    text = protocol.protocol_text()
     assert "hold 50 % of full scale for 20 s" in text
 
 
 def test_a_recording_of_just_what_is_printed_shows_the_cell_at_rest() -> None:
     """Its first line is rest: a press at once leaves R0 to the model."""
-    first, *_ = [line for line in protocol.describe().splitlines() if line.lstrip().startswith("1.")]
+    first, *_ = [line for line in protocol.protocol_text().splitlines() if line.lstrip().startswith("1.")]
     assert "hold no load" in first
-    time, load = protocol.load(DT)
+    time, load = protocol.protocol_load(DT)
     assert not load[time <= protocol.CONDITIONING[0].seconds].any()
     printed = sum(step.seconds for step in (*protocol.CONDITIONING, *protocol.PROTOCOL))
-    assert f"{printed:.0f} s" in protocol.describe()
+    assert f"{printed:.0f} s" in protocol.protocol_text()
     assert 0 < time[-1] - printed < 10  # what the changes take

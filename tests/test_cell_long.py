@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL
 
-from ohmskin.cell import AsymmetricModel, Cell
-from ohmskin.cell._calibrate import run
+from ohmskin.cell import AsymmetricModel, Cell, estimate_recording
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell._learned import Limits, Seen, StaticCurve
 
@@ -83,7 +82,7 @@ def test_an_hours_load_does_not_fade_by_more_than_the_stated_error(make: Callabl
     forward = cell.forward(())
     steps = np.diff(time, prepend=0.0)
     read = np.array([float(forward.step(dt, p)) for dt, p in zip(steps, load, strict=True)])
-    pressure, std = run(cell.estimator((), name), time, read)
+    pressure, std = estimate_recording(cell.estimator((), name), time, read)
     assert std is not None
     early = np.searchsorted(time, 30.0)
     assert abs(pressure[-1] - pressure[early]) < 2 * (std[-1] + std[early])
@@ -128,7 +127,7 @@ def test_readings_with_gaps_are_within_the_stated_error(name: str) -> None:
         gap = rng.integers(10, 300)
         read[n : n + gap] = np.nan
         n += gap
-    pressure, std = run(of.found.cell.estimator((), name), of.time, read)
+    pressure, std = estimate_recording(of.found.cell.estimator((), name), of.time, read)
     assert std is not None
     off = np.abs(pressure - FULL * of.load)[of.learned :]
     assert np.mean(off < 2 * std[of.learned :]) > 0.9

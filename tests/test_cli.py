@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -86,6 +89,11 @@ BAD = {  # what is wrong: (replaced in design.toml, by, what the message names)
     "unknown circuit": ("inverting-amplifier", "op-amp", ["readout.circuit", "op-amp"]),
     "no drive": ("-1.0", "0.0", ["drive", "voltage"]),
     "a number for a list": ("1000.0", "1000.0\nsupply = 3.3", ["readout.supply", "expected a list", "3.3"]),
+    "integer of 5000 digits": ("70.0", "9" * 5000, ["design.toml", "TOML", "4300"]),
+    "integer of 4000 digits": ("70.0", "9" * 4000, ["design.toml", "array.row_lead", "64 bits"]),
+    "deep nesting": ("70.0", "[" * 3000 + "]" * 3000, ["design.toml", "TOML", "nested too deeply"]),
+    "deep keys": ("70.0", "70.0\na" + ".a" * 3000 + " = 1", ["design.toml", "nested too deeply"]),
+    "escape sequence": ("rows = 2", 'rows = 2\n"\\u001b[31mred" = 1', ["design.toml", r"\x1b[31mred"]),
     "not TOML": ("[array]", "[array", ["design.toml", "TOML"]),
     "wrong shape": ("columns = 3", "columns = 4", ["cells.csv", "2 lines of 3", "2 lines of 4"]),
 }
@@ -175,6 +183,82 @@ def test_a_full_disk_behind_standard_output_is_one_line() -> None:
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "No space left" in done.stderr
+
+
+def test_a_reader_that_leaves_is_no_error() -> None:
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run(
+        [sys.executable, "-m", "ohmskin", "--help"], stdout=writing, stderr=subprocess.PIPE, text=True, check=False
+    )
+    os.close(writing)
+    assert done.returncode == 141
+    assert not done.stderr
+
+
+def _broken(*args: object, **kwargs: object) -> None:
+    raise OSError(5, "of a \x1b device")
+
+
+def test_a_defect_is_one_line_with_an_exit_code_of_its_own(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ohmskin.tables.read_cells", _broken)
+    scanning = ["scan", "design.toml", "--cells", "cells.csv"]
+    assert run(scanning) == 70
+    message = capsys.readouterr().err
+    assert message == r"ohmskin: a defect of ohmskin, OSError: [Errno 5] of a \x1b device (--debug shows where)" + "\n"
+    for arguments in (["--debug", *scanning], [*scanning, "--debug"]):
+        assert run(arguments) == 70
+        shown = capsys.readouterr().err
+        assert "in _broken" in shown
+        assert shown.endswith(message)
+
+
+def test_debug_shows_where_input_was_refused(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["scan", "nowhere.toml", "--cells", "cells.csv", "--debug"]) == 2
+    assert "in read_bytes" in capsys.readouterr().err
+
+
+def test_an_interrupt_at_any_time_of_the_start_is_one_line() -> None:
+    """The signal comes later and later, until the command is done before it comes."""
+    outcomes = []
+    for delay_ms in (0, 40, 100, 200, 300, 500, 1000, 5000):
+        with subprocess.Popen(
+            [sys.executable, "-c", START], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        ) as process:
+            assert process.stdout is not None
+            process.stdout.readline()
+            time.sleep(delay_ms / 1000)
+            process.send_signal(signal.SIGINT)
+            _, said = process.communicate()
+        outcomes.append(process.returncode)
+        if process.returncode == 0:
+            break
+        # At its very end Python gives signals back to the system, which ends the process without a word.
+        assert (process.returncode, said) in ((130, b"ohmskin: interrupted\n"), (-signal.SIGINT, b""))
+    assert 130 in outcomes
+
+
+START = """
+import sys
+from ohmskin import __main__
+__main__._signals.leave_at_once()
+print("started", flush=True)
+sys.argv = ["ohmskin", "verify", "--help"]
+__main__.main()
+"""
+
+
+def test_a_shell_completes_commands_and_options(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("_OHMSKIN_COMPLETE", "bash_complete")
+    for words, expected in (("ohmskin sc", "plain,scan"), ("ohmskin scan --js", "plain,--json")):
+        monkeypatch.setenv("COMP_WORDS", words)
+        monkeypatch.setenv("COMP_CWORD", str(len(words.split()) - 1))
+        assert run([]) == 0
+        assert expected in capsys.readouterr().out.splitlines()
 
 
 def _refused(arguments: list[str], named: list[str], capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,8 +10,7 @@ from scipy import signal
 from .. import plots
 from ..arrays import FloatArray
 from ..bench._estimators import NOISE
-from ..cell import Cell, ContactModel, PaperModel
-from ..cell._identify import recovery_branches
+from ..cell import Cell, ContactModel, PaperModel, recovery_branches
 from ..circuits import Design, apparent_resistance, scan_batch
 from ..errors import InputError
 from ._outcome import Check, Figure, Finding, Table

@@ -8,7 +8,7 @@ import numpy as np
 
 from .. import plots
 from ..arrays import FloatArray
-from ..cell._percolation import Percolation
+from ..cell import Percolation
 from ..circuits import Design, adc_codes, clipped, scan
 from ..circuits.timing._noise import noise
 from ..errors import InputError

@@ -9,8 +9,7 @@ import numpy as np
 
 from .. import plots
 from ..arrays import FloatArray
-from ..cell import Cell
-from ..cell._calibrate import run
+from ..cell import Cell, estimate_recording
 from ._outcome import Table
 from ._subject import Subject
 
@@ -52,7 +51,7 @@ def side_by_side(
 
 def estimate(cell: Cell, name: str, time_s: FloatArray, ohms: FloatArray, rest: float | None = None) -> FloatArray:
     """kPa (samples,) of one cell."""
-    return run(cell.estimator((), name, rest_resistance_ohm=rest), time_s, ohms)[0]
+    return estimate_recording(cell.estimator((), name, rest_resistance_ohm=rest), time_s, ohms)[0]
 
 
 def rmse(estimate: FloatArray, truth: FloatArray, subject: Subject) -> float:

@@ -9,11 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..bench._estimators import noisy
-from ..cell import Cell, ContactModel, PaperModel
-from ..cell._calibrate import calibrate
-from ..cell._material import sensitivity
-from ..cell._protocol import load as protocol_load
-from ..cell._recording import checked
+from ..cell import Cell, ContactModel, PaperModel, calibrate, checked_recording, protocol_load, sensitivity
 from ..circuits import Design
 from ._parameters import NOMINAL_K, Factors
 
@@ -133,5 +129,5 @@ class Subject:
 def _calibrated(cell: Cell) -> Cell:
     time_s, load = protocol_load(0.05)
     ohms = noisy(cell, load, 0.05, np.random.default_rng(0))
-    recording = checked(time_s, cell.full_scale_kpa * load, ohms, name="simulated protocol")
+    recording = checked_recording(time_s, cell.full_scale_kpa * load, ohms, name="simulated protocol")
     return calibrate(recording, full_scale_kpa=cell.full_scale_kpa).cell

@@ -316,9 +316,8 @@ def _trim(blocks: FloatArray, gone: slice) -> FloatArray:
     """
     across = blocks[..., gone, :].copy()
     between = across[..., gone].copy()
-    total = across.sum(axis=-1)
     across[..., gone] = 0.0
-    inverse, relative = inverted(between, total, across, blocks.shape[-1] - between.shape[-1])
+    inverse, relative = inverted(between, across.sum(axis=-1), blocks.shape[-1] - between.shape[-1])
     blocks += np.swapaxes(across, -1, -2) @ (inverse @ across)
     blocks[..., gone, :] = 0.0
     blocks[..., gone] = 0.0
@@ -370,7 +369,7 @@ class _Join:
             to[...] = part
         for to, part in self._added:
             np.add(to, part, out=to)
-        inverse, relative = inverted(self._between, self._rows.sum(axis=-1), self._across, self._ports)
+        inverse, relative = inverted(self._between, np.einsum("...ij->...i", self._across), self._ports)
         np.matmul(inverse, self._driven, out=self._volts)
         np.matmul(self._read, self._volts, out=self._out)
         for to, part in self._staying:

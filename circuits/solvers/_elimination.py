@@ -1,140 +1,124 @@
-"""Eliminating nodes from resistive networks in positive arithmetic, and how far rounding can have moved the rest.
+"""Kron reduction of resistive networks (Schur complements of M-matrices) without loss of digits, and its error bound.
 
-Eliminating a node joins its neighbours a, b by g_a g_b / sum(g) (star-mesh). Only conductances are kept, never the
-diagonal of the nodal matrix: every result is a sum of products and quotients of nonnegative numbers, so each entry is
-accurate to a few ulp times the depth of the computation, however many decades the resistances span (the argument of
-Grassmann, Taksar and Heyman for Markov chains).
+**Star-mesh transformation.** Eliminating a node joins its neighbours a, b by g_a g_b / sum(g). We keep conductances
+only, never the diagonal of the nodal matrix. Every result is then a sum of products and quotients of nonnegative
+numbers, and no digits cancel, however many decades the resistances span. This is the algorithm of Grassmann, Taksar
+and Heyman (Operations Research 33, 1985), known from Markov chains.
 
-Many nodes at once go as one dense block (LAPACK inverse). That block is a diagonally dominant M-matrix; where it is
-close to singular (strongly tied nodes, weakly tied to the rest) the inverse would lose digits, which
-diag(A) diag(A^-1) shows. Those blocks are inverted by halves, which never subtracts and so never loses any.
+**Many nodes at once** are one dense block A, whose inverse LAPACK computes by LU. That does subtract, on the diagonal.
+It is used only where every node of the block passes at least :data:`SAFE_SHARE` of its conductance on to nodes outside
+the block. Two things follow, because a Schur complement of a diagonally dominant M-matrix keeps what each node passes
+outside. No pivot falls below :data:`SAFE_SHARE` of the diagonal, so few digits are lost. And each pivot exceeds every
+entry below it by more than rounding can change, so partial pivoting never interchanges rows. The error analysis
+(:func:`_lu_rounding`) needs both.
+
+**All other blocks** are inverted by halves (:func:`_by_halves`). Eliminating one half adds to what the other half
+passes outside. The recursion ends, at the latest, with single nodes, and it never subtracts.
+
+**The error bound.** A rounded elimination equals an exact one after which each remaining conductance is multiplied by
+1 + e, with a known bound on abs(e), the *relative error*. Changing every conductance of a network by at most e changes
+the current at port i for 1 V at port j by at most e sqrt(Y_ii Y_jj), where Y_ii is the conductance of port i with all
+other ports at ground. Proof: by Tellegen's theorem the change is the sum of e g dv_i dv_j over all branches, the sum of
+g dv_i^2 is Y_ii, and the Cauchy-Schwarz inequality does the rest. This holds at every stage of an elimination with the
+same Y, so relative errors of successive stages add up. Of blocks side by side only the largest counts.
 """
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from typing import NamedTuple
 
 import numpy as np
 
 from ...arrays import FloatArray
 
-SAFE_GROWTH = 1e3  # diag(A) diag(A^-1) beyond which a block is inverted by halves
+SAFE_SHARE = 1e-3  # of a node's conductance must leave the block for LU; four digits may cancel, of sixteen
 ULP = float(np.finfo(np.float64).eps) / 2.0
-_SUM_OF_GROWTHS = 8  # nodes up to which a rounding bound is not worth another matrix product
+_SUM_OF_GROWTHS = 8  # nodes up to which a sharper rounding bound is not worth another matrix product
 
 
-class Meter:
-    """Adds up how far rounding can have moved the conductances of a network, relative to each of them."""
+class Rounded(NamedTuple):
+    """What an elimination gives, and a bound on its rounding errors."""
 
-    def __init__(self) -> None:
-        self.relative = 0.0
-
-
-class _Meters(threading.local):
-    def __init__(self) -> None:
-        self.current: Meter | None = None
+    value: FloatArray
+    """(..., n, n) conductances in S or impedances in ohm"""
+    relative: FloatArray
+    """(...,) bound on the relative error of all conductances of each network, see the module"""
 
 
-_meters = _Meters()
+def eliminate_leading(network: FloatArray, count: int) -> Rounded:
+    """Kron reduction: eliminate the first ``count`` nodes of each network.
 
+    Args:
+        network: (..., n, n) S between the nodes, symmetric with zero diagonal.
+        count: how many nodes go. Nodes that nothing is connected to just vanish.
 
-@contextmanager
-def rounding_meter() -> Iterator[Meter]:
-    """Measure the rounding errors of all eliminations in the block (of this thread).
+    Returns:
+        (..., n - count, n - count) S, symmetric with zero diagonal.
 
-    Every elimination is accounted for as if it had been exact, but each conductance it leaves had then been changed by
-    at most a relative e (see :func:`_rounding`). A change of all conductances of a network by at most e changes the
-    current at port i for 1 V at port j by at most e sqrt(Y_ii Y_jj), Y_ii the conductance of port i against all others
-    at ground: by Tellegen's theorem it is the sum of e g dv_i dv_j over all branches, and that of g dv_i^2 is Y_ii. It
-    does not matter at which stage of the elimination the network is looked at, so the e of successive stages add up,
-    while of blocks that lie side by side only the largest counts.
-    """
-    outer, _meters.current = _meters.current, Meter()
-    try:
-        yield _meters.current
-    finally:
-        _meters.current = outer
-
-
-def eliminate_leading(network: FloatArray, count: int) -> FloatArray:
-    """Remove the first ``count`` nodes from stacked networks (..., n, n) of conductances (S, zero diagonal).
-
-    Returns (..., n - count, n - count), symmetric with zero diagonal. Nodes that nothing touches just go.
     """
     gone, kept = slice(0, count), slice(count, None)
     across = network[..., gone, kept]
-    inner = impedance(network[..., gone, gone], across.sum(axis=-1), across.shape[-1])
-    result = np.swapaxes(across, -1, -2) @ (inner @ across)
+    inverse, relative = inverted(network[..., gone, gone], across.sum(axis=-1), across.shape[-1])
+    result = np.swapaxes(across, -1, -2) @ (inverse @ across)
     result += network[..., kept, kept]
     np.einsum("...ii->...i", result)[...] = 0.0
-    return result
+    return Rounded(result, relative)
 
 
-def impedance(between: FloatArray, to_ground: FloatArray, ports: int = 1) -> FloatArray:
-    """Impedance matrices (..., n, n) in ohm of n nodes: volts at each for a unit current into each.
+def inverted(between: FloatArray, to_ground: FloatArray, ports: int = 1) -> Rounded:
+    """Impedance matrices: volts at each node for 1 A into each node, the inverses of nodal matrices.
 
     Args:
         between: (..., n, n) S between the nodes, zero on the diagonal.
-        to_ground: (..., n) S from each node to ground. Nodes that nothing ties to ground may stand at any
-            potential; theirs is set by an arbitrary conductance.
+        to_ground: (..., n) S from each node to nodes outside, all of them at ground. Where an island of nodes has
+            none, its potential is arbitrary; it is then set by a conductance of 1 S at one of the nodes.
         ports: how many conductances ``to_ground`` is the sum of.
 
-    """
-    inverse, relative = inverted(between, between.sum(axis=-1) + to_ground, to_ground[..., None], ports)
-    account(float(relative.max(initial=0.0)))
-    return inverse
-
-
-def inverted(between: FloatArray, total: FloatArray, across: FloatArray, ports: int) -> tuple[FloatArray, FloatArray]:
-    """:func:`impedance`, and a bound (...,) on the relative error of any conductance that elimination by it leaves.
-
-    Args:
-        between: (..., n, n) S between the nodes, zero on the diagonal.
-        total: (..., n) S at each node; zeros become 1.
-        across: (..., n, any) S from each node to others, which together are its conductance to ground.
-        ports: how many conductances that is the sum of.
+    Returns:
+        (..., n, n) ohm, and the relative error of the conductances that an elimination by these matrices leaves.
 
     """
-    nodes = between.shape[-1]
+    total = np.einsum("...ij->...i", between)  # three times as fast as sum() on small stacks
+    total += to_ground
+    fits = to_ground >= SAFE_SHARE * total
     if not total.all():
         total[total == 0] = 1.0
+    if fits.all() or between.shape[-1] == 1:
+        return _by_lu(between, total, ports)
+    fits = fits.all(axis=-1)
+    value, relative = np.empty(between.shape), np.empty(total.shape[:-1])
+    if fits.any():
+        value[fits], relative[fits] = _by_lu(between[fits], total[fits], ports)
+    value[~fits], relative[~fits] = _by_halves(between[~fits], to_ground[~fits], ports)
+    return Rounded(value, relative)
+
+
+def _by_lu(between: FloatArray, total: FloatArray, ports: int) -> Rounded:
+    """Invert by LAPACK's LU. ``total`` (..., n) S is each node's conductance to all others and to ground, not zero."""
     matrix = -between
     np.einsum("...ii->...i", matrix)[...] = total
-    try:
-        inverse: FloatArray = np.linalg.inv(matrix).astype(np.float64, copy=False)
-    except np.linalg.LinAlgError:
-        inverse = np.full(between.shape, np.nan)
-    growth = np.einsum("...ii->...i", inverse) * total  # at least 1, were it exact
-    if growth.min(initial=1.0) > 0.5 and growth.max(initial=1.0) <= SAFE_GROWTH:
-        return inverse, _rounding(inverse, total, growth, ports)
-    suspect = ~((growth > 0.5) & (growth <= SAFE_GROWTH)).all(axis=-1)
-    relative: FloatArray = np.full(total.shape[:-1], ULP * 6.0 * nodes * (nodes + ports))
-    relative[~suspect] = _rounding(inverse[~suspect], total[~suspect], growth[~suspect], ports)
-    inverse[suspect] = _by_halves(between[suspect], across[suspect].sum(axis=-1))
-    return inverse, relative
+    inverse: FloatArray = np.linalg.inv(matrix).astype(np.float64, copy=False)
+    return Rounded(inverse, _lu_rounding(inverse, total, ports))
 
 
-def account(relative: float) -> None:
-    """Tell the meter of this thread, if there is one."""
-    if _meters.current is not None:
-        _meters.current.relative += relative
-
-
-def _rounding(inverse: FloatArray, total: FloatArray, growth: FloatArray, ports: int) -> FloatArray:
+def _lu_rounding(inverse: FloatArray, total: FloatArray, ports: int) -> FloatArray:
     """Bound (...,) on the relative error of any conductance that an elimination through ``inverse`` leaves.
 
-    LU with its two triangular solves is exact for a matrix within 3 gamma_n |L||U| of the given one (Higham, Accuracy
-    and Stability, theorem 9.4); the diagonal itself carries the rounding of its sum. The factors of an M-matrix are
-    M-matrices, so |L| = 2 - L and |U| = 2 diag(U) - U, and with Z = U^-1 L^-1, all of it nonnegative,
-    Z |L||U| Z = 4 Z diag(U) Z - 2 Z L^-1 - 2 U^-1 diag(U) Z + Z <= 4 Z diag(total) Z. What that is relative to
-    Z_ij is computed, or for small blocks bounded by the sum of the growths, since Z_ik Z_kj <= Z_ij Z_kk in an inverse
-    M-matrix. The two products with Z then add gamma_n each, being sums of nonnegative numbers.
+    LU without interchanges, and its two triangular solves, give the inverse of a matrix within 3 gamma_n |L||U| of the
+    given one (Higham, Accuracy and Stability of Numerical Algorithms, theorem 9.4); its diagonal itself carries the
+    rounding of a sum. The computed factors have the signs of an M-matrix's: off the diagonal they are sums of terms of
+    one sign, and the pivots are positive by the condition for LU. So |L| = 2 - L and |U| = 2 diag(U) - U. With
+    Z = U^-1 L^-1, which has no negative entry,
+
+        Z |L||U| Z = 4 Z diag(U) Z - 2 Z L^-1 - 2 U^-1 diag(U) Z + Z <= 4 Z diag(total) Z.
+
+    We compute how large that is relative to Z_ij. For small blocks we bound it by the sum of the growths
+    total_k Z_kk, since Z_ik Z_kj <= Z_ij Z_kk in an inverse M-matrix. The two products with Z that follow add gamma_n
+    each, being sums of nonnegative numbers.
     """
     nodes: int = inverse.shape[-1]
     if nodes <= _SUM_OF_GROWTHS:
-        amplification: FloatArray = growth.sum(axis=-1)
+        amplification: FloatArray = (np.einsum("...ii->...i", inverse) * total).sum(axis=-1)
     else:
         twice = (inverse * total[..., None, :]) @ inverse
         np.divide(twice, inverse, out=twice, where=inverse > 0)
@@ -144,24 +128,25 @@ def _rounding(inverse: FloatArray, total: FloatArray, growth: FloatArray, ports:
     return amplification
 
 
-def _by_halves(between: FloatArray, to_ground: FloatArray) -> FloatArray:
-    """:func:`impedance` without a single subtraction: the first half of the nodes is eliminated, which adds to the
-    conductances of the second half; that half's impedance then gives the first half's.
+def _by_halves(between: FloatArray, to_ground: FloatArray, ports: int) -> Rounded:
+    """Invert by block elimination of one half of the nodes, then the other; arguments as for :func:`inverted`.
+
+    What the first half passes to the second counts as its conductance to ground. The Schur complement of the first
+    half is formed in positive arithmetic, as conductances between the nodes of the second half and from them to ground.
     """
     nodes = between.shape[-1]
-    if nodes == 1:
-        return 1.0 / np.where(to_ground == 0, 1.0, to_ground)[..., None]
     one, other = slice(0, nodes // 2), slice(nodes // 2, None)
     across = between[..., one, other]
-    own = _by_halves(between[..., one, one], to_ground[..., one] + across.sum(axis=-1))
+    own, first = inverted(between[..., one, one], to_ground[..., one] + across.sum(axis=-1), ports + nodes)
     share = own @ across  # volts at the first half for 1 V at a node of the second
     added = np.swapaxes(across, -1, -2) @ share
     np.einsum("...ii->...i", added)[...] = 0.0
     leak = (np.swapaxes(share, -1, -2) @ to_ground[..., one, None])[..., 0]
-    rest = _by_halves(between[..., other, other] + added, to_ground[..., other] + leak)
-    result = np.empty_like(between)
+    rest, second = inverted(between[..., other, other] + added, to_ground[..., other] + leak, ports + nodes)
+    result = np.empty(between.shape)
     result[..., other, other] = rest
     result[..., one, other] = share @ rest
     result[..., other, one] = np.swapaxes(result[..., one, other], -1, -2)
     result[..., one, one] = own + result[..., one, other] @ np.swapaxes(share, -1, -2)
-    return result
+    # Two stages, one after the other; the products that join their impedances add a few gamma_n of nonnegative sums.
+    return Rounded(result, first + second + ULP * (6.0 * nodes + ports))

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ._elimination import eliminate_leading
+from ._elimination import ULP, Rounded, eliminate_leading
 from ._ports import IDEAL_WIRE, LARGEST_PART
 
 _LEAF = 48  # branches that are assembled and eliminated at once
@@ -52,10 +52,12 @@ class _Part(NamedTuple):
     touched: IntArray
     """how many of each node's branches and elements are in"""
     between: FloatArray
+    relative: FloatArray
+    """(...,) bound on the relative error of ``between``"""
 
 
-def reduce(network: Network) -> FloatArray:
-    """Port conductances (..., ports, ports) in S, zero on the diagonal."""
+def reduce(network: Network) -> Rounded:
+    """Port conductances (..., ports, ports) in S, zero on the diagonal, and their relative error (...,)."""
     conductance, elements = _capped(network)
     branches = len(network.ends)
     degree = np.bincount(network.ends.ravel(), minlength=len(network.place))
@@ -79,7 +81,7 @@ def reduce(network: Network) -> FloatArray:
             at = np.searchsorted(nodes, element.nodes)
             touched[at] += 1
             between[..., at[:, None], at] += element.between
-        return _Part(nodes, touched, between)
+        return _Part(nodes, touched, between, np.full(between.shape[:-2], ULP * len(lines)))
 
     def part(items: IntArray) -> _Part:
         among = items[items >= branches] - branches
@@ -95,7 +97,8 @@ def reduce(network: Network) -> FloatArray:
             at = np.searchsorted(nodes, half.nodes)
             touched[at] += half.touched
             between[..., at[:, None], at] += half.between
-        return without_inner(_Part(nodes, touched, between))
+        relative = np.maximum(halves[0].relative, halves[1].relative) + ULP
+        return without_inner(_Part(nodes, touched, between, relative))
 
     def without_inner(whole: _Part) -> _Part:
         done = (whole.touched == degree[whole.nodes]) & ~is_port[whole.nodes]
@@ -104,13 +107,13 @@ def reduce(network: Network) -> FloatArray:
             return whole
         order = np.argsort(~done, kind="stable")
         kept = order[gone:]
-        between = eliminate_leading(whole.between[..., order[:, None], order], gone)
-        return _Part(whole.nodes[kept], whole.touched[kept], between)
+        between, relative = eliminate_leading(whole.between[..., order[:, None], order], gone)
+        return _Part(whole.nodes[kept], whole.touched[kept], between, whole.relative + relative)
 
     whole = part(np.arange(branches + len(elements)))
     order = np.argsort(whole.nodes)
     at = order[np.searchsorted(whole.nodes, network.ports, sorter=order)]
-    return whole.between[..., at[:, None], at]
+    return Rounded(whole.between[..., at[:, None], at], whole.relative)
 
 
 def _capped(network: Network) -> tuple[FloatArray, list[Element]]:

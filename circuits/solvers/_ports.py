@@ -17,7 +17,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ._dissection import Tree, dissect
-from ._elimination import account, eliminate_leading, rounding_meter
+from ._elimination import ULP, Rounded, eliminate_leading
 
 IDEAL_WIRE = 1e20  # conductance of 0 ohm, relative to the largest one it must outdo
 LARGEST_PART = 1e14  # S that a part outside the grid (load, lead, Rref/(1 + A)) is taken to have at most
@@ -38,7 +38,7 @@ class Lines:
     exit: FloatArray | None = None
 
 
-def port_conductances(conductance: FloatArray, lines: Lines) -> FloatArray:
+def port_conductances(conductance: FloatArray, lines: Lines) -> Rounded:
     """Reduce grids to their ports.
 
     Args:
@@ -47,23 +47,25 @@ def port_conductances(conductance: FloatArray, lines: Lines) -> FloatArray:
 
     Returns:
         (..., N + M, N + M) S between the N row terminals (ahead of their leads) and the M column terminals (behind
-        their exits), zero on the diagonal.
+        their exits), zero on the diagonal; and the relative error (...,) of each network's conductances.
 
     """
     *batch, rows, columns = conductance.shape
     ports, relative = _ports(conductance.reshape(-1, rows, columns), lines, transfer_only=False)
-    account(float(relative.max(initial=0.0)))
-    return ports.reshape(*batch, rows + columns, rows + columns)
+    return Rounded(ports.reshape(*batch, rows + columns, rows + columns), relative.reshape(batch))
 
 
-def transfer_conductances(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray]:
-    """The block (..., N, M) of :func:`port_conductances` between rows and columns, at a fraction of the work: with
-    all else at ground, the current in S into each column terminal for each row's. And by how much, relative to each,
-    the conductances of each network (...,) were changed by rounding, see :func:`._elimination.rounding_meter`.
+def transfer_conductances(conductance: FloatArray, lines: Lines) -> Rounded:
+    """The block between rows and columns of :func:`port_conductances`, at a fraction of the work.
+
+    Returns:
+        (..., N, M) S: the current into each column terminal for 1 V at each row terminal, all other terminals at
+        ground; and the relative error (...,) of each network's conductances.
+
     """
     *batch, rows, columns = conductance.shape
     transfer, relative = _ports(conductance.reshape(-1, rows, columns), lines, transfer_only=True)
-    return transfer.reshape(*batch, rows, columns), relative.reshape(batch)
+    return Rounded(transfer.reshape(*batch, rows, columns), relative.reshape(batch))
 
 
 class Stream:
@@ -75,21 +77,20 @@ class Stream:
         self._lines = lines
         self._tree = Tree(*lines.row.shape)
 
-    def transfer(self, conductance: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def transfer(self, conductance: FloatArray) -> Rounded:
         """As :func:`transfer_conductances`, for a frame (N, M) of cells in S."""
         transfer, relative = self._tree.transfer(*_turned(conductance[None], self._lines))
-        return transfer[0, ::-1, ::-1].copy(), relative[0]
+        return Rounded(transfer[0, ::-1, ::-1].copy(), relative[0])
 
 
-def _ports(conductance: FloatArray, lines: Lines, *, transfer_only: bool) -> tuple[FloatArray, FloatArray]:
+def _ports(conductance: FloatArray, lines: Lines, *, transfer_only: bool) -> Rounded:
     """(frames, N + M, N + M), or (frames, N, M) with ``transfer_only``, and relative rounding errors (frames,)."""
     rows = conductance.shape[1]
     if has_ideal_lines(lines):
-        with rounding_meter() as meter:
-            network = _ideal_lines(*_capped(conductance, lines), lines.exit)
-        return network[:, :rows, rows:] if transfer_only else network, np.full(len(network), meter.relative)
+        network, relative = _ideal_lines(*_capped(conductance, lines), lines.exit)
+        return Rounded(network[:, :rows, rows:] if transfer_only else network, relative)
     network, relative = dissect(*_turned(conductance, lines), transfer_only)
-    return network[:, ::-1, ::-1], relative
+    return Rounded(network[:, ::-1, ::-1], relative)
 
 
 def _turned(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -116,9 +117,10 @@ def _capped(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArr
     return cells, row, column
 
 
-def _ideal_lines(cells: FloatArray, row: FloatArray, column: FloatArray, exits: FloatArray | None) -> FloatArray:
-    """Without segment resistance a line is one node, and only leads and exits are left to eliminate; the rows in
-    closed form, since rows meet columns only. ``exits`` (columns,) tells which are ideal.
+def _ideal_lines(cells: FloatArray, row: FloatArray, column: FloatArray, exits: FloatArray | None) -> Rounded:
+    """Ports of grids without segment resistance: each line is one node, and only leads and exits are eliminated.
+
+    Rows are eliminated in closed form, since a row meets columns only. ``exits`` (columns,) tells which are ideal.
     """
     frames, rows, columns = cells.shape
     lead, ended = row[:, 0], np.zeros(columns, dtype=np.bool_) if exits is None else np.isfinite(exits)
@@ -137,7 +139,12 @@ def _ideal_lines(cells: FloatArray, row: FloatArray, column: FloatArray, exits: 
     stay = np.arange(rows + columns)
     stay[near] = far
     order = np.concatenate([near, stay])
-    return eliminate_leading(network[:, order[:, None], order], len(near)) if len(near) else network
+    # A row's conductances: a sum over its columns, a quotient and a product; then a sum over the rows.
+    relative = np.full(frames, ULP * (rows + columns + 4.0))
+    if not len(near):
+        return Rounded(network, relative)
+    network, eliminated = eliminate_leading(network[:, order[:, None], order], len(near))
+    return Rounded(network, relative + eliminated)
 
 
 def _largest_finite(values: FloatArray, most: float) -> float:

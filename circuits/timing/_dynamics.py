@@ -58,14 +58,14 @@ def column_conductances(design: Design, resistance: FloatArray) -> FloatArray:
     With floating idle rows Y depends on the selected row, which is the first axis.
     """
     rows, columns = design.array.shape
-    ports = exact_ports(design, resistance)
+    ports = exact_ports(design, resistance).value
     if design.drive.idle_rows == "ground":
         between, to_ground = ports[None, rows:, rows:], ports[None, rows:, :rows].sum(axis=-1)
     else:
         between, to_ground = np.empty((rows, columns, columns)), np.empty((rows, columns))
         for row in range(rows):
             order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
-            alone = eliminate_leading(ports[np.ix_(order, order)], rows - 1)
+            alone = eliminate_leading(ports[np.ix_(order, order)], rows - 1).value
             between[row], to_ground[row] = alone[1:, 1:], alone[0, 1:]
     conductances = -between
     diagonal = np.arange(columns)

@@ -1,7 +1,7 @@
-"""Configuration files: TOML in, checked and frozen models out.
+"""Configuration files: TOML to checked, frozen models (pydantic) and back.
 
-The types and limits are declared on the models (pydantic); this module only finds the file, and turns
-pydantic's structured errors into one line that names the file, the key and what was expected.
+The types and limits are declared on the models. This module reads and writes the files, and turns pydantic's
+structured errors into one line that names the file, the key and what was expected.
 """
 
 from __future__ import annotations
@@ -12,9 +12,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
+import tomli_w
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from .errors import InputError
+from .files import read_text
+from .tables import write_text
+from .text import printable, shortened
 
 
 class Section(BaseModel):
@@ -60,23 +64,41 @@ def load(path: str | Path, model: type[S]) -> S:
 
 
 def read_toml(path: str | Path) -> dict[str, Any]:
-    """The tables of a TOML file; InputError when there is no such file or it is not TOML."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read: {_reason(error)}") from error
+    """The tables of a TOML file; InputError when there is no such file, it is too large, or it is not TOML."""
+    text = read_text(path)
     if not text.strip():
         raise InputError(f"{path}: the file is empty; expected TOML tables")
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path}: not valid TOML: {error}") from error
+    except RecursionError as error:
+        raise InputError(f"{path}: not valid TOML: arrays or tables are nested too deeply") from error
+    except ValueError as error:  # TOMLDecodeError, and integers of more digits than Python converts
+        raise InputError(f"{path}: not valid TOML: {shortened(str(error), 200)}") from error
+
+
+def write_toml(path: str | Path, tables: Mapping[str, Any], *, comment: str = "") -> None:
+    """Write nested tables of numbers, strings and lists as TOML, whole or not at all.
+
+    Args:
+        path: where to.
+        tables: values by key, for example from ``section.model_dump(exclude_none=True)``; TOML has no null.
+        comment: goes to the head of the file, each line behind a ``#``.
+
+    Raises:
+        InputError: the file cannot be written.
+
+    """
+    head = "".join(f"# {printable(line)}\n" for line in comment.splitlines())
+    write_text(path, head + tomli_w.dumps(tables))
 
 
 def parse(tables: Mapping[str, Any], model: type[S], *, source: str) -> S:
     """Check ``tables`` against ``model``; ``source`` names them in messages. Raises InputError."""
     try:
+        _check_integers(tables, source)
         return model.model_validate(tables)
+    except RecursionError as error:
+        raise InputError(f"{source}: tables are nested too deeply") from error
     except ValidationError as error:
         raise InputError(f"{source}: {describe(error, model)}") from error
 
@@ -102,8 +124,20 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
         case _:
             message = first["msg"][0].lower() + first["msg"][1:]
     given = first["input"]
-    shown = "" if isinstance(given, (dict, BaseModel)) else f" (got {given!r})"
+    shown = "" if isinstance(given, (dict, BaseModel)) else f" (got {_shown(given)})"
     return f"{where}: {message}{shown}" if where else f"{message}{shown}"
+
+
+def _check_integers(value: Any, source: str, where: str = "") -> None:
+    """InputError for an integer beyond TOML's 64 bits, which no validator could turn into a float."""
+    if isinstance(value, Mapping):
+        for key, item in value.items():
+            _check_integers(item, source, f"{where}.{key}" if where else str(key))
+    elif isinstance(value, list | tuple):
+        for index, item in enumerate(value):
+            _check_integers(item, source, f"{where}[{index}]")
+    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        raise InputError(f"{source}: {where}: an integer has at most 64 bits (got {_shown(value)})")
 
 
 def _dotted(location: tuple[int | str, ...]) -> str:
@@ -128,5 +162,9 @@ def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[st
     return [field.alias or name for name, field in model.model_fields.items()]
 
 
-def _reason(error: Exception) -> str:
-    return (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
+def _shown(value: Any) -> str:
+    """A rejected value, as far as it fits into a message."""
+    try:
+        return shortened(repr(value))
+    except ValueError:  # Python does not print integers of more than 4300 digits
+        return "an integer of thousands of digits"

@@ -1,17 +1,26 @@
-"""CSV in and out: matrices of cells and columns of a recording. Faults name the file and the line."""
+"""CSV files: matrices of cells and columns of recordings. Errors name the file and the line."""
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from array import array
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from .arrays import FloatArray
 from .errors import InputError
-from .files import whole_file
+from .files import read_lines, whole_file
+from .text import shortened
+
+MOST_CELL_BYTES = 64 * 2**20
+"""size limit of a frame: 1024 x 1024 numbers of 25 characters take 26 MiB"""
+MOST_RECORDING_BYTES = 512 * 2**20
+"""size limit of a recording: a day at 100 samples/s takes about 400 MB"""
+LONGEST_LINE = 2**20
+"""bytes: 1024 numbers take 26 KiB"""
 
 
 def read_cells(path: str | Path, shape: tuple[int, int]) -> FloatArray:
@@ -21,16 +30,17 @@ def read_cells(path: str | Path, shape: tuple[int, int]) -> FloatArray:
         InputError: unreadable, empty or ragged file, another shape, a field that is not a number, negative or NaN.
 
     """
-    lines = _lines(path)
-    rows = [[_resistance(path, line, field) for field in fields] for line, fields in lines]
-    for (line, _), row in zip(lines, rows, strict=True):
-        if len(row) != len(rows[0]):
-            raise InputError(f"{path}: line {line}: lines of unequal length, {len(row)} fields after {len(rows[0])}")
-    matrix = np.array(rows, dtype=np.float64)
-    if matrix.shape != shape:
-        found, wanted = "{} lines of {} numbers".format(*matrix.shape), "{} lines of {}".format(*shape)
+    values = array("d")
+    rows = columns = 0
+    for line, fields in _lines(path, MOST_CELL_BYTES):
+        values.extend(_resistance(path, line, field) for field in fields)
+        rows, columns = rows + 1, columns or len(fields)
+        if len(fields) != columns:
+            raise InputError(f"{path}: line {line}: lines of unequal length, {len(fields)} fields after {columns}")
+    if (rows, columns) != shape:
+        found, wanted = f"{rows} lines of {columns} numbers", "{} lines of {}".format(*shape)
         raise InputError(f"{path}: has {found}, expected {wanted} (rows x columns of the design)")
-    return matrix
+    return np.array(values).reshape(shape)
 
 
 def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, FloatArray]:
@@ -40,23 +50,23 @@ def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, FloatArray
         InputError: unreadable or empty file, a missing column, or a field that is not a number.
 
     """
-    lines = iter(_lines(path))
+    lines = _lines(path, MOST_RECORDING_BYTES)
     _, header = next(lines)
     header = [name.strip() for name in header]
     missing = [name for name in names if name not in header]
     if missing:
         raise InputError(
-            f"{path}: line 1: no column '{missing[0]}'; expected {','.join(names)}, got {','.join(header)}"
+            f"{path}: line 1: no column '{missing[0]}'; expected {','.join(names)}, got {shortened(','.join(header))}"
         )
     places = [header.index(name) for name in names]
-    values: list[list[float]] = []
+    values = array("d")
     for line, fields in lines:
         if len(fields) != len(header):
             raise InputError(f"{path}: line {line}: {len(fields)} fields, expected {len(header)}")
-        values.append([_number(path, line, fields[k], empty_is_nan=True) for k in places])
+        values.extend(_number(path, line, fields[k], empty_is_nan=True) for k in places)
     if not values:
         raise InputError(f"{path}: no data below the header")
-    table = np.array(values, dtype=np.float64)
+    table = np.array(values).reshape(-1, len(names))
     return {name: table[:, k].copy() for k, name in enumerate(names)}
 
 
@@ -78,22 +88,27 @@ def write_columns(path: str | Path, columns: Mapping[str, Iterable[float]]) -> N
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a whole file or nothing; InputError where it cannot be written."""
+    """Write a whole UTF-8 file or nothing; InputError where it cannot be written.
+
+    Lone surrogates, which stand for the bytes of a file name that is not UTF-8, become backslash escapes.
+    """
     with whole_file(path) as file:
-        file.write(text.encode())
+        file.write(text.encode("utf-8", "backslashreplace"))
 
 
-def _lines(path: str | Path) -> list[tuple[int, list[str]]]:
+def _lines(path: str | Path, most_bytes: int) -> Iterator[tuple[int, list[str]]]:
     """Non-blank lines with their numbers, split into fields."""
+    empty = True
+    reader = csv.reader(read_lines(path, most_bytes=most_bytes, longest_line=LONGEST_LINE))
     try:
-        with open(path, newline="", encoding="utf-8-sig") as file:
-            lines = [(n, fields) for n, fields in enumerate(csv.reader(file), 1) if any(f.strip() for f in fields)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        reason = error.strerror if isinstance(error, OSError) else str(error)
-        raise InputError(f"{path}: cannot be read: {reason}") from error
-    if not lines:
+        for fields in reader:
+            if any(field.strip() for field in fields):
+                empty = False
+                yield reader.line_num, fields
+    except csv.Error as error:
+        raise InputError(f"{path}: line {reader.line_num}: cannot be read: {error}") from error
+    if empty:
         raise InputError(f"{path}: the file is empty")
-    return lines
 
 
 def _resistance(path: str | Path, line: int, field: str) -> float:
@@ -109,7 +124,7 @@ def _number(path: str | Path, line: int, field: str, *, empty_is_nan: bool = Fal
     try:
         return float(field)
     except ValueError:
-        shown = field.strip() if len(field) < 40 else field.strip()[:36] + " ..."
+        shown = shortened(field.strip(), 40)
         raise InputError(
             f"{path}: line {line}: {shown!r} is not a number; expected numbers separated by commas"
         ) from None

@@ -1,21 +1,37 @@
 """The command ``ohmskin``: one module per command, imported only when that command is called.
 
-Exit codes: 0 done; 1 a requirement fails (``verify``); 2 bad input, a missing extra, or a port error, with one
-line on standard error and nothing half-written; 3 something could not be run (``verify``); 130 interrupted.
+Every error is one line on standard error. The exit code says what happened:
+
+=====  ============================================================================================
+0      done
+1      a requirement fails (``verify``)
+2      bad input, a missing extra, a port error, or an output that cannot be written
+3      something could not be run (``verify``)
+70     a defect of ohmskin; ``--debug`` shows the traceback
+130    interrupted (128 + the number of the signal: 129 hung up, 143 terminated)
+141    the reader of standard output went away
+=====  ============================================================================================
 """
 
 from __future__ import annotations
 
 import difflib
+import errno
 import importlib
 import os
+import signal
 import sys
+import traceback
+from collections.abc import Sequence
+from io import BufferedWriter, FileIO, TextIOWrapper
 from typing import Any
 
 import click
+from click.shell_completion import shell_complete
 
-from .. import __version__
+from .. import __version__, _signals
 from ..errors import OhmskinError
+from ..text import one_line
 
 # name -> one-line help. The module cli/NAME.py holds a click command called `command`.
 COMMANDS = {
@@ -27,6 +43,18 @@ COMMANDS = {
     "estimate": "Estimate pressure from a recording of resistance.",
     "bench": "Measure speed against error: all methods and their peers.",
 }
+
+BAD_INPUT, DEFECT = 2, 70
+_COMPLETE = "_OHMSKIN_COMPLETE"
+"""the variable by which a shell asks for completions, as click's documentation names it"""
+
+_debug = click.Option(
+    ["--debug"],
+    is_flag=True,
+    expose_value=False,
+    callback=lambda ctx, option, given: ctx.find_root().ensure_object(dict).update(debug=True) if given else None,
+    help="Show the traceback of an error.",
+)
 
 
 class _LazyGroup(click.Group):
@@ -40,12 +68,14 @@ class _LazyGroup(click.Group):
             return None
         command = importlib.import_module(f".{cmd_name}", __name__).command
         assert isinstance(command, click.Command)
+        if _debug not in command.params:
+            command.params.append(_debug)
         return command
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args and args[0] not in COMMANDS and not args[0].startswith("-"):
+        if args and args[0] not in COMMANDS and not args[0].startswith("-") and not ctx.resilient_parsing:
             near = difflib.get_close_matches(args[0], COMMANDS, n=1, cutoff=0.0)[0]
             raise click.UsageError(f"no command '{args[0]}'; the nearest is '{near}'")
         return super().resolve_command(ctx, args)
@@ -55,38 +85,93 @@ class _LazyGroup(click.Group):
             formatter.write_dl(list(COMMANDS.items()))
 
 
-@click.group(cls=_LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(
+    cls=_LazyGroup,
+    params=[_debug],
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Example: ohmskin verify design.toml. Every command has a --help with an example.",
+)
 @click.version_option(__version__, prog_name="ohmskin")
 def ohmskin() -> None:
     """Readout, emulation, driver and verification of resistive robot skins."""
+    _signals.raise_from_now_on()
 
 
-def main(args: list[str] | None = None) -> None:
-    """Run the command line and exit; every :class:`OhmskinError` becomes one line and exit code 2."""
-    sys.exit(run(args))
+def main(args: Sequence[str] | None = None) -> None:
+    """Run the command line and exit."""
+    _signals.leave_at_once()
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout = _standard_output(sys.stdout)
+    code = run(args)
+    _signals.leave_from_now_on(code)
+    sys.exit(code)
 
 
-def run(args: list[str] | None = None) -> int:
-    """Run the command line and return the exit code."""
+def run(args: Sequence[str] | None = None) -> int:
+    """Run the command line and return the exit code; every error becomes one line."""
+    arguments = sys.argv[1:] if args is None else list(args)
+    if _COMPLETE in os.environ:
+        return shell_complete(ohmskin, {}, "ohmskin", _COMPLETE, os.environ[_COMPLETE])
+    state: dict[str, bool] = {}
     try:
-        result: Any = ohmskin.main(args=args, prog_name="ohmskin", standalone_mode=False)
-    except OhmskinError as error:
-        click.echo(f"ohmskin: {' '.join(str(error).split())}", err=True)
-        return 2
-    except click.exceptions.NoArgsIsHelpError as error:
-        click.echo(error.format_message())
-        return 2
-    except click.ClickException as error:
-        click.echo(f"ohmskin: {' '.join(error.format_message().split())}", err=True)
-        return 2
+        return _invoke(arguments, state)
     except click.exceptions.Exit as error:
         return error.exit_code
-    except (click.Abort, KeyboardInterrupt):
-        click.echo("ohmskin: interrupted", err=True)
-        return 130
-    except OSError as error:
-        # Files are the library's to open, and its errors are caught above: what is left is standard output.
+    except (KeyboardInterrupt, click.Abort) as error:
+        number = getattr(error, "signal_number", signal.SIGINT)
+        return _failed(_signals.NAMES.get(number, "interrupted"), 128 + number, state)
+    except click.ClickException as error:
+        return _failed(error.format_message(), BAD_INPUT, state)
+    except OhmskinError as error:
+        return _failed(str(error), BAD_INPUT, state)
+    except _StandardOutputError as error:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115  # so that its flush at exit does not fail again
-        click.echo(f"ohmskin: standard output: {error.strerror or error}", err=True)
-        return 2
+        if error.errno == errno.EPIPE:
+            return 128 + signal.SIGPIPE
+        return _failed(f"standard output: {error.strerror or error}", BAD_INPUT, state)
+    except Exception as error:
+        return _failed(_defect(error), DEFECT, state)
+
+
+def _invoke(arguments: list[str], state: dict[str, bool]) -> int:
+    """Parse and run. Not by ``ohmskin.main``, which has handlers of its own for interrupts and for broken pipes."""
+    try:
+        with ohmskin.make_context("ohmskin", arguments, obj=state) as context:
+            result: Any = ohmskin.invoke(context)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        return BAD_INPUT
     return result if isinstance(result, int) else 0
+
+
+def _failed(message: str, code: int, state: dict[str, bool]) -> int:
+    if state.get("debug"):
+        traceback.print_exc()
+    click.echo(f"ohmskin: {one_line(message)}", err=True)
+    return code
+
+
+def _defect(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        return "out of memory"
+    return f"a defect of ohmskin, {type(error).__name__}: {error} (--debug shows where)"
+
+
+class _StandardOutputError(OSError):
+    """Standard output cannot be written; told apart from the errors of other files and of sockets."""
+
+
+class _StandardOutput(FileIO):
+    """Descriptor 1, whose errors say so."""
+
+    def write(self, data: Any) -> Any:
+        try:
+            return super().write(data)
+        except OSError as error:
+            raise _StandardOutputError(*error.args) from error
+
+
+def _standard_output(present: TextIOWrapper) -> TextIOWrapper:
+    """What takes the place of ``sys.stdout``: text that does not fit the terminal's encoding is escaped."""
+    raw = _StandardOutput(present.fileno(), "wb", closefd=False)
+    return TextIOWrapper(BufferedWriter(raw), present.encoding, "backslashreplace", line_buffering=present.isatty())

@@ -6,9 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..cell import Cell
-from ..cell._calibrate import run
-from ..cell._recording import check_time
+from ..cell import Cell, check_times, estimate_recording
 from ..tables import read_columns, write_columns
 
 
@@ -21,7 +19,7 @@ def command(recording: Path, cell_file: Path, output: Path, estimator: str | Non
     """Estimate pressure from the columns time_s,resistance_ohm of IN.csv, causally, sample by sample."""
     columns = read_columns(recording, ("time_s", "resistance_ohm"))
     time, resistance = columns["time_s"], columns["resistance_ohm"]
-    check_time(time, str(recording))
-    pressure, std = run(Cell.load(cell_file).estimator((), estimator), time, resistance)
+    check_times(time, str(recording))
+    pressure, std = estimate_recording(Cell.load(cell_file).estimator((), estimator), time, resistance)
     found = {"time_s": time, "pressure_kpa": pressure}
     write_columns(output, found if std is None else found | {"std_kpa": std})

@@ -6,10 +6,7 @@ from pathlib import Path
 
 import click
 
-from ..cell import _report as report
-from ..cell._calibrate import calibrate
-from ..cell._protocol import check, describe
-from ..cell._recording import Recording
+from ..cell import Recording, calibrate, calibration_figure, calibration_text, check_protocol, protocol_text
 
 
 @click.command()
@@ -30,16 +27,16 @@ def command(
     if steps is None:
         if not protocol:
             raise click.UsageError("expected STEPS.csv, or --protocol to print the presses to apply")
-        click.echo(describe())
+        click.echo(protocol_text())
         return
     recording = Recording.load(steps)
     if protocol:
-        for line in check(recording, full_scale):
+        for line in check_protocol(recording, full_scale):
             click.echo(line)
     found = calibrate(recording, full_scale_kpa=full_scale)
-    summary = report.text(found)
+    summary = calibration_text(found)
     if plot is not None:
-        report.figure(found, plot)
+        calibration_figure(found, plot)
     if output is not None:
         found.cell.save(output, comment=summary)
     click.echo(summary)

@@ -1,0 +1,28 @@
+"""Text from files, boards and file names, made safe to show on a terminal, in XML or in HTML."""
+
+from __future__ import annotations
+
+LONGEST_SHOWN = 60
+"""characters of a rejected value that a message repeats"""
+
+
+def printable(text: str) -> str:
+    """``text`` with control characters, bidirectional marks and lone surrogates as backslash escapes.
+
+    A file can hold escape sequences that would command the terminal, and a file name need not be valid UTF-8.
+    """
+    return "".join(letter if letter.isprintable() else _escaped(letter) for letter in text)
+
+
+def one_line(text: str) -> str:
+    """``text`` as one printable line: runs of white space become one space."""
+    return printable(" ".join(text.split()))
+
+
+def shortened(text: str, longest: int = LONGEST_SHOWN) -> str:
+    """``text``, or its beginning with an ellipsis where it is longer than ``longest`` characters."""
+    return text if len(text) <= longest else text[: longest - 4] + " ..."
+
+
+def _escaped(letter: str) -> str:
+    return letter.encode("unicode_escape", "surrogatepass").decode("ascii")

@@ -1,0 +1,85 @@
+"""Worker processes (a process pool) that end with their parent, however the parent ends.
+
+The workers of ``concurrent.futures`` outlive a parent that is killed, and an interrupted pool waits until every task is
+done. Here each worker holds the reading end of a pipe whose writing end only the parent has. The kernel closes that end
+when the parent dies, and the parent closes it when it gives up; either way the worker leaves at once.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def in_processes(
+    function: Callable[[T], R], items: Iterable[T], *, jobs: int, done: Callable[[R], None] | None = None
+) -> list[R]:
+    """``[function(item) for item in items]``, computed by ``jobs`` processes side by side.
+
+    The processes are spawned, so that a script which calls this needs ``if __name__ == "__main__":``. They ignore
+    Ctrl-C; the exception that it raises in the parent ends them.
+
+    Args:
+        function: a function of a module; it and the items are pickled.
+        items: one task each.
+        jobs: 1 computes in this process.
+        done: called in the parent with each result as it arrives, for progress.
+
+    Raises:
+        Whatever ``function`` raises; the tasks that are left are then given up.
+
+    """
+    tell = done or (lambda result: None)
+    if jobs == 1:
+        results = []
+        for item in items:
+            results.append(function(item))
+            tell(results[-1])
+        return results
+    context = multiprocessing.get_context("spawn")
+    alive, held_by_parent = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(jobs, context, _end_with_parent, (alive,))
+    try:
+        with _interrupts_blocked():  # a spawned process inherits the mask; Ctrl-C is for the parent to handle
+            futures: list[Future[R]] = [pool.submit(function, item) for item in items]
+        for future in as_completed(futures):
+            tell(future.result())
+        return [future.result() for future in futures]
+    except BaseException:
+        held_by_parent.close()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+        held_by_parent.close()
+        alive.close()
+
+
+def _end_with_parent(alive: Connection) -> None:
+    """In a new worker: a thread that waits for the end of the parent."""
+
+    def wait() -> None:
+        try:
+            alive.recv_bytes()  # nothing is ever sent
+        except (EOFError, OSError):
+            os._exit(1)
+
+    threading.Thread(target=wait, daemon=True, name="end with parent").start()
+
+
+@contextmanager
+def _interrupts_blocked() -> Iterator[None]:
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

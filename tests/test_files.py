@@ -1,0 +1,184 @@
+"""Output that replaces a file atomically, or is written through; input that is read up to a limit."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from ohmskin.config import read_toml, write_toml
+from ohmskin.errors import InputError, LinkError
+from ohmskin.files import check_writable, read_bytes, whole_file, write_together
+from ohmskin.tables import read_cells, read_columns, write_text
+from ohmskin.text import one_line, printable
+
+SCANNING = [sys.executable, "-m", "ohmskin", "scan", "design.toml", "--cells", "cells.csv", "-o"]
+
+
+@pytest.fixture
+def design(tmp_path: Path) -> Path:
+    (tmp_path / "design.toml").write_text(
+        "array = {rows = 1, columns = 2}\ndrive.voltage = -1.0\n"
+        "readout = {circuit = 'inverting-amplifier', reference_resistance = 1e3}\n"
+    )
+    (tmp_path / "cells.csv").write_text("1e4,2e4\n")
+    return tmp_path
+
+
+def test_output_to_a_descriptor_appends_where_the_shell_appends(design: Path) -> None:
+    record = design / "all.csv"
+    record.write_text("earlier\n")
+    for place in ("/dev/stdout", "/dev/fd/1", "/proc/self/fd/1"):
+        with record.open("a") as stdout:
+            subprocess.run([*SCANNING, place], cwd=design, stdout=stdout, check=True)
+    lines = record.read_text().splitlines()
+    assert lines[0] == "earlier"
+    assert len(lines) == 4
+    assert len(set(lines[1:])) == 1
+    assert sorted(path.name for path in design.iterdir()) == ["all.csv", "cells.csv", "design.toml"]
+
+
+def test_a_link_to_standard_output_is_written_through(design: Path) -> None:
+    (design / "link.csv").symlink_to("/dev/stdout")
+    shown = subprocess.run([*SCANNING, "link.csv"], cwd=design, capture_output=True, text=True, check=True).stdout
+    assert len(shown.split(",")) == 2
+    assert (design / "link.csv").is_symlink()
+
+
+def test_a_pipe_is_written_through(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with subprocess.Popen(["cat", pipe], stdout=subprocess.PIPE) as reader:
+        check_writable(pipe)
+        write_text(pipe, "through\n")
+        assert reader.stdout is not None
+        assert reader.stdout.read() == b"through\n"
+    assert pipe.is_fifo()
+
+
+def test_a_replaced_file_keeps_its_mode(tmp_path: Path) -> None:
+    file = tmp_path / "private.csv"
+    file.write_text("old")
+    file.chmod(0o640)
+    write_text(file, "new")
+    assert file.read_text() == "new"
+    assert file.stat().st_mode & 0o777 == 0o640
+
+
+def test_a_new_file_has_the_mode_that_the_user_asks_for(tmp_path: Path) -> None:
+    before = os.umask(0o027)
+    try:
+        write_text(tmp_path / "new.csv", "new")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "new.csv").stat().st_mode & 0o777 == 0o640
+
+
+def test_a_name_as_long_as_the_system_allows_can_be_written(tmp_path: Path) -> None:
+    write_text(tmp_path / ("n" * 255), "new")
+    assert [len(path.name) for path in tmp_path.iterdir()] == [255]
+
+
+@pytest.mark.parametrize("error", [InputError("of the content"), LinkError("of a port"), KeyboardInterrupt()])
+def test_an_error_within_the_block_leaves_the_old_file(error: BaseException, tmp_path: Path) -> None:
+    file = tmp_path / "kept.csv"
+    file.write_text("old")
+
+    def write() -> None:
+        with whole_file(file) as output:
+            output.write(b"half")
+            raise error
+
+    with pytest.raises(type(error)) as caught:
+        write()
+    assert caught.value is error
+    assert file.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [file]
+
+
+def test_files_are_replaced_together_or_not_at_all(tmp_path: Path) -> None:
+    first, second, third = (tmp_path / name for name in ("report.json", "report.html", "junit.xml"))
+    for file in (first, second, third):
+        file.write_text("old")
+    (tmp_path / "taken").mkdir()
+    with pytest.raises(InputError, match="taken: cannot be written: is a directory"):
+        write_together({first: b"new", tmp_path / "taken": b"new"})
+    assert first.read_text() == "old"
+    write_together({first: b"new", second: b"new", third: None})
+    assert [first.read_text(), second.read_text(), third.exists()] == ["new", "new", False]
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_a_place_is_checked_without_touching_it(tmp_path: Path) -> None:
+    file = tmp_path / "old.csv"
+    file.write_text("old")
+    check_writable(file, tmp_path / "new.csv", "/dev/full", "/dev/stdout")
+    assert file.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [file]
+    for place, reason in ((tmp_path, "is a directory"), (tmp_path / "no" / "new.csv", "No such file"), ("a\0b", "NUL")):
+        with pytest.raises(InputError, match=reason):
+            check_writable(place)
+
+
+def test_a_file_name_that_is_not_utf8_can_be_written_about(tmp_path: Path) -> None:
+    name = os.fsdecode(b"\xff.toml")
+    write_text(tmp_path / "report.txt", name)
+    assert (tmp_path / "report.txt").read_text() == r"\udcff.toml"
+    assert printable(name) == r"\udcff.toml"
+    assert one_line("red \x1b[31m\n\ttitle \u202e") == r"red \x1b[31m title \u202e"
+
+
+@pytest.mark.parametrize("device", ["/dev/full", "/dev/zero", "/dev/urandom"])
+def test_endless_input_is_refused(device: str) -> None:
+    with pytest.raises(InputError, match="larger than 16 MiB"):
+        read_toml(device)
+    with pytest.raises(InputError, match=r"longer than 1 MiB|can't decode"):
+        read_cells(device, (2, 2))
+
+
+def test_endless_lines_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.tables.MOST_RECORDING_BYTES", 10_000)
+    file = tmp_path / "long.csv"
+    file.write_text("time_s\n" + "1\n" * 4_990)
+    assert read_columns(file, ("time_s",))["time_s"].sum() == 4_990
+    file.write_text("time_s\n" + "1\n" * 5_000)
+    with pytest.raises(InputError, match="larger than 9 KiB"):
+        read_columns(file, ("time_s",))
+    with pytest.raises(InputError, match="larger than 5 bytes"):
+        read_bytes(file, most_bytes=5)
+
+
+@pytest.mark.parametrize("head", [b"", b"\xef\xbb\xbf"])
+def test_a_byte_order_mark_is_no_part_of_the_text(head: bytes, tmp_path: Path) -> None:
+    file = tmp_path / "marked"
+    file.write_bytes(head + b"key = 1\n")
+    assert read_toml(file) == {"key": 1}
+    file.write_bytes(head + b"1,2\n")
+    assert read_cells(file, (1, 2)).tolist() == [[1.0, 2.0]]
+
+
+def test_written_toml_reads_back(tmp_path: Path) -> None:
+    tables = {"number": 1e-320, "none": float("inf"), "text": 'q"\x1b\n', "table": {"list": [1, [2.5]]}}
+    write_toml(tmp_path / "out.toml", tables, comment="first\nsecond \x1b")
+    assert read_toml(tmp_path / "out.toml") == tables
+    assert (tmp_path / "out.toml").read_text().startswith("# first\n# second \\x1b\n")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_leaves_no_partial_file(number: int, tmp_path: Path) -> None:
+    code = (
+        "import time; from ohmskin import _signals; from ohmskin.files import whole_file\n"
+        "_signals.leave_at_once(); _signals.raise_from_now_on()\n"
+        "with whole_file('out') as file:\n"
+        "    print('open', flush=True); time.sleep(60)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stdout=subprocess.PIPE, stderr=-3) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        process.send_signal(number)
+        assert process.wait() != 0
+    assert not list(tmp_path.iterdir())
