@@ -6,7 +6,10 @@ SUDO   := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
 # Debian packages that the tests need: the SPICE library, and its command for the netlist tests.
 TEST_PACKAGES := libngspice0 ngspice
 
-.PHONY: demo test lint system-test-packages clean
+# Top-level folders that are packages below ohmskin; src/ohmskin links to them.
+ROOMS  := $(shell sed -n 's/^"ohmskin\.\([a-z_]*\)" = "\1"$$/\1/p' pyproject.toml)
+
+.PHONY: demo test lint links system-test-packages clean
 
 demo: $(VENV)/demo.stamp
 	@$(BIN)/ohmskin verify -o ohmskin-report; code=$$?; \
@@ -28,19 +31,24 @@ system-test-packages:
 	 if [ -n "$$missing" ]; then \
 	   $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq $$missing >/dev/null; fi
 
+# A source distribution cannot hold the links, and a checkout without symbolic links has text files in their place.
+links:
+	@for room in $(ROOMS); do [ -d src/ohmskin/$$room ] || ln -sfn ../../$$room src/ohmskin/$$room; done
+
 # Debian ships venv apart from python3; bring it when it is not there.
 $(BIN)/python:
 	@$(PYTHON) -c 'import ensurepip, venv' 2>/dev/null || { \
 	   $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq python3-venv >/dev/null; }
 	$(PYTHON) -m venv $(VENV)
 
-$(VENV)/demo.stamp: $(BIN)/python pyproject.toml
+$(VENV)/demo.stamp: $(BIN)/python pyproject.toml | links
 	$(BIN)/pip install -q --disable-pip-version-check -e '.[report,spice]'
 	@touch $@
 
-$(VENV)/dev.stamp: $(BIN)/python pyproject.toml
+$(VENV)/dev.stamp: $(BIN)/python pyproject.toml | links
 	$(BIN)/pip install -q --disable-pip-version-check -e '.[dev]'
 	@touch $@
 
 clean:
-	rm -rf $(VENV) build dist ohmskin-report src/*.egg-info
+	rm -rf $(VENV) build dist ohmskin-report *.egg-info src/*.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -prune -exec rm -rf {} +

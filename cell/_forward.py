@@ -6,12 +6,14 @@ value given, and the answer is exact for such a load whatever the step. ``dt_s =
 
 from __future__ import annotations
 
+import copy
 from abc import ABC, abstractmethod
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from . import _lag as lag
 from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
@@ -47,6 +49,84 @@ class Forward(ABC):
         self._pressure = pressure.copy()
         return resistance
 
+    def run(self, dt_s: ArrayLike, pressure_kpa: ArrayLike, cells: IntArray | None = None) -> FloatArray:
+        """Take several steps at once: the same as one call of :meth:`step` per frame, up to rounding.
+
+        Args:
+            dt_s: (frames,) seconds that each step takes.
+            pressure_kpa: (frames, *shape), or (frames, k) if ``cells`` are given.
+            cells: (k,) indices into the flattened array of the cells to step; the others stay as they are.
+
+        Returns:
+            Resistance in ohm at the end of each step, shaped as ``pressure_kpa``.
+
+        Raises:
+            InputError: a negative or infinite time step, another shape, or a pressure that is not finite.
+
+        """
+        dt, pressure = np.asarray(dt_s, dtype=np.float64), np.asarray(pressure_kpa, dtype=np.float64)
+        shape = self.shape if cells is None else cells.shape
+        if dt.ndim != 1 or pressure.shape != (len(dt), *shape):
+            raise InputError(
+                f"pressures have shape {pressure.shape}, expected (frames, *{shape}) and one dt_s per frame"
+            )
+        if not ((dt >= 0) & (dt < np.inf)).all():
+            raise InputError("time steps must be finite numbers of seconds >= 0")
+        if not np.isfinite(pressure).all():
+            raise InputError("pressure is not finite everywhere; expected kPa")
+        if not len(dt):
+            return np.empty(pressure.shape)
+        if cells is None:
+            resistance = self._run(dt, pressure)
+            self._pressure = pressure[-1].copy()
+            return resistance
+        some = self._gathered(cells)
+        resistance = some._run(dt, pressure)
+        some._pressure = pressure[-1]
+        for name in self._STATE:
+            getattr(self, name).flat[cells] = getattr(some, name)
+        return resistance
+
+    def put_to_rest(self, cells: IntArray, tolerance: float) -> BoolArray:
+        """Forget what hardly matters any more: cells without load that remember next to nothing are at rest again.
+
+        Args:
+            cells: (k,) indices into the flattened array.
+            tolerance: largest \\|R/R0 - 1\\| that a cell without load may still have, now and later.
+
+        Returns:
+            (k,) which of the cells are at rest now. Their memory is reset.
+
+        """
+        some = self._gathered(cells)
+        resting: BoolArray = (some._pressure == 0) & (some._remembered() <= tolerance)
+        for name in self._STATE:
+            getattr(self, name).flat[cells[resting]] = 0
+        return resting
+
+    _STATE: ClassVar[tuple[str, ...]] = ("_pressure",)
+    """names of the arrays that make up the memory of the cells; all zero stands for cells at rest"""
+
+    def _gathered(self, cells: IntArray) -> Self:
+        """A copy of some of the cells, as an array of shape (k,)."""
+        some = copy.copy(self)
+        some.shape = cells.shape
+        for name in (*self._STATE, "rest_resistance_ohm"):
+            setattr(some, name, getattr(self, name).flat[cells])
+        return some
+
+    def _run(self, dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
+        """:meth:`run` for all cells; leaves ``self._pressure`` to the caller."""
+        resistance = np.empty(pressure.shape)
+        for frame, dt in enumerate(dt_s.tolist()):
+            resistance[frame] = self._step(dt, pressure[frame])
+            self._pressure = pressure[frame]
+        return resistance
+
+    def _remembered(self) -> FloatArray:
+        """Largest \\|R/R0 - 1\\| that each cell would still show, were its load taken away now."""
+        return np.zeros(self.shape)
+
     @abstractmethod
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         """Advance the memory from ``self._pressure`` to ``pressure``; the resistance in ohm."""
@@ -77,7 +157,54 @@ class PaperForward(Forward):
         self._settled = np.zeros(self.shape)  # kPa: the load that the rising phase has settled to
         self._x2 = np.zeros(self.shape)
         self._x3 = np.zeros(self.shape)
-        self._rising = np.ones(self.shape, dtype=bool)
+        self._rising = np.zeros(self.shape, dtype=bool)  # at rest both phases have the same memory
+
+    _STATE = ("_pressure", "_r", "_settled", "_x2", "_x3", "_rising")
+
+    def _remembered(self) -> FloatArray:
+        rising = np.abs(self._r - self._pressure / self.model.e1_kpa - self._x3)
+        remembered: FloatArray = np.where(self._rising, rising, np.abs(self._x2)) + np.abs(self._x3)
+        return remembered
+
+    def _run(self, dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
+        """All steps of a block as array operations over time.
+
+        The phase of a cell follows from its pressure alone, and within a phase its one free state (``_settled`` or
+        ``_x2``) is a linear recurrence. A hand-over between phases is linear too, since the resistance is continuous.
+        So the free state follows y' = a y + b with known a and b, step by step.
+        """
+        m, eta = self.model, self.model.etau2_kpa
+        before = np.concatenate([self._pressure[None], pressure[:-1]])
+        change = pressure - before
+        dt = dt_s.reshape(-1, *[1] * len(self.shape))
+        rising = _held(np.sign(change), np.where(self._rising, 1.0, -1.0)) > 0
+        was_rising = np.concatenate([self._rising[None], rising[:-1]])
+
+        gone3, ramp3 = lag.weights(dt, m.t3_s)
+        x3 = _recurrence(1.0 - gone3, (before * gone3 + change * ramp3) / m.e3_kpa, self._x3)
+        x3_before = np.concatenate([self._x3[None], x3[:-1]])
+
+        gone_up, ramp_up = lag.weights(dt, m.tu_s)
+        gone_down, ramp_down = lag.weights(dt, m.t2_s)
+        starts, ends = rising & ~was_rising, ~rising & was_rising
+        # At a hand-over the new state is scale * (old state) + offset.
+        scale = np.where(starts, -eta, np.where(ends, -1.0 / eta, 1.0))
+        elastic = before / m.e1_kpa + x3_before
+        taken_up = before * (1.0 + eta / m.eu1_kpa) - eta * elastic
+        handed_back = before / m.eu1_kpa + before / eta - elastic
+        offset = np.where(starts, taken_up, np.where(ends, handed_back, 0.0))
+        keep = 1.0 - np.where(rising, gone_up, gone_down)
+        driven = np.where(
+            rising, before * gone_up + change * ramp_up, (before * gone_down + change * ramp_down) / m.e2_kpa
+        )
+        first = np.where(self._rising, self._settled, self._x2)
+        free = _recurrence(keep * scale, keep * offset + driven, first)
+
+        r = np.where(rising, pressure / m.eu1_kpa + (pressure - free) / eta, pressure / m.e1_kpa + free + x3)
+        self._r, self._x3, self._rising = r[-1], x3[-1], rising[-1]
+        self._settled = np.where(self._rising, free[-1], 0.0)
+        self._x2 = np.where(self._rising, 0.0, free[-1])
+        return self.rest_resistance_ohm * (1 + r)
 
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         m, before = self.model, self._pressure
@@ -112,6 +239,11 @@ class M10Forward(Forward):
         super().reset()
         self._x1, self._x2, self._broken = (np.zeros(self.shape) for _ in range(3))
 
+    _STATE = ("_pressure", "_x1", "_x2", "_broken")
+
+    def _remembered(self) -> FloatArray:
+        return np.abs(self._x1) + np.abs(self._x2) + np.abs(self._broken)
+
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         m, s0, s1 = self.model, self._pressure / self.full_scale_kpa, pressure / self.full_scale_kpa
         self._x1 = lag.asymmetric(self._x1, m.alpha1 * s0, m.alpha1 * s1, dt_s, m.rise1_s, m.fall1_s)
@@ -135,12 +267,39 @@ class ContactForward(Forward):
         self.model, self.full_scale_kpa = model, full_scale_kpa
         super().__init__(shape, rest_resistance_ohm)
 
+    def _run(self, dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
+        return self._step(0.0, pressure)
+
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         load = np.maximum(pressure, 0) / self.full_scale_kpa
         conductance: FloatArray = (
             1 / self.rest_resistance_ohm + load**self.model.exponent / self.model.full_scale_resistance_ohm
         )
         return 1 / conductance
+
+
+def _held(sign: FloatArray, first: FloatArray) -> FloatArray:
+    """Signs (frames, ...) with each zero replaced by the last one that was not; ``first`` is the one ahead of all."""
+    known = np.concatenate([first[None], sign])
+    frames = np.arange(len(known)).reshape(-1, *[1] * first.ndim)
+    last = np.maximum.accumulate(np.where(known != 0, frames, 0), axis=0)
+    held: FloatArray = np.take_along_axis(known, last, axis=0)[1:]
+    return held
+
+
+def _recurrence(keep: FloatArray, driven: FloatArray, first: FloatArray) -> FloatArray:
+    """y[n] = keep[n] y[n-1] + driven[n] for all frames (frames, ...), from y[-1] = ``first`` on.
+
+    The frames follow each other one by one, so that the rounding errors do not depend on how a history is cut.
+    """
+    result = np.array(driven)
+    last = first
+    carried = np.empty_like(first)
+    for factor, state in zip(keep, result, strict=True):
+        np.multiply(factor, last, out=carried)
+        np.add(state, carried, out=state)
+        last = state
+    return result
 
 
 def make_forward(

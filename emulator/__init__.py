@@ -5,7 +5,7 @@ from ._line import Line, TransmitBuffer
 from ._ports import Port, PtyPort, TcpPort
 from ._run import ClockName, Outcome, Stop, emulate, running, stop_on_signals
 from ._scene import Bump, Contact, Disc, Rectangle, Scene
-from ._skin import EmulatedSkin, Sample
+from ._skin import EmulatedSkin, FrameBlock, Sample
 from ._spread import shares, spread
 from ._truth import TruthFile
 
@@ -16,6 +16,7 @@ __all__ = [
     "Contact",
     "Disc",
     "EmulatedSkin",
+    "FrameBlock",
     "Line",
     "Outcome",
     "Port",

@@ -16,8 +16,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-import numpy as np
-
 from .. import __version__
 from ..wire import Command, Decoder, DescriptionPacket, Flag, FramePacket, Order, encode
 from ._scene import Scene
@@ -37,8 +35,7 @@ class Board:
         self.overrun = False
         """set by the sender when it had to drop a frame: the next one says so"""
         self._record = record
-        self._skin = EmulatedSkin(scene, np.random.default_rng(seed))
-        self._ticks = 0
+        self._skin = EmulatedSkin(scene, seed)
         self._sequence = 0
         self._next_description_us = 0
         self._commands = Decoder()
@@ -46,23 +43,23 @@ class Board:
     @property
     def next_us(self) -> int:
         """When the next tick is due, in us since the start."""
-        return round(self._ticks * 1e6 / self.scene.board.frame_rate)
+        return self._skin.next_us
 
     def tick(self) -> list[bytes]:
         """Live through the next tick; the packets to send, each one whole."""
         time_us = self.next_us
-        self._ticks += 1
-        self._skin.advance(time_us / 1e6)
+        block, frame = self._skin.read()
         packets = []
         if time_us >= self._next_description_us:
             self._next_description_us += DESCRIPTION_PERIOD_US
             packets.append(self._describe(time_us))
         if self.streaming:
-            sample = self._skin.scan(self._sequence)
             if self._record is not None:
-                self._record(sample)
+                self._record(block.sample(frame, self._sequence))
             flags, self.overrun = Flag.OVERRUN if self.overrun else Flag.NONE, False
-            packets.append(encode(FramePacket.of(sample.counts, sequence=self._sequence, time_us=time_us, flags=flags)))
+            packets.append(
+                encode(FramePacket.of(block.counts[frame], sequence=self._sequence, time_us=time_us, flags=flags))
+            )
             self._sequence = (self._sequence + 1) % 2**32
         return packets
 

@@ -9,10 +9,11 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
 from scipy.special import erf
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..cell import Cell
 from ..circuits import Design
 from ..config import Section, parse, read_toml
@@ -117,13 +118,14 @@ class Contact(Section):
         assert area is not None
         return area.coverage(shape)
 
-    def load(self, time_s: float) -> float:
-        """KPa at ``time_s``; where two points share a time the load jumps, to the later one."""
+    def load(self, time_s: ArrayLike) -> FloatArray:
+        """KPa at each of ``time_s``; where two points share a time the load jumps, to the later one."""
+        time = np.asarray(time_s, dtype=np.float64)
         times, loads = np.transpose(self.load_kpa)
         if self.period is not None:
             # A tick that falls on a period's end but for rounding belongs to the next period.
-            time_s = max(time_s - self.period * np.floor(time_s / self.period + 1e-9), 0.0)
-        return float(np.interp(time_s, times, loads))
+            time = np.maximum(time - self.period * np.floor(time / self.period + 1e-9), 0.0)
+        return np.asarray(np.interp(time, times, loads))
 
 
 class Skin(Section):
@@ -208,9 +210,27 @@ class Scene(Section):
     def pressure_kpa(self, time_s: float) -> FloatArray:
         """(rows, columns) kPa at ``time_s``: contacts add up."""
         total = np.zeros(self.skin.design.array.shape)
-        for contact, coverage in zip(self.contact, self._coverage, strict=True):
-            total += contact.load(time_s) * coverage
+        cells, pressure = self.pressure_on(np.array([time_s]))
+        total.flat[cells] = pressure[0]
         return total
+
+    def pressure_on(self, time_s: FloatArray) -> tuple[IntArray, FloatArray]:
+        """The cells that are pressed at any of ``time_s`` (frames,), and how hard: contacts add up.
+
+        Returns:
+            (k,) indices into the flattened array in rising order, and (frames, k) kPa.
+
+        """
+        loads = [contact.load(time_s) for contact in self.contact]
+        pressing = [k for k, load in enumerate(loads) if load.any()]
+        covered = np.zeros(self.skin.design.array.shape, dtype=np.bool_)
+        for k in pressing:
+            covered |= self._coverage[k] > 0
+        cells = np.flatnonzero(covered)
+        pressure = np.zeros((len(time_s), len(cells)))
+        for k in pressing:
+            pressure += loads[k][:, None] * self._coverage[k].flat[cells]
+        return cells, pressure
 
     @cached_property
     def _coverage(self) -> list[FloatArray]:

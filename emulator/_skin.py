@@ -1,15 +1,28 @@
-"""A scene's physics, tick by tick: contacts to pressure to cells to volts to counts. No clock and no I/O."""
+"""The physics of a scene in blocks of frames: contacts to pressure to cells to volts to counts, as arrays over time.
+
+Nothing here depends on the host, on a clock or on how many frames are asked for at a time. Frames are computed ahead in
+blocks that are laid out from the first tick of a frame rate on, so that the same seed gives the same bytes whoever asks
+and whenever. Only cells that were touched and have not come back to rest are stepped.
+"""
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import CodeArray, FloatArray
-from ..circuits import adc_codes, scan
+from ..arrays import CodeArray, FloatArray, IntArray
+from ..circuits import adc_codes, scan_batch
 from ._scene import Scene
-from ._spread import spread
+from ._spread import Spreading
+
+_BLOCK_VALUES = 1 << 16
+"""cells times frames of a block: arrays of this size stay in the processor's cache"""
+_LONGEST_BLOCK = 512
+"""frames; longer blocks would not be cheaper"""
+_REST_STEPS = 1.0 / 64.0
+"""ADC steps at full scale by which a cell may still be off when it is taken to be at rest again"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,7 +31,7 @@ class Sample:
 
     sequence: int
     time_s: float
-    """since the board started"""
+    """s since the board started"""
     pressure_kpa: FloatArray
     """on the surface above each cell"""
     resistance_ohm: FloatArray
@@ -28,30 +41,134 @@ class Sample:
     counts: CodeArray
 
 
+@dataclass(frozen=True, slots=True)
+class FrameBlock:
+    """Consecutive frames of a scene. Arrays are (frames,) or (frames, rows, columns), as in :class:`Sample`."""
+
+    time_us: IntArray
+    """us since the board started"""
+    pressure_kpa: FloatArray
+    resistance_ohm: FloatArray
+    volts: FloatArray
+    counts: CodeArray
+
+    def __len__(self) -> int:
+        return len(self.time_us)
+
+    def sample(self, frame: int, sequence: int) -> Sample:
+        """One frame of the block, under the number that the board gives it."""
+        return Sample(
+            sequence,
+            int(self.time_us[frame]) / 1e6,
+            self.pressure_kpa[frame],
+            self.resistance_ohm[frame],
+            self.volts[frame],
+            self.counts[frame],
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Ticks:
+    """When frames are due: tick k at ``first_us + round(k period_us)``."""
+
+    period_us: float
+    first_us: int = 0
+
+    def at(self, tick: int) -> int:
+        """Us since the board started."""
+        return self.first_us + round(tick * self.period_us)
+
+
 class EmulatedSkin:
-    """The skin of a scene, at rest until its first tick."""
+    """The skin of a scene and the readout behind it, at rest until its first tick.
+
+    Distinguish it from :class:`ohmskin.driver.Skin`, which is a host's view of a real or emulated board, and from
+    :class:`._scene.Skin`, the ``[skin]`` table of a scene file.
+    """
+
+    def __init__(self, scene: Scene, seed: int = 0) -> None:
+        """Build the skin; ``seed`` draws the noise at the ADC."""
+        self._scene = scene
+        self._ticks = Ticks(1e6 / scene.board.frame_rate)
+        self._next_tick = 0
+        rows, columns = scene.skin.design.array.shape
+        self._physics = _Physics(scene, np.random.default_rng(seed))
+        self._length = max(1, min(_LONGEST_BLOCK, _BLOCK_VALUES // (rows * columns)))
+        self._block: FrameBlock | None = None
+        self._place = 0
+        self._before = self._physics
+
+    @property
+    def next_us(self) -> int:
+        """Time of the next frame, in us since the start."""
+        return self._ticks.at(self._next_tick)
+
+    def read(self) -> tuple[FrameBlock, int]:
+        """The next frame, as a block and the frame's place in it."""
+        if self._block is None or self._place >= len(self._block):
+            self._compute()
+        assert self._block is not None
+        place = self._place
+        self._place += 1
+        self._next_tick += 1
+        return self._block, place
+
+    def set_period(self, period_us: float) -> None:
+        """Frames come every ``period_us`` from the next one on, which stays where it was due."""
+        next_us = self.next_us
+        if self._block is not None and self._place < len(self._block):
+            # Frames computed ahead at the old rate did not happen: live through those before them again.
+            self._physics = self._before
+            if self._place:
+                self._physics.run(self._block.time_us[: self._place])
+        self._ticks, self._next_tick = Ticks(period_us, next_us), 0
+        self._block, self._place = None, 0
+
+    def _compute(self) -> None:
+        self._before = self._physics.copy()
+        times = np.array([self._ticks.at(self._next_tick + k) for k in range(self._length)])
+        self._block, self._place = self._physics.run(times), 0
+
+
+class _Physics:
+    """The state of cells and noise, and how a block of frames changes it."""
 
     def __init__(self, scene: Scene, noise: np.random.Generator) -> None:
         self._scene = scene
         self._noise = noise
-        self._cells = scene.skin.cell.forward(scene.skin.design.array.shape)
-        self._time_s: float | None = None
-        self._pressure = np.zeros(scene.skin.design.array.shape)
-        self._resistance = self._cells.step(0.0, self._pressure)
+        design = scene.skin.design
+        assert design.adc is not None  # a scene is refused without one
+        self._shape = design.array.shape
+        self._spreading = Spreading(self._shape, scene.skin.spreading_pitches)
+        self._cells = scene.skin.cell.forward(self._shape)
+        self._rest_ohm = self._cells.rest_resistance_ohm.ravel()
+        self._rest_tolerance = _REST_STEPS / 2.0**design.adc.bits
+        self._active = np.empty(0, dtype=np.intp)
+        self._time_us: int | None = None
 
-    def advance(self, time_s: float) -> None:
-        """Let the scene go on to ``time_s``; the pressure is taken to change linearly since the last call."""
-        elapsed = 0.0 if self._time_s is None else time_s - self._time_s
-        self._time_s = time_s
-        self._pressure = self._scene.pressure_kpa(time_s)
-        felt = spread(self._pressure, self._scene.skin.spreading_pitches)
-        self._resistance = self._cells.step(elapsed, felt)
+    def copy(self) -> _Physics:
+        return copy.deepcopy(self, {id(self._scene): self._scene})
 
-    def scan(self, sequence: int) -> Sample:
-        """Read the whole array as it is now."""
-        assert self._time_s is not None, "advance() first"
-        design = self._scene.skin.design
-        volts = scan(design, self._resistance).volts
+    def run(self, time_us: IntArray) -> FrameBlock:
+        """Live through frames at these times; the pressure is taken to change linearly between frames."""
+        frames, design = len(time_us), self._scene.skin.design
+        started = time_us[0] if self._time_us is None else self._time_us
+        elapsed_s = np.diff(time_us, prepend=started) / 1e6
+        self._time_us = int(time_us[-1])
+        touched, pressure = self._scene.pressure_on(time_us / 1e6)
+        felt_cells, felt = self._spreading.below(touched, pressure)
+
+        self._active = np.union1d(self._active, felt_cells)
+        on_active = np.zeros((frames, len(self._active)))
+        on_active[:, np.searchsorted(self._active, felt_cells)] = felt
+        resistance = np.repeat(self._rest_ohm[None], frames, axis=0)
+        resistance[:, self._active] = self._cells.run(elapsed_s, on_active, self._active)
+        self._active = self._active[~self._cells.put_to_rest(self._active, self._rest_tolerance)]
+
+        surface = np.zeros((frames, self._rest_ohm.size))
+        surface[:, touched] = pressure
+        resistance = resistance.reshape(frames, *self._shape)
+        volts = scan_batch(design, resistance).volts
         if self._scene.board.noise:
             volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
-        return Sample(sequence, self._time_s, self._pressure, self._resistance, volts, adc_codes(design, volts))
+        return FrameBlock(time_us, surface.reshape(volts.shape), resistance, volts, adc_codes(design, volts))

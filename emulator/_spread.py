@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.ndimage import convolve
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 
 _REACH = 4  # cells on each side
 _POINTS = 16  # Gauss-Legendre points along a cell's side
@@ -30,6 +30,41 @@ def spread(pressure_kpa: FloatArray, depth_pitches: float) -> FloatArray:
         return pressure_kpa
     felt: FloatArray = convolve(pressure_kpa, shares(depth_pitches), mode="constant")
     return felt
+
+
+class Spreading:
+    """:func:`spread` over time, for the few cells that are pressed."""
+
+    def __init__(self, shape: tuple[int, int], depth_pitches: float) -> None:
+        self._shape = shape
+        self._shares = shares(depth_pitches) if depth_pitches else None
+
+    def below(self, cells: IntArray, pressure_kpa: FloatArray) -> tuple[IntArray, FloatArray]:
+        """The cells that feel what presses on ``cells``, and the pressure on them.
+
+        Args:
+            cells: (k,) indices into the flattened array.
+            pressure_kpa: (frames, k), on the surface.
+
+        Returns:
+            (m,) indices in rising order, and (frames, m) kPa.
+
+        """
+        if self._shares is None or not len(cells):
+            return cells, pressure_kpa
+        rows, columns = self._shape
+        row, column = np.divmod(cells, columns)
+        near = np.zeros((rows + 2 * _REACH, columns + 2 * _REACH), dtype=np.bool_)
+        for down in range(2 * _REACH + 1):
+            for along in range(2 * _REACH + 1):
+                near[row + down, column + along] = True
+        felt = np.flatnonzero(near[_REACH:-_REACH, _REACH:-_REACH])
+        apart_row = felt // columns - row[:, None]
+        apart_column = felt % columns - column[:, None]
+        within = (np.abs(apart_row) <= _REACH) & (np.abs(apart_column) <= _REACH)
+        centre = np.where(within, apart_row, 0) + _REACH, np.where(within, apart_column, 0) + _REACH
+        share = np.where(within, self._shares[centre], 0.0)
+        return felt, pressure_kpa @ share
 
 
 @lru_cache(maxsize=16)

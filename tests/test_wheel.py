@@ -7,27 +7,43 @@ import os
 import shutil
 import subprocess
 import sys
+import tarfile
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from ohmskin.cli import COMMANDS
 
+LOWEST_PYTHON = (3, 11)
 ROOT = Path(__file__).parent.parent
-ROOMS = ("bench", "cell", "circuits", "driver", "emulator", "verification", "wire", "src/ohmskin")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+FOLDERS = {Path(folder).parts[0] for folder in PROJECT["tool"]["setuptools"]["package-dir"].values()}
+ROOMS = (*sorted(FOLDERS - {"src"}), "src/ohmskin")
+LEFT_OVER = shutil.ignore_patterns(
+    ".venv", ".git", "build", "dist", "*.egg-info", "__pycache__", ".*_cache", ".hypothesis", "ohmskin-report"
+)
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built from a copy, so that nothing left over in the tree can slip in or out."""
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the source distribution and the wheel made from it.
+
+    Built from a copy, so that nothing left over in the tree can slip in or out.
+    """
     source = tmp_path_factory.mktemp("source") / "ohmskin"
-    leave = shutil.ignore_patterns(".venv", ".git", "build", "*.egg-info", "__pycache__", ".*_cache", ".hypothesis")
-    shutil.copytree(ROOT, source, symlinks=True, ignore=leave)
-    target = tmp_path_factory.mktemp("wheel")
-    _run(sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "--disable-pip-version-check", "-w", target, source)
-    (built,) = target.glob("*.whl")
-    return built
+    shutil.copytree(ROOT, source, symlinks=True, ignore=LEFT_OVER)
+    target = tmp_path_factory.mktemp("built")
+    _run(sys.executable, "-m", "build", "--outdir", target, source)
+    return target
+
+
+@pytest.fixture(scope="module")
+def wheel(built: Path) -> Path:
+    (file,) = built.glob("*.whl")
+    return file
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +62,7 @@ def _run(*command: str | Path, cwd: Path | None = None, exit_code: int = 0) -> s
         [str(part) for part in command], cwd=cwd, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == exit_code, done.stdout + done.stderr
-    assert "pip" in command or not done.stderr, done.stderr  # pip has its own opinions
+    assert {"pip", "build"} & set(command) or not done.stderr, done.stderr  # these have their own opinions
     return done.stdout
 
 
@@ -60,6 +76,54 @@ def test_the_wheel_holds_every_file_of_every_room(wheel: Path) -> None:
             name = str(inside if room.startswith("src") else Path("ohmskin") / inside)
             if not any(part.is_symlink() for part in (ROOT / "src" / inside).parents):
                 assert name in packed
+
+
+def test_the_source_distribution_holds_what_a_maintainer_needs(built: Path) -> None:
+    """All but the links in src/ohmskin, which `make` puts back."""
+    (file,) = built.glob("*.tar.gz")
+    with tarfile.open(file) as archive:
+        packed = {name.partition("/")[2] for name in archive.getnames()}
+    for folder in ("docs", "examples", "tests", ".ci", *ROOMS):
+        for path in (ROOT / folder).rglob("*"):
+            linked = any(part.is_symlink() for part in [path, *path.parents])
+            if path.is_file() and not linked and "__pycache__" not in path.parts:
+                assert str(path.relative_to(ROOT)) in packed
+    assert {"Makefile", "README.md", "CHANGELOG.md", "LICENSE", "pyproject.toml"} <= packed
+
+
+def test_make_restores_the_links(built: Path, tmp_path: Path) -> None:
+    (file,) = built.glob("*.tar.gz")
+    with tarfile.open(file) as archive:
+        archive.extractall(tmp_path, filter="data")
+    (source,) = tmp_path.iterdir()
+    _run("make", "-s", "links", cwd=source)
+    for room in ROOMS[:-1]:
+        assert (source / "src" / "ohmskin" / room).samefile(source / room)
+
+
+def test_the_command_line_works_with_the_lowest_versions_that_the_metadata_allows(wheel: Path, tmp_path: Path) -> None:
+    if sys.version_info[:2] != LOWEST_PYTHON:
+        pytest.skip("the lowest versions are made for Python {}.{}".format(*LOWEST_PYTHON))
+    home, limits = tmp_path / "lowest", tmp_path / "limits.txt"
+    limits.write_text("\n".join(_lowest_versions()))
+    _run(sys.executable, "-m", "venv", home)
+    packages = [f"{wheel}[report]", "hypothesis", "pytest", "pytest-timeout"]
+    pip = [home / "bin" / "python", "-m", "pip", "install", "-q", "--disable-pip-version-check"]
+    _run(*pip, "-c", limits, *packages)
+    tests = [ROOT / "tests" / name for name in ("test_cli.py", "test_cell_cli.py", "test_files.py")]
+    pytest_alone = [home / "bin" / "python", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
+    # An old matplotlib calls what a newer pyparsing deprecates.
+    _run(*pytest_alone, "-W", "ignore::DeprecationWarning", *tests, cwd=ROOT)
+
+
+def _lowest_versions() -> list[str]:
+    """One line NAME==VERSION for every requirement of the package and of its extra `report`."""
+    lines = []
+    for text in [*PROJECT["project"]["dependencies"], *PROJECT["project"]["optional-dependencies"]["report"]]:
+        requirement = Requirement(text)
+        (bound,) = [clause.version for clause in requirement.specifier if clause.operator in (">=", "==")]
+        lines.append(f"{requirement.name}=={bound}")
+    return lines
 
 
 def test_the_wheel_holds_no_tests(wheel: Path) -> None:
