@@ -273,7 +273,10 @@ def worst_case(target: Target, box: Box) -> WorstCase:
         InputError: a continuous sheet or an array of more than 64 x 64 cells, which has no sensitivities.
     """
     starts = [
-        corner for pressed in (0.0, 1.0) for sign in (1.0, -1.0) for corner in [_named(target, box, pressed, sign)]
+        corner
+        for pressed in (0.0, 1.0)
+        for sign in (1.0, -1.0)
+        for corner in [named_corners(target, box, pressed, sign)]
     ]
     known = Corners(
         **{name: np.concatenate([getattr(s, name) for s in starts]) for name in Corners.__dataclass_fields__}
@@ -293,7 +296,8 @@ def worst_case(target: Target, box: Box) -> WorstCase:
                     break
                 moved = _improved(target, box, corner)
                 settled = all(
-                    np.array_equal(getattr(moved, name), getattr(corner, name)) for name in ("factors", "pattern", "scale")
+                    np.array_equal(getattr(moved, name), getattr(corner, name))
+                    for name in ("factors", "pattern", "scale")
                 )
                 if settled:
                     break
@@ -478,7 +482,7 @@ def _corners(
     )
 
 
-def _named(target: Target, box: Box, pressed: float, sign: float) -> Corners:
+def named_corners(target: Target, box: Box, pressed: float, sign: float) -> Corners:
     """The corners of the cells that rank highest, by derivatives at a state that all cells share."""
     shape = box.design.array.shape
     row, column = (index.ravel() for index in np.indices(shape))

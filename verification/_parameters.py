@@ -120,6 +120,12 @@ class Factors:
                 matrix[key][:, -1] = column
         return cls(tuple(found), centre, matrix)
 
+    @classmethod
+    def nominal(cls, design: Design) -> Factors:
+        """No factors: only the board with the values that ``scan`` reads with."""
+        values = _nominal_values(design)
+        return cls((), values, {key: np.zeros((len(value), 0)) for key, value in values.items()})
+
     def __len__(self) -> int:
         return len(self.factors)
 
