@@ -145,7 +145,7 @@ def scan_population(
     else:
         again = np.ones(count, dtype=np.bool_)
     for board in np.flatnonzero(again):
-        result = scan(boards.design(design, board), cells[0 if len(cells) == 1 else board], method="exact")
+        result = scan(boards.design(design, int(board)), cells[0 if len(cells) == 1 else board], method="exact")
         volts[board], saturated[board] = result.volts, result.saturated
     return PopulationReading(volts, saturated)
 
@@ -308,7 +308,8 @@ def _end_currents(seen: _Columns, resistance: FloatArray, drive: FloatArray, sou
 def _solve(matrix: FloatArray, values: FloatArray) -> FloatArray:
     """As numpy's, with NaN for the boards whose matrix is singular."""
     try:
-        return np.linalg.solve(matrix, values)
+        found: FloatArray = np.linalg.solve(matrix, values)
+        return found
     except np.linalg.LinAlgError:
         result = np.full(np.broadcast_shapes(matrix.shape[:-1], values.shape[:-1]) + values.shape[-1:], np.nan)
         for board in range(len(result)):

@@ -56,7 +56,7 @@ class Box:
         return result
 
     def converted(self, volts: FloatArray, converter: FloatArray) -> FloatArray:
-        """V at the ideal converter behind the errors (..., 3) of the real one; see :func:`ohmskin.circuits.adc_codes`."""
+        """V at an ideal converter for the errors (..., 3) of the real one, as :func:`ohmskin.circuits.adc_codes` has them."""
         adc = self.design.adc
         if adc is None:
             return volts
@@ -247,7 +247,8 @@ class WorstCase:
         state = "no sign changes at the corner itself" if self.stationary else "signs still changed at the corner"
         if np.isinf(self.value):
             return f"{self.solved} corners solved, for {extent}; the first one beyond a limit ends the search"
-        return f"{self.solved} corners solved, for {extent}; {state}; plain scans of the corner agree to {self.checked:.0e}"
+        agreement = f"plain scans of the corner agree to {self.checked:.0e}"
+        return f"{self.solved} corners solved, for {extent}; {state}; {agreement}"
 
     @cached_property
     def contributions(self) -> dict[str, float]:

@@ -87,7 +87,7 @@ def _times(factor: float, value: float | tuple[float, ...]) -> float | tuple[flo
 
 
 def frames_of(subject: Subject) -> Iterator[tuple[str, FloatArray]]:
-    """Frames that are hard in time: every row switch is a jump for every column, or the cells load the amplifiers most."""
+    """Frames that are hard in time: every row switch is a jump for every column, or the cells load the amplifiers."""
     low, high = subject.extremes
     for first in (0, 1) if subject.design.array.rows > 1 else (0,):
         cells = np.full(subject.design.array.shape, low)
@@ -115,7 +115,7 @@ def _settlings(subject: Subject) -> list[tuple[str, Settling]]:
 
 
 def settling_error(subject: Subject, requirement: Requirement, method: str) -> Measurement:
-    """Largest deviation of a sampled reading from the settled one at the declared frame rate, % of the largest signal."""
+    """Largest deviation of a sampled reading from the settled one at the declared rate, % of the largest signal."""
     rate = rate_of(subject, requirement)
     settlings = _settlings(subject)
     period = 1.0 / (rate * subject.design.array.rows)
@@ -242,7 +242,7 @@ def pressure_resolution(subject: Subject, requirement: Requirement, method: str)
 
 
 def _volts_per_ohm(design: Design, cells: FloatArray) -> FloatArray:
-    """|dV/dR| (N, M), every cell moved by itself as far as its own reading goes: of the ideal circuit at this reading."""
+    """|dV/dR| (N, M) of the ideal circuit at the reading of each cell."""
     volts = scan_population(design, Boards.of(design), cells[None]).volts[0]
     small = 1e-6 * max(float(np.abs(volts - design.readout.reference_voltage).max()), 1e-12)
     change = apparent_resistance(design, volts + small) - apparent_resistance(design, volts - small)

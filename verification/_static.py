@@ -115,7 +115,8 @@ def _yield(quantity: str, subject: Subject, requirement: Requirement) -> Measure
         "%",
         where=f"board {worst} of seed {subject.seed} is the worst: {engineering(float(values[worst]), '%')}",
         confidence=(
-            f"{good} of {count} boards keep the limit: yield {100 * good / count:.4g} %, at least {100 * bounds[0]:.4g} % "
+            f"{good} of {count} boards keep the limit: yield {100 * good / count:.4g} %, "
+            f"at least {100 * bounds[0]:.4g} % "
             f"({100 * CONFIDENCE:.0f} % confidence, Clopper-Pearson); wanted {100 * wanted:.4g} %"
         ),
         text=[f"The value shown is the {100 * wanted:.4g} % quantile of the boards."],
@@ -192,7 +193,7 @@ def adc_headroom(subject: Subject, requirement: Requirement, method: str) -> Mea
         confidence="corners of parts and presses, by sensitivities",
         text=[
             f"Converted voltages range from {engineering(lowest, 'V')} to {engineering(highest, 'V')}; the converter "
-            f"takes {engineering(first, 'V')} to {engineering(last, 'V')}, and a reading in its first or last code is lost."
+            f"takes {engineering(first, 'V')} to {engineering(last, 'V')}, without its first and last code."
         ],
     )
 
