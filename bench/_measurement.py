@@ -13,15 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from ..circuits import METHODS, Array, Design, Drive, Readout, Scanner, scan, scan_batch
+from ..circuits import METHODS, Array, Design, Drive, Readout, scan, scan_batch
 from ..errors import InputError, MissingExtra, SolverError
 from ._peers import PEERS, reference
 
 TOLERANCES = (1e-3, 1e-6, 1e-9, 1e-12)
-CHANGED = (0.01, 0.1, 1.0)
 _ONCE = 5.0  # s beyond which a peer is not run again to find its best time
 _BUDGET = 0.4  # s for the repetitions of one measurement; at least two are made
-_LARGEST_SERIES = 64  # side; beyond, many terms take seconds
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ def _rows(sizes: Sequence[int], segments: Sequence[float], memory: bool, peers: 
             true = reference(design, frame)
             weighed = memory and segment == segments[0]
             yield from _own(design, frame, true, segment, weighed)
-            yield from _streams(design, size, segment)
+            yield _batch(design, size, segment)
             if peers:
                 yield from _others(design, frame, true, segment, weighed, patient)
 
@@ -112,7 +110,7 @@ def _own(design: Design, frame: FloatArray, true: FloatArray, segment: float, we
     size = len(frame)
     unit = -design.drive.voltage * np.max(design.readout.reference_resistance)
     for name, asked in [
-        *((method, {"method": method}) for method in METHODS if method != "series" or size <= _LARGEST_SERIES),
+        *((method, {"method": method}) for method in METHODS),
         *((f"tolerance {tolerance:g}", {"tolerance": tolerance}) for tolerance in TOLERANCES),
     ]:
         try:
@@ -133,30 +131,11 @@ def _own(design: Design, frame: FloatArray, true: FloatArray, segment: float, we
         )
 
 
-def _streams(design: Design, size: int, segment: float) -> Iterator[Row]:
-    rng = np.random.default_rng(1)
-    side = max(1, size // 10)
-    for share in (None, *CHANGED):
-        scanner, frame = Scanner(design), cells(size)[0]
-        scanner.scan(frame)
-        times: list[float] = []
-        while len(times) < 3 or sum(times) < _BUDGET:
-            frame = frame.copy()
-            if share is None:  # a contact that comes or goes
-                row, column = rng.integers(0, size - side + 1, 2)
-                frame[row : row + side, column : column + side] = 10 ** rng.uniform(4.0, 6.0, (side, side))
-            else:
-                some = rng.permutation(frame.size)[: max(1, round(share * frame.size))]
-                frame.flat[some] = 10 ** rng.uniform(4.0, 6.0, len(some))
-            start = time.perf_counter()
-            scanner.scan(frame)
-            times.append(time.perf_counter() - start)
-        what = f"{side} x {side} cells" if share is None else f"{100 * share:g} %"
-        yield Row(size, segment, f"exact, {what} changed", float(np.median(times)), note="median")
+def _batch(design: Design, size: int, segment: float) -> Row:
     count = max(2, min(200, 40000 // size**2))
     together = cells(size, 2, count)
     seconds = _best(lambda: scan_batch(design, together)) / count
-    yield Row(size, segment, "exact, in a batch", seconds, note=f"of {count} frames")
+    return Row(size, segment, "exact, in a batch", seconds, note=f"of {count} frames")
 
 
 def _others(
@@ -209,7 +188,7 @@ def _best(work: Callable[[], object]) -> float:
 
 def _memory(name: str, size: int, segment: float) -> int | None:
     """Bytes by which one frame raises the peak of a new process; None where the system does not tell."""
-    command = [sys.executable, "-m", f"{__package__}.memory", name, str(size), str(segment)]
+    command = [sys.executable, "-m", f"{__package__}._memory", name, str(size), str(segment)]
     process = subprocess.run(command, capture_output=True, text=True, check=False)
     if process.returncode:
         return None

@@ -20,7 +20,7 @@ from scipy.sparse.linalg import splu
 
 from ..arrays import FloatArray, IntArray
 from ..circuits import Design
-from ..circuits.spice._ngspice import command_available, command_scan
+from ..circuits.spice import command_available, command_scan
 
 
 class Peer(NamedTuple):

@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
-from ..config import Section, load, write_toml
+from ..config import Positive, Section, load, write_toml
 from ..errors import InputError
 from ._estimators import Doubt, EquilibriumEstimator, Estimator, PaperEstimator
 from ._forward import Forward, make_forward
 from ._inverse import InverseEstimator, margin
 from ._learned import DRIFT, Learned, LearnedEstimator, Seen, StaticCurve, StaticCurveEstimator
-from ._models import AsymmetricModel, M10Model, Model, PaperModel, Positive
+from ._models import AsymmetricModel, M10Model, Model, PaperModel
 from ._turning import TurningEstimator
 
 EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]

@@ -204,7 +204,8 @@ class PaperForward(Forward):
         self._r, self._x3, self._rising = r[-1], x3[-1], rising[-1]
         self._settled = np.where(self._rising, free[-1], 0.0)
         self._x2 = np.where(self._rising, 0.0, free[-1])
-        return self.rest_resistance_ohm * (1 + r)
+        resistance: FloatArray = self.rest_resistance_ohm * (1 + r)
+        return resistance
 
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         m, before = self.model, self._pressure

@@ -11,10 +11,9 @@ from pydantic import Field, model_validator
 from scipy.special import ndtri
 
 from ..arrays import FloatArray, SingleArray
-from ..config import Section
+from ..config import Finite, NotNegative, Positive, Section
 from ._estimators import CERTAIN, Doubt, Estimator, Memory
 from ._features import Bank
-from ._models import Finite, NonNegative, Positive
 
 Numbers = Annotated[tuple[Finite, ...], Field(strict=False)]
 """a list in TOML"""
@@ -40,11 +39,11 @@ class Limits(Section):
 class Seen(Section):
     """What the calibration recording was like: with what readings and loads standard deviations hold."""
 
-    noise: NonNegative = 0.0
+    noise: NotNegative = 0.0
     """of a reading from sample to sample, relative to it"""
-    step_s: NonNegative = 0.0
+    step_s: NotNegative = 0.0
     """usual time between samples"""
-    speed_kpa_per_s: NonNegative = 0.0
+    speed_kpa_per_s: NotNegative = 0.0
     """rms change of the load in a second"""
 
 
@@ -83,7 +82,7 @@ class Learned(Section):
     """the same -> expected absolute error of it"""
     std_factor: Positive
     """from expected absolute error to a standard deviation that held-out data bore out"""
-    std_floor: NonNegative
+    std_floor: NotNegative
     limits: Limits
 
     @property

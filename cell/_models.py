@@ -11,11 +11,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ..config import Section
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+from ..config import Finite, NotNegative, Positive, Section
 
 
 class Burgers(Section):
@@ -71,7 +67,7 @@ class PaperModel(Burgers):
     """dr/dt above which the estimator takes the rising model; None: as the recovery threshold"""
     recovery_threshold_per_s: Positive | None = None
     """-dr/dt above which it takes the recovery model; None: 1.2 times the settling slope of full scale"""
-    derivative_s: NonNegative = 0.5
+    derivative_s: NotNegative = 0.5
     """time over which the estimator takes dr/dt; 0: from one sample to the next"""
 
     @property
@@ -139,13 +135,13 @@ class M10Model(Section):
     kind: Literal["m10"] = "m10"
     a: Finite
     b: Finite = 0.0
-    alpha1: NonNegative
+    alpha1: NotNegative
     rise1_s: Positive
     fall1_s: Positive
-    alpha2: NonNegative
+    alpha2: NotNegative
     rise2_s: Positive = 0.05
     fall2_s: Positive
-    k: NonNegative = 0.0
+    k: NotNegative = 0.0
     tau_s: Positive = 30.0
 
 

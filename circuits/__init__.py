@@ -5,28 +5,22 @@
 
 from ._adc import adc_codes, adc_error, clipped, volts_of_codes
 from ._batch import BatchResult, scan_batch
-from ._design import (
-    CIRCUITS,
-    Adc,
-    Array,
-    Cells,
-    Design,
-    Drive,
-    Fault,
-    Operation,
-    Readout,
-    Requirements,
-    Sheet,
-)
+from ._board import Board
+from ._design import Adc, Array, Cells, Design, Drive, Fault, Operation, Readout, Requirements, Sheet
 from ._effects import Effect, effects
-from ._incremental import Scanner
+from ._ideal import apparent_resistance, ideal_volts
 from ._population import Boards, PopulationReading, scan_population
-from ._readout import apparent_resistance, ideal_volts
 from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
+from ._sequence import scan_sequence
 from ._spread import Spread
-from .recovery._recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover
+from .readouts import CIRCUITS as _CIRCUITS
+from .recovery import Conditioning, Recoverer, Recovery, Status, conditioning, recover
+from .timing import Noise, Settling, Stability, noise, stability
+
+CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
+"""Readout circuits that a design file can name"""
 
 __all__ = [
     "CIRCUITS",
@@ -34,6 +28,7 @@ __all__ = [
     "Adc",
     "Array",
     "BatchResult",
+    "Board",
     "Boards",
     "Cells",
     "Conditioning",
@@ -42,6 +37,7 @@ __all__ = [
     "Drive",
     "Effect",
     "Fault",
+    "Noise",
     "Operation",
     "PopulationReading",
     "Readout",
@@ -50,10 +46,11 @@ __all__ = [
     "Requirement",
     "Requirements",
     "ScanResult",
-    "Scanner",
     "Sensitivity",
+    "Settling",
     "Sheet",
     "Spread",
+    "Stability",
     "Status",
     "adc_codes",
     "adc_error",
@@ -62,10 +59,13 @@ __all__ = [
     "conditioning",
     "effects",
     "ideal_volts",
+    "noise",
     "recover",
     "scan",
     "scan_batch",
     "scan_population",
+    "scan_sequence",
     "sensitivity",
+    "stability",
     "volts_of_codes",
 ]

@@ -10,13 +10,12 @@ from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
+from ._board import Board
 from ._design import Design
 from ._exact import read_exactly
-from ._linear import LinearReadout
-from ._parts import cell_conductance
-from ._readout import apparent_resistance
-from ._scan import Demand, check_request, ideal_limits, relative, scan
-from .solvers._attenuation import attenuate
+from ._ideal import apparent_resistance
+from ._scan import Demand, relative_bound, scan
+from .solvers import attenuate
 
 _TOGETHER = 1 << 13  # cells solved in one go: enough to outweigh the calls, few enough for the processor's cache
 
@@ -43,43 +42,47 @@ def scan_batch(
 
     Arguments and errors are those of :func:`._scan.scan`; messages name the frame.
     """
-    check_request(tolerance, method)
-    cells = _checked(design, resistance)
-    start = time.perf_counter()
-    volts, saturated = np.empty(cells.shape), np.zeros(cells.shape, dtype=np.bool_)
-    bound, methods = np.empty(len(cells)), ["exact"] * len(cells)
     demand = Demand.of(design, tolerance, method)
+    cells = checked_frames(design, resistance)
+    start = time.perf_counter()
+    board = design.board
+    lines = board.turn(cells)
+    volts, saturated = np.empty(lines.shape), np.zeros(lines.shape, dtype=np.bool_)
+    bound, methods = np.empty(len(cells)), ["exact"] * len(cells)
     share = max(1, _TOGETHER // design.array.rows // design.array.columns)
     for first in range(0, len(cells), share):
         pending = np.arange(first, min(first + share, len(cells)))
         if method == "attenuation" or demand is not None:
-            found, attenuated, error = _attenuated(design, cells[pending])
+            found, attenuated, error = _attenuated(board, lines[pending])
             for frame, known, off in zip(pending[found], attenuated, error, strict=True):
-                share_off = relative(off, known)
-                if demand is None or demand.kept(float(off.max()), share_off):
+                share_off = relative_bound(off, known)
+                if demand is None or demand.is_met(float(off.max()), share_off):
                     volts[frame], bound[frame], methods[frame] = known, share_off, "attenuation"
             pending = np.array([frame for frame in pending if methods[frame] == "exact"], dtype=np.intp)
-        if method != "series" and len(pending):
-            reading, error = read_exactly(design, cells[pending])
-            for frame, known, flags, off in zip(pending, reading.volts, reading.saturated, error, strict=True):
-                volts[frame], saturated[frame], bound[frame] = known, flags, relative(off, known)
-        for frame in pending:  # one by one: what is left to the series
-            if method == "series" or (tolerance is not None and bound[frame] > tolerance):
-                one = scan(design, cells[frame], tolerance=tolerance, method=method)
-                volts[frame], saturated[frame] = one.volts, one.saturated
+        if len(pending):
+            reading, error = read_exactly(board, lines[pending])
+            volts[pending] = board.circuit.in_the_limit(board, lines[pending], reading.volts)
+            saturated[pending] = reading.saturated
+            for frame, known, off in zip(pending, volts[pending], error, strict=True):
+                bound[frame] = relative_bound(off, known)
+        if tolerance is not None:
+            for frame in pending[bound[pending] > tolerance]:  # one by one: what is left to the series
+                one = scan(design, cells[frame], tolerance=tolerance)
+                volts[frame], saturated[frame] = board.turn(one.volts), board.turn(one.saturated)
                 bound[frame], methods[frame] = one.error_bound, one.method
-    volts = ideal_limits(design, cells, volts)
+    volts = board.turn(volts)
     return BatchResult(
         volts=volts,
         resistance=apparent_resistance(design, volts),
-        saturated=saturated,
+        saturated=board.turn(saturated),
         method=tuple(methods),
         error_bound=bound,
         seconds=time.perf_counter() - start,
     )
 
 
-def _checked(design: Design, resistance: ArrayLike) -> FloatArray:
+def checked_frames(design: Design, resistance: ArrayLike) -> FloatArray:
+    """``resistance`` as (frames, rows, columns) in ohm; InputError names the first frame that does not fit."""
     try:
         cells = np.asarray(resistance, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -96,13 +99,13 @@ def _checked(design: Design, resistance: ArrayLike) -> FloatArray:
     return cells
 
 
-def _attenuated(design: Design, cells: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
+def _attenuated(board: Board, cells: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
     """Which of the frames line attenuation can read, their outputs and the errors of these, in V."""
-    nothing = np.empty(0, dtype=np.intp), np.empty((0, *design.array.shape)), np.empty((0, *design.array.shape))
-    linear = LinearReadout.of(design)
+    nothing = np.empty(0, dtype=np.intp), np.empty((0, *board.shape)), np.empty((0, *board.shape))
+    linear = board.linear
     if linear is None:
         return nothing
-    conductance = cell_conductance(design, cells)
+    conductance = board.cell_conductance(cells)
     found = np.flatnonzero(np.isfinite(conductance).all(axis=(1, 2)))
     known = attenuate(conductance[found], linear.wires) if len(found) else None
     if known is None:

@@ -3,25 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import inf, isfinite
+from functools import cached_property
+from math import inf
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal, Self, get_args
+from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field, PlainValidator, model_validator
+from pydantic import AfterValidator, Field, PlainValidator, model_validator
 
 from ..arrays import FloatArray
-from ..config import Section, load
+from ..config import LEAST, MOST, Finite, NotNegative, Positive, Section, load
 from ..errors import InputError
+from ._board import Board
 from ._requirement import Requirement
 from ._spread import Spread, Spreadable
+from .readouts import CIRCUITS
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 
-Circuit = Literal["inverting-amplifier", "voltage-divider", "voltage-feedback"]
-CIRCUITS: tuple[str, ...] = get_args(Circuit)
+def _known_circuit(name: str) -> str:
+    if name not in CIRCUITS:
+        raise ValueError(f"unknown circuit; expected one of {', '.join(map(repr, CIRCUITS))}")
+    return name
+
+
+Circuit = Annotated[str, AfterValidator(_known_circuit)]
 FaultKind = Literal["open-cell", "shorted-cell", "broken-row", "broken-column", "bridged-rows", "bridged-columns"]
 
 
@@ -38,10 +44,10 @@ def _per_line(expected: str, allowed: Callable[[float], bool]) -> PlainValidator
 
 
 PerLine = float | tuple[float, ...]
-Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: 0 <= x < inf)]
-PositiveOhms = Annotated[PerLine, _per_line("a number of ohm > 0", lambda x: 0 < x < inf)]
-Gains = Annotated[PerLine, _per_line("a number >= 1 (or inf)", lambda x: x >= 1)]
-Numbers = Annotated[PerLine, _per_line("a finite number", isfinite)]
+Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: 0 <= x <= MOST)]
+PositiveOhms = Annotated[PerLine, _per_line("a number of ohm > 0", lambda x: LEAST <= x <= MOST)]
+Gains = Annotated[PerLine, _per_line("a number >= 1 (or inf)", lambda x: 1 <= x <= MOST or x == inf)]
+Numbers = Annotated[PerLine, _per_line("a finite number", lambda x: abs(x) <= MOST)]
 
 
 class Array(Spreadable):
@@ -73,11 +79,11 @@ class Sheet(Section):
     cells on a 1 inch pitch, 1/8 inch thick, under strips of 3/4 inch.
     """
 
-    pitch: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.0254
+    pitch: Positive = 0.0254
     """m"""
-    thickness: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.003175
+    thickness: Positive = 0.003175
     """m"""
-    electrode_width: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 0.01905
+    electrode_width: Positive = 0.01905
     """m, of a row's or column's strip"""
     divisions: Annotated[int, Field(ge=2, le=32)] = 8
     """boxes along a cell's side"""
@@ -99,7 +105,7 @@ class Drive(Spreadable):
     voltage: Finite
     """V, selected row against the reference"""
     idle_rows: Literal["ground", "float"] = "ground"
-    """at the reference, or open; the circuit "voltage-feedback" drives them itself"""
+    """driven lines that are not selected: at the reference, or open; "voltage-feedback" drives them itself"""
 
     @model_validator(mode="after")
     def _drives(self) -> Self:
@@ -109,10 +115,15 @@ class Drive(Spreadable):
 
 
 class Readout(Spreadable):
-    """What each column ends in. What belongs to one column is one number, or a list of one per column.
+    """What each sensed line ends in. Keys of a single line's parts take one number, or a list of one per line.
 
-    "voltage-feedback" is a divider whose sensed column also feeds a follower, and that drives every idle row and
-    column; the follower's output is what is read.
+    ======================  =========================================================================================
+    inverting-amplifier     a transimpedance amplifier on each column; rows are driven
+    row-amplifier           a transimpedance amplifier on each row; columns are driven
+    voltage-divider         a load on each column; rows are driven
+    voltage-feedback        a divider whose sensed column feeds a follower, which drives all idle rows and columns;
+                            the follower's output is read
+    ======================  =========================================================================================
     """
 
     PARTS: ClassVar[tuple[str, ...]] = (
@@ -132,7 +143,7 @@ class Readout(Spreadable):
     reference_voltage: Finite = 0.0
     """V: non-inverting input and idle rows (single-supply boards)"""
     open_loop_gain: Gains = inf
-    gain_bandwidth: Annotated[float, Field(gt=0)] = inf
+    gain_bandwidth: Annotated[float, Field(ge=LEAST)] = inf
     """Hz"""
     offset_voltage: Numbers = 0.0
     """V, added to the non-inverting input"""
@@ -141,7 +152,7 @@ class Readout(Spreadable):
     supply: Annotated[tuple[float, float], Field(strict=False)] = (-inf, inf)
     """V, output swing"""
     idle_columns: Literal["float", "load"] = "float"
-    """divider only: what the columns that are not being read end in"""
+    """"voltage-divider" only: what the columns that are not being read end in"""
     column_capacitance: NotNegative = 0.0
     """F, from each inverting input to ground: column line and amplifier"""
     feedback_capacitance: NotNegative = 0.0
@@ -163,7 +174,7 @@ class Readout(Spreadable):
         return self
 
 
-PER_COLUMN = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
+PER_LINE = ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
 
 
 class Adc(Spreadable):
@@ -182,7 +193,7 @@ class Adc(Spreadable):
     """s that one sampling capacitor spends on each column in turn; 0: each column has its own, always connected"""
     offset_voltage: Finite = 0.0
     """V that the converter adds to its input"""
-    gain_error: Annotated[float, Field(gt=-1, allow_inf_nan=False)] = 0.0
+    gain_error: Annotated[float, Field(gt=-1, le=MOST, allow_inf_nan=False)] = 0.0
     """by which its slope exceeds 1, about the lower end of the range"""
     inl_steps: Finite = 0.0
     """integral nonlinearity in steps: a bow, largest at mid-range and 0 at both ends"""
@@ -250,11 +261,11 @@ class Fault(Section):
 class Requirements(Section):
     """What the design must keep for `ohmskin verify` to pass it; the defaults are the project's own."""
 
-    crosstalk_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 2.0
+    crosstalk_percent: Positive = 2.0
     """largest change of an untouched cell's reading, in % of that reading"""
-    reading_error_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5.0
+    reading_error_percent: Positive = 5.0
     """largest error of a resistance that equation (10) makes of an uncalibrated reading"""
-    pressure_rmse_percent: Annotated[float, Field(gt=0, allow_inf_nan=False)] = 5.0
+    pressure_rmse_percent: Positive = 5.0
     """largest RMS error of the pressure estimate, in % of full scale"""
 
 
@@ -263,11 +274,11 @@ class Cells(Spreadable):
 
     PARTS: ClassVar[tuple[str, ...]] = ("rest_resistance",)
 
-    rest_resistance: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    rest_resistance: Positive
     """ohm of an untouched cell; its spread is that of the whole cell, pressed or not"""
-    full_scale_resistance: Annotated[float, Field(gt=0, allow_inf_nan=False)]
+    full_scale_resistance: Positive
     """ohm under full-scale pressure"""
-    full_scale_kpa: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    full_scale_kpa: Positive | None = None
     """kPa; None: quantities in kPa are not known"""
 
     @model_validator(mode="after")
@@ -319,10 +330,13 @@ class Design(Section):
         rows, columns = self.array.shape
         keys = [("array.row_segment", self.array.row_segment, rows), ("array.row_lead", self.array.row_lead, rows)]
         keys += [(f"array.{name}", getattr(self.array, name), columns) for name in ("column_segment", "column_lead")]
-        keys += [(f"readout.{name}", getattr(self.readout, name), columns) for name in PER_COLUMN]
+        sensed_rows = CIRCUITS[self.readout.circuit].senses == "rows"
+        sensed = rows if sensed_rows else columns
+        keys += [(f"readout.{name}", getattr(self.readout, name), sensed) for name in PER_LINE]
         for key, value, lines in keys:
             if isinstance(value, tuple) and len(value) != lines:
-                line = "row" if key.startswith("array.row") else "column"
+                by_row = sensed_rows if key.startswith("readout") else key.startswith("array.row")
+                line = "row" if by_row else "column"
                 raise ValueError(f"{key} has {len(value)} entries, expected one number or {lines} (one per {line})")
         for number, fault in enumerate(self.fault):
             for row, column in fault.ends if fault.bridge else [fault.place]:
@@ -354,8 +368,12 @@ class Design(Section):
 
     def with_circuit(self, circuit: str) -> Design:
         """The same array and parts read by another circuit."""
-        readout = self.readout.model_dump() | {"circuit": circuit}
-        return self.replace(readout=Readout.model_validate(readout))
+        return self.replace(readout={"circuit": circuit})
+
+    @cached_property
+    def board(self) -> Board:
+        """The design expanded into arrays, once."""
+        return Board.of(self, CIRCUITS[self.readout.circuit])
 
     def resistance(self, cells: ArrayLike) -> FloatArray:
         """``cells`` as a checked (rows, columns) array in ohm; inf is an open cell, 0 a short.

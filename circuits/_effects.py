@@ -24,11 +24,10 @@ from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray
 from ._adc import adc_error
+from ._board import Board
 from ._design import Adc, Design
 from ._grid import exact_ports
-from ._parts import Parts
-from ._readout import ideal_volts, read
-from ._sensitivity import sensitivity
+from ._sensitivity import board_sensitivity
 
 Law = Callable[[str, object], float | None]
 """From a design key and its value to the largest relative change of a signal"""
@@ -76,50 +75,56 @@ def effects(design: Design, resistance: ArrayLike) -> tuple[Effect, ...]:
         InputError: the cells do not fit the design.
 
     """
-    return tuple(_effects(design, design.resistance(resistance)))
+    board = design.board
+    return tuple(_effects(board, board.turn(design.resistance(resistance))))
 
 
-def _effects(design: Design, cells: FloatArray) -> Iterator[Effect]:
-    law = _law(design, cells)
-    for table, key, ideal in (
-        (design.array, "row_lead", 0.0),
-        (design.array, "column_lead", 0.0),
-        (design.array, "row_segment", 0.0),
-        (design.array, "column_segment", 0.0),
-        (design.readout, "open_loop_gain", inf),
-        (design.readout, "offset_voltage", 0.0),
-        (design.readout, "bias_current", 0.0),
+def _effects(board: Board, cells: FloatArray) -> Iterator[Effect]:
+    """Cells (N, M) in line coordinates. Keys are the design's, so a turned board has its rows' keys under columns."""
+    design, law = board.design, _law(board, cells)
+    of_row, of_column = board.line_kinds
+    for table, key, law_key, ideal in (
+        (design.array, f"{of_row}_lead", "row_lead", 0.0),
+        (design.array, f"{of_column}_lead", "column_lead", 0.0),
+        (design.array, f"{of_row}_segment", "row_segment", 0.0),
+        (design.array, f"{of_column}_segment", "column_segment", 0.0),
+        (design.readout, "open_loop_gain", "open_loop_gain", inf),
+        (design.readout, "offset_voltage", "offset_voltage", 0.0),
+        (design.readout, "bias_current", "bias_current", 0.0),
     ):
-        if design.readout.circuit == "voltage-divider" and table is design.readout:
-            continue  # no amplifier
+        if table is design.readout and not board.circuit.has_amplifiers:
+            continue
         value = getattr(table, key)
         modelled = bool(np.any(np.asarray(value) != ideal))
         used = value if modelled else ORDINARY[key]
-        yield Effect(key, modelled, law(key, used), _basis(key, used, named=modelled))
-    yield from _limits(design, cells)
-    yield from _time(design, cells)
+        by_line = used[::-1] if board.turned and isinstance(used, tuple) else used
+        yield Effect(key, modelled, law(law_key, by_line), _basis(key, used, named=modelled))
+    yield from _limits(board, cells)
+    yield from _time(board, cells)
     if design.fault:
-        change = _change(design, design.replace(fault=()), cells)
+        change = _change(board, design.replace(fault=()).board, cells)
         yield Effect("fault", True, change, f"{len(design.fault)} named, against the same scan without")
-    if design.array.sheet == "continuous":
-        sliced = design.replace(array={"sheet": "sliced"})
-        yield Effect("sheet", True, _change(design, sliced, cells), "against the same scan, sliced")
+    if board.continuous:
+        sliced = design.replace(array={"sheet": "sliced"}).board
+        yield Effect("sheet", True, _change(board, sliced, cells), "against the same scan, sliced")
 
 
 class _ClosedLaw:
     """First order, for amplifiers over grounded idle rows."""
 
-    def __init__(self, design: Design, cells: FloatArray) -> None:
+    def __init__(self, board: Board, cells: FloatArray) -> None:
         self.live = _live(cells)
         with np.errstate(divide="ignore"):
             self.conductance = np.where(self.live, 1.0 / cells, 0.0)
-        self.drive, self.parts = abs(design.drive.voltage), Parts.of(design)
+        self.board, self.drive = board, abs(board.drive)
 
     def __call__(self, key: str, value: object) -> float:
-        part, conductance = np.abs(np.asarray(value, dtype=np.float64)), self.conductance
+        part = np.abs(np.asarray(value, dtype=np.float64))
+        conductance, reference = self.conductance, self.board.reference
         along, down = conductance[:, ::-1].cumsum(axis=1)[:, ::-1], conductance.cumsum(axis=0)
         of_row = part[:, None] if part.ndim else part
-        noise_gain = 1.0 + self.parts.reference * down[-1]
+        noise_gain = 1.0 + reference * down[-1]
+        signal = self.drive * reference * conductance
         match key:
             case "row_lead":
                 change = of_row * along[:, :1] + np.zeros_like(conductance)
@@ -132,8 +137,7 @@ class _ClosedLaw:
             case "open_loop_gain":
                 change = noise_gain / part + np.zeros_like(conductance)
             case _:
-                volts = noise_gain if key == "offset_voltage" else self.parts.reference
-                signal = self.drive * self.parts.reference * conductance
+                volts = noise_gain if key == "offset_voltage" else reference
                 change = np.divide(part * volts, signal, out=np.zeros_like(signal), where=self.live)
         return float(np.max(change, where=self.live, initial=0.0))
 
@@ -141,9 +145,9 @@ class _ClosedLaw:
 class _LawByDerivatives:
     """First order, from the derivatives of the readings by the parts."""
 
-    def __init__(self, design: Design, cells: FloatArray) -> None:
-        self.found = sensitivity(design, cells)
-        self.signal = np.abs(self.found.volts - design.readout.reference_voltage)
+    def __init__(self, board: Board, cells: FloatArray) -> None:
+        self.found = board_sensitivity(board, cells)
+        self.signal = np.abs(self.found.volts - board.level)
         self.live = _live(cells) & (self.signal > 0)
 
     def __call__(self, key: str, value: object) -> float:
@@ -160,51 +164,48 @@ class _LawByDerivatives:
         return _largest(np.abs((by_line * part).sum(axis=-1)), self.signal, self.live)
 
 
-def _law(design: Design, cells: FloatArray) -> Law:
-    grounded = design.readout.circuit == "inverting-amplifier" and design.drive.idle_rows == "ground"
-    if grounded:
-        return _ClosedLaw(design, cells)
-    if design.array.sheet == "sliced" and cells.size <= _MOST_CELLS:
-        return _LawByDerivatives(design, cells)
+def _law(board: Board, cells: FloatArray) -> Law:
+    if board.circuit.virtual_ground and not board.floating:
+        return _ClosedLaw(board, cells)
+    if not board.continuous and cells.size <= _MOST_CELLS:
+        return _LawByDerivatives(board, cells)
     return lambda key, value: None
 
 
-def _limits(design: Design, cells: FloatArray) -> Iterator[Effect]:
+def _limits(board: Board, cells: FloatArray) -> Iterator[Effect]:
     """What stands behind the signal: the amplifiers' supply and the converter."""
-    live = _live(cells)
-    level = design.readout.reference_voltage
-    volts = ideal_volts(design, np.where(live, cells, inf))
+    live, level = _live(cells), board.level
+    volts = board.circuit.ideal_volts(board, np.where(live, cells, inf))
     signal = np.abs(volts - level)
-    if design.readout.circuit != "voltage-divider":
-        low, high = design.readout.supply
+    if board.circuit.has_amplifiers:
+        low, high = board.supply
         named = bool(np.isfinite([low, high]).any())
         if not named:
             low, high = level - SWING, level + SWING
         beyond = np.maximum(np.maximum(volts - high, low - volts), 0.0)
         yield Effect("supply", named, _largest(beyond, signal, live), _basis("supply", [low, high], named=named))
-    adc = design.adc or _ORDINARY_ADC
-    error = np.full_like(signal, adc_error(design.replace(adc=adc)))
-    basis = f"{adc.bits} bits over {list(adc.range)} V, " + ("by adc_codes()" if design.adc else "assumed")
+    adc = board.design.adc or _ORDINARY_ADC
+    error = np.full_like(signal, adc_error(board.design.replace(adc=adc)))
+    basis = f"{adc.bits} bits over {list(adc.range)} V, " + ("by adc_codes()" if board.design.adc else "assumed")
     yield Effect("converter", False, _largest(error, signal, live), basis)
 
 
-def _time(design: Design, cells: FloatArray) -> Iterator[Effect]:
+def _time(board: Board, cells: FloatArray) -> Iterator[Effect]:
     """A scan gives settled outputs without noise; both are modelled elsewhere."""
-    part, live = design.readout, _live(cells)
-    if part.circuit != "inverting-amplifier":
+    part, live = board.design.readout, _live(cells)
+    if not board.circuit.virtual_ground:
         yield Effect("noise", False, None, "no simple law")
         yield Effect("settling", False, None, "no simple law")
         return
     with np.errstate(divide="ignore"):
         conductance = np.where(live, 1.0 / cells, 0.0)
-    reference = Parts.of(design).reference
-    signal = abs(design.drive.voltage) * reference * conductance
-    gain = 1.0 + reference * conductance.sum(axis=0)
+    signal = abs(board.drive) * board.reference * conductance
+    noise_gain = 1.0 + board.reference * conductance.sum(axis=0)
     fast = bool(np.isfinite(part.gain_bandwidth))
     product = part.gain_bandwidth if fast else ORDINARY["gain_bandwidth"]
-    bandwidth = product / gain
+    bandwidth = product / noise_gain
     density = part.voltage_noise or ORDINARY["voltage_noise"]
-    scatter = density * gain * np.sqrt(pi / 2 * bandwidth) + np.zeros_like(signal)
+    scatter = density * noise_gain * np.sqrt(pi / 2 * bandwidth) + np.zeros_like(signal)
     basis = "amplifier voltage, by noise(); " + _basis("voltage_noise", density, named=part.voltage_noise > 0)
     yield Effect("noise", False, _largest(scatter, signal, live), basis)
     left = np.exp(-2 * pi * bandwidth * ORDINARY["period"]) * signal.max(axis=0) + np.zeros_like(signal)
@@ -212,11 +213,10 @@ def _time(design: Design, cells: FloatArray) -> Iterator[Effect]:
     yield Effect("settling", False, _largest(left, signal, live), basis)
 
 
-def _change(design: Design, without: Design, cells: FloatArray) -> float:
+def _change(board: Board, without: Board, cells: FloatArray) -> float:
     """Largest relative change of a signal, by two scans."""
-    with_it, bare = (read(each, exact_ports(each, cells).value).volts for each in (design, without))
-    signal = np.abs(bare - design.readout.reference_voltage)
-    return _largest(np.abs(with_it - bare), signal, _live(cells))
+    with_it, bare = (each.circuit.read(each, exact_ports(each, cells).value).volts for each in (board, without))
+    return _largest(np.abs(with_it - bare), np.abs(bare - board.level), _live(cells))
 
 
 def _live(cells: FloatArray) -> BoolArray:

@@ -308,8 +308,7 @@ def _end_currents(seen: _Columns, resistance: FloatArray, drive: FloatArray, sou
 def _solve(matrix: FloatArray, values: FloatArray) -> FloatArray:
     """As numpy's, with NaN for the boards whose matrix is singular."""
     try:
-        found: FloatArray = np.linalg.solve(matrix, values)
-        return found
+        return np.asarray(np.linalg.solve(matrix, values), dtype=np.float64)
     except np.linalg.LinAlgError:
         result = np.full(np.broadcast_shapes(matrix.shape[:-1], values.shape[:-1]) + values.shape[-1:], np.nan)
         for board in range(len(result)):

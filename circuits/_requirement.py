@@ -7,7 +7,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ..config import Section
+from ..config import Positive, Section
 
 Method = Literal["nominal", "worst-case", "monte-carlo", "hardware"]
 
@@ -15,7 +15,7 @@ Method = Literal["nominal", "worst-case", "monte-carlo", "hardware"]
 class Conditions(Section):
     """Under which conditions a quantity is taken; what is left out is as the design says."""
 
-    frame_rate: Annotated[float, Field(gt=0, allow_inf_nan=False)] | None = None
+    frame_rate: Positive | None = None
     """Hz, in place of ``operation.frame_rate``"""
     yield_percent: Annotated[float, Field(gt=0, lt=100)] = 99.0
     """method "monte-carlo": share of boards that must keep the limits"""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import inf
@@ -14,20 +14,16 @@ from numpy.typing import ArrayLike
 
 from ..arrays import BoolArray, FloatArray
 from ..errors import InputError, SolverError
+from ._board import Board
 from ._design import Design
-from ._effects import Effect, effects
-from ._exact import Transfer, exact_transfer, read_exactly
-from ._linear import LinearReadout
-from ._parts import Parts, cell_conductance
-from ._readout import apparent_resistance
-from .solvers._attenuation import Attenuated, Wires, attenuate
-from .solvers._ports import IDEAL_WIRE, LARGEST_PART
-from .solvers._series import terms
+from ._exact import read_exactly
+from ._ideal import apparent_resistance
+from .solvers import Attenuated, attenuate, terms
 
-_FEW = 64  # cells up to which the exact method takes less than two tries: 85 us against 45 us at 8 x 8
+_SMALL = 64  # cells up to which the exact method costs less than two tries: 85 us against 45 us at 8 x 8
 
-METHODS = ("attenuation", "series", "exact")
-"""From the cheapest to the most accurate."""
+METHODS = ("attenuation", "exact")
+"""What ``scan(..., method=...)`` takes, from the cheapest to the most accurate"""
 
 
 @dataclass(frozen=True)
@@ -39,6 +35,7 @@ class ScanResult:
     saturated: BoolArray
     """outputs at a supply limit"""
     method: str
+    """the method that gave ``volts``: one of :data:`METHODS`, or "series" (:mod:`.solvers._series`)"""
     error_bound: float
     """certified bound on the error of ``volts``, relative to the largest \\|volt\\|"""
     seconds: float
@@ -52,11 +49,6 @@ class ScanResult:
         """(rows, columns) ohm that equation (10) makes of ``volts``; inf where no current flows."""
         return apparent_resistance(self.design, self.volts)
 
-    @property
-    def effects(self) -> tuple[Effect, ...]:
-        """What was modelled, and what was left out, each with its size to first order; worked out when asked for."""
-        return effects(self.design, self.cells)
-
 
 def scan(
     design: Design, resistance: ArrayLike, *, tolerance: float | None = None, method: str | None = None
@@ -68,7 +60,7 @@ def scan(
         resistance: (rows, columns) ohm; inf is an open cell, 0 a short.
         tolerance: largest acceptable error of any output, relative to the largest one: the cheapest method is taken
             that certifies it. None: a quarter of an ADC step where the design has an ADC, else the exact method.
-        method: one of :data:`METHODS`, whatever it costs and whatever its error. Frames that a fast method cannot
+        method: one of :data:`METHODS`, whatever it costs and whatever its error. Frames that line attenuation cannot
             express (dividers, shorted cells, saturated outputs ...) are read exactly all the same.
 
     Raises:
@@ -77,21 +69,15 @@ def scan(
         SolverError: no method can certify the tolerance.
 
     """
-    check_request(tolerance, method)
+    demand = Demand.of(design, tolerance, method)
     cells = design.resistance(resistance)
-    return solve(design, cells, tolerance, method)
-
-
-def solve(
-    design: Design, cells: FloatArray, tolerance: float | None, method: str | None, transfer: Transfer = exact_transfer
-) -> ScanResult:
-    """:func:`scan`, with everything checked; ``transfer`` solves the exact method's linear frames."""
     start = time.perf_counter()
-    answer = _cheapest(design, cells, tolerance, method, transfer)
+    board = design.board
+    answer = _cheapest(board, board.turn(cells), demand, method)
     seconds = time.perf_counter() - start
     return ScanResult(
-        volts=answer.volts,
-        saturated=answer.saturated,
+        volts=board.turn(answer.volts),
+        saturated=board.turn(answer.saturated),
         method=answer.method,
         error_bound=answer.bound,
         seconds=seconds,
@@ -100,14 +86,30 @@ def solve(
     )
 
 
-def check_request(tolerance: float | None, method: str | None) -> None:
-    """Raises InputError."""
-    if method is not None and method not in METHODS:
-        raise InputError(f"unknown method '{method}'; expected one of {', '.join(METHODS)}")
-    if tolerance is not None and not tolerance > 0:
-        raise InputError(f"tolerance is {tolerance}; expected a number above 0")
-    if tolerance is not None and method is not None:
-        raise InputError("give a tolerance or a method, not both")
+class Demand(NamedTuple):
+    """The errors that a reading may have at most."""
+
+    relative: float
+    """of any output, relative to the largest output"""
+    volts: float
+    """of any output, in V"""
+
+    @classmethod
+    def of(cls, design: Design, tolerance: float | None, method: str | None) -> Demand | None:
+        """What the arguments of :func:`scan` ask for; None where they ask for a method instead. Raises InputError."""
+        if method is not None and method not in METHODS:
+            raise InputError(f"unknown method '{method}'; expected one of {', '.join(METHODS)}")
+        if tolerance is not None and not tolerance > 0:
+            raise InputError(f"tolerance is {tolerance}; expected a number above 0")
+        if tolerance is not None and method is not None:
+            raise InputError("give a tolerance or a method, not both")
+        if tolerance is not None:
+            return cls(tolerance, inf)
+        return cls(inf, design.adc.step / 4.0) if method is None and design.adc is not None else None
+
+    def is_met(self, worst: float, bound: float) -> bool:
+        """By outputs of which none is off by more than ``worst`` in V, or ``bound`` relative to the largest."""
+        return worst <= self.volts and bound <= self.relative
 
 
 class _Answer(NamedTuple):
@@ -120,81 +122,66 @@ class _Answer(NamedTuple):
     method: str
 
 
-def _cheapest(
-    design: Design, cells: FloatArray, tolerance: float | None, method: str | None, transfer: Transfer
-) -> _Answer:
-    """In the order of what the methods cost, the first that does what is asked for."""
-    demand = Demand.of(design, tolerance, method)
-    first: Series | None = None
-    if method == "series":
-        first = terms
-    elif method == "attenuation" or (demand is not None and cells.size > _FEW):
-        first = _alone
-    if first is not None:
-        *_, fast = None, *_answers(design, cells, first)
-        if fast is not None and (demand is None or demand.kept(fast.worst, fast.bound)):
+def _cheapest(board: Board, cells: FloatArray, demand: Demand | None, method: str | None) -> _Answer:
+    """The answer of the cheapest method that meets the demand; cells in line coordinates."""
+    if method == "attenuation" or (demand is not None and cells.size > _SMALL):
+        fast = _by_attenuation(board, cells)
+        if fast is not None and (demand is None or demand.is_met(fast.worst, fast.bound)):
             return fast
-    reading, error = read_exactly(design, cells, transfer)
-    volts = ideal_limits(design, cells, reading.volts)
-    exact = _Answer(volts, reading.saturated, float(error.max()), relative(error, volts), "exact")
-    if tolerance is None or demand is None or demand.kept(exact.worst, exact.bound):
+    reading, error = read_exactly(board, cells)
+    volts = board.circuit.in_the_limit(board, cells, reading.volts)
+    exact = _Answer(volts, reading.saturated, float(error.max()), relative_bound(error, volts), "exact")
+    if demand is None or demand.relative == inf or demand.is_met(exact.worst, exact.bound):
         return exact
-    for better in _answers(design, cells, terms):
-        if demand.kept(better.worst, better.bound):
-            return better
-    raise SolverError(
-        f"no method certifies a tolerance of {tolerance:g} here; method 'exact' certifies "
-        f"{exact.bound:.1e} of the largest output"
-    )
+    better = _by_series(board, cells, demand)
+    if better is None:
+        raise SolverError(
+            f"no method certifies a tolerance of {demand.relative:g} here; method 'exact' certifies "
+            f"{exact.bound:.1e} of the largest output"
+        )
+    return better
 
 
-class Demand(NamedTuple):
-    """How good a reading must at least be."""
-
-    relative: float
-    """error relative to the largest output"""
-    volts: float
-    """error of any output"""
-
-    @classmethod
-    def of(cls, design: Design, tolerance: float | None, method: str | None) -> Demand | None:
-        """None where nothing but the method is asked for."""
-        if tolerance is not None:
-            return cls(tolerance, inf)
-        return cls(inf, design.adc.step / 4.0) if method is None and design.adc is not None else None
-
-    def kept(self, worst: float, bound: float) -> bool:
-        """By outputs of which none is off by more than ``worst`` in V, ``bound`` relative to the largest."""
-        return worst <= self.volts and bound <= self.relative
+def _by_attenuation(board: Board, cells: FloatArray) -> _Answer | None:
+    """None where line attenuation cannot express the frame, or where an output may saturate."""
+    if board.linear is None:
+        return None
+    known = attenuate(board.cell_conductance(cells), board.linear.wires)
+    return None if known is None else _within_supply(board, known, "attenuation")
 
 
-Series = Callable[[FloatArray, Wires | None], Iterable[Attenuated]]
-"""Cells (N, M) in S and their wires to better and better transfer conductances, or none."""
+def _by_series(board: Board, cells: FloatArray, demand: Demand) -> _Answer | None:
+    """As many terms of the Neumann series as the demand needs; None where they do not meet it."""
+    return next((answer for answer in series_answers(board, cells) if demand.is_met(answer.worst, answer.bound)), None)
 
 
-def _alone(conductance: FloatArray, wires: Wires | None) -> Iterable[Attenuated]:
-    known = attenuate(conductance, wires)
-    return () if known is None else (known,)
-
-
-def _answers(design: Design, cells: FloatArray, series: Series) -> Iterator[_Answer]:
-    """Better and better readings; none where the series does not apply, or where an output may saturate."""
-    linear, last = LinearReadout.of(design), inf
-    if linear is None:
+def series_answers(board: Board, cells: FloatArray) -> Iterator[_Answer]:
+    """Better and better answers with 1, 2, 3, ... terms; none where an output may reach a supply limit."""
+    if board.linear is None:
         return
-    for number, known in enumerate(series(cell_conductance(design, cells), linear.wires)):
-        volts, *limits = linear.read(known)
-        worst, sure = map(float, limits)
-        if number and not worst < 0.7 * last:  # rounding is all that is left, or the lines are too heavy for this
+    last = inf
+    for number, known in enumerate(terms(board.cell_conductance(cells), board.linear.wires)):
+        answer = _within_supply(board, known, "series" if number else "attenuation")
+        if answer is None:
             return
-        last = worst
-        if linear.within_supply(volts, worst):
-            flags = np.zeros(volts.shape, dtype=np.bool_)
-            yield _Answer(volts, flags, worst, _share(worst, sure), "series" if number else "attenuation")
+        if number and not answer.worst < 0.7 * last:  # rounding is all that is left, or the lines are too heavy
+            return
+        last = answer.worst
+        yield answer
 
 
-def relative(error: FloatArray, volts: FloatArray) -> float:
-    """Largest error relative to the largest finite output that is sure to be there."""
+def _within_supply(board: Board, known: Attenuated, method: str) -> _Answer | None:
+    """The outputs for certified transfer conductances; None where one may reach a supply limit."""
+    assert board.linear is not None
+    volts, *limits = board.linear.read(known)
+    worst, sure = map(float, limits)
+    if not board.linear.within_supply(volts, worst):
+        return None
+    return _Answer(volts, np.zeros(volts.shape, dtype=np.bool_), worst, _share(worst, sure), method)
+
+
+def relative_bound(error: FloatArray, volts: FloatArray) -> float:
+    """The largest error in V, relative to the largest finite output that is sure to be there."""
     finite = np.isfinite(volts)
     worst = float(np.max(error, where=finite, initial=0.0))
     return _share(worst, float(np.max(np.abs(volts), where=finite, initial=0.0)) - worst)
@@ -202,20 +189,3 @@ def relative(error: FloatArray, volts: FloatArray) -> float:
 
 def _share(worst: float, sure: float) -> float:
     return worst / sure if sure > 0 else inf if worst else 0.0
-
-
-def ideal_limits(design: Design, cells: FloatArray, volts: FloatArray) -> FloatArray:
-    """What the large conductances that stand for ideal wires and shorts mean in the limit (amplifiers only).
-
-    The output of an ideal amplifier on a shorted cell with ideal lines has no finite value: a current far above what
-    LARGEST_PART could carry comes through nothing else. And no current leaks over an ideal line: what is smaller than
-    the largest signal by the square of IDEAL_WIRE came that way.
-    """
-    if design.readout.circuit != "inverting-amplifier":
-        return volts
-    level, reference = design.readout.reference_voltage, Parts.of(design).reference
-    signal = volts - level
-    most = 1e3 * LARGEST_PART * cells.size * abs(design.drive.voltage) * reference
-    finite = np.abs(signal) <= most
-    least = IDEAL_WIRE**-2 * np.max(np.abs(signal), where=finite, initial=0.0)
-    return np.where(finite, np.where(np.abs(signal) < least, level, volts), np.copysign(np.inf, signal))

@@ -19,14 +19,15 @@ strips and to the boxes' faces on its sides; a frame then only joins such pieces
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ._design import Sheet
-from ._parts import siemens
-from .solvers._network import Element, Network, reduce
+from .solvers import Element, Network, reduce, siemens
+
+if TYPE_CHECKING:
+    from ._design import Sheet
 
 
 class Sides(NamedTuple):

@@ -15,9 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from ..config import Section
-
-Share = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+from ..config import Finite, NotNegative, Section
 
 ROOM_TEMPERATURE_K = 298.15
 """at which nominal values hold; temperature coefficients count from here"""
@@ -28,9 +26,9 @@ class Spread(Section):
 
     tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """largest deviation, relative to the nominal value"""
-    deviation: Share = 0.0
+    deviation: NotNegative = 0.0
     """largest deviation in the unit of the part, in addition to ``tolerance``"""
-    matching: Share | None = None
+    matching: NotNegative | None = None
     """largest deviation of lines of one package from their common value, relative to the nominal value; None: each line
     deviates on its own by the whole tolerance"""
     package: Annotated[int, Field(ge=1)] | None = None
@@ -38,7 +36,7 @@ class Spread(Section):
     distribution: Literal["uniform", "normal", "two-point"] = "uniform"
     """within the tolerance; "normal": the tolerance is three standard deviations, parts beyond it are sorted out;
     "two-point": always at one end or the other"""
-    temperature_coefficient: Annotated[float, Field(allow_inf_nan=False)] = 0.0
+    temperature_coefficient: Finite = 0.0
     """1/K, relative to the nominal value"""
 
     @model_validator(mode="after")

@@ -7,8 +7,31 @@
             print(frame.pressure)
 """
 
-from ._port import BAUDRATE, BytePort, SerialPort
+from ._contacts import Contact, ContactTracker
+from ._discover import FoundBoard, discover
+from ._frame import Frame
+from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader, Reading
-from ._skin import Frame, Skin
+from ._skin import Delivery, Skin
+from ._statistics import LinkStatistics
+from ._tare import Tare
 
-__all__ = ["BAUDRATE", "BytePort", "CountReader", "Frame", "Reading", "SerialPort", "Skin"]
+__all__ = [
+    "BAUDRATE",
+    "Arrival",
+    "BytePort",
+    "Contact",
+    "ContactTracker",
+    "CountReader",
+    "Delivery",
+    "FoundBoard",
+    "Frame",
+    "LinkStatistics",
+    "Reading",
+    "SerialPort",
+    "Skin",
+    "SocketPort",
+    "Tare",
+    "discover",
+    "open_port",
+]

@@ -1,12 +1,22 @@
-"""The only place that knows pyserial: bytes in and out of a port, and its failures as link errors."""
+"""Serial ports and TCP sockets as byte streams. This module is the only one that knows pyserial.
+
+Waiting uses :mod:`selectors` on file descriptors: ``select()``, which pyserial uses, fails beyond descriptor 1023.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
-import select
+import selectors
+import socket
+import threading
+import time
+from abc import abstractmethod
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
+from urllib.parse import urlsplit
 
 import serial
 from serial.tools import list_ports
@@ -14,22 +24,59 @@ from serial.tools import list_ports
 from ..errors import LinkError
 
 BAUDRATE = 1_000_000
-"""where there is a real UART; USB, ptys and TCP ignore it"""
-
+"""for a real UART; USB, pseudo-terminals and TCP ignore it"""
+WRITE_TIMEOUT_S = 1.0
+"""a line that takes no byte for this long is broken"""
+CONNECT_TIMEOUT_S = 5.0
 _CHUNK = 65536
+_NOT_NOW = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
+_HUNG_UP = (errno.EPIPE, errno.ECONNRESET, errno.EIO, errno.ENXIO, errno.ENODEV)
+
+
+@dataclass(frozen=True, slots=True)
+class Arrival:
+    """Bytes and the time at which the host took them from the operating system."""
+
+    data: bytes
+    """empty when nothing had come"""
+    received_at: float
+    """s on the monotonic clock of the port (:meth:`BytePort.now`)"""
+    wall_time: float
+    """s since the epoch at the same moment"""
 
 
 class BytePort(Protocol):
-    """What a :class:`~.skin.Skin` needs of a port. A recording can be one."""
+    """A byte stream with times of arrival: what a :class:`~ohmskin.driver.Skin` needs of a port.
+
+    A recording can be one: ``read`` then returns the recorded arrivals, and ``now`` runs with the recording.
+    """
 
     name: str
 
-    def read(self, wait_s: float) -> bytes:
-        """What has come, waiting up to ``wait_s`` for the first byte; LinkError when the port is gone."""
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until bytes have come or the port is gone; False after ``timeout_s`` or after :meth:`interrupt`."""
+        ...
+
+    def read(self) -> Arrival:
+        """Take the bytes that have come, without waiting.
+
+        Raises:
+            LinkEnded: the stream has come to its regular end.
+            LinkError: the port is gone.
+
+        """
         ...
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``; LinkError when that fails."""
+        ...
+
+    def interrupt(self) -> None:
+        """End a :meth:`wait` that another thread is in."""
+        ...
+
+    def now(self) -> float:
+        """Present time in s, on the clock of :attr:`Arrival.received_at`."""
         ...
 
     def close(self) -> None:
@@ -37,50 +84,268 @@ class BytePort(Protocol):
         ...
 
 
-class SerialPort:
-    """A serial device, a pty, or ``socket://HOST:PORT``; nobody else can open it as long as it is open.
+def open_port(name: str, *, baudrate: int = BAUDRATE, dtr: bool | None = None, rts: bool | None = None) -> BytePort:
+    """Open a serial device, a pseudo-terminal, ``socket://HOST:PORT`` or another URL that pyserial knows.
+
+    Nobody else can open a serial device as long as it is open here.
+
+    Args:
+        name: of the port.
+        baudrate: of the UART, where there is one.
+        dtr: level of the control line DTR from the moment of opening; None: the driver's default.
+        rts: level of the control line RTS, likewise.
 
     Raises:
-        LinkError: it is not there, may not be used, is in use, or is no serial port. The message says which.
+        LinkError: the port is not there, may not be used, is in use, or is no serial port. The message says which.
+
+    """
+    if name.startswith("socket://"):
+        return SocketPort(name)
+    device = _open_serial(name, baudrate, dtr, rts)
+    return UrlPort(name, device) if "://" in name else SerialPort(name, device)
+
+
+class _RealTimePort:
+    """The part that all live ports share: they tell the machine's time."""
+
+    name: str
+
+    def now(self) -> float:
+        """Present time in s on the machine's monotonic clock."""
+        return time.monotonic()
+
+    def _arrived(self, data: bytes) -> Arrival:
+        return Arrival(data, time.monotonic(), time.time())
+
+    def _gone(self, error: Exception | str) -> LinkError:
+        reason = error if isinstance(error, str) else _reason(error)
+        return LinkError(f"{self.name}: the board has gone away ({reason})")
+
+
+class DescriptorPort(_RealTimePort):
+    """A port with a non-blocking file descriptor; POSIX only."""
+
+    def __init__(self, name: str, descriptor: int) -> None:
+        self.name = name
+        self._descriptor = descriptor
+        self._wake_read, self._wake_write = os.pipe()
+        os.set_blocking(self._wake_write, False)
+        self._selector = selectors.DefaultSelector()
+        self._selector.register(self._wake_read, selectors.EVENT_READ)
+        self._selector.register(descriptor, selectors.EVENT_READ)
+        self._readable = selectors.DefaultSelector()
+        self._readable.register(descriptor, selectors.EVENT_READ)
+        self._closed = False
+        self._closing = threading.Lock()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until bytes have come or the port is gone; False after ``timeout_s`` or after :meth:`interrupt`."""
+        ready = {key.fd for key, _ in self._selector.select(max(timeout_s, 0.0))}
+        if self._wake_read in ready:
+            os.read(self._wake_read, _CHUNK)
+        return self._descriptor in ready
+
+    def read(self) -> Arrival:
+        """Take the bytes that have come, without waiting; LinkError when the port is gone."""
+        try:
+            data = os.read(self._descriptor, _CHUNK)
+            # A terminal reads nothing when nothing has come. Any port reads nothing when the other end hung up, but
+            # is then said to be readable.
+            if not data and self._readable.select(0):
+                data = os.read(self._descriptor, _CHUNK)
+                if not data:
+                    raise self._gone("the other end hung up")
+        except OSError as error:
+            if isinstance(error, LinkError):
+                raise
+            if error.errno in _NOT_NOW:
+                return self._arrived(b"")
+            raise self._gone(error) from error
+        return self._arrived(data)
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``; LinkError when that fails."""
+        rest = memoryview(data)
+        deadline = time.monotonic() + WRITE_TIMEOUT_S
+        while rest:
+            try:
+                rest = rest[os.write(self._descriptor, rest) :]
+            except OSError as error:
+                if error.errno in _HUNG_UP:
+                    raise self._gone(error) from error
+                if error.errno not in _NOT_NOW:
+                    raise LinkError(f"{self.name}: the board takes no commands ({_reason(error)})") from error
+                if time.monotonic() > deadline:
+                    raise LinkError(f"{self.name}: the board takes no commands (the line is full)") from error
+                self._wait_writable(deadline)
+
+    def _wait_writable(self, deadline: float) -> None:
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._descriptor, selectors.EVENT_WRITE)
+            selector.select(max(deadline - time.monotonic(), 0.0))
+
+    def interrupt(self) -> None:
+        """End a :meth:`wait` that another thread is in."""
+        with self._closing, contextlib.suppress(BlockingIOError):
+            if not self._closed:
+                os.write(self._wake_write, b"!")
+
+    def close(self) -> None:
+        """Give the port back; a second time does nothing. Not while another thread waits, reads or writes."""
+        with self._closing:
+            if self._closed:
+                return
+            self._closed = True
+            self._selector.close()
+            self._readable.close()
+            os.close(self._wake_read)
+            os.close(self._wake_write)
+            self._release()
+
+    @abstractmethod
+    def _release(self) -> None:
+        """Close what the descriptor belongs to."""
+
+
+class SerialPort(DescriptorPort):
+    """A serial device or a pseudo-terminal, opened and configured by pyserial."""
+
+    def __init__(self, name: str, device: serial.SerialBase) -> None:
+        self._device = device
+        super().__init__(name, device.fileno())
+
+    def _release(self) -> None:
+        self._device.close()
+
+
+class SocketPort(DescriptorPort):
+    """A TCP connection to ``socket://HOST:PORT``, without the pauses that pyserial's own makes.
+
+    Raises:
+        LinkError: the name is no such address, or nobody answers there.
 
     """
 
-    def __init__(self, name: str, baudrate: int = BAUDRATE) -> None:
-        self.name = name
+    def __init__(self, name: str) -> None:
         try:
-            self._serial = serial.serial_for_url(name, baudrate, timeout=0, write_timeout=1.0, exclusive=True)
-        except (serial.SerialException, ValueError, OSError) as error:
-            raise LinkError(f"{name}: {_why_not_opened(name, error)}") from error
+            address = urlsplit(name)
+            if not address.hostname or address.port is None:
+                raise ValueError("expected socket://HOST:PORT")
+            self._socket = socket.create_connection((address.hostname, address.port), timeout=CONNECT_TIMEOUT_S)
+        except (OSError, ValueError) as error:
+            raise LinkError(f"{name}: cannot be opened: {_reason(error)}") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket.setblocking(False)
+        super().__init__(name, self._socket.fileno())
 
-    def read(self, wait_s: float) -> bytes:
-        """What has come, waiting up to ``wait_s`` for the first byte; LinkError when the port is gone."""
+    def _release(self) -> None:
+        self._socket.close()
+
+
+class UrlPort(_RealTimePort):
+    """A port that pyserial reads in a way of its own, such as ``rfc2217://HOST:PORT``."""
+
+    _LONGEST_WAIT_S = 0.1
+    """:meth:`interrupt` has no way to end a wait of pyserial's earlier"""
+
+    def __init__(self, name: str, device: serial.SerialBase) -> None:
+        self.name = name
+        self._device = device
+        self._waiting = b""
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until bytes have come or the port is gone; False after ``timeout_s`` or 0.1 s."""
+        if not self._waiting:
+            self._waiting = self._take(1, min(max(timeout_s, 0.0), self._LONGEST_WAIT_S))
+        return bool(self._waiting)
+
+    def read(self) -> Arrival:
+        """Take the bytes that have come, without waiting; LinkError when the port is gone."""
+        first, self._waiting = self._waiting, b""
+        return self._arrived(first + self._take(_CHUNK, 0.0))
+
+    def _take(self, size: int, timeout_s: float) -> bytes:
         try:
-            ready, _, _ = select.select([self._serial], [], [], max(wait_s, 0.0))
-            return bytes(self._serial.read(_CHUNK)) if ready else b""
-        except (serial.SerialException, OSError) as error:
-            raise LinkError(f"{self.name}: the board has gone away ({_reason(error)})") from error
+            self._device.timeout = timeout_s
+            return bytes(self._device.read(size))
+        except (serial.SerialException, OSError, TypeError, AttributeError) as error:
+            # pyserial's own errors for a port that another thread closes are TypeError and AttributeError.
+            raise self._gone(error) from error
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``; LinkError when that fails."""
         try:
-            self._serial.write(data)
+            self._device.write(data)
         except (serial.SerialException, OSError) as error:
             raise LinkError(f"{self.name}: the board takes no commands ({_reason(error)})") from error
 
+    def interrupt(self) -> None:
+        """Does nothing: a wait ends by itself within 0.1 s."""
+
     def close(self) -> None:
         """Give the port back; a second time does nothing."""
-        # pyserial forgets to close a socket whose other end hung up first.
-        tcp = getattr(self._serial, "_socket", None)
-        self._serial.close()
-        if tcp is not None:
-            tcp.close()
+        self._device.close()
+
+
+def usb_serial_number(name: str) -> str | None:
+    """The serial number of the USB device behind the port ``name``; None where there is none."""
+    device = os.path.realpath(name)
+    return next((port.serial_number for port in list_ports.comports() if port.device == device), None)
+
+
+def ports_with(usb_serial: str) -> list[str]:
+    """The names of all ports of the USB device with this serial number."""
+    return [port.device for port in list_ports.comports() if port.serial_number == usb_serial]
+
+
+def serial_ports() -> list[str]:
+    """The names of the serial ports that the operating system lists. Pseudo-terminals are not among them."""
+    return [port.device for port in list_ports.comports()]
+
+
+def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -> serial.SerialBase:
+    _refuse_terminal(name)
+    try:
+        device = serial.serial_for_url(name, baudrate, timeout=0, write_timeout=WRITE_TIMEOUT_S, do_not_open=True)
+        device.exclusive = True
+        if dtr is not None:
+            device.dtr = dtr
+        if rts is not None:
+            device.rts = rts
+        device.open()
+    except (serial.SerialException, ValueError, OSError) as error:
+        raise LinkError(f"{name}: {_why_not_opened(name, error)}") from error
+    # FTDI converters hold bytes back for 16 ms unless told otherwise. Other devices do not know the setting.
+    with contextlib.suppress(Exception):
+        device.set_low_latency_mode(True)
+    return device
+
+
+def _refuse_terminal(name: str) -> None:
+    """Raise LinkError where the pseudo-terminal ``name`` is somebody's terminal window.
+
+    An emulator that died may leave a link to a pseudo-terminal whose number a terminal window has taken since.
+    """
+    device = os.path.realpath(name)
+    if not device.startswith("/dev/pts/") or not os.path.exists(device):
+        return
+    number = os.stat(device).st_rdev
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            # The name in parentheses may contain anything; the fields after it begin with state, parent, group,
+            # session and terminal.
+            head, _, fields = (process / "stat").read_text(errors="replace").rpartition(")")
+        except OSError:
+            continue
+        if int(fields.split()[4]) == number:
+            who = f"process {process.name} ({head.partition('(')[2]})"
+            raise LinkError(f"{name}: is the terminal of {who}, not a board")
 
 
 def _why_not_opened(name: str, error: Exception) -> str:
     match getattr(error, "errno", None):
         case errno.ENOENT:
-            present = ", ".join(port.device for port in list_ports.comports()) or "none"
-            return f"no such port; serial ports present: {present}"
+            return f"no such port; serial ports present: {', '.join(serial_ports()) or 'none'}"
         case errno.EACCES | errno.EPERM:
             return f"permission denied; the port belongs to {_owner(name)}, which this user is not in"
         case errno.EAGAIN | errno.EBUSY:

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
-from ..circuits import Design, clipped, volts_of_codes
-from ..circuits.recovery._recover import Recoverer, Status
+from ..circuits import Design, Recoverer, Status, clipped, volts_of_codes
 from ..errors import ProtocolError, SolverError
 
 TOLERANCE = 0.01
@@ -35,7 +34,7 @@ class CountReader:
     """Counts of one board, frame by frame, to the resistances of its cells.
 
     The whole circuit is inverted: what leads, switches, lines, finite gain, offset and bias current add to the
-    readings is taken out of them (:mod:`ohmskin.circuits.recovery._recover`).
+    readings is taken out of them (:mod:`ohmskin.circuits.recovery`).
     """
 
     def __init__(self, design: Design) -> None:

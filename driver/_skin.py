@@ -1,134 +1,226 @@
-"""``Skin``: a board's bytes to frames of counts, ohms and kPa."""
+"""``Skin``: the driver's face. A board's bytes to frames of counts, ohms and kPa."""
 
 from __future__ import annotations
 
+import threading
 import time
-from collections import deque
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import AsyncIterator, Callable, Iterator
+from functools import partial
 from types import TracebackType
-from typing import Self, TypeVar
+from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import BoolArray, FloatArray
-from ..cell import Cell, Estimator
+from ..cell import Cell
 from ..circuits import Design
-from ..config import parse
-from ..errors import InputError, LinkTimeout, ProtocolError
-from ..wire import Command, Corrupt, Decoder, DescriptionPacket, Event, FramePacket, Framer, Order, encode
-from ._port import BAUDRATE, BytePort, SerialPort
-from ._reading import CountReader
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
+from ..wire import Description, Family, HostProtocol, Identity, Order, board_family, host_protocol
+from ._convert import Converter
+from ._discover import find_board
+from ._frame import Frame
+from ._introduce import Introduction
+from ._mailbox import Mailbox
+from ._port import Arrival, BytePort
+from ._reader import Reader
+from ._reconnect import PortFinder
+from ._statistics import Counters, LinkStatistics
+from ._taker import AsyncFrames, FrameCallback, FrameTaker, Source
+from ._tare import RestReadings, Tare
 
-T = TypeVar("T", bound=np.generic)
-P = TypeVar("P", FramePacket, DescriptionPacket)
-S = TypeVar("S", Design, Cell)
+Delivery = Literal["newest", "every", "lossless"]
+"""which frames a reader of the skin gets
 
-ASK_AGAIN_S = 0.5
-"""how long to wait for an answer before asking again"""
-# The zero ends what an earlier host may have left unfinished.
-_WAKE = b"\0" + encode(Command(Order.DESCRIBE)) + encode(Command(Order.START))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Frame:
-    """One scan of the skin. Arrays are (rows, columns) and read-only."""
-
-    sequence: int
-    """the board's number of this frame, modulo 2**32"""
-    device_time: float
-    """s since the board started, when the scan began"""
-    host_time: float
-    """s since the epoch, when its last byte was here"""
-    lost_before: int
-    """frames lost between the previous frame and this one, on the line or by the board"""
-    counts: NDArray[np.uint16]
-    valid: BoolArray
-    """where ``resistance`` is a measurement: not clipped, and known to 1 % or an ADC step whatever clipped ones are"""
-    resistance: FloatArray
-    """of the cells, in ohm, what the circuit adds taken out; NaN where not valid"""
-    pressure: FloatArray
-    """kPa, estimated from this and all earlier frames; where not valid the last estimate, NaN before the first"""
+``newest``
+    The newest frame that the reader has not seen. Frames that came since the last one are skipped, and counted.
+``every``
+    Every frame, in order. A reader that is slower than the board loses the oldest of ``queue`` frames, counted.
+``lossless``
+    Every frame, in order. The port is not read while ``queue`` frames wait. For recordings and for emulated boards
+    that wait for their host; a real board then has to drop frames itself.
+"""
+QUEUE = 256
 
 
 class Skin:
-    """An open skin: iterate over it for its frames. Make one with :meth:`open`."""
+    """An open skin: iterate over it for its frames. Make one with :meth:`open`.
+
+    A thread reads the port as long as the skin is open. :meth:`read`, :meth:`latest` and iteration share one place in
+    the stream; each callback, each ``async for`` and each :meth:`frames` has a place of its own. Every method may be
+    called from every thread.
+    """
 
     def __init__(
         self,
         port: BytePort,
         *,
+        board: str | Family = "ohmskin",
         design: Design | None = None,
         cell: Cell | None = None,
         estimator: str | None = None,
         timeout: float = 3.0,
-        framer: Framer | None = None,
-        wake: bytes = _WAKE,
+        delivery: Delivery = "newest",
+        queue: int = QUEUE,
+        reconnect: float = 10.0,
+        reopen: Callable[[], BytePort] | None = None,
+        pitch: float | None = None,
     ) -> None:
         """Introduce the board behind an open port.
 
         Args:
             port: closed by :meth:`close`, and when this fails.
-            design: how the board reads its array; None: as the board describes itself.
-            cell: what the skin is made of; None: as the board describes itself.
+            board: family of the board, by name (``ohmskin.wire.BOARDS``) or itself.
+            design: how the board reads its array; None: as the board describes itself, or as is usual for its family.
+            cell: what the skin is made of; None: as the board describes itself. Without both, pressures are NaN.
             estimator: name for :meth:`ohmskin.cell.Cell.estimator`.
-            timeout: s to wait for the description here, and for each frame later.
-            framer: how the board's bytes become events; None: as ``docs/wire.md`` says.
-            wake: what to send when the board says nothing.
+            timeout: s to wait for the board to introduce itself, to set up the inverse of its circuit, and later for
+                each frame.
+            delivery: which frames readers get, see :data:`Delivery`.
+            queue: frames that wait for readers, unless ``delivery`` is ``newest``.
+            reconnect: s to try to open a port again that has gone away.
+            reopen: opens the port again; None: a port that has gone away is not opened again.
+            pitch: distance of neighbouring cells in m, for contacts; None: that of the design's ``[sheet]``.
 
         Raises:
             LinkTimeout: the board is silent.
-            ProtocolError: it sends something else than packets, or a description that is not valid.
+            ProtocolError: it sends something else than packets, or a description that is not valid or too large.
             LinkError: the port is gone.
-            InputError: there is no such estimator for this cell.
+            InputError: there is no such family, or no such estimator for this cell, or the design is not known.
 
         """
-        self._port = port
         self._timeout = timeout
-        self._framer = Decoder() if framer is None else framer
-        self._wake = wake
-        self._events: deque[tuple[float, Event]] = deque()
-        self._expected: int | None = None
-        self._latest_us = -1
-        self.description: DescriptionPacket | None = None
-        """the board's data sheet; None when design and cell were given and it was not needed"""
-        self.corrupt = 0
-        """stretches of bytes so far that were no packets"""
-        self.unsolved = 0
-        """frames so far whose readings no cell resistances can give: none of their cells is valid"""
+        self._delivery = delivery
+        deadline = time.monotonic() + timeout
         try:
-            port.write(wake)
-            if design is None or cell is None:
-                self.description = self._introduce()
-            self.design = self._described("design", Design) if design is None else design
-            self.cell = self._described("cell", Cell) if cell is None else cell
-            self._read = CountReader(self.design)
-            self._estimator_name = estimator
-            self._rest: FloatArray | None = None
-            self._estimator = self._new_estimator()
+            family = board_family(board)
+            if queue < 1:
+                raise InputError(f"a queue of {queue} frames; expected at least 1")
+            if delivery not in ("newest", "every", "lossless"):
+                raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
+            self._counters = Counters()
+            self._mailbox = Mailbox(1 if delivery == "newest" else queue, drops_oldest=delivery != "lossless")
+            introduction = Introduction(family, port.name, design, cell)
+            self._reader = Reader(
+                port,
+                protocol=lambda: _host_end(family, introduction),
+                introduction=introduction,
+                mailbox=self._mailbox,
+                counters=self._counters,
+                lossless=delivery == "lossless",
+                reopen=reopen,
+                reconnect_s=reconnect,
+            )
         except BaseException:
             port.close()
             raise
+        self._reader.start()
+        try:
+            self._reader.await_introduction(timeout)
+            set_up = partial(_set_up, introduction, estimator, pitch, self._counters)
+            self._converter = _within(set_up, deadline, self._too_slow)
+        except BaseException:
+            self._reader.stop()
+            raise
+        self.family = family
+        self.design = self._converter.design
+        """how the board reads its array"""
+        self.cell = self._converter.cell
+        """what the skin is made of; None: not known, pressures are NaN"""
+        self._source = Source(
+            port.name,
+            self._mailbox,
+            self._converter,
+            self._counters,
+            self._reader.poll,
+            self._reader.now,
+            self._reader.nothing_came,
+            newest_only=delivery == "newest",
+        )
+        self._taker = FrameTaker(self._source, from_start=True)
+        self._callbacks: list[FrameCallback] = []
+        self._tares: list[Tare | None] = [None]
+        self._taring = threading.Lock()
 
     @classmethod
     def open(
         cls,
-        port: str,
+        port: str | None = None,
         *,
+        board: str | Family = "ohmskin",
+        serial_number: str | None = None,
         design: Design | None = None,
         cell: Cell | None = None,
         estimator: str | None = None,
         timeout: float = 3.0,
-        baudrate: int = BAUDRATE,
+        baudrate: int | None = None,
+        delivery: Delivery = "newest",
+        queue: int = QUEUE,
+        reconnect: float = 10.0,
+        pitch: float | None = None,
     ) -> Skin:
         """Open a serial device, a pty or ``socket://HOST:PORT``; see :meth:`__init__` for the rest.
 
+        Args:
+            port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``.
+            board: family of the board.
+            serial_number: that the board must have.
+            design: and the others: as for :meth:`__init__`.
+            cell: likewise.
+            estimator: likewise.
+            timeout: likewise.
+            baudrate: of the UART, where there is one; None: that of the family.
+            delivery: likewise.
+            queue: likewise.
+            reconnect: likewise.
+            pitch: likewise.
+
         Raises:
-            LinkError: the port is not there, may not be used, or is in use; and what :meth:`__init__` raises.
+            LinkError: the port is not there, may not be used, or is in use, or another board is behind it; and what
+                :meth:`__init__` raises.
 
         """
-        return cls(SerialPort(port, baudrate), design=design, cell=cell, estimator=estimator, timeout=timeout)
+        family = board_family(board)
+        if port is None:
+            if serial_number is None:
+                raise InputError("neither a port nor a serial number; expected one of them")
+            port = find_board(serial_number, board=board)
+        finder = PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
+        skin = cls(
+            finder.open(),
+            board=family,
+            design=design,
+            cell=cell,
+            estimator=estimator,
+            timeout=timeout,
+            delivery=delivery,
+            queue=queue,
+            reconnect=reconnect,
+            reopen=finder.open_again,
+            pitch=pitch,
+        )
+        if serial_number is not None and skin.serial_number and skin.serial_number != serial_number:
+            skin.close()
+            raise LinkError(f"{port}: board {skin.serial_number} is there; expected {serial_number}")
+        return skin
+
+    @property
+    def serial_number(self) -> str:
+        """The board's serial number; empty where it does not say."""
+        return self._reader.introduction.serial_number
+
+    @property
+    def identity(self) -> Identity | None:
+        """Who the board says it is; None where it does not say."""
+        return self._reader.introduction.identity
+
+    @property
+    def description(self) -> Description | None:
+        """The board's data sheet; None when it was not needed, or the family has none."""
+        return self._reader.introduction.description
+
+    @property
+    def port_name(self) -> str:
+        """The name of the port that was opened."""
+        return self._source.name
 
     def __enter__(self) -> Self:
         return self
@@ -139,129 +231,233 @@ class Skin:
         self.close()
 
     def close(self) -> None:
-        """Give the port back. The board goes on by itself."""
-        self._port.close()
+        """Give the port back, from any thread. Iterations end; the board goes on by itself."""
+        self._reader.stop()
+        for callback in self._callbacks:
+            callback.close()
+        self._callbacks.clear()
 
     def __iter__(self) -> Iterator[Frame]:
         return self
 
     def __next__(self) -> Frame:
-        """The next frame.
+        """The next frame, waiting for it; StopIteration at the regular end, or when the skin is closed.
+
+        Raises:
+            LinkTimeout: none came in time, though the port is there.
+            LinkError: the board has gone away, and has not come back.
+            ProtocolError: what came breaks the format, or does not fit the design. A later frame may be good.
+
+        """
+        try:
+            return self._taker.take(self._timeout, while_away=True)
+        except LinkEnded:
+            raise StopIteration from None
+
+    def __aiter__(self) -> AsyncIterator[Frame]:
+        """The frames that come from now on, for ``async for``; ends and raises as iteration does."""
+        return AsyncFrames(self._source, self._timeout)
+
+    def frames(self) -> Iterator[Frame]:
+        """An iterator with a place of its own: the frames that come from now on, whoever else takes them."""
+        taker = FrameTaker(self._source)
+        try:
+            while True:
+                try:
+                    yield taker.take(self._timeout, while_away=True)
+                except LinkEnded:
+                    return
+        finally:
+            taker.leave()
+
+    def read(self, timeout: float | None = None) -> Frame:
+        """The next frame, waiting for it for ``timeout`` s (None: as the skin was opened).
 
         Raises:
             LinkTimeout: none came in time.
-            LinkError: the board has gone away.
-            ProtocolError: what came breaks the format, or does not fit the design.
+            LinkEnded: none will come: the stream is over, or the skin is closed.
+            LinkError, ProtocolError: as for iteration.
 
         """
-        host_time, packet = self._await(FramePacket, "frame")
-        reading = self._read(packet.counts)
-        self.unsolved += not reading.solved
-        lost = self._count_lost(packet)
-        estimate = self._estimator.update(packet.time_us / 1e6, reading.resistance)
-        return Frame(
-            sequence=packet.sequence,
-            device_time=packet.time_us / 1e6,
-            host_time=host_time,
-            lost_before=lost,
-            counts=packet.counts,
-            valid=_read_only(reading.valid),
-            resistance=_read_only(reading.resistance),
-            pressure=_read_only(estimate.pressure_kpa),
-        )
+        return self._taker.take(self._timeout if timeout is None else timeout)
 
-    def tare(self, frames: int = 20) -> FloatArray:
-        """Take the skin for unloaded now: the mean of the next ``frames`` becomes each cell's rest resistance.
+    def latest(self, max_age: float, timeout: float = 0.0) -> Frame:
+        """The newest frame, taken before or not, never older than ``max_age``. For control loops.
 
-        This removes what differs from cell to cell, and the steady part of what the lines and switches add. A cell
-        without a valid reading keeps the rest resistance of the data sheet. Frames taken are not iterated over.
-
-        Returns:
-            (rows, columns) rest resistances in ohm.
+        Args:
+            max_age: s that may have passed since the frame's last byte came.
+            timeout: s to wait for such a frame, where there is none.
 
         Raises:
-            InputError: ``frames`` is not positive; and what iterating raises.
+            LinkTimeout: there is none; the message says how old the newest is.
+            LinkEnded, LinkError, ProtocolError: as for :meth:`read`.
+
+        """
+        return self._taker.latest(max_age, timeout)
+
+    def on_frame(self, callback: Callable[[Frame], None]) -> FrameCallback:
+        """Call ``callback`` with each frame from now on, one at a time, in a thread of its own.
+
+        Returns:
+            An object whose ``close()`` ends the calls. An exception in the callback ends them too.
+
+        """
+        made = FrameCallback(self._source, callback)
+        self._callbacks.append(made)
+        return made
+
+    def on_bytes(self, tap: Callable[[Arrival], None]) -> None:
+        """Call ``tap`` with all bytes from now on, as they arrive, in the thread that reads them: for recorders."""
+        self._reader.taps.append(tap)
+
+    def request(self, order: Order, *, period_us: int = 0) -> None:
+        """Give the board an order of its protocol; LinkError where the port is gone."""
+        self._reader.send(order, period_us=period_us)
+
+    def stats(self) -> LinkStatistics:
+        """What came, what was lost, and how old frames were."""
+        with self._mailbox.condition:
+            newest = self._mailbox.newest
+            pending = 0 if newest is None else newest.index - min(self._taker.index, newest.index)
+        clock = self._reader.stream.clock
+        return self._counters.snapshot(
+            pending=min(pending, self._mailbox.capacity), drift_ppm=clock.drift_ppm, clock_steps=clock.steps
+        )
+
+    def tare(self, frames: int = 20, *, force: bool = False) -> Tare:
+        """Take the skin for unloaded now: the mean of the next ``frames`` becomes each cell's rest resistance.
+
+        This removes what differs from cell to cell, and the steady part of what the design does not mention. A cell
+        without a valid reading keeps the rest resistance of the data sheet. The frames taken are not iterated over;
+        frames lost meanwhile count in the next frame's ``lost_before``.
+
+        Args:
+            frames: to average.
+            force: tare in spite of signs that the skin is loaded; they are then in the result's ``remarks``.
+
+        Raises:
+            InputError: the skin seems to be loaded (resistances far from the data sheet, or unlike each other, or
+                changing); no cell has a valid reading; or ``frames`` is not positive.
+            LinkTimeout, LinkError, ProtocolError: as for :meth:`read`.
 
         """
         if frames < 1:
             raise InputError(f"tare over {frames} frames; expected at least 1")
-        taken = np.array([next(self).resistance for _ in range(frames)])
-        readings = np.isfinite(taken).sum(axis=0)
-        mean = np.nansum(taken, axis=0) / np.maximum(readings, 1)
-        self._rest = np.where(readings > 0, mean, self.cell.rest_resistance_ohm)
-        self._estimator = self._new_estimator()
-        return self._rest.copy()
+        with self._taring:
+            tare = self._measure_rest(frames)
+            if tare.remarks and not force:
+                raise InputError(
+                    f"{self.port_name}: no tare, the skin seems to be loaded: {'; '.join(tare.remarks)}. "
+                    "Take everything off it, or tare(force=True)"
+                )
+            self._use(tare)
+        return tare
 
-    def _new_estimator(self) -> Estimator:
-        return self.cell.estimator(self.design.array.shape, self._estimator_name, rest_resistance_ohm=self._rest)
+    @property
+    def tared(self) -> Tare | None:
+        """The tare in use; None: rest resistances are those of the data sheet."""
+        return self._tares[-1]
 
-    def _introduce(self) -> DescriptionPacket:
-        _, description = self._await(DescriptionPacket, "description")
-        self._expected, self._latest_us = description.sequence, description.time_us - 1
-        return description
+    def use_tare(self, tare: Tare | None) -> None:
+        """Use a tare from before, such as a loaded one; None: the data sheet's rest resistances.
 
-    def _described(self, key: str, kind: type[S]) -> S:
-        assert self.description is not None
+        Raises:
+            InputError: it is of another board, or of an array of another shape.
+
+        """
+        shape = self.design.array.shape
+        if tare is not None:
+            if tare.rest_resistance_ohm.shape != shape:
+                rows, columns = tare.rest_resistance_ohm.shape
+                raise InputError(f"a tare of {rows} x {columns} cells; this skin has {shape[0]} x {shape[1]}")
+            if tare.serial_number and self.serial_number and tare.serial_number != self.serial_number:
+                raise InputError(f"a tare of board {tare.serial_number}; this is board {self.serial_number}")
+        with self._taring:
+            self._use(tare)
+
+    def undo_tare(self) -> Tare | None:
+        """Go back to the tare before the present one, None for the data sheet. Returns the tare then in use."""
+        with self._taring:
+            if len(self._tares) > 1:
+                self._tares.pop()
+            self._apply()
+            return self._tares[-1]
+
+    def _use(self, tare: Tare | None) -> None:
+        self._tares.append(tare)
+        self._apply()
+
+    def _apply(self) -> None:
+        tare = self._tares[-1]
+        self._converter.use_rest(None if tare is None else tare.rest_resistance_ohm)
+        self._taker.forget()
+
+    def _measure_rest(self, frames: int) -> Tare:
+        if self._delivery == "every":
+            # What waits in the queue is of the past.
+            self._taker.pass_to_newest()
+        with self._taker.aside():
+            taken = [self._taker.take(self._timeout) for _ in range(frames)]
+        losses = [frame.lost_before for frame in taken]
+        readings = RestReadings(
+            np.array([frame.resistance for frame in taken]),
+            np.array([frame.monotonic_time for frame in taken]),
+        )
+        return readings.tare(
+            self.cell,
+            lost=None if None in losses else sum(loss or 0 for loss in losses),
+            serial_number=self.serial_number,
+            wall_time=taken[-1].host_time,
+        )
+
+    def _too_slow(self) -> ProtocolError:
+        return ProtocolError(
+            f"{self._reader.port_name}: the inverse of the board's circuit was not set up within {self._timeout:g} s; "
+            "give a longer timeout, if the board's description is right"
+        )
+
+
+def _host_end(family: Family, introduction: Introduction) -> HostProtocol:
+    """A new host's end of the line, told of the array where the board does not say it."""
+    if family.has_description:
+        return host_protocol(family)
+    design = introduction.design()
+    return host_protocol(family, shape=design.array.shape, adc_bits=None if design.adc is None else design.adc.bits)
+
+
+def _set_up(introduction: Introduction, estimator: str | None, pitch: float | None, counters: Counters) -> Converter:
+    """The converter for a board, tried out."""
+    design, cell = introduction.design(), introduction.cell()
+    try:
+        converter = Converter(design, cell, estimator, design.sheet.pitch if pitch is None else pitch, counters)
+        converter.try_out()
+    except OhmskinError:
+        raise
+    except (ArithmeticError, LookupError, ValueError, TypeError, MemoryError, RecursionError) as error:
+        # A design and a cell that pass their own checks, but that nothing can be computed from.
+        raise introduction.refused(error) from error
+    return converter
+
+
+def _within(work: Callable[[], Converter], deadline: float, too_slow: Callable[[], ProtocolError]) -> Converter:
+    """The result of ``work``, or the error of ``too_slow`` at the ``deadline``; the work then ends by itself."""
+    results: list[Converter] = []
+    errors: list[BaseException] = []
+
+    def run() -> None:
         try:
-            return parse(getattr(self.description, key), kind, source=key)
-        except InputError as error:
-            raise ProtocolError(f"{self._port.name}: the board describes itself wrongly: {error}") from error
+            results.append(work())
+        except BaseException as error:
+            errors.append(error)
 
-    def _count_lost(self, packet: FramePacket) -> int:
-        """Frames missing before ``packet``, by the rule of docs/wire.md; a new start of the board is noticed here."""
-        if packet.time_us < self._latest_us:
-            self._expected = 0
-            self._estimator = self._new_estimator()
-        elif packet.time_us == self._latest_us:
-            raise ProtocolError(f"{self._port.name}: two frames of the same time, {packet.time_us} us")
-        lost = 0 if self._expected is None else (packet.sequence - self._expected) % 2**32
-        if lost >= 2**31:
-            raise ProtocolError(
-                f"{self._port.name}: frame {packet.sequence} came where {self._expected} was next, "
-                "yet the board has not started anew"
-            )
-        self._expected, self._latest_us = (packet.sequence + 1) % 2**32, packet.time_us
-        return lost
-
-    def _await(self, kind: type[P], what: str) -> tuple[float, P]:
-        """The next packet of this kind and when it came; packets of other kinds are passed over."""
-        start = time.monotonic()
-        ask_at, deadline = start + ASK_AGAIN_S, start + self._timeout
-        received, reason = 0, "no end of a packet"
-        while True:
-            while self._events:
-                host_time, event = self._events.popleft()
-                if isinstance(event, kind):
-                    return host_time, event
-                if isinstance(event, Corrupt):
-                    self.corrupt += 1
-                    reason = event.reason
-                else:
-                    reason = ""
-            now = time.monotonic()
-            if now >= deadline:
-                raise self._nothing_came(what, received, reason)
-            if now >= ask_at:
-                self._port.write(self._wake)
-                ask_at = now + ASK_AGAIN_S
-            data = self._port.read(min(ask_at, deadline) - now)
-            received += len(data)
-            host_time = time.time()
-            self._events.extend((host_time, event) for event in self._framer.feed(data))
-
-    def _nothing_came(self, what: str, received: int, reason: str) -> LinkTimeout | ProtocolError:
-        """The error for a wait that brought no packet of the kind wanted; ``reason`` is that of the latest event."""
-        where = f"{self._port.name}: no {what} within {self._timeout:g} s"
-        if not received:
-            return LinkTimeout(f"{where}: the port is silent")
-        if reason:
-            return ProtocolError(
-                f"{where}: {received} bytes came, the last of them no packet ({reason}); "
-                "expected an ohmskin board, at this baud rate"
-            )
-        return LinkTimeout(f"{where}: the board is there, but sends none")
+    thread = threading.Thread(target=run, name="ohmskin set-up", daemon=True)
+    thread.start()
+    thread.join(max(deadline - time.monotonic(), 0.0))
+    if errors:
+        raise errors[0]
+    if not results:
+        raise too_slow()
+    return results[0]
 
 
-def _read_only(array: NDArray[T]) -> NDArray[T]:
-    array.flags.writeable = False
-    return array
+__all__ = ["Delivery", "LinkTimeout", "Skin"]

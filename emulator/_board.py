@@ -1,88 +1,218 @@
-"""The virtual board: ticks in, packets out, and a host's commands in between. No clock and no I/O.
+"""The virtual board: a state machine over ticks and commands, without clock and without I/O.
 
-What it does with a command depends on nothing but whether it streams:
+States and commands (``docs/wire.md`` has the same table for firmware):
 
-====================  =====================  ======================
-state                 START                  STOP
-====================  =====================  ======================
-streaming             streaming              stopped
-stopped               streaming              stopped
-====================  =====================  ======================
+=========  ==========  =========  =============================  ==========================
+state      START       STOP       ONE_FRAME                      RATE
+=========  ==========  =========  =============================  ==========================
+streaming  streaming   stopped    streaming (next frame answers)  streaming, at the new rate
+stopped    streaming   stopped    one frame, then stopped        stopped, at the new rate
+=========  ==========  =========  =============================  ==========================
 
-DESCRIBE is answered in both. Ticks pass in both: the skin lives on, but a stopped board does not scan it.
+IDENTIFY, DESCRIBE and SELF_TEST are answered in both states and change neither. Ticks pass in both: the skin lives on,
+but a stopped board does not scan it. Of each command at most one answer waits to be sent, so that a host that floods
+the board with commands gets fewer answers and cannot make the board grow.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
-from .. import __version__
-from ..wire import Command, Decoder, DescriptionPacket, Flag, FramePacket, Order, encode
-from ._scene import Scene
-from ._skin import EmulatedSkin, Sample
+import numpy as np
 
-DESCRIPTION_PERIOD_US = 1_000_000
+from .. import __version__
+from ..wire import (
+    BadCommand,
+    BoardProtocol,
+    Command,
+    Flag,
+    FramePacket,
+    Identity,
+    Order,
+    Reply,
+    SelfTest,
+    Status,
+    board_protocol,
+    write_description,
+)
+from ._scene import Scene
+from ._self_test import self_test
+from ._skin import EmulatedSkin, FrameBlock, Sample
+
+IDENTITY_PERIOD_US = 1_000_000
+SHORTEST_PERIOD_US = 10
+"""us between two frames; what a scene's fastest frame rate has"""
 
 
 class Board:
-    """A board that reads ``scene`` at its frame rate. ``record`` is told of every frame that it scans."""
+    """A board that reads ``scene`` at its frame rate and speaks ``protocol``."""
 
-    def __init__(self, scene: Scene, *, seed: int = 0, record: Callable[[Sample], None] | None = None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        seed: int = 0,
+        boot_id: int = 1,
+        duration_s: float = math.inf,
+        protocol: BoardProtocol | None = None,
+        record: Callable[[Sample], None] | None = None,
+    ) -> None:
+        """Switch the board on.
+
+        Args:
+            scene: skin, board and contacts.
+            seed: for the noise of the converter.
+            boot_id: number of this start of the board.
+            duration_s: after which no frame comes any more; the one before says so.
+            protocol: the board's end of the line; None: the native one.
+            record: told of every frame that the board scans.
+
+        """
         self.scene = scene
-        self.streaming = True
+        self.protocol = board_protocol("ohmskin") if protocol is None else protocol
+        self.streaming = not self.protocol.family.polled
         self.orders = 0
-        """START and STOP commands taken so far"""
+        """commands taken so far that start or stop frames"""
         self.overrun = False
         """set by the sender when it had to drop a frame: the next one says so"""
+        self.boot_id = boot_id
+        self.duration_s = duration_s
         self._record = record
         self._skin = EmulatedSkin(scene, seed)
+        self._period_us = 1e6 / scene.board.frame_rate
         self._sequence = 0
-        self._next_description_us = 0
-        self._commands = Decoder()
+        self._frames_wanted = 0
+        self._latest = np.full(scene.skin.design.array.shape, scene.skin.cell.rest_resistance_ohm)
+        """(rows, columns) ohm of the cells in the last frame"""
+        self._next_identity_us = 0
+        self._description = write_description(scene.skin.design.model_dump(), scene.skin.cell.model_dump())
+        self._waiting: dict[int, Command | BadCommand] = {Order.DESCRIBE.value: Command(Order.DESCRIBE)}
+        """commands to answer, by packet type"""
 
     @property
     def next_us(self) -> int:
-        """When the next tick is due, in us since the start."""
+        """Time of the next tick, in us since the start."""
         return self._skin.next_us
+
+    @property
+    def wants_tick(self) -> bool:
+        """Whether the host waits for frames."""
+        return self.streaming or self._frames_wanted > 0
 
     def tick(self) -> list[bytes]:
         """Live through the next tick; the packets to send, each one whole."""
         time_us = self.next_us
-        block, frame = self._skin.read()
+        block, place = self._skin.read()
         packets = []
-        if time_us >= self._next_description_us:
-            self._next_description_us += DESCRIPTION_PERIOD_US
-            packets.append(self._describe(time_us))
-        if self.streaming:
-            if self._record is not None:
-                self._record(block.sample(frame, self._sequence))
-            flags, self.overrun = Flag.OVERRUN if self.overrun else Flag.NONE, False
-            packets.append(
-                encode(FramePacket.of(block.counts[frame], sequence=self._sequence, time_us=time_us, flags=flags))
-            )
-            self._sequence = (self._sequence + 1) % 2**32
+        if time_us >= self._next_identity_us:
+            self._next_identity_us += IDENTITY_PERIOD_US
+            packets.append(self._identify(time_us))
+        packets += self._answer(time_us)
+        if self.wants_tick:
+            packets.append(self._send(block, place, time_us))
+        return [packet for packet in packets if packet]
+
+    def receive(self, data: bytes) -> None:
+        """Take bytes of the host. Commands take effect at once; their answers wait for :meth:`answers`."""
+        for command in self.protocol.feed(data):
+            if isinstance(command, Command):
+                self._obey(command)
+            kind = command.order.value if isinstance(command, Command) else command.order
+            # Unknown packet types share one place, so that no more than a few answers ever wait.
+            self._waiting[kind if isinstance(command, Command) else -1] = command
+
+    def answers(self) -> list[bytes]:
+        """The packets that answer the commands received since the last call."""
+        return [packet for packet in self._answer(self.next_us) if packet]
+
+    def _obey(self, command: Command) -> None:
+        match command.order:
+            case Order.START:
+                self.streaming = True
+                self.orders += 1
+            case Order.STOP:
+                self.streaming = False
+                self._frames_wanted = 0
+                self.orders += 1
+            case Order.ONE_FRAME:
+                self._frames_wanted = 1
+                self.orders += 1
+            case Order.RATE if command.period_us >= SHORTEST_PERIOD_US:
+                self._period_us = float(command.period_us)
+                self._skin.set_period(self._period_us)
+
+    def _answer(self, time_us: int) -> list[bytes]:
+        waiting, self._waiting = self._waiting, {}
+        packets: list[bytes] = []
+        for command in waiting.values():
+            match command:
+                case Command(order=Order.IDENTIFY):
+                    packets.append(self._identify(time_us))
+                case Command(order=Order.DESCRIBE):
+                    packets += self.protocol.describe(
+                        self._description, sequence=self._sequence, time_us=time_us, boot_id=self.boot_id
+                    )
+                case Command(order=Order.SELF_TEST):
+                    packets.append(self._test(time_us))
+                case Command(order=Order.ONE_FRAME):
+                    pass  # the frame is the answer
+                case Command(order=Order.RATE) if command.period_us < SHORTEST_PERIOD_US:
+                    packets.append(self._reply(time_us, command.order.value, command.sequence, Status.OUT_OF_RANGE))
+                case Command(order=order):
+                    packets.append(self._reply(time_us, order.value, command.sequence, Status.TAKEN))
+                case BadCommand():
+                    packets.append(self._reply(time_us, command.order, command.sequence, command.status))
         return packets
 
-    def receive(self, data: bytes) -> list[bytes]:
-        """Take bytes from the host; the packets that answer them. What is no command is ignored."""
-        answers = []
-        for event in self._commands.feed(data):
-            match event:
-                case Command(order=Order.DESCRIBE):
-                    answers.append(self._describe(self.next_us))
-                case Command(order=order):
-                    self.streaming = order is Order.START
-                    self.orders += 1
-        return answers
+    def _flags(self) -> Flag:
+        flags = Flag.OVERRUN if self.overrun else Flag.NONE
+        if self.next_us >= 1e6 * self.duration_s:
+            flags |= Flag.LAST
+        return flags
 
-    def _describe(self, time_us: int) -> bytes:
-        return encode(
-            DescriptionPacket(
+    def _send(self, block: FrameBlock, place: int, time_us: int) -> bytes:
+        self._latest = block.resistance_ohm[place]
+        if self._record is not None:
+            self._record(block.sample(place, self._sequence))
+        frame = FramePacket.of(
+            block.counts[place],
+            sequence=self._sequence,
+            time_us=time_us,
+            flags=self._flags(),
+            boot_id=self.boot_id,
+        )
+        self.overrun = False
+        self._frames_wanted = max(self._frames_wanted - 1, 0)
+        self._sequence = (self._sequence + 1) % 2**32
+        return self.protocol.frame(frame)
+
+    def _identify(self, time_us: int) -> bytes:
+        design = self.scene.skin.design
+        assert design.adc is not None  # a scene is refused without one
+        return self.protocol.identify(
+            Identity(
                 self._sequence,
                 time_us,
+                rows=design.array.rows,
+                columns=design.array.columns,
+                adc_bits=design.adc.bits,
+                streaming=self.streaming,
+                period_us=min(round(self._period_us), 2**32 - 1),
+                description_bytes=len(self._description),
                 serial_number=self.scene.board.serial_number,
                 firmware=f"ohmskin emulator {__version__}",
-                design=self.scene.skin.design.model_dump(),
-                cell=self.scene.skin.cell.model_dump(),
+                boot_id=self.boot_id,
             )
+        )
+
+    def _test(self, time_us: int) -> bytes:
+        rows, columns, references = self_test(
+            self.scene.skin.design, self._latest, self.scene.board.reference_resistances
+        )
+        return self.protocol.self_test(SelfTest(self._sequence, time_us, rows, columns, references, self.boot_id))
+
+    def _reply(self, time_us: int, order: int, command_sequence: int, status: Status) -> bytes:
+        return self.protocol.reply(
+            Reply(self._sequence, time_us, order, status, command_sequence, boot_id=self.boot_id)
         )

@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import select
 import signal
 import threading
@@ -25,6 +26,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..errors import InputError
+from ..wire import BoardProtocol, board_protocol
 from ._board import Board
 from ._line import Line, TransmitBuffer
 from ._ports import Port
@@ -41,6 +43,8 @@ LISTENER_S = 1.0
 """fast clock: how long a host may say nothing before it is taken for a mere listener"""
 MOST_BEHIND_S = 0.5
 """real clock: how late a tick may be before board time is let go"""
+ANSWER_ROOM = 4096
+"""bytes in the transmit buffer up to which commands are answered; beyond, their answers wait"""
 DRAIN_S = 5.0
 """at the end: how long to wait for a host that has stopped reading"""
 
@@ -113,6 +117,7 @@ def emulate(
     duration_s: float = inf,
     seed: int = 0,
     truth: Path | None = None,
+    family: str = "ohmskin",
     stop: Stop,
 ) -> Outcome:
     """Run a board on ``port`` for ``duration_s`` of board time or until ``stop``, and write the truth file then.
@@ -126,7 +131,14 @@ def emulate(
     if not duration_s > 0:
         raise InputError(f"duration is {duration_s} s; expected more than 0")
     with nullcontext() if truth is None else TruthFile(truth, scene.skin.design.array.shape) as file:
-        board = Board(scene, seed=seed, record=None if file is None else file.append)
+        board = Board(
+            scene,
+            seed=seed,
+            boot_id=secrets.randbits(32),
+            duration_s=duration_s,
+            protocol=_protocol(family, scene),
+            record=None if file is None else file.append,
+        )
         outcome = Outcome()
         pace: _Clock = _RealClock(outcome) if clock == "real" else _FastClock()
         link = _Link(board, port, Line(scene.line, seed), pace.buffer(scene), outcome)
@@ -151,6 +163,7 @@ def running(
     duration_s: float = inf,
     seed: int = 0,
     truth: Path | None = None,
+    family: str = "ohmskin",
 ) -> Iterator[None]:
     """:func:`emulate` in a thread while the block lasts: a board for a test in the same process.
 
@@ -162,7 +175,9 @@ def running(
     def live() -> None:
         try:
             with port:
-                emulate(scene, port, clock=clock, duration_s=duration_s, seed=seed, truth=truth, stop=stop)
+                emulate(
+                    scene, port, clock=clock, duration_s=duration_s, seed=seed, truth=truth, family=family, stop=stop
+                )
         except Exception as error:
             failures.append(error)
 
@@ -176,6 +191,12 @@ def running(
         stop.close()
     if failures:
         raise failures[0]
+
+
+def _protocol(family: str, scene: Scene) -> BoardProtocol:
+    design = scene.skin.design
+    assert design.adc is not None  # a scene is refused without one
+    return board_protocol(family, shape=design.array.shape, adc_bits=design.adc.bits)
 
 
 class _Link:
@@ -200,8 +221,10 @@ class _Link:
                 self.present = False
                 self.buffer.clear()
                 return False
-            for answer in self._board.receive(data):
-                self.buffer.offer(self._line.carry(answer))
+            self._board.receive(data)
+            if len(self.buffer) < ANSWER_ROOM:
+                for answer in self._board.answers():
+                    self.buffer.offer(self._line.carry(answer))
             if self.buffer:
                 self.buffer.sent(self._port.write(self.buffer.peek()))
         return arrived
@@ -209,7 +232,8 @@ class _Link:
     def send(self, packets: list[bytes]) -> None:
         """Send the packets of one tick, all or none. Without a host they are spoken to the wind."""
         delivered = b"".join(map(self._line.carry, packets))
-        if self.present and not self.buffer.offer(delivered) and self._board.streaming:
+        frames = self._board.streaming
+        if self.present and not self.buffer.offer(delivered) and frames:
             self._board.overrun = True
             self._outcome.dropped += 1
 
@@ -303,8 +327,8 @@ class _FastClock(_Clock):
         if not link.present:
             return False
         if board.orders == self._orders and time.monotonic() >= self._silent_until:
-            board.streaming = True
-        return board.streaming and len(link.buffer) < self._ENOUGH
+            board.streaming = not board.protocol.family.polled
+        return board.wants_tick and len(link.buffer) < self._ENOUGH
 
     def wait_s(self, board: Board) -> float:
         return HOST_POLL_S

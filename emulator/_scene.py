@@ -16,12 +16,9 @@ from scipy.special import erf
 from ..arrays import FloatArray, IntArray
 from ..cell import Cell
 from ..circuits import Design
-from ..config import Section, parse, read_toml
+from ..config import Finite, NotNegative, Positive, Section, parse, read_toml
 from ..errors import InputError
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, lt=1)]
 CellIndex = Annotated[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], Field(strict=False)]
 LoadPoint = Annotated[tuple[Finite, NotNegative], Field(strict=False)]
@@ -147,11 +144,13 @@ class Skin(Section):
 class BoardSettings(Section):
     """The board behind the skin."""
 
-    frame_rate: Annotated[float, Field(gt=0, le=100_000)] = 50.0
+    frame_rate: Annotated[float, Field(ge=1e-3, le=100_000)] = 50.0
     """Hz"""
     serial_number: str = "EMULATED"
     noise: NotNegative = 0.0
     """V rms, white, at the input of the ADC"""
+    reference_resistances: Annotated[tuple[Positive, ...], Field(strict=False, max_length=64)] = ()
+    """ohm of resistors that the board's self-test can read in place of a cell"""
 
 
 class LineSettings(Section):

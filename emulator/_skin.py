@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import CodeArray, FloatArray, IntArray
-from ..circuits import adc_codes, scan_batch
+from ..circuits import adc_codes, scan_sequence
 from ._scene import Scene
 from ._spread import Spreading
 
-_BLOCK_VALUES = 1 << 16
+_BLOCK_VALUES = 1 << 17
 """cells times frames of a block: arrays of this size stay in the processor's cache"""
 _LONGEST_BLOCK = 512
 """frames; longer blocks would not be cheaper"""
@@ -93,7 +93,7 @@ class EmulatedSkin:
         self._next_tick = 0
         rows, columns = scene.skin.design.array.shape
         self._physics = _Physics(scene, np.random.default_rng(seed))
-        self._length = max(1, min(_LONGEST_BLOCK, _BLOCK_VALUES // (rows * columns)))
+        self._length = block_frames(rows * columns)
         self._block: FrameBlock | None = None
         self._place = 0
         self._before = self._physics
@@ -128,6 +128,12 @@ class EmulatedSkin:
         self._before = self._physics.copy()
         times = np.array([self._ticks.at(self._next_tick + k) for k in range(self._length)])
         self._block, self._place = self._physics.run(times), 0
+
+
+def block_frames(cells: int) -> int:
+    """Frames of a block of an array of so many cells: a power of two and one more, so that intervals halve evenly."""
+    frames = min(_LONGEST_BLOCK, max(1, _BLOCK_VALUES // cells))
+    return 1 << (frames.bit_length() - 1) | (frames > 1)
 
 
 class _Physics:
@@ -168,7 +174,7 @@ class _Physics:
         surface = np.zeros((frames, self._rest_ohm.size))
         surface[:, touched] = pressure
         resistance = resistance.reshape(frames, *self._shape)
-        volts = scan_batch(design, resistance).volts
+        volts = scan_sequence(design, resistance).volts
         if self._scene.board.noise:
             volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
         return FrameBlock(time_us, surface.reshape(volts.shape), resistance, volts, adc_codes(design, volts))

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from ohmskin.driver import Arrival, BytePort, Skin
 from ohmskin.emulator import Board, Line, Scene
 from ohmskin.errors import LinkError
 
@@ -23,31 +28,112 @@ def scene(**tables: Any) -> Scene:
     return Scene.from_tables(given, source="scene", directory=Path())
 
 
-class Wire:
+class MemoryPort:
+    """A port in memory; subclasses say what comes. Time is real."""
+
+    name = "memory"
+
+    def __init__(self) -> None:
+        self.closed = False
+        self.written: list[bytes] = []
+        self._interrupted = threading.Event()
+
+    def next_bytes(self) -> bytes:
+        """What has come since the last call; LinkError when the port is gone."""
+        return b""
+
+    def ready(self) -> bool:
+        """Whether a read would bring bytes, or an error."""
+        return False
+
+    def wait(self, timeout_s: float) -> bool:
+        until = time.monotonic() + timeout_s
+        while not self.ready() and (left := until - time.monotonic()) > 0:
+            if self._interrupted.wait(min(left, 0.002)):
+                self._interrupted.clear()
+                return False
+        return self.ready()
+
+    def read(self) -> Arrival:
+        return Arrival(self.next_bytes(), time.monotonic(), time.time())
+
+    def write(self, data: bytes) -> None:
+        self.written.append(data)
+
+    def interrupt(self) -> None:
+        self._interrupted.set()
+
+    def now(self) -> float:
+        return time.monotonic()
+
+    def close(self) -> None:
+        self.closed = True
+
+
+class Wire(MemoryPort):
     """The host's end of a board without clock, port or thread: whoever reads makes it tick."""
 
+    name = "wire"
+
     def __init__(self, board: Board, line: Line | None = None, *, frames: int = 10**9) -> None:
-        self.name = "wire"
+        super().__init__()
         self.board = board
         self.frames = frames
         """after which the board is gone"""
-        self.closed = False
-        self._line = line
+        self.line = line
+        """what spoils the packets from now on"""
         self._pending = [b"\0"]
 
-    def read(self, wait_s: float) -> bytes:
+    def ready(self) -> bool:
+        return True
+
+    def next_bytes(self) -> bytes:
         if self._pending:
             return self._pending.pop(0)
         if self.frames <= 0:
             raise LinkError("wire: gone")
         self.frames -= 1
-        return b"".join(map(self._carry, self.board.tick()))
+        return b"".join(map(self._carry, self.board.tick())) or b"\0"
 
     def write(self, data: bytes) -> None:
-        self._pending += map(self._carry, self.board.receive(data))
-
-    def close(self) -> None:
-        self.closed = True
+        self.board.receive(data)
+        self._pending += map(self._carry, self.board.answers())
 
     def _carry(self, packet: bytes) -> bytes:
-        return packet if self._line is None else self._line.carry(packet)
+        return packet if self.line is None else self.line.carry(packet)
+
+
+class Script(MemoryPort):
+    """A port that says what it is told to, one piece for each read, and then ``last`` again and again."""
+
+    name = "script"
+
+    def __init__(self, *pieces: bytes, last: Callable[[], bytes] | None = None) -> None:
+        super().__init__()
+        self._pieces = deque(pieces)
+        self._last = last
+
+    def say(self, *pieces: bytes) -> None:
+        """Let more come."""
+        self._pieces.extend(pieces)
+
+    def ready(self) -> bool:
+        return bool(self._pieces) or self._last is not None
+
+    def next_bytes(self) -> bytes:
+        if self._pieces:
+            return self._pieces.popleft()
+        if self._last is None:
+            return b""
+        time.sleep(0.001)
+        return self._last()
+
+
+def gone() -> bytes:
+    """For ``last``: the port goes away after its last piece."""
+    raise LinkError("gone")
+
+
+def lossless(port: BytePort, **options: Any) -> Skin:
+    """A skin that misses no frame, however slow its reader."""
+    return Skin(port, delivery="lossless", **options)

@@ -8,7 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ohmskin.circuits import CIRCUITS, Design
+from ohmskin.circuits import Design
+
+SENSING_COLUMNS = ("inverting-amplifier", "voltage-divider", "voltage-feedback")
+"""circuits to choose from where none is named: laws that tell rows from columns hold for these"""
 
 
 def real_design(
@@ -18,6 +21,9 @@ def real_design(
     rng = np.random.default_rng(seed)
     rows, columns = (int(n) for n in rng.integers(2, largest + 1, 2))
     cells = 10 ** rng.uniform(2, 6, (rows, columns))
+
+    circuit = circuit or str(rng.choice(SENSING_COLUMNS))
+    sensed = rows if circuit == "row-amplifier" else columns
 
     def ohms(low: float, high: float, count: int) -> list[float] | float:
         return (10 ** rng.uniform(low, high, count)).tolist() if rng.random() < 0.7 else float(10**low)
@@ -33,12 +39,12 @@ def real_design(
         },
         "drive": {"voltage": float(rng.choice([-1.0, 0.5, 3.3])), "idle_rows": str(rng.choice(["ground", "float"]))},
         "readout": {
-            "circuit": circuit or str(rng.choice(CIRCUITS)),
-            "reference_resistance": (10 ** rng.uniform(2, 5, columns)).tolist(),
+            "circuit": circuit,
+            "reference_resistance": (10 ** rng.uniform(2, 5, sensed)).tolist(),
             "reference_voltage": float(rng.choice([0.0, 1.65])),
-            "open_loop_gain": rng.choice([inf, 1e9, 1e5, 1e3, 10.0], columns).tolist(),
-            "offset_voltage": rng.uniform(-2e-3, 2e-3, columns).tolist(),
-            "bias_current": rng.uniform(-1e-7, 1e-7, columns).tolist(),
+            "open_loop_gain": rng.choice([inf, 1e9, 1e5, 1e3, 10.0], sensed).tolist(),
+            "offset_voltage": rng.uniform(-2e-3, 2e-3, sensed).tolist(),
+            "bias_current": rng.uniform(-1e-7, 1e-7, sensed).tolist(),
             "idle_columns": str(rng.choice(["float", "load"])),
         }
         | readout,

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
-from ohmskin.circuits._design import Design
+from ohmskin.circuits import Design
 
 Node = Hashable
 REFERENCE: Node = "reference"
@@ -47,6 +47,12 @@ def reference_volts(design: Design, resistance: ArrayLike, digits: int | None = 
     rows, columns = cells.shape
     volts = np.empty(cells.shape)
     circuit = design.readout.circuit
+    if circuit == "row-amplifier":
+        with localcontext() as context:
+            context.prec = digits or context.prec
+            for column in range(columns):
+                volts[:, column] = _step(design, cells, column, list(range(rows)), digits is not None)
+        return volts
     one_by_one = circuit == "voltage-feedback" or (
         circuit == "voltage-divider" and design.readout.idle_columns == "float"
     )
@@ -59,7 +65,10 @@ def reference_volts(design: Design, resistance: ArrayLike, digits: int | None = 
 
 
 def _step(design: Design, cells: NDArray[np.float64], row: int, read: list[int], exact: bool) -> list[float]:
-    """The outputs of the columns ``read`` while ``row`` is selected; tries which of them are saturated."""
+    """The outputs of the lines ``read`` while the driven line ``row`` is selected; tries which of them are saturated.
+
+    Driven lines are rows and lines that are read are columns, but the other way round for "row-amplifier".
+    """
     low, high = design.readout.supply
     for first_guess in _saturations(len(read), design.readout.supply):
         guess = first_guess
@@ -102,12 +111,15 @@ def _solve(
     rows, columns = cells.shape
     system = _Equations(number)
 
+    on_rows = readout.circuit == "row-amplifier"
+    driven_lines, read_lines = (columns, rows) if on_rows else (rows, columns)
     parts: list[tuple[Node, Node, float]] = []
     broken = _in_series(design, "broken-row")
     severed = _in_series(design, "broken-column")
     opened = _in_series(design, "open-cell")
     for i in range(rows):
-        parts.append((("drive", i), ("row", i, 0), _of(array.row_lead, i) + broken.get((i, 0), 0.0)))
+        ahead: Node = ("end", i) if on_rows else ("drive", i)
+        parts.append((ahead, ("row", i, 0), _of(array.row_lead, i) + broken.get((i, 0), 0.0)))
         for j in range(columns):
             if j:
                 ohm = _of(array.row_segment, i) + broken.get((i, j), 0.0)
@@ -118,7 +130,7 @@ def _solve(
             parts.append((("row", i, j), ("column", i, j), float(cells[i, j]) + opened.get((i, j), 0.0)))
     for j in range(columns):
         ohm = _of(array.column_lead, j) + severed.get((rows - 1, j), 0.0)
-        parts.append((("column", rows - 1, j), ("end", j), ohm))
+        parts.append((("column", rows - 1, j), ("drive", j) if on_rows else ("end", j), ohm))
     for fault in design.fault:
         i, j = fault.place
         if fault.kind == "shorted-cell":
@@ -130,7 +142,7 @@ def _solve(
 
     held: DisjointSet = DisjointSet([REFERENCE])  # nodes whose potential a source or a load ties to the reference
     feedback = readout.circuit == "voltage-feedback"
-    for i in range(rows):
+    for i in range(driven_lines):
         if i != row and feedback:
             law = [(("drive", i), 1), (FOLLOWER, -1)]
             system.branch(("source", i), ("drive", i), FOLLOWER, law, number(0.0))
@@ -143,8 +155,8 @@ def _solve(
             held.merge(("drive", i), REFERENCE)
 
     vref = number(readout.reference_voltage)
-    amplified = readout.circuit == "inverting-amplifier"
-    for j in range(columns):
+    amplified = readout.circuit in {"inverting-amplifier", "row-amplifier"}
+    for j in range(read_lines):
         if feedback and j not in read:
             law = [(("end", j), 1), (FOLLOWER, -1)]
             system.branch(("tie", j), ("end", j), FOLLOWER, law, number(0.0))

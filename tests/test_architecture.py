@@ -16,6 +16,7 @@ MAY_IMPORT = {
     "bench": SHARED | {"circuits", "cell"},
     "emulator": SHARED | {"circuits", "cell", "wire"},
     "driver": SHARED | {"circuits", "cell", "wire"},
+    "doctor": SHARED | {"circuits", "wire"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
 }
 

@@ -50,13 +50,12 @@ def test_errors_lie_within_bounds_and_methods_are_all_there() -> None:
     for size in (4, 12):
         assert set(METHODS) < {row.method for row in rows if row.size == size}
     certified = [row for row in rows if row.bound is not None]
-    assert len(certified) == 4 * 7
+    assert len(certified) == 4 * 6
     for row in certified:
         assert row.full_scale_error is not None
         assert row.full_scale_error <= row.bound + 5e-16
     assert all(row.seconds > 0 for row in rows if row.seconds is not None)
-    streams = {"1 x 1 cells", "1 %", "10 %", "100 %"}
-    assert {"exact, in a batch", *(f"exact, {what} changed" for what in streams)} < {row.method for row in rows}
+    assert "exact, in a batch" in {row.method for row in rows}
 
 
 def test_slow_peers_are_left_out_by_name_and_waited_for_when_asked(monkeypatch: pytest.MonkeyPatch) -> None:

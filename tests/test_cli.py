@@ -10,12 +10,13 @@ import sys
 import time
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from designs import amplifier
 
-from ohmskin.circuits import Design, scan
-from ohmskin.cli import COMMANDS, run
+from ohmskin.circuits import Design, effects, scan
+from ohmskin.cli import COMMANDS, ohmskin, run
 
 DESIGN = """
 [array]
@@ -50,7 +51,21 @@ def test_help_and_version(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize("name", COMMANDS)
 def test_every_command_explains_itself(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run([name, "--help"]) == 0
-    assert f"ohmskin {name}" in capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert f"ohmskin {name}" in shown
+    examples = [line.split() for line in shown.partition("Example")[2].splitlines()[1:]]
+    assert examples
+    for words in examples:
+        assert words[:2] == ["ohmskin", name]
+        assert _parsed(words[1:]).command.name == "command"
+
+
+def _parsed(words: list[str]) -> click.Context:
+    """The context in which click would call the command."""
+    with ohmskin.make_context("ohmskin", list(words)) as context:
+        found = ohmskin.get_command(context, words[0])
+        assert found is not None
+        return found.make_context("command", words[1:])
 
 
 def test_scan_prints_and_writes_what_the_library_computes(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -165,8 +180,8 @@ def test_effects_are_listed_with_their_size(folder: Path, capsys: pytest.Capture
     (lead,) = [line for line in lines if "modelled" in line]
     assert lead.startswith("row_lead")
     result = scan(Design.load("design.toml"), np.array([[1e4, 2e4, np.inf], [1e4, 1e4, 5e3]]))
-    assert [effect.modelled for effect in result.effects].count(True) == 1
-    assert len(lines) == len(result.effects)
+    assert [effect.modelled for effect in effects(result.design, result.cells)].count(True) == 1
+    assert len(lines) == len(effects(result.design, result.cells))
 
 
 def test_saturated_outputs_are_not_silent(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,8 +9,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from ohmskin.circuits import Design, Requirement, Spread
-from ohmskin.circuits._design import Fault
+from ohmskin.circuits import Design, Fault, Requirement, Spread
 
 PAGE = (Path(__file__).parent.parent / "docs" / "design-file.md").read_text()
 

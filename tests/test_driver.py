@@ -4,24 +4,33 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Callable
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 from itertools import islice
 
 import numpy as np
 import pytest
-from boards import DESIGN, Wire, scene
+from boards import DESIGN, Script, Wire, gone, lossless, scene
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, apparent_resistance, ideal_volts, scan
 from ohmskin.config import parse
-from ohmskin.driver import CountReader, Frame, Skin
+from ohmskin.driver import CountReader, Frame
 from ohmskin.emulator import Board, Line, Sample
 from ohmskin.emulator._scene import LineSettings
 from ohmskin.errors import InputError, LinkError, LinkTimeout, ProtocolError
-from ohmskin.wire import Corrupt, DescriptionPacket, Event, FramePacket, encode
+from ohmskin.wire import (
+    BOARDS,
+    Corrupt,
+    DescriptionPiece,
+    Event,
+    FramePacket,
+    HostProtocol,
+    Order,
+    encode,
+    write_description,
+)
 
 
 def design(**tables: object) -> Design:
@@ -30,10 +39,9 @@ def design(**tables: object) -> Design:
 
 def test_frames_are_what_the_board_sent() -> None:
     taken: list[Sample] = []
-    with Skin(Wire(Board(scene(), record=taken.append))) as skin:
+    with lossless(Wire(Board(scene(), record=taken.append))) as skin:
         frames = list(islice(skin, 200))
     assert skin.description is not None
-    assert skin.description.serial_number == "EMULATED"
     assert skin.design == scene().skin.design
     assert skin.cell == Cell.example()
     for frame, sample in zip(frames, taken, strict=False):
@@ -45,7 +53,7 @@ def test_frames_are_what_the_board_sent() -> None:
 
 
 def test_a_frame_cannot_be_changed() -> None:
-    with Skin(Wire(Board(scene()))) as skin:
+    with lossless(Wire(Board(scene()))) as skin:
         frame = next(skin)
     with pytest.raises(FrozenInstanceError):
         frame.sequence = 3  # type: ignore[misc]  # the point of the test
@@ -56,12 +64,12 @@ def test_a_frame_cannot_be_changed() -> None:
 
 def test_leaving_the_block_closes_the_port_and_so_does_a_failed_start() -> None:
     port = Wire(Board(scene()))
-    with Skin(port):
+    with lossless(port):
         assert not port.closed
     assert port.closed
     port = Wire(Board(scene()))
     with pytest.raises(InputError, match="estimator"):
-        Skin(port, estimator="crystal ball")
+        lossless(port, estimator="crystal ball")
     assert port.closed
 
 
@@ -192,9 +200,9 @@ def test_readings_that_no_cells_can_give_are_counted_and_not_valid() -> None:
     counts = np.full((3, 2), 100)
     counts[0] = 4000
     sent = [encode(FramePacket.of(counts, sequence=0, time_us=0))]
-    with Skin(Script(*sent), design=loaded, cell=Cell.example()) as skin:
+    with lossless(Script(*sent), design=loaded, cell=Cell.example()) as skin:
         frame = next(skin)
-        assert skin.unsolved == 1
+        assert skin.stats().unsolved == 1
     assert not frame.valid.any()
     assert np.isnan(frame.resistance).all()
 
@@ -202,7 +210,7 @@ def test_readings_that_no_cells_can_give_are_counted_and_not_valid() -> None:
 def test_an_invalid_cell_keeps_its_last_pressure() -> None:
     """Pressed so hard that the divider's output leaves the converter's range."""
     narrow = DESIGN | {"adc": {"bits": 12, "range": [1.5, 3.3]}}
-    with Skin(Wire(Board(scene(skin={"design": narrow})))) as skin:
+    with lossless(Wire(Board(scene(skin={"design": narrow})))) as skin:
         frames = list(islice(skin, 100))
     invalid = [k for k, frame in enumerate(frames) if not frame.valid[1, 1]]
     assert len(invalid) > 20
@@ -215,9 +223,9 @@ def test_an_invalid_cell_keeps_its_last_pressure() -> None:
 
 def test_a_tare_makes_the_present_reading_zero_pressure() -> None:
     forgetful = design(array={"rows": 3, "columns": 2})  # of the switches' 70 ohm
-    with Skin(Wire(Board(scene(contact=[]))), design=forgetful) as skin:
+    with lossless(Wire(Board(scene(contact=[]))), design=forgetful) as skin:
         before = next(skin)
-        rest = skin.tare(5)
+        rest = skin.tare(5).rest_resistance_ohm
         after = next(skin)
     assert (before.pressure > 0.1).all()
     np.testing.assert_allclose(rest, before.resistance)
@@ -230,8 +238,8 @@ def test_a_tare_leaves_cells_without_a_reading_at_the_data_sheet() -> None:
     counts = np.full((3, 2), 2000)
     counts[0, 0] = 0
     pieces = [encode(FramePacket.of(counts, sequence=k, time_us=k)) for k in range(3)]
-    with Skin(Script(sheet(), *pieces)) as skin:
-        rest = skin.tare(2)
+    with lossless(Script(sheet(), *pieces)) as skin:
+        rest = skin.tare(2, force=True).rest_resistance_ohm
         assert rest[0, 0] == skin.cell.rest_resistance_ohm
         assert rest[0, 1] == next(skin).resistance[0, 1]
         with pytest.raises(InputError, match="tare over 0 frames"):
@@ -239,17 +247,19 @@ def test_a_tare_leaves_cells_without_a_reading_at_the_data_sheet() -> None:
 
 
 def total_lost(frames: list[Frame]) -> int:
-    return sum(frame.lost_before for frame in frames)
+    return sum(frame.lost_before or 0 for frame in frames)
 
 
 def test_what_the_line_loses_is_counted() -> None:
-    port = Wire(Board(scene()), Line(LineSettings(packet_loss=0.2), seed=5), frames=2000)
+    port = Wire(Board(scene()), frames=2000)
     frames: list[Frame] = []
-    with Skin(port) as skin, pytest.raises(LinkError, match="gone"):
-        frames.extend(skin)
+    with lossless(port) as skin:
+        port.line = Line(LineSettings(packet_loss=0.2), seed=5)
+        with pytest.raises(LinkError, match="gone"):
+            frames.extend(skin)
     assert 250 < 2000 - len(frames) < 550
     assert total_lost(frames) + len(frames) == frames[-1].sequence + 1
-    assert skin.corrupt == 0
+    assert skin.stats().corrupt == 0
     for before, after in itertools.pairwise(frames):
         assert after.sequence - before.sequence == after.lost_before + 1
 
@@ -257,11 +267,13 @@ def test_what_the_line_loses_is_counted() -> None:
 def test_what_the_line_spoils_is_counted_as_lost_and_never_believed() -> None:
     taken: dict[int, Sample] = {}
     board = Board(scene(), record=lambda sample: taken.__setitem__(sample.sequence, sample))
-    port = Wire(board, Line(LineSettings(bit_errors=1e-4), seed=5), frames=3000)
+    port = Wire(board, frames=3000)
     frames: list[Frame] = []
-    with Skin(port) as skin, pytest.raises(LinkError, match="gone"):
-        frames.extend(skin)
-    assert skin.corrupt > 50
+    with lossless(port) as skin:
+        port.line = Line(LineSettings(bit_errors=1e-4), seed=5)
+        with pytest.raises(LinkError, match="gone"):
+            frames.extend(skin)
+    assert skin.stats().corrupt > 50
     first = frames[0].sequence - frames[0].lost_before  # the description may have come late
     assert total_lost(frames) + len(frames) == frames[-1].sequence - first + 1
     assert total_lost(frames) > 50
@@ -273,35 +285,15 @@ def test_joining_a_running_board_is_no_loss() -> None:
     board = Board(scene())
     for _ in range(500):
         board.tick()
-    with Skin(Wire(board)) as skin:
+    with lossless(Wire(board)) as skin:
         frame = next(skin)
     assert (frame.sequence, frame.lost_before) == (500, 0)
 
 
-class Script:
-    """A port that says what it is told to, one piece for each read, and then nothing."""
-
-    name = "script"
-
-    def __init__(self, *pieces: bytes, last: Callable[[float], bytes] = lambda wait_s: b"") -> None:
-        self.pieces, self.last = list(pieces), last
-        self.asked = 0
-        self.closed = False
-
-    def read(self, wait_s: float) -> bytes:
-        return self.pieces.pop(0) if self.pieces else self.last(wait_s)
-
-    def write(self, data: bytes) -> None:
-        self.asked += 1
-
-    def close(self) -> None:
-        self.closed = True
-
-
 def sheet(sequence: int = 0, time_us: int = 0) -> bytes:
     what = scene().skin
-    tables = what.design.model_dump(), what.cell.model_dump()
-    return encode(DescriptionPacket(sequence, time_us, "S", "F", *tables))
+    text = write_description(what.design.model_dump(), what.cell.model_dump())
+    return encode(DescriptionPiece(sequence, time_us, 0, len(text), text))
 
 
 def frame(sequence: int, time_us: int, *, level: int = 2000, shape: tuple[int, int] = (3, 2)) -> bytes:
@@ -309,13 +301,13 @@ def frame(sequence: int, time_us: int, *, level: int = 2000, shape: tuple[int, i
 
 
 def lost(*pieces: bytes) -> list[int]:
-    with Skin(Script(sheet(), *pieces)) as skin:
+    with lossless(Script(sheet(), *pieces)) as skin:
         return [frame.lost_before for frame in islice(skin, len(pieces))]
 
 
 def test_losses_are_counted_across_the_wrap_of_the_sequence_number() -> None:
     top = 2**32 - 1
-    with Skin(Script(sheet(top, 5), frame(top, 5), frame(0, 6), frame(3, 7))) as skin:
+    with lossless(Script(sheet(top, 5), frame(top, 5), frame(0, 6), frame(3, 7))) as skin:
         assert [frame.lost_before for frame in islice(skin, 3)] == [0, 0, 2]
 
 
@@ -324,26 +316,26 @@ def test_frames_lost_before_the_first_are_counted_from_the_description() -> None
 
 
 def test_a_board_that_starts_anew_is_followed() -> None:
-    """As when opening the port resets it: numbers and time from 0, and an estimator without memory."""
+    """As when opening the port resets it: numbers and time from 0; the skin itself has not started anew."""
     pieces = sheet(900, 9_000_000), frame(900, 9_000_000, level=2000), frame(2, 40_000, level=1500), frame(3, 60_000)
-    with Skin(Script(*pieces)) as skin:
+    with lossless(Script(*pieces)) as skin:
         frames = list(islice(skin, 3))
     assert [(f.sequence, f.lost_before) for f in frames] == [(900, 0), (2, 2), (3, 0)]
-    fresh = skin.cell.estimator((3, 2)).update(0.04, frames[1].resistance)
-    np.testing.assert_array_equal(frames[1].pressure, fresh.pressure_kpa)
+    assert [f.rebooted for f in frames] == [False, True, False]
+    assert [f.estimator_restarted for f in frames] == [True, False, False]
+    assert skin.stats().reboots == 1
 
 
 @pytest.mark.parametrize(
     ("pieces", "message"),
     [
         ([frame(5, 10), frame(4, 20)], "frame 4 came where 6 was next, yet the board has not started anew"),
-        ([frame(5, 10), frame(6, 10)], "two frames of the same time, 10 us"),
         ([frame(0, 0, shape=(2, 3))], "the board sends 2 x 3 cells; its design has 3 x 2"),
         ([frame(0, 0, level=4096)], "the board sends a count of 4096; its ADC has 12 bits"),
     ],
 )
 def test_frames_that_contradict_the_board_are_protocol_errors(pieces: list[bytes], message: str) -> None:
-    with Skin(Script(sheet(), *pieces)) as skin:
+    with lossless(Script(sheet(), *pieces)) as skin:
         for _ in pieces[1:]:
             next(skin)
         with pytest.raises(ProtocolError, match=re.escape(message)):
@@ -351,14 +343,15 @@ def test_frames_that_contradict_the_board_are_protocol_errors(pieces: list[bytes
 
 
 def test_a_description_that_is_no_design_is_a_protocol_error() -> None:
-    wrong = encode(DescriptionPacket(0, 0, "S", "F", {"array": {"rows": 3}}, {}))
+    text = write_description({"array": {"rows": 3}}, {})
+    wrong = encode(DescriptionPiece(0, 0, 0, len(text), text))
     with pytest.raises(ProtocolError, match=re.escape("script: the board describes itself wrongly: design: missing")):
-        Skin(Script(wrong))
+        lossless(Script(wrong))
 
 
 def test_design_and_cell_given_need_no_description() -> None:
     what = scene().skin
-    with Skin(Script(frame(7, 1), frame(9, 2)), design=what.design, cell=what.cell) as skin:
+    with lossless(Script(frame(7, 1), frame(9, 2)), design=what.design, cell=what.cell) as skin:
         assert skin.description is None
         assert [f.lost_before for f in islice(skin, 2)] == [0, 1]
 
@@ -366,77 +359,79 @@ def test_design_and_cell_given_need_no_description() -> None:
 def test_a_design_given_goes_before_the_description() -> None:
     ideal = design(array={"rows": 3, "columns": 2})
     other = design(array={"rows": 3, "columns": 2}, readout=DESIGN["readout"] | {"reference_resistance": 10e3})
-    with Skin(Script(sheet(), frame(0, 0)), design=other) as skin:
+    with lossless(Script(sheet(), frame(0, 0)), design=other) as skin:
         theirs = next(skin).resistance
-    with Skin(Script(sheet(), frame(0, 0)), design=ideal) as skin:
+    with lossless(Script(sheet(), frame(0, 0)), design=ideal) as skin:
         np.testing.assert_allclose(next(skin).resistance, 2 * theirs)
 
 
 def test_silence_is_a_timeout_and_the_board_is_asked_again() -> None:
     port = Script()
     with pytest.raises(LinkTimeout, match=re.escape("script: no description within 1.2 s: the port is silent")):
-        Skin(port, timeout=1.2)
-    assert port.asked == 3
+        lossless(port, timeout=1.2)
+    assert len(port.written) == 9  # three orders, three times
     assert port.closed
 
 
 @pytest.mark.parametrize("noise", [b"\xa5" * 999, b"hello, world\r\n", bytes([1, 0, 7, 9]) * 50, bytes(999)])
 def test_noise_is_named_within_the_timeout(noise: bytes) -> None:
-    port = Script(last=lambda wait_s: noise)
+    port = Script(last=lambda: noise)
     with pytest.raises((ProtocolError, LinkTimeout), match=r"no description within 0\.3 s"):
-        Skin(port, timeout=0.3)
+        lossless(port, timeout=0.3)
     assert port.closed
 
 
 def test_noise_that_could_be_nothing_else_is_a_protocol_error() -> None:
     with pytest.raises(ProtocolError, match=r"\d+ bytes came, the last of them no packet \(not COBS"):
-        Skin(Script(last=lambda wait_s: b"abc\0"), timeout=0.2)
+        lossless(Script(last=lambda: b"abc\0"), timeout=0.2)
 
 
 def test_a_board_that_only_describes_itself_is_told_apart_from_noise() -> None:
     with (
-        Skin(Script(sheet(), last=lambda wait_s: sheet()), timeout=0.3) as skin,
+        lossless(Script(sheet(), last=sheet), timeout=0.3) as skin,
         pytest.raises(LinkTimeout, match=r"no frame within 0\.3 s: the board is there, but sends none"),
     ):
         next(skin)
 
 
-class TextLines:
+class TextLines(HostProtocol):
     """A foreign board as an example: each line a frame of decimals, no numbers, no time, no description."""
 
-    def __init__(self, columns: int) -> None:
-        self.columns, self.rest, self.frames = columns, b"", 0
+    rest = b""
 
-    def feed(self, data: bytes) -> list[Event]:
+    def feed(self, data: bytes, received_at: float) -> list[Event]:
         *lines, self.rest = (self.rest + data).split(b"\n")
-        return [self.read(line) for line in lines]
+        return [self.read(line, received_at) for line in lines]
 
-    def read(self, line: bytes) -> Event:
+    def read(self, line: bytes, received_at: float) -> Event:
         try:
-            counts = np.array([int(word) for word in line.split()]).reshape(-1, self.columns)
+            counts = np.array([int(word) for word in line.split()]).reshape(-1, self.layout.columns)
         except ValueError as error:
             return Corrupt(len(line), str(error))
-        self.frames += 1
-        return FramePacket.of(counts, sequence=self.frames, time_us=20_000 * self.frames)
+        return FramePacket.of(counts, sequence=None, time_us=None, received_at=received_at)
+
+    def request(self, order: Order, *, period_us: int = 0) -> bytes:
+        return b"a" if order is Order.START else b""
 
 
-def test_another_family_of_boards_needs_another_framer_only() -> None:
+def test_another_family_of_boards_needs_another_protocol_only() -> None:
     what = scene().skin
     port = Script(b"2000 2001 2002 20", b"03 2004 2005\n20 x\n0 1 2 3 4 4095\n")
-    with Skin(port, design=what.design, cell=what.cell, framer=TextLines(2), wake=b"a") as skin:
+    family = replace(
+        BOARDS["ohmskin"], name="text", host=TextLines, has_description=False, has_sequence=False, has_device_time=False
+    )
+    with lossless(port, design=what.design, cell=what.cell, board=family) as skin:
         first, second = islice(skin, 2)
     np.testing.assert_array_equal(first.counts, np.arange(2000, 2006).reshape(3, 2))
     np.testing.assert_array_equal(second.valid, [[False, True], [True, True], [True, False]])
-    assert skin.corrupt == 1
+    assert skin.stats().corrupt == 1
     assert first.pressure.shape == (3, 2)
+    assert (first.sequence, second.lost_before) == (None, None)
 
 
 @given(st.lists(st.binary(max_size=200), max_size=8))
 def test_whatever_arrives_ends_in_a_frame_or_a_link_or_protocol_error(pieces: list[bytes]) -> None:
-    def gone(wait_s: float) -> bytes:
-        raise LinkError("gone")
-
-    with Skin(Script(sheet(), *pieces, b"\0" + frame(0, 0), last=gone)) as skin:
+    with lossless(Script(sheet(), *pieces, b"\0" + frame(0, 0), last=gone)) as skin:
         assert next(skin).sequence == 0
         with pytest.raises(LinkError, match="gone"):
             next(skin)

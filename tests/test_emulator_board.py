@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import scene
+from boards import DESIGN, scene
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,31 +18,53 @@ from ohmskin.config import parse
 from ohmskin.emulator import Board, Line, Sample, Scene, TransmitBuffer, TruthFile
 from ohmskin.emulator._scene import LineSettings
 from ohmskin.errors import InputError
-from ohmskin.wire import Command, Decoder, DescriptionPacket, Event, Flag, FramePacket, Order, encode
+from ohmskin.wire import (
+    Command,
+    Description,
+    Event,
+    Flag,
+    FramePacket,
+    Identity,
+    LineState,
+    Order,
+    Reply,
+    SelfTest,
+    Status,
+    encode,
+    host_protocol,
+)
 
 
 def events(packets: list[bytes]) -> list[Event]:
-    return Decoder().feed(b"".join(packets))
+    return host_protocol("ohmskin").feed(b"".join(packets), 0.0)
 
 
 def live(board: Board, ticks: int) -> list[Event]:
     return events([packet for _ in range(ticks) for packet in board.tick()])
 
 
-def test_a_board_streams_from_power_up_and_describes_itself_once_a_second() -> None:
+def ask(board: Board, order: Order, **values: int) -> list[Event]:
+    board.receive(encode(Command(order, **values)))
+    return events(board.answers())
+
+
+def test_a_board_streams_from_power_up_and_says_once_a_second_who_it_is() -> None:
     sent = live(Board(scene(board={"frame_rate": 10.0})), 25)
-    assert [type(event) for event in sent[:2]] == [DescriptionPacket, FramePacket]
+    assert [type(event) for event in sent[:3]] == [Identity, Description, FramePacket]
     frames = [event for event in sent if isinstance(event, FramePacket)]
     assert [(frame.sequence, frame.time_us) for frame in frames] == [(k, 100_000 * k) for k in range(25)]
-    sheets = [event for event in sent if isinstance(event, DescriptionPacket)]
-    assert [(sheet.sequence, sheet.time_us) for sheet in sheets] == [(0, 0), (10, 1_000_000), (20, 2_000_000)]
+    identities = [event for event in sent if isinstance(event, Identity)]
+    assert [(who.sequence, who.time_us) for who in identities] == [(0, 0), (10, 1_000_000), (20, 2_000_000)]
 
 
 def test_the_description_is_the_scene_again() -> None:
     what = scene(board={"serial_number": "A7"})
-    sheet = live(Board(what), 1)[0]
-    assert isinstance(sheet, DescriptionPacket)
-    assert sheet.serial_number == "A7"
+    identity, sheet, *_ = live(Board(what, boot_id=77), 1)
+    assert isinstance(identity, Identity)
+    assert (identity.serial_number, identity.boot_id, identity.rows, identity.columns) == ("A7", 77, 3, 2)
+    assert isinstance(sheet, Description)
+    assert sheet.design is not None
+    assert sheet.cell is not None
     assert parse(sheet.design, Design, source="design") == what.skin.design
     assert parse(sheet.cell, Cell, source="cell") == what.skin.cell
 
@@ -64,25 +86,83 @@ def test_a_stopped_board_is_silent_but_its_skin_lives_on() -> None:
     stopped, straight = Board(scene(board={"frame_rate": 10.0})), Board(scene(board={"frame_rate": 10.0}))
     live(stopped, 5)
     stopped.receive(encode(Command(Order.STOP)))
-    assert [type(event) for event in live(stopped, 20)] == [DescriptionPacket, DescriptionPacket]
+    assert [type(event) for event in live(stopped, 20)] == [Reply, Identity, Identity]
     stopped.receive(encode(Command(Order.START)))
-    after = live(stopped, 1)[0]
+    after = live(stopped, 1)[-1]
     there = [event for event in live(straight, 26) if isinstance(event, FramePacket)][-1]
     assert isinstance(after, FramePacket)
     assert after.sequence == 5  # what was not scanned is not lost
     assert (after.time_us, after.payload) == (there.time_us, there.payload)
 
 
-def test_describe_is_answered_at_once_and_noise_is_not() -> None:
+def test_describe_is_answered_in_both_states_and_noise_in_none() -> None:
     board = Board(scene())
     live(board, 3)
-    (answer,) = events(board.receive(encode(Command(Order.DESCRIBE))))
-    assert isinstance(answer, DescriptionPacket)
+    (answer,) = ask(board, Order.DESCRIBE)
+    assert isinstance(answer, Description)
     assert (answer.sequence, answer.time_us) == (3, 60_000)
-    board.receive(encode(Command(Order.STOP)))
-    (answer,) = events(board.receive(encode(Command(Order.DESCRIBE))))
-    assert isinstance(answer, DescriptionPacket)
-    assert not board.receive(b"\x07hello\0\xff\0" + encode(FramePacket(0, 0, 1, 1, b"\0\0")))
+    ask(board, Order.STOP)
+    (answer,) = ask(board, Order.DESCRIBE)
+    assert isinstance(answer, Description)
+    board.receive(b"\x07hello\0\xff\0" + encode(FramePacket(0, 0, 1, 1, b"\0\0")))
+    assert not board.answers()
+
+
+def test_a_flood_of_commands_gets_one_answer_of_each_kind() -> None:
+    board = Board(scene())
+    live(board, 1)
+    for order in (Order.DESCRIBE, Order.IDENTIFY, Order.SELF_TEST, Order.START):
+        board.receive(encode(Command(order)) * 5000)
+    assert sorted(type(event).__name__ for event in events(board.answers())) == [
+        "Description",
+        "Identity",
+        "Reply",
+        "SelfTest",
+    ]
+    assert not board.answers()
+
+
+def test_a_new_rate_begins_at_the_next_tick() -> None:
+    board = Board(scene(board={"frame_rate": 10.0}))
+    live(board, 3)
+    (reply,) = ask(board, Order.RATE, period_us=2_000)
+    assert isinstance(reply, Reply)
+    assert reply.status is Status.TAKEN
+    times = [event.time_us for event in live(board, 4) if isinstance(event, FramePacket)]
+    assert times == [300_000, 302_000, 304_000, 306_000]
+    (reply,) = ask(board, Order.RATE, period_us=0)
+    assert isinstance(reply, Reply)
+    assert reply.status is Status.OUT_OF_RANGE
+    assert board.next_us == 308_000
+
+
+def test_one_frame_is_one_frame() -> None:
+    board = Board(scene())
+    live(board, 2)
+    ask(board, Order.STOP)
+    assert not live(board, 5)
+    ask(board, Order.ONE_FRAME)
+    (frame,) = live(board, 5)
+    assert isinstance(frame, FramePacket)
+    assert frame.sequence == 2
+
+
+def test_the_self_test_finds_broken_and_joined_lines_and_reads_its_resistors() -> None:
+    faults = [
+        {"kind": "broken-row", "place": [0, 0]},
+        {"kind": "bridged-columns", "place": [1, 2], "resistance": 10.0},
+    ]
+    big = {**DESIGN, "array": {"rows": 3, "columns": 5}, "fault": faults}
+    board = Board(scene(skin={"design": big}, board={"reference_resistances": [10e3, 30e3]}))
+    live(board, 1)
+    (result,) = ask(board, Order.SELF_TEST)
+    assert isinstance(result, SelfTest)
+    good, joined = LineState.GOOD, LineState.SHORTED
+    assert result.rows == (LineState.OPEN, good, good)
+    assert result.columns == (good, good, joined, joined, good)
+    for nominal, measured in result.references:
+        assert measured == pytest.approx(nominal, rel=0.01)
+        assert measured != nominal  # it went through the converter
 
 
 def test_an_overrun_is_flagged_in_the_next_frame_only() -> None:

@@ -116,7 +116,10 @@ LOAD = {"load_kpa": [[0.0, 1.0]]}
         ({"skin": {"design": DESIGN | {"adc": {"bits": 24, "range": [0.0, 1.0]}}}}, "an [adc] of at most 16 bits"),
         ({"skin": {"design": "nowhere.toml"}}, "nowhere.toml: cannot be read: No such file or directory"),
         ({"board": {"frame_rat": 5.0}}, "scene: unknown key 'board.frame_rat'; the nearest known key is 'frame_rate'"),
-        ({"board": {"frame_rate": 0.0}}, "scene: board.frame_rate: input should be greater than 0 (got 0.0)"),
+        (
+            {"board": {"frame_rate": 0.0}},
+            "scene: board.frame_rate: input should be greater than or equal to 0.001 (got 0.0)",
+        ),
         ({"line": {"packet_loss": 1.0}}, "scene: line.packet_loss: input should be less than 1 (got 1.0)"),
         ({"contact": [LOAD]}, "scene: contact[0]: a contact has one of cells, disc, rectangle, bump; got none"),
         (

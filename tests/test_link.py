@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import numpy as np
@@ -63,13 +63,13 @@ def command(*arguments: str | Path) -> Iterator[tuple[subprocess.Popen[str], str
         process.communicate()
 
 
-def collect(port: str, *, tare: bool = False, design: Design | None = None) -> list[Frame]:
-    """All frames until the board goes."""
+def collect(port: str, *, tare: bool = False, design: Design | None = None, lossy: bool = False) -> list[Frame]:
+    """All frames until the board's time is over: a regular end, unless the last frame, which says so, is lost."""
     frames: list[Frame] = []
-    with Skin.open(port, design=design) as skin:
+    with Skin.open(port, design=design, delivery="lossless", reconnect=0.0) as skin:
         if tare:
             skin.tare()
-        with pytest.raises(LinkError, match="the board has gone away"):
+        with suppress(LinkError) if lossy else nullcontext():
             frames.extend(skin)
     return frames
 
@@ -119,7 +119,7 @@ def test_a_lossy_and_noisy_line_is_counted_end_to_end(tmp_path: Path) -> None:
     what = scene(line={"packet_loss": 0.05, "bit_errors": 2e-5})
     port, truth = PtyPort(), tmp_path / "truth.npz"
     with running(what, port, clock="fast", duration_s=20.0, truth=truth):
-        frames = collect(port.name)
+        frames = collect(port.name, lossy=True)
     arrays = np.load(truth)
     lost = sum(frame.lost_before for frame in frames)
     assert len(arrays["sequence"]) == 1000
@@ -132,10 +132,10 @@ def test_a_lossy_and_noisy_line_is_counted_end_to_end(tmp_path: Path) -> None:
 
 
 def test_real_time_is_kept_and_a_slow_host_counts_what_it_lost(tmp_path: Path) -> None:
-    """A 16 x 16 skin at 200 Hz fills what board and kernel hold in a quarter of a second."""
+    """A 16 x 16 skin at 200 Hz fills what driver, kernel and board hold in a quarter of a second."""
     port, truth = PtyPort(), tmp_path / "truth.npz"
     big = scene(skin={"design": DESIGN | {"array": {"rows": 16, "columns": 16}}}, board={"frame_rate": 200.0})
-    with running(big, port, truth=truth), Skin.open(port.name) as skin:
+    with running(big, port, truth=truth), Skin.open(port.name, delivery="lossless", queue=1) as skin:
         first = next(skin)
         began = time.monotonic()
         time.sleep(1.0)
@@ -208,7 +208,10 @@ def test_a_signal_ends_the_run_with_the_truth_written(
 
 
 def test_a_board_killed_in_mid_stream_is_missed_at_once(scene_file: Path, tmp_path: Path) -> None:
-    with command(scene_file, "--link", tmp_path / "skin") as (process, port), Skin.open(port, timeout=30) as skin:
+    with (
+        command(scene_file, "--link", tmp_path / "skin") as (process, port),
+        Skin.open(port, timeout=30, reconnect=0.5) as skin,
+    ):
         next(skin)
         process.kill()
         began = time.monotonic()
@@ -287,7 +290,7 @@ def free_tcp_port() -> int:
         ("/dev/null", "/dev/null: is no serial port"),
         (__file__, "test_link.py: is no serial port"),
         ("nonsense://x", "nonsense://x: cannot be opened: invalid URL, protocol 'nonsense' not known"),
-        ("socket://127.0.0.1:{free}", "cannot be opened: Could not open port"),
+        ("socket://127.0.0.1:{free}", "cannot be opened: Connection refused"),
     ],
 )
 def test_a_port_that_cannot_be_opened_says_why(port: str, message: str) -> None:
@@ -341,9 +344,9 @@ def test_bad_input_of_the_command_is_one_line_and_leaves_nothing(
 def test_the_driver_example_runs_as_it_is(scene_file: Path, tmp_path: Path) -> None:
     example = Path(__file__).parents[1] / "examples" / "read_skin.py"
     assert len(example.read_text().splitlines()) <= 10
-    with command(scene_file, "--link", tmp_path / "skin", "--duration", "2") as (_, port):
+    with command(scene_file, "--link", tmp_path / "skin", "--clock", "fast", "--duration", "100") as (_, port):
         done = subprocess.run(
             [sys.executable, str(example), port], capture_output=True, text=True, timeout=60, check=False
         )
-    assert done.stdout.count("kPa") > 10
-    assert done.stderr.splitlines()[-1].startswith("ohmskin.errors.LinkError: ")  # the two seconds are over
+    assert done.stdout.count("kPa") > 2
+    assert (done.returncode, done.stderr) == (0, "")  # the board's time is over: an end, no failure

@@ -14,8 +14,7 @@ from reference import reference_volts
 from variety import any_design
 
 from ohmskin.circuits import Design
-from ohmskin.circuits.spice._netlist import frame_deck, netlist
-from ohmskin.circuits.spice._ngspice import command_available, run_control
+from ohmskin.circuits.spice import command_available, frame_deck, netlist, run_control
 from ohmskin.cli import run
 from ohmskin.errors import InputError, SolverError
 

@@ -10,8 +10,7 @@ from parts_at_random import real_design
 from test_netlist import read_by_ngspice
 
 from ohmskin.circuits import CIRCUITS, Design, scan
-from ohmskin.circuits.spice._netlist import netlist
-from ohmskin.circuits.spice._ngspice import command_available, command_scan
+from ohmskin.circuits.spice import command_available, command_scan, netlist
 from ohmskin.errors import SolverError
 
 

@@ -11,10 +11,9 @@ from designs import amplifier, divider
 from needs import need
 from scipy.constants import Boltzmann
 
-from ohmskin.circuits import Adc, Design, adc_codes, volts_of_codes
-from ohmskin.circuits.spice._ngspice import available, run_library
+from ohmskin.circuits import Adc, Design, adc_codes, noise, volts_of_codes
+from ohmskin.circuits.spice import available, run_library
 from ohmskin.circuits.timing._dynamics import column_conductances, column_dynamics
-from ohmskin.circuits.timing._noise import noise
 from ohmskin.errors import InputError
 
 CELLS = np.array([[1e4, 2e4], [3e4, 1.5e4], [np.inf, 1e4]])
@@ -131,8 +130,8 @@ def test_against_ngspice(name: str) -> None:
 def test_against_a_simulation_in_time() -> None:
     """Monte Carlo: the circuit's equations stepped with random kicks; 4000 runs know a deviation to about 1 %."""
     design = board(column_capacitance=2e-10, lead=200.0, **SOURCES)
-    (conductance,) = column_conductances(design, CELLS)
-    dynamics, random = column_dynamics(design, conductance), np.random.default_rng(1)
+    (conductance,) = column_conductances(design.board, CELLS)
+    dynamics, random = column_dynamics(design.board, conductance), np.random.default_rng(1)
     step, runs = 4e-9, 4000
     thermal = 2 * Boltzmann * 300.0
     kicks = np.linalg.cholesky(

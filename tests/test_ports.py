@@ -8,10 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from ohmskin.circuits._exact import exact_transfer, transfer_error
 from ohmskin.circuits.solvers import _banded as banded
 from ohmskin.circuits.solvers import _dissection as dissection
 from ohmskin.circuits.solvers import _elimination as elimination
+from ohmskin.circuits.solvers._exact import _transfer_error as transfer_error
+from ohmskin.circuits.solvers._exact import exact_transfer
 from ohmskin.circuits.solvers._ports import Lines, Stream, port_conductances, transfer_conductances
 
 SHAPES = [(1, 1), (1, 7), (6, 1), (4, 5), (5, 5), (3, 11), (8, 8), (13, 18), (20, 17), (33, 9), (36, 40)]

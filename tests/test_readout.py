@@ -10,7 +10,7 @@ from designs import amplifier, divider
 from parts_at_random import real_design
 from reference import reference_volts
 
-from ohmskin.circuits import Design, apparent_resistance, scan
+from ohmskin.circuits import CIRCUITS, Design, apparent_resistance, scan
 from ohmskin.config import parse
 from ohmskin.errors import InputError, SolverError
 
@@ -28,7 +28,7 @@ def test_a_signal_too_small_for_a_quotient_is_none(design: Design) -> None:
     np.testing.assert_array_equal(ohms, np.full((1, 3), np.inf))
 
 
-@pytest.mark.parametrize("circuit", ["inverting-amplifier", "voltage-divider", "voltage-feedback"])
+@pytest.mark.parametrize("circuit", CIRCUITS)
 @pytest.mark.parametrize("seed", range(15))
 def test_unequal_parts(circuit: str, seed: int) -> None:
     assert_reads_as_the_reference(*real_design(seed, circuit=circuit))

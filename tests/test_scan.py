@@ -80,7 +80,7 @@ def _nodal(conductance: np.ndarray, row: np.ndarray, column: np.ndarray) -> tupl
 def test_ports_are_the_schur_complement_of_the_nodal_matrix(shape: tuple[int, int], segment: float) -> None:
     rng = np.random.default_rng(7)
     cells = 10 ** rng.uniform(3, 5, shape)
-    ports = exact_ports(amplifier(*shape, lead=2 * segment, segment=segment), cells).value
+    ports = exact_ports(amplifier(*shape, lead=2 * segment, segment=segment).board, cells).value
     row, column = np.full(shape, 1 / segment), np.full(shape, 1 / segment)
     row[:, 0] /= 2
     laplacian, count = _nodal(1 / cells, row, column)

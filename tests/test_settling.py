@@ -11,9 +11,8 @@ from designs import amplifier, divider
 from needs import need
 from scipy.integrate import solve_ivp
 
-from ohmskin.circuits import Adc, Design, scan
-from ohmskin.circuits.spice._ngspice import available, run_library
-from ohmskin.circuits.timing._settling import Settling, stability
+from ohmskin.circuits import Adc, Design, Settling, scan, stability
+from ohmskin.circuits.spice import available, run_library
 from ohmskin.errors import InputError, SolverError
 
 CELLS = np.array([[1e4, 2e4, 5e4], [3e4, np.inf, 1.5e4]])

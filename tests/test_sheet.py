@@ -23,10 +23,10 @@ def test_branch_by_branch_reduction_is_that_of_the_plain_grid(shape: tuple[int, 
     rng = np.random.default_rng(4)
     design = amplifier(*shape, lead=20.0, segment=3.0)
     cells = 10 ** rng.uniform(2, 6, (3, *shape))
-    together = reduce(grid_network(design, cells)).value
+    together = reduce(grid_network(design.board, cells)).value
     # Ideal wires are conductances 1e40 times the others: what should be 0 behind one is that little.
-    np.testing.assert_allclose(together, exact_ports(design, cells).value, rtol=1e-12, atol=1e-40)
-    np.testing.assert_array_equal(together[1], reduce(grid_network(design, cells[1])).value)
+    np.testing.assert_allclose(together, exact_ports(design.board, cells).value, rtol=1e-12, atol=1e-40)
+    np.testing.assert_array_equal(together[1], reduce(grid_network(design.board, cells[1])).value)
 
 
 def boxes_one_by_one(design: Design, cells: np.ndarray) -> np.ndarray:
@@ -70,7 +70,7 @@ def boxes_one_by_one(design: Design, cells: np.ndarray) -> np.ndarray:
 def test_pieces_joined_by_their_faces_are_the_whole_sheet(shape: tuple[int, int], layers: int) -> None:
     design = in_one_piece(amplifier(*shape), divisions=4, layers=layers, electrode_width=0.0127)
     cells = 10 ** np.random.default_rng(7).uniform(3, 5, shape)
-    np.testing.assert_allclose(exact_ports(design, cells).value, boxes_one_by_one(design, cells), rtol=1e-9)
+    np.testing.assert_allclose(exact_ports(design.board, cells).value, boxes_one_by_one(design, cells), rtol=1e-9)
 
 
 def test_a_slab_under_full_electrodes_is_resistivity_times_thickness_over_area() -> None:

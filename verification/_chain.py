@@ -14,8 +14,7 @@ import numpy as np
 
 from .. import plots
 from ..arrays import BoolArray, FloatArray
-from ..circuits import Design, Recoverer, Requirement, Status, scan_batch
-from ..circuits.timing._noise import noise
+from ..circuits import Design, Recoverer, Requirement, Status, noise, scan_batch
 from ..emulator import Contact, Rectangle
 from ..errors import InputError, SolverError
 from ._dynamic import rate_of, settling_share

@@ -56,7 +56,7 @@ class Box:
         return result
 
     def converted(self, volts: FloatArray, converter: FloatArray) -> FloatArray:
-        """V at an ideal converter for the errors (..., 3) of the real one, as :func:`ohmskin.circuits.adc_codes` has them."""
+        """V at an ideal converter for the errors (..., 3) of the real one; as in :func:`ohmskin.circuits.adc_codes`."""
         adc = self.design.adc
         if adc is None:
             return volts

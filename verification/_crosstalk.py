@@ -6,8 +6,7 @@ import numpy as np
 
 from .. import plots
 from ..arrays import BoolArray, FloatArray
-from ..circuits import Array, Design, ideal_volts, scan
-from ..circuits.spice import _ngspice as spice
+from ..circuits import Array, Design, ideal_volts, scan, spice
 from ..emulator import spread
 from ..errors import MissingExtra
 from ._maps import heat_maps

@@ -11,9 +11,18 @@ import numpy as np
 from .. import plots
 from ..arrays import FloatArray
 from ..cell import sensitivity as cell_sensitivity
-from ..circuits import Boards, Design, Requirement, apparent_resistance, scan, scan_population
-from ..circuits.timing._noise import Noise, noise
-from ..circuits.timing._settling import Settling, stability
+from ..circuits import (
+    Boards,
+    Design,
+    Noise,
+    Requirement,
+    Settling,
+    apparent_resistance,
+    noise,
+    scan,
+    scan_population,
+    stability,
+)
 from ..errors import InputError, SolverError
 from ._outcome import DoesNotApply, Figure, Measurement, NotRun
 from ._subject import Subject

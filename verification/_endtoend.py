@@ -46,12 +46,12 @@ def _emulated(subject: Subject) -> Finding:
         # The board lives a little longer than what the host takes, so that it never waits for a last frame.
         with running(scene, port, clock="fast", duration_s=SECONDS + 1.0, truth=truth_file):
             start = time.perf_counter()
-            with Skin.open(port.name) as skin:
+            with Skin.open(port.name, delivery="lossless") as skin:
                 frames = list(islice(skin, round(SECONDS * RATE_HZ)))
             elapsed = time.perf_counter() - start
         with np.load(truth_file) as file:
             truth = {name: file[name] for name in file.files}
-    frames = [frame for frame in frames if frame.sequence < len(truth["sequence"])]
+    frames = [frame for frame in frames if (frame.sequence or 0) < len(truth["sequence"])]
     applied = truth["pressure_kpa"][[frame.sequence for frame in frames]]
     estimate = np.array([frame.pressure for frame in frames])
     sent = adc_codes(subject.design, truth["volts"])
@@ -72,7 +72,7 @@ def _emulated(subject: Subject) -> Finding:
             Check("pressure RMSE, worst cell", float(per_cell[worst]), 2 * limit, "% of full scale"),
             Check("cells wrongly shown as touched or untouched", 100 * float(misplaced.mean()), 1.0, "%"),
             Check("counts that differ from what the board sent", float(unlike), 0.0),
-            Check("frames lost", float(sum(frame.lost_before for frame in frames)), 0.0),
+            Check("frames lost", float(sum(frame.lost_before or 0 for frame in frames)), 0.0),
             Check("frames received", float(len(frames)), SECONDS * RATE_HZ, at_least=True),
             Check("speed over real time, emulator included", SECONDS / elapsed, 1.0, "times", at_least=True),
             *speed.checks,
@@ -91,11 +91,11 @@ def _emulated(subject: Subject) -> Finding:
 
 def _hardware(port: str) -> Finding:
     """What can be said of a real board without knowing what presses on it."""
-    with Skin.open(port) as skin:
+    with Skin.open(port, delivery="every") as skin:
         start = time.perf_counter()
         frames = list(islice(skin, 200))
         elapsed = time.perf_counter() - start
-    lost = sum(frame.lost_before for frame in frames[1:])
+    lost = sum(frame.lost_before or 0 for frame in frames[1:])
     valid = np.mean([frame.valid.mean() for frame in frames])
     steps = np.diff([frame.device_time for frame in frames])
     return Finding(

@@ -9,8 +9,7 @@ import numpy as np
 from .. import plots
 from ..arrays import FloatArray
 from ..cell import Percolation
-from ..circuits import Design, adc_codes, clipped, scan
-from ..circuits.timing._noise import noise
+from ..circuits import Design, adc_codes, clipped, noise, scan
 from ..errors import InputError
 from ._outcome import Check, Figure, Finding, Table
 from ._pressure import STEP_KPA, errors, pressed, respond, side_by_side

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ..arrays import FloatArray
 from ..circuits import Design
-from ..circuits.spice._netlist import netlist
+from ..circuits.spice import netlist
 
 
 def dynamic_netlist(design: Design, cells: FloatArray, row: int) -> str:

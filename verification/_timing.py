@@ -5,9 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from .. import plots
-from ..circuits import scan
-from ..circuits.timing._noise import noise
-from ..circuits.timing._settling import Settling, stability
+from ..circuits import Settling, noise, scan, stability
 from ..errors import InputError, SolverError
 from ._outcome import Check, Figure, Finding, Table
 from ._subject import Subject

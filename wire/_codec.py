@@ -1,81 +1,102 @@
-"""Packets to bytes and back. See ``docs/wire.md`` for the format and the reasons behind it.
+"""Serialisation of the native packets: COBS framing, CRC-32, little-endian fields. ``docs/wire.md`` is the format.
 
-The invariant: whatever bytes arrive, in whatever pieces, :meth:`Decoder.feed` returns packets and
-:class:`Corrupt` stretches in order. Every byte is in exactly one of them, is a delimiter, or waits for one.
+The invariant: whatever bytes arrive, in whatever pieces, :meth:`PacketDecoder.feed` returns packets and
+:class:`Corrupt` stretches in order. Every byte belongs to exactly one of them, is a delimiter, or waits for one.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import struct
 import zlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, NoReturn, Protocol
+from collections.abc import Callable
 
 from cobs import cobs
 
 from ..errors import InputError, ProtocolError
-from ._packets import Command, DescriptionPacket, Flag, FramePacket, Order, Packet
+from ._packets import (
+    VERSION,
+    BadCommand,
+    Command,
+    Corrupt,
+    DescriptionPiece,
+    Flag,
+    FramePacket,
+    Identity,
+    LineState,
+    Order,
+    Packet,
+    Reply,
+    SelfTest,
+    Status,
+)
 
-VERSION = 1
 MAX_PAYLOAD = 2**22
-"""bytes; a 1024 x 1024 frame is half of it"""
+"""bytes; a frame of 1024 x 1024 cells is half as long"""
+MAX_DESCRIPTION = 2**20
+"""bytes of JSON; a longer description is refused"""
 
-_HEADER = struct.Struct("<BBIIQ")  # type, version, payload length, sequence, time in us
+_HEADER = struct.Struct("<BBIIQ")  # type, version, boot id, sequence number, time in us
 _CRC = struct.Struct("<I")
 _FRAME = struct.Struct("<HHH")  # rows, columns, flags
+_PIECE = struct.Struct("<II")  # offset, total
+_IDENTITY = struct.Struct("<HHBBII")  # rows, columns, ADC bits, streaming, period in us, bytes of description
+_SELF_TEST = struct.Struct("<HHH")  # rows, columns, reference resistors
+_REFERENCE = struct.Struct("<ff")  # nominal ohm, measured ohm
+_REPLY = struct.Struct("<BBI")  # packet type of the command, status, sequence number of the command
+_RATE = struct.Struct("<I")  # us between two frames
+
 _MAX_RAW = _HEADER.size + MAX_PAYLOAD + _CRC.size
 _MAX_STUFFED = _MAX_RAW + _MAX_RAW // 254 + 1
 _KNOWN_FLAGS = sum(flag.value for flag in Flag)
-
-
-@dataclass(frozen=True, slots=True)
-class Corrupt:
-    """A stretch of bytes between delimiters that is no packet."""
-
-    size: int
-    """bytes on the line, delimiters not counted"""
-    reason: str
-
-
-Event = Packet | Corrupt
-
-
-class Framer(Protocol):
-    """What turns a board's bytes into events. Another family of boards brings another one of these."""
-
-    def feed(self, data: bytes) -> list[Event]:
-        """The events completed by ``data``, in order."""
-        ...
+_FIRST_COMMAND = 0x80
+"""packet types from here on go from host to board"""
 
 
 def encode(packet: Packet) -> bytes:
     """The bytes of one packet on the line, with the delimiter that ends it.
 
     Raises:
-        InputError: the packet is too long, or a data sheet that is not JSON.
+        InputError: the packet is too long, or lacks a number that the native protocol needs.
+
     """
-    match packet:
-        case FramePacket():
-            kind = _FRAME_TYPE
-            payload = _FRAME.pack(packet.rows, packet.columns, packet.flags.value) + packet.payload
-        case DescriptionPacket():
-            kind, payload = _DESCRIPTION_TYPE, _write_sheet(packet)
-        case Command():
-            kind, payload = packet.order.value, b""
+    kind, payload = _write(packet)
     if len(payload) > MAX_PAYLOAD:
         raise InputError(f"packet with {len(payload)} bytes of payload; at most {MAX_PAYLOAD} fit")
-    body = _HEADER.pack(kind, VERSION, len(payload), packet.sequence, packet.time_us) + payload
+    if packet.sequence is None or packet.time_us is None:
+        raise InputError("a packet without sequence number or time; the native protocol needs both")
+    boot_id = 0 if isinstance(packet, Command) else packet.boot_id or 0
+    body = _HEADER.pack(kind, VERSION, boot_id, packet.sequence, packet.time_us) + payload
     return bytes(cobs.encode(body + _CRC.pack(zlib.crc32(body)))) + b"\0"
 
 
-def decode(stuffed: bytes) -> Packet:
+def _write(packet: Packet) -> tuple[int, bytes]:
+    """Packet type and payload."""
+    match packet:
+        case FramePacket():
+            return 0x01, _FRAME.pack(packet.rows, packet.columns, packet.flags.value) + packet.payload
+        case DescriptionPiece():
+            return 0x02, _PIECE.pack(packet.offset, packet.total) + packet.data
+        case Identity():
+            return 0x03, _write_identity(packet)
+        case SelfTest():
+            return 0x04, _write_self_test(packet)
+        case Reply():
+            return 0x05, _REPLY.pack(packet.order, packet.status.value, packet.command_sequence)
+        case Command():
+            return packet.order.value, _RATE.pack(packet.period_us) if packet.order is Order.RATE else b""
+
+
+def decode(stuffed: bytes, received_at: float = math.nan) -> Packet | BadCommand:
     """The packet in the bytes between two delimiters.
 
+    Args:
+        stuffed: without the delimiters.
+        received_at: time of the last byte, kept in the packet.
+
     Raises:
-        ProtocolError: they are not a packet of this version; the message is the first rule they break.
+        ProtocolError: the bytes are no packet of this version; the message is the first rule that they break.
+
     """
     try:
         raw: bytes = cobs.decode(stuffed)
@@ -83,151 +104,219 @@ def decode(stuffed: bytes) -> Packet:
         raise ProtocolError(f"not COBS: {error}") from error
     if len(raw) < _HEADER.size + _CRC.size:
         raise ProtocolError(f"{len(raw)} bytes, shorter than any packet")
-    body, (crc,) = raw[: -_CRC.size], _CRC.unpack(raw[-_CRC.size :])
+    (crc,) = _CRC.unpack_from(raw, len(raw) - _CRC.size)
+    body = raw[: -_CRC.size]
     if zlib.crc32(body) != crc:
         raise ProtocolError("checksum does not match")
-    kind, version, length, sequence, time_us = _HEADER.unpack_from(body)
+    kind, version, boot_id, sequence, time_us = _HEADER.unpack_from(body)
+    payload = body[_HEADER.size :]
+    if kind >= _FIRST_COMMAND:
+        return _read_command(kind, version, sequence, time_us, payload)
     if version != VERSION:
         raise ProtocolError(f"protocol version {version}; this host speaks version {VERSION}")
-    payload = body[_HEADER.size :]
-    if length != len(payload):
-        raise ProtocolError(f"header announces {length} bytes of payload, {len(payload)} came")
     read = _READERS.get(kind)
     if read is None:
         raise ProtocolError(f"unknown packet type 0x{kind:02x}")
     try:
-        return read(sequence, time_us, payload)
+        return read(_Header(sequence, time_us, boot_id, received_at), payload)
     except InputError as error:
         raise ProtocolError(str(error)) from error
 
 
-class Decoder:
-    """Bytes to events, for either end. Holds at most one packet of the longest kind, and never raises.
+class PacketDecoder:
+    """Bytes to native packets, for either end. Holds at most one packet of the longest kind, and never raises.
 
-    After noise it is in step again at the next delimiter. Empty stretches are idle fill and are skipped.
+    After noise the decoder is in step again at the next delimiter. Empty stretches are idle fill and are skipped.
     """
 
     def __init__(self) -> None:
         self._stretch = bytearray()
-        self._hopeless = False
-        """the stretch has outgrown every packet; what follows up to the delimiter belongs to it"""
+        self._too_long = False
+        """the stretch has outgrown every packet; the rest of it, up to the delimiter, is corrupt too"""
 
-    def feed(self, data: bytes) -> list[Event]:
+    def feed(self, data: bytes, received_at: float = math.nan) -> list[Packet | BadCommand | Corrupt]:
         """The packets and corrupt stretches completed by ``data``, in order of arrival."""
-        events: list[Event] = []
+        found: list[Packet | BadCommand | Corrupt] = []
         *completed, rest = bytes(data).split(b"\0")
         for piece in completed:
-            self._collect(piece, events)
-            self._finish(events)
-        self._collect(rest, events)
-        return events
+            self._collect(piece, found)
+            self._finish(found, received_at)
+        self._collect(rest, found)
+        return found
 
-    def _collect(self, piece: bytes, events: list[Event]) -> None:
+    def _collect(self, piece: bytes, found: list[Packet | BadCommand | Corrupt]) -> None:
         self._stretch += piece
         if len(self._stretch) > _MAX_STUFFED:
-            events.append(Corrupt(len(self._stretch), "no delimiter within the longest packet"))
+            found.append(Corrupt(len(self._stretch), "no delimiter within the longest packet"))
             self._stretch.clear()
-            self._hopeless = True
+            self._too_long = True
 
-    def _finish(self, events: list[Event]) -> None:
-        stretch, hopeless = bytes(self._stretch), self._hopeless
+    def _finish(self, found: list[Packet | BadCommand | Corrupt], received_at: float) -> None:
+        stretch, too_long = bytes(self._stretch), self._too_long
         self._stretch.clear()
-        self._hopeless = False
+        self._too_long = False
         if not stretch:
             return
-        if hopeless:
-            events.append(Corrupt(len(stretch), "the end of a stretch longer than any packet"))
+        if too_long:
+            found.append(Corrupt(len(stretch), "the end of a stretch longer than any packet"))
             return
         try:
-            events.append(decode(stretch))
+            found.append(decode(stretch, received_at))
         except ProtocolError as error:
-            events.append(Corrupt(len(stretch), str(error)))
+            found.append(Corrupt(len(stretch), str(error)))
 
 
-def _read_frame(sequence: int, time_us: int, payload: bytes) -> FramePacket:
+class _Header:
+    """The fields of the header that every packet of a board keeps."""
+
+    __slots__ = ("boot_id", "received_at", "sequence", "time_us")
+
+    def __init__(self, sequence: int, time_us: int, boot_id: int, received_at: float) -> None:
+        self.sequence, self.time_us = sequence, time_us
+        self.boot_id, self.received_at = boot_id, received_at
+
+
+def _read_frame(header: _Header, payload: bytes) -> FramePacket:
     if len(payload) < _FRAME.size:
         raise ProtocolError(f"frame with {len(payload)} bytes of payload, expected at least {_FRAME.size}")
     rows, columns, flags = _FRAME.unpack_from(payload)
-    return FramePacket(sequence, time_us, rows, columns, payload[_FRAME.size :], Flag(flags & _KNOWN_FLAGS))
+    return FramePacket(
+        header.sequence,
+        header.time_us,
+        rows,
+        columns,
+        payload[_FRAME.size :],
+        Flag(flags & _KNOWN_FLAGS),
+        header.boot_id,
+        received_at=header.received_at,
+    )
 
 
-def _write_sheet(packet: DescriptionPacket) -> bytes:
-    sheet: dict[str, Any] = {
-        "serial_number": packet.serial_number,
-        "firmware": packet.firmware,
-    }
+def _read_piece(header: _Header, payload: bytes) -> DescriptionPiece:
+    if len(payload) <= _PIECE.size:
+        raise ProtocolError(f"piece of a description with {len(payload)} bytes, expected more than {_PIECE.size}")
+    offset, total = _PIECE.unpack_from(payload)
+    data = payload[_PIECE.size :]
+    if total > MAX_DESCRIPTION:
+        raise ProtocolError(f"description of {total} bytes; at most {MAX_DESCRIPTION} are taken")
+    if offset + len(data) > total:
+        raise ProtocolError(f"description of {total} bytes with a piece that ends at {offset + len(data)}")
+    return DescriptionPiece(
+        header.sequence, header.time_us, offset, total, data, header.boot_id, received_at=header.received_at
+    )
+
+
+def _write_identity(identity: Identity) -> bytes:
     try:
-        sheet |= {"design": _without_infinity(packet.design), "cell": _without_infinity(packet.cell)}
-        return json.dumps(sheet, allow_nan=False, ensure_ascii=False, separators=(",", ":")).encode()
-    except (TypeError, ValueError) as error:
-        raise InputError(f"a data sheet that is not JSON: {error}") from error
+        numbers = _IDENTITY.pack(
+            identity.rows,
+            identity.columns,
+            identity.adc_bits,
+            identity.streaming,
+            identity.period_us,
+            identity.description_bytes,
+        )
+        return numbers + f"{identity.serial_number}\0{identity.firmware}\0".encode()
+    except (struct.error, UnicodeEncodeError) as error:
+        raise InputError(f"an identity that cannot be sent: {error}") from error
 
 
-def _read_sheet(sequence: int, time_us: int, payload: bytes) -> DescriptionPacket:
+def _read_identity(header: _Header, payload: bytes) -> Identity:
+    if len(payload) < _IDENTITY.size:
+        raise ProtocolError(f"identity with {len(payload)} bytes of payload, expected at least {_IDENTITY.size}")
+    rows, columns, adc_bits, streaming, period_us, description_bytes = _IDENTITY.unpack_from(payload)
+    # Later versions of the firmware may add texts after these two; a host leaves them unread.
+    texts = payload[_IDENTITY.size :].split(b"\0")
+    if len(texts) < 3:
+        raise ProtocolError("identity without serial number and firmware, each ended by a zero")
     try:
-        sheet = json.loads(payload.decode(), parse_constant=_refuse_constant)
-        entries = {"serial_number": str, "firmware": str, "design": dict, "cell": dict}
-        found = {key: _entry(sheet, key, kind) for key, kind in entries.items()}
-        found |= {key: _with_infinity(found[key]) for key in ("design", "cell")}
-    except (ValueError, RecursionError) as error:
-        raise ProtocolError(f"description is not JSON: {error}") from error
-    return DescriptionPacket(sequence, time_us, **found)
+        serial_number, firmware = texts[0].decode(), texts[1].decode()
+    except UnicodeDecodeError as error:
+        raise ProtocolError(f"identity with a text that is not UTF-8: {error}") from error
+    return Identity(
+        header.sequence,
+        header.time_us,
+        rows,
+        columns,
+        adc_bits,
+        bool(streaming),
+        period_us,
+        description_bytes,
+        serial_number,
+        firmware,
+        header.boot_id,
+        received_at=header.received_at,
+    )
 
 
-def _entry(sheet: Any, key: str, kind: type) -> Any:
-    """Entries that are not known are left unread: a data sheet may grow within a version."""
-    if not isinstance(sheet, dict) or not isinstance(sheet.get(key), kind):
-        raise ProtocolError(f"description without '{key}' ({'text' if kind is str else 'object'} expected)")
-    return sheet[key]
+def _write_self_test(result: SelfTest) -> bytes:
+    lines = bytes(state.value for state in (*result.rows, *result.columns))
+    counts = _SELF_TEST.pack(len(result.rows), len(result.columns), len(result.references))
+    return counts + lines + b"".join(_REFERENCE.pack(*pair) for pair in result.references)
 
 
-_INFINITIES = {math.inf: "Infinity", -math.inf: "-Infinity"}
-_TEXTS = {text: value for value, text in _INFINITIES.items()}
+def _read_self_test(header: _Header, payload: bytes) -> SelfTest:
+    if len(payload) < _SELF_TEST.size:
+        raise ProtocolError(f"self-test with {len(payload)} bytes of payload, expected at least {_SELF_TEST.size}")
+    rows, columns, references = _SELF_TEST.unpack_from(payload)
+    lines_end = _SELF_TEST.size + rows + columns
+    expected = lines_end + references * _REFERENCE.size
+    if len(payload) != expected:
+        raise ProtocolError(f"self-test with {len(payload)} bytes of payload, expected {expected}")
+    try:
+        lines = [LineState(value) for value in payload[_SELF_TEST.size : lines_end]]
+    except ValueError as error:
+        raise ProtocolError(f"self-test with a line state that is not known: {error}") from error
+    return SelfTest(
+        header.sequence,
+        header.time_us,
+        tuple(lines[:rows]),
+        tuple(lines[rows:]),
+        tuple(_REFERENCE.iter_unpack(payload[lines_end:])),
+        header.boot_id,
+        received_at=header.received_at,
+    )
 
 
-def _without_infinity(value: Any) -> Any:
-    """Ideal parts have infinite values, JSON has none: they travel as text."""
-    match value:
-        case Mapping():
-            return {key: _without_infinity(item) for key, item in value.items()}
-        case list() | tuple():
-            return [_without_infinity(item) for item in value]
-        case float():
-            return _INFINITIES.get(value, value)
-        case str() if value in _TEXTS:
-            raise ValueError(f"the text {value!r} stands for a number")
-    return value
+def _read_reply(header: _Header, payload: bytes) -> Reply:
+    if len(payload) != _REPLY.size:
+        raise ProtocolError(f"reply with {len(payload)} bytes of payload, expected {_REPLY.size}")
+    order, status, command_sequence = _REPLY.unpack(payload)
+    try:
+        found = Status(status)
+    except ValueError as error:
+        raise ProtocolError(f"reply with status {status}, which is not known") from error
+    return Reply(
+        header.sequence,
+        header.time_us,
+        order,
+        found,
+        command_sequence,
+        header.boot_id,
+        received_at=header.received_at,
+    )
 
 
-def _with_infinity(value: Any) -> Any:
-    match value:
-        case dict():
-            return {key: _with_infinity(item) for key, item in value.items()}
-        case list():
-            return [_with_infinity(item) for item in value]
-        case str():
-            return _TEXTS.get(value, value)
-    return value
+def _read_command(kind: int, version: int, sequence: int, time_us: int, payload: bytes) -> Command | BadCommand:
+    """A command in an intact packet. The checksum held, so a fault is the host's, and the board can say so."""
+    if version != VERSION:
+        return BadCommand(kind, sequence, Status.WRONG_VERSION)
+    order = _ORDERS.get(kind)
+    if order is None:
+        return BadCommand(kind, sequence, Status.UNKNOWN_ORDER)
+    if len(payload) != (_RATE.size if order is Order.RATE else 0):
+        return BadCommand(kind, sequence, Status.BAD_PAYLOAD)
+    period_us = _RATE.unpack(payload)[0] if order is Order.RATE else 0
+    return Command(order, period_us, sequence=sequence, time_us=time_us)
 
 
-def _refuse_constant(name: str) -> NoReturn:
-    raise ValueError(f"{name} is not a JSON number")
+_ORDERS = {order.value: order for order in Order}
 
-
-def _command_reader(order: Order) -> Callable[[int, int, bytes], Packet]:
-    def read(sequence: int, time_us: int, payload: bytes) -> Command:
-        if payload:
-            raise ProtocolError(f"{order.name} with {len(payload)} bytes of payload, expected none")
-        return Command(order, sequence=sequence, time_us=time_us)
-
-    return read
-
-
-# The packet types of this version. A new type, or another layout of an old one, raises VERSION.
-_FRAME_TYPE = 0x01
-_DESCRIPTION_TYPE = 0x02
-_READERS: dict[int, Callable[[int, int, bytes], Packet]] = {
-    _FRAME_TYPE: _read_frame,
-    _DESCRIPTION_TYPE: _read_sheet,
-    **{order.value: _command_reader(order) for order in Order},
+# The packet types from board to host. A new type, or another layout of an old one, raises VERSION.
+_READERS: dict[int, Callable[[_Header, bytes], Packet]] = {
+    0x01: _read_frame,
+    0x02: _read_piece,
+    0x03: _read_identity,
+    0x04: _read_self_test,
+    0x05: _read_reply,
 }

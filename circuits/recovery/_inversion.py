@@ -25,13 +25,11 @@ from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
+from .._board import Board
 from .._design import Design
 from .._exact import read_exactly
-from .._grid import is_plain
-from .._parts import Parts
-from .._readout import amplifier_ends
-from .._sensitivity import LARGEST, sensitivity
-from ..solvers._elimination import ULP
+from .._sensitivity import LARGEST, board_sensitivity
+from ..solvers import ULP
 
 # By number of cells: error that may be left of each iteration's before the derivatives are factored (anew), and most
 # iterations. A factorisation costs as much as 5 evaluations of an 8 x 8, 30 of a 32 x 32 and 300 of a 64 x 64.
@@ -73,83 +71,67 @@ class Model:
 
     def __init__(self, design: Design) -> None:
         """``design``: outputs at its supply limits are for :meth:`limited` only."""
-        self.limited_design = design
-        self.design = design.replace(readout={"supply": (-inf, inf)})
-        self.amplified = design.readout.circuit == "inverting-amplifier"
-        self.has_derivatives = design.array.sheet == "sliced" and design.array.rows * design.array.columns <= LARGEST
-        self.couples = (
-            design.readout.circuit == "voltage-divider"
-            or design.drive.idle_rows == "float"
-            or not is_plain(design)
-            or any(fault.kind == "shorted-cell" for fault in design.fault)
-        )
+        self.limited_board = design.board
+        unlimited = design.replace(readout={"supply": (-inf, inf)})
+        self.board = board = unlimited.board
+        self.circuit = board.circuit
+        self.has_derivatives = not board.continuous and board.shape[0] * board.shape[1] <= LARGEST
+        self.couples = board.circuit.mixes_cells or board.floating or not board.plain or bool(board.shorts)
         """whether readings may be far from their own cells, however light the lines are"""
-        self.level, self.drive = design.readout.reference_voltage, design.drive.voltage
-        self._parts = parts = Parts.of(design)
-        ends = amplifier_ends(self.design)
-        alike = self.amplified and design.drive.idle_rows == "ground" and np.ptp(ends.source) == 0
-        self._output, self._source = ends.output, float(ends.source[0]) if alike else None
-        self._turned = self.design.replace(drive=design.drive.replace(voltage=-self.drive))
-        self._has_rest = (
-            bool(parts.offset.any() or parts.bias.any() or (self.level and np.isfinite(parts.gain).any()))
-            and design.readout.circuit != "voltage-divider"
+        self.level, self.drive = board.level, board.drive
+        ends = None if board.floating else board.circuit.ends(board)
+        self._ends = ends if ends is not None and np.ptp(ends.source) == 0 else None
+        self._turned_drive = unlimited.replace(drive={"voltage": -self.drive}).board
+        self._has_rest = board.circuit.has_amplifiers and bool(
+            board.offset.any() or board.bias.any() or (self.level and np.isfinite(board.gain).any())
         )
 
     def split(self, conductance: FloatArray) -> tuple[FloatArray, FloatArray | float]:
         """V that the drive makes, and what is there without it; no output has a limit."""
         with np.errstate(divide="ignore"):
             cells = 1.0 / conductance
-        volts = read_exactly(self.design, cells)[0].volts
+        volts = read_exactly(self.board, cells)[0].volts
         if not self._has_rest:
             return volts - self.level, self.level
-        if self._source is None:
-            other = read_exactly(self._turned, cells)[0].volts
+        if self._ends is None:
+            other = read_exactly(self._turned_drive, cells)[0].volts
             return (volts - other) / 2, (volts + other) / 2
         # In its own step a cell gets the drive, and in every step all cells of a column get the same source.
-        above = volts - self._output
-        signal = above + self._source * (above.sum(axis=0) / (self.drive - len(volts) * self._source))
+        above, source = volts - self._ends.output, float(self._ends.source[0])
+        signal = above + source * (above.sum(axis=0) / (self.drive - len(volts) * source))
         return signal, volts - signal
 
     def limited(self, conductance: FloatArray, volts: FloatArray) -> FloatArray:
         """V of the outputs within their supply, given those that have no limit."""
-        low, high = self.limited_design.readout.supply
+        low, high = self.limited_board.supply
         if (volts >= low).all() and (volts <= high).all():
             return volts
         with np.errstate(divide="ignore"):
-            return read_exactly(self.limited_design, 1.0 / conductance)[0].volts
+            return read_exactly(self.limited_board, 1.0 / conductance)[0].volts
 
     def apparent(self, signal: FloatArray) -> FloatArray:
         """Conductance in S that the ideal circuit would need for a signal (N, M) in V; 0 where there is none."""
-        ratio = signal / self.drive
-        if self.amplified:
-            ratio = -ratio
-        floor = 4 * np.finfo(np.float64).eps * (abs(self.level / self.drive) + 1e-12)
-        conductance: FloatArray = np.where(ratio > floor, ratio, 0.0) / self._parts.reference
-        return conductance if self.amplified else conductance / (1.0 - np.minimum(ratio, 1 - 1e-9))
+        return self.circuit.apparent_conductance(self.board, signal)
 
     def slope(self, signal: FloatArray) -> FloatArray:
         """d(apparent conductance)/d(signal), S/V."""
-        steepness = 1.0 / (self.drive * self._parts.reference)
-        if self.amplified:
-            return np.broadcast_to(-steepness, signal.shape)
-        return steepness / (1.0 - np.minimum(signal / self.drive, 1 - 1e-9)) ** 2
+        return self.circuit.conductance_slope(self.board, signal)
 
     def log_slope(self, signal: FloatArray) -> FloatArray:
         """d(log apparent conductance)/d(signal), 1/V; 0 where there is no signal."""
-        slope = signal if self.amplified else signal * (1.0 - signal / self.drive)
-        return np.divide(1.0, slope, out=np.zeros_like(signal), where=slope != 0)
+        return self.circuit.log_conductance_slope(self.board, signal)
 
 
 class Factor:
     """Derivatives of all readings by all cells, each in units of its own, factored; cells may be kept out of it."""
 
     def __init__(
-        self, design: Design, conductance: FloatArray, unit: FloatArray, per_volt: FloatArray, live: BoolArray
+        self, board: Board, conductance: FloatArray, unit: FloatArray, per_volt: FloatArray, live: BoolArray
     ) -> None:
         """Work them out; all arrays are (N, M).
 
         Args:
-            design: without limits, or standing at them.
+            board: without limits, or standing at them.
             conductance: S.
             unit: S of each cell.
             per_volt: units of each reading.
@@ -157,7 +139,7 @@ class Factor:
 
         """
         with np.errstate(divide="ignore"):
-            found = sensitivity(design, 1.0 / conductance)
+            found = board_sensitivity(board, 1.0 / conductance)
         used = live.ravel()
         self.shape = live.shape
         jacobian = (found.cell_conductance * unit * per_volt[..., None, None]).reshape(used.size, used.size)
@@ -365,8 +347,8 @@ class Inverter:
             fresh = False
             live = (conductance > 0) & (reading > 0)
             if (error > slow * last and error > _ROUNDING) or (iteration == 1 and kept is None and at_once):
-                design = model.design if held is None else model.limited_design
-                kept = Factor(design, conductance, conductance, model.log_slope(signal), live)
+                board = model.board if held is None else model.limited_board
+                kept = Factor(board, conductance, conductance, model.log_slope(signal), live)
                 factored, fresh, rate = factored + 1, True, 0.0
             if kept is None:
                 change = np.divide(missing, np.minimum(conductance, reading), out=np.zeros_like(missing), where=live)
@@ -394,7 +376,7 @@ class Inverter:
         else:
             if self._amplified is None:
                 unit = np.where(conductance > 0, conductance, np.maximum(reading, 1e-9 * largest))
-                factor = Factor(model.design, conductance, unit, slope / unit, ~self._unread)
+                factor = Factor(model.board, conductance, unit, slope / unit, ~self._unread)
                 kinds = np.array([reading, rounded, conductance == 0])
                 spread = factor.spread(kinds / unit)
                 self._amplified, self._singular = _CAUTION * unit * spread, bool(spread[0].max() > _SINGULAR)
@@ -404,7 +386,7 @@ class Inverter:
         error = error / (1.0 - self._rate)
         # Readings that contradict each other may be of quite other cells, for all that was found. Noise does that, too.
         doubt = min(_CAUTION * below / largest, _DOUBT)
-        if not model.has_derivatives and model.design.fault:  # which make couplings that no probe is sure to find
+        if not model.has_derivatives and model.board.faults:  # which make couplings that no probe is sure to find
             doubt = _DOUBT
         error = error + doubt * conductance
         own = np.where(conductance > 0, conductance, largest)

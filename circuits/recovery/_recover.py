@@ -38,10 +38,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
+from .._board import Board, broken_off
 from .._design import Design
-from .._grid import is_plain
-from .._parts import Parts, line_ohms, lines, series_faults, siemens
-from ..solvers._elimination import ULP
+from ..solvers import ULP, siemens
 from ._inversion import Factor, Found, Held, Inverter, Model
 
 _LEAST_SHARE = 1e-9  # of a place's current that a cell beside a known short must carry
@@ -185,16 +184,20 @@ class Recoverer:
         if not least_ohm >= 0:
             raise InputError(f"least_ohm is {least_ohm}; expected ohm >= 0")
         self._design, self._accuracy = design, accuracy
-        self._by_columns = _columns_are_independent(design)
-        self._least_ohm, self._short = least_ohm, _NOTHING if self._by_columns else _short(design)
-        self._series, self._cut_off = series_faults(design, "open-cell"), _cut_off(design)
+        self._board = board = design.board
+        self._by_columns = _columns_are_independent(board)
+        self._least_ohm, self._short = least_ohm, _NOTHING if self._by_columns else _short(board)
+        self._series, self._cut_off = board.series_ohms, broken_off(board)
         # Faults of cells change what is sought, but for a complete short: there nothing is left to be sought.
-        shorts = [fault for fault in design.fault if fault.kind == "shorted-cell"]
         # In a continuous sheet the current beside a short is not the cell's own.
-        self._shunts = [fault for fault in shorts if fault.ohms > 0 and design.array.sheet == "sliced"]
-        kept = [fault for fault in design.fault if fault.kind != "open-cell" and fault not in self._shunts]
+        self._shunts = [fault for fault in board.shorts if fault.ohms > 0 and not board.continuous]
+        kept = [
+            fault
+            for fault in design.fault
+            if fault.kind != "open-cell" and (fault.kind != "shorted-cell" or fault.ohms == 0 or board.continuous)
+        ]
         self._unread = self._cut_off.copy()
-        for fault in shorts:
+        for fault in board.shorts:
             self._unread[fault.place] |= fault.ohms == 0
             self._cut_off[fault.place] &= fault.ohms > 0
         self._model = Model(design.replace(fault=tuple(kept)))
@@ -204,14 +207,15 @@ class Recoverer:
 
     def __call__(self, volts: ArrayLike, *, clipped: ArrayLike | None = None) -> Recovery:
         """As :func:`recover`."""
-        measured = _checked(self._design, volts)
-        limits = self._limits(measured, clipped)
-        columns = _Columns.of(self._design, measured) if self._by_columns else None
+        board = self._board
+        measured = board.turn(_checked(self._design, volts))
+        limits = self._limits(measured, None if clipped is None else board.turn(np.asarray(clipped, dtype=np.bool_)))
+        columns = _Columns.of(board, measured) if self._by_columns else None
         found = self._inverter(measured) if columns is None else columns.found(limits.any)
         lost = np.isnan(found.conductance)
         found.conductance[lost] = 0.0
         # At a limit without any signal stands the output of an open cell, on a board that reads down to its reference.
-        signal = np.abs(measured - self._design.readout.reference_voltage) > 1e-9 * abs(self._design.drive.voltage)
+        signal = np.abs(measured - board.level) > 1e-9 * abs(board.drive)
         conducting = signal | (found.conductance > 0)
         limited = _Unknown(limits.at_least & conducting, limits.at_most & conducting)
         # Where an offset makes less than none of a reading, its gain is what other cells of the column make of it.
@@ -233,18 +237,18 @@ class Recoverer:
             return np.maximum(conductance, 1.0 / self._least_ohm)
         return np.maximum(conductance / _SHORT, 1.0 / self._short)
 
-    def _limits(self, measured: FloatArray, clipped: ArrayLike | None) -> _Unknown:
+    def _limits(self, measured: FloatArray, at_limit: BoolArray | None) -> _Unknown:
         """Which readings are at a limit, and on which side of what they say the cell's conductance then is."""
         top = bottom = np.zeros(measured.shape, dtype=np.bool_)
-        if clipped is not None:
-            at_limit, adc = np.asarray(clipped, dtype=np.bool_), self._design.adc
+        if at_limit is not None:
+            adc = self._design.adc
             middle = sum(adc.range) / 2 if adc else None
             top = at_limit if middle is None else at_limit & (measured > middle)
             bottom = at_limit if middle is None else at_limit & (measured <= middle)
-        if self._design.readout.circuit != "voltage-divider":  # which has no amplifier
-            low, high = self._design.readout.supply
+        if self._board.circuit.has_amplifiers:
+            low, high = self._board.supply
             top, bottom = top | (measured >= high), bottom | (measured <= low)
-        if (self._design.drive.voltage > 0) == self._model.amplified:
+        if (self._board.drive > 0) == self._board.circuit.inverts:
             top, bottom = bottom, top
         # How far below a limit an offset takes an output depends on all cells of its column.
         return _Unknown(top | (bottom & top.any(axis=0)), bottom)
@@ -316,8 +320,14 @@ class Recoverer:
         status[lost] = Status.SATURATED
         gone = hidden | lost
         resistance[gone], uncertainty[gone] = np.nan, inf
+        turn = self._board.turn
         return Recovery(
-            resistance, status.astype(np.int8), uncertainty, found.residual, found.iterations, found.factored
+            resistance=turn(resistance),
+            status=turn(status.astype(np.int8)),
+            uncertainty=turn(uncertainty),
+            residual=found.residual,
+            iterations=found.iterations,
+            factored=found.factored,
         )
 
     def _own(self, conductance: FloatArray, shunt: FloatArray) -> FloatArray:
@@ -329,20 +339,9 @@ class Recoverer:
             return np.where(own > 0, 1.0 / np.maximum(1.0 / own - self._series, 0.0), 0.0)
 
 
-def _cut_off(design: Design) -> BoolArray:
-    """Cells (rows, columns) beyond a complete break of their line: they conduct, but no reading is theirs."""
-    cut = np.zeros(design.array.shape, dtype=np.bool_)
-    for fault in design.fault:
-        row, column = fault.place
-        if fault.kind == "broken-row" and fault.ohms == inf:
-            cut[row, column:] = True
-        elif fault.kind == "broken-column" and fault.ohms == inf:
-            cut[: row + 1, column] = True
-    return cut
-
-
-def _short(design: Design) -> float:
-    ohms = np.concatenate([part.ravel() for part in line_ohms(design)])
+def _short(board: Board) -> float:
+    """Ohm below which a cell makes no difference to any reading."""
+    ohms = np.concatenate([board.row_ohms.ravel(), board.column_ohms.ravel()])
     return min(_SHORT, 0.01 * float(np.min(ohms, where=ohms > 0, initial=inf)))
 
 
@@ -358,30 +357,32 @@ def conditioning(design: Design, resistance: ArrayLike) -> Conditioning:
 
     """
     cells = np.asarray(resistance, dtype=np.float64)
-    cells = design.resistance(np.where(np.isnan(cells), inf, cells))
-    model = Model(design)
+    left_out = np.isnan(cells)
+    cells = design.resistance(np.where(left_out, inf, cells))
+    model, turn = Model(design), design.board.turn
     with np.errstate(divide="ignore"):
-        conductance = 1.0 / cells
+        conductance = 1.0 / turn(cells)
     if np.isinf(conductance).any():
         raise InputError("a shorted cell (0 ohm) has no relative error; leave it out as nan")
     signal, _ = model.split(conductance)
     live = (conductance > 0) & (signal != 0)
     slope = np.where(live, model.log_slope(signal), 0.0)
+    inverse = Factor(model.board, conductance, conductance, slope, live).inverse()
+    place = turn(np.arange(cells.size).reshape(model.board.shape)).ravel()  # of each of the array's cells
     return Conditioning(
-        inverse=Factor(model.design, conductance, conductance, slope, live).inverse(),
-        volts_to_relative=np.abs(slope),
-        resistance=np.where(live, cells, np.where(np.isnan(resistance), np.nan, cells)),
+        inverse=inverse[np.ix_(place, place)],
+        volts_to_relative=turn(np.abs(slope)),
+        resistance=np.where(turn(live), cells, np.where(left_out, np.nan, cells)),
     )
 
 
-def _columns_are_independent(design: Design) -> bool:
+def _columns_are_independent(board: Board) -> bool:
     """Whether rows have no resistance of their own and columns none between their cells."""
-    if design.readout.circuit != "inverting-amplifier" or design.drive.idle_rows != "ground" or not is_plain(design):
+    if not board.circuit.virtual_ground or board.floating or not board.plain:
         return False
-    if any(fault.kind == "shorted-cell" and fault.ohms == 0 for fault in design.fault):
-        return False  # it holds its column
-    line = lines(design)
-    return bool(np.isinf(line.row).all() and np.isinf(line.column[1:]).all())
+    if any(fault.ohms == 0 for fault in board.shorts):
+        return False  # a complete short holds its column
+    return not (board.row_ohms.any() or board.column_ohms.any())
 
 
 class _Columns(NamedTuple):
@@ -404,17 +405,16 @@ class _Columns(NamedTuple):
     """(M,)"""
 
     @classmethod
-    def of(cls, design: Design, measured: FloatArray) -> _Columns:
-        parts, level = Parts.of(design), design.readout.reference_voltage
-        share = 1.0 / (1.0 + 1.0 / parts.gain)
-        current = (level + parts.offset) / parts.reference + parts.bias - measured / (share * parts.reference)
-        broken = np.isinf(parts.column_lead)
-        lead = np.where(broken, 0.0, parts.column_lead)
-        potential = parts.offset - measured / parts.gain + lead * current
-        uncertain = 8 * ULP * (np.abs(parts.offset) + np.abs(measured) / parts.gain + np.abs(lead * current))
-        noise = np.abs(measured) + np.abs(level) + np.abs(parts.offset) + np.abs(parts.reference * parts.bias)
-        rounding = 16 * ULP * noise / parts.reference
-        return cls(design.drive.voltage, current, potential, uncertain, rounding, broken)
+    def of(cls, board: Board, measured: FloatArray) -> _Columns:
+        level, offset, gain, reference = board.level, board.offset, board.gain, board.reference
+        current = (level + offset) / reference + board.bias - measured / (board.loop_share * reference)
+        broken = np.isinf(board.column_lead)
+        lead = np.where(broken, 0.0, board.column_lead)
+        potential = offset - measured / gain + lead * current
+        uncertain = 8 * ULP * (np.abs(offset) + np.abs(measured) / gain + np.abs(lead * current))
+        noise = np.abs(measured) + np.abs(level) + np.abs(offset) + np.abs(board.lift)
+        rounding = 16 * ULP * noise / reference
+        return cls(board.drive, current, potential, uncertain, rounding, broken)
 
     def found(self, limited: BoolArray) -> Found:
         """Conductances 0 where no current is left for a cell, NaN in columns whose readings do not determine them.

@@ -4,33 +4,27 @@ What a part without resistance, an open part or an ideal amplifier becomes in SP
 
 * 0 ohm joins its two nodes (ngspice would silently take 1 mOhm); inf is left out.
 * Node 0 is the reference voltage, so that a mid-supply reference costs no digits; board ground is ``agnd``.
-* An amplifier of finite gain is a voltage-controlled source with its feedback resistor. With a gain above 1e8
-  or infinite, or with a supply that limits it, it is written by what its column sees, which is exactly the
-  same but has no large number in it and a slope that Newton's method can follow. With i the current out of the
-  column, A the gain, ``wanted = A/(1+A) (v_plus - Rref i)``, and ``lack`` what the supply takes from it::
-
-      v_minus = A/(1+A) v_plus + i Rref/(1+A) + lack        v_out = v_minus - Rref i
+The circuits' own cards, with what becomes of extreme amplifiers, are in :mod:`..readouts`. Node names follow line
+coordinates (:mod:`.._board`): ``row_I_J`` and ``col_I_J`` are the crosspoints of driven and of sensed lines.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, isinf
 
-import numpy as np
 from numpy.typing import ArrayLike
 from scipy.cluster.hierarchy import DisjointSet
 
 from ...arrays import FloatArray
 from ...errors import InputError, SolverError
+from .._board import Board
 from .._design import Design
-from .._parts import Parts, line_ohms, series_faults
 
 REFERENCE = "0"  # SPICE's node 0
 FOLLOWER = "follower"
 ROW_INDEX, COLUMN_INDEX = "row_index", "column_index"
-LARGEST_GAIN = 1e8  # of a voltage-controlled source: a larger one would multiply ngspice's rounding errors
 NONLINEAR_OPTIONS = ".options reltol=1e-9 vntol=1e-12 abstol=1e-15"
 
 
@@ -75,6 +69,8 @@ class Deck:
 def netlist(design: Design, resistance: ArrayLike, row: int) -> str:
     """The SPICE netlist of one scan step: ``row`` is selected, every column is read.
 
+    A circuit that senses rows has no such step: its netlist sweeps over the driven columns and reads ``row`` at each.
+
     ``resistance`` is (rows, columns) in ohm. The text runs as it is under ``ngspice -b`` and prints the
     outputs in V as ``volts_0 = ...``, ``volts_1 = ...``
 
@@ -86,64 +82,90 @@ def netlist(design: Design, resistance: ArrayLike, row: int) -> str:
 
 
 def step_deck(design: Design, resistance: ArrayLike, row: int) -> Deck:
-    """The circuit of one scan step; see :func:`netlist`."""
+    """The circuit that reads one row; see :func:`netlist`."""
     if not 0 <= row < design.array.rows:
         raise InputError(f"row {row}: the design has rows 0 to {design.array.rows - 1}")
-    return _Writer(design, design.resistance(resistance), row).deck()
+    board = design.board
+    cells = board.turn(design.resistance(resistance))
+    if not board.turned:
+        return DeckWriter(board, cells, row).deck()
+    whole = DeckWriter(board, cells, None).deck()
+    last = board.shape[0] - 1
+    output = whole.outputs[board.sensed_line(row)]
+    return replace(whole, analysis=f"dc Vrow {last} 0 -1", one_by_one=True, outputs=(output,) * board.shape[0])
 
 
 def frame_deck(design: Design, resistance: ArrayLike) -> Deck:
-    """One circuit for a whole frame: a ``.dc`` sweep of the row index.
+    """One circuit for a whole frame: a ``.dc`` sweep over the driven lines.
 
     This is ngspice's fastest way to a frame, since it orders the matrix once. The points of the sweep are the
-    rows or, with a divider whose idle columns float, row by row the columns.
+    driven lines or, with a divider whose idle columns float, row by row the columns.
 
     Raises:
         InputError, SolverError: as :func:`netlist`; SolverError also where a limited or ideal amplifier sits
             directly on a row driver, which only :func:`step_deck` can write.
     """
-    return _Writer(design, design.resistance(resistance), None).deck()
+    board = design.board
+    return DeckWriter(board, board.turn(design.resistance(resistance)), None).deck()
 
 
-class _Writer:
-    """Writes the cards of one design. ``row`` is the selected row, or None for the sweep over all of them."""
+class DeckWriter:
+    """Writes the cards of one board. ``row`` is the selected row, or None for the sweep over all of them.
 
-    def __init__(self, design: Design, resistance: FloatArray, row: int | None) -> None:
-        if design.array.sheet != "sliced":
-            raise InputError(f'array.sheet = "{design.array.sheet}" has no netlist; expected "sliced"')
-        self.design, self.row = design, row
-        self.resistance = resistance + series_faults(design, "open-cell")
-        self.rows, self.columns = design.array.shape
-        self.parts = Parts.of(design)
-        self.row_ohms, self.column_ohms = line_ohms(design)
-        self.amplified = design.readout.circuit == "inverting-amplifier"
-        self.feedback = design.readout.circuit == "voltage-feedback"
-        one_by_one = not self.amplified and design.readout.idle_columns == "float" and self.columns > 1
-        self.single = one_by_one or self.feedback
-        self.floating = design.drive.idle_rows == "float" and not self.feedback
+    A circuit's own cards come from :meth:`.ReadoutCircuit.cards`, which asks this object for node names and parts.
+    """
+
+    reference = REFERENCE
+    follower = FOLLOWER
+
+    def __init__(self, board: Board, cells: FloatArray, row: int | None) -> None:
+        """``cells`` (N, M) in ohm, in line coordinates."""
+        if board.continuous:
+            raise InputError('array.sheet = "continuous" has no netlist; expected "sliced"')
+        self.board, self.row, self.circuit = board, row, board.circuit
+        self.resistance = cells + board.series_ohms
+        self.rows, self.columns = board.shape
+        self.row_ohms, self.column_ohms = board.row_ohms, board.column_ohms
+        self.feedback = board.circuit.drives_idle_lines
+        self.one_by_one = board.circuit.columns_one_by_one(board) and (self.columns > 1 or self.feedback)
+        self.floating = board.floating and not self.feedback
         self.driven = [i for i in range(self.rows) if row in {None, i} or not self.floating]
-        self.ground = "agnd" if design.readout.reference_voltage else REFERENCE
+        self.ground = "agnd" if board.level else REFERENCE
         self.name = self._joined_nodes()
+        """the name under which each node appears once the parts of 0 ohm have joined theirs"""
         self.drivers = {self.name[self._driver(i)]: i for i in self.driven}
+        """rows by the node that drives them"""
         self._refuse_contradictions()
 
+    def chosen(self, j: int) -> str:
+        """SPICE condition: column ``j`` is the one that is being read."""
+        return f"abs(v({COLUMN_INDEX})-{j})<0.5"
+
+    def amplifier_parts(self, j: int) -> tuple[float, float, float, float]:
+        """Open-loop gain, Rref in ohm, offset voltage in V and bias current in A of column j's amplifier."""
+        board = self.board
+        return float(board.gain[j]), float(board.reference[j]), float(board.offset[j]), float(board.bias[j])
+
     def deck(self) -> Deck:
-        cards = [*self._sources(), *self._grid(), *self._readout(), *self._ties()]
+        cards = [*self._sources(), *self._grid(), "", *self.circuit.cards(self), *self._ties()]
         if any(card.startswith("B") for card in cards):
             cards += [
                 "",
                 "* Sources given as expressions: take nothing but the settled answer.",
                 NONLINEAR_OPTIONS,
             ]
-        sweep = ["dc"] if self.single or self.row is None else ["op"]
-        if self.single:
+        sweep = ["dc"] if self.one_by_one or self.row is None else ["op"]
+        if self.one_by_one:
             sweep.append(f"Vcolumn 0 {self.columns - 1} 1")
         if self.row is None:
             sweep.append(f"Vrow 0 {self.rows - 1} 1")
-        outputs = tuple(self._output(j) for j in range(self.columns))
+        outputs = tuple(self.circuit.output_node(self, j) for j in range(self.columns))
         step = "all rows in turn" if self.row is None else f"row {self.row} selected"
-        title = f"ohmskin: {self.rows} x {self.columns} cells, {self.design.readout.circuit}, {step}"
-        return Deck(title, tuple(cards), " ".join(sweep), self.single, outputs, self.ground)
+        rows, columns = self.board.design.array.shape
+        title = f"ohmskin: {rows} x {columns} cells, {self.circuit.name}, {step}"
+        if self.board.turned:
+            title += "; columns are driven: row I, column J here are the array's column, row counted from the end"
+        return Deck(title, tuple(cards), " ".join(sweep), self.one_by_one, outputs, self.ground)
 
     # Nodes
 
@@ -157,21 +179,13 @@ class _Writer:
     def _column(self, i: int, j: int) -> str:
         return f"col_{i}_{j}" if self.column_ohms[1:, j].any() else f"col_{j}"
 
-    def _end(self, j: int) -> str:
-        return f"minus_{j}" if self.amplified else f"end_{j}"
-
-    def _output(self, j: int) -> str:
-        if self.feedback:
-            return FOLLOWER
-        return f"out_{j}" if self.amplified else self.name[self._end(j)]
-
     def _resistors(self) -> Iterator[tuple[str, str, str, float]]:
         """Name, nodes and ohm of each part of the grid; the crosspoints of a line without segments are one."""
         row, column = self.row_ohms.tolist(), self.column_ohms.tolist()
         for i in self.driven:
             yield f"Rlead_row_{i}", self._driver(i), self._row(i, 0), row[i][0]
-        for j, ohm in enumerate(self.parts.column_lead.tolist()):
-            yield f"Rlead_col_{j}", self._column(self.rows - 1, j), self._end(j), ohm
+        for j, ohm in enumerate(self.board.column_lead.tolist()):
+            yield f"Rlead_col_{j}", self._column(self.rows - 1, j), self.circuit.column_end(j), ohm
         for i, cells in enumerate(self.resistance.tolist()):
             for j, ohm in enumerate(cells):
                 if j and self._row(i, j) != self._row(i, j - 1):
@@ -179,7 +193,7 @@ class _Writer:
                 if i and self._column(i, j) != self._column(i - 1, j):
                     yield f"Rseg_col_{i}_{j}", self._column(i - 1, j), self._column(i, j), column[i][j]
                 yield f"R_{i}_{j}", self._row(i, j), self._column(i, j), ohm
-        for number, fault in enumerate(self.design.fault):
+        for number, fault in enumerate(self.board.faults):
             if fault.kind == "shorted-cell":
                 yield f"Rfault_{number}", self._row(*fault.place), self._column(*fault.place), fault.ohms
             elif fault.bridge:
@@ -190,7 +204,7 @@ class _Writer:
         """The name under which each node appears once the parts of 0 ohm have joined theirs."""
         # The first of a joined group lends its name, so those that sources and amplifiers know come first.
         joined = DisjointSet([REFERENCE])
-        for node in [*map(self._driver, self.driven), *map(self._end, range(self.columns))]:
+        for node in [*map(self._driver, self.driven), *map(self.circuit.column_end, range(self.columns))]:
             joined.add(node)
         if self.feedback:
             joined.add(FOLLOWER)
@@ -208,27 +222,15 @@ class _Writer:
                 "rows that are driven to different voltages are joined by parts of 0 ohm; "
                 "give array.row_lead or the shorted cells a resistance"
             )
-        ends = [self.name[self._end(j)] for j in range(self.columns)]
-        if self.feedback and len({*ends, *self.drivers, FOLLOWER}) < len(ends) + len({*self.drivers, FOLLOWER}):
-            raise SolverError(
-                "a column's end is joined to another one or to a row driver by parts of 0 ohm, which a netlist of the "
-                "voltage-feedback circuit cannot express; give array.column_lead a resistance"
-            )
-        ideal = np.isinf(self.parts.gain) & self.amplified
-        for j, end in enumerate(ends):
-            if ideal[j] and end in ends[:j] and end not in self.drivers:
-                raise SolverError(
-                    f"columns {ends.index(end)} and {j} are joined by parts of 0 ohm, so that two ideal "
-                    "amplifiers share one input; give readout.open_loop_gain a finite value"
-                )
+        self.circuit.refuse_cards(self)
 
     # Cards
 
     def _sources(self) -> Iterator[str]:
-        readout, volts = self.design.readout, self.design.drive.voltage
+        level, volts = self.board.level, self.board.drive
         if self.ground != REFERENCE:
             yield "* Node 0 is the reference; board ground lies below it."
-            yield f"Vreference {REFERENCE} {self.ground} DC {readout.reference_voltage!r}"
+            yield f"Vreference {REFERENCE} {self.ground} DC {level!r}"
         idle = "are open" if self.floating else f"stay at the {'follower' if self.feedback else 'reference'}"
         if self.row is not None:
             yield f"* Row {self.row} is driven; the idle rows {idle}."
@@ -244,7 +246,7 @@ class _Writer:
                 else:  # while idle, this says that the current of the source is 0
                     yield f"Bdrive_{i} {drive} open_{i} V = {selected} ? {volts!r} : v({drive})+i(Vopen_{i})"
                     yield f"Vopen_{i} open_{i} {REFERENCE} DC 0"
-        if self.single:
+        if self.one_by_one:
             others = "stay at the follower" if self.feedback else "are open"
             yield f"* Only the column whose number is v({COLUMN_INDEX}) has its load; the others {others}."
             yield f"Vcolumn {COLUMN_INDEX} {REFERENCE} DC 0"
@@ -262,110 +264,6 @@ class _Writer:
             else:
                 yield f"{part} {self.name[a]} {self.name[b]} {ohm!r}"
 
-    def _readout(self) -> Iterator[str]:
-        yield ""
-        if self.amplified:
-            yield "* Inverting amplifiers, one per column."
-            if self.design.readout.supply != (-inf, inf):
-                yield "* lack_J: how far its supply keeps the output from the voltage that its feedback asks for."
-            for j in range(self.columns):
-                yield from self._amplifier(j)
-            return
-        if self.feedback:
-            yield from self._follower()
-            return
-        yield "* Loads; what is across them is read."
-        for j in range(self.columns):
-            end, ohm = self.name[self._end(j)], float(self.parts.reference[j])
-            if end == REFERENCE:
-                yield f"* end_{j} is shorted to the reference"
-            elif self.single:
-                chosen = f"abs(v({COLUMN_INDEX})-{j})<0.5"
-                yield f"Bload_{j} {end} {REFERENCE} I = {chosen} ? v({end})/{ohm!r} : 0"
-            else:
-                yield f"Rload_{j} {end} {REFERENCE} {ohm!r}"
-
-    def _amplifier(self, j: int) -> Iterator[str]:
-        readout = self.design.readout
-        minus, out, ground = self.name[self._end(j)], f"out_{j}", self.ground
-        gain, rref, vos, bias = self._amplifier_parts(j)
-        low, high = readout.supply
-        limited = low > -inf or high < inf
-        by_current = limited or gain > LARGEST_GAIN
-        if bias and minus != REFERENCE:
-            yield f"Ibias_{j} {minus} {REFERENCE} DC {bias!r}"
-        if not by_current:
-            yield f"Voffset_{j} plus_{j} {REFERENCE} DC {vos!r}"
-            yield f"Rref_{j} {minus} {out} {rref!r}"
-            yield f"Eamplifier_{j} {out} {ground} plus_{j} {minus} {gain!r}"
-            return
-        if minus in self.drivers:
-            yield f"* {minus} is held by a driver: the feedback cannot move it."
-            yield f"Vamplifier_{j} {out} {ground} DC {self._comparator(j)!r}"
-            yield f"Rref_{j} {minus} {out} {rref!r}"
-            return
-        # Vvirtual measures the column's current; from it follow the potential of the input and the output.
-        at, share = f"in_{j}", 1.0 if isinf(gain) else gain / (1.0 + gain)
-        yield f"Vvirtual_{j} {minus} {at} DC 0"
-        yield f"Hrref_{j} {out} {at} Vvirtual_{j} {-rref!r}"
-        if limited:
-            wanted = f"{share!r}*({readout.reference_voltage!r}+{vos!r}-{rref!r}*i(Vvirtual_{j}))"
-            terms = [f"min({high!r}-{wanted},0)"] if high < inf else []
-            terms += [f"max({low!r}-{wanted},0)"] if low > -inf else []
-            yield f"Black_{j} {at} lack_{j} V = {'+'.join(terms)}"
-            at = f"lack_{j}"
-        if not isinf(gain):
-            yield f"Hinput_{j} {at} plus_{j} Vvirtual_{j} {rref / (1.0 + gain)!r}"
-            at = f"plus_{j}"
-        offset = share * vos - readout.reference_voltage / (1.0 + gain)
-        yield f"Voffset_{j} {at} {REFERENCE} DC {offset!r}"
-
-    def _follower(self) -> Iterator[str]:
-        """One follower, switched from column to column with its load. Its law is written with the loop closed, so that
-        no large gain appears; an end's current, through Vend_J, meets the load or is whatever the follower gives.
-        """
-        level, (low, high) = self.design.readout.reference_voltage, self.design.readout.supply
-        yield "* The load of the chosen column, whose end the follower repeats to all idle lines and to the converter."
-        law = "0"
-        for j in reversed(range(self.columns)):
-            gain, rref, vos, bias = self._amplifier_parts(j)
-            end, chosen = self.name[self._end(j)], f"abs(v({COLUMN_INDEX})-{j})<0.5"
-            yield f"Vend_{j} {end} at_{j} DC 0"
-            yield f"Bend_{j} at_{j} {REFERENCE} V = {chosen} ? {rref!r}*(i(Vend_{j})-{bias!r}) : v({FOLLOWER})"
-            law = f"{chosen} ? {1 / (1 + 1 / gain)!r}*(v({end})+{level + vos!r}) : ({law})"
-        if high < inf:
-            law = f"min({law},{high!r})"
-        if low > -inf:
-            law = f"max({law},{low!r})"
-        yield f"Bfollower {FOLLOWER} {self.ground} V = {law}"
-
-    def _amplifier_parts(self, j: int) -> tuple[float, float, float, float]:
-        """Gain, Rref, offset voltage and bias current of column j's amplifier."""
-        parts = self.parts
-        gain, rref, vos, bias = (float(part[j]) for part in (parts.gain, parts.reference, parts.offset, parts.bias))
-        return gain, rref, vos, bias
-
-    def _comparator(self, j: int) -> float:
-        """The output of amplifier j, whose inverting input sits on an ideal source."""
-        end = self.name[self._end(j)]
-        gain, _, vos, _ = self._amplifier_parts(j)
-        low, high = self.design.readout.supply
-        if self.row is None:
-            raise SolverError(
-                f"column {j}'s amplifier sits directly on the driver of row {self.drivers[end]}; "
-                "a sweep over the rows cannot express that, a netlist for each row can"
-            )
-        held_at = 0.0 if end == REFERENCE else self.design.drive.voltage
-        difference = vos - held_at
-        output = gain * difference if difference else 0.0
-        if isinf(gain) and (not difference or isinf(high if difference > 0 else low)):
-            raise SolverError(
-                f"column {j}'s ideal amplifier sits directly on the driver of a row (parts of 0 ohm), so that "
-                "its output is not determined; give array.row_lead or the cell a resistance, or "
-                "readout.open_loop_gain a finite value"
-            )
-        return min(max(output, low), high)
-
     def _ties(self) -> Iterator[str]:
         """Islands that nothing holds make the matrix singular; no current flows there, so 1 ohm holds them."""
         held = DisjointSet([REFERENCE])
@@ -374,9 +272,9 @@ class _Writer:
         for _, a, b, ohm in self._resistors():
             if ohm < inf:
                 held.merge(self.name[a], self.name[b])
-        if self.feedback or not self.single:
+        if self.feedback or not self.one_by_one:
             for j in range(self.columns):
-                held.merge(self.name[self._end(j)], REFERENCE)
+                held.merge(self.name[self.circuit.column_end(j)], REFERENCE)
         sometimes = self.row is None and self.floating
         if not sometimes:
             for driver in self.drivers:

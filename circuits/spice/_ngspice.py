@@ -70,7 +70,7 @@ def command_scan(design: Design, resistance: ArrayLike) -> FloatArray:
         MissingExtra: the command is not installed.
     """
     deck = frame_deck(design, resistance)
-    return _volts(deck, run_command(deck.batch_text())).reshape(design.array.shape)
+    return design.board.turn(_volts(deck, run_command(deck.batch_text())).reshape(design.board.shape))
 
 
 def run_library(text: str) -> Vectors:

@@ -21,10 +21,10 @@ from scipy.linalg import inv
 
 from ...arrays import FloatArray
 from ...errors import InputError
-from .._design import Design
+from .._board import Board
 from .._grid import exact_ports
-from .._parts import Parts
-from ..solvers._elimination import eliminate_leading
+from ..readouts import CIRCUITS
+from ..solvers import eliminate_leading
 
 _BROKEN_LEAD = 1e30  # ohm: stands for the infinite one, which would make NaN of an open column
 
@@ -52,14 +52,14 @@ class Dynamics:
     """(S, M): the change of the settled state with the settled outputs"""
 
 
-def column_conductances(design: Design, resistance: FloatArray) -> FloatArray:
+def column_conductances(board: Board, cells: FloatArray) -> FloatArray:
     """What the amplifiers see of the grid: Y in S, (1, M, M) with grounded idle rows, (N, M, M) with floating ones.
 
     With floating idle rows Y depends on the selected row, which is the first axis.
     """
-    rows, columns = design.array.shape
-    ports = exact_ports(design, resistance).value
-    if design.drive.idle_rows == "ground":
+    rows, columns = board.shape
+    ports = exact_ports(board, cells).value
+    if not board.floating:
         between, to_ground = ports[None, rows:, rows:], ports[None, rows:, :rows].sum(axis=-1)
     else:
         between, to_ground = np.empty((rows, columns, columns)), np.empty((rows, columns))
@@ -70,25 +70,24 @@ def column_conductances(design: Design, resistance: FloatArray) -> FloatArray:
     conductances = -between
     diagonal = np.arange(columns)
     conductances[:, diagonal, diagonal] = to_ground + between.sum(axis=-1) - between[:, diagonal, diagonal]
-    lead = np.minimum(Parts.of(design).column_lead, _BROKEN_LEAD)
+    lead = np.minimum(board.column_lead, _BROKEN_LEAD)
     behind_leads = np.linalg.solve(np.eye(columns) + conductances * lead, conductances)
     symmetric: FloatArray = (behind_leads + behind_leads.swapaxes(-1, -2)) / 2
     return symmetric
 
 
-def column_dynamics(design: Design, conductance: FloatArray) -> Dynamics:
+def column_dynamics(board: Board, conductance: FloatArray) -> Dynamics:
     """The linear system of one scan step, given Y (M, M) from :func:`column_conductances`.
 
     Raises:
         InputError: the readout has no amplifiers.
 
     """
-    require_amplifiers(design)
-    part = design.readout
+    require_amplifiers(board)
+    part = board.design.readout
     columns = len(conductance)
     one, none = np.eye(columns), np.zeros((columns, columns))
-    parts = Parts.of(design)
-    feedback, slack = 1 / parts.reference, 1 / parts.gain  # (M,): times a matrix, they scale its columns
+    feedback, slack = 1 / board.reference, 1 / board.gain  # (M,): times a matrix, they scale its columns
     total = part.column_capacitance + part.feedback_capacitance
     loaded = conductance + feedback * one
     if part.gain_bandwidth < inf:
@@ -146,9 +145,8 @@ def column_dynamics(design: Design, conductance: FloatArray) -> Dynamics:
     )
 
 
-def require_amplifiers(design: Design) -> None:
+def require_amplifiers(board: Board) -> None:
     """Raise InputError for circuits whose dynamics are not modelled."""
-    if design.readout.circuit != "inverting-amplifier":
-        raise InputError(
-            f'readout.circuit = "{design.readout.circuit}": settling and noise are modelled for "inverting-amplifier"'
-        )
+    if not board.circuit.virtual_ground:
+        modelled = " and ".join(f'"{circuit.name}"' for circuit in CIRCUITS.values() if circuit.virtual_ground)
+        raise InputError(f'readout.circuit = "{board.circuit.name}": settling and noise are modelled for {modelled}')

@@ -18,8 +18,8 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from ...arrays import FloatArray
 from ...errors import InputError
+from .._board import Board
 from .._design import Design
-from .._parts import Parts
 from ._dynamics import Dynamics, column_conductances, column_dynamics, require_amplifiers
 
 
@@ -73,38 +73,45 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
             whose variance is then infinite.
 
     """
-    passive = design.readout.circuit == "voltage-divider"
-    if not passive:
-        require_amplifiers(design)
-    cells = design.resistance(resistance)
-    part, adc, shape = design.readout, design.adc, design.array.shape
+    board = design.board
+    if board.circuit.has_amplifiers:
+        require_amplifiers(board)
+    cells = board.turn(design.resistance(resistance))
+    part, adc = design.readout, design.adc
     parts: dict[str, FloatArray] = {}
-    kelvin = Boltzmann * part.temperature
-    if passive and kelvin and not (adc and adc.sampling_capacitance):
+    thermal_energy = Boltzmann * part.temperature  # k T, in J
+    if board.circuit.has_amplifiers:
+        if part.voltage_noise or part.current_noise or thermal_energy:
+            parts |= _amplified_noise(board, cells, thermal_energy)
+    elif thermal_energy and not (adc and adc.sampling_capacitance):
         raise InputError(
             "noise of the resistors has no bandwidth limit and so no finite size; give adc.sampling_capacitance"
         )
-    if not passive and (part.voltage_noise or part.current_noise or kelvin):
-        conductances = column_conductances(design, cells)
-        one = np.eye(shape[1])
-        rows = []
-        for conductance in conductances:
-            # Two-sided densities, which are the intensities of white noise.
-            voltage = {"amplifier voltage": part.voltage_noise**2 / 2 * one}
-            current = {
-                "amplifier current": part.current_noise**2 / 2 * one,
-                "grid": 2 * kelvin * conductance,
-                "reference resistor": 2 * kelvin / Parts.of(design).reference * one,
-            }
-            rows.append(_variances(design, column_dynamics(design, conductance), voltage, current))
-        for name in dict.fromkeys(name for row in rows for name in row):
-            variance = [row.get(name, np.zeros(shape[1])) for row in rows]
-            parts[name] = np.sqrt(np.broadcast_to(variance, shape))
-    if kelvin and adc and adc.sampling_capacitance:  # kT/C, whatever the resistance of the switch
-        parts["sampling"] = np.full(shape, np.sqrt(kelvin / adc.sampling_capacitance))
+    if thermal_energy and adc and adc.sampling_capacitance:  # kT/C, whatever the resistance of the switch
+        parts["sampling"] = np.full(board.shape, np.sqrt(thermal_energy / adc.sampling_capacitance))
     if adc:
-        parts["quantisation"] = np.full(shape, adc.step / np.sqrt(12))
-    return Noise(parts, shape)
+        parts["quantisation"] = np.full(board.shape, adc.step / np.sqrt(12))
+    return Noise({name: board.turn(part) for name, part in parts.items()}, design.array.shape)
+
+
+def _amplified_noise(board: Board, cells: FloatArray, thermal_energy: float) -> dict[str, FloatArray]:
+    """Standard deviations (N, M) in V by origin: amplifiers, grid and reference resistors."""
+    part, one = board.design.readout, np.eye(board.shape[1])
+    rows = []
+    for conductance in column_conductances(board, cells):
+        # Two-sided densities, which are the intensities of white noise.
+        voltage = {"amplifier voltage": part.voltage_noise**2 / 2 * one}
+        current = {
+            "amplifier current": part.current_noise**2 / 2 * one,
+            "grid": 2 * thermal_energy * conductance,
+            "reference resistor": 2 * thermal_energy / board.reference * one,
+        }
+        rows.append(_variances(board.design, column_dynamics(board, conductance), voltage, current))
+    parts = {}
+    for name in dict.fromkeys(name for row in rows for name in row):
+        variance = [row.get(name, np.zeros(board.shape[1])) for row in rows]
+        parts[name] = np.sqrt(np.broadcast_to(variance, board.shape))
+    return parts
 
 
 def _variances(

@@ -19,7 +19,6 @@ from scipy.signal import lfilter
 from ...arrays import FloatArray
 from ...errors import InputError, SolverError
 from .._design import Design
-from .._parts import Parts
 from .._scan import scan
 from ._dynamics import Dynamics, column_conductances, column_dynamics, require_amplifiers
 
@@ -42,7 +41,8 @@ class Settling:
             SolverError: an output saturates, so that the circuit is not linear.
 
         """
-        require_amplifiers(design)
+        self._board = board = design.board
+        require_amplifiers(board)
         result = scan(design, resistance, method="exact")
         if result.saturated.any():
             row, column = np.argwhere(result.saturated)[0]
@@ -53,14 +53,15 @@ class Settling:
         self.design = design
         self.settled: FloatArray = result.volts
         """V (rows, columns) after a long time"""
-        self._signal = float(np.abs(self.settled - design.readout.reference_voltage).max())
-        conductances = column_conductances(design, design.resistance(resistance))
-        self._dynamics = [column_dynamics(design, conductance) for conductance in conductances]
+        self._settled = board.turn(result.volts)  # in line coordinates, like all that follows
+        self._signal = float(np.abs(self.settled - board.level).max())
+        conductances = column_conductances(board, board.turn(design.resistance(resistance)))
+        self._dynamics = [column_dynamics(board, conductance) for conductance in conductances]
         adc = design.adc
         self._sampling = adc.switch_resistance * adc.sampling_capacitance if adc else 0.0  # s
         self._acquisition = adc.acquisition_time if adc else 0.0
         # One capacitor serves the columns in turn, so a row takes at least that long.
-        self._briefest = self._acquisition * design.array.columns
+        self._briefest = self._acquisition * board.shape[1]
 
     def sampled(self, period: float) -> FloatArray:
         """What is read, V (rows, columns), if each row is selected for ``period`` s and sampled at its end.
@@ -73,11 +74,13 @@ class Settling:
             InputError: the period is not positive or shorter than the acquisitions of all columns.
 
         """
-        tail, left = self._tails(period, np.roll(self.settled, 1, axis=0), periodic=True)
-        arriving = (1 - left) * self.settled + tail
+        tail, left = self._tails(period, np.roll(self._settled, 1, axis=0), periodic=True)
+        arriving = (1 - left) * self._settled + tail
         if self._acquisition:  # one capacitor: conversions follow each other column by column
-            return _periodic_decay(arriving.reshape(-1, 1), left).reshape(arriving.shape)
-        return _periodic_decay(arriving, left)
+            sampled = _periodic_decay(arriving.reshape(-1, 1), left).reshape(arriving.shape)
+        else:
+            sampled = _periodic_decay(arriving, left)
+        return self._board.turn(sampled)
 
     def sampled_from_rest(self, period: float) -> FloatArray:
         """As :meth:`sampled`, for rows that each follow one without any signal: outputs and capacitor at the reference.
@@ -86,9 +89,9 @@ class Settling:
             InputError: as :meth:`sampled`.
 
         """
-        rest = np.full_like(self.settled, self.design.readout.reference_voltage)
+        rest = np.full_like(self._settled, self._board.level)
         tail, left = self._tails(period, rest, periodic=False)
-        return self.settled + tail + left * (rest - self.settled)
+        return self._board.turn(self._settled + tail + left * (rest - self._settled))
 
     def error(self, period: float) -> float:
         """The largest deviation from settled, relative to the largest signal of the frame.
@@ -157,11 +160,11 @@ class Settling:
                 f"row period {period} s: expected a time above 0, and adc.acquisition_time for each column at least"
             )
         acquisition = self._acquisition or period
-        rows, columns = self.settled.shape
+        rows, columns = self._settled.shape
         propagators = [self._propagators(d, period - acquisition, acquisition) for d in self._dynamics]
         repeat = rows // len(self._dynamics)  # grounded idle rows: all steps have the same dynamics
         steps, lifts = propagators * repeat, [d.lift for d in self._dynamics] * repeat
-        jumps = [lift @ jump for lift, jump in zip(lifts, before - self.settled, strict=True)]
+        jumps = [lift @ jump for lift, jump in zip(lifts, before - self._settled, strict=True)]
         states = len(self._dynamics[0].matrix)
         state: FloatArray = np.zeros(states)
         if periodic and states:
@@ -209,7 +212,7 @@ def _periodic_decay(arriving: FloatArray, left: float) -> FloatArray:
 
 @dataclass(frozen=True)
 class Stability:
-    """How each amplifier stands on its column, (rows, columns): rows differ only with floating idle rows."""
+    """How each amplifier stands on its line, (rows, columns): rows differ only with floating idle rows."""
 
     noise_gain: FloatArray
     """1 + Rref Y_jj, the other columns at their virtual grounds"""
@@ -232,13 +235,12 @@ def stability(design: Design, resistance: ArrayLike) -> Stability:
         InputError: as :class:`Settling`, or ``readout.gain_bandwidth`` is infinite.
 
     """
-    require_amplifiers(design)
-    part = design.readout
+    board, part = design.board, design.readout
+    require_amplifiers(board)
     if np.isinf(part.gain_bandwidth):
         raise InputError("readout.gain_bandwidth is infinite: an amplifier without a pole has no phase margin")
-    seen = np.einsum("...jj->...j", column_conductances(design, design.resistance(resistance)))
-    parts = Parts.of(design)
-    rref, slack, speed = parts.reference, 1 / parts.gain, 2 * pi * part.gain_bandwidth
+    seen = np.einsum("...jj->...j", column_conductances(board, board.turn(design.resistance(resistance))))
+    rref, slack, speed = board.reference, 1 / board.gain, 2 * pi * part.gain_bandwidth
     slowed = part.column_capacitance + part.feedback_capacitance > 0
     gain = 1 + rref * seen
     zero, pole = rref * part.feedback_capacitance, rref * (part.column_capacitance + part.feedback_capacitance)
@@ -256,10 +258,13 @@ def stability(design: Design, resistance: ArrayLike) -> Stability:
     with np.errstate(invalid="ignore", divide="ignore"):
         resonant = 1 / (2 * damping * np.sqrt(1 - damping**2))
     peaking = np.where(damping < np.sqrt(0.5), resonant, 1.0)
-    shape = design.array.shape
+
+    def for_each_cell(values: FloatArray) -> FloatArray:
+        return board.turn(np.broadcast_to(values, board.shape))
+
     return Stability(
-        noise_gain=np.broadcast_to(gain, shape),
-        crossover=np.broadcast_to(omega * part.gain_bandwidth, shape),
-        phase_margin=np.broadcast_to(180 - np.degrees(lag), shape),
-        peaking=np.broadcast_to(peaking, shape),
+        noise_gain=for_each_cell(gain),
+        crossover=for_each_cell(omega * part.gain_bandwidth),
+        phase_margin=for_each_cell(180 - np.degrees(lag)),
+        peaking=for_each_cell(peaking),
     )

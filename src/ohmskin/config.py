@@ -10,15 +10,22 @@ import difflib
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Self, TypeVar
+from typing import Annotated, Any, Self, TypeVar
 
 import tomli_w
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from .errors import InputError
 from .files import read_text
 from .tables import write_text
 from .text import printable, shortened
+
+MOST, LEAST = 1e30, 1e-30
+"""Quantities in SI units lie far within these limits, and products of a few of them neither overflow nor vanish."""
+
+Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
+Positive = Annotated[float, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, le=MOST, allow_inf_nan=False)]
 
 
 class Section(BaseModel):
@@ -37,13 +44,17 @@ class Section(BaseModel):
             InputError: an unknown key, or a value that does not fit.
 
         """
-        tables: dict[str, Any] = dict(self)
+        tables = self._tables()
         for key, value in changes.items():
             table = tables.get(key)
             tables[key] = (
-                dict(table) | dict(value) if isinstance(table, Section) and isinstance(value, Mapping) else value
+                table._tables() | dict(value) if isinstance(table, Section) and isinstance(value, Mapping) else value
             )
         return parse(tables, type(self), source=type(self).__name__)
+
+    def _tables(self) -> dict[str, Any]:
+        """Values by key, without what the section has worked out for itself (``cached_property``)."""
+        return {key: getattr(self, key) for key in type(self).model_fields}
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """As pydantic's, but an update goes through :meth:`replace`: pydantic would not check it."""

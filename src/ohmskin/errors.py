@@ -7,7 +7,8 @@
       MissingExtra       the installation's: an optional dependency is not there
       SolverError        the problem's: no trustworthy number can be computed
       LinkError          the cable's: the port is missing, refused, lost or silent
-        LinkTimeout
+        LinkTimeout      nothing usable came in time
+        LinkEnded        the stream came to its regular end: a finite emulation or recording, or a skin that was closed
       ProtocolError      the peer's: bytes that no conforming board or host sends
 
 The command line turns each into one line on standard error; see :mod:`ohmskin.cli` for the exit codes.
@@ -36,6 +37,10 @@ class LinkError(OhmskinError, OSError):
 
 class LinkTimeout(LinkError, TimeoutError):
     """The serial link is open but nothing usable came in time."""
+
+
+class LinkEnded(LinkError, EOFError):
+    """No more will come, and nothing is wrong: the stream is over, or it was closed here."""
 
 
 class ProtocolError(OhmskinError):

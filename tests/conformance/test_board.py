@@ -2,34 +2,75 @@
 
 from __future__ import annotations
 
+import struct
 import time
+import zlib
 from collections.abc import Callable, Iterator
 from itertools import pairwise
+from typing import TypeVar
 
 import pytest
 import serial
+from cobs import cobs
 
-from ohmskin.wire import Command, Corrupt, Decoder, DescriptionPacket, Event, Flag, FramePacket, Order, encode
+from ohmskin.wire import (
+    Corrupt,
+    Description,
+    Event,
+    Flag,
+    FramePacket,
+    Identity,
+    Order,
+    Reply,
+    SelfTest,
+    Status,
+    encode,
+    host_protocol,
+)
+
+E = TypeVar("E")
 
 
 class Host:
-    """A bare serial program: pyserial and the codec, no driver."""
+    """A bare serial program: pyserial and the protocol object, no driver."""
 
     def __init__(self, port: str) -> None:
         self.serial = serial.serial_for_url(port, 1_000_000, timeout=0.02)
-        self.decoder = Decoder()
+        self.protocol = host_protocol("ohmskin")
 
-    def listen(self, until: Callable[[list[Event]], bool], timeout_s: float = 5.0) -> list[Event]:
-        """The events up to the one that makes ``until`` true."""
+    def listen(self, until: Callable[[list[Event]], bool], timeout_s: float = 10.0) -> list[Event]:
+        """The events up to those that make ``until`` true."""
         events: list[Event] = []
         deadline = time.monotonic() + timeout_s
         while not until(events):
             assert time.monotonic() < deadline, events
-            events += self.decoder.feed(self.serial.read(1024))
+            events += self.protocol.feed(self.serial.read(1024), time.monotonic())
         return events
 
-    def tell(self, order: Order) -> None:
-        self.serial.write(b"\0" + encode(Command(order)))
+    def hear(self, kind: type[E], count: int = 1, timeout_s: float = 10.0) -> list[E]:
+        """The next ``count`` events of one kind."""
+        found = self.listen(lambda events: len(of(kind, events)) >= count, timeout_s)
+        return of(kind, found)
+
+    def tell(self, order: Order, *, period_us: int = 0) -> None:
+        self.serial.write(self.protocol.request(order, period_us=period_us))
+
+    def ask(self, order: Order, answer: type[E], *, period_us: int = 0) -> E:
+        """Give an order, again once a second as a host does that may have been overheard, and wait for the answer."""
+        for _ in range(10):
+            self.tell(order, period_us=period_us)
+            asked = time.monotonic()
+            heard = self.listen(lambda events, asked=asked: bool(of(answer, events)) or time.monotonic() > asked + 1.0)
+            if of(answer, heard):
+                return of(answer, heard)[-1]
+        raise AssertionError(f"no {answer.__name__} after ten times {order.name}")
+
+    def taken(self, order: Order, *, period_us: int = 0) -> Reply:
+        """Give an order until its own reply comes."""
+        while True:
+            reply = self.ask(order, Reply, period_us=period_us)
+            if reply.order == order.value:
+                return reply
 
 
 @pytest.fixture
@@ -39,79 +80,137 @@ def host(port: str) -> Iterator[Host]:
     host.serial.close()
 
 
-def frames(events: list[Event]) -> list[FramePacket]:
-    return [event for event in events if isinstance(event, FramePacket)]
+def of(kind: type[E], events: list[Event]) -> list[E]:
+    return [event for event in events if isinstance(event, kind)]
 
 
-def sheets(events: list[Event]) -> list[DescriptionPacket]:
-    return [event for event in events if isinstance(event, DescriptionPacket)]
-
-
-def test_it_streams_to_whoever_listens_and_describes_itself_once_a_second(host: Host) -> None:
-    events = host.listen(lambda events: len(sheets(events)) == 2)
-    first, second = sheets(events)
+def test_it_streams_to_whoever_listens_and_says_once_a_second_who_it_is(host: Host) -> None:
+    events = host.listen(lambda events: len(of(Identity, events)) == 2)
+    first, second = of(Identity, events)
     assert second.time_us - first.time_us == pytest.approx(1e6, abs=1e5)
-    assert (first.serial_number, first.firmware, first.design, first.cell) == (
+    assert (first.serial_number, first.firmware, first.boot_id) == (
         second.serial_number,
         second.firmware,
-        second.design,
-        second.cell,
+        second.boot_id,
     )
     # A host that joins in the middle may see the end of a packet first, and nothing wrong after that.
-    assert not any(isinstance(event, Corrupt) for event in events[1:])
-    seen = frames(events)
+    assert not of(Corrupt, events[1:])
+    seen = of(FramePacket, events)
     assert len(seen) > 10
     for before, after in pairwise(seen):
         assert after.sequence == (before.sequence + 1) % 2**32
         assert after.time_us > before.time_us
-    assert {(frame.rows, frame.columns) for frame in seen} == {
-        (first.design["array"]["rows"], first.design["array"]["columns"])
-    }
-    assert max(int(frame.counts.max()) for frame in seen) < 2 ** first.design["adc"]["bits"]
+    assert {(frame.rows, frame.columns) for frame in seen} == {(first.rows, first.columns)}
+    assert {frame.boot_id for frame in seen} == {first.boot_id}
+    assert max(int(frame.counts.max()) for frame in seen) < 2**first.adc_bits
 
 
-def test_the_number_in_a_description_is_that_of_the_next_frame(host: Host) -> None:
+def test_every_packet_carries_the_number_of_the_next_frame(host: Host) -> None:
     host.tell(Order.DESCRIBE)
-    events = host.listen(lambda events: bool(sheets(events) and isinstance(events[-1], FramePacket)))
-    sheet = events.index(sheets(events)[-1])
-    after = frames(events[sheet:])[0]
-    assert after.sequence == sheets(events)[-1].sequence
-    assert after.time_us >= sheets(events)[-1].time_us
+    host.tell(Order.IDENTIFY)
+    events = host.listen(
+        lambda events: bool(of(Description, events) and of(Identity, events) and isinstance(events[-1], FramePacket))
+    )
+    for kind in (Description, Identity):
+        place = events.index(of(kind, events)[-1])
+        after = of(FramePacket, events[place:])[:1]
+        assert all(frame.sequence == events[place].sequence for frame in after)
+        assert all(frame.time_us >= events[place].time_us for frame in after)
 
 
-def test_it_describes_itself_when_asked(host: Host) -> None:
-    host.listen(lambda events: len(sheets(events)) == 1)  # the next one by itself is a second away
-    host.tell(Order.DESCRIBE)
-    host.listen(lambda events: len(sheets(events)) == 1, timeout_s=0.7)
+def test_the_description_is_that_of_the_identity(host: Host) -> None:
+    identity = host.ask(Order.IDENTIFY, Identity)
+    if not identity.description_bytes:
+        assert host.taken(Order.DESCRIBE).status is Status.NOT_SUPPORTED
+        return
+    description = host.ask(Order.DESCRIBE, Description)
+    assert description.design is not None
+    assert description.boot_id == identity.boot_id
+    array, adc = description.design["array"], description.design["adc"]
+    assert (array["rows"], array["columns"], adc["bits"]) == (identity.rows, identity.columns, identity.adc_bits)
 
 
 def test_stop_stops_frames_and_start_starts_them(host: Host) -> None:
-    host.listen(lambda events: len(frames(events)) > 3)
-    host.tell(Order.STOP)
-    host.tell(Order.DESCRIBE)
-    rest = host.listen(lambda events: bool(sheets(events)))
-    while not isinstance(rest[-1], DescriptionPacket):  # what was on its way
-        rest = host.listen(lambda events: bool(sheets(events)))
+    host.hear(FramePacket, 3)
+    assert host.taken(Order.STOP).status is Status.TAKEN
+    assert not host.ask(Order.IDENTIFY, Identity).streaming
     start = time.monotonic()
     silent = host.listen(lambda events: time.monotonic() > start + 0.5)
-    assert not frames(silent)
+    assert not of(FramePacket, silent)
+    assert host.taken(Order.START).status is Status.TAKEN
     host.tell(Order.START)
-    host.tell(Order.START)
-    assert len(frames(host.listen(lambda events: len(frames(events)) > 3))) > 3
+    assert len(host.hear(FramePacket, 3)) >= 3
+
+
+def test_a_stopped_board_sends_one_frame_when_asked(host: Host) -> None:
+    host.taken(Order.STOP)
+    frames = []
+    for _ in range(3):
+        host.tell(Order.ONE_FRAME)
+        frames += host.hear(FramePacket)
+        start = time.monotonic()
+        frames += of(FramePacket, host.listen(lambda events, start=start: time.monotonic() > start + 0.3))
+    assert len(frames) == 3
+    assert [frame.sequence - frames[0].sequence for frame in frames] == [0, 1, 2]
+    host.taken(Order.START)
+
+
+def test_the_rate_is_that_which_was_asked_for(host: Host) -> None:
+    usual = host.ask(Order.IDENTIFY, Identity).period_us
+    reply = host.taken(Order.RATE, period_us=50_000)
+    assert reply.status is Status.TAKEN
+    assert host.ask(Order.IDENTIFY, Identity).period_us == 50_000
+    frames = host.hear(FramePacket, 6)[-5:]
+    steps = [after.time_us - before.time_us for before, after in pairwise(frames)]
+    assert steps == pytest.approx([50_000] * 4, abs=100)
+    assert host.taken(Order.RATE, period_us=0).status is Status.OUT_OF_RANGE
+    assert host.taken(Order.RATE, period_us=usual).status is Status.TAKEN
+
+
+def test_the_self_test_reports_every_line(host: Host) -> None:
+    identity = host.ask(Order.IDENTIFY, Identity)
+    result = host.ask(Order.SELF_TEST, SelfTest)
+    assert (len(result.rows), len(result.columns)) == (identity.rows, identity.columns)
+    for nominal, measured in result.references:
+        assert measured == pytest.approx(nominal, rel=0.1)
+
+
+def test_a_command_that_cannot_be_taken_gets_an_error_reply(host: Host) -> None:
+    for bytes_of_command, order, status in (
+        (stuffed(0xFF, 9, b""), 0xFF, Status.UNKNOWN_ORDER),
+        (stuffed(Order.STOP.value, 10, b"!"), Order.STOP.value, Status.BAD_PAYLOAD),
+        (stuffed(Order.STOP.value, 11, b"", version=1), Order.STOP.value, Status.WRONG_VERSION),
+    ):
+        replies: list[Reply] = []
+        for _ in range(10):
+            host.serial.write(b"\0" + bytes_of_command)
+            asked = time.monotonic()
+            events = host.listen(lambda events, asked=asked: bool(of(Reply, events)) or time.monotonic() > asked + 1)
+            replies = of(Reply, events)
+            if replies:
+                break
+        assert [(reply.order, reply.status) for reply in replies[:1]] == [(order, status)]
+    host.hear(FramePacket, 2)
+
+
+def stuffed(kind: int, sequence: int, payload: bytes, *, version: int = 2) -> bytes:
+    """A command packet, right or wrong, with its delimiter."""
+    body = struct.pack("<BBIIQ", kind, version, 0, sequence, 0) + payload
+    return bytes(cobs.encode(body + struct.pack("<I", zlib.crc32(body)))) + b"\0"
 
 
 def test_noise_from_the_host_does_no_harm(host: Host) -> None:
     host.serial.write(bytes(range(256)) * 4)
     host.serial.write(encode(FramePacket(0, 0, 1, 1, b"\1\2")))
-    host.tell(Order.DESCRIBE)
-    host.listen(lambda events: bool(sheets(events)) and len(frames(events)) > 10)
+    host.ask(Order.IDENTIFY, Identity)
+    host.hear(FramePacket, 10)
 
 
 def test_it_serves_one_host_after_another(port: str) -> None:
     numbers = []
     for _ in range(2):
         host = Host(port)
-        numbers.append([frame.sequence for frame in frames(host.listen(lambda events: len(frames(events)) > 5))])
+        numbers.append([frame.sequence for frame in host.hear(FramePacket, 5)])
         host.serial.close()
         time.sleep(0.05)
     assert numbers[1][0] > numbers[0][-1]
@@ -120,8 +219,8 @@ def test_it_serves_one_host_after_another(port: str) -> None:
 def test_a_host_that_does_not_read_costs_whole_frames_and_is_told(host: Host) -> None:
     """No packet is cut, and a frame that speaks of an overrun has a gap in the numbers before it."""
     time.sleep(1.0)
-    events = host.listen(lambda events: len(frames(events)) > 80)
-    assert not any(isinstance(event, Corrupt) for event in events[1:])
-    for before, after in pairwise(frames(events)):
+    events = host.listen(lambda events: len(of(FramePacket, events)) > 80)
+    assert not of(Corrupt, events[1:])
+    for before, after in pairwise(of(FramePacket, events)):
         if Flag.OVERRUN in after.flags:
             assert after.sequence > before.sequence + 1

@@ -42,6 +42,7 @@ COMMANDS = {
     "fit": "Identify a cell and calibrate its estimators from a recording.",
     "estimate": "Estimate pressure from a recording of resistance.",
     "bench": "Measure speed against error: all methods and their peers.",
+    "doctor": "Look at the installation and the serial ports, and say how to mend them.",
 }
 
 BAD_INPUT, DEFECT = 2, 70

@@ -1,8 +1,10 @@
-"""Arguments that several commands take."""
+"""Arguments and help texts that several commands share."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -10,3 +12,14 @@ design_file = click.argument("design_file", metavar="DESIGN.toml", type=click.Pa
 cells = click.option(
     "--cells", required=True, metavar="CELLS.csv", help="N lines of M resistances in ohm; inf = open, 0 = short."
 )
+
+
+def as_json(what: str) -> Callable[[Any], Any]:
+    """The option ``--json``, for commands whose answer a program may read."""
+    return click.option("--json", "as_json", is_flag=True, help=f"Print {what} as JSON.")
+
+
+def example(*lines: str) -> str:
+    """The end of a command's help: calls to copy, one on a line."""
+    # click keeps the lines of a paragraph that begins with \b as they are.
+    return "\n".join(["\b", "Examples:" if len(lines) > 1 else "Example:", *(f"  {line}" for line in lines)])

@@ -10,6 +10,7 @@ import click
 
 from .. import bench, tables
 from ..bench import _estimators as of_cells
+from . import arguments
 
 
 class _ManyValues(click.Command):
@@ -31,7 +32,10 @@ class _ManyValues(click.Command):
         return super().parse_args(ctx, spread)
 
 
-@click.command(cls=_ManyValues)
+@click.command(
+    cls=_ManyValues,
+    epilog=arguments.example("ohmskin bench --size 8 16 32 --segment 1.0", "ohmskin bench --estimators --json"),
+)
 @click.option("--size", "sizes", type=int, multiple=True, default=(8, 16, 32, 64), metavar="N ...", show_default=True)
 @click.option("--segment", "segments", type=float, multiple=True, default=(1.0,), metavar="R ...", show_default=True)
 @click.option("--memory/--no-memory", default=True, show_default=True, help="Measure memory, each in a new process.")
@@ -39,7 +43,7 @@ class _ManyValues(click.Command):
 @click.option("--wait", "patient", is_flag=True, help="Wait for slow peers, too: ngspice takes 20 s for 64 x 64.")
 @click.option("--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Draw error against time.")
 @click.option("--estimators", is_flag=True, help="Measure the pressure estimators instead, on a material of their own.")
-@click.option("--json", "as_json", is_flag=True, help="Print the measurements as JSON.")
+@arguments.as_json("the measurements")
 def command(
     sizes: tuple[int, ...],
     segments: tuple[float, ...],

@@ -9,9 +9,10 @@ from typing import cast
 import click
 
 from ..emulator import ClockName, PtyPort, Scene, TcpPort, emulate, stop_on_signals
+from . import arguments
 
 
-@click.command()
+@click.command(epilog=arguments.example("ohmskin emulate scene.toml --link /tmp/skin --truth truth.npz"))
 @click.argument("scene_file", metavar="SCENE.toml", type=click.Path(path_type=Path))
 @click.option("--link", type=click.Path(path_type=Path), metavar="PATH", help="Symbolic link to make to the pty.")
 @click.option("--tcp", metavar="HOST:PORT", help="Listen here instead of on a pty; :PORT is the loopback.")

@@ -8,9 +8,10 @@ import click
 
 from ..cell import Cell, check_times, estimate_recording
 from ..tables import read_columns, write_columns
+from . import arguments
 
 
-@click.command()
+@click.command(epilog=arguments.example("ohmskin estimate run.csv --cell cell.toml -o out.csv"))
 @click.argument("recording", metavar="IN.csv", type=click.Path(path_type=Path))
 @click.option("--cell", "cell_file", metavar="CELL.toml", required=True, type=click.Path(path_type=Path))
 @click.option("-o", "output", metavar="OUT.csv", required=True, type=click.Path(path_type=Path))

@@ -7,9 +7,10 @@ from pathlib import Path
 import click
 
 from ..cell import Recording, calibrate, calibration_figure, calibration_text, check_protocol, protocol_text
+from . import arguments
 
 
-@click.command()
+@click.command(epilog=arguments.example("ohmskin fit --protocol", "ohmskin fit steps.csv -o cell.toml --plot fit.png"))
 @click.argument("steps", metavar="[STEPS.csv]", required=False, type=click.Path(path_type=Path))
 @click.option("-o", "output", metavar="CELL.toml", type=click.Path(path_type=Path), help="Where the cell goes.")
 @click.option(

@@ -8,11 +8,11 @@ import click
 
 from .. import tables
 from ..circuits import Design
-from ..circuits.spice._netlist import netlist
+from ..circuits.spice import netlist
 from . import arguments
 
 
-@click.command()
+@click.command(epilog=arguments.example("ohmskin netlist design.toml --cells cells.csv --row 0 -o step.cir"))
 @arguments.design_file
 @arguments.cells
 @click.option("--row", required=True, type=int, metavar="I", help="The selected row, counted from 0.")

@@ -10,14 +10,17 @@ from typing import Any
 import click
 import numpy as np
 
-from .. import tables
-from ..circuits import Design, scan
-from ..circuits._design import CIRCUITS
-from ..circuits._scan import METHODS
+from .. import circuits, tables
+from ..circuits import CIRCUITS, METHODS, Design, scan
 from . import arguments
 
 
-@click.command()
+@click.command(
+    epilog=arguments.example(
+        "ohmskin scan design.toml --cells cells.csv",
+        "ohmskin scan design.toml --cells cells.csv --tolerance 1e-6 --json",
+    )
+)
 @arguments.design_file
 @arguments.cells
 @click.option(
@@ -27,7 +30,7 @@ from . import arguments
 @click.option("--readout", type=click.Choice(CIRCUITS), help="Read with this circuit instead of the design's.")
 @click.option("-o", "--output", metavar="OUT.csv", help="Write the N x M apparent resistances here.")
 @click.option("--effects", is_flag=True, help="Print what was modelled and what was left out, with its size.")
-@click.option("--json", "as_json", is_flag=True, help="Print volts, resistance, method, error bound and time as JSON.")
+@arguments.as_json("volts, resistance, method, error bound and time")
 def command(
     design_file: Path,
     cells: str,
@@ -60,7 +63,7 @@ def command(
         }
         click.echo(json.dumps(_null_where_infinite(values), allow_nan=False))
     elif effects:
-        for effect in result.effects:
+        for effect in circuits.effects(design, result.cells):
             share = "" if effect.estimate is None else f"{100 * effect.estimate:.3g} % of a signal"
             state = "modelled" if effect.modelled else "left out"
             click.echo(f"{effect.name:<32} {state}  {share:<26} {effect.basis}".rstrip())

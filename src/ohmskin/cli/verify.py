@@ -16,12 +16,13 @@ from ..errors import InputError, MissingExtra
 from ..files import check_writable, make_folder
 from ..text import printable
 from ..verification import CATALOGUE, Report, load_record, load_requirements, schema, verify
+from . import arguments
 from ._bar import progress_bar
 
 EXPORTS = (".parquet", ".nc", ".csv")
 
 
-@click.command()
+@click.command(epilog=arguments.example("ohmskin verify design.toml --cell cell.toml -o report --require-all"))
 @click.argument("design_file", metavar="[DESIGN.toml]", required=False)
 @click.option("--cell", "cell_file", metavar="CELL.toml", help="What the skin is made of.")
 @click.option(
@@ -72,8 +73,6 @@ def command(
     ohmskin's own. Writes report.html, report.json, junit.xml, summary.md and netlist.cir.
 
     Exit code 0: all pass; 1: a requirement fails; 2: bad input; 3: something could not be run.
-
-    Example: ohmskin verify design.toml --cell cell.toml -o report --require-all
     """
     if quantities or print_schema:
         click.echo(schema() if print_schema else _catalogue(), nl=False)
@@ -116,9 +115,10 @@ def command(
     _say(report)
     for reason in missing:
         click.echo(f"ohmskin: {reason}", err=True)
+    counts = ", ".join(f"{report.count(outcome)} {outcome}" for outcome in ("pass", "fail", "not run"))
     click.echo(
-        f"{report.outcome}: {report.count('pass')} pass, {report.count('fail')} fail, "
-        f"{report.count('not run')} not run, {report.count('does not apply')} do not apply: {paths.get('report.html', paths['report.json'])}"
+        f"{report.outcome}: {counts}, {report.count('does not apply')} do not apply: "
+        f"{paths.get('report.html', paths['report.json'])}"
     )
     return report.exit_code
 

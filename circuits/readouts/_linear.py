@@ -1,28 +1,21 @@
-"""Amplifier frames that need no more of the grid than the conductance from each row to each column.
+"""Outputs as a linear function of the grid's transfer conductances.
 
 With grounded idle rows and amplifiers that all hold their inputs at one potential, a scan step is linear in the N x M
-*transfer conductances* of the grid with what the columns end in attached to it. That is most scans; the fast methods
-(:mod:`._attenuation`, :func:`._ports.transfer_conductances`) compute nothing else. The others go through
-:mod:`._readout`: dividers, floating rows, unequal offsets, and frames in which an output saturates.
+*transfer conductances* of the grid with the columns' ends attached: the current into each column for each row's volts.
+Most frames are of this kind, and the fast solvers compute nothing else. All other frames go through the port network
+(:meth:`._circuit.ReadoutCircuit.read`): dividers, floating rows, unequal offsets, and outputs that saturate.
 """
 
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
 from functools import cached_property
 from math import inf
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
-from ._design import Design
-from ._grid import is_plain
-from ._parts import Parts, lines
-from ._readout import amplifier_ends
-from .solvers._attenuation import Attenuated, Wires
-from .solvers._elimination import ULP
-from .solvers._ports import Lines
+from ...arrays import BoolArray, FloatArray
+from ..solvers import ULP, Attenuated, Lines, Wires
 
 
 @dataclass(frozen=True)
@@ -43,36 +36,6 @@ class LinearReadout:
     wires: Wires | None
     """the same for line attenuation; None where a line is broken"""
 
-    @classmethod
-    def of(cls, design: Design) -> LinearReadout | None:
-        """None where the design's frames are not of this kind."""
-        if _recent.design is not design:  # frame after frame comes from one design, and is as quick as this is to make
-            _recent.design, _recent.readout = design, cls._of(design)
-        return _recent.readout
-
-    @classmethod
-    def _of(cls, design: Design) -> LinearReadout | None:
-        ordinary = design.readout.circuit == "inverting-amplifier" and design.drive.idle_rows == "ground"
-        if not (ordinary and is_plain(design)):
-            return None
-        ends = amplifier_ends(design)
-        source = ends.source
-        resistance = ends.resistance + Parts.of(design).column_lead
-        if (source != source[0]).any() or np.isinf(resistance).any():
-            return None
-        grid = lines(design)
-        with np.errstate(divide="ignore"):
-            ended = Lines(grid.row, grid.column, 1.0 / resistance)
-        return cls(
-            output=ends.output,
-            slope=ends.slope,
-            drive=design.drive.voltage,
-            source=float(source[0]),
-            supply=design.readout.supply,
-            lines=ended,
-            wires=Wires.of(ended),
-        )
-
     def volts(self, transfer: FloatArray) -> FloatArray:
         """(..., N, M) V, had the amplifiers no limits."""
         volts = self.slope * self.drive * transfer
@@ -92,6 +55,25 @@ class LinearReadout:
             error += abs(self.source / self.drive) * error.sum(axis=-2, keepdims=True)
         error += few * np.abs(self.output)
         return error
+
+    def most_volts_per_siemens(self, rows: int) -> float:
+        """V that no output is off by more than, per S that the transfer conductances of ``rows`` rows are off by."""
+        return float(self._gain[1].max()) * (1.0 + abs(self.source / self.drive) * rows)
+
+    def cannot_saturate(self, transfer: FloatArray, error: float) -> bool:
+        """Whether one frame (N, M) in S, off by at most ``error``, stays within the supply.
+
+        Transfer conductances are never negative. So an output without signal, which stands at a limit of the supply on
+        many boards, is known to be on its right side.
+        """
+        bounds = np.stack([np.maximum(transfer - error, 0.0), transfer + error])
+        signals = self._gain[0] * bounds
+        low, high = signals.min(axis=0), signals.max(axis=0)
+        others = -self.source / self.drive * signals.sum(axis=1)
+        rounded = few_ulp(transfer.shape) * (high - low).max(initial=0.0)
+        low = low + others.min(axis=0) + self.output - rounded
+        high = high + others.max(axis=0) + self.output + rounded
+        return bool((low >= self.supply[0]).all() and (high <= self.supply[1]).all())
 
     def read(self, known: Attenuated) -> tuple[FloatArray, FloatArray, FloatArray]:
         """:meth:`volts`; what none of a frame's (...,) is off by more than; and what its largest is no less than; V.
@@ -136,13 +118,3 @@ class LinearReadout:
 def few_ulp(shape: tuple[int, ...]) -> float:
     """Relative: the conversion of resistances (..., N, M), and the last steps from conductances to volts."""
     return (20.0 + sum(shape[-2:])) * ULP
-
-
-class _Recent(threading.local):
-    """What was made of the design that this thread used last."""
-
-    design: Design | None = None
-    readout: LinearReadout | None = None
-
-
-_recent = _Recent()

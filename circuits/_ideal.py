@@ -1,0 +1,29 @@
+"""The ideal readout: equation (10) of the paper and its inverse, for every circuit."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..arrays import FloatArray
+from ._design import Design
+
+
+def apparent_resistance(design: Design, volts: ArrayLike) -> FloatArray:
+    """Cell resistances (..., rows, columns) in ohm that would give these outputs in the ideal circuit, equation (10).
+
+    Infinite where the output stands at the reference. Offsets may make it negative for open cells: the value is
+    what the reading says, not what a cell can be.
+    """
+    board = design.board
+    ohms = board.circuit.apparent_resistance(board, board.turn(np.asarray(volts, dtype=np.float64)))
+    return board.turn(np.where(np.isinf(ohms), np.inf, ohms))
+
+
+def ideal_volts(design: Design, resistance: ArrayLike) -> FloatArray:
+    """Outputs (..., rows, columns) in V if every cell were alone with ideal parts: equation (10), or one divider.
+
+    Shorts give an infinite amplifier output.
+    """
+    board = design.board
+    return board.turn(board.circuit.ideal_volts(board, board.turn(np.asarray(resistance, dtype=np.float64))))

@@ -1,0 +1,37 @@
+"""Readout circuits: one object each, all of them in :data:`CIRCUITS`.
+
+=================================  =====================================================================
+:mod:`._circuit`                   what the rest of the package asks of a circuit: the base class
+:mod:`._inverting_amplifier`       transimpedance amplifiers on the columns (the paper's figure 15)
+:mod:`._row_amplifier`             the same with rows sensed and columns driven
+:mod:`._voltage_divider`           load resistors (the paper's figure 13)
+:mod:`._voltage_feedback`          a load, and a follower that drives all idle lines
+:mod:`._ends`                      columns that end in a Thevenin equivalent
+:mod:`._linear`                    outputs as a linear function of transfer conductances
+:mod:`._adjoint`                   what the derivatives of readings are made of
+=================================  =====================================================================
+"""
+
+from ._adjoint import SensitivityGroup
+from ._circuit import Reading, ReadoutCircuit
+from ._ends import sum_of_others
+from ._inverting_amplifier import InvertingAmplifier
+from ._linear import LinearReadout, few_ulp
+from ._row_amplifier import RowAmplifier
+from ._voltage_divider import VoltageDivider
+from ._voltage_feedback import VoltageFeedback
+
+CIRCUITS: dict[str, ReadoutCircuit] = {
+    circuit.name: circuit for circuit in (InvertingAmplifier(), VoltageDivider(), VoltageFeedback(), RowAmplifier())
+}
+"""By the name that a design file gives as ``readout.circuit``"""
+
+__all__ = [
+    "CIRCUITS",
+    "LinearReadout",
+    "Reading",
+    "ReadoutCircuit",
+    "SensitivityGroup",
+    "few_ulp",
+    "sum_of_others",
+]

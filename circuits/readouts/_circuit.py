@@ -1,0 +1,150 @@
+"""What a readout circuit is to the rest of the package: the base class of all of them.
+
+A circuit is an object without state. Each method takes the :class:`.._board.Board` that it is asked about, whose arrays
+are in line coordinates: N rows are driven, M columns are sensed. To add a circuit, write one module with a subclass and
+name it in the table in ``readouts/__init__.py``; no other module knows the circuits apart.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from .._board import Board
+    from ..spice import DeckWriter
+    from ._adjoint import SensitivityGroup
+    from ._ends import Ends
+    from ._linear import LinearReadout
+
+
+class Reading(NamedTuple):
+    """Outputs of all columns in all scan steps."""
+
+    volts: FloatArray
+    """(..., N, M) V"""
+    saturated: BoolArray
+    """(..., N, M) outputs that stand at a supply limit"""
+    relative: float = 0.0
+    """bound on the rounding errors of the eliminations behind it, relative to the conductances they leave"""
+
+
+class ReadoutCircuit(ABC):
+    """How columns are terminated and read. Subclasses are the circuits that a design file can name."""
+
+    name: ClassVar[str]
+    """as in ``readout.circuit``"""
+    senses: ClassVar[Literal["columns", "rows"]] = "columns"
+    """which of the array's lines are read; the others are driven"""
+    has_amplifiers: ClassVar[bool] = True
+    """whether gain, offset voltage, bias current and supply take part"""
+    virtual_ground: ClassVar[bool] = False
+    """whether amplifiers hold all columns at the reference at once, so that each output is its own column's current"""
+    mixes_cells: ClassVar[bool] = False
+    """whether other cells change a reading even if all parts are ideal"""
+    drives_idle_lines: ClassVar[bool] = False
+    """whether an amplifier drives the idle lines, so that ``drive.idle_rows`` does not count"""
+
+    # Reading
+
+    @abstractmethod
+    def read(self, board: Board, ports: FloatArray) -> Reading:
+        """The outputs in all scan steps.
+
+        Args:
+            board: parts of the readout.
+            ports: (..., N + M, N + M) S between the grid's row terminals and column terminals, rows first; row leads
+                are inside, column leads are not.
+
+        Raises:
+            SolverError: no consistent state was found.
+
+        """
+
+    @abstractmethod
+    def end_resistance(self, board: Board) -> FloatArray:
+        """(M,) ohm that the circuit presents behind each column lead; the bound on rounding errors is made of it."""
+
+    def ends(self, board: Board) -> Ends | None:
+        """What the columns end in where all are read at once and none is at a limit; None for other circuits."""
+        return None
+
+    def linear(self, board: Board) -> LinearReadout | None:
+        """The outputs as a linear function of transfer conductances; None where they are not one."""
+        return None
+
+    def columns_one_by_one(self, board: Board) -> bool:
+        """Whether each column of a row is a measurement of its own, because the others end in something else."""
+        return False
+
+    def ideal_inputs(self, board: Board) -> BoolArray:
+        """(M,) column ends that the circuit holds like an ideal voltage source."""
+        return np.zeros(board.shape[1], dtype=np.bool_)
+
+    def in_the_limit(self, board: Board, cells: FloatArray, volts: FloatArray) -> FloatArray:
+        """``volts`` (..., N, M) with the limits in place of what large stand-ins for ideal parts gave."""
+        return volts
+
+    # One cell alone, with ideal parts
+
+    @abstractmethod
+    def ideal_volts(self, board: Board, cells: FloatArray) -> FloatArray:
+        """(..., N, M) V if each of the cells, in ohm, were alone and all parts ideal: the paper's equation (10)."""
+
+    @abstractmethod
+    def apparent_resistance(self, board: Board, volts: FloatArray) -> FloatArray:
+        """(..., N, M) ohm: the inverse of :meth:`ideal_volts`; inf where the output stands at the reference."""
+
+    @abstractmethod
+    def apparent_conductance(self, board: Board, signal: FloatArray) -> FloatArray:
+        """(..., N, M) S that the ideal circuit would need for a signal in V above the reference; 0 for the wrong sign.
+
+        Signals below a few ulp of the reference voltage are rounding, and count as none.
+        """
+
+    @abstractmethod
+    def conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+        """(..., N, M) S/V: derivative of :meth:`apparent_conductance` by the signal."""
+
+    @abstractmethod
+    def log_conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+        """(..., N, M) 1/V: derivative of the logarithm of :meth:`apparent_conductance`; 0 where there is no signal."""
+
+    @property
+    def inverts(self) -> bool:
+        """Whether more current from a positive drive lowers the output."""
+        return False
+
+    # Derivatives
+
+    @abstractmethod
+    def sensitivity_groups(self, board: Board, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
+        """Forward and adjoint port potentials of all readings, and their derivatives by the circuit's own parts."""
+
+    # SPICE
+
+    @abstractmethod
+    def column_end(self, j: int) -> str:
+        """SPICE name of the node behind column j's lead."""
+
+    @abstractmethod
+    def output_node(self, writer: DeckWriter, j: int) -> str:
+        """SPICE name of column j's output."""
+
+    @abstractmethod
+    def cards(self, writer: DeckWriter) -> Iterator[str]:
+        """SPICE cards of everything behind the column leads."""
+
+    def refuse_cards(self, writer: DeckWriter) -> None:
+        """Raise SolverError where ideal parts contradict each other, or a netlist cannot express them."""
+        return
+
+
+def rounding_floor(board: Board) -> float:
+    """Relative size of a signal below which it is rounding of the reference voltage."""
+    return float(4 * np.finfo(np.float64).eps * (abs(board.level / board.drive) + 1e-12))

@@ -1,0 +1,97 @@
+"""Columns that end in a Thevenin equivalent: what amplifiers and loads have in common.
+
+Each column of a scan step ends in a resistance and a source (:class:`Ends`). Kron reduction joins the grid's port
+network with these ends; the currents into the ends then follow for all scan steps.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ..solvers import IDEAL_WIRE, Rounded, eliminate_leading, siemens
+
+if TYPE_CHECKING:
+    from .._board import Board
+
+
+class Ends(NamedTuple):
+    """The Thevenin equivalent that each column (M,) of one scan step ends in, and its output by its current.
+
+    Sources count from the reference voltage, so that a mid-supply reference costs no digits.
+    """
+
+    resistance: FloatArray
+    """ohm"""
+    source: FloatArray
+    """V against the reference"""
+    output: FloatArray
+    """V at zero current"""
+    slope: FloatArray
+    """V/A"""
+
+
+def terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> Rounded:
+    """The network (..., N + M, N + M) in S between row terminals and the far ends of ``resistance`` (M,) in ohm.
+
+    ``ports`` is the network between row terminals and column terminals; each resistance goes behind a column terminal,
+    which is then eliminated.
+    """
+    if not resistance.any():
+        return Rounded(ports, np.zeros(ports.shape[:-2]))
+    columns = len(resistance)
+    behind = siemens(resistance)
+    largest = np.max(behind, where=np.isfinite(behind), initial=ports.max(initial=0.0))
+    behind = np.minimum(behind, IDEAL_WIRE * largest)
+    network = np.zeros((*ports.shape[:-2], rows + 2 * columns, rows + 2 * columns))
+    near, row = slice(0, columns), slice(columns, columns + rows)
+    far = np.arange(columns + rows, rows + 2 * columns)
+    network[..., near, near] = ports[..., rows:, rows:]
+    network[..., near, row] = ports[..., rows:, :rows]
+    network[..., row, near] = ports[..., :rows, rows:]
+    network[..., row, row] = ports[..., :rows, :rows]
+    network[..., np.arange(columns), far] = network[..., far, np.arange(columns)] = behind
+    return eliminate_leading(network, columns)
+
+
+def column_currents(board: Board, terminated: Rounded, source: FloatArray) -> Rounded:
+    """Current (..., N, M) in A into the columns' sources (M,) in V, in every scan step.
+
+    The relative error (...,) is that of the network's conductances and of the eliminations that follow.
+
+    Args:
+        board: drive and idle rows.
+        terminated: (..., N + M, N + M) S between the row terminals and the sources.
+        source: V against the reference.
+
+    """
+    network, relative = terminated
+    rows, columns = board.shape
+    difference = source - source[:, None]  # of equal sources exactly zero, so that nothing large has to cancel
+    if not board.floating:
+        transfer = network[..., :rows, rows:]
+        idle = (network[..., rows:, rows:] * difference).sum(axis=-1) - transfer.sum(axis=-2) * source
+        grounded: FloatArray = board.drive * transfer + idle[..., None, :]
+        return Rounded(grounded, relative)
+    currents = np.empty((*network.shape[:-2], rows, columns))
+    worst = np.zeros(relative.shape)  # each step is solved on its own
+    for row in range(rows):
+        order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
+        alone, step = eliminate_leading(network[..., order[:, None], order], rows - 1)
+        worst = np.maximum(worst, step)
+        driven = alone[..., 0, 1:] * (board.drive - source)
+        currents[..., row, :] = driven + (alone[..., 1:, 1:] * difference).sum(axis=-1)
+    return Rounded(currents, relative + worst)
+
+
+def sum_of_others(values: FloatArray) -> FloatArray:
+    """Of values (..., n, any), the sum over the second last axis of all entries but the own one.
+
+    Partial sums from above and from below are added. Subtracting the own entry from the whole sum would cost digits.
+    """
+    others = np.zeros_like(values)
+    np.cumsum(values[..., :-1, :], axis=-2, out=others[..., 1:, :])
+    others[..., :-1, :] += np.cumsum(values[..., :0:-1, :], axis=-2)[..., ::-1, :]
+    return others

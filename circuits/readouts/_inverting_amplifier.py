@@ -1,0 +1,329 @@
+"""Inverting (transimpedance) amplifiers on all columns: the zero-potential method (paper, VII and figure 15).
+
+A finite-gain amplifier is a resistor. With its output eliminated, its column sees Rref / (1 + A) in series with a
+source (A E - Rref Ib) / (1 + A), where E = Vref + Vos. So no indefinite matrix arises, and no digits are lost with
+A = 1e12. A saturated output S is another resistor and another source, Rref and S - Rref Ib: its column has lost the
+virtual ground. Which outputs saturate is a linear complementarity problem with a P-matrix; principal pivoting solves it
+(Murty, Linear Complementarity, Linear and Nonlinear Programming, chapter 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import inf, isfinite, isinf
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...errors import SolverError
+from ..solvers import IDEAL_WIRE, LARGEST_PART, Lines, Wires
+from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
+from ._circuit import Reading, ReadoutCircuit, rounding_floor
+from ._ends import Ends, column_currents, terminate
+from ._linear import LinearReadout
+
+if TYPE_CHECKING:
+    from .._board import Board
+    from ..spice import DeckWriter
+
+SignArray = NDArray[np.int8]
+
+_MURTY_AFTER = 50  # rounds of pivoting all columns at once, before one column at a time, which cannot cycle
+_LARGEST_SPICE_GAIN = 1e8  # of a voltage-controlled source: a larger one would multiply ngspice's rounding errors
+
+
+class InvertingAmplifier(ReadoutCircuit):
+    """An inverting amplifier on each column; idle rows at the reference, or open."""
+
+    name = "inverting-amplifier"
+    virtual_ground = True
+
+    def read(self, board: Board, ports: FloatArray) -> Reading:
+        rows, columns = board.shape
+        ends = amplifier_ends(board)
+        network = terminate(ports, rows, ends.resistance + board.column_lead)
+        currents, errors = column_currents(board, network, ends.source)
+        volts, relative = ends.output + ends.slope * currents, float(errors.max(initial=0.0))
+        low, high = board.supply
+        saturated = (volts < low) | (volts > high)
+        if saturated.any():
+            frames = ports.reshape(-1, *ports.shape[-2:])
+            stacked, flags = volts.reshape(-1, rows, columns), saturated.reshape(-1, rows, columns)
+            for frame in np.flatnonzero(flags.any(axis=(1, 2))):
+                stacked[frame], flags[frame], own = _read_saturated(board, frames[frame], stacked[frame])
+                relative = max(relative, own)
+        return Reading(volts, saturated, relative)
+
+    def end_resistance(self, board: Board) -> FloatArray:
+        return amplifier_ends(board).resistance
+
+    def ends(self, board: Board) -> Ends | None:
+        return amplifier_ends(board)
+
+    def linear(self, board: Board) -> LinearReadout | None:
+        """With grounded idle rows and inputs that all stand at one potential."""
+        if board.floating or not board.plain:
+            return None
+        ends = amplifier_ends(board)
+        resistance = ends.resistance + board.column_lead
+        if (ends.source != ends.source[0]).any() or np.isinf(resistance).any():
+            return None
+        with np.errstate(divide="ignore"):
+            ended = Lines(board.lines.row, board.lines.column, 1.0 / resistance)
+        return LinearReadout(
+            output=ends.output,
+            slope=ends.slope,
+            drive=board.drive,
+            source=float(ends.source[0]),
+            supply=board.supply,
+            lines=ended,
+            wires=Wires.of(ended),
+        )
+
+    def ideal_inputs(self, board: Board) -> BoolArray:
+        ideal: BoolArray = (board.column_lead == 0) & np.isinf(board.gain)
+        return ideal
+
+    def in_the_limit(self, board: Board, cells: FloatArray, volts: FloatArray) -> FloatArray:
+        """What the large conductances that stand for ideal wires and shorts mean in the limit.
+
+        The output of an ideal amplifier on a shorted cell with ideal lines has no finite value: a current far above
+        what LARGEST_PART could carry comes through nothing else. And no current leaks over an ideal line: what is
+        smaller than the largest signal by the square of IDEAL_WIRE came that way.
+        """
+        signal = volts - board.level
+        most = 1e3 * LARGEST_PART * np.prod(board.shape) * abs(board.drive) * board.reference
+        finite = np.abs(signal) <= most
+        least = IDEAL_WIRE**-2 * np.max(np.abs(signal), axis=(-2, -1), keepdims=True, where=finite, initial=0.0)
+        leaked = np.abs(signal) < least
+        return np.where(finite, np.where(leaked, board.level, volts), np.copysign(np.inf, signal))
+
+    @property
+    def inverts(self) -> bool:
+        return True
+
+    def ideal_volts(self, board: Board, cells: FloatArray) -> FloatArray:
+        with np.errstate(divide="ignore"):  # a short gives an infinite output
+            volts: FloatArray = board.level - board.drive * board.reference / cells
+        return volts
+
+    def apparent_resistance(self, board: Board, volts: FloatArray) -> FloatArray:
+        return -board.reference * drive_over_signal(board, volts)
+
+    def apparent_conductance(self, board: Board, signal: FloatArray) -> FloatArray:
+        ratio = -signal / board.drive
+        conductance: FloatArray = np.where(ratio > rounding_floor(board), ratio, 0.0) / board.reference
+        return conductance
+
+    def conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+        return np.broadcast_to(-1.0 / (board.drive * board.reference), signal.shape)
+
+    def log_conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+        return np.divide(1.0, signal, out=np.zeros_like(signal), where=signal != 0)
+
+    def sensitivity_groups(self, board: Board, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
+        at_high = reading.volts >= board.supply[1]
+        state = np.where(reading.saturated, np.where(at_high, 1, -1), 0).astype(np.int8)
+        patterns, pattern_of = np.unique(state, axis=0, return_inverse=True)
+        for number, pattern in enumerate(patterns):
+            columns = TerminatedColumns(
+                rows=np.flatnonzero(pattern_of.ravel() == number),
+                columns=np.flatnonzero(pattern == 0),  # an output at a limit does not move
+                one_by_one=False,
+                ends=amplifier_ends(board, pattern),
+                own_parts=lambda some, current, adjoint, linear=pattern == 0: _by_own_parts(  # type: ignore[misc]
+                    board, linear, some, current, adjoint
+                ),
+            )
+            yield from terminated_groups(board, ports, columns)
+
+    def column_end(self, j: int) -> str:
+        return f"minus_{j}"
+
+    def output_node(self, writer: DeckWriter, j: int) -> str:
+        return f"out_{j}"
+
+    def refuse_cards(self, writer: DeckWriter) -> None:
+        ends = [writer.name[self.column_end(j)] for j in range(writer.columns)]
+        for j, end in enumerate(ends):
+            if isinf(writer.board.gain[j]) and end in ends[:j] and end not in writer.drivers:
+                raise SolverError(
+                    f"columns {ends.index(end)} and {j} are joined by parts of 0 ohm, so that two ideal "
+                    "amplifiers share one input; give readout.open_loop_gain a finite value"
+                )
+
+    def cards(self, writer: DeckWriter) -> Iterator[str]:
+        """One amplifier per column.
+
+        An amplifier of finite gain is a voltage-controlled source with its feedback resistor. With a gain above 1e8 or
+        infinite, or with a supply that limits its output, the amplifier is written by what its column sees. That is
+        exactly the same, but has no large number in it and a slope that Newton's method can follow. With i the current
+        out of the column, A the gain, ``wanted = A/(1+A) (v_plus - Rref i)``, and ``lack`` what the supply takes from
+        it::
+
+            v_minus = A/(1+A) v_plus + i Rref/(1+A) + lack        v_out = v_minus - Rref i
+        """
+        yield "* Inverting amplifiers, one per column."
+        if writer.board.supply != (-inf, inf):
+            yield "* lack_J: how far its supply keeps the output from the voltage that its feedback asks for."
+        for j in range(writer.columns):
+            yield from self._amplifier(writer, j)
+
+    def _amplifier(self, writer: DeckWriter, j: int) -> Iterator[str]:
+        board, reference = writer.board, writer.reference
+        minus, out = writer.name[self.column_end(j)], f"out_{j}"
+        gain, rref, vos, bias = writer.amplifier_parts(j)
+        low, high = board.supply
+        limited = low > -inf or high < inf
+        if bias and minus != reference:
+            yield f"Ibias_{j} {minus} {reference} DC {bias!r}"
+        if not limited and gain <= _LARGEST_SPICE_GAIN:
+            yield f"Voffset_{j} plus_{j} {reference} DC {vos!r}"
+            yield f"Rref_{j} {minus} {out} {rref!r}"
+            yield f"Eamplifier_{j} {out} {writer.ground} plus_{j} {minus} {gain!r}"
+            return
+        if minus in writer.drivers:
+            yield f"* {minus} is held by a driver: the feedback cannot move it."
+            yield f"Vamplifier_{j} {out} {writer.ground} DC {self._comparator(writer, j)!r}"
+            yield f"Rref_{j} {minus} {out} {rref!r}"
+            return
+        # Vvirtual measures the column's current; from it follow the potential of the input and the output.
+        at, share = f"in_{j}", 1.0 if isinf(gain) else gain / (1.0 + gain)
+        yield f"Vvirtual_{j} {minus} {at} DC 0"
+        yield f"Hrref_{j} {out} {at} Vvirtual_{j} {-rref!r}"
+        if limited:
+            wanted = f"{share!r}*({board.level!r}+{vos!r}-{rref!r}*i(Vvirtual_{j}))"
+            terms = [f"min({high!r}-{wanted},0)"] if high < inf else []
+            terms += [f"max({low!r}-{wanted},0)"] if low > -inf else []
+            yield f"Black_{j} {at} lack_{j} V = {'+'.join(terms)}"
+            at = f"lack_{j}"
+        if not isinf(gain):
+            yield f"Hinput_{j} {at} plus_{j} Vvirtual_{j} {rref / (1.0 + gain)!r}"
+            at = f"plus_{j}"
+        offset = share * vos - board.level / (1.0 + gain)
+        yield f"Voffset_{j} {at} {reference} DC {offset!r}"
+
+    def _comparator(self, writer: DeckWriter, j: int) -> float:
+        """V: the output of amplifier j, whose inverting input sits on an ideal source."""
+        end = writer.name[self.column_end(j)]
+        gain, _, vos, _ = writer.amplifier_parts(j)
+        low, high = writer.board.supply
+        if writer.row is None:
+            raise SolverError(
+                f"column {j}'s amplifier sits directly on the driver of row {writer.drivers[end]}; "
+                "a sweep over the rows cannot express that, a netlist for each row can"
+            )
+        difference = vos - (0.0 if end == writer.reference else writer.board.drive)
+        output = gain * difference if difference else 0.0
+        if isinf(gain) and (not difference or isinf(high if difference > 0 else low)):
+            raise SolverError(
+                f"column {j}'s ideal amplifier sits directly on the driver of a row (parts of 0 ohm), so that "
+                "its output is not determined; give array.row_lead or the cell a resistance, or "
+                "readout.open_loop_gain a finite value"
+            )
+        return min(max(output, low), high)
+
+
+def drive_over_signal(board: Board, volts: FloatArray) -> FloatArray:
+    """(..., N, M) drive over signal; inf where there is no signal, or one so small that the quotient overflows."""
+    signal = np.asarray(volts, dtype=np.float64) - board.level
+    with np.errstate(over="ignore"):
+        ratio = np.where(signal == 0, inf, board.drive / np.where(signal == 0, 1.0, signal))
+    return ratio
+
+
+def amplifier_ends(board: Board, state: SignArray | None = None) -> Ends:
+    """What the columns end in.
+
+    Args:
+        board: the amplifiers, none of them necessarily equal to another.
+        state: (M,): 0 linear (as if not given), -1 at the lower and +1 at the upper supply limit.
+
+    """
+    if state is None:
+        state = np.zeros(board.shape[1], dtype=np.int8)
+    limit = np.where(state < 0, board.supply[0], board.supply[1])
+    linear, level, lift = state == 0, board.level, board.lift
+    held_at = board.loop_share * board.offset - board.inverse_gain * (level + lift)
+    return Ends(
+        resistance=np.where(linear, board.reference * board.inverse_gain, board.reference),
+        source=np.where(linear, held_at, limit - level - lift),
+        output=np.where(linear, board.loop_share * (level + board.offset + lift), limit),
+        slope=np.where(linear, -board.loop_share * board.reference, 0.0),
+    )
+
+
+def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray) -> Reading:
+    """One frame in which some output hits its limit: find for each step which columns do, by principal pivoting."""
+    rows, columns = board.shape
+    low, high = board.supply
+    # What the amplifier's input must exceed to hold its output at a limit; a missing limit is never reached.
+    at_low, at_high = (
+        np.where(np.isinf(board.gain), 0.0, end / board.gain) if isfinite(end) else 0.0 for end in (low, high)
+    )
+    state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
+    volts = volts.copy()
+    pending: BoolArray = np.atleast_1d(state.any(axis=1))
+    relative = 0.0
+    for attempt in range(_MURTY_AFTER + 4 * columns):
+        patterns, which = np.unique(state, axis=0, return_inverse=True)
+        for number, pattern in enumerate(patterns):
+            steps = np.flatnonzero((which.ravel() == number) & pending)
+            if not len(steps):
+                continue
+            ends = amplifier_ends(board, pattern)
+            network = terminate(ports, rows, ends.resistance + board.column_lead)
+            every_current, error = column_currents(board, network, ends.source)
+            currents, relative = every_current[steps], max(relative, float(error))
+            volts[steps] = ends.output + ends.slope * currents
+            wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
+            # A clamped output stays so while the amplifier's input still drives it outwards.
+            input_volts = board.offset - (ends.source + ends.resistance * currents)
+            held = ((pattern > 0) & (input_volts >= at_high)) | ((pattern < 0) & (input_volts <= at_low))
+            wanted = np.where(pattern == 0, wanted, np.where(held, pattern, 0)).astype(np.int8)
+            if attempt >= _MURTY_AFTER:
+                first = np.argmax(wanted != pattern, axis=1)[:, None] == np.arange(columns)
+                wanted = np.where(first, wanted, pattern).astype(np.int8)
+            pending[steps] = (wanted != pattern).any(axis=1)
+            state[steps] = wanted
+        if not pending.any():
+            return Reading(volts, state != 0, relative)
+    raise SolverError("no consistent set of saturated outputs was found; check supply and reference_voltage")
+
+
+def _by_own_parts(
+    board: Board, linear: BoolArray, some: IntArray, current: FloatArray, adjoint: FloatArray
+) -> dict[str, FloatArray]:
+    """Derivatives of readings by the amplifiers' parts, (rows, columns, M) by name.
+
+    An amplifier acts through the end of its column (:func:`amplifier_ends`), and directly on the reading of its own
+    column. With x = 1/A: d(1/(1+A))/dx = share^2 and d(share)/dx = -share^2.
+
+    Args:
+        board: the amplifiers.
+        linear: (M,) those that are not at a limit.
+        some: the columns that are read.
+        current: (rows, 1, M) A into the columns' ends.
+        adjoint: (1, columns, M) A into them in the adjoint fields.
+
+    """
+    share, reference = board.loop_share, board.reference
+    end = current * adjoint
+    source = np.broadcast_to(adjoint, end.shape)
+    weight = np.where(linear, board.inverse_gain, 1.0)
+    lift = board.level + board.offset + board.lift
+    by_name = {
+        "reference_resistance": weight * (end - source * board.bias),
+        "inverse_gain": np.where(linear, share**2 * (end * reference - source * lift), 0.0),
+        "offset_voltage": np.where(linear, share * source, 0.0),
+        "bias_current": -weight * reference * source,
+    }
+    own, flow = np.arange(len(some)), current[:, 0, some]
+    share, reference = share[some], reference[some]
+    by_name["reference_resistance"][:, own, some] += share * (board.bias[some] - flow)
+    by_name["inverse_gain"][:, own, some] -= share**2 * (lift[some] - reference * flow)
+    by_name["offset_voltage"][:, own, some] += share
+    by_name["bias_current"][:, own, some] += share * reference
+    return by_name

@@ -1,0 +1,132 @@
+"""Voltage dividers: each column ends in a load resistor, and crosstalk is what the paper starts from (VII, figure 13).
+
+Idle rows are grounded or open; columns that are not being read are open, or end in their loads as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.sparse.csgraph import connected_components
+
+from ...arrays import FloatArray, IntArray
+from ..solvers import Rounded, inverted
+from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
+from ._circuit import Reading, ReadoutCircuit, rounding_floor
+from ._ends import Ends, column_currents, terminate
+from ._inverting_amplifier import drive_over_signal
+
+if TYPE_CHECKING:
+    from .._board import Board
+    from ..spice import DeckWriter
+
+_FULL_RATIO = 1 - 1e-9  # of signal to drive: beyond it the cell is a short, for all that a divider tells
+
+
+class VoltageDivider(ReadoutCircuit):
+    """A load resistor on each column, and nothing else."""
+
+    name = "voltage-divider"
+    has_amplifiers = False
+    mixes_cells = True
+
+    def read(self, board: Board, ports: FloatArray) -> Reading:
+        rows, columns = board.shape
+        load, behind = board.reference, board.reference + board.column_lead
+        if not self.columns_one_by_one(board):
+            currents, relative = column_currents(board, terminate(ports, rows, behind), np.zeros(columns))
+            volts = board.level + load * currents
+        elif not board.floating:
+            inner, relative = inverted(ports[..., rows:, rows:], ports[..., :rows, rows:].sum(axis=-2), rows)
+            open_circuit = board.drive * ports[..., :rows, rows:] @ inner
+            source_resistance = np.einsum("...jj->...j", inner)[..., None, :]
+            volts = board.level + open_circuit * load / (behind + source_resistance)
+        else:
+            between, relative = effective_resistance(ports, rows)
+            volts = board.level + board.drive * load / (behind + between)
+        return Reading(volts, np.zeros(volts.shape, dtype=np.bool_), float(relative.max(initial=0.0)))
+
+    def end_resistance(self, board: Board) -> FloatArray:
+        return board.reference
+
+    def columns_one_by_one(self, board: Board) -> bool:
+        return board.design.readout.idle_columns == "float"
+
+    def ideal_volts(self, board: Board, cells: FloatArray) -> FloatArray:
+        volts: FloatArray = board.level + board.drive * board.reference / (board.reference + cells)
+        return volts
+
+    def apparent_resistance(self, board: Board, volts: FloatArray) -> FloatArray:
+        return board.reference * (drive_over_signal(board, volts) - 1.0)
+
+    def apparent_conductance(self, board: Board, signal: FloatArray) -> FloatArray:
+        ratio = signal / board.drive
+        conductance: FloatArray = np.where(ratio > rounding_floor(board), ratio, 0.0) / board.reference
+        return conductance / (1.0 - np.minimum(ratio, _FULL_RATIO))
+
+    def conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+        steepness = 1.0 / (board.drive * board.reference)
+        return steepness / (1.0 - np.minimum(signal / board.drive, _FULL_RATIO)) ** 2
+
+    def log_conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+        slope = signal * (1.0 - signal / board.drive)
+        return np.divide(1.0, slope, out=np.zeros_like(signal), where=slope != 0)
+
+    def sensitivity_groups(self, board: Board, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
+        rows, columns = board.shape
+        nothing = np.zeros(columns)
+        loads = TerminatedColumns(
+            rows=np.arange(rows),
+            columns=np.arange(columns),
+            one_by_one=self.columns_one_by_one(board),
+            ends=Ends(resistance=board.reference, source=nothing, output=nothing, slope=board.reference),
+            own_parts=_by_loads,
+        )
+        yield from terminated_groups(board, ports, loads)
+
+    def column_end(self, j: int) -> str:
+        return f"end_{j}"
+
+    def output_node(self, writer: DeckWriter, j: int) -> str:
+        return writer.name[self.column_end(j)]
+
+    def cards(self, writer: DeckWriter) -> Iterator[str]:
+        yield "* Loads; what is across them is read."
+        for j in range(writer.columns):
+            end, ohm = writer.name[self.column_end(j)], float(writer.board.reference[j])
+            if end == writer.reference:
+                yield f"* end_{j} is shorted to the reference"
+            elif writer.one_by_one:
+                yield f"Bload_{j} {end} {writer.reference} I = {writer.chosen(j)} ? v({end})/{ohm!r} : 0"
+            else:
+                yield f"Rload_{j} {end} {writer.reference} {ohm!r}"
+
+
+def _by_loads(some: IntArray, current: FloatArray, adjoint: FloatArray) -> dict[str, FloatArray]:
+    """A load is a part of its column's end, and what turns its current into volts."""
+    load = current * adjoint
+    load[:, np.arange(len(some)), some] += current[:, 0, some]
+    return {"reference_resistance": load}
+
+
+def effective_resistance(ports: FloatArray, rows: int) -> Rounded:
+    """Ohm (..., N, M) between each row terminal and each column terminal with all others left open.
+
+    The selected row is grounded in each step. Grounding a common node instead would cancel digits of nearby pairs.
+    """
+    size = ports.shape[-1]
+    result = np.empty((*ports.shape[:-2], rows, size - rows))
+    flat, out = ports.reshape(-1, size, size), result.reshape(-1, rows, size - rows)
+    relative = np.zeros(len(flat))  # each row of each frame is solved on its own
+    for frame, network in enumerate(flat):
+        _, island = connected_components(network > 0, directed=False)
+        for row in range(rows):
+            others = np.delete(np.arange(size), row)
+            inner, error = inverted(network[np.ix_(others, others)], network[row, others])
+            relative[frame] = max(relative[frame], float(error))
+            ohms = np.where(island[others] == island[row], np.diagonal(inner), inf)
+            out[frame, row] = ohms[rows - 1 :]
+    return Rounded(result, relative.reshape(ports.shape[:-2]))

@@ -1,0 +1,133 @@
+"""Voltage feedback: a divider whose sensed column also feeds a follower, which drives every idle row and column.
+
+Idle lines then stand at the potential of the sensed column, so that no current flows to them (equipotential method).
+The follower's output is what is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...errors import SolverError
+from ..solvers import siemens
+from ._adjoint import SensitivityGroup, TiedPorts
+from ._circuit import Reading
+from ._ends import sum_of_others, terminate
+from ._voltage_divider import VoltageDivider
+
+if TYPE_CHECKING:
+    from .._board import Board
+    from ..spice import DeckWriter
+
+
+class VoltageFeedback(VoltageDivider):
+    """A load on the sensed column, and a follower that drives all idle lines."""
+
+    name = "voltage-feedback"
+    has_amplifiers = True
+    mixes_cells = False
+    drives_idle_lines = True
+
+    def read(self, board: Board, ports: FloatArray) -> Reading:
+        """Output of the follower, every (row, column) pair a measurement.
+
+        With V and F the potentials of the sensed column's end and of the follower (both against the reference), Y the
+        network behind the column leads and S = sum of Y from the column to all idle lines:
+        ``Y (drive - V) + S (F - V) = V / Rref + Ib`` and ``F = A (V + Vos - F)``. The second one eliminated, V meets S
+        only through S / (1 + A): that is how far the idle lines are kept away, and no large numbers are subtracted.
+        """
+        rows, _ = board.shape
+        network, relative = terminate(ports, rows, board.column_lead)
+        driven = network[..., :rows, rows:]
+        idle = sum_of_others(driven) + network[..., rows:, rows:].sum(axis=-1)[..., None, :]
+        lift = board.loop_share * board.offset - board.inverse_gain * board.level
+        injected = driven * board.drive - board.bias
+        column = (injected + idle * lift) / (driven + idle * board.inverse_gain + siemens(board.reference))
+        volts = board.loop_share * (board.level + column + board.offset)
+        low, high = board.supply
+        saturated = (volts < low) | (volts > high)
+        return Reading(np.clip(volts, low, high), saturated, float(relative.max(initial=0.0)))
+
+    def columns_one_by_one(self, board: Board) -> bool:
+        return True
+
+    def sensitivity_groups(self, board: Board, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
+        """The sensed column's potential V is the one unknown (:meth:`read`).
+
+        The derivative of V's equation by a conductance is that of the current into a column held at V while the idle
+        lines are held at F; its derivative by V itself is ``slope``.
+        """
+        rows, columns = board.shape
+        inverse, share = board.inverse_gain, board.loop_share
+        ties = TiedPorts.of(ports, np.concatenate([np.full(rows, np.inf), siemens(board.column_lead)]))
+        column = reading.volts / share - board.level - board.offset
+        follower = reading.volts - board.level
+        behind = np.repeat(follower[..., None], rows + columns, axis=-1)
+        every_row, every_column = np.arange(rows), np.arange(columns)
+        behind[every_row, :, every_row] = board.drive
+        behind[:, every_column, rows + every_column] = column
+        forward = ties.potentials(behind)
+        unit = np.zeros((columns, rows + columns))
+        unit[every_column, rows + every_column] = 1.0
+        field = ties.potentials(unit)
+        back = ties.currents(field, unit)  # at the column itself: less than nothing flows in
+        driven = ties.currents(field, unit)[:, :rows].T  # Y from the selected row to the sensed column
+        idle = -back[every_column, rows + every_column] - driven
+        slope = driven + idle * inverse + siemens(board.reference)
+        gain = np.where(reading.saturated, 0.0, share / slope)
+        live = np.where(reading.saturated, 0.0, 1.0)
+        above = board.level + column + board.offset
+        names = ("reference_resistance", "inverse_gain", "offset_voltage", "bias_current")
+        own = {name: np.zeros((rows, columns, columns)) for name in names}
+        at = (slice(None), every_column, every_column)
+        own["reference_resistance"][at] = gain * column / board.reference**2
+        own["bias_current"][at] = -gain
+        own["offset_voltage"][at] = gain * idle * share + live * share
+        own["inverse_gain"][at] = -(gain * idle + live) * share**2 * above
+        yield SensitivityGroup(
+            rows=every_row,
+            columns=every_column,
+            forward=forward,
+            adjoint=gain[..., None] * field,
+            lead_current=ties.currents(forward, behind)[..., rows:],
+            adjoint_lead_current=gain[..., None] * back[:, rows:],
+            own_parts=own,
+        )
+
+    def output_node(self, writer: DeckWriter, j: int) -> str:
+        return writer.follower
+
+    def refuse_cards(self, writer: DeckWriter) -> None:
+        ends = [writer.name[self.column_end(j)] for j in range(writer.columns)]
+        if len({*ends, *writer.drivers, writer.follower}) < len(ends) + len({*writer.drivers, writer.follower}):
+            raise SolverError(
+                "a column's end is joined to another one or to a row driver by parts of 0 ohm, which a netlist of the "
+                "voltage-feedback circuit cannot express; give array.column_lead a resistance"
+            )
+
+    def cards(self, writer: DeckWriter) -> Iterator[str]:
+        """One follower, switched from column to column with its load.
+
+        Its law is written with the loop closed, so that no large gain appears. The current of an end, through Vend_J,
+        meets the load or is whatever the follower gives.
+        """
+        level, (low, high) = writer.board.level, writer.board.supply
+        yield "* The load of the chosen column, whose end the follower repeats to all idle lines and to the converter."
+        law = "0"
+        for j in reversed(range(writer.columns)):
+            gain, rref, vos, bias = writer.amplifier_parts(j)
+            end, chosen = writer.name[self.column_end(j)], writer.chosen(j)
+            yield f"Vend_{j} {end} at_{j} DC 0"
+            current = f"{rref!r}*(i(Vend_{j})-{bias!r})"
+            yield f"Bend_{j} at_{j} {writer.reference} V = {chosen} ? {current} : v({writer.follower})"
+            law = f"{chosen} ? {1 / (1 + 1 / gain)!r}*(v({end})+{level + vos!r}) : ({law})"
+        if high < inf:
+            law = f"min({law},{high!r})"
+        if low > -inf:
+            law = f"max({law},{low!r})"
+        yield f"Bfollower {writer.follower} {writer.ground} V = {law}"

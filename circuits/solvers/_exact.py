@@ -1,0 +1,71 @@
+"""Exact transfer conductances of a grid, by the fastest method that fits it, and a bound on their rounding errors."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from ...arrays import FloatArray
+from . import _banded
+from ._ports import Lines, has_ideal_lines, transfer_conductances
+
+
+def exact_transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
+    """Transfer conductances (..., N, M) in S, and how far rounding can have moved each, in S.
+
+    A single small frame goes through a banded Cholesky factorisation; all others are dissected
+    (:func:`._ports.transfer_conductances`).
+
+    Args:
+        conductance: (..., N, M) S of the cells.
+        grid: the lines, with what the columns end in as their exits.
+
+    """
+    if conductance.size <= _banded.LARGEST and conductance.ndim == 2 and not has_ideal_lines(grid):
+        small = _banded.transfer(conductance, grid)
+        if small is not None:
+            return small
+    transfer, relative = transfer_conductances(conductance, grid)
+    return transfer, _transfer_error(conductance, grid, transfer, relative)
+
+
+def _transfer_error(conductance: FloatArray, grid: Lines, transfer: FloatArray, relative: FloatArray) -> FloatArray:
+    """S by which transfer conductances may be off after a relative error (...,) of all conductances."""
+    relative = relative[..., None, None]
+    if has_ideal_lines(grid):
+        return relative * transfer  # one elimination: each entry has that relative error
+    row, column = port_roots(conductance, grid)
+    row, column = (np.where(root > 0, root, np.nan) for root in (row, column))
+    error = relative * row[..., :, None] * column[..., None, :]
+    return np.where(np.isnan(error), 0.0, error)  # nothing flows from a row or into a column that is open
+
+
+def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
+    """Bounds on sqrt(Y_ii) of each row terminal (..., N) and each column terminal (..., M), in sqrt(S).
+
+    Y_ii is the conductance of a port with all others at ground. By Rayleigh's monotonicity law Y_ii grows when the
+    lines that cross port i's line are grounded all along. What is left then is a chain of cells to ground.
+    """
+    exits = np.full(conductance.shape[-1], inf) if grid.exit is None else grid.exit
+    column = np.concatenate([exits[None], grid.column[:0:-1]])
+    turned = np.swapaxes(conductance, -1, -2)[..., ::-1]
+    return np.sqrt(_chain(conductance, grid.row)), np.sqrt(_chain(turned, column.T))
+
+
+def _chain(shunt: FloatArray, series: FloatArray) -> FloatArray:
+    """S into chains (..., lines, places) of cells to ground, ``series`` ahead of each cell."""
+    lumped = series_conductance(series[:, 0], shunt.sum(axis=-1))  # all other wires ideal: more, and cheaper
+    if np.isfinite(lumped).all():
+        return lumped
+    admittance = np.zeros(shunt.shape[:-1])
+    for place in reversed(range(shunt.shape[-1])):
+        admittance = series_conductance(series[:, place], admittance + shunt[..., place])
+    return admittance
+
+
+def series_conductance(one: FloatArray, other: FloatArray) -> FloatArray:
+    """S of two conductances in series; inf is a wire and 0 a break."""
+    with np.errstate(divide="ignore"):
+        ohms: FloatArray = 1.0 / one + 1.0 / other
+        return 1.0 / ohms

@@ -1,0 +1,238 @@
+"""Transfer conductances of a sequence of frames: deferred correction of line attenuation, with a certificate.
+
+Line attenuation (:mod:`._attenuation`) leaves out the current that leaves a line, lifts a crossing line and comes back.
+With T(G) the exact transfer conductances and A(G) those by attenuation, the part left out is E(G) = T(G) - A(G). From
+one frame to the next E changes far less than T, since it depends on sums over whole lines. So a sequence is solved
+exactly at a few frames, the *knots*. Between two knots E is interpolated linearly in time, and A(G) + E is the answer.
+
+The intervals between knots are halved until the error of the interpolation is certified. With G~(t) the straight line
+between the conductances at two knots, two errors add up:
+
+**Curvature of E along the straight line.** Write G~ = (G_a + G_b)/2 + s (G_b - G_a)/2, with s from -1 to 1. E is
+analytic in s. In the disc abs(s) <= R all conductances stay below H = G_high + R abs(G_b - G_a)/2 in magnitude. While
+the Neumann series of all lines converge there, E is no larger than that series with H in place of G. With M that bound,
+Cauchy's integral for the divided difference of E at -1, s and 1 gives
+
+    abs(error) <= M R / ((R - 1)^2 (R + 1))          for every such R; the smallest value of a few is taken.
+
+**Distance from the straight line.** The derivative of E by one conductance G_km is, by Tellegen's theorem, a product of
+two voltages across that cell less what attenuation has of it. Let W_i bound the volts of all columns in step i, U_j the
+volts of all rows for 1 V at the end of column j, and let r, c be the largest loss along a row and along a column.
+What attenuation misses is then at most
+
+    U_j (c + W_i) for the cells of row i,   W_i (r + U_j) for those of column j,   W_i U_j for all cells,
+
+where a cell in both lines counts in both. All factors grow with G, so that G_high, the largest conductances of the
+sequence, bounds them for every frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import NamedTuple, Self
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from ._attenuation import SLACK, Wires
+from ._elimination import ULP
+from ._ladders import Ladders, rounding
+
+Exact = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+"""Conductances (frames, N, M) in S to exact transfer conductances in S, and by how much each may be off"""
+
+_RADII = np.geomspace(1.5, 3000.0, 24)
+"""radii R that are tried"""
+
+
+class SequenceTransfer(NamedTuple):
+    """Transfer conductances of a sequence of frames."""
+
+    transfer: FloatArray
+    """(frames, N, M) S"""
+    error: FloatArray
+    """(frames,) S, by which no transfer conductance of a frame is off"""
+    solved: BoolArray
+    """(frames,) the knots: frames that were solved exactly"""
+
+
+def sequence_transfer(conductance: FloatArray, wires: Wires, exact: Exact, allowed: float) -> SequenceTransfer:
+    """Solve a sequence of frames exactly at as few of them as the error allows.
+
+    Args:
+        conductance: (frames, N, M) S, finite.
+        wires: of the grid.
+        exact: solves single frames.
+        allowed: S, by which the transfer conductances of the frames between knots may be off.
+
+    """
+    frames = len(conductance)
+    changing = np.flatnonzero((conductance != conductance[0]).reshape(frames, -1).any(axis=0))
+    if not len(changing):
+        transfer, error = exact(conductance[:1])
+        solved = np.zeros(frames, dtype=np.bool_)
+        solved[0] = True
+        return SequenceTransfer(np.repeat(transfer, frames, axis=0), np.repeat(error.max(), frames), solved)
+
+    highest = conductance.max(axis=0)
+    attenuated, relative = _attenuated(conductance, highest, changing, wires)
+    scale = float(relative * attenuated.max())
+    limits = _Limits.of(highest, wires, changing)
+    knots, between = _knots(conductance.reshape(frames, -1)[:, changing], limits, allowed - 2.0 * scale)
+
+    transfer, error = exact(conductance[knots])
+    missing = transfer - attenuated[knots]
+    result = attenuated
+    off = np.zeros(frames)
+    for number, (first, last) in enumerate(pairwise(knots)):
+        inside = slice(first + 1, last)
+        share = ((np.arange(first + 1, last) - first) / (last - first))[:, None, None]
+        result[inside] += missing[number] + share * (missing[number + 1] - missing[number])
+        off[inside] = between[number] + 2.0 * scale + error[number : number + 2].max()
+    result[knots] = transfer
+    off[knots] = error.max(axis=(1, 2))
+    solved = np.zeros(frames, dtype=np.bool_)
+    solved[knots] = True
+    return SequenceTransfer(result, off, solved)
+
+
+def _attenuated(
+    conductance: FloatArray, highest: FloatArray, changing: IntArray, wires: Wires
+) -> tuple[FloatArray, float]:
+    """A(G) of all frames (frames, N, M), and its relative rounding error.
+
+    The profile of a line changes only if one of its cells does. The lines without such a cell are solved once.
+    """
+    frames, rows, columns = conductance.shape
+    row, column = (np.unique(part) for part in np.divmod(changing, columns))
+    still_row, still_column = (part for part in wires.ladders(conductance[:1]))
+    profile, gain = still_row.profile.T, still_column.profile[::-1]
+
+    along = np.ascontiguousarray(conductance[:, row].transpose(2, 0, 1).reshape(columns, -1))
+    moving_row = Ladders.solve(np.tile(wires.row[row].T, (1, frames)), along).profile
+    across = np.ascontiguousarray(conductance[:, ::-1, column].transpose(1, 0, 2).reshape(rows, -1))
+    moving_column = Ladders.solve(np.tile(wires.column[::-1, column], (1, frames)), across).profile
+
+    result: FloatArray = conductance * profile
+    result[:, row] = conductance[:, row] * moving_row.reshape(columns, frames, -1).transpose(1, 2, 0)
+    into_columns = result[:, :, column] * moving_column.reshape(rows, frames, -1).transpose(1, 0, 2)[:, ::-1]
+    result *= gain
+    result[:, :, column] = into_columns
+    lowest = np.array([min(profile.min(), moving_row.min()), min(gain.min(), moving_column.min())])
+    relative = rounding(columns, lowest[:1]) + rounding(rows, lowest[1:]) + 8.0 * ULP
+    return result, float(relative[0])
+
+
+def _knots(values: FloatArray, limits: _Limits, allowed: float) -> tuple[IntArray, FloatArray]:
+    """Where to solve exactly, and the certified error in S between each knot and the next.
+
+    Args:
+        values: (frames, k) S of the cells that change.
+        limits: of the grid and these cells.
+        allowed: S.
+
+    """
+    frames = len(values)
+    starts, ends = np.array([0]), np.array([frames - 1])
+    found: list[tuple[int, int, float]] = []
+    while len(starts):
+        errors = np.array([limits.error(values[a : b + 1]) for a, b in zip(starts, ends, strict=True)])
+        good = (errors <= allowed) | (ends - starts <= 1)
+        found += zip(starts[good].tolist(), ends[good].tolist(), errors[good].tolist(), strict=True)
+        starts, ends = starts[~good], ends[~good]
+        middle = (starts + ends) // 2
+        starts, ends = np.concatenate([starts, middle]), np.concatenate([middle, ends])
+    found.sort()
+    knots = np.array([0] + [last for _, last, _ in found if last > 0], dtype=np.intp)
+    return knots, np.array([error for *_, error in found])
+
+
+@dataclass(frozen=True)
+class _Limits:
+    """What bounds E and its derivatives on one grid, for conductances up to G_high."""
+
+    rows: FloatArray
+    """(k, N) 1 where a changing cell lies in a row"""
+    columns: FloatArray
+    """(k, M)"""
+    to_driver: FloatArray
+    """(k,) ohm from each changing cell along its row to the driver"""
+    to_amplifier: FloatArray
+    """(k,) ohm"""
+    row_loss: float
+    """largest of sum_m R G over the rows, R the resistance to the driver: bounds the norm of K G of a row"""
+    column_loss: float
+    row_sum: float
+    """S, largest sum of the conductances of a row"""
+    column_sum: float
+    lift: float
+    """largest G R over all cells, R the resistance to the amplifier: volts that a column is lifted by"""
+    back_lift: float
+    """the same for the rows, lifted from the columns' ends"""
+    row_drop: float
+    """r: largest loss along a row, as a share"""
+    column_drop: float
+    """c"""
+
+    @classmethod
+    def of(cls, highest: FloatArray, wires: Wires, changing: IntArray) -> Self:
+        """``highest`` is G_high (N, M) in S; ``changing`` are indices into it, flattened."""
+        n_rows, n_columns = highest.shape
+        row, column = wires.ladders(highest[None])
+        row_of, column_of = np.divmod(changing, n_columns)
+        return cls(
+            rows=np.eye(n_rows)[row_of],
+            columns=np.eye(n_columns)[column_of],
+            to_driver=wires.to_driver.flat[changing],
+            to_amplifier=wires.to_amplifier.flat[changing],
+            row_loss=float((wires.to_driver * highest).sum(axis=1).max()),
+            column_loss=float((wires.to_amplifier * highest).sum(axis=0).max()),
+            row_sum=float(highest.sum(axis=1).max()),
+            column_sum=float(highest.sum(axis=0).max()),
+            lift=float((wires.to_amplifier * highest).max()),
+            back_lift=float((wires.to_driver * highest).max()),
+            row_drop=float(1.0 - row.profile.min()),
+            column_drop=float(1.0 - column.profile.min()),
+        )
+
+    def error(self, values: FloatArray) -> float:
+        """S by which E is off between the first and the last of ``values`` (frames, k) in S, interpolated linearly."""
+        if len(values) <= 2:
+            return 0.0
+        share = np.linspace(0.0, 1.0, len(values))[1:-1, None]
+        straight = values[0] + share * (values[-1] - values[0])
+        apart = np.abs(values[1:-1] - straight)
+        return SLACK * (self._curvature(0.5 * np.abs(values[-1] - values[0])) + self._distance(apart))
+
+    def _distance(self, apart: FloatArray) -> float:
+        """For conductances that are ``apart`` (frames, k) S from the straight line."""
+        returned = 1.0 - self.row_drop * self.column_drop
+        if returned <= 0.0:
+            return np.inf
+        lift, back = self.lift / returned, self.back_lift / returned  # W and U
+        of_row, of_column = (apart @ self.rows).max(), (apart @ self.columns).max()
+        in_all = apart.sum(axis=1).max()
+        return float(
+            back * (self.column_drop + lift) * of_row + lift * (self.row_drop + back) * of_column + lift * back * in_all
+        )
+
+    def _curvature(self, half: FloatArray) -> float:
+        """For conductances that move by ``half`` (k,) S to both sides of the middle."""
+        row_loss = self.row_loss + _RADII * ((half * self.to_driver) @ self.rows).max()
+        column_loss = self.column_loss + _RADII * ((half * self.to_amplifier) @ self.columns).max()
+        inside = (row_loss < 1.0) & (column_loss < 1.0)
+        row_kept, column_kept = np.where(inside, 1.0 - row_loss, 1.0), np.where(inside, 1.0 - column_loss, 1.0)
+        into_rows, into_columns = row_loss / row_kept, column_loss / column_kept
+        inside &= into_rows * into_columns < 1.0
+        endless = 1.0 / np.where(inside, 1.0 - into_rows * into_columns, 1.0)
+        lift = (self.lift + _RADII * (half * self.to_amplifier).max()) / (row_kept * column_kept)
+        back = (self.back_lift + _RADII * (half * self.to_driver).max()) / (row_kept * column_kept)
+        column_sum = self.column_sum + _RADII * (half @ self.columns).max()
+        row_sum = self.row_sum + _RADII * (half @ self.rows).max()
+        forth = column_sum / column_kept * into_rows * lift
+        reverse = row_sum / row_kept * into_columns * back
+        most = np.minimum(forth, reverse) * endless
+        error = most * _RADII / ((_RADII - 1.0) ** 2 * (_RADII + 1.0))
+        return float(np.min(error, where=inside, initial=np.inf))

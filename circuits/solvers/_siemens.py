@@ -1,0 +1,16 @@
+"""Ohm to siemens, for every solver alike."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import FloatArray
+
+_WIRE = 1e60  # S
+
+
+def siemens(ohms: FloatArray | float) -> FloatArray:
+    """Conductances in S; what is below 1e-60 ohm is a wire, since products of larger conductances would overflow."""
+    with np.errstate(divide="ignore", over="ignore"):
+        conductance = np.divide(1.0, ohms)
+    return conductance if conductance.max(initial=0.0) <= _WIRE else np.where(conductance > _WIRE, np.inf, conductance)

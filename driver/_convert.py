@@ -1,0 +1,136 @@
+"""Measurement chain: counts to ohms (circuit model inverted) to kPa (causal estimator), frame by frame in order."""
+
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import BoolArray, FloatArray
+from ..cell import Cell, Estimator
+from ..circuits import Design
+from ._contacts import ContactsOfFrames, ContactTracker, PressureView
+from ._mailbox import Mailbox
+from ._reading import CountReader
+from ._statistics import Counters
+from ._stream import RawFrame
+
+T = TypeVar("T", bound=np.generic)
+
+KEEP_STATE_S = 60.0
+"""after a longer gap the estimator starts anew: what the skin bore meanwhile is not to be guessed"""
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """What one frame says about the cells. Arrays are (rows, columns) and read-only."""
+
+    valid: BoolArray
+    resistance: FloatArray
+    """ohm"""
+    pressure: FloatArray
+    """kPa"""
+    pressure_std: FloatArray
+    """kPa"""
+    view: PressureView
+    estimator_starts: int
+    """times that the estimator has begun without memory, up to this frame"""
+
+
+class Converter:
+    """Turns frames into measurements, each at most once, and in the order in which they came.
+
+    The estimator sees the frames that are taken, with the time between them. Frames that nobody takes cost nothing.
+    """
+
+    def __init__(
+        self, design: Design, cell: Cell | None, estimator: str | None, pitch_m: float, counters: Counters
+    ) -> None:
+        """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
+
+        Raises:
+            ProtocolError: the design has no ADC.
+            InputError: there is no such estimator for this cell.
+
+        """
+        self.design = design
+        self.cell = cell
+        self._estimator_name = estimator
+        self._counters = counters
+        self._read = CountReader(design)
+        self._lock = threading.RLock()
+        self._rest_ohm: FloatArray | None = None
+        self._starts = 0
+        self._estimator = self._new_estimator()
+        full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
+        self.contacts = ContactsOfFrames(ContactTracker(design.array.shape, pitch_m, full_scale_kpa))
+        self._last: RawFrame | None = None
+        self._measured: dict[int, Measurement] = {}
+
+    def try_out(self) -> None:
+        """Convert a frame of mid-scale counts, for what shows only then: absurd values, and the cost of setting up."""
+        adc = self.design.adc
+        assert adc is not None, "CountReader refuses designs without an ADC"
+        counts = np.full(self.design.array.shape, 2 ** (adc.bits - 1), dtype=np.uint16)
+        reading = self._read(counts)
+        if self.cell is not None:
+            self._fresh_estimator().update(0.0, reading.resistance)
+
+    def use_rest(self, rest_ohm: FloatArray | None) -> None:
+        """Take these rest resistances (rows, columns) from now on, None those of the data sheet; memory is dropped."""
+        with self._lock:
+            self._rest_ohm = rest_ohm
+            self._estimator = self._new_estimator()
+
+    def measure(self, frame: RawFrame, mailbox: Mailbox) -> Measurement | None:
+        """The measurement of ``frame``, and of those before it that are still queued.
+
+        Returns:
+            None where a later frame has been converted already and this one was not.
+
+        Raises:
+            ProtocolError: the counts do not fit the design.
+
+        """
+        with self._lock:
+            done = 0 if self._last is None else self._last.index
+            if frame.index > done:
+                for queued in [*mailbox.between(done, frame.index), frame]:
+                    self._measured[queued.index] = self._convert(queued)
+                passed = mailbox.passed()
+                self._measured = {k: value for k, value in self._measured.items() if k > passed or k == frame.index}
+            return self._measured.get(frame.index)
+
+    def _convert(self, frame: RawFrame) -> Measurement:
+        gap_s = 0.0 if self._last is None else frame.time_s - self._last.time_s
+        self._last = frame
+        reading = self._read(frame.counts)
+        self._counters.converted += 1
+        self._counters.unsolved += not reading.solved
+        if gap_s > KEEP_STATE_S:
+            self._estimator = self._new_estimator()
+        pressure = std = np.full(frame.counts.shape, np.nan)
+        if self._estimator is not None:
+            estimate = self._estimator.update(frame.time_s, reading.resistance)
+            pressure = estimate.pressure_kpa
+            std = std if estimate.std_kpa is None else estimate.std_kpa
+        view = PressureView(frame.time_s, _read_only(pressure), _read_only(std))
+        self.contacts.pass_by(view)
+        return Measurement(_read_only(reading.valid), _read_only(reading.resistance), pressure, std, view, self._starts)
+
+    def _new_estimator(self) -> Estimator | None:
+        self._starts += 1
+        return None if self.cell is None else self._fresh_estimator()
+
+    def _fresh_estimator(self) -> Estimator:
+        assert self.cell is not None
+        shape = self.design.array.shape
+        return self.cell.estimator(shape, self._estimator_name, rest_resistance_ohm=self._rest_ohm)
+
+
+def _read_only(array: NDArray[T]) -> NDArray[T]:
+    array.flags.writeable = False
+    return array

@@ -1,0 +1,106 @@
+"""Finding boards: every serial port is asked whether a board is behind it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+from ..errors import LinkError, OhmskinError
+from ..wire import Family, FramePacket, Identity, Order, board_family, host_protocol
+from ._port import open_port, serial_ports, usb_serial_number
+
+
+@dataclass(frozen=True, slots=True)
+class FoundBoard:
+    """A port, and the board behind it."""
+
+    port: str
+    """name to open"""
+    serial_number: str
+    """as the board says; empty where its family has no such packet"""
+    firmware: str
+    rows: int
+    columns: int
+    usb_serial_number: str | None
+    """of the USB device that the port belongs to"""
+
+
+def discover(
+    ports: Iterable[str] | None = None, *, board: str | Family = "ohmskin", timeout: float = 1.5
+) -> list[FoundBoard]:
+    """The boards that answer, by serial number.
+
+    Every port is opened for a moment, all at the same time. Ports that are in use, and ports where nothing answers in
+    the language of the family, are left out.
+
+    Args:
+        ports: names to look at; None: all serial ports that the operating system lists.
+        board: family of the boards.
+        timeout: s to wait for an answer.
+
+    Raises:
+        InputError: there is no such family.
+
+    """
+    board_family(board)
+    names = list(serial_ports() if ports is None else ports)
+    if not names:
+        return []
+    with ThreadPoolExecutor(max_workers=min(len(names), 32)) as pool:
+        answers = pool.map(lambda name: _ask(name, board, timeout), names)
+        found = [answer for answer in answers if answer is not None]
+    return sorted(found, key=lambda entry: (entry.serial_number, entry.port))
+
+
+def find_board(serial_number: str, ports: Iterable[str] | None = None, *, board: str | Family = "ohmskin") -> str:
+    """The port of the board with this serial number, of its own or of its USB device.
+
+    Raises:
+        LinkError: there is none; the message lists those that are there.
+
+    """
+    found = discover(ports, board=board)
+    for entry in found:
+        if serial_number in (entry.serial_number, entry.usb_serial_number):
+            return entry.port
+    present = ", ".join(f"{entry.serial_number or '?'} at {entry.port}" for entry in found) or "none"
+    raise LinkError(f"no board with serial number {serial_number}; boards present: {present}")
+
+
+def _ask(name: str, board: str | Family, timeout_s: float) -> FoundBoard | None:
+    """The board behind one port, or None."""
+    family, protocol = board_family(board), host_protocol(board)
+    try:
+        port = open_port(name, baudrate=family.baud_rate, dtr=family.dtr, rts=family.rts)
+    except LinkError:
+        return None
+    try:
+        deadline = time.monotonic() + timeout_s
+        ask_at = 0.0
+        while (now := time.monotonic()) < deadline:
+            if now >= ask_at:
+                for order in (Order.IDENTIFY, Order.ONE_FRAME) if family.polled else (Order.IDENTIFY, Order.START):
+                    port.write(protocol.request(order))
+                ask_at = now + timeout_s / 3
+            port.wait(min(ask_at, deadline) - now)
+            arrival = port.read()
+            for event in protocol.feed(arrival.data, arrival.received_at):
+                match event:
+                    case Identity():
+                        return FoundBoard(
+                            name,
+                            event.serial_number,
+                            event.firmware,
+                            event.rows,
+                            event.columns,
+                            usb_serial_number(name),
+                        )
+                    case FramePacket() if not family.has_description:
+                        return FoundBoard(name, "", "", event.rows, event.columns, usb_serial_number(name))
+    except OhmskinError:
+        return None
+    finally:
+        port.close()
+    return None

@@ -1,0 +1,73 @@
+"""``Frame``: one scan of the skin, as the driver hands it out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import AnyArray, BoolArray, FloatArray
+from ._contacts import Contact
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One scan of the skin. Arrays are (rows, columns) and read-only."""
+
+    sequence: int | None
+    """the board's number of this frame, modulo 2**32; None: the board does not number its frames"""
+    device_time: float | None
+    """s on the board's clock, from its start to the start of this scan; None: the board tells no time"""
+    host_time: float
+    """s since the epoch at which the frame's last byte came, delays of line and operating system taken out"""
+    monotonic_time: float
+    """the same moment in s on the clock of :func:`time.monotonic`, which is never set"""
+    lost_before: int | None
+    """frames that the line or the board lost since the frame that was taken before this one; None: not known"""
+    skipped_before: int
+    """frames that came in that time and were not taken, because their reader was slower than the board"""
+    overrun: bool
+    """the board said, since the frame taken before, that it dropped frames because the host read too slowly"""
+    reconnected: bool
+    """the port was opened anew since the frame taken before"""
+    rebooted: bool
+    """the board started anew since the frame taken before"""
+    estimator_restarted: bool
+    """the estimator has no memory of earlier frames: the first frame, after a tare, or after a gap above 60 s"""
+    counts: NDArray[np.uint16]
+    """as the board sent them"""
+    valid: BoolArray
+    """where ``resistance`` is a measurement: not clipped, and known to 1 % or one ADC step, whichever is more"""
+    resistance: FloatArray
+    """ohm of the cells, with what the circuit adds taken out; NaN where not valid"""
+    pressure: FloatArray
+    """kPa, estimated from this and earlier frames; where not valid the last estimate, NaN before the first"""
+    pressure_std: FloatArray
+    """kPa, standard deviation of ``pressure``; NaN where the estimator states none"""
+    _contacts: Callable[[], tuple[Contact, ...]] = field(repr=False)
+    _now: Callable[[], float] = field(repr=False)
+
+    @property
+    def age(self) -> float:
+        """Seconds from the frame's arrival until now. For a recording, now is the recording's present time."""
+        return self._now() - self.monotonic_time
+
+    @property
+    def contacts(self) -> tuple[Contact, ...]:
+        """What touches the skin, the largest force first. Computed when asked for; ids last from frame to frame."""
+        return self._contacts()
+
+    def as_dict(self) -> dict[str, AnyArray]:
+        """All fields as NumPy arrays: those per cell (rows, columns), the others without axes.
+
+        Missing numbers are NaN, missing counts (``sequence``, ``lost_before``) are -1. ``age`` is that of the call.
+        """
+        values: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self) if item.name[0] != "_"}
+        for name in ("sequence", "lost_before"):
+            values[name] = -1 if values[name] is None else values[name]
+        values["device_time"] = np.nan if self.device_time is None else self.device_time
+        values["age"] = self.age
+        return {name: np.asarray(value) for name, value in values.items()}

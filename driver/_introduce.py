@@ -1,0 +1,151 @@
+"""What a board says of itself, checked against limits before anything is computed from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, TypeVar
+
+from ..cell import Cell
+from ..circuits import Design
+from ..config import parse
+from ..errors import InputError, ProtocolError
+from ..wire import Description, Family, Identity
+
+S = TypeVar("S", Design, Cell)
+
+MOST_CELLS = 256 * 256
+"""the inverse of a larger array takes more than seconds and gigabytes"""
+MOST_CONTINUOUS_CELLS = 32 * 32
+"""an uncut sheet is cut into finer pieces for computing"""
+MOST_FINE_PIECES = 512 * 512
+LARGEST, SMALLEST = 1e30, 1e-30
+"""magnitudes of all finite quantities that are not 0; products of several must not overflow"""
+MOST_ITEMS = 100_000
+LONGEST_TEXT = 1000
+
+
+class Introduction:
+    """What is known of the board: what its packets said, and what the caller gave instead."""
+
+    def __init__(self, family: Family, port_name: str, design: Design | None, cell: Cell | None) -> None:
+        self.family = family
+        self.port_name = port_name
+        self.identity: Identity | None = None
+        self.description: Description | None = None
+        self._given = design, cell
+
+    @property
+    def serial_number(self) -> str:
+        """The board's serial number; empty where it does not say."""
+        return "" if self.identity is None else self.identity.serial_number
+
+    @property
+    def complete(self) -> bool:
+        """Whether all is known that the board will say."""
+        if self.description is not None or not self.family.has_description or None not in self._given:
+            return True
+        return self.identity is not None and not self.identity.description_bytes
+
+    def hear(self, event: Identity | Description) -> None:
+        """Take a packet.
+
+        Raises:
+            ProtocolError: the board describes itself differently than before, or exceeds the limits.
+
+        """
+        if isinstance(event, Identity):
+            self.identity = event
+            return
+        before, self.description = self.description, event
+        if before is None:
+            check_limits(event, self.port_name)
+        elif (before.design, before.cell) != (event.design, event.cell) and None in self._given:
+            raise ProtocolError(
+                f"{self.port_name}: the board describes itself differently than before; open the skin again"
+            )
+
+    def design(self) -> Design:
+        """The design of the readout: as given, as described, or as usual for the family.
+
+        Raises:
+            InputError: none of them is known.
+            ProtocolError: the description is not valid.
+
+        """
+        given = self._given[0]
+        if given is not None:
+            return given
+        if self.description is not None and self.description.design is not None:
+            design = self._parsed("design", self.description.design, Design)
+            _check_size(design, self.port_name)
+            return design
+        if self.family.design is not None:
+            return parse(self.family.design, Design, source=f"design of {self.family.name}")
+        raise InputError(f"{self.port_name}: the board does not describe its readout; pass design=Design.load(...)")
+
+    def cell(self) -> Cell | None:
+        """The cell: as given or as described; None where neither is known. Raises ProtocolError."""
+        given = self._given[1]
+        if given is not None or self.description is None or self.description.cell is None:
+            return given
+        return self._parsed("cell", self.description.cell, Cell)
+
+    def _parsed(self, key: str, tables: Mapping[str, Any], kind: type[S]) -> S:
+        try:
+            return parse(tables, kind, source=key)
+        except InputError as error:
+            raise self.refused(error) from error
+
+    def refused(self, error: Exception) -> ProtocolError:
+        """The error for a description that cannot be used."""
+        return ProtocolError(f"{self.port_name}: the board describes itself wrongly: {error}")
+
+
+def check_limits(description: Description, name: str) -> None:
+    """Refuse a description whose values no board has.
+
+    Raises:
+        ProtocolError: a number, text or list is too large.
+
+    """
+    items = 0
+    queue: list[tuple[str, Any]] = [("design", description.design), ("cell", description.cell)]
+    while queue:
+        where, value = queue.pop()
+        items += 1
+        fault = _fault(value) if items <= MOST_ITEMS else f"has more than {MOST_ITEMS} entries"
+        if fault:
+            raise ProtocolError(f"{name}: the board describes itself wrongly: {where} {fault}")
+        match value:
+            case Mapping():
+                queue += [(f"{where}.{key}"[:200], item) for key, item in value.items()]
+            case list() | tuple():
+                queue += [(f"{where}[{k}]", item) for k, item in enumerate(value[: MOST_ITEMS + 1])]
+
+
+def _fault(value: Any) -> str:
+    match value:
+        case bool():
+            return ""
+        case int() if abs(value) >= 2**63:
+            return "is an integer of more than 63 bits"
+        case float() if math.isnan(value):
+            return "is no number"
+        case int() | float() if value != 0 and not math.isinf(value) and not SMALLEST <= abs(value) <= LARGEST:
+            return f"is {value:g}; expected 0, infinite, or a magnitude of {SMALLEST:g} ... {LARGEST:g}"
+        case str() if len(value) > LONGEST_TEXT:
+            return f"is a text of {len(value)} characters; expected at most {LONGEST_TEXT}"
+    return ""
+
+
+def _check_size(design: Design, name: str) -> None:
+    rows, columns = design.array.shape
+    continuous = design.array.sheet == "continuous"
+    most = MOST_CONTINUOUS_CELLS if continuous else MOST_CELLS
+    fine = rows * columns * design.sheet.divisions**2 if continuous else 0
+    if rows * columns > most or fine > MOST_FINE_PIECES:
+        sheet = "a continuous sheet" if continuous else "an array"
+        raise ProtocolError(
+            f"{name}: the board describes {sheet} of {rows} x {columns} cells; at most {most} are driven"
+        )

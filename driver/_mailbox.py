@@ -1,0 +1,155 @@
+"""Hand-over of frames from the reader thread to those who take them: a bounded queue with one writer, many readers."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from ..errors import LinkError, OhmskinError
+from ._stream import RawFrame
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """A frame that could not be taken. Every taker is told once."""
+
+    number: int
+    """from 1"""
+    error: OhmskinError
+    after: int
+    """number of the last frame that came before it"""
+
+
+@dataclass(slots=True, eq=False)
+class Place:
+    """How far one taker has got."""
+
+    index: int
+    """of the last frame that the taker has passed"""
+
+
+class Mailbox:
+    """The newest frames that came. Takers keep their own place, so that they do not disturb each other.
+
+    All attributes are read and written with ``condition`` held.
+    """
+
+    def __init__(self, capacity: int, *, drops_oldest: bool = True) -> None:
+        self.condition = threading.Condition()
+        self.capacity = capacity
+        self.newest: RawFrame | None = None
+        self.fault = Fault(0, LinkError("none"), 0)
+        self.end: OhmskinError | None = None
+        """why no frame will come any more"""
+        self.away: str | None = None
+        """why the port is gone at present, while the driver tries to open it again"""
+        self._drops_oldest = drops_oldest
+        self._frames: deque[RawFrame] = deque()
+        self._places: list[Place] = []
+        self._wakers: list[Callable[[], None]] = []
+
+    def put(self, frame: RawFrame) -> None:
+        """Let ``frame`` be the newest; the oldest is dropped where the queue is full."""
+        with self.condition:
+            self.newest = frame
+            self.away = None
+            self._frames.append(frame)
+            if self._drops_oldest and len(self._frames) > self.capacity:
+                self._frames.popleft()
+            self._tell()
+
+    def report(self, error: OhmskinError) -> None:
+        """Let every taker know of a fault after which frames go on."""
+        with self.condition:
+            after = 0 if self.newest is None else self.newest.index
+            self.fault = Fault(self.fault.number + 1, error, after)
+            self._tell()
+
+    def set_away(self, reason: str | None) -> None:
+        """Let takers know that the port is gone and may come back, or is back (None)."""
+        with self.condition:
+            self.away = reason
+            self._tell()
+
+    def finish(self, error: OhmskinError) -> None:
+        """Let takers know that no frame will come any more. The first reason counts."""
+        with self.condition:
+            self.end = self.end or error
+            self._tell()
+
+    def close(self, error: OhmskinError) -> None:
+        """Drop what is queued, and let takers know that they get no more."""
+        with self.condition:
+            self._frames.clear()
+            self.newest = None
+            self.end = error
+            self._tell()
+
+    def after(self, index: int) -> RawFrame | None:
+        """The oldest frame beyond ``index``; None where there is none yet."""
+        if not self._frames or self._frames[-1].index <= index:
+            return None
+        return self._frames[max(index + 1 - self._frames[0].index, 0)]
+
+    def between(self, index: int, end: int) -> list[RawFrame]:
+        """The frames beyond ``index`` and before ``end``, in order."""
+        with self.condition:
+            return [frame for frame in self._frames if index < frame.index < end]
+
+    def join(self, index: int) -> Place:
+        """A place for a new taker, who has no use for frames up to ``index``."""
+        with self.condition:
+            place = Place(index)
+            self._places.append(place)
+            return place
+
+    def leave(self, place: Place) -> None:
+        """Forget a taker."""
+        with self.condition:
+            if place in self._places:
+                self._places.remove(place)
+            self._drop_passed()
+
+    def move(self, place: Place, index: int) -> None:
+        """Note that a taker has passed frame ``index``. Frames that all takers have passed are dropped."""
+        with self.condition:
+            place.index = max(place.index, index)
+            self._drop_passed()
+
+    def passed(self) -> int:
+        """Number of the last frame that all takers have passed; 0 where there are none."""
+        with self.condition:
+            return min((place.index for place in self._places), default=0)
+
+    def _drop_passed(self) -> None:
+        passed = min((place.index for place in self._places), default=0)
+        while self._frames and self._frames[0].index <= passed:
+            self._frames.popleft()
+        self.condition.notify_all()
+
+    def is_full(self) -> bool:
+        """Whether the queue has no room."""
+        with self.condition:
+            return len(self._frames) >= self.capacity
+
+    def wait_for_room(self, timeout_s: float) -> None:
+        """Wait until the queue has room, for at most ``timeout_s``."""
+        with self.condition:
+            self.condition.wait_for(lambda: len(self._frames) < self.capacity or self.end is not None, timeout_s)
+
+    def add_waker(self, waker: Callable[[], None]) -> None:
+        """Let ``waker`` be called, from the reader thread, whenever something is new."""
+        with self.condition:
+            self._wakers.append(waker)
+
+    def remove_waker(self, waker: Callable[[], None]) -> None:
+        """End what :meth:`add_waker` began."""
+        with self.condition:
+            self._wakers.remove(waker)
+
+    def _tell(self) -> None:
+        self.condition.notify_all()
+        for waker in self._wakers:
+            waker()

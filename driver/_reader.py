@@ -1,0 +1,308 @@
+"""The reader thread: drains the port, follows the board over reconnections, and hands frames to the mailbox."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
+from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
+from ._introduce import Introduction
+from ._mailbox import Mailbox
+from ._port import Arrival, BytePort
+from ._reconnect import attempts
+from ._statistics import Counters
+from ._stream import FrameStream
+
+ASK_AGAIN_S = 0.5
+"""a board that sends nothing for so long is asked again"""
+PROOF_S = 3.0
+"""after a reconnection: how long a board may take to show that it is the same one"""
+MOST_READS = 64
+"""in one turn, so that a board that never pauses cannot hold a taker up"""
+MOST_UNPROVEN = 1000
+"""frames kept until then"""
+JOIN_S = 2.0
+"""how long closing waits for the thread, which may be about to open a port"""
+
+
+class Reader:
+    """Reads one board in a thread of its own, from opening to closing.
+
+    The port is read by the thread, which waits for it, and by takers, who let what has come be read before they look
+    for a frame (:meth:`poll`): Python may keep the thread from running for some milliseconds.
+    """
+
+    def __init__(
+        self,
+        port: BytePort,
+        *,
+        protocol: Callable[[], HostProtocol],
+        introduction: Introduction,
+        mailbox: Mailbox,
+        counters: Counters,
+        lossless: bool,
+        reopen: Callable[[], BytePort] | None,
+        reconnect_s: float,
+    ) -> None:
+        self.port_name = port.name
+        self.introduction = introduction
+        self.introduced = threading.Event()
+        self.stream = FrameStream(port.name, counters)
+        self.taps: list[Callable[[Arrival], None]] = []
+        """told of all bytes that arrive, as they arrive: for a recorder"""
+        self._port: BytePort | None = port
+        self._family: Family = introduction.family
+        self._new_protocol = protocol
+        self._protocol = protocol()
+        self._mailbox, self._counters = mailbox, counters
+        self._lossless = lossless
+        self._reopen, self._reconnect_s = reopen, reconnect_s
+        self._reading = threading.RLock()
+        """held by who reads from the port, writes to it, or replaces it"""
+        self._stop = threading.Event()
+        self._heard = False
+        """a frame has come since the board was last asked"""
+        self._proof_until = float("inf")
+        """set while the board has yet to show that it is the one from before"""
+        self._unproven: deque[tuple[FramePacket, Arrival]] = deque(maxlen=MOST_UNPROVEN)
+        """frames that came meanwhile"""
+        self._away_since: float | None = None
+        self._received, self._reason = 0, "no end of a packet"
+        """bytes since the last frame, and why the last of them were no packet"""
+        self._thread = threading.Thread(target=self._run, name=f"ohmskin reader {port.name}", daemon=True)
+
+    def start(self) -> None:
+        """Begin to read."""
+        self._thread.start()
+
+    def await_introduction(self, timeout_s: float) -> None:
+        """Wait until the board has said all that is needed of it.
+
+        Raises:
+            LinkTimeout: the board is silent.
+            ProtocolError: it sends something else than packets, or a description beyond the limits.
+            LinkError: the port is gone.
+
+        """
+        if not self.introduced.wait(timeout_s):
+            raise self.nothing_came("description", timeout_s)
+        if not self.introduction.complete:
+            end = self._mailbox.end
+            raise LinkError(f"{self.port_name}: closed") if end is None else end
+
+    def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
+        """The error for a wait that brought nothing of the kind wanted."""
+        where = f"{self.port_name}: no {what} within {timeout_s:g} s"
+        if self._mailbox.away is not None:
+            return LinkTimeout(f"{where}: {self._mailbox.away}; trying to open the port again")
+        if not self._received:
+            return LinkTimeout(f"{where}: the port is silent")
+        if self._reason:
+            return ProtocolError(
+                f"{where}: {self._received} bytes came, the last of them no packet ({self._reason}); "
+                f"expected a board of family '{self._family.name}', at this baud rate"
+            )
+        return LinkTimeout(f"{where}: the board is there, but sends none")
+
+    def poll(self) -> None:
+        """Read what has come. What is wrong with the port is left for the thread to find."""
+        with contextlib.suppress(OhmskinError):
+            self._read()
+
+    def now(self) -> float:
+        """Present time on the clock of the port."""
+        port = self._port
+        return time.monotonic() if port is None else port.now()
+
+    def send(self, order: Order, *, period_us: int = 0) -> None:
+        """Give an order to the board.
+
+        Raises:
+            LinkError: the port is gone, or the line is full.
+
+        """
+        with self._reading:
+            if self._port is None:
+                raise LinkError(f"{self.port_name}: the board is away")
+            data = self._protocol.request(order, period_us=period_us)
+            if data:
+                self._port.write(data)
+
+    def stop(self) -> None:
+        """End the thread, which closes the port. From another thread or from a callback."""
+        self._stop.set()
+        port = self._port
+        if port is not None:
+            port.interrupt()
+        self._mailbox.close(LinkEnded(f"{self.port_name}: the skin is closed"))
+        if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join(JOIN_S)
+
+    def _run(self) -> None:
+        try:
+            self._live()
+        except OhmskinError as error:
+            self._mailbox.finish(error)
+        except BaseException as error:
+            self._mailbox.finish(LinkError(f"{self.port_name}: the reader thread failed: {error!r}"))
+            raise
+        finally:
+            self._release()
+            self.introduced.set()
+
+    def _live(self) -> None:
+        """Serve the port, again and again as long as it comes back."""
+        while not self._stop.is_set():
+            try:
+                self._serve()
+                return
+            except LinkEnded:
+                raise
+            except LinkError as error:
+                if self._stop.is_set() or self._reopen is None or not self.introduced.is_set():
+                    raise
+                self._release()
+                self._connect_again(error)
+
+    def _serve(self) -> None:
+        """Read the port until the end."""
+        port = self._port
+        assert port is not None
+        if self.introduction.complete:
+            self.introduced.set()
+        self._ask()
+        ask_at = time.monotonic() + ASK_AGAIN_S
+        while not (self._stop.is_set() or self._mailbox.end):
+            if self._lossless and self._mailbox.is_full():
+                self._mailbox.wait_for_room(ASK_AGAIN_S)
+                ask_at = time.monotonic() + ASK_AGAIN_S
+                continue
+            if port.wait(ask_at - time.monotonic()):
+                self._read()
+            now = time.monotonic()
+            if now > self._proof_until:
+                raise LinkError(f"{port.name}: the board there does not show that it is the one from before")
+            if self._heard and self._proof_until == float("inf"):
+                ask_at, self._heard = now + ASK_AGAIN_S, False
+            elif now >= ask_at:
+                self._ask()
+                ask_at = now + ASK_AGAIN_S
+
+    def _ask(self) -> None:
+        orders = [Order.IDENTIFY, Order.DESCRIBE, Order.START]
+        if self._family.polled:
+            orders.append(Order.ONE_FRAME)
+        for order in orders:
+            self.send(order)
+
+    def _read(self) -> None:
+        with self._reading:
+            for _ in range(MOST_READS):
+                if self._port is None or (self._lossless and self._mailbox.is_full()):
+                    return
+                arrival = self._port.read()
+                if not arrival.data:
+                    return
+                self._received += len(arrival.data)
+                for tap in self.taps:
+                    tap(arrival)
+                for event in self._protocol.feed(arrival.data, arrival.received_at):
+                    self._handle(event, arrival)
+
+    def _handle(self, event: Event, arrival: Arrival) -> None:
+        self._reason = event.reason if isinstance(event, Corrupt) else ""
+        match event:
+            case Corrupt():
+                self.stream.corrupt(event)
+            case Identity() | Description():
+                self._get_to_know(event)
+            case FramePacket():
+                self._heard = True
+                self._hear(event, arrival)
+                if self._family.polled:
+                    self.send(Order.ONE_FRAME)
+
+    def _hear(self, packet: FramePacket, arrival: Arrival) -> None:
+        if not self.introduction.complete:
+            following = None if packet.sequence is None else (packet.sequence + 1) % 2**32
+            self.stream.announce(following, packet.boot_id)
+            return
+        if self._proof_until < float("inf"):
+            if self.introduction.identity is not None:
+                self._unproven.append((packet, arrival))
+                return
+            # A board that cannot say who it is is known by its port.
+            self._prove()
+        self._take(packet, arrival)
+
+    def _take(self, packet: FramePacket, arrival: Arrival) -> None:
+        try:
+            frame = self.stream.take(packet, arrival)
+        except ProtocolError as error:
+            self._mailbox.report(error)
+            return
+        self._received = 0
+        if frame is not None:
+            self._mailbox.put(frame)
+        if packet.flags & Flag.LAST:
+            self._mailbox.finish(LinkEnded(f"{self.port_name}: the board has come to the end of its frames"))
+            assert self._port is not None
+            self._port.interrupt()
+
+    def _get_to_know(self, event: Identity | Description) -> None:
+        """Take what the board says of itself; after a reconnection, compare it with what it said before."""
+        before = self.introduction.identity
+        if isinstance(event, Identity) and self._proof_until < float("inf") and before is not None:
+            if event.serial_number != before.serial_number:
+                raise LinkError(
+                    f"{self.port_name}: board {event.serial_number} is there; expected {before.serial_number}"
+                )
+            self._prove()
+        try:
+            self.introduction.hear(event)
+        except ProtocolError as error:
+            self._mailbox.finish(error)
+            raise
+        self.stream.announce(event.sequence, event.boot_id)
+        if self.introduction.complete:
+            self.introduced.set()
+
+    def _prove(self) -> None:
+        """The board there is the one from before."""
+        self._proof_until = float("inf")
+        self._away_since = None
+        self._counters.reconnects += 1
+        self._mailbox.set_away(None)
+        unproven, self._unproven = self._unproven, deque(maxlen=MOST_UNPROVEN)
+        for packet, arrival in unproven:
+            self._take(packet, arrival)
+
+    def _connect_again(self, error: LinkError) -> None:
+        """Open the port again; raises LinkError when it has not come back in time."""
+        assert self._reopen is not None
+        if self._away_since is None:
+            self._away_since = time.monotonic()
+            self._mailbox.set_away(str(error))
+        left_s = self._reconnect_s - (time.monotonic() - self._away_since)
+        for _ in attempts(left_s, self._stop.wait):
+            try:
+                port = self._reopen()
+            except LinkError:
+                continue
+            with self._reading:
+                self._port = port
+                self._protocol = self._new_protocol()
+                self._unproven.clear()
+                self._proof_until = time.monotonic() + PROOF_S
+            return
+        raise LinkError(f"{error}; it has not come back within {self._reconnect_s:g} s")
+
+    def _release(self) -> None:
+        with self._reading:
+            if self._port is not None:
+                self._port.close()
+                self._port = None

@@ -1,0 +1,101 @@
+"""Link statistics: what came, what was lost, and how old frames were when they were taken."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+KEPT = 1000
+"""frames over which rate, age and jitter are stated"""
+PERCENTS = (50, 95, 99, 100)
+
+
+@dataclass(frozen=True, slots=True)
+class LinkStatistics:
+    """A snapshot of :meth:`Skin.stats`. Counts are since the skin was opened."""
+
+    frames: int
+    """frames that came intact"""
+    lost: int | None
+    """frames lost on the line or by the board; None: the board does not number its frames"""
+    overruns: int
+    """times that the board said it had dropped frames because the host read too slowly"""
+    corrupt: int
+    """stretches of bytes that were no packets"""
+    resyncs: int
+    """times that packets followed such stretches again"""
+    reconnects: int
+    """times that the port was opened anew"""
+    reboots: int
+    """times that the board started anew"""
+    duplicates: int
+    """frames that came a second time, and were dropped"""
+    skipped: int
+    """frames that no reader of the skin took"""
+    unsolved: int
+    """frames whose readings no cell resistances can give; many of them say that the design is not that of the board"""
+    rate_hz: float
+    """frames per second of the board's time, over the last 1000 frames; NaN before the second frame"""
+    age_s: dict[int, float]
+    """percentile -> age of the newest frame when it was taken, over the last 1000 taken; NaN before the first"""
+    jitter_s: dict[int, float]
+    """percentile -> delay of a frame beyond the least delay seen, over the last 1000; NaN without device time"""
+    drift_ppm: float
+    """how much faster the host's clock runs than the board's"""
+    clock_steps: int
+    """times that the board's clock was set or paused while it ran"""
+
+    def as_dict(self) -> dict[str, object]:
+        """The fields by name."""
+        return asdict(self)
+
+
+@dataclass
+class Counters:
+    """Numbers that the reader thread and the takers keep. Every number has one writer."""
+
+    frames: int = 0
+    lost: int | None = 0
+    overruns: int = 0
+    corrupt: int = 0
+    resyncs: int = 0
+    reconnects: int = 0
+    reboots: int = 0
+    duplicates: int = 0
+    converted: int = 0
+    unsolved: int = 0
+    times_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+    """of the last frames, on the time scale of the estimator"""
+    ages_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+    delays_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
+
+    def snapshot(self, *, pending: int, drift_ppm: float, clock_steps: int) -> LinkStatistics:
+        """The numbers as they are now; ``pending`` frames wait to be taken."""
+        times = list(self.times_s)
+        elapsed = times[-1] - times[0] if len(times) > 1 else 0.0
+        return LinkStatistics(
+            frames=self.frames,
+            lost=self.lost,
+            overruns=self.overruns,
+            corrupt=self.corrupt,
+            resyncs=self.resyncs,
+            reconnects=self.reconnects,
+            reboots=self.reboots,
+            duplicates=self.duplicates,
+            skipped=max(self.frames - self.converted - pending, 0),
+            unsolved=self.unsolved,
+            rate_hz=(len(times) - 1) / elapsed if elapsed > 0 else float("nan"),
+            age_s=_percentiles(self.ages_s),
+            jitter_s=_percentiles(self.delays_s),
+            drift_ppm=drift_ppm,
+            clock_steps=clock_steps,
+        )
+
+
+def _percentiles(values: deque[float]) -> dict[int, float]:
+    sample = list(values)
+    if not sample:
+        return dict.fromkeys(PERCENTS, float("nan"))
+    return dict(zip(PERCENTS, np.percentile(sample, PERCENTS).tolist(), strict=True))

@@ -1,0 +1,156 @@
+"""Stream bookkeeping: packets to numbered, timed frames, with losses, duplicates and reboots counted. No I/O."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import ProtocolError
+from ..wire import Corrupt, Flag, FramePacket
+from ._clock import ClockMap
+from ._port import Arrival
+from ._statistics import Counters
+
+REMEMBERED = 64
+"""frames among which a duplicate is looked for"""
+HALF_RANGE = 2**31
+LEAST_STEP_S = 1e-6
+"""the estimator needs times that increase"""
+
+
+@dataclass(frozen=True, slots=True)
+class RawFrame:
+    """One frame as it came. Totals count from the opening of the skin up to and including this frame."""
+
+    index: int
+    """number of this frame among those that came, from 1"""
+    sequence: int | None
+    device_time: float | None
+    counts: NDArray[np.uint16]
+    """(rows, columns)"""
+    host_time: float
+    monotonic_time: float
+    time_s: float
+    """on the time scale of the estimator: increases evenly, over reboots too"""
+    lost: int | None
+    """total of lost frames; None: not known"""
+    overruns: int
+    """total"""
+    reconnects: int
+    """total"""
+    reboots: int
+    """total"""
+
+
+class FrameStream:
+    """Packets of one board in order, over reboots and reconnections.
+
+    A frame number that follows the last one says how many frames were lost. Another boot id, or a time that goes
+    backwards, is a reboot: numbers and time then start from 0. A frame that came already is dropped.
+    """
+
+    def __init__(self, name: str, counters: Counters) -> None:
+        self.name = name
+        """of the port, for messages"""
+        self.clock = ClockMap()
+        self.counters = counters
+        self._expected: int | None = None
+        self._boot_id: int | None = None
+        self._latest_us: int | None = None
+        self._latest_monotonic = 0.0
+        self._time_s = 0.0
+        self._recent: deque[tuple[int | None, int | None, int | None]] = deque(maxlen=REMEMBERED)
+        self._in_step = True
+
+    def announce(self, sequence: int | None, boot_id: int | None) -> None:
+        """Take the number that the first frame will have, as the packets before it say."""
+        if not self.counters.frames:
+            self._expected, self._boot_id = sequence, boot_id
+
+    def corrupt(self, event: Corrupt) -> None:
+        """Count a stretch of bytes that was no packet."""
+        self.counters.corrupt += 1
+        self._in_step = False
+
+    def take(self, packet: FramePacket, arrival: Arrival) -> RawFrame | None:
+        """The next frame; None where the packet is one that came before.
+
+        Raises:
+            ProtocolError: the frame's number goes backwards although the board has not started anew. The stream
+                continues with the frame after this one.
+
+        """
+        counters = self.counters
+        if not self._in_step:
+            counters.resyncs += 1
+            self._in_step = True
+        stamp = packet.boot_id, packet.sequence, packet.time_us
+        if packet.sequence is not None and stamp in self._recent:
+            counters.duplicates += 1
+            return None
+        rebooted = self._has_rebooted(packet)
+        if rebooted:
+            counters.reboots += 1
+            self._recent.clear()
+            self._expected = None if packet.sequence is None else 0
+            self.clock = ClockMap()
+        self._recent.append(stamp)
+        self._boot_id = packet.boot_id
+        self._count_lost(packet)
+        counters.frames += 1
+        counters.overruns += bool(packet.flags & Flag.OVERRUN)
+        device_s = None if packet.time_us is None else packet.time_us / 1e6
+        monotonic = self._map_time(device_s, arrival)
+        self._advance(packet.time_us, monotonic, rebooted)
+        return RawFrame(
+            index=counters.frames,
+            sequence=packet.sequence,
+            device_time=device_s,
+            counts=packet.counts,
+            host_time=monotonic + (arrival.wall_time - arrival.received_at),
+            monotonic_time=monotonic,
+            time_s=self._time_s,
+            lost=counters.lost,
+            overruns=counters.overruns,
+            reconnects=counters.reconnects,
+            reboots=counters.reboots,
+        )
+
+    def _has_rebooted(self, packet: FramePacket) -> bool:
+        if packet.boot_id is not None and self._boot_id is not None and packet.boot_id != self._boot_id:
+            return True
+        return packet.time_us is not None and self._latest_us is not None and packet.time_us < self._latest_us
+
+    def _count_lost(self, packet: FramePacket) -> None:
+        if packet.sequence is None:
+            self.counters.lost = None
+            return
+        expected, self._expected = self._expected, (packet.sequence + 1) % 2**32
+        missing = 0 if expected is None else (packet.sequence - expected) % 2**32
+        if missing >= HALF_RANGE:
+            raise ProtocolError(
+                f"{self.name}: frame {packet.sequence} came where {expected} was next, "
+                "yet the board has not started anew"
+            )
+        self.counters.lost = (self.counters.lost or 0) + missing
+
+    def _map_time(self, device_s: float | None, arrival: Arrival) -> float:
+        if device_s is None:
+            return arrival.received_at
+        monotonic = self.clock.add(device_s, arrival.received_at)
+        self.counters.delays_s.append(arrival.received_at - monotonic)
+        return monotonic
+
+    def _advance(self, time_us: int | None, monotonic: float, rebooted: bool) -> None:
+        """Let the estimator's time pass: by the board's clock where it runs through, else by the host's."""
+        if self.counters.frames > 1:
+            if time_us is None or self._latest_us is None or rebooted:
+                step = monotonic - self._latest_monotonic
+            else:
+                step = (time_us - self._latest_us) / 1e6
+            self._time_s += max(step, LEAST_STEP_S)
+        self._latest_us, self._latest_monotonic = time_us, monotonic
+        self.counters.times_s.append(self._time_s)

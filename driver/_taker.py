@@ -1,0 +1,323 @@
+"""``FrameTaker``: one reader's place in the stream of frames. Iteration, callbacks and asyncio all go through one."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import copy
+import dataclasses
+import threading
+import time
+import weakref
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from ..errors import LinkEnded, LinkTimeout, OhmskinError
+from ._convert import Converter, Measurement
+from ._frame import Frame
+from ._mailbox import Mailbox, Place
+from ._statistics import Counters
+from ._stream import RawFrame
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where takers get their frames."""
+
+    name: str
+    """of the port, for messages"""
+    mailbox: Mailbox
+    converter: Converter
+    counters: Counters
+    poll: Callable[[], None]
+    """lets what has come on the port be read at once, without waiting for the reader thread's turn"""
+    now: Callable[[], float]
+    """s, on the clock of the frames' monotonic times"""
+    nothing_came: Callable[[str, float], OhmskinError]
+    """the error for a wait in vain: what was waited for, and for how many s"""
+    newest_only: bool
+    """a taker gets the newest frame; otherwise every frame that is still queued"""
+
+
+class FrameTaker:
+    """Takes frames, and counts for its reader what was lost and skipped between them."""
+
+    def __init__(self, source: Source, *, from_start: bool = False) -> None:
+        """Begin with the frames that come from now on, or with the first one that ever came."""
+        self._source = source
+        mailbox = source.mailbox
+        with mailbox.condition:
+            last = None if from_start else mailbox.newest
+            self._place: Place = mailbox.join(0 if last is None else last.index)
+            self._faults = 0 if from_start else mailbox.fault.number
+        self._lock = threading.Lock()
+        self._before = _Totals() if last is None else _Totals.of(last)
+        self._starts = 0
+        self._frame: Frame | None = None
+        weakref.finalize(self, mailbox.leave, self._place)
+
+    @property
+    def index(self) -> int:
+        """Number of the last frame taken or passed."""
+        return self._place.index
+
+    def take(self, timeout_s: float, *, while_away: bool = False) -> Frame:
+        """The next frame, waiting for it.
+
+        Args:
+            timeout_s: how long to wait.
+            while_away: wait for longer while the driver tries to open the port again.
+
+        Raises:
+            LinkTimeout: none came in time.
+            LinkEnded: none will come: the stream has ended, or the skin was closed.
+            LinkError: the board has gone away.
+            ProtocolError: what came breaks the format, or does not fit the design.
+
+        """
+        deadline = time.monotonic() + timeout_s
+        while True:
+            frame = self.try_take()
+            if frame is not None:
+                return frame
+            left = deadline - time.monotonic()
+            away = self._source.mailbox.away
+            if left <= 0 and not (away and while_away):
+                raise self._source.nothing_came("frame", timeout_s)
+            self._wait(left if left > 0 else 1.0)
+
+    def latest(self, max_age_s: float, timeout_s: float) -> Frame:
+        """The newest frame, taken before or not, if it is at most ``max_age_s`` old; waits for one if need be.
+
+        Raises:
+            LinkTimeout: no frame is that young, and none came within ``timeout_s``.
+            LinkEnded, LinkError, ProtocolError: as for :meth:`take`, where no young frame is left.
+
+        """
+        deadline = time.monotonic() + timeout_s
+        source = self._source
+        while True:
+            source.poll()
+            newest = source.mailbox.newest
+            if newest is not None and source.now() - newest.monotonic_time <= max_age_s:
+                frame = self._repeat(newest) or self._claim(newest)
+                if frame is not None and frame.age <= max_age_s:
+                    return frame
+                if frame is None and newest.index > self._before.index:
+                    continue  # another taker had a newer one converted
+            self._check()
+            left = deadline - time.monotonic()
+            if left <= 0:
+                age = f"the newest frame is {source.now() - newest.monotonic_time:.3g} s old" if newest else "none came"
+                raise LinkTimeout(
+                    f"{source.name}: no frame younger than {max_age_s:g} s: {age}" + _because(source.mailbox.away)
+                )
+            self._wait(left, since=newest)
+
+    def try_take(self) -> Frame | None:
+        """The next frame if there is one already; raises as :meth:`take`."""
+        source = self._source
+        source.poll()
+        while True:
+            if source.newest_only or self._place.index >= source.mailbox.fault.after:
+                self._check_fault()
+            with source.mailbox.condition:
+                newest = source.mailbox.newest
+                frame = newest if source.newest_only else source.mailbox.after(self._place.index)
+            if frame is None or frame.index <= self._place.index:
+                self._check()
+                return None
+            taken = self._claim(frame)
+            if taken is not None:
+                return taken
+
+    def pass_to_newest(self) -> None:
+        """Pass the frames that have come; they count as skipped."""
+        with self._lock, self._source.mailbox.condition:
+            newest = self._source.mailbox.newest
+            if newest is not None:
+                self._source.mailbox.move(self._place, newest.index)
+
+    @contextlib.contextmanager
+    def aside(self) -> Iterator[None]:
+        """Frames taken within the block are not skipped; what was lost meanwhile is told with the next frame."""
+        before = self._before
+        yield
+        with self._lock:
+            self._before = dataclasses.replace(before, index=self._before.index)
+            self._frame = None
+
+    def forget(self) -> None:
+        """Do not hand out the frame taken last again."""
+        with self._lock:
+            self._frame = None
+
+    def leave(self) -> None:
+        """Give up the place: frames are not kept for this taker any more."""
+        self._source.mailbox.leave(self._place)
+
+    def _repeat(self, newest: RawFrame) -> Frame | None:
+        """The frame taken last, if it is still the newest."""
+        with self._lock:
+            return self._frame if self._frame is not None and self._before.index == newest.index else None
+
+    def _claim(self, raw: RawFrame) -> Frame | None:
+        """Convert a frame and make it the last one taken; None where this taker, or all others, are beyond it."""
+        source = self._source
+        try:
+            measurement = source.converter.measure(raw, source.mailbox)
+        except Exception:
+            source.mailbox.move(self._place, raw.index)
+            raise
+        with self._lock:
+            if measurement is None or raw.index <= self._before.index:
+                return None
+            frame = self._deliver(raw, measurement)
+            self._frame = frame
+            source.mailbox.move(self._place, raw.index)
+        source.counters.ages_s.append(frame.age)
+        return frame
+
+    def _deliver(self, raw: RawFrame, measurement: Measurement) -> Frame:
+        before, self._before = self._before, _Totals.of(raw)
+        restarted, self._starts = measurement.estimator_starts > self._starts, measurement.estimator_starts
+        contacts, view = self._source.converter.contacts, measurement.view
+        return Frame(
+            sequence=raw.sequence,
+            device_time=raw.device_time,
+            host_time=raw.host_time,
+            monotonic_time=raw.monotonic_time,
+            lost_before=None if raw.lost is None else raw.lost - (before.lost or 0),
+            skipped_before=raw.index - before.index - 1,
+            overrun=raw.overruns > before.overruns,
+            reconnected=raw.reconnects > before.reconnects,
+            rebooted=raw.reboots > before.reboots,
+            estimator_restarted=restarted,
+            counts=raw.counts,
+            valid=measurement.valid,
+            resistance=measurement.resistance,
+            pressure=measurement.pressure,
+            pressure_std=measurement.pressure_std,
+            _contacts=lambda: contacts.of(view),
+            _now=self._source.now,
+        )
+
+    def _check_fault(self) -> None:
+        """Raise a fault that this taker has not been told of."""
+        fault = self._source.mailbox.fault
+        if fault.number > self._faults:
+            self._faults = fault.number
+            raise copy.copy(fault.error)
+
+    def _check(self) -> None:
+        """Raise why no frame will come, if none will."""
+        self._check_fault()
+        end = self._source.mailbox.end
+        if end is not None:
+            raise copy.copy(end)
+
+    def _wait(self, timeout_s: float, since: RawFrame | None = None) -> None:
+        """Wait until something is new."""
+        mailbox = self._source.mailbox
+
+        def new() -> bool:
+            newest = mailbox.newest
+            seen = self._place.index if since is None else since.index
+            return (
+                (newest is not None and newest.index > seen)
+                or mailbox.end is not None
+                or mailbox.fault.number > self._faults
+            )
+
+        with mailbox.condition:
+            mailbox.condition.wait_for(new, timeout_s)
+
+
+class AsyncFrames:
+    """Frames for ``async for``: waits in the event loop, converts in the thread of the loop."""
+
+    def __init__(self, source: Source, timeout_s: float) -> None:
+        self._source = source
+        self._timeout_s = timeout_s
+        self._taker = FrameTaker(source)
+        self._event = asyncio.Event()
+        loop, event = asyncio.get_running_loop(), self._event
+
+        def wake() -> None:
+            # The loop may be over while frames still come.
+            with contextlib.suppress(RuntimeError):
+                loop.call_soon_threadsafe(event.set)
+
+        source.mailbox.add_waker(wake)
+        weakref.finalize(self, source.mailbox.remove_waker, wake)
+
+    def __aiter__(self) -> AsyncFrames:
+        return self
+
+    async def __anext__(self) -> Frame:
+        """The next frame; errors as for iteration."""
+        deadline = time.monotonic() + self._timeout_s
+        while True:
+            self._event.clear()
+            try:
+                frame = self._taker.try_take()
+            except LinkEnded:
+                raise StopAsyncIteration from None
+            if frame is not None:
+                return frame
+            left = deadline - time.monotonic()
+            away = self._source.mailbox.away
+            if left <= 0 and not away:
+                raise self._source.nothing_came("frame", self._timeout_s)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._event.wait(), left if left > 0 else 1.0)
+
+
+class FrameCallback:
+    """Calls a function with each new frame, in a thread of its own. :meth:`close` ends that."""
+
+    def __init__(self, source: Source, callback: Callable[[Frame], None]) -> None:
+        self._taker = FrameTaker(source)
+        self._callback = callback
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"ohmskin callback {source.name}", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Call no more. A call that is under way is waited for, unless this is it."""
+        self._closed.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            while not self._closed.is_set():
+                try:
+                    frame = self._taker.take(0.1)
+                except LinkTimeout:
+                    continue
+                except LinkEnded:
+                    return
+                if not self._closed.is_set():
+                    self._callback(frame)
+        finally:
+            self._taker.leave()
+
+
+@dataclass(slots=True)
+class _Totals:
+    """The totals at the last frame taken."""
+
+    index: int = 0
+    lost: int | None = 0
+    overruns: int = 0
+    reconnects: int = 0
+    reboots: int = 0
+
+    @classmethod
+    def of(cls, frame: RawFrame) -> _Totals:
+        return cls(frame.index, frame.lost, frame.overruns, frame.reconnects, frame.reboots)
+
+
+def _because(away: str | None) -> str:
+    return "" if away is None else f" ({away}; trying to open the port again)"

@@ -1,0 +1,189 @@
+"""Tare: each cell's resistance at rest, taken from the unloaded skin, and whether the skin was unloaded."""
+
+from __future__ import annotations
+
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray
+from ..cell import Cell
+from ..errors import InputError
+from ..files import whole_file
+
+SPREAD = 0.3
+"""relative deviation of a cell from the other cells that manufacture explains; the project's own choice"""
+SHEET_FACTOR = 2.0
+"""factor between the typical cell and its data sheet that manufacture explains"""
+DRIFT = 0.01
+"""relative change of a resistance during the tare that a resting cell may show"""
+DRIFT_STDS = 5.0
+"""and so many standard errors, for noisy readings"""
+_KEYS = ("rest_resistance_ohm", "measured", "std_ohm", "frames", "lost", "serial_number", "wall_time")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tare:
+    """Rest resistances of a skin's cells. Arrays are (rows, columns)."""
+
+    rest_resistance_ohm: FloatArray
+    """mean of the frames; where not measured, that of the data sheet"""
+    measured: BoolArray
+    """False for a cell that had no valid reading"""
+    std_ohm: FloatArray
+    """standard deviation from frame to frame; NaN where not measured"""
+    frames: int
+    """frames that were averaged"""
+    lost: int | None
+    """frames lost meanwhile; None where the board does not number its frames"""
+    serial_number: str
+    """of the board; empty where it does not say"""
+    wall_time: float
+    """s since the epoch, of the last frame"""
+    remarks: tuple[str, ...] = ()
+    """signs that the skin was loaded; a tare that has any was forced"""
+
+    def save(self, path: str | Path) -> None:
+        """Write the tare to a NumPy archive (.npz); InputError when that fails."""
+        values = {key: np.asarray(getattr(self, key)) for key in _KEYS if key != "lost"}
+        values["lost"] = np.asarray(-1 if self.lost is None else self.lost)
+        values["remarks"] = np.asarray(self.remarks, dtype=np.str_)
+        with whole_file(path) as file:
+            np.savez(file, allow_pickle=False, **values)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Tare:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            InputError: the file cannot be read or is no saved tare.
+
+        """
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                values = {key: file[key] for key in (*_KEYS, "remarks")}
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            reason = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
+            raise InputError(f"{path}: is no saved tare: {reason}") from error
+        rest = np.asarray(values["rest_resistance_ohm"], dtype=np.float64)
+        if rest.ndim != 2 or not (np.isfinite(rest) & (rest > 0)).all():
+            raise InputError(f"{path}: is no saved tare: rest resistances must be positive, (rows, columns)")
+        lost = int(values["lost"])
+        return cls(
+            rest_resistance_ohm=rest,
+            measured=np.asarray(values["measured"], dtype=np.bool_),
+            std_ohm=np.asarray(values["std_ohm"], dtype=np.float64),
+            frames=int(values["frames"]),
+            lost=None if lost < 0 else lost,
+            serial_number=str(values["serial_number"]),
+            wall_time=float(values["wall_time"]),
+            remarks=tuple(str(remark) for remark in values["remarks"].tolist()),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RestReadings:
+    """Frames taken for a tare."""
+
+    resistance_ohm: FloatArray
+    """(frames, rows, columns); NaN where not valid"""
+    time_s: FloatArray
+    """(frames,) increasing"""
+
+    def tare(self, cell: Cell | None, *, lost: int | None, serial_number: str, wall_time: float) -> Tare:
+        """The rest resistances, and every sign that the skin is loaded.
+
+        Args:
+            cell: data sheet, for cells without a reading; without one they take the median of the others.
+            lost: frames lost meanwhile.
+            serial_number: of the board.
+            wall_time: of the last frame, in s since the epoch.
+
+        Raises:
+            InputError: not one cell has a valid reading.
+
+        """
+        readings = np.isfinite(self.resistance_ohm).sum(axis=0)
+        measured = readings > 0
+        if not measured.any():
+            raise InputError("no cell has a valid reading to tare with")
+        mean = np.nansum(self.resistance_ohm, axis=0) / np.maximum(readings, 1)
+        deviation = np.where(np.isfinite(self.resistance_ohm), self.resistance_ohm - mean, 0.0)
+        std = np.sqrt((deviation**2).sum(axis=0) / np.maximum(readings - 1, 1))
+        typical = float(np.median(mean[measured]))
+        otherwise = typical if cell is None else cell.rest_resistance_ohm
+        remarks = [
+            remark
+            for remark in (
+                _far_from_sheet(typical, cell),
+                _unlike_others(mean / typical, measured, cell),
+                self._changing(mean, std, readings),
+            )
+            if remark
+        ]
+        return Tare(
+            rest_resistance_ohm=np.where(measured, mean, otherwise),
+            measured=measured,
+            std_ohm=np.where(measured, std, np.nan),
+            frames=len(self.resistance_ohm),
+            lost=lost,
+            serial_number=serial_number,
+            wall_time=wall_time,
+            remarks=tuple(remarks),
+        )
+
+    def _changing(self, mean: FloatArray, std: FloatArray, readings: FloatArray) -> str:
+        """A remark where a resistance has a trend: a load that comes or goes, or a cell that recovers from one."""
+        frames = len(self.time_s)
+        if frames < 4:
+            return ""
+        half = frames // 2
+        valid = np.isfinite(self.resistance_ohm)
+        steady = np.where(valid, self.resistance_ohm, mean)
+        change = np.abs(steady[-half:].mean(axis=0) - steady[:half].mean(axis=0))
+        # Noise from frame to frame, from differences of neighbours, so that a trend does not count as noise.
+        noise = np.sqrt((np.diff(steady, axis=0) ** 2).mean(axis=0) / 2)
+        limit = np.maximum(DRIFT * mean, DRIFT_STDS * noise * np.sqrt(2 / half))
+        moving = (readings == frames) & (change > limit)
+        if not moving.any():
+            return ""
+        worst = _worst(np.where(moving, change / np.maximum(mean, 1e-300), 0.0))
+        return (
+            f"the resistance of {_cells(moving)} is changing, most at cell {worst} by "
+            f"{100 * change[worst] / mean[worst]:.1f} % in {self.time_s[-1] - self.time_s[0]:.2g} s"
+        )
+
+
+def _far_from_sheet(typical_ohm: float, cell: Cell | None) -> str:
+    if cell is None:
+        return ""
+    ratio = typical_ohm / cell.rest_resistance_ohm
+    if 1 / SHEET_FACTOR <= ratio <= SHEET_FACTOR:
+        return ""
+    return (
+        f"the typical resistance is {typical_ohm:.4g} ohm, {ratio:.2g} times the {cell.rest_resistance_ohm:.4g} ohm "
+        "that the data sheet gives for rest"
+    )
+
+
+def _unlike_others(ratio: FloatArray, measured: BoolArray, cell: Cell | None) -> str:
+    if cell is not None and cell.model.kind == "contact":
+        # Touching electrodes: at rest their resistance is anything from some kohm to infinite.
+        return ""
+    unlike = measured & (np.abs(ratio - 1) > SPREAD)
+    if not unlike.any():
+        return ""
+    worst = _worst(np.where(unlike, np.abs(ratio - 1), 0.0))
+    return f"{_cells(unlike)} differ from the others, most cell {worst} with {ratio[worst]:.2f} times their median"
+
+
+def _worst(amount: FloatArray) -> tuple[int, int]:
+    row, column = np.unravel_index(int(np.argmax(amount)), amount.shape)
+    return int(row), int(column)
+
+
+def _cells(mask: BoolArray) -> str:
+    count = int(mask.sum())
+    return "1 cell" if count == 1 else f"{count} cells"

@@ -1,0 +1,208 @@
+"""The diagnosis, on a made-up machine in a folder, and on this one."""
+
+from __future__ import annotations
+
+import grp
+import json
+import os
+import shlex
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ohmskin.cli import run
+from ohmskin.doctor import (
+    State,
+    System,
+    _installation,
+    _listening,
+    _serial,
+    examine_device,
+    examine_installation,
+    examine_traffic,
+    judge,
+)
+from ohmskin.emulator import PtyPort
+from ohmskin.wire import BOARDS, Family, FramePacket, board_protocol
+
+
+@pytest.fixture
+def machine(tmp_path: Path) -> System:
+    """Root folder with a port that an FTDI chip serves."""
+    for folder in ("dev", "sys/bus/usb-serial/devices/ttyUSB0", "proc/71/fd"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "dev/ttyUSB0").touch()
+    (tmp_path / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer").write_text("1\n")
+    (tmp_path / "proc/71/comm").write_text("picocom\n")
+    return System(tmp_path, user="maker")
+
+
+def test_a_sound_port_has_no_problem(machine: System) -> None:
+    findings = examine_device("/dev/ttyUSB0", machine)
+    assert [finding.state for finding in findings] == [State.OK, State.OK]
+
+
+def test_a_port_that_is_not_there(machine: System) -> None:
+    (finding,) = examine_device("/dev/ttyUSB1", machine)
+    assert (finding.state, finding.found) == (State.PROBLEM, "is not there")
+
+
+def test_a_slow_latency_timer_is_named_with_the_line_that_mends_it(machine: System) -> None:
+    timer = machine.path("/sys/bus/usb-serial/devices/ttyUSB0/latency_timer")
+    timer.write_text("16\n")
+    (finding,) = [found for found in examine_device("/dev/ttyUSB0", machine) if found.state is State.PROBLEM]
+    assert "16 ms" in finding.found
+    command = finding.mend.partition(" (")[0].replace("sudo ", "").replace("/sys", str(machine.path("/sys")))
+    subprocess.run(["sh", "-c", command], check=True, stdout=subprocess.DEVNULL)
+    assert {found.state for found in examine_device("/dev/ttyUSB0", machine)} == {State.OK}
+
+
+def test_a_port_in_use_names_the_program(machine: System) -> None:
+    machine.path("/proc/71/fd/5").symlink_to(machine.path("/dev/ttyUSB0"))
+    (finding,) = [found for found in examine_device("/dev/ttyUSB0", machine) if found.state is State.PROBLEM]
+    assert finding.found == "in use by picocom (process 71)"
+
+
+def test_a_forbidden_port_names_the_group(machine: System, monkeypatch: pytest.MonkeyPatch) -> None:
+    port = machine.path("/dev/ttyUSB0")
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # root may open everything
+    group = grp.getgrgid(port.stat().st_gid).gr_name
+    port.chmod(0o660)
+    assert shlex.split(_permission_mend(machine))[:5] == ["sudo", "usermod", "-aG", group, "maker,"]
+    port.chmod(0o600)
+    assert "60-ohmskin.rules" in _permission_mend(machine)
+    port.chmod(0o660)
+    monkeypatch.setattr(_serial, "_members", lambda group: ["maker"])
+    assert _permission_mend(machine).startswith("log out and in again")
+
+
+def _permission_mend(machine: System) -> str:
+    finding = examine_device("/dev/ttyUSB0", machine)[0]
+    assert finding.state is State.PROBLEM
+    assert "permission denied" in finding.found
+    return finding.mend
+
+
+def test_programs_that_grab_ports_are_found(machine: System) -> None:
+    assert {finding.state for finding in _serial._grabbers(machine)} == {State.OK}
+    machine.path("/proc/71/comm").write_text("ModemManager\n")
+    (finding,) = [found for found in _serial._grabbers(machine) if found.state is State.PROBLEM]
+    assert finding.subject == "ModemManager"
+    assert finding.mend
+
+
+def test_this_process_is_found_to_have_a_port_open() -> None:
+    """Seen from another process, since one's own descriptors do not count."""
+    with PtyPort() as port:
+        held = os.open(port.name, os.O_RDWR | os.O_NOCTTY)
+        code = f"from ohmskin.doctor import examine_device; print(examine_device({port.name!r})[-1].found)"
+        shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+        os.close(held)
+    assert f"(process {os.getpid()})" in shown
+
+
+def test_packages_and_extras_are_told_apart() -> None:
+    requirements = ["numpy>=1.26", 'no-such-thing>=1; extra == "peers"', 'pytest>=8; extra == "test"']
+    needed, extra = _installation._packages(requirements)
+    assert (needed.state, needed.found.split()[0]) == (State.OK, "numpy")
+    assert (extra.state, extra.subject, extra.mend) == (State.OPTIONAL, "extra 'peers'", "pip install 'ohmskin[peers]'")
+    (missing,) = _installation._packages(["no-such-thing>=1"])
+    assert (missing.state, missing.mend) == (State.PROBLEM, "pip install 'ohmskin'")
+
+
+def test_every_requirement_of_the_metadata_is_looked_at() -> None:
+    shown = " ".join(finding.found for finding in examine_installation())
+    for name in ("click", "numpy", "scipy", "matplotlib"):
+        assert f"{name} " in shown
+
+
+def test_a_program_that_is_missing_or_broken_is_optional(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert _installation._program("Node", ("node",), "tests", "apt").state is State.OPTIONAL
+    program = tmp_path / "node"
+    program.write_text("not a program")
+    program.chmod(0o755)
+    assert "does not start" in _installation._program("Node", ("node",), "tests", "apt").found
+
+
+class Played(PtyPort):
+    """A board of one family on a pty: random frames, by itself or when asked."""
+
+    def __init__(self, family: Family) -> None:
+        super().__init__()
+        self._family = family
+        self._protocol = board_protocol(family.name)
+        self._rng = np.random.default_rng(0)
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._live)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ended.set()
+        self._thread.join()
+        super().close()
+
+    def _live(self) -> None:
+        number = 0
+        while not self._ended.wait(0.02):
+            asked = self._protocol.feed(self.read() or b"") if self.host_present() else []
+            if asked or (not self._family.polled and self.host_present()):
+                number += 1
+                self.write(self._frame(number))
+
+    def _frame(self, number: int) -> bytes:
+        layout = self._family.layout
+        counts = self._rng.integers(0, 2**layout.adc_bits, (layout.rows, layout.columns), dtype=np.uint16)
+        return self._protocol.frame(FramePacket.of(counts, sequence=number, time_us=20_000 * number))
+
+
+@pytest.mark.parametrize("name", BOARDS)
+def test_a_port_sounds_like_the_board_behind_it(name: str) -> None:
+    with Played(BOARDS[name]) as port:
+        (finding,) = examine_traffic(port.name, listen_s=1.0)
+    assert finding.state is State.OK
+    assert f"family '{name}'" in finding.found
+    assert f"{BOARDS[name].layout.rows} x {BOARDS[name].layout.columns} cells" in finding.found
+
+
+def test_a_port_that_sends_something_else_is_described() -> None:
+    with PtyPort() as port:
+        stop = threading.Event()
+
+        def chatter() -> None:
+            while not stop.wait(0.02):
+                if port.host_present():
+                    port.write(b"boot: calibrating sensor\r\n")
+
+        thread = threading.Thread(target=chatter)
+        thread.start()
+        (finding,) = examine_traffic(port.name, listen_s=0.2)
+        stop.set()
+        thread.join()
+    assert finding.state is State.PROBLEM
+    assert "sends what no known family does" in finding.found
+    assert "100 % of them text" in finding.found
+    assert "ohmskin" in finding.mend
+
+
+def test_random_bytes_sound_like_no_board() -> None:
+    rng = np.random.default_rng(1)
+    assert all(judge(rng.bytes(20_000)) is None for _ in range(20))
+
+
+def test_the_exit_code_tells_of_problems(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(_listening, "LISTEN_S", 0.1)
+    with PtyPort() as port:
+        assert run(["doctor", port.name, "--json"]) == 3
+    opened, silent = json.loads(capsys.readouterr().out)
+    assert (opened["state"], opened["found"]) == ("ok", "may be opened")
+    assert silent["state"] == "problem"
+    assert "silent" in silent["found"]
+    assert run(["doctor", "/dev/no-such-port"]) == 3
+    assert "-> plug the board in" in capsys.readouterr().out
+    assert run(["doctor", "socket://127.0.0.1:9"]) == 3
+    assert "cannot be opened" in capsys.readouterr().out
