@@ -14,12 +14,12 @@ import numpy as np
 
 from .. import plots
 from ..arrays import BoolArray, FloatArray
-from ..circuits import Design, Recoverer, Requirement, Status, noise, scan_batch
+from ..circuits import Design, Recoverer, Requirement, Status, apparent_resistance, noise, scan_batch
 from ..emulator import Contact, Rectangle
 from ..errors import InputError, SolverError
 from ._dynamic import rate_of, settling_share
 from ._outcome import Figure, Measurement, NotRun
-from ._parameters import MAXIMA
+from ._parameters import MAXIMA, Factors
 from ._static import box_of, worst_of
 from ._subject import Subject
 from ._units import engineering
@@ -135,19 +135,23 @@ def simulate(subject: Subject, name: str, factors: FloatArray) -> Run:
     forward = subject.cell.forward(shape, rest_resistance_ohm=subject.rest * scale)
     steps = np.diff(time_s, prepend=time_s[0])
     cells = np.array([forward.step(float(dt), kpa) for dt, kpa in zip(steps, applied, strict=True)])
-    volts, lost = _converted(subject, factors, cells, settling_share(subject, declared), random)
+    volts, lost = _converted(subject, subject.factors, factors, cells, settling_share(subject, declared), random)
     return Run(name, time_s, applied, _estimated(subject, time_s, volts, lost), lost, full)
 
 
 def _converted(
-    subject: Subject, factors: FloatArray, cells: FloatArray, share: float, random: np.random.Generator
+    subject: Subject,
+    parts: Factors,
+    factors: FloatArray,
+    cells: FloatArray,
+    share: float,
+    random: np.random.Generator,
 ) -> tuple[FloatArray, BoolArray]:
     """V that the codes of a real board stand for, and which readings are lost."""
     box = box_of(subject)
-    population = box.factors.population(factors[None])
+    population = parts.population(factors[None])
     board = population.boards.design(subject.design, 0)
     adc = board.adc
-    assert adc is not None
     found = scan_batch(board, cells)
     volts = found.volts + share * (np.roll(found.volts, 1, axis=1) - found.volts)
     try:
@@ -157,6 +161,8 @@ def _converted(
         pass
     volts = box.converted(volts, population.converter[0])
     lost = found.saturated | box.clipped(volts)
+    if adc is None:
+        return volts, lost
     codes = np.clip(np.floor((volts - adc.range[0]) / adc.step), 0, 2.0**adc.bits - 1)
     return adc.range[0] + (codes + 0.5) * adc.step, lost
 
@@ -178,6 +184,24 @@ def _estimated(subject: Subject, time_s: FloatArray, volts: FloatArray, lost: Bo
     rest = np.where(counted > 0, np.nansum(first, axis=0) / np.maximum(counted, 1), subject.rest)
     estimator = subject.cell.estimator(volts.shape[1:], rest_resistance_ohm=rest)
     return np.array([estimator.update(float(t), frame).pressure_kpa for t, frame in zip(time_s, ohms, strict=True)])
+
+
+def one_cell_read(subject: Subject, ohms: FloatArray) -> tuple[FloatArray, float]:
+    """What the nominal board reads of one cell with this history (samples,), among cells at rest.
+
+    Returns:
+        Apparent ohm (samples,), and the share of readings that are lost to a limit. The frame rate is that of the
+        design, or :data:`FASTEST_HZ` where the design states none.
+    """
+    shape = subject.design.array.shape
+    place = (shape[0] // 2, shape[1] // 2)
+    cells = np.full((len(ohms), *shape), subject.rest)
+    cells[:, *place] = ohms
+    share = settling_share(subject, subject.design.operation.frame_rate or FASTEST_HZ)
+    random = np.random.default_rng(np.random.SeedSequence([subject.seed, 1 << 22]))
+    nominal = Factors.nominal(subject.design)
+    volts, lost = _converted(subject, nominal, np.zeros(0), cells, share, random)
+    return apparent_resistance(subject.design, volts)[:, *place], float(lost[:, *place].mean())
 
 
 def pressure_rmse(subject: Subject, requirement: Requirement, method: str) -> Measurement:

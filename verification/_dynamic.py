@@ -163,6 +163,8 @@ def fastest_scan(subject: Subject, requirement: Requirement, method: str) -> Mea
     design = subject.design
     if design.adc is None:
         raise NotRun("missing: adc.bits, adc.range")
+    if requirement.min is None and requirement.max is None:
+        raise NotRun("no limit is given; missing: operation.frame_rate")
     rates = []
     try:
         for where, settling in _settlings(subject):

@@ -56,6 +56,13 @@ class Subject:
             model = example.model.replace(**{key: getattr(example.model, key) * softer for key in keys})
         return Cell(rest_resistance_ohm=stated.rest_resistance, full_scale_kpa=full, model=model)
 
+    def at_rate(self, frame_rate: float) -> Subject:
+        """The same with a frame rate, where the design states none."""
+        if self.design.operation.frame_rate is not None:
+            return self
+        stated = self.design.replace(operation={"frame_rate": frame_rate})
+        return Subject(stated, self.given_cell, self.target, self.seed, self.samples)
+
     @property
     def cell_source(self) -> str:
         """Where the resistances of the cells come from."""
