@@ -17,13 +17,21 @@ def adc_codes(design: Design, volts: FloatArray) -> CodeArray:
     gives its largest value only.
     """
     adc = _adc(design)
+    return np.clip(np.floor(_steps(adc, volts)), 0, 2.0**adc.bits - 1).astype(np.uint32)
+
+
+def _steps(adc: Adc, volts: FloatArray) -> FloatArray:
+    """Inputs in steps above the lower end of the range, moved by the converter's offset, gain error and nonlinearity.
+
+    The code is the integer part.
+    """
     steps = (np.asarray(volts, dtype=np.float64) - adc.range[0]) / adc.step
     if adc.gain_error or adc.offset_voltage:
         steps = steps * (1.0 + adc.gain_error) + adc.offset_voltage / adc.step
     if adc.inl_steps:
         share = np.clip(steps / 2.0**adc.bits, 0.0, 1.0)
         steps = steps + adc.inl_steps * 4.0 * share * (1.0 - share)
-    return np.clip(np.floor(steps), 0, 2.0**adc.bits - 1).astype(np.uint32)
+    return steps
 
 
 def volts_of_codes(design: Design, codes: NDArray[np.integer]) -> FloatArray:
@@ -41,6 +49,72 @@ def adc_error(design: Design) -> float:
     adc = _adc(design)
     span = adc.range[1] - adc.range[0]
     return (0.5 + abs(adc.inl_steps)) * adc.step + abs(adc.offset_voltage) + abs(adc.gain_error) * span
+
+
+def conversion_limits(design: Design, volts: FloatArray) -> FloatArray:
+    """The lowest and the highest volts that a host can make of outputs, wherever these lie within an ADC step.
+
+    How an output lies to the converter's thresholds is chance: a millivolt of drift moves it by a step. The converter's
+    offset, gain error and nonlinearity count as they are.
+
+    Args:
+        design: with an [adc] section.
+        volts: (...) V at the converter's input.
+
+    Returns:
+        (2, ...) V.
+
+    Raises:
+        InputError: the design has no ADC.
+
+    """
+    adc = _adc(design)
+    return _host_volts(adc, _steps(adc, volts) + _HALF_A_STEP.reshape(2, *[1] * np.ndim(volts)))
+
+
+def conversion_changes(design: Design, before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """What a host can make of two readings of the same outputs, at the extreme places within an ADC step.
+
+    Both readings meet the same thresholds, so the place of the first determines that of the second. A change of d steps
+    changes the code by floor(d) at some places and by floor(d) + 1 at the others: a change much smaller than a step
+    can show as a whole one. (Below a millionth of a step it is rounding, and none.) Each kind of place is an interval,
+    and its two ends are returned.
+
+    Args:
+        design: with an [adc] section.
+        before: (...) V at the converter's input.
+        after: (...) V, later.
+
+    Returns:
+        The host's volts before and after, each (4, ...).
+
+    Raises:
+        InputError: the design has no ADC.
+
+    """
+    adc = _adc(design)
+    first, second = _steps(adc, before), _steps(adc, after)
+    moved, sign = np.abs(second - first), np.sign(second - first)
+    moved = np.where(moved < _NO_CHANGE, 0.0, moved)
+    whole = np.floor(moved)
+    rest = moved - whole
+    # The place e is the host's reading minus the input, in steps: from -1/2 to 1/2. Upwards the second reading passes
+    # one threshold more where e is below rest - 1/2; downwards, all signs are reversed.
+    start, turn, end = np.full(rest.shape, -0.5), rest - 0.5, np.full(rest.shape, 0.5)
+    places = np.stack([turn, end, start, turn])
+    codes = np.stack([whole, whole, whole + (rest > 0), whole + (rest > 0)])
+    direction = np.where(sign < 0, -1.0, 1.0)
+    read = first + direction * places
+    return _host_volts(adc, read), _host_volts(adc, read + direction * codes)
+
+
+_NO_CHANGE = 1e-6  # steps; certified rounding errors of readings are smaller, and no place is known as well
+_HALF_A_STEP = np.array([-0.5, 0.5])
+
+
+def _host_volts(adc: Adc, steps: FloatArray) -> FloatArray:
+    """V of readings in steps, within those of the first and the last code."""
+    return adc.range[0] + np.clip(steps, 0.5, 2.0**adc.bits - 0.5) * adc.step
 
 
 def clipped(design: Design, codes: NDArray[np.integer]) -> BoolArray:

@@ -20,6 +20,9 @@ from ._requirement import Requirement
 from ._spread import Spread, Spreadable
 from .readouts import CIRCUITS
 
+LEAST_DRIVE_V = 1e-12
+"""far below the thermal noise of any cell; the ratio of an offset to the drive must stay a sensible number"""
+
 
 def _known_circuit(name: str) -> str:
     if name not in CIRCUITS:
@@ -28,6 +31,7 @@ def _known_circuit(name: str) -> str:
 
 
 Circuit = Annotated[str, AfterValidator(_known_circuit)]
+
 FaultKind = Literal["open-cell", "shorted-cell", "broken-row", "broken-column", "bridged-rows", "bridged-columns"]
 
 
@@ -109,8 +113,8 @@ class Drive(Spreadable):
 
     @model_validator(mode="after")
     def _drives(self) -> Self:
-        if self.voltage == 0:
-            raise ValueError("voltage must not be 0: nothing would be read")
+        if abs(self.voltage) < LEAST_DRIVE_V:
+            raise ValueError(f"voltage must be at least {LEAST_DRIVE_V:g} V, up or down: nothing would be read")
         return self
 
 

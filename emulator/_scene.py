@@ -3,142 +3,102 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 from pydantic import Field, model_validator
-from scipy.special import erf
 
 from ..arrays import FloatArray, IntArray
-from ..cell import Cell
+from ..cell import Cell, drifted_rest_resistance
 from ..circuits import Design
 from ..config import Finite, NotNegative, Positive, Section, parse, read_toml
 from ..errors import InputError
+from ._contacts import Contact
+from ._events import Event, check_events
+from ._movie import Movie
 
 Share = Annotated[float, Field(ge=0, lt=1)]
-CellIndex = Annotated[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], Field(strict=False)]
-LoadPoint = Annotated[tuple[Finite, NotNegative], Field(strict=False)]
-Place = Annotated[tuple[Finite, Finite], Field(strict=False)]
-"""[row, column]; whole numbers are the middles of cells, each of which is one unit wide and high"""
+Percent = Annotated[float, Field(ge=0, le=1000)]
+DriftPoint = Annotated[tuple[Finite, Annotated[float, Field(ge=-300, le=1000)]], Field(strict=False)]
 
 
-def _overlap(low: FloatArray, high: FloatArray, count: int) -> FloatArray:
-    """(intervals, count) length that each interval shares with each of ``count`` cells in a line."""
-    middle = np.arange(count)
-    shared: FloatArray = np.minimum(high[:, None], middle + 0.5) - np.maximum(low[:, None], middle - 0.5)
-    return shared.clip(min=0.0)
+class CellSpread(Section):
+    """How much the cells of one skin differ from each other. The board and its host do not know of it."""
+
+    rest_percent: Percent = 0.0
+    """standard deviation of ln R0, times 100"""
+    sensitivity_percent: Percent = 0.0
+    """standard deviation of the logarithm of the pressure that a cell feels under the same load, times 100"""
+    seed: Annotated[int, Field(ge=0)] = 0
+
+    def draw(self, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
+        """(rows, columns) factors of R0, and of the pressure that the cells feel."""
+        random = np.random.default_rng(self.seed)
+        rest, sensitivity = random.standard_normal((2, *shape))
+        return np.exp(self.rest_percent / 100.0 * rest), np.exp(self.sensitivity_percent / 100.0 * sensitivity)
 
 
-class Disc(Section):
-    """Even pressure within a circle; a cell that it covers in part gets that part."""
+class Drift(Section):
+    """What temperature and age do to the resistance of all cells (:func:`ohmskin.cell.drifted_rest_resistance`)."""
 
-    center: Place
-    radius_cells: Positive
-
-    def coverage(self, shape: tuple[int, int]) -> FloatArray:
-        """(rows, columns) share of each cell that the disc covers: chords, over strips of the rows."""
-        strips = 256
-        across = (np.arange(shape[0] * strips) + 0.5) / strips - 0.5 - self.center[0]
-        half = np.sqrt(np.maximum(self.radius_cells**2 - across**2, 0.0))
-        chords = _overlap(self.center[1] - half, self.center[1] + half, shape[1])
-        covered: FloatArray = chords.reshape(shape[0], strips, shape[1]).mean(axis=1)
-        return covered
-
-
-class Rectangle(Section):
-    """Even pressure within a rectangle along the lines of the array."""
-
-    center: Place
-    size_cells: Annotated[tuple[Positive, Positive], Field(strict=False)]
-    """(height, width) along the columns and along the rows"""
-
-    def coverage(self, shape: tuple[int, int]) -> FloatArray:
-        """(rows, columns) share of each cell that the rectangle covers."""
-        low = np.subtract(self.center, np.divide(self.size_cells, 2))
-        high = np.add(self.center, np.divide(self.size_cells, 2))
-        down, along = (_overlap(low[[axis]], high[[axis]], shape[axis])[0] for axis in (0, 1))
-        return np.outer(down, along)
-
-
-class Bump(Section):
-    """Pressure like a fingertip's: a bell around ``center``, whose peak is the load."""
-
-    center: Place
-    sigma_cells: Positive
-
-    def coverage(self, shape: tuple[int, int]) -> FloatArray:
-        """(rows, columns) mean over each cell of exp(-distance^2 / (2 sigma^2))."""
-        edges = ((np.arange(n + 1) - 0.5 - c) / self.sigma_cells for n, c in zip(shape, self.center, strict=True))
-        down, along = (np.diff(self.sigma_cells * np.sqrt(np.pi / 2) * erf(e / np.sqrt(2))) for e in edges)
-        return np.outer(down, along)
-
-
-class Contact(Section):
-    """Something that presses: one shape and its load over time."""
-
-    cells: Annotated[list[CellIndex], Field(min_length=1)] | None = None
-    """[row, column] of each cell pressed"""
-    disc: Disc | None = None
-    rectangle: Rectangle | None = None
-    bump: Bump | None = None
-    load_kpa: Annotated[list[LoadPoint], Field(min_length=1)]
-    """[time in s, kPa]: straight lines between, constant before the first and after the last"""
-    period: Positive | None = None
-    """s, after which the load begins anew; left out: never"""
-
-    @model_validator(mode="after")
-    def _one_shape(self) -> Self:
-        shapes = [name for name in ("cells", "disc", "rectangle", "bump") if getattr(self, name) is not None]
-        if len(shapes) != 1:
-            raise ValueError(f"a contact has one of cells, disc, rectangle, bump; got {' and '.join(shapes) or 'none'}")
-        return self
+    temperature_change_c: Annotated[list[DriftPoint], Field(min_length=1)] | Finite = 0.0
+    """degC since the cell was identified: one number, or [time in s, degC] with straight lines between"""
+    percent_per_degree: Annotated[float, Field(gt=-100, le=1000)] = 7.0
+    """of R0"""
+    age_hours: NotNegative = 0.0
+    """since the cell was identified"""
+    percent_per_decade: Finite = 0.0
+    """of R0, per tenfold age"""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
-        times = [time for time, _ in self.load_kpa]
-        for before, after in pairwise(times):
+        points = self.temperature_change_c
+        for (before, _), (after, _) in pairwise(points if isinstance(points, list) else ()):
             if after < before:
-                raise ValueError(f"the times of load_kpa must not decrease; {after} s follows {before} s")
+                raise ValueError(f"the times of temperature_change_c must not decrease; {after} s follows {before} s")
         return self
 
-    def coverage(self, shape: tuple[int, int]) -> FloatArray:
-        """(rows, columns) pressure on each cell per unit of load."""
-        if self.cells is not None:
-            covered = np.zeros(shape)
-            covered[tuple(np.transpose(self.cells))] = 1.0
-            return covered
-        area = self.disc or self.rectangle or self.bump
-        assert area is not None
-        return area.coverage(shape)
-
-    def load(self, time_s: ArrayLike) -> FloatArray:
-        """KPa at each of ``time_s``; where two points share a time the load jumps, to the later one."""
-        time = np.asarray(time_s, dtype=np.float64)
-        times, loads = np.transpose(self.load_kpa)
-        if self.period is not None:
-            # A tick that falls on a period's end but for rounding belongs to the next period.
-            time = np.maximum(time - self.period * np.floor(time / self.period + 1e-9), 0.0)
-        return np.asarray(np.interp(time, times, loads))
+    def factor(self, time_s: FloatArray) -> FloatArray:
+        """(frames,) factor of all resistances at each of ``time_s``."""
+        points = self.temperature_change_c
+        times, changes = np.transpose(points if isinstance(points, list) else [(0.0, points)])
+        change = np.interp(time_s, times, changes)
+        age = drifted_rest_resistance(1.0, age_s=3600.0 * self.age_hours, per_decade=self.percent_per_decade / 100.0)
+        warm = np.exp(np.log1p(self.percent_per_degree / 100.0) * change)
+        factor: FloatArray = age * warm
+        if not ((factor > 1e-6) & (factor < 1e6)).all():
+            raise InputError("skin.drift changes the resistance more than a million times")
+        return factor
 
 
-class Skin(Section):
-    """The skin: how it is read, and what it is made of."""
+class SkinSettings(Section):
+    """The ``[skin]`` table: how the skin is read, and what it is made of.
+
+    :class:`._skin.EmulatedSkin` is the skin itself, alive; :class:`ohmskin.driver.Skin` is what a host sees of one.
+    """
 
     design: Design
     cell: Cell = Field(default_factory=Cell.example)
+    pitch_mm: Annotated[float | None, Field(ge=1e-3, le=1e6)] = None
+    """from cell to cell along rows and columns; None: design.sheet.pitch"""
     cover_thickness: NotNegative = 0.0
     """m of silicone above the cells, which shares the pressure among them; a continuous sheet does so itself"""
+    spread: CellSpread = CellSpread()
+    drift: Drift = Drift()
+
+    @property
+    def cell_pitch_mm(self) -> float:
+        """From cell to cell, along rows and columns."""
+        return self.design.sheet.pitch * 1000.0 if self.pitch_mm is None else self.pitch_mm
 
     @property
     def spreading_pitches(self) -> float:
         """Depth, over the pitch, at which the cells feel the pressure: below the cover, mid-way in an uncut sheet."""
         sheet = self.design.sheet
         uncut = sheet.thickness / 2 if self.design.array.sheet == "continuous" else 0.0
-        return (self.cover_thickness + uncut) / sheet.pitch
+        return (self.cover_thickness + uncut) / (self.cell_pitch_mm / 1000.0)
 
 
 class BoardSettings(Section):
@@ -163,12 +123,14 @@ class LineSettings(Section):
 
 
 class Scene(Section):
-    """A skin, its board, the line, and the contacts. ``Scene.load("scene.toml")``."""
+    """A skin, its board, the line, and what happens to them. ``Scene.load("scene.toml")``."""
 
-    skin: Skin
+    skin: SkinSettings
     board: BoardSettings = BoardSettings()
     line: LineSettings = LineSettings()
     contact: list[Contact] = Field(default_factory=list)
+    event: list[Event] = Field(default_factory=list)
+    movie: Movie | None = None
 
     @model_validator(mode="after")
     def _converts(self) -> Self:
@@ -179,11 +141,14 @@ class Scene(Section):
 
     @model_validator(mode="after")
     def _on_the_skin(self) -> Self:
-        rows, columns = self.skin.design.array.shape
         for k, contact in enumerate(self.contact):
-            for row, column in contact.cells or ():
-                if row >= rows or column >= columns:
-                    raise ValueError(f"contact[{k}].cells: [{row}, {column}] lies outside the {rows} x {columns} array")
+            try:
+                contact.check(self.skin.design.array.shape)
+            except InputError as error:
+                raise ValueError(f"contact[{k}].{error}") from error
+        check_events(self.event, self.skin.design)
+        if self.contact and self.movie is not None and self.movie.quantity == "resistance":
+            raise ValueError("a movie of resistance leaves nothing to the contacts; expected one or the other")
         return self
 
     @classmethod
@@ -194,43 +159,81 @@ class Scene(Section):
     @classmethod
     def from_tables(cls, tables: Mapping[str, Any], *, source: str, directory: Path) -> Scene:
         """A scene from TOML tables; ``directory`` is where the paths in it start."""
-        skin = tables.get("skin")
-        if isinstance(skin, Mapping):
-            files: dict[str, Any] = {}
-            for key, kind in (("design", Design), ("cell", Cell)):
-                if isinstance(skin.get(key), str):
-                    try:
-                        files[key] = kind.load(directory / skin[key])
-                    except InputError as error:
-                        raise InputError(f"{source}: skin.{key}: {error}") from error
-            tables = {**tables, "skin": {**skin, **files}}
-        return parse(tables, cls, source=source)
+        scene = parse(_with_paths(_with_parts(tables, source, directory), directory), cls, source=source)
+        try:
+            scene.read_files()
+        except InputError as error:
+            raise InputError(f"{source}: {error}") from error
+        return scene
+
+    def read_files(self) -> None:
+        """Read recordings, pictures and movies, so that an error comes before the first frame. Raises InputError."""
+        for contact in self.contact:
+            contact.read_files()
+        if self.movie is not None:
+            self.movie.frames(self.skin.design.array.shape)
+        self.skin.drift.factor(np.zeros(1))
 
     def pressure_kpa(self, time_s: float) -> FloatArray:
-        """(rows, columns) kPa at ``time_s``: contacts add up."""
+        """(rows, columns) kPa on the surface at ``time_s``: contacts add up."""
         total = np.zeros(self.skin.design.array.shape)
         cells, pressure = self.pressure_on(np.array([time_s]))
         total.flat[cells] = pressure[0]
         return total
 
     def pressure_on(self, time_s: FloatArray) -> tuple[IntArray, FloatArray]:
-        """The cells that are pressed at any of ``time_s`` (frames,), and how hard: contacts add up.
+        """The cells that are pressed at any of ``time_s`` (frames,), and how hard: contacts and a movie add up.
 
         Returns:
             (k,) indices into the flattened array in rising order, and (frames, k) kPa.
 
         """
-        loads = [contact.load(time_s) for contact in self.contact]
-        pressing = [k for k, load in enumerate(loads) if load.any()]
-        covered = np.zeros(self.skin.design.array.shape, dtype=np.bool_)
-        for k in pressing:
-            covered |= self._coverage[k] > 0
-        cells = np.flatnonzero(covered)
-        pressure = np.zeros((len(time_s), len(cells)))
-        for k in pressing:
-            pressure += loads[k][:, None] * self._coverage[k].flat[cells]
-        return cells, pressure
+        shape, pitch_mm = self.skin.design.array.shape, self.skin.cell_pitch_mm
+        parts = [contact.pressure_on(time_s, shape, pitch_mm) for contact in self.contact]
+        if self.movie is not None and self.movie.quantity == "pressure":
+            shown = self.movie.at(time_s, shape).reshape(len(time_s), -1)
+            cells = np.flatnonzero(shown.any(axis=0))
+            parts.append((cells, shown[:, cells]))
+        if not parts:
+            return np.empty(0, dtype=np.intp), np.empty((len(time_s), 0))
+        touched = np.unique(np.concatenate([cells for cells, _ in parts]))
+        pressure = np.zeros((len(time_s), len(touched)))
+        for cells, part in parts:
+            pressure[:, np.searchsorted(touched, cells)] += part
+        return touched, pressure
 
-    @cached_property
-    def _coverage(self) -> list[FloatArray]:
-        return [contact.coverage(self.skin.design.array.shape) for contact in self.contact]
+
+def _with_parts(tables: Mapping[str, Any], source: str, directory: Path) -> Mapping[str, Any]:
+    """The tables with the files of design and cell in place of their names."""
+    skin = tables.get("skin")
+    if not isinstance(skin, Mapping):
+        return tables
+    parts: dict[str, Any] = {}
+    for key, kind in (("design", Design), ("cell", Cell)):
+        if isinstance(skin.get(key), str):
+            try:
+                parts[key] = kind.load(directory / skin[key])
+            except InputError as error:
+                raise InputError(f"{source}: skin.{key}: {error}") from error
+    return {**tables, "skin": {**skin, **parts}}
+
+
+def _with_paths(tables: Any, directory: Path) -> Any:
+    """The tables with ``directory`` put before every key ``file``."""
+    match tables:
+        case Mapping():
+            return {
+                key: str(directory / value)
+                if key == "file" and isinstance(value, str)
+                else value
+                if key in _LONG
+                else _with_paths(value, directory)
+                for key, value in tables.items()
+            }
+        case list():
+            return [_with_paths(item, directory) for item in tables]
+    return tables
+
+
+_LONG = {"load_kpa", "force_n", "path_cells", "path_mm", "cells", "skin"}
+"""keys without files below them, some of them long"""

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from ..arrays import CodeArray, FloatArray, IntArray
-from ..circuits import adc_codes, scan_sequence
+from ..circuits import Design, adc_codes, scan_sequence
 from ._scene import Scene
 from ._spread import Spreading
 
@@ -83,7 +84,7 @@ class EmulatedSkin:
     """The skin of a scene and the readout behind it, at rest until its first tick.
 
     Distinguish it from :class:`ohmskin.driver.Skin`, which is a host's view of a real or emulated board, and from
-    :class:`._scene.Skin`, the ``[skin]`` table of a scene file.
+    :class:`._scene.SkinSettings`, the ``[skin]`` table of a scene file.
     """
 
     def __init__(self, scene: Scene, seed: int = 0) -> None:
@@ -146,23 +147,46 @@ class _Physics:
         assert design.adc is not None  # a scene is refused without one
         self._shape = design.array.shape
         self._spreading = Spreading(self._shape, scene.skin.spreading_pitches)
-        self._cells = scene.skin.cell.forward(self._shape)
+        rest_factor, self._sensitivity = scene.skin.spread.draw(self._shape)
+        rest_ohm = scene.skin.cell.rest_resistance_ohm * rest_factor
+        self._cells = scene.skin.cell.forward(self._shape, rest_resistance_ohm=rest_ohm)
         self._rest_ohm = self._cells.rest_resistance_ohm.ravel()
         self._rest_tolerance = _REST_STEPS / 2.0**design.adc.bits
         self._active = np.empty(0, dtype=np.intp)
         self._time_us: int | None = None
+        self._designs: dict[tuple[int, ...], Design] = {(): design}
 
     def copy(self) -> _Physics:
-        return copy.deepcopy(self, {id(self._scene): self._scene})
+        """An independent copy, to come back to."""
+        return copy.deepcopy(self, {id(self._scene): self._scene, id(self._designs): self._designs})
 
     def run(self, time_us: IntArray) -> FrameBlock:
         """Live through frames at these times; the pressure is taken to change linearly between frames."""
-        frames, design = len(time_us), self._scene.skin.design
+        time_s = time_us / 1e6
+        surface, resistance = self._cells_at(time_us)
+        for event in self._scene.event:
+            if event.changes_cells:
+                assert event.place is not None
+                place = (slice(None), *event.place)
+                resistance[place] = event.changed_cells(time_s, resistance[place])
+        volts = self._volts(time_s, resistance)
+        if self._scene.board.noise:
+            volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
+        return FrameBlock(time_us, surface, resistance, volts, adc_codes(self._scene.skin.design, volts))
+
+    def _cells_at(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
+        """KPa on the surface and ohm of the cells, both (frames, rows, columns)."""
+        frames, time_s, movie = len(time_us), time_us / 1e6, self._scene.movie
         started = time_us[0] if self._time_us is None else self._time_us
         elapsed_s = np.diff(time_us, prepend=started) / 1e6
         self._time_us = int(time_us[-1])
-        touched, pressure = self._scene.pressure_on(time_us / 1e6)
+        surface = np.zeros((frames, self._rest_ohm.size))
+        if movie is not None and movie.quantity == "resistance":
+            return surface.reshape(frames, *self._shape), movie.at(time_s, self._shape)
+        touched, pressure = self._scene.pressure_on(time_s)
+        surface[:, touched] = pressure
         felt_cells, felt = self._spreading.below(touched, pressure)
+        felt = felt * self._sensitivity.flat[felt_cells]
 
         self._active = np.union1d(self._active, felt_cells)
         on_active = np.zeros((frames, len(self._active)))
@@ -170,11 +194,29 @@ class _Physics:
         resistance = np.repeat(self._rest_ohm[None], frames, axis=0)
         resistance[:, self._active] = self._cells.run(elapsed_s, on_active, self._active)
         self._active = self._active[~self._cells.put_to_rest(self._active, self._rest_tolerance)]
+        drift = self._scene.skin.drift.factor(time_s)
+        if (drift != 1.0).any():
+            resistance *= drift[:, None]
+        return surface.reshape(frames, *self._shape), resistance.reshape(frames, *self._shape)
 
-        surface = np.zeros((frames, self._rest_ohm.size))
-        surface[:, touched] = pressure
-        resistance = resistance.reshape(frames, *self._shape)
-        volts = scan_sequence(design, resistance).volts
-        if self._scene.board.noise:
-            volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
-        return FrameBlock(time_us, surface.reshape(volts.shape), resistance, volts, adc_codes(design, volts))
+    def _volts(self, time_s: FloatArray, resistance: FloatArray) -> FloatArray:
+        """V (frames, rows, columns) at the ADC, each stretch of frames by the circuit that the events leave."""
+        events = [(k, event) for k, event in enumerate(self._scene.event) if not event.changes_cells]
+        if not events:
+            return scan_sequence(self._scene.skin.design, resistance).volts
+        happening = np.array([event.happening(time_s) for _, event in events])
+        changes = np.flatnonzero((happening[:, 1:] != happening[:, :-1]).any(axis=0)) + 1
+        volts = np.empty(resistance.shape)
+        for first, last in pairwise([0, *changes.tolist(), len(time_s)]):
+            now = tuple(k for (k, _), on in zip(events, happening[:, first], strict=True) if on)
+            volts[first:last] = scan_sequence(self._design_during(now), resistance[first:last]).volts
+        return volts
+
+    def _design_during(self, events: tuple[int, ...]) -> Design:
+        """The design while these events last."""
+        if events not in self._designs:
+            design = self._scene.skin.design
+            for number in events:
+                design = self._scene.event[number].changed_design(design)
+            self._designs[events] = design
+        return self._designs[events]

@@ -10,12 +10,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from reference import reference_volts
 
 from ohmskin import bench
 from ohmskin.bench import _estimators as benchmark
 from ohmskin.bench import _memory as memory
 from ohmskin.bench import _peers as peers
+from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import METHODS
 from ohmskin.cli import run
 from ohmskin.errors import InputError
@@ -28,7 +28,7 @@ def _quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_reference_is_right_to_the_last_digits() -> None:
     design, frame = bench.board(3, 2.0), bench.cells(3)[0]
-    exact = reference_volts(design, frame, digits=40) / 1000.0
+    exact = reference_volts(design, frame) / 1000.0
     np.testing.assert_allclose(peers.reference(design, frame), exact, rtol=5e-16)
 
 

@@ -121,10 +121,13 @@ LOAD = {"load_kpa": [[0.0, 1.0]]}
             "scene: board.frame_rate: input should be greater than or equal to 0.001 (got 0.0)",
         ),
         ({"line": {"packet_loss": 1.0}}, "scene: line.packet_loss: input should be less than 1 (got 1.0)"),
-        ({"contact": [LOAD]}, "scene: contact[0]: a contact has one of cells, disc, rectangle, bump; got none"),
+        (
+            {"contact": [LOAD]},
+            "scene: contact[0]: a contact has one of cells, point, disc, rectangle, bump, image; got none",
+        ),
         (
             {"contact": [LOAD | {"cells": [[0, 0]], "disc": {"center": [0.0, 0.0], "radius_cells": 1.0}}]},
-            "contact[0]: a contact has one of cells, disc, rectangle, bump; got cells and disc",
+            "contact[0]: a contact has one of cells, point, disc, rectangle, bump, image; got cells and disc",
         ),
         ({"contact": [LOAD | {"cells": [[0, 2]]}]}, "contact[0].cells: [0, 2] lies outside the 3 x 2 array"),
         (
@@ -133,13 +136,13 @@ LOAD = {"load_kpa": [[0.0, 1.0]]}
         ),
         (
             {"contact": [LOAD | {"disc": {"center": [0.0, 0.0], "radius": 1.0}}]},
-            "unknown key 'contact[0].disc.radius'; the nearest known key is 'radius_cells'",
+            "unknown key 'contact[0].disc.radius'; the nearest known key is 'radius_mm'",
         ),
         (
             {"contact": [{"cells": [[0, 0]], "load_kpa": [[1.0, 0.0], [0.5, 2.0]]}]},
             "contact[0]: the times of load_kpa must not decrease; 0.5 s follows 1.0 s",
         ),
-        ({"contact": [{"cells": [[0, 0]], "load_kpa": [[0.0, -1.0]]}]}, "load_kpa[0][1]: input should be greater than"),
+        ({"contact": [{"cells": [[0, 0]], "load_kpa": [[0.0, -1.0]]}]}, "load_kpa[0][1]: input should be greater"),
         ({"contact": [{"cells": [[0, 0]], "load_kpa": [[0.0, float("nan")]]}]}, "load_kpa[0][1]: input should be"),
         ({"contact": [{"cells": [[0, 0]], "load_kpa": []}]}, "contact[0].load_kpa: list should have at least 1 item"),
     ],

@@ -1,4 +1,4 @@
-"""Laws that every circuit keeps, whatever its parts, and extreme parts against the nodal reference in 60 digits."""
+"""Laws that every circuit keeps, whatever its parts, and extreme parts against the exact nodal reference."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from parts_at_random import real_design
-from reference import reference_volts
 
+from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import CIRCUITS, Design, scan
 
 SEEDS = st.integers(0, 10**6)
@@ -169,7 +169,7 @@ def test_extreme_parts_keep_eleven_digits(circuit: str, kind: str, idle: tuple[s
         design = changed(design, "array", row_segment=row, column_segment=column)
         design = changed(design.with_circuit(circuit), "drive", idle_rows=idle[0])
         design = changed(design, "readout", idle_columns=idle[1])
-        expected = reference_volts(design, cells, 60)
+        expected = reference_volts(design, cells)
         np.testing.assert_allclose(scan(design, cells).volts, expected, rtol=1e-11, atol=1e-18)
 
 
@@ -186,5 +186,5 @@ def test_extreme_faults_keep_eleven_digits(circuit: str, kind: str, ohms: float)
         design = amplifier(3, 3, lead=10.0, open_loop_gain=1e5, reference_voltage=0.0).with_circuit(circuit)
         design = Design.model_validate(design.model_dump() | {"fault": [fault]})
         design = changed(design, "array", **segments)
-        expected = reference_volts(design, cells, 60)
+        expected = reference_volts(design, cells)
         np.testing.assert_allclose(scan(design, cells).volts, expected, rtol=1e-11, atol=1e-18)

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from designs import amplifier, divider
 from needs import need
-from reference import reference_volts
 from variety import any_design
 
+from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import Design
 from ohmskin.circuits.spice import command_available, frame_deck, netlist, run_control
 from ohmskin.cli import run
@@ -29,7 +29,7 @@ def read_by_ngspice(design: Design, cells: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("seed", range(60))
 def test_ngspice_reads_what_the_circuit_says(seed: int) -> None:
     design, cells = any_design(seed)
-    expected = reference_volts(design, cells, 40)
+    expected = reference_volts(design, cells)
     np.testing.assert_allclose(read_by_ngspice(design, cells), expected, rtol=1e-7, atol=1e-11)
 
 
@@ -68,7 +68,7 @@ def test_rows_that_no_cell_connects() -> None:
         amplifier(3, 2, segment=1.0),
     ):
         cells = np.array([[1e3, np.inf], [np.inf, np.inf], [2e3, np.inf]])
-        expected = reference_volts(design, cells, 40)
+        expected = reference_volts(design, cells)
         np.testing.assert_allclose(read_by_ngspice(design, cells), expected, rtol=1e-9, atol=1e-13)
 
 

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from designs import amplifier, divider
 from parts_at_random import real_design
-from reference import reference_volts
 
+from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import CIRCUITS, Design, apparent_resistance, scan
 from ohmskin.config import parse
 from ohmskin.errors import InputError, SolverError
@@ -18,7 +18,7 @@ from ohmskin.errors import InputError, SolverError
 def assert_reads_as_the_reference(design: Design, cells: np.ndarray) -> None:
     """To 1e-11 of each signal, and to what the reference voltage's own rounding leaves of it."""
     level = design.readout.reference_voltage
-    expected = reference_volts(design, cells, 50)
+    expected = reference_volts(design, cells)
     np.testing.assert_allclose(scan(design, cells).volts - level, expected - level, rtol=1e-11, atol=1e-15)
 
 

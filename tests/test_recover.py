@@ -10,8 +10,8 @@ from designs import amplifier, divider
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from parts_at_random import real_design
-from reference import Indeterminate, reference_volts
 
+from ohmskin.bench._reference import Indeterminate, reference_volts
 from ohmskin.circuits import (
     CIRCUITS,
     Adc,
@@ -30,7 +30,7 @@ from ohmskin.errors import InputError, SolverError
 
 def round_trip(design: Design, cells: np.ndarray, **options: Any) -> Recovery:
     """Every cell back, as well as its conditioning lets it."""
-    recovery = recover(design, reference_volts(design, cells, 50), **options)
+    recovery = recover(design, reference_volts(design, cells), **options)
     assert (recovery.status == Status.READ).all()
     error = np.abs(recovery.resistance / cells - 1)
     level = abs(design.readout.reference_voltage) + np.abs(conditioning(design, cells).resistance_std(1e-16) / cells)
@@ -286,7 +286,7 @@ def test_what_is_called_read_is_right(seed: int, circuit: str, faults: int, limi
     for _ in range(rng.integers(3)):
         cells.ravel()[rng.integers(cells.size)] = rng.choice([np.inf, 0.0, 10.0, 1e8])
     try:
-        recovery = recover(design, reference_volts(design, cells, 30))
+        recovery = recover(design, reference_volts(design, cells))
     except (SolverError, Indeterminate):
         return
     read = recovery.status == Status.READ

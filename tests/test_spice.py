@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from designs import amplifier, divider
 from needs import need
-from reference import reference_volts
 from variety import any_design
 
+from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import scan
 from ohmskin.circuits.spice import _ngspice as spice
 from ohmskin.errors import MissingExtra, SolverError
@@ -40,9 +40,7 @@ def test_scan_agrees_with_ngspice(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(150))
 def test_the_sweep_agrees_with_the_reference(seed: int) -> None:
     design, cells = any_design(seed)
-    np.testing.assert_allclose(
-        spice.command_scan(design, cells), reference_volts(design, cells, 40), rtol=1e-7, atol=1e-11
-    )
+    np.testing.assert_allclose(spice.command_scan(design, cells), reference_volts(design, cells), rtol=1e-7, atol=1e-11)
 
 
 @pytest.mark.usefixtures("library")

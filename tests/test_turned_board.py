@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 from parts_at_random import real_design
-from reference import reference_volts
 
+from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import (
     Design,
     Settling,
@@ -77,7 +77,7 @@ def test_an_ideal_board_reads_each_cell_alone() -> None:
 def test_faults_saturation_and_unequal_parts_read_as_the_reference(seed: int) -> None:
     limits = {"supply": (-0.2, 3.3)} if seed % 2 else {}
     design, cells = real_design(seed, circuit="row-amplifier", faults=seed % 4, **limits)
-    expected = reference_volts(design, cells, 40)
+    expected = reference_volts(design, cells)
     result = scan(design, cells, method="exact")
     finest = np.abs(expected).max()
     np.testing.assert_allclose(result.volts, expected, rtol=1e-9, atol=1e-11 * finest)

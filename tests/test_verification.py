@@ -19,8 +19,7 @@ from ohmskin.circuits import Design
 from ohmskin.circuits.spice import _ngspice as spice
 from ohmskin.cli import run
 from ohmskin.emulator import PtyPort, Scene, Stop, emulate
-from ohmskin.emulator._scene import BoardSettings
-from ohmskin.emulator._scene import Skin as SkinSettings
+from ohmskin.emulator._scene import BoardSettings, SkinSettings
 from ohmskin.errors import MissingExtra
 from ohmskin.verification import prototype, verify
 from ohmskin.verification._claims import APPENDICES, STATEMENTS

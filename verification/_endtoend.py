@@ -15,8 +15,7 @@ from ..arrays import BoolArray, FloatArray
 from ..circuits import adc_codes
 from ..driver import Frame, Skin
 from ..emulator import Contact, PtyPort, Rectangle, Scene, running
-from ..emulator._scene import BoardSettings
-from ..emulator._scene import Skin as SkinSettings
+from ..emulator._scene import BoardSettings, SkinSettings
 from ..errors import InputError
 from ._chain import runs
 from ._maps import heat_maps

@@ -9,7 +9,16 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray
-from ..circuits import Design, adc_codes, apparent_resistance, clipped, scan, volts_of_codes
+from ..circuits import (
+    Design,
+    adc_codes,
+    apparent_resistance,
+    clipped,
+    conversion_changes,
+    conversion_limits,
+    scan,
+    volts_of_codes,
+)
 
 
 def replaced(design: Design, section: str, **values: Any) -> Design:
@@ -80,11 +89,19 @@ def change(design: Design, before: FloatArray, after: FloatArray) -> FloatArray:
 
 
 def worst_crosstalk(design: Design, before: FloatArray, after: FloatArray) -> float:
-    """Largest change, in % of its reading, of a cell that is the same before and after; either sign of the parts."""
+    """Largest change, in % of its reading, of a cell that is the same before and after.
+
+    The worse sign of the amplifiers' offset and bias current counts, and the worst place within an ADC step.
+    """
     untouched = before == after
-    return max(
-        float(np.abs(np.where(untouched, change(variant, before, after), 0.0)).max()) for variant in either_sign(design)
-    )
+    worst = 0.0
+    for variant in either_sign(design):
+        first, second = (scan(variant, cells, method="exact").volts for cells in (before, after))
+        if variant.adc is not None:
+            first, second = conversion_changes(variant, first, second)
+        changed = apparent_resistance(variant, second) / apparent_resistance(variant, first) - 1
+        worst = max(worst, 100 * float(np.abs(np.where(untouched, changed, 0.0)).max()))
+    return worst
 
 
 def worst_reading_error(design: Design, cells: FloatArray) -> float:
@@ -95,16 +112,9 @@ def worst_reading_error(design: Design, cells: FloatArray) -> float:
     worst = 0.0
     for variant in either_sign(design):
         volts = scan(variant, cells, method="exact").volts
-        if variant.adc is None:
-            readings = [volts]
-        else:
-            codes = adc_codes(variant, volts)
-            if clipped(variant, codes).any():
+        if variant.adc is not None:
+            if clipped(variant, adc_codes(variant, volts)).any():
                 return inf
-            read, half = volts_of_codes(variant, codes), variant.adc.step / 2
-            # An ideal converter's code is off by up to half a step; what this one adds to that shows in its code.
-            own = np.round((read - volts) / variant.adc.step) * variant.adc.step
-            readings = [volts + own + half, volts + own - half]
-        errors = [np.abs(apparent_resistance(variant, reading) / cells - 1).max() for reading in readings]
-        worst = max(worst, 100 * float(max(errors)))
+            volts = conversion_limits(variant, volts)
+        worst = max(worst, 100 * float(np.abs(apparent_resistance(variant, volts) / cells - 1).max()))
     return worst

@@ -40,6 +40,7 @@ from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
 from .._board import Board, broken_off
 from .._design import Design
+from .._sensitivity import LARGEST, board_sensitivity
 from ..solvers import ULP, siemens
 from ._inversion import Factor, Found, Held, Inverter, Model
 
@@ -51,7 +52,11 @@ _STAGES = (6.0, 40.0, inf)  # times the conductance recovered, at which the othe
 _RETRIES = 1  # in smaller steps
 _ONWARDS = 4.0  # times as far the others may go there
 _RUNAWAY = 1e-3  # relative change beyond which a cell may be anything where the far end was not reached
+_MOVED = 1e-7  # the same where the path ended because a cell would have to conduct less than nothing
 _AROUND = 0.25  # share of the product of what its two lines have moved by that a cell may move besides
+_ORDINARY = 1e-4  # S of all cells, to find out which of them their own readings tell of
+_INSENSITIVE = 1e-6  # of what an ideal readout would make of a cell's change: less is rounding
+_NOISE = 1e-3  # of an apparent conductance: cells below may come and go with the noise of their readings
 _GROUPS = 3  # into which unknown cells are put at most
 _DIGITS_LOST = 1e4  # relative error of a cell that counts as read, in units of the accuracy asked for
 
@@ -196,6 +201,9 @@ class Recoverer:
             for fault in design.fault
             if fault.kind != "open-cell" and (fault.kind != "shorted-cell" or fault.ohms == 0 or board.continuous)
         ]
+        if any(fault.ohms == 0 for fault in board.shorts + board.bridges):
+            # Not perfectly: a cell at the end of a long divider may move its own reading very little.
+            self._cut_off |= _insensitive(board, np.full(board.shape, _ORDINARY))
         self._unread = self._cut_off.copy()
         for fault in board.shorts:
             self._unread[fault.place] |= fault.ohms == 0
@@ -222,6 +230,13 @@ class Recoverer:
         offset = found.clamped & (limited.any | self._cut_off).any(axis=0)
         unknown = _Unknown(limited.at_least | self._cut_off | offset, limited.at_most & (found.conductance > 0))
         low, high = np.maximum(found.conductance - found.error, 0.0), found.conductance + found.error
+        if columns is None and found.conductance.max(initial=0.0) >= 1.0 / self._short:
+            # A shorted cell may hold its lines, so that their other cells read as nothing, whatever they are.
+            silent = (found.conductance == 0) & ~unknown.any
+            if silent.any():
+                hidden = silent & _insensitive(board, found.conductance)
+                unknown = _Unknown(unknown.at_least | hidden, unknown.at_most)
+                lost = lost | hidden
         if unknown.any.any():
             down, up = (
                 self._spread(measured, found, unknown)
@@ -261,7 +276,7 @@ class Recoverer:
         if max(sides.count(True), sides.count(False)) > 1:  # else one by one is also all together
             groups.insert(0, unknown)
         for number, some in enumerate(groups):
-            visited = self._visit(measured, known, unknown, some, number)
+            visited = self._visit(measured, found, unknown, some, number)
             down.append(known - np.min(visited, axis=0))
             up.append(np.max(visited, axis=0) - known)
         less, more = (np.maximum(side[0], np.sum(side[1:], axis=0)) for side in (down, up))
@@ -272,20 +287,25 @@ class Recoverer:
         return less + around, more + around
 
     def _visit(
-        self, measured: FloatArray, known: FloatArray, unknown: _Unknown, some: _Unknown, number: int
+        self, measured: FloatArray, found: Found, unknown: _Unknown, some: _Unknown, number: int
     ) -> list[FloatArray]:
         """The conductances in S (N, M) while ``some`` of the unknown cells go to their far end."""
+        known = found.conductance
         visited, reached, most = [known], 1.0, self._most(known)
         # Where one frame's path came to an end, so will the next one's: looking for it costs many frames' time.
         cells, end = self._ends.get(number, (None, inf))
         ended = cells is not None and bool((cells == unknown.any).all())
         pending, retries = [times for times in _STAGES if not ended or times < end], 0 if ended else _RETRIES
+        runaway = _RUNAWAY
         while pending:
             times = pending[0]
             if (number, times) not in self._far:
                 self._far[number, times] = Inverter(self._model, self._unread, 1e3 * self._accuracy)
             held = Held(unknown.any, some.moved(known, times, most))
             there = self._far[number, times].beside(measured, held, visited[-1])
+            # A cell that conducts now would have to conduct less than nothing: no cells give these readings.
+            if there is not None and ((known > _NOISE * found.target) & (there == 0) & ~unknown.any).any():
+                there, runaway = None, _MOVED
             if there is not None:
                 visited.append(there)
                 reached = pending.pop(0)
@@ -295,7 +315,7 @@ class Recoverer:
             else:
                 self._ends[number], ended, pending = (unknown.any, times), True, []
         if ended:  # no cells give the readings with these so far out, and some may be anything by then
-            off = (np.abs(visited[-1] - known) > _RUNAWAY * known) | (known == 0) | (reached < _STAGES[0])
+            off = (np.abs(visited[-1] - known) > runaway * known) | (known == 0) | (reached < _STAGES[0])
             onwards = np.maximum(known + _ONWARDS * (visited[-1] - known), 0.0)
             visited += [np.where(off, inf, onwards), np.where(off, 0.0, onwards)]
         return visited
@@ -337,6 +357,20 @@ class Recoverer:
             return own
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(own > 0, 1.0 / np.maximum(1.0 / own - self._series, 0.0), 0.0)
+
+
+def _insensitive(board: Board, conductance: FloatArray) -> BoolArray:
+    """(N, M) cells whose own readings do not change with them, because parts of 0 ohm hold both of their lines.
+
+    Nowhere where there are no derivatives: continuous sheets, and more than 64 x 64 cells.
+    """
+    if board.continuous or conductance.size > LARGEST:
+        return np.zeros(board.shape, dtype=np.bool_)
+    with np.errstate(divide="ignore"):
+        found = board_sensitivity(board, 1.0 / conductance)
+    own = np.einsum("ijij->ij", found.cell_conductance)
+    ideal = np.abs(board.circuit.conductance_slope(board, found.volts - board.level))
+    return np.asarray(np.abs(own) * ideal < _INSENSITIVE)
 
 
 def _short(board: Board) -> float:

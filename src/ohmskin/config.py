@@ -23,6 +23,9 @@ from .text import printable, shortened
 MOST, LEAST = 1e30, 1e-30
 """Quantities in SI units lie far within these limits, and products of a few of them neither overflow nor vanish."""
 
+LONGEST_KEY = 200
+"""characters of a dotted key that a message repeats"""
+
 Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, le=MOST, allow_inf_nan=False)]
@@ -118,7 +121,7 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
     """The first fault of a failed validation, in one line: key, what is wrong, what was expected."""
     # An unknown key explains a missing one (a slip of the pen), so it goes first.
     first = min(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
-    where = _dotted(first["loc"])
+    where = shortened(_dotted(first["loc"]), LONGEST_KEY)
     match first["type"]:
         case "extra_forbidden":
             near = difflib.get_close_matches(str(first["loc"][-1]), _keys_at(model, first["loc"][:-1]), n=1, cutoff=0.0)
@@ -148,6 +151,7 @@ def _check_integers(value: Any, source: str, where: str = "") -> None:
         for index, item in enumerate(value):
             _check_integers(item, source, f"{where}[{index}]")
     elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        where = shortened(where, LONGEST_KEY)
         raise InputError(f"{source}: {where}: an integer has at most 64 bits (got {_shown(value)})")
 
 

@@ -43,6 +43,23 @@ def read_cells(path: str | Path, shape: tuple[int, int]) -> FloatArray:
     return np.array(values).reshape(shape)
 
 
+def read_matrix(path: str | Path) -> FloatArray:
+    """Read lines of as many comma-separated numbers each as a two-dimensional array.
+
+    Raises:
+        InputError: unreadable, empty or ragged file, or a field that is not a number.
+
+    """
+    values = array("d")
+    rows = columns = 0
+    for line, fields in _lines(path, MOST_CELL_BYTES):
+        values.extend(_number(path, line, field) for field in fields)
+        rows, columns = rows + 1, columns or len(fields)
+        if len(fields) != columns:
+            raise InputError(f"{path}: line {line}: lines of unequal length, {len(fields)} fields after {columns}")
+    return np.array(values).reshape(rows, columns)
+
+
 def read_columns(path: str | Path, names: Sequence[str]) -> dict[str, FloatArray]:
     """Read the named columns of a CSV file with a header line; an empty field or ``nan`` is NaN.
 

@@ -1,28 +1,36 @@
-"""The independent check: modified nodal analysis of a design, written for clarity and nothing else.
+"""The reference for readings: modified nodal analysis of a design in exact rational arithmetic.
 
-Every part is one equation or one stamp, as a textbook would write them: no ports, no elimination of the
-amplifiers, no symmetry, none of the ideas of ``ohmskin.circuits``. It works in float64 (``digits=None``)
-or, for small grids, in decimal arithmetic of as many digits as asked for.
+Every part is one equation or one stamp, as a textbook would write them (Ho, Ruehli and Brennan, IEEE Transactions on
+Circuits and Systems 22, 1975). FLINT solves the matrix of rational numbers without any rounding, so singular circuits
+are told from nearly singular ones for certain; only the answers are rounded to double precision. Nothing is shared
+with ``ohmskin.circuits`` but the keys of a design: no ports, no elimination of the amplifiers, no symmetry, no large
+numbers that stand for ideal parts.
 
-Unknowns are the node potentials *against the reference voltage* (so that a 1.65 V mid-supply costs no
-digits), the currents of ideal sources and of 0-ohm parts, and the amplifier outputs.
+Unknowns are the node potentials against the reference voltage, the currents of ideal sources and of parts of 0 ohm,
+and the outputs of the amplifiers.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Hashable, Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 from dataclasses import dataclass, field
-from decimal import Decimal, localcontext
 from itertools import product
 from math import inf, isinf
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.cluster.hierarchy import DisjointSet
 
-from ohmskin.circuits import Design
+from ..arrays import FloatArray
+from ..circuits import Design
+from ..errors import MissingExtra
+
+try:
+    import flint
+except ImportError:
+    flint = None
 
 Node = Hashable
 REFERENCE: Node = "reference"
@@ -30,41 +38,40 @@ FOLLOWER: Node = "follower"
 
 
 class Indeterminate(ArithmeticError):
-    """The circuit has no solution or more than one."""
+    """The circuit has no solution, or more than one."""
 
 
-def reference_volts(design: Design, resistance: ArrayLike, digits: int | None = None) -> NDArray[np.float64]:
-    """The column outputs of one frame, (rows, columns) in V.
+def reference_volts(design: Design, resistance: ArrayLike) -> FloatArray:
+    """The outputs of one frame, (rows, columns) in V, exact but for their rounding.
 
-    Amplifier of column j: ``v_out = A (Vref + Vos - v_minus)`` within its supply, Rref from ``v_out`` to
-    ``v_minus``, and the bias current into the inverting input. Divider: the potential of the column's end,
-    its load going to the reference. With ``digits`` the arithmetic has that many decimal digits.
+    Amplifier of line j: ``v_out = A (Vref + Vos - v_minus)`` within its supply, Rref from ``v_out`` to ``v_minus``,
+    and the bias current into the inverting input. Divider: the potential of the line's end, with its load to the
+    reference. Voltage feedback: the output of the follower, which drives all idle lines.
 
     Raises:
         Indeterminate: ideal parts contradict each other or leave a voltage open.
+        MissingExtra: python-flint is not installed.
     """
+    if flint is None:
+        raise MissingExtra("the exact reference needs python-flint: pip install 'ohmskin[hunt]'")
     cells = design.resistance(resistance)
     rows, columns = cells.shape
     volts = np.empty(cells.shape)
     circuit = design.readout.circuit
     if circuit == "row-amplifier":
-        with localcontext() as context:
-            context.prec = digits or context.prec
-            for column in range(columns):
-                volts[:, column] = _step(design, cells, column, list(range(rows)), digits is not None)
+        for column in range(columns):
+            volts[:, column] = _step(design, cells, column, list(range(rows)))
         return volts
     one_by_one = circuit == "voltage-feedback" or (
         circuit == "voltage-divider" and design.readout.idle_columns == "float"
     )
-    with localcontext() as context:
-        context.prec = digits or context.prec
-        for row in range(rows):
-            for read in [[j] for j in range(columns)] if one_by_one else [list(range(columns))]:
-                volts[row, read] = _step(design, cells, row, read, digits is not None)
+    for row in range(rows):
+        for read in [[j] for j in range(columns)] if one_by_one else [list(range(columns))]:
+            volts[row, read] = _step(design, cells, row, read)
     return volts
 
 
-def _step(design: Design, cells: NDArray[np.float64], row: int, read: list[int], exact: bool) -> list[float]:
+def _step(design: Design, cells: FloatArray, row: int, read: list[int]) -> list[float]:
     """The outputs of the lines ``read`` while the driven line ``row`` is selected; tries which of them are saturated.
 
     Driven lines are rows and lines that are read are columns, but the other way round for "row-amplifier".
@@ -76,40 +83,35 @@ def _step(design: Design, cells: NDArray[np.float64], row: int, read: list[int],
         while guess not in tried:
             tried.append(guess)
             try:
-                outputs, unlimited = _solve(design, cells, row, read, guess, exact)
+                outputs, unlimited = _solve(design, cells, row, read, guess)
             except Indeterminate:
                 break
-            guess = tuple(high if v > high else low if v < low else None for v in unlimited)
+            guess = tuple(_limit(volts, low, high) for volts in unlimited)
             if guess == tried[-1]:
-                return [float(v) for v in outputs]
-    raise Indeterminate(f"no unique solution while row {row} is selected")
+                return [_rounded(volts) for volts in outputs]
+    raise Indeterminate(f"no unique solution while line {row} is selected")
 
 
-def _saturations(columns: int, supply: tuple[float, float]) -> Iterator[tuple[float | None, ...]]:
-    """First guesses: no column saturated; then, on small grids, every way in which they can be."""
-    yield (None,) * columns
+def _saturations(lines: int, supply: tuple[float, float]) -> Iterator[tuple[float | None, ...]]:
+    """First guesses: no output saturated; then, on small grids, every way in which they can be."""
+    yield (None,) * lines
     rails = [rail for rail in supply if not isinf(rail)]
-    if columns <= 4 and rails:
-        yield from product([None, *rails], repeat=columns)
+    if lines <= 4 and rails:
+        yield from product([None, *rails], repeat=lines)
 
 
 def _solve(
-    design: Design,
-    cells: NDArray[np.float64],
-    row: int,
-    read: list[int],
-    stuck_at: tuple[float | None, ...],
-    exact: bool,
+    design: Design, cells: FloatArray, row: int, read: list[int], stuck_at: tuple[float | None, ...]
 ) -> tuple[list[Any], list[Any]]:
-    """Outputs of the columns ``read``, and what the amplifiers would put out at these currents without supply.
+    """Outputs of the lines ``read``, and what the amplifiers would put out at these currents without supply.
 
     The latter is ``(Vref + Vos - Rref i) A/(1+A)``, i the current out of the grid: it is inside the supply
     if, and only if, ``A (Vref + Vos - v_minus)`` is.
     """
-    number: Callable[[float], Any] = Decimal if exact else float
+    number = _exact
     array, readout = design.array, design.readout
     rows, columns = cells.shape
-    system = _Equations(number)
+    system = _Equations()
 
     on_rows = readout.circuit == "row-amplifier"
     driven_lines, read_lines = (columns, rows) if on_rows else (rows, columns)
@@ -144,13 +146,13 @@ def _solve(
     feedback = readout.circuit == "voltage-feedback"
     for i in range(driven_lines):
         if i != row and feedback:
-            law = [(("drive", i), 1), (FOLLOWER, -1)]
-            system.branch(("source", i), ("drive", i), FOLLOWER, law, number(0.0))
+            law = [(("drive", i), number(1)), (FOLLOWER, number(-1))]
+            system.branch(("source", i), ("drive", i), FOLLOWER, law, number(0))
             held.add(("drive", i))
             held.merge(("drive", i), REFERENCE)
         elif i == row or design.drive.idle_rows == "ground":
             volts = number(design.drive.voltage if i == row else 0.0)
-            system.branch(("source", i), ("drive", i), REFERENCE, [(("drive", i), 1)], volts)
+            system.branch(("source", i), ("drive", i), REFERENCE, [(("drive", i), number(1))], volts)
             held.add(("drive", i))
             held.merge(("drive", i), REFERENCE)
 
@@ -158,13 +160,13 @@ def _solve(
     amplified = readout.circuit in {"inverting-amplifier", "row-amplifier"}
     for j in range(read_lines):
         if feedback and j not in read:
-            law = [(("end", j), 1), (FOLLOWER, -1)]
-            system.branch(("tie", j), ("end", j), FOLLOWER, law, number(0.0))
+            law = [(("end", j), number(1)), (FOLLOWER, number(-1))]
+            system.branch(("tie", j), ("end", j), FOLLOWER, law, number(0))
             held.add(("end", j))
             held.merge(("end", j), REFERENCE)
     for j, rail in zip(read, stuck_at, strict=True):
         rref, vos = number(_of(readout.reference_resistance, j)), number(_of(readout.offset_voltage, j))
-        bias, inverse_gain = number(_of(readout.bias_current, j)), _inverse(number, _of(readout.open_loop_gain, j))
+        bias, inverse_gain = number(_of(readout.bias_current, j)), _inverse(_of(readout.open_loop_gain, j))
         minus, out = ("end", j), ("out", j)
         held.add(minus)
         held.merge(minus, REFERENCE)
@@ -173,17 +175,17 @@ def _solve(
             if feedback:
                 system.add(minus, [], -bias)
                 if rail is not None:
-                    law, value = [(FOLLOWER, 1)], number(rail) - vref
+                    law, value = [(FOLLOWER, number(1))], number(rail) - vref
                 else:
-                    law, value = [(FOLLOWER, 1 + inverse_gain), (minus, -1)], vos - vref * inverse_gain
+                    law, value = [(FOLLOWER, 1 + inverse_gain), (minus, number(-1))], vos - vref * inverse_gain
                 system.branch("follower output", FOLLOWER, REFERENCE, law, value)
             continue
         system.conductor(minus, out, 1 / rref)
         system.add(minus, [], -bias)
         if rail is not None:
-            law, value = [(out, 1)], number(rail) - vref
+            law, value = [(out, number(1))], number(rail) - vref
         else:  # (v_out + Vref) / A = Vos - v_minus
-            law, value = [(out, inverse_gain), (minus, 1)], vos - vref * inverse_gain
+            law, value = [(out, inverse_gain), (minus, number(1))], vos - vref * inverse_gain
         system.branch(("amplifier", j), out, REFERENCE, law, value)
 
     # Parts without resistance are branches of 0 V; one that closes a loop of such parts would add nothing but
@@ -199,15 +201,15 @@ def _solve(
         if ohm:
             system.conductor(a, b, 1 / number(ohm))
         elif shorts.merge(a, b):
-            system.branch(("short", name), a, b, [(a, 1), (b, -1)], number(0.0))
+            system.branch(("short", name), a, b, [(a, number(1)), (b, number(-1))], number(0))
     for island in held.subsets():
         if REFERENCE not in island:
-            system.conductor(min(island, key=str), REFERENCE, number(1.0))
+            system.conductor(min(island, key=str), REFERENCE, number(1))
 
-    value_of = system.solution(exact)
+    value_of = system.solution()
     outputs, unlimited = [], []
     for j in read:
-        share = 1 / (1 + _inverse(number, _of(readout.open_loop_gain, j)))
+        share = 1 / (1 + _inverse(_of(readout.open_loop_gain, j)))
         vos = number(_of(readout.offset_voltage, j))
         if feedback:
             outputs.append(value_of[FOLLOWER] + vref)
@@ -235,18 +237,34 @@ def _of(value: float | tuple[float, ...], line: int) -> float:
     return value[line] if isinstance(value, tuple) else value
 
 
-def _inverse(number: Callable[[float], Any], gain: float) -> Any:
-    return 1 / number(gain) if gain < inf else number(0.0)
+def _exact(value: float) -> Any:
+    """A finite double as the rational number that it is."""
+    return flint.fmpq(*float(value).as_integer_ratio())
+
+
+def _rounded(value: Any) -> float:
+    """The double that is nearest to a rational number."""
+    return int(value.p) / int(value.q)
+
+
+def _limit(volts: Any, low: float, high: float) -> float | None:
+    """The supply limit that an output of so many volts would pass."""
+    if high < inf and volts > _exact(high):
+        return high
+    return low if low > -inf and volts < _exact(low) else None
+
+
+def _inverse(gain: float) -> Any:
+    return 1 / _exact(gain) if gain < inf else _exact(0)
 
 
 @dataclass
 class _Equations:
     """A linear system under construction; unknowns are named, and so are the equations, by the same names."""
 
-    number: Callable[[float], Any]
     place: dict[Hashable, int] = field(default_factory=dict)
-    left: dict[tuple[int, int], Any] = field(default_factory=lambda: defaultdict(int))
-    right: dict[int, Any] = field(default_factory=lambda: defaultdict(int))
+    left: dict[tuple[int, int], Any] = field(default_factory=lambda: defaultdict(lambda: _exact(0)))
+    right: dict[int, Any] = field(default_factory=lambda: defaultdict(lambda: _exact(0)))
 
     def add(self, equation: Hashable, terms: Iterable[tuple[Hashable, Any]], constant: Any = 0) -> None:
         """Add ``sum(factor * unknown)`` to the left of an equation and ``constant`` to its right.
@@ -271,41 +289,15 @@ class _Equations:
         self.add(b, [(current, -1)])
         self.add(current, law, constant)
 
-    def solution(self, exact: bool) -> dict[Hashable, Any]:
+    def solution(self) -> dict[Hashable, Any]:
         size = len(self.place)
-        matrix, right = np.full((size, size), self.number(0.0)), np.full(size, self.number(0.0))
+        matrix, right = flint.fmpq_mat(size, size), flint.fmpq_mat(size, 1)
         for place, value in self.left.items():
-            matrix[place] = self.number(value)
+            matrix[place] = value
         for row, value in self.right.items():
-            right[row] = self.number(value)
-        if exact:
-            values = _eliminate(matrix, right)
-        else:
-            try:
-                values = np.linalg.solve(matrix, right)
-            except np.linalg.LinAlgError as error:
-                raise Indeterminate(str(error)) from error
-        return {unknown: values[place] for unknown, place in self.place.items()}
-
-
-def _eliminate(matrix: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
-    """Gauss with scaled rows and partial pivots, for any number type that numpy can hold as an object."""
-    work = np.column_stack([matrix, right])
-    size = len(right)
-    for row in work:
-        largest = max(map(abs, row[:size]))
-        if not largest:
-            raise Indeterminate("an equation without unknowns")
-        row[:] = row / largest
-    for k in range(size):
-        pivot = k + int(np.argmax(np.abs(work[k:, k])))
-        if abs(work[pivot, k]) < Decimal("1e-40"):
-            raise Indeterminate("singular matrix")
-        work[[k, pivot]] = work[[pivot, k]]
-        below = k + 1 + np.flatnonzero(work[k + 1 :, k])
-        live = k + np.flatnonzero(work[k, k:])
-        work[np.ix_(below, live)] -= np.outer(work[below, k] / work[k, k], work[k, live])
-    solution = np.zeros(size, dtype=object)
-    for k in reversed(range(size)):
-        solution[k] = (work[k, size] - work[k, k + 1 : size] @ solution[k + 1 :]) / work[k, k]
-    return solution
+            right[row, 0] = value
+        try:
+            values = matrix.solve(right)
+        except ZeroDivisionError as error:
+            raise Indeterminate("singular matrix") from error
+        return {unknown: values[place, 0] for unknown, place in self.place.items()}

@@ -1,0 +1,132 @@
+"""Contacts: a shape, a load over time, and the path that the shape takes over the skin."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..arrays import FloatArray, IntArray
+from ..config import Finite
+from ..errors import InputError
+from ._loads import Load, Seconds, within_period
+from ._shapes import Bump, Coordinate, Disc, Image, Point, Rectangle, Shape
+
+CellIndex = Annotated[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]], Field(strict=False)]
+PathPoint = Annotated[tuple[Finite, Coordinate, Coordinate], Field(strict=False)]
+Path = Annotated[list[PathPoint], Field(min_length=1, max_length=1_000_000)]
+_SHAPES = ("cells", "point", "disc", "rectangle", "bump", "image")
+
+
+class Contact(Load):
+    """Something that presses on the skin."""
+
+    cells: Annotated[list[CellIndex], Field(min_length=1)] | None = None
+    """[row, column] of each cell pressed"""
+    point: Point | None = None
+    disc: Disc | None = None
+    rectangle: Rectangle | None = None
+    bump: Bump | None = None
+    image: Image | None = None
+    path_cells: Path | None = None
+    """[time in s, row, column] of the shape's middle: straight lines between, at rest before and after"""
+    path_mm: Path | None = None
+    """[time in s, down, along] likewise, from the middle of cell [0, 0]"""
+    path_period: Seconds | None = None
+    """s, after which the path begins anew; left out: never"""
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Self:
+        given = [name for name in _SHAPES if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(f"a contact has one of {', '.join(_SHAPES)}; got {' and '.join(given) or 'none'}")
+        return self
+
+    @model_validator(mode="after")
+    def _one_place(self) -> Self:
+        paths = [path for path in (self.path_cells, self.path_mm) if path is not None]
+        if len(paths) == 2:
+            raise ValueError("give path_cells or path_mm, not both")
+        if self.path_period is not None and not paths:
+            raise ValueError("path_period needs a path")
+        if self.cells is not None:
+            if paths:
+                raise ValueError("'cells' stay where they are; a path needs one of the other shapes")
+            return self
+        placed = self._shape.middle(1.0) is not None
+        if placed and paths:
+            raise ValueError("give the shape a center or the contact a path, not both")
+        if not placed and not paths:
+            raise ValueError("the shape needs center or center_mm, or the contact a path")
+        for (before, *_), (after, *_) in pairwise(paths[0] if paths else ()):
+            if after < before:
+                raise ValueError(f"the times of a path must not decrease; {after} s follows {before} s")
+        return self
+
+    @property
+    def _shape(self) -> Shape:
+        shape = self.point or self.disc or self.rectangle or self.bump or self.image
+        assert shape is not None
+        return shape
+
+    def read_files(self) -> None:
+        """Read what the contact names, so that an error comes before the first frame. Raises InputError."""
+        super().read_files()
+        if self.image is not None:
+            _ = self.image.pixels
+
+    def middles(self, time_s: FloatArray, pitch_mm: float) -> FloatArray:
+        """(frames, 2) where the middle of the shape is at each of ``time_s``, in cells."""
+        path = self.path_cells if self.path_cells is not None else self.path_mm
+        if path is None:
+            return np.array([self._shape.middle(pitch_mm)])
+        points = np.asarray(path, dtype=np.float64)
+        time = time_s if self.path_period is None else within_period(time_s, self.path_period)
+        places = np.stack([np.interp(time, points[:, 0], points[:, axis]) for axis in (1, 2)], axis=1)
+        return places if self.path_cells is not None else places / pitch_mm
+
+    def coverage(self, shape: tuple[int, int], pitch_mm: float = 25.4) -> FloatArray:
+        """(rows, columns) pressure on each cell per unit of load, at the beginning of a path."""
+        covered = np.zeros(shape)
+        cells, share = self._cover(np.zeros(1), shape, pitch_mm)
+        covered.flat[cells] = share[0]
+        return covered
+
+    def pressure_on(self, time_s: FloatArray, shape: tuple[int, int], pitch_mm: float) -> tuple[IntArray, FloatArray]:
+        """The cells that the contact presses at any of ``time_s``, and how hard.
+
+        Returns:
+            (k,) indices into the flattened array in rising order, and (frames, k) kPa.
+
+        """
+        area_cells = float(len(self.cells)) if self.cells is not None else self._shape.area_cells(pitch_mm)
+        load = self.load(time_s, area_m2=area_cells * (pitch_mm / 1000.0) ** 2)
+        pressing = load > 0
+        if not pressing.any():
+            return np.empty(0, dtype=np.intp), np.empty((len(time_s), 0))
+        cells, share = self._cover(time_s, shape, pitch_mm)
+        touched = (share[pressing] > 0).any(axis=0) if len(share) > 1 else share[0] > 0
+        return cells[touched], load[:, None] * share[:, touched]
+
+    def _cover(self, time_s: FloatArray, shape: tuple[int, int], pitch_mm: float) -> tuple[IntArray, FloatArray]:
+        """Cells (k,) and their shares (frames, k), or (1, k) if these do not change."""
+        if self.cells is not None:
+            rows, columns = np.transpose(self.cells)
+            cells = np.unique(rows * shape[1] + columns)
+            return cells, np.ones((1, len(cells)))
+        middles = self.middles(time_s, pitch_mm)
+        (first_row, last_row), (first_column, last_column) = self._shape.window(middles, shape, pitch_mm)
+        rows, columns = np.arange(first_row, last_row), np.arange(first_column, last_column)
+        cells = (rows[:, None] * shape[1] + columns).ravel()
+        if not len(cells):
+            return cells, np.zeros((1, 0))
+        share = self._shape.cover(middles, rows.astype(float), columns.astype(float), pitch_mm)
+        return cells, share.reshape(len(middles), -1)
+
+    def check(self, shape: tuple[int, int]) -> None:
+        """Raises InputError for cells beside an array of this shape."""
+        for row, column in self.cells or ():
+            if row >= shape[0] or column >= shape[1]:
+                raise InputError(f"cells: [{row}, {column}] lies outside the {shape[0]} x {shape[1]} array")

@@ -1,0 +1,1 @@
+"""Fuzzing: mutations of every input format, judged against independent readers. ``python -m tests.fuzz --help``."""

@@ -1,0 +1,448 @@
+"""The input formats: a valid input of each, and a judge that shares no code with the reader it judges.
+
+A judge returns "accepted" or "refused", and raises AssertionError where the reader breaks its promise: whatever comes,
+it is either read as an independent reader reads it, or refused in one :class:`InputError` that names the file.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+import os
+import random
+import re
+import struct
+import tomllib
+import zlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel
+
+from ohmskin.cell import Cell
+from ohmskin.circuits import Design, scan
+from ohmskin.cli import run
+from ohmskin.emulator import Scene
+from ohmskin.errors import InputError, SolverError
+from ohmskin.tables import read_cells, read_columns
+from ohmskin.text import one_line
+from ohmskin.wire import BOARDS, FramePacket, Order, board_protocol, host_protocol
+
+from .mutations import mutated
+
+ACCEPTED, REFUSED = "accepted", "refused"
+SHAPE = (3, 4)
+COLUMNS = ("time_s", "resistance_ohm")
+LONGEST_MESSAGE = 10_000
+"""characters; a path may have 4096 of them"""
+ROOT = Path(__file__).parent.parent.parent
+
+Judge = Callable[[bytes, random.Random, Path], str]
+
+
+@dataclass(frozen=True)
+class Format:
+    """One kind of input."""
+
+    name: str
+    valid: Callable[[random.Random], bytes]
+    judge: Judge
+    text: bool = True
+
+    def case(self, rng: random.Random) -> bytes:
+        """A mutated input; now and then a valid one."""
+        data = self.valid(rng)
+        return data if rng.random() < 0.05 else mutated(rng, data, text=self.text)
+
+
+def _read(path: Path, read: Callable[[Path], Any]) -> Any:
+    """What the reader makes of the file, or None where it refuses it as it should."""
+    try:
+        return read(path)
+    except InputError as error:
+        message = str(error)
+        assert str(path) in message, f"the message does not name the file: {message!r}"
+        assert len(one_line(message)) <= LONGEST_MESSAGE, f"the message has {len(message)} characters"
+        assert one_line(message).isprintable()
+        return None
+
+
+# --- TOML -------------------------------------------------------------------------------------------------------------
+
+
+def _design_text(rng: random.Random) -> bytes:
+    circuit = rng.choice(("inverting-amplifier", "voltage-divider", "voltage-feedback"))
+    idle = "float" if circuit == "voltage-divider" and rng.random() < 0.5 else "ground"
+    lines = [
+        f"[array]\nrows = {SHAPE[0]}\ncolumns = {SHAPE[1]}\nrow_segment = 2.0\ncolumn_segment = 1.5",
+        f"row_lead = {rng.choice(('25.0', '[1.0, 2.0, 3.0]'))}\ncolumn_lead = 30.0\n",
+        f'[drive]\nvoltage = {rng.uniform(-2, -0.5):.3f}\nidle_rows = "{idle}"\n',
+        f'[readout]\ncircuit = "{circuit}"\nreference_resistance = {rng.choice(("1e3", "2.2e4"))}',
+        f"open_loop_gain = {rng.choice(('inf', '1e5'))}\noffset_voltage = 1e-4\nbias_current = 0.0",
+        f"supply = {rng.choice(('[-inf, inf]', '[-5.0, 5.0]'))}\n",
+        "[adc]\nbits = 12\nrange = [0.0, 3.3]",
+    ]
+    if rng.random() < 0.5:
+        lines.append('\n[[fault]]\nkind = "open-cell"\nplace = [1, 2]\n')
+    return "\n".join(lines).encode()
+
+
+def _judge_design(data: bytes, rng: random.Random, folder: Path) -> str:
+    path = folder / "design.toml"
+    path.write_bytes(data)
+    design = _read(path, Design.load)
+    if design is None:
+        return REFUSED
+    _agrees(_tables(data), design)
+    if max(design.array.shape) <= 6 and design.array.sheet == "sliced":
+        _agrees_with_reference(design, rng)
+    return ACCEPTED
+
+
+def _agrees_with_reference(design: Design, rng: random.Random) -> None:
+    """Volts as modified nodal analysis finds them (tests/reference.py, 60 digits), within the certified bound."""
+    from reference import Indeterminate, reference_volts  # imports slowly
+
+    cells = np.array([rng.choice((1e3, 1e4, 1e5, 3.3e4)) for _ in range(math.prod(design.array.shape))])
+    frame = cells.reshape(design.array.shape)
+    try:
+        result = scan(design, frame)
+    except SolverError:
+        return
+    try:
+        expected = reference_volts(design, frame, digits=60)
+    except Indeterminate:
+        return  # an ideal circuit on the edge, which the solver may have taken either way
+    assert np.isfinite(result.volts).all(), "volts are not finite"
+    error = np.abs(result.volts - expected).max()
+    largest = np.abs(expected).max()
+    allowed = result.error_bound * largest if largest else 0.0
+    assert error <= allowed, f"volts are off by {error:g} V; the bound is {allowed:g} V"
+
+
+def _cell_text(rng: random.Random) -> bytes:
+    return (ROOT / "cell" / "example.toml").read_bytes()
+
+
+def _judge_cell(data: bytes, rng: random.Random, folder: Path) -> str:
+    path = folder / "cell.toml"
+    path.write_bytes(data)
+    cell = _read(path, Cell.load)
+    if cell is None:
+        return REFUSED
+    _agrees(_tables(data), cell)
+    copy = folder / "copy.toml"
+    cell.save(copy, comment=data.decode("utf-8-sig")[:50])
+    assert Cell.load(copy) == cell, "a saved cell reads back differently"
+    return ACCEPTED
+
+
+def _scene_text(rng: random.Random) -> bytes:
+    text = (ROOT / "examples" / "fingers.toml").read_text()
+    return text.replace("prototype.toml", str(ROOT / "examples" / "prototype.toml")).encode()
+
+
+def _judge_scene(data: bytes, rng: random.Random, folder: Path) -> str:
+    path = folder / "scene.toml"
+    path.write_bytes(data)
+    scene = _read(path, Scene.load)
+    if scene is None:
+        return REFUSED
+    for time_s in (0.0, 1.02, 5.0, 1e6):
+        pressure = scene.pressure_kpa(time_s)
+        most = sum(max(kpa for _, kpa in contact.load_kpa) for contact in scene.contact)
+        assert np.isfinite(pressure).all(), "pressure is not finite"
+        assert (pressure >= 0).all(), "pressure is negative"
+        assert pressure.max() <= most * (1 + 1e-9), "a cell bears more than all contacts together"
+    return ACCEPTED
+
+
+def _tables(data: bytes) -> dict[str, Any]:
+    """The standard library's reading."""
+    return tomllib.loads(data.decode("utf-8-sig"))
+
+
+def _agrees(tables: Mapping[str, Any], model: BaseModel) -> None:
+    """Every value of the file is the value of the model; none is converted, none is dropped."""
+    for key, value in tables.items():
+        found = getattr(model, key)
+        if isinstance(value, Mapping) and "nominal" in value:
+            assert _plain(found) == _plain(value["nominal"]), f"{key} is read as {found!r}"
+        elif isinstance(value, Mapping) and isinstance(found, BaseModel):
+            _agrees(value, found)
+        else:
+            assert _plain(found) == _plain(value), f"{key} is read as {found!r}"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, BaseModel):
+        value = value.model_dump(exclude_unset=True)
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, int) and not isinstance(value, bool):
+        return float(value)  # a whole number may be written for any number
+    assert not isinstance(value, float) or not math.isnan(value), "NaN was accepted"
+    return value
+
+
+# --- CSV --------------------------------------------------------------------------------------------------------------
+
+
+def _cells_text(rng: random.Random) -> bytes:
+    rows = ((f"{10 ** rng.uniform(2, 6):.6g}" for _ in range(SHAPE[1])) for _ in range(SHAPE[0]))
+    return "".join(",".join(row) + "\n" for row in rows).encode()
+
+
+def _judge_cells(data: bytes, rng: random.Random, folder: Path) -> str:
+    path = folder / "cells.csv"
+    path.write_bytes(data)
+    found = _read(path, lambda path: read_cells(path, SHAPE))
+    if _unusual(data):
+        return REFUSED if found is None else ACCEPTED
+    expected = _simple_cells(data.decode("utf-8-sig"))
+    assert (found is None) == (expected is None), f"read as {found}, expected {expected}"
+    if found is None:
+        return REFUSED
+    assert found.tolist() == expected
+    return ACCEPTED
+
+
+def _simple_cells(text: str) -> list[list[float]] | None:
+    rows = [[_float(field) for field in line.split(",")] for line in _lines(text)]
+    if len(rows) != SHAPE[0] or any(len(row) != SHAPE[1] for row in rows):
+        return None
+    return rows if all(value >= 0 for row in rows for value in row) else None  # NaN fails here, too
+
+
+def _recording_text(rng: random.Random) -> bytes:
+    rows = (f"{0.1 * k:.1f},{rng.uniform(0, 9):.3f},{rng.uniform(1e4, 2e4):.1f}\n" for k in range(8))
+    return ("time_s,pressure_kpa,resistance_ohm\n" + "".join(rows)).encode()
+
+
+def _judge_recording(data: bytes, rng: random.Random, folder: Path) -> str:
+    path = folder / "recording.csv"
+    path.write_bytes(data)
+    found = _read(path, lambda path: read_columns(path, COLUMNS))
+    if _unusual(data):
+        return REFUSED if found is None else ACCEPTED
+    expected = _simple_columns(data.decode("utf-8-sig"))
+    assert (found is None) == (expected is None), f"read as {found}, expected {expected}"
+    if found is None:
+        return REFUSED
+    for name, values in expected.items():
+        assert np.array_equal(found[name], values, equal_nan=True)
+    return ACCEPTED
+
+
+def _simple_columns(text: str) -> dict[str, list[float]] | None:
+    lines = [line.split(",") for line in _lines(text)]
+    if len(lines) < 2 or any(len(line) != len(lines[0]) for line in lines):
+        return None
+    header = [name.strip() for name in lines[0]]
+    if not set(COLUMNS) <= set(header):
+        return None
+    places = {name: header.index(name) for name in COLUMNS}
+    columns = {name: [line[k] for line in lines[1:]] for name, k in places.items()}
+    if any(field.strip() and not _is_number(field) for column in columns.values() for field in column):
+        return None
+    return {name: [_float(field) for field in column] for name, column in columns.items()}
+
+
+def _lines(text: str) -> list[str]:
+    return [line for line in re.split(r"\r\n|\n|\r", text) if any(field.strip() for field in line.split(","))]
+
+
+def _is_number(field: str) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
+
+
+def _float(field: str) -> float:
+    return float(field) if _is_number(field) else math.nan
+
+
+def _unusual(data: bytes) -> bool:
+    """Quotes, lone carriage returns and broken UTF-8, of which the simple reader knows nothing."""
+    try:
+        data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return True
+    return b'"' in data or b"\r" in data.replace(b"\r\n", b"")
+
+
+# --- the protocol of the board ----------------------------------------------------------------------------------------
+
+
+def _stream(rng: random.Random) -> bytes:
+    """Frames of one board, as docs/wire.md has them, stuffed by this module's own encoder."""
+    boot = rng.randrange(2**32)
+    packets = []
+    for number in range(rng.randrange(1, 8)):
+        rows, columns = rng.choice(((1, 1), (2, 3), (4, 4), (16, 16)))
+        counts = rng.randbytes(2 * rows * columns) if rng.random() < 0.7 else bytes(2 * rows * columns)
+        head = struct.pack("<BBIIQ", 1, 2, boot, number, 20_000 * number)
+        body = head + struct.pack("<HHH", rows, columns, 0) + counts
+        packets.append(_stuffed(body + struct.pack("<I", zlib.crc32(body))) + b"\0")
+    return b"".join(packets)
+
+
+def _judge_stream(data: bytes, rng: random.Random, folder: Path) -> str:
+    host, events, place = host_protocol("ohmskin"), [], 0
+    while place < len(data):
+        end = place + rng.choice((1, 3, 64, 4096))
+        events += host.feed(data[place:end], 0.0)
+        place = end
+    found = [
+        (event.boot_id, event.sequence, event.time_us, event.rows, event.columns, event.payload)
+        for event in events
+        if isinstance(event, FramePacket)
+    ]
+    expected = _simple_frames(data)
+    assert found == expected, f"{len(found)} frames found, expected {len(expected)}"
+    return ACCEPTED if found else REFUSED
+
+
+def _simple_frames(data: bytes) -> list[tuple[Any, ...]]:
+    """The intact frames of a stream, as docs/wire.md says."""
+    frames = []
+    for stretch in data.split(b"\0")[:-1]:
+        body = _unstuffed(stretch)
+        if body is None or len(body) < 28 or zlib.crc32(body[:-4]) != struct.unpack("<I", body[-4:])[0]:
+            continue
+        kind, version, boot, sequence, time_us, rows, columns, _ = struct.unpack("<BBIIQHHH", body[:24])
+        counts = body[24:-4]
+        if (kind, version) == (1, 2) and len(counts) == 2 * rows * columns > 0:
+            frames.append((boot, sequence, time_us, rows, columns, counts))
+    return frames
+
+
+def _stuffed(data: bytes) -> bytes:
+    """COBS by its definition."""
+    out = bytearray()
+    for part in data.split(b"\0"):
+        rest = part
+        while len(rest) >= 254:
+            out += b"\xff" + rest[:254]
+            rest = rest[254:]
+        out += bytes([len(rest) + 1]) + rest
+    return bytes(out)
+
+
+def _unstuffed(data: bytes) -> bytes | None:
+    out, place = bytearray(), 0
+    while place < len(data):
+        code = data[place]
+        block = data[place + 1 : place + code]
+        if len(block) != code - 1:
+            return None
+        out += block
+        place += code
+        if code < 255 and place < len(data):
+            out.append(0)
+    return bytes(out)
+
+
+def _family_stream(rng: random.Random) -> bytes:
+    """A few frames of any family of boards, after the number of the family."""
+    number = rng.randrange(len(BOARDS))
+    family = list(BOARDS.values())[number]
+    board, layout = board_protocol(family.name), family.layout
+    stream = bytes([number])
+    for sequence in range(3):
+        most = 2**layout.adc_bits
+        counts = [[rng.randrange(most) for _ in range(layout.columns)] for _ in range(layout.rows)]
+        stream += board.frame(FramePacket.of(np.array(counts), sequence=sequence, time_us=20_000 * sequence))
+    return stream
+
+
+def _judge_families(data: bytes, rng: random.Random, folder: Path) -> str:
+    """Nothing is raised, and no more frames come than bytes can hold, however the stream is cut."""
+    family = list(BOARDS.values())[(data[0] if data else 0) % len(BOARDS)]
+    host, frames, place = host_protocol(family.name), 0, 0
+    while place < len(data):
+        end = place + rng.choice((1, 64, 4096))
+        for event in host.feed(data[place:end], 0.0):
+            if isinstance(event, FramePacket):
+                frames += 1
+                assert event.counts.max() < 2**16
+        place = end
+    assert frames <= len(data)
+    return ACCEPTED if frames else REFUSED
+
+
+def _commands(rng: random.Random) -> bytes:
+    host = host_protocol("ohmskin")
+    return b"".join(host.request(rng.choice(list(Order)), period_us=rng.randrange(2**32)) for _ in range(5))
+
+
+def _judge_commands(data: bytes, rng: random.Random, folder: Path) -> str:
+    """The board takes each command once, whatever the line adds."""
+    whole = board_protocol("ohmskin").feed(data)
+    board, single = board_protocol("ohmskin"), []
+    for place in range(len(data)):
+        single += board.feed(data[place : place + 1])
+    assert single == whole, "commands depend on how the bytes are cut"
+    return ACCEPTED if whole else REFUSED
+
+
+# --- the command line -------------------------------------------------------------------------------------------------
+
+CALLS = (
+    "scan design.toml --cells cells.csv -o out.csv --tolerance 1e-6",
+    "scan design.toml --cells cells.csv --method exact --json",
+    "scan design.toml --cells cells.csv --readout voltage-divider --effects",
+    "netlist design.toml --cells cells.csv --row 1 -o out.cir",
+    "estimate recording.csv --cell cell.toml -o out.csv --estimator static",
+    "fit --protocol --full-scale 15.5",
+)
+
+
+def _call(rng: random.Random) -> bytes:
+    return rng.choice(CALLS).replace(" ", "\n").encode()
+
+
+def _judge_call(data: bytes, rng: random.Random, folder: Path) -> str:
+    """One word on a line. Nothing but 0 and 2 is returned, 2 with one line on standard error."""
+    words = [os.fsdecode(word) for word in data.split(b"\n")]
+    if any("/" in word or "\0" in word for word in words):
+        return REFUSED  # no paths out of the folder; and no system passes NUL
+    (folder / "design.toml").write_bytes(_design_text(rng))
+    (folder / "cells.csv").write_bytes(_cells_text(rng))
+    (folder / "cell.toml").write_bytes(_cell_text(rng))
+    (folder / "recording.csv").write_bytes(_recording_text(rng))
+    out, said = io.StringIO(), io.StringIO()
+    with contextlib.chdir(folder), contextlib.redirect_stdout(out), contextlib.redirect_stderr(said):
+        code = run(words)
+    message = said.getvalue()
+    assert code in (0, 2), f"exit code {code}: {message}"
+    if code == 0:
+        return ACCEPTED
+    assert message.count("\n") <= 1, f"more than one line: {message}"
+    assert message.replace("\n", "").isprintable(), f"control characters: {message!r}"
+    assert message or "Usage" in out.getvalue(), "nothing was said"
+    return REFUSED
+
+
+FORMATS = {
+    entry.name: entry
+    for entry in (
+        Format("design", _design_text, _judge_design),
+        Format("cell", _cell_text, _judge_cell),
+        Format("scene", _scene_text, _judge_scene),
+        Format("cells", _cells_text, _judge_cells),
+        Format("recording", _recording_text, _judge_recording),
+        Format("frames", _stream, _judge_stream, text=False),
+        Format("families", _family_stream, _judge_families, text=False),
+        Format("commands", _commands, _judge_commands, text=False),
+        Format("call", _call, _judge_call),
+    )
+}

@@ -1,0 +1,323 @@
+"""The physics in blocks: independent of who asks and how, equal to the full physics, and all that a scene can hold."""
+
+from __future__ import annotations
+
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from boards import DESIGN, scene
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ohmskin.circuits import Design, scan
+from ohmskin.emulator import Bump, Contact, Disc, EmulatedSkin, FrameBlock, Image, Point, Rectangle, Scene, spread
+from ohmskin.errors import InputError
+
+BIG: dict[str, Any] = {
+    **DESIGN,
+    "array": {"rows": 9, "columns": 7, "row_lead": 70.0, "column_lead": 5.0, "row_segment": 0.5, "column_segment": 0.5},
+}
+SLIDING = [
+    {"bump": {"sigma_mm": 3.0}, "path_mm": [[0.0, 2.0, 1.0], [0.6, 28.0, 22.0]], "load_kpa": [[0.0, 0.0], [0.1, 12.0]]},
+    {
+        "disc": {"radius_mm": 5.0},
+        "path_cells": [[0.0, 6.0, 1.0], [0.5, 1.0, 5.0]],
+        "taps": {"load_kpa": 9.0, "every_s": 0.2},
+    },
+]
+
+
+def read(what: Scene, frames: int, *, seed: int = 0) -> dict[str, np.ndarray]:
+    """The first frames of a scene, one by one, as arrays (frames, ...)."""
+    skin = EmulatedSkin(what, seed)
+    taken = [skin.read() for _ in range(frames)]
+    fields = ("time_us", "pressure_kpa", "resistance_ohm", "volts", "counts")
+    return {name: np.array([getattr(block, name)[place] for block, place in taken]) for name in fields}
+
+
+def sliding(**tables: Any) -> Scene:
+    return scene(skin={"design": BIG, "pitch_mm": 4.0}, contact=SLIDING, **tables)
+
+
+@pytest.mark.parametrize("skin", [{}, {"cover_thickness": 0.002}, {"spread": {"rest_percent": 5.0}}])
+def test_blocks_are_the_full_physics_within_a_quarter_step(skin: dict[str, Any]) -> None:
+    """Pressure, cells and circuit again, frame by frame and every cell, by the exact method."""
+    what = scene(skin={"design": BIG, "pitch_mm": 4.0, **skin}, contact=SLIDING, board={"frame_rate": 200.0})
+    found = read(what, 150)
+    design, before = what.skin.design, 0.0
+    rest, sensitivity = what.skin.spread.draw((9, 7))
+    cells = what.skin.cell.forward((9, 7), rest_resistance_ohm=rest * what.skin.cell.rest_resistance_ohm)
+    assert design.adc is not None
+    for frame, time_us in enumerate(found["time_us"]):
+        now = time_us / 1e6
+        pressure = what.pressure_kpa(now)
+        np.testing.assert_allclose(found["pressure_kpa"][frame], pressure, rtol=1e-12, atol=1e-12)
+        ohms = cells.step(now - before, sensitivity * spread(pressure, what.skin.spreading_pitches))
+        np.testing.assert_allclose(found["resistance_ohm"][frame], ohms, rtol=2 * 2.0**-18)
+        exact = scan(design, ohms, method="exact").volts
+        assert np.abs(found["volts"][frame] - exact).max() <= 0.27 * design.adc.step
+        before = now
+
+
+@given(pieces=st.lists(st.integers(1, 700), min_size=1, max_size=4), seed=st.integers(0, 3))
+@settings(max_examples=10, deadline=None)
+def test_how_frames_are_asked_for_changes_no_bit(pieces: list[int], seed: int) -> None:
+    what = sliding(board={"frame_rate": 1000.0, "noise": 1e-3})
+    straight = read(what, sum(pieces), seed=seed)
+    skin, done = EmulatedSkin(what, seed), 0
+    for piece in pieces:  # each piece at once, as a host that stops and starts asks for them
+        for _ in range(piece):
+            block, place = skin.read()
+            if done % 97 == 0:
+                np.testing.assert_array_equal(block.volts[place], straight["volts"][done])
+            done += 1
+
+
+def test_a_new_frame_rate_begins_where_the_old_one_was() -> None:
+    what = sliding(board={"frame_rate": 100.0})
+    skin = EmulatedSkin(what)
+    for _ in range(31):
+        skin.read()
+    skin.set_period(5_000)
+    after = []
+    for _ in range(40):
+        block, place = skin.read()
+        after.append((int(block.time_us[place]), block.resistance_ohm[place]))
+    assert [time for time, _ in after] == [310_000 + 5_000 * k for k in range(40)]
+    straight = read(what, 50)
+    for frame in range(31, 50):  # the frames at full hundredths are in both
+        np.testing.assert_allclose(after[2 * (frame - 31)][1], straight["resistance_ohm"][frame], rtol=2e-3)
+    np.testing.assert_allclose(after[0][1], straight["resistance_ohm"][31], rtol=1e-12)
+
+
+def test_untouched_cells_have_no_state_and_released_ones_lose_it() -> None:
+    what = scene(
+        contact=[{"cells": [[1, 1]], "load_kpa": [[0.0, 9.0], [1.0, 9.0], [1.0, 0.0]]}], board={"frame_rate": 0.01}
+    )
+    skin = EmulatedSkin(what)
+    for _ in range(600):
+        skin.read()
+    assert not len(skin._physics._active)
+    assert read(what, 40)["resistance_ohm"][-1].max() == pytest.approx(1e4, rel=1e-5)
+
+
+def brute(shape: Disc | Rectangle | Bump, array: tuple[int, int]) -> np.ndarray:
+    """Coverage by counting points of a fine grid."""
+    fine = 60
+    places = (np.arange(fine) + 0.5) / fine - 0.5
+    middle = shape.center
+    assert middle is not None
+    down = (np.arange(array[0])[:, None] + places).ravel()[:, None] - middle[0]
+    along = (np.arange(array[1])[:, None] + places).ravel()[None, :] - middle[1]
+    match shape:
+        case Disc(radius_cells=float(radius)):
+            share = (down**2 + along**2 < radius**2).astype(float)
+        case Bump(sigma_cells=float(sigma)):
+            share = np.exp(-(down**2 + along**2) / (2 * sigma**2))
+        case Rectangle(size_cells=(float(height), float(width))):
+            share = ((np.abs(down) < height / 2) & (np.abs(along) < width / 2)).astype(float)
+        case _:
+            raise AssertionError
+    return share.reshape(array[0], fine, array[1], fine).mean(axis=(1, 3))
+
+
+middles = st.tuples(st.floats(-2, 8), st.floats(-2, 9))
+
+
+@given(center=middles, size=st.floats(0.05, 4.0))
+@settings(max_examples=30, deadline=None)
+def test_coverage_is_the_area_that_counting_finds(center: tuple[float, float], size: float) -> None:
+    for shape in (
+        Disc(center=center, radius_cells=size),
+        Rectangle(center=center, size_cells=(size, 2 * size)),
+        Bump(center=center, sigma_cells=size),
+    ):
+        np.testing.assert_allclose(shape.coverage((6, 7)), brute(shape, (6, 7)), atol=0.03)
+        assert shape.coverage((60, 60)).sum() <= shape.area_cells(25.4) * (1 + 1e-9) + 1e-9
+
+
+def test_a_disc_that_covers_everything_covers_whole_cells() -> None:
+    np.testing.assert_allclose(Disc(center=(3.0, 3.0), radius_cells=1e5).coverage((6, 7)), 1.0, atol=1e-5)
+
+
+def test_a_sliding_shape_is_at_each_time_the_shape_at_that_place() -> None:
+    path = [(0.0, 1.0, 0.5), (2.0, 5.0, 4.5)]
+    for name, size in (("disc", {"radius_cells": 1.2}), ("bump", {"sigma_cells": 0.7}), ("point", {})):
+        moving = Contact.model_validate({name: size, "path_cells": path, "load_kpa": [(0.0, 2.0)]})
+        times = np.linspace(0, 2, 9)
+        cells, pressure = moving.pressure_on(times, (7, 6), 25.4)
+        for time, frame in zip(times, pressure, strict=True):
+            center = (1.0 + 2.0 * time, 0.5 + 2.0 * time)
+            at_rest = Contact.model_validate({name: {**size, "center": center}, "load_kpa": [(0.0, 2.0)]})
+            expected = 2.0 * at_rest.coverage((7, 6))
+            np.testing.assert_allclose(frame, expected.flat[cells], atol=1e-12)
+            assert frame.sum() == pytest.approx(expected.sum())
+
+
+def test_a_point_is_shared_by_the_cells_around_it() -> None:
+    covered = Point(center=(1.25, 2.0)).coverage((4, 4))
+    assert covered[1, 2] == pytest.approx(0.75)
+    assert covered[2, 2] == pytest.approx(0.25)
+    assert covered.sum() == pytest.approx(1.0)
+
+
+def test_millimetres_are_cells_times_the_pitch() -> None:
+    in_mm = Contact.model_validate({"disc": {"center_mm": [8.0, 12.0], "radius_mm": 5.0}, "force_n": [[0.0, 3.0]]})
+    in_cells = Contact.model_validate({"disc": {"center": [2.0, 3.0], "radius_cells": 1.25}, "load_kpa": [[0.0, 1.0]]})
+    np.testing.assert_allclose(in_mm.coverage((9, 7), 4.0), in_cells.coverage((9, 7), 4.0))
+    _, pressure = in_mm.pressure_on(np.zeros(1), (9, 7), 4.0)
+    newtons = pressure.sum() * 1000.0 * 0.004**2
+    assert newtons == pytest.approx(3.0)
+
+
+def test_a_picture_presses_with_its_pixels(tmp_path: Path) -> None:
+    (tmp_path / "foot.csv").write_text("1,0\n0,0.5\n")
+    image = Image(file=str(tmp_path / "foot.csv"), center=(2.0, 3.0), size_cells=(4.0, 2.0))
+    expected = np.zeros((6, 6))
+    # Rows 0 ... 4 of edges, columns 2 ... 4: pixels of 2 x 1 cells around the middle.
+    expected[0:3, 2:5] = [[0.25, 0.25, 0], [0.5, 0.5, 0], [0.25, 0.375, 0.125]]
+    expected[3:5, 2:5] = [[0, 0.25, 0.25], [0, 0.125, 0.125]]
+    np.testing.assert_allclose(image.coverage((6, 6)), expected, atol=1e-12)
+    assert image.area_cells(1.0) == pytest.approx(expected.sum())
+
+
+def test_taps_and_sines_repeat_and_end() -> None:
+    taps = Contact.model_validate(
+        {"cells": [[0, 0]], "taps": {"load_kpa": 8.0, "every_s": 0.5, "hold_s": 0.1, "rise_s": 0.1, "count": 2}}
+    )
+    times = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.45, 0.5, 0.6, 1.0, 1.1])
+    np.testing.assert_allclose(taps.load(times), [0, 4, 8, 8, 8, 4, 0, 0, 0, 8, 0, 0], atol=1e-7)
+    sine = Contact.model_validate(
+        {"cells": [[0, 0]], "sine": {"mean_kpa": 2.0, "amplitude_kpa": 3.0, "frequency_hz": 0.25, "stop_s": 5.0}}
+    )
+    np.testing.assert_allclose(sine.load([0.0, 1.0, 3.0, 4.0, 5.0]), [2, 5, 0, 2, 0], atol=1e-9)
+
+
+def test_a_recorded_load_is_read_from_its_file(tmp_path: Path) -> None:
+    (tmp_path / "press.csv").write_text("time_s,pressure_kpa\n0,0\n1,10\n2,4\n")
+    tables = {"cells": [[0, 0]], "recorded": {"file": "press.csv", "scale": 2.0}, "period": 2.0}
+    what = Scene.from_tables({"skin": {"design": DESIGN}, "contact": [tables]}, source="s", directory=tmp_path)
+    assert [what.pressure_kpa(t)[0, 0] for t in (0.5, 1.5, 2.5)] == pytest.approx([10, 14, 10])
+
+
+def volts(**tables: Any) -> np.ndarray:
+    uneven = {"design": DESIGN, "spread": {"rest_percent": 20.0}}
+    return read(scene(skin=uneven, contact=[], board={"frame_rate": 10.0}, **tables), 30)["volts"]
+
+
+def test_events_come_and_go() -> None:
+    quiet = volts()
+    window = slice(10, 20)
+
+    def with_event(**event: Any) -> np.ndarray:
+        found = volts(event=[{"at_s": 1.0, "until_s": 2.0, **event}])
+        outside = np.r_[0:10, 20:30]
+        np.testing.assert_array_equal(found[outside], quiet[outside])
+        return found[window]
+
+    opened = with_event(kind="open-cell", place=[1, 0])
+    assert (opened[:, 1, 0] < 1e-3).all()
+    np.testing.assert_allclose(opened[:, 2, 1], quiet[window, 2, 1], rtol=1e-2)
+    shorted = with_event(kind="shorted-cell", place=[1, 0], resistance=100e3)
+    np.testing.assert_allclose(shorted[:, 1, 0] - quiet[window, 1, 0], 20e3 / 100e3, rtol=2e-2)
+    sparking = with_event(kind="sparking-cell", place=[1, 0], rate_hz=10.0)[:, 1, 0]
+    assert {round(float(v), 6) for v in sparking} == {0.0, round(float(quiet[0, 1, 0]), 6)}
+    assert (with_event(kind="broken-row", place=[2, 0])[:, 2] < 1e-3).all()
+    bridged = with_event(kind="bridged-rows", place=[0, 1], resistance=10.0)
+    apart, together = np.abs(quiet[0, 0] - quiet[0, 1]).max(), np.abs(bridged[:, 0] - bridged[:, 1]).max()
+    assert together < 0.1 * apart
+    sagging = with_event(kind="supply-sag", share=0.5)
+    np.testing.assert_allclose(sagging, quiet[window] / 2, rtol=1e-12)
+
+
+def test_spread_and_drift_change_all_cells() -> None:
+    def ohms(**skin: Any) -> np.ndarray:
+        what = scene(contact=[], skin={"design": DESIGN, **skin}, board={"frame_rate": 10.0})
+        return read(what, 20)["resistance_ohm"]
+
+    spread_out = ohms(spread={"rest_percent": 10.0, "seed": 4})
+    assert spread_out[0].std() > 100
+    np.testing.assert_array_equal(spread_out, ohms(spread={"rest_percent": 10.0, "seed": 4}))
+    assert (spread_out != ohms(spread={"rest_percent": 10.0, "seed": 5})).any()
+    warmed = ohms(drift={"temperature_change_c": [[0.0, 0.0], [1.0, 10.0]], "percent_per_degree": 7.0})
+    np.testing.assert_allclose(warmed[[0, 5, 10, 19], 0, 0], 1e4 * 1.07 ** np.array([0, 5, 10, 10]))
+    np.testing.assert_allclose(ohms(drift={"age_hours": 99.0, "percent_per_decade": -3.0}), 1e4 * 0.94, rtol=1e-12)
+
+
+def test_a_truth_is_a_movie(tmp_path: Path) -> None:
+    first = read(scene(board={"frame_rate": 20.0}), 80)
+    np.savez(
+        tmp_path / "truth.npz",
+        time_s=first["time_us"] / 1e6,
+        **{k: first[k] for k in ("pressure_kpa", "resistance_ohm")},
+    )
+    for quantity in ("pressure", "resistance"):
+        tables = {
+            "skin": {"design": DESIGN},
+            "board": {"frame_rate": 20.0},
+            "movie": {"file": "truth.npz", "quantity": quantity},
+        }
+        again = read(Scene.from_tables(tables, source="s", directory=tmp_path), 80)
+        np.testing.assert_allclose(again["resistance_ohm"], first["resistance_ohm"], rtol=1e-9)
+        np.testing.assert_allclose(again["volts"], first["volts"], rtol=1e-9)
+
+
+def test_a_movie_of_resistance_may_be_a_table(tmp_path: Path) -> None:
+    head = "time_s," + ",".join(f"r{row}c{column}" for row in range(3) for column in range(2))
+    (tmp_path / "m.csv").write_text(f"{head}\n5,1e3,2e3,3e3,4e3,5e3,6e3\n6,3e3,2e3,inf,4e3,5e3,6e3\n")
+    tables = {
+        "skin": {"design": DESIGN},
+        "board": {"frame_rate": 2.0},
+        "movie": {"file": "m.csv", "quantity": "resistance"},
+    }
+    ohms = read(Scene.from_tables(tables, source="s", directory=tmp_path), 4)["resistance_ohm"]
+    np.testing.assert_allclose(ohms[:, 0, 0], [1e3, 2e3, 3e3, 3e3])
+    np.testing.assert_allclose(ohms[:, 1, 0], [3e3, 3e3, np.inf, np.inf])
+    np.testing.assert_allclose(ohms[:, 2, 1], 6e3)
+
+
+@pytest.mark.parametrize(
+    ("tables", "message"),
+    [
+        ({"board": {"frame_rate": 1e-320}}, "board.frame_rate"),
+        ({"contact": [{"disc": {"center": [0, 0], "radius_cells": 1e308}, "load_kpa": [[0.0, 1.0]]}]}, "radius_cells"),
+        ({"contact": [{"disc": {"radius_cells": 1.0}, "load_kpa": [[0.0, 1.0]]}]}, "needs center or center_mm"),
+        ({"contact": [{"point": {"center": [0, 0]}, "path_mm": [[0, 0, 0]], "load_kpa": [[0.0, 1.0]]}]}, "not both"),
+        ({"contact": [{"cells": [[0, 0]], "path_mm": [[0, 0, 0]], "load_kpa": [[0.0, 1.0]]}]}, "stay where they are"),
+        ({"contact": [{"point": {"center": [0, 0]}}]}, "one load of load_kpa, force_n, sine, taps, recorded; got none"),
+        ({"contact": [{"cells": [[0, 0]], "recorded": {"file": "no.csv"}}]}, "no.csv: cannot be read"),
+        (
+            {"contact": [{"image": {"file": "no.gif", "center": [0, 0], "size_mm": [1, 1]}, "load_kpa": [[0, 1]]}]},
+            "'.gif'",
+        ),
+        ({"event": [{"at_s": 1.0, "kind": "open-cell"}]}, "needs a place"),
+        ({"event": [{"at_s": 1.0, "kind": "open-cell", "place": [3, 0]}]}, "event[0].place: [3, 0] lies outside"),
+        ({"event": [{"at_s": 1.0, "kind": "open-cel", "place": [1, 0]}]}, "event[0].kind"),
+        ({"event": [{"at_s": 1.0, "until_s": 0.5, "kind": "open-cell", "place": [1, 0]}]}, "is not after"),
+        ({"event": [{"at_s": 1.0, "kind": "supply-sag", "place": [1, 0], "share": 0.5}]}, "has no key 'place'"),
+        ({"event": [{"at_s": 1.0, "kind": "bridged-rows", "place": [2, 0]}]}, "event[0]"),
+        ({"movie": {"file": "no.npz"}}, "no.npz: cannot be read: No such file"),
+        ({"skin": {"design": DESIGN, "drift": {"temperature_change_c": 1e3}}}, "a million times"),
+    ],
+)
+def test_a_scene_that_cannot_be_is_refused_in_one_line(tables: dict[str, Any], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        scene(**tables)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_one_disc_on_the_largest_array_takes_little_memory() -> None:
+    tracemalloc.start()
+    Disc(center=(512.0, 512.0), radius_cells=700.0).coverage((1024, 1024))
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 300e6
+
+
+def test_names_say_what_they_are() -> None:
+    assert FrameBlock.__doc__
+    assert Design.model_validate(BIG).array.rows == 9
