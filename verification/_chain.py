@@ -131,6 +131,7 @@ def simulate(subject: Subject, name: str, factors: FloatArray) -> Run:
     pressing = contacts(shape, full)
     coverage = [contact.coverage(shape) for contact in pressing]
     applied = np.array([sum(c.load(t) * cover for c, cover in zip(pressing, coverage, strict=True)) for t in time_s])
+    applied = np.minimum(applied, full)  # contacts meet on small arrays; cells are not meant for more
     scale = 1.0 + subject.cell_spread * random.uniform(-1.0, 1.0, shape)
     forward = subject.cell.forward(shape, rest_resistance_ohm=subject.rest * scale)
     steps = np.diff(time_s, prepend=time_s[0])

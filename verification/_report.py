@@ -280,17 +280,17 @@ class Report:
     def junit(self) -> str:
         """One case per requirement and per check, with values as properties and times; what was not run is skipped."""
         try:
-            from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
+            from junitparser import Failure, JUnitXml, Properties, Property, Skipped, TestCase, TestSuite
         except ImportError as error:
             raise _missing("junitparser") from error
         xml = JUnitXml("ohmskin verify")
         suite = TestSuite("requirements")
         for result in self.results:
             case = TestCase(_xml(f"{result.requirement.id} {result.title}"), "ohmskin.verify", result.seconds)
+            properties = Properties()
             for name, value in _properties(result).items():
-                case.add_property(name, _xml(value)) if hasattr(case, "add_property") else suite.add_property(
-                    f"{result.requirement.id}.{name}", _xml(value)
-                )
+                properties.add_property(Property(name, _xml(value)))
+            case.append(properties)
             if result.outcome is Outcome.FAIL:
                 case.result = [Failure(_xml(f"measured {result.found}, required {result.limit}"))]
             elif result.outcome is not Outcome.PASS:

@@ -80,6 +80,7 @@ def verify(
     cell: Cell | None = None,
     requirements: Sequence[Requirement] | None = None,
     paper: bool | None = None,
+    speed: bool = False,
     only: Iterable[str] = (),
     title: str | None = None,
     target: str = "emulated",
@@ -100,6 +101,7 @@ def verify(
         cell: what the skin is made of; None: the design's [cells], else the shipped example cell.
         requirements: None takes those of the design, else :func:`default_requirements`.
         paper: whether the paper's claims P1 to P14 are run too; None: only for the prototype.
+        speed: whether S1 and S2 are run: what a digit costs, of solvers and of estimators. They take a minute.
         only: ids of requirements and claims; empty: all.
         title: what the report calls the design.
         target: the board that is measured: "emulated", "firmware", or a serial port.
@@ -129,7 +131,7 @@ def verify(
     here = folder or Path()
     check_requirements(wanted, here)
     with_paper = design is None if paper is None else paper
-    statements = [*STATEMENTS, *APPENDICES] if with_paper else []
+    statements = [*(STATEMENTS if with_paper else ()), *(APPENDICES if speed else ())]
     wanted, statements = _chosen(wanted, statements, tuple(only))
     work = Work(subject, wanted, here)
     memory = _Store(store, _fingerprint(work))

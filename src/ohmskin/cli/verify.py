@@ -29,6 +29,7 @@ EXPORTS = (".parquet", ".nc", ".csv")
     "--requirements", "requirement_files", multiple=True, metavar="FILE", help="Requirements beside the design."
 )
 @click.option("--paper", is_flag=True, help="Run the paper's claims P1 to P14 on the design, too.")
+@click.option("--speed", is_flag=True, help="Measure what a digit costs, of solvers (S1) and estimators (S2).")
 @click.option(
     "-o", "--output", default="ohmskin-report", show_default=True, metavar="DIR", help="Where the report goes."
 )
@@ -54,6 +55,7 @@ def command(
     cell_file: str | None,
     requirement_files: tuple[str, ...],
     paper: bool,
+    speed: bool,
     output: str,
     target: str,
     only: tuple[str, ...],
@@ -94,6 +96,7 @@ def command(
             cell=cell,
             requirements=[*own, *requirements] or None,
             paper=True if paper else None,
+            speed=speed,
             only=only,
             title=None if design_file is None else design_file,
             target=target,
