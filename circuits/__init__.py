@@ -17,7 +17,7 @@ from ._sequence import scan_sequence
 from ._spread import Spread
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import Conditioning, Recoverer, Recovery, Status, conditioning, recover
-from .timing import Noise, Settling, Stability, noise, stability
+from .timing import Noise, Settling, Stability, Transient, noise, stability
 
 CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
 """Readout circuits that a design file can name"""
@@ -52,6 +52,7 @@ __all__ = [
     "Spread",
     "Stability",
     "Status",
+    "Transient",
     "adc_codes",
     "adc_error",
     "apparent_resistance",
