@@ -6,6 +6,7 @@ from ._board import Board
 from ._contacts import Contact
 from ._device import Device
 from ._faults import Line
+from ._hand import Hand
 from ._line import Transmission
 from ._line_settings import ClockSettings, LineSettings, LinkFault
 from ._plan import Plan, PlannedEffect, plan
@@ -29,6 +30,7 @@ __all__ = [
     "Disc",
     "EmulatedSkin",
     "FrameBlock",
+    "Hand",
     "Image",
     "Line",
     "LineSettings",

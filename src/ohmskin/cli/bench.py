@@ -12,6 +12,7 @@ from .. import bench, tables
 from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
 from . import arguments
+from ._bar import progress_bar
 
 
 class _ManyValues(click.Command):
@@ -68,7 +69,12 @@ def command(
         boards = list(of_boards.emulator(sizes))
         click.echo(json.dumps([asdict(row) for row in boards], indent=1) if as_json else of_boards.table(boards))
         return
-    rows = list(bench.measure(sizes, segments, memory=memory, peers=peers, patient=patient))
+    arrays = [(size, segment) for size in sizes for segment in segments]
+    rows = []
+    with progress_bar("measuring") as progress:
+        for row in bench.measure(sizes, segments, memory=memory, peers=peers, patient=patient):
+            rows.append(row)
+            progress(arrays.index((row.size, row.segment)), len(arrays), f"{row.size} x {row.size}, {row.method}")
     if picture is not None:
         tables.write_text(picture, bench.picture(rows))
     click.echo(json.dumps([asdict(row) for row in rows], indent=1) if as_json else bench.table(rows), nl=as_json)
