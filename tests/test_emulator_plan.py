@@ -13,7 +13,9 @@ from ohmskin.bench import _emulator as of_boards
 from ohmskin.cli import run
 from ohmskin.emulator import Scene, plan
 
-EXAMPLES = sorted(path for path in (Path(__file__).parents[1] / "examples").glob("*.toml") if "proto" not in path.name)
+EXAMPLES = sorted(
+    path for path in (Path(__file__).parents[1] / "examples").glob("*.toml") if "\n[array]\n" not in path.read_text()
+)
 
 
 @pytest.fixture(autouse=True)
