@@ -136,8 +136,8 @@ class Estimator(ABC):
         r = resistance.ravel() * self._per_ohm
         r -= 1.0
         low, high = self._credible
-        readable = r >= low
-        readable &= r <= high
+        readable = r > low
+        readable &= r < high
         known = None if readable.all() else readable
         if known is not None:
             r = np.where(known, r, self._mean)
@@ -289,7 +289,6 @@ class Estimator(ABC):
         calm &= self._settled(self._memory, self._band) & (self._readings >= FIRST_READINGS)
         if calm.any():
             self._memory[:, calm] = self._begin(np.zeros(int(np.count_nonzero(calm))))
-            self._memory[PRESSURE, calm] = 0.0
             self._awake &= ~calm
             self._refresh()
         asleep = ~self._awake & (self._readings > 0)

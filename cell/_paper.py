@@ -119,6 +119,17 @@ class PaperEstimator(Estimator):
         new = np.concatenate([[p], memory[1:3], [r], [rising], after, [lagged + (r - lagged) * smoothing]])
         return np.asarray(new, dtype=np.float64)
 
+    def _hold(self, memory: FloatArray, dt_s: float) -> FloatArray:
+        m = self.model
+        held = memory.copy()
+        p, rising = memory[PRESSURE], memory[4] > 0
+        gone, _ = lag.weights(dt_s, np.array([[m.tu_s], [m.t2_s], [m.t3_s]]))
+        held[5:8] += (np.stack([p, p / m.e2_kpa, p / m.e3_kpa]) - memory[5:8]) * gone
+        settled, x2, x3 = held[5:8]
+        held[3] = np.where(rising, p / m.eu1_kpa + (p - settled) / m.etau2_kpa, p / m.e1_kpa + x2 + x3)
+        held[8] += (held[3] - held[8]) * -np.expm1(-dt_s / max(m.derivative_s, 1e-9))
+        return held
+
 
 TURNED = 3
 """variance from turns not known to the point, which fades"""
@@ -252,10 +263,12 @@ class TurningEstimator(Estimator):
         memory[SIGN, turned] *= -1.0
         memory[UNCONFIRMED, turned] = ~again
         memory[LEFT, turned] = extreme
-        now = memory[SIGN, turned] * np.maximum(pressure[0, turned], 0.0)
-        memory[EXTREME, turned] = memory[PEAK, turned] = np.where(again, left, now)
-        unsure = weights.gain[1] * np.broadcast_to(std, turned.shape)[turned] + NEAR * self.full_scale_kpa
-        memory[TURNED, turned] += unsure**2
+        noise = np.broadcast_to(std, turned.shape)[turned]
+        sign = memory[SIGN, turned]
+        now, unsure = sign * np.maximum(pressure[0, turned], 0.0), noise * np.where(sign > 0, *weights.gain)
+        memory[EXTREME, turned] = np.where(again, left, now - SURE * unsure)
+        memory[PEAK, turned] = np.where(again, left, now - AGAIN_SIGMAS * unsure)
+        memory[TURNED, turned] += (weights.gain[1] * noise + NEAR * self.full_scale_kpa) ** 2
 
     def _correct(
         self,
@@ -283,8 +296,13 @@ class TurningEstimator(Estimator):
         gain = np.array([[1.0], [1 / m.e2_kpa], [1 / m.e3_kpa]])
         held = memory.copy()
         held[STATE] += (gain * memory[PRESSURE] - memory[STATE]) * gone
-        other = held[OTHER]
+        other, (settled, x2, x3) = held[OTHER], held[STATE]
         other[1:] += (gain * other[0] - other[1:]) * gone
+        # The other hypothesis begins where this one is, if it did before.
+        p = held[PRESSURE]
+        r = np.where(held[SIGN] > 0, p / m.eu1_kpa + (p - settled) / m.etau2_kpa, p / m.e1_kpa + x2 + x3)
+        begun = np.stack([p, p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, r - p / m.e1_kpa - x3, x3])
+        held[OTHER] = np.where(other[0] == p, begun, other)
         return held
 
     def _settled(self, memory: FloatArray, band: float) -> BoolArray:
