@@ -77,8 +77,8 @@ class Estimator(ABC):
     """names of the memory's rows, the first three in every estimator"""
     filters = True
     """False: the estimator takes readings as they are, whatever their noise"""
-    states_std = True
-    """False: no standard deviation can be stated"""
+    knows_errors = True
+    """False: only a calibration can say how far the estimator is off"""
 
     def __init__(
         self,
@@ -180,6 +180,11 @@ class Estimator(ABC):
             pressure[self._readings == 0] = np.nan
         shown: FloatArray = pressure.reshape(self.shape)
         return shown
+
+    @property
+    def states_std(self) -> bool:
+        """Whether a standard deviation is stated."""
+        return self.knows_errors or self.conditions.model_std_kpa > 0
 
     # -- steps of a frame, in their order ----------------------------------------------------------------------------
 

@@ -79,7 +79,7 @@ class PaperEstimator(Estimator):
 
     rows = ("pressure", "gain", "variance", "r", "rising", "settled", "x2", "x3", "lagged_r")
     filters = False
-    states_std = False
+    knows_errors = False
 
     def __init__(
         self,
