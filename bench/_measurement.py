@@ -14,6 +14,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..circuits import METHODS, Array, Design, Drive, Readout, scan, scan_batch
+from ..config import LEAST, MOST
 from ..errors import InputError, MissingExtra, SolverError
 from ._peers import PEERS, reference
 
@@ -89,8 +90,8 @@ def measure(
         if not 1 <= size <= 1024:
             raise InputError(f"size is {size}; expected 1 to 1024")
     for segment in segments:
-        if not 0 < segment < np.inf:
-            raise InputError(f"segment is {segment} ohm; expected more than 0 and finite, as the peers need it")
+        if not LEAST <= segment <= MOST:
+            raise InputError(f"segment is {segment} ohm; expected {LEAST:g} to {MOST:g}: the peers need more than 0")
     return _rows(sizes, segments, memory, peers, patient)
 
 

@@ -6,13 +6,10 @@ families, since USB serial ports work at any rate. The family whose decoder acco
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-import serial
-
-from ..errors import LinkError
+from ..driver import BytePort, open_port
 from ..wire import BOARDS, Corrupt, Description, Family, FramePacket, Identity, Order, host_protocol
 from ._finding import Finding, State
 
@@ -106,40 +103,27 @@ def _settings() -> dict[_Setting, list[Family]]:
 
 def _recordings(port: str, setting: _Setting, families: list[Family], listen_s: float) -> Iterator[bytes]:
     """What comes by itself, then what comes after each family's own way of asking."""
-    with _opened(port, setting) as line:
-        try:
-            yield _collected(line, listen_s)
-            for family in families:
-                protocol = host_protocol(family.name)
-                orders = [Order.ONE_FRAME] * FEWEST_FRAMES if family.polled else [Order.IDENTIFY, Order.START]
-                data = b""
-                for order in orders:
-                    line.write(protocol.request(order))
-                    data += _collected(line, listen_s / len(orders))
-                yield data
-        except (serial.SerialException, OSError) as error:
-            raise LinkError(f"{port}: went away: {error}") from error
-
-
-def _opened(port: str, setting: _Setting) -> serial.SerialBase:
+    line = open_port(port, baudrate=setting.baud_rate, dtr=setting.dtr, rts=setting.rts)
     try:
-        line = serial.serial_for_url(port, setting.baud_rate, timeout=0.05, write_timeout=1.0, do_not_open=True)
-        if setting.dtr is not None:
-            line.dtr = setting.dtr
-        if setting.rts is not None:
-            line.rts = setting.rts
-        line.exclusive = True
-        line.open()
-    except (serial.SerialException, ValueError, OSError) as error:
-        raise LinkError(f"{port}: cannot be opened: {error}") from error
-    return line
+        yield _collected(line, listen_s)
+        for family in families:
+            protocol = host_protocol(family.name)
+            orders = [Order.ONE_FRAME] * FEWEST_FRAMES if family.polled else [Order.IDENTIFY, Order.START]
+            data = b""
+            for order in orders:
+                line.write(protocol.request(order))
+                data += _collected(line, listen_s / len(orders))
+            yield data
+    finally:
+        line.close()
 
 
-def _collected(line: serial.SerialBase, seconds: float) -> bytes:
+def _collected(line: BytePort, seconds: float) -> bytes:
     data = bytearray()
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        data += line.read(65536)
+    end = line.now() + seconds
+    while (left := end - line.now()) > 0:
+        if line.wait(left):
+            data += line.read().data
     return bytes(data)
 
 

@@ -1,11 +1,18 @@
-"""A virtual ohmskin board: a scene of contacts to bytes on a pty or TCP port, and the truth beside them."""
+"""A virtual ohmskin board: a scene of contacts to bytes on a serial link, and the truth beside them."""
+
+import serial
 
 from ._board import Board
 from ._contacts import Contact
-from ._line import Line, TransmitBuffer
-from ._ports import Port, PtyPort, TcpPort
+from ._device import Device
+from ._faults import Line
+from ._hand import Hand
+from ._line import Transmission
+from ._line_settings import ClockSettings, LineSettings, LinkFault
+from ._ports import PairPort, Port, PtyPort, Rfc2217Port, TcpPort
 from ._run import ClockName, Outcome, Stop, emulate, running, stop_on_signals
 from ._scene import BoardSettings, Scene, SkinSettings
+from ._score import Recording, Score, Truth, score, score_text
 from ._shapes import Bump, Disc, Image, Point, Rectangle
 from ._skin import EmulatedSkin, FrameBlock, Sample
 from ._spread import shares, spread
@@ -16,27 +23,43 @@ __all__ = [
     "BoardSettings",
     "Bump",
     "ClockName",
+    "ClockSettings",
     "Contact",
+    "Device",
     "Disc",
     "EmulatedSkin",
     "FrameBlock",
+    "Hand",
     "Image",
     "Line",
+    "LineSettings",
+    "LinkFault",
     "Outcome",
+    "PairPort",
     "Point",
     "Port",
     "PtyPort",
+    "Recording",
     "Rectangle",
+    "Rfc2217Port",
     "Sample",
     "Scene",
+    "Score",
     "SkinSettings",
     "Stop",
     "TcpPort",
-    "TransmitBuffer",
+    "Transmission",
+    "Truth",
     "TruthFile",
     "emulate",
     "running",
+    "score",
+    "score_text",
     "shares",
     "spread",
     "stop_on_signals",
 ]
+
+# pyserial looks for the handler of ohmskin:// URLs in the packages of this list.
+if __name__ not in serial.protocol_handler_packages:
+    serial.protocol_handler_packages.append(__name__)

@@ -36,6 +36,7 @@ from ..wire import (
     board_protocol,
     write_description,
 )
+from ._hand import Hand
 from ._scene import Scene
 from ._self_test import self_test
 from ._skin import EmulatedSkin, FrameBlock, Sample
@@ -57,6 +58,7 @@ class Board:
         duration_s: float = math.inf,
         protocol: BoardProtocol | None = None,
         record: Callable[[Sample], None] | None = None,
+        hand: Hand | None = None,
     ) -> None:
         """Switch the board on.
 
@@ -67,9 +69,11 @@ class Board:
             duration_s: after which no frame comes any more; the one before says so.
             protocol: the board's end of the line; None: the native one.
             record: told of every frame that the board scans.
+            hand: presses beside the scene's contacts.
 
         """
         self.scene = scene
+        self._hand = hand
         self.protocol = board_protocol("ohmskin") if protocol is None else protocol
         self.streaming = not self.protocol.family.polled
         self.orders = 0
@@ -81,6 +85,10 @@ class Board:
         self._record = record
         self._skin = EmulatedSkin(scene, seed)
         self._period_us = 1e6 / scene.board.frame_rate
+        self._booted_us = -round(1e6 * scene.clock.offset)
+        """board time at which the time stamps begin with 0"""
+        self._silent_until_us = 0
+        """board time up to which the boot loader runs"""
         self._sequence = 0
         self._frames_wanted = 0
         self._latest = np.full(scene.skin.design.array.shape, scene.skin.cell.rest_resistance_ohm)
@@ -103,18 +111,31 @@ class Board:
     def tick(self) -> list[bytes]:
         """Live through the next tick; the packets to send, each one whole."""
         time_us = self.next_us
+        if self._hand is not None:
+            self._feel(self._hand, time_us)
         block, place = self._skin.read()
+        if time_us < self._silent_until_us:
+            return []
         packets = []
         if time_us >= self._next_identity_us:
             self._next_identity_us += IDENTITY_PERIOD_US
-            packets.append(self._identify(time_us))
-        packets += self._answer(time_us)
+            packets.append(self._identify(time_us - self._booted_us))
+        packets += self._answer(time_us - self._booted_us)
         if self.wants_tick:
-            packets.append(self._send(block, place, time_us))
+            packets.append(self._send(block, place, time_us - self._booted_us))
         return [packet for packet in packets if packet]
+
+    def _feel(self, hand: Hand, time_us: int) -> None:
+        """Take a load that has changed, from this tick on."""
+        pressure = hand.take_change()
+        if pressure is not None:
+            self._skin.press(pressure)
+            hand.in_force((time_us - self._booted_us) / 1e6)
 
     def receive(self, data: bytes) -> None:
         """Take bytes of the host. Commands take effect at once; their answers wait for :meth:`answers`."""
+        if self.next_us < self._silent_until_us:
+            return  # the boot loader takes no commands
         for command in self.protocol.feed(data):
             if isinstance(command, Command):
                 self._obey(command)
@@ -124,7 +145,27 @@ class Board:
 
     def answers(self) -> list[bytes]:
         """The packets that answer the commands received since the last call."""
-        return [packet for packet in self._answer(self.next_us) if packet]
+        return [packet for packet in self._answer(self.next_us - self._booted_us) if packet]
+
+    def reset(self, *, boots_for_us: int = 0) -> None:
+        """Start anew, as after a reset or a loss of power; the skin lives on.
+
+        Args:
+            boots_for_us: us for which the boot loader runs and the board is silent.
+
+        """
+        self.boot_id = (self.boot_id + 1) % 2**32
+        self.streaming = not self.protocol.family.polled
+        self.overrun = False
+        self._frames_wanted = 0
+        self._sequence = 0
+        self._booted_us = self.next_us
+        self._next_identity_us = self.next_us
+        self._silent_until_us = self.next_us + boots_for_us
+        self._waiting = {Order.DESCRIBE.value: Command(Order.DESCRIBE)}
+        if self._period_us != 1e6 / self.scene.board.frame_rate:
+            self._period_us = 1e6 / self.scene.board.frame_rate
+            self._skin.set_period(self._period_us)
 
     def _obey(self, command: Command) -> None:
         match command.order:

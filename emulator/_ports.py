@@ -1,4 +1,4 @@
-"""Where the emulator meets the operating system: a pseudo-terminal or a TCP socket that one host can open."""
+"""Ends of byte streams that a host can open: pseudo-terminal, TCP, RFC 2217, socket pair. Nothing here waits."""
 
 from __future__ import annotations
 
@@ -10,19 +10,28 @@ import select
 import socket
 import struct
 import termios
+import time
 import tty
 from abc import ABC, abstractmethod
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Self, cast
+
+from serial.rfc2217 import PortManager, Serial
 
 from ..errors import InputError, LinkError
+from ._link_name import LinkName
 
-_CHUNK = 65536
+READ_AT_ONCE = 4096
+"""bytes read of a host before the board goes on living: a flood of commands cannot hold it up"""
+DEAF_S = 5.0
+"""how long a TCP host may leave waiting bytes unread before another one that knocks takes its place"""
+LONGEST_SUBOPTION = 1024
+"""bytes of a Telnet suboption; a host that sends a longer one is hung up on"""
 
 
 class Port(ABC):
-    """One end of a byte stream. Nothing here waits."""
+    """One end of a byte stream."""
 
     name: str
     """what a host opens"""
@@ -33,11 +42,11 @@ class Port(ABC):
 
     @abstractmethod
     def fileno(self) -> int:
-        """To select on, while a host is present."""
+        """To wait on, while a host is present."""
 
     @abstractmethod
     def read(self) -> bytes | None:
-        """What the host has sent since the last call; None when it has gone."""
+        """What the host has sent since the last call, at most a few kilobytes; None when the host has gone."""
 
     @abstractmethod
     def write(self, data: bytes) -> int:
@@ -51,6 +60,24 @@ class Port(ABC):
     def close(self) -> None:
         """Take the port away."""
 
+    def unplug(self) -> None:
+        """Take the port away for a while, as when the cable is pulled."""
+        self.close()
+
+    def plug_in(self, name: str | None) -> None:
+        """Bring the port back, under another ``name`` if one is given.
+
+        Raises:
+            InputError: the name cannot be used.
+            LinkError: the port cannot come back.
+
+        """
+        raise LinkError(f"{self.name}: a port of this kind cannot be plugged in again")
+
+    def take_reset(self) -> bool:
+        """Whether the host has raised the control line DTR since the last call."""
+        return False
+
     def __enter__(self) -> Self:
         return self
 
@@ -61,15 +88,25 @@ class Port(ABC):
 
 
 class PtyPort(Port):
-    """A pseudo-terminal, which any serial program can open; ``link`` becomes a symbolic link to it.
+    """A pseudo-terminal, which any serial program can open at any baud rate.
+
+    Args:
+        link: name of a symbolic link to the pseudo-terminal; None: none.
 
     Raises:
-        InputError: ``link`` cannot be made, or is there already and is no symbolic link.
+        InputError: ``link`` belongs to another emulator, is something else than an emulator's link, or cannot be made.
 
     """
 
     def __init__(self, link: Path | None = None) -> None:
-        self._link = link
+        self._link = None if link is None else LinkName(link)
+        try:
+            self._open()
+        except BaseException:
+            self._release()
+            raise
+
+    def _open(self) -> None:
         self._master, host_end = pty.openpty()
         self._device = os.ttyname(host_end)
         tty.setraw(host_end)
@@ -77,28 +114,17 @@ class PtyPort(Port):
         os.close(host_end)
         os.set_blocking(self._master, False)
         self.name = self._device
-        if link is not None:
+        if self._link is not None:
             try:
-                self._make_link(link)
+                self._link.point_to(self._device)
             except BaseException:
                 os.close(self._master)
                 raise
-            self.name = str(link)
-
-    def _make_link(self, link: Path) -> None:
-        if os.path.lexists(link) and not link.is_symlink():
-            raise InputError(f"{link}: exists and is no symbolic link; expected a free name")
-        if link.exists():  # what an emulator that died has left behind points to nothing
-            raise InputError(f"{link}: leads to {os.path.realpath(link)}, which is there; expected a free name")
-        partial = link.with_name(f".{link.name}.partial-{os.getpid()}")
-        try:
-            partial.symlink_to(self._device)
-            partial.replace(link)
-        except OSError as error:
-            partial.unlink(missing_ok=True)
-            raise InputError(f"{link}: cannot be linked: {error.strerror}") from error
+            self.name = str(self._link.path)
 
     def host_present(self) -> bool:
+        if self._master < 0:
+            return False
         poll = select.poll()
         poll.register(self._master, select.POLLHUP)
         return not poll.poll(0)
@@ -108,7 +134,7 @@ class PtyPort(Port):
 
     def read(self) -> bytes | None:
         try:
-            return os.read(self._master, _CHUNK)
+            return os.read(self._master, READ_AT_ONCE)
         except BlockingIOError:
             return b""
         except OSError as error:
@@ -122,63 +148,106 @@ class PtyPort(Port):
         except BlockingIOError:
             return 0
         except OSError as error:
+            if error.errno == errno.EIO:
+                return 0
             raise LinkError(f"{self.name}: cannot be written: {error.strerror}") from error
 
     def unread(self) -> int:
         # Only the host's end knows. Opening it hides a hang-up, hence for a moment only.
-        host_end = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        try:
+            host_end = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        except OSError:  # a host that has claimed the terminal for itself (TIOCEXCL)
+            return 0
         try:
             (waiting,) = struct.unpack("i", fcntl.ioctl(host_end, termios.FIONREAD, struct.pack("i", 0)))
         finally:
             os.close(host_end)
         return int(waiting)
 
-    def close(self) -> None:
-        if self._link is not None and self._link.is_symlink() and os.readlink(self._link) == self._device:
-            self._link.unlink()
+    def unplug(self) -> None:
+        if self._link is not None:
+            self._link.remove()
         os.close(self._master)
+        self._master = -1
+
+    def plug_in(self, name: str | None) -> None:
+        if name is not None and self._link is not None:
+            new = LinkName(self._link.path.with_name(name))
+            self._link.release()
+            self._link = new
+        self._open()
+
+    def close(self) -> None:
+        self._release()
+        if self._master >= 0:
+            os.close(self._master)
+            self._master = -1
+
+    def _release(self) -> None:
+        if self._link is not None:
+            self._link.release()
 
 
 class TcpPort(Port):
-    """A listening TCP socket for one host at a time; a second one is hung up on.
+    """A listening TCP socket for one host at a time.
+
+    A second host is hung up on, unless the first one has left bytes unread for :data:`DEAF_S`.
 
     Raises:
         LinkError: nothing can listen there.
 
     """
 
+    SCHEME = "socket"
+
     def __init__(self, host: str, port: int) -> None:
         self._host: socket.socket | None = None
+        self._took_at = 0.0
+        """time at which the host took bytes last, or at which nothing waited for it"""
+        self._listen(host, port)
+
+    def _listen(self, host: str, port: int) -> None:
         try:
-            self._listener = socket.create_server((host, port))
-        except (OSError, UnicodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else str(error)
+            self._listener: socket.socket | None = socket.create_server((host, port))
+        except (OSError, UnicodeError, OverflowError) as error:
+            reason = getattr(error, "strerror", None) or str(error)
             raise LinkError(f"{host}:{port}: cannot listen there: {reason}") from error
         self._listener.setblocking(False)
         # Like the small buffer of a serial port, so that a slow host is noticed soon. Inherited by connections.
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16384)
-        self.name = "socket://{}:{}".format(*self._listener.getsockname())
+        self._address = self._listener.getsockname()[:2]
+        self.name = "{}://{}:{}".format(self.SCHEME, *self._address)
 
     @classmethod
-    def at(cls, address: str) -> TcpPort:
+    def at(cls, address: str) -> Self:
         """Listen at HOST:PORT, or :PORT for the loopback; port 0 takes a free one. Raises InputError, LinkError."""
-        host, colon, port = address.rpartition(":")
-        if not colon or not port.isdecimal() or int(port) > 65535:
-            raise InputError(f"'{address}' is no address; expected HOST:PORT or :PORT with a port up to 65535")
-        return cls(host or "127.0.0.1", int(port))
+        return cls(*_host_and_port(address))
 
     def host_present(self) -> bool:
+        if self._listener is None:
+            return False
         try:
             arrived, _ = self._listener.accept()
         except (BlockingIOError, ConnectionError):
             return self._host is not None
+        except OSError as error:  # too many open files: the host is left waiting
+            if error.errno in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
+                return self._host is not None
+            raise LinkError(f"{self.name}: cannot accept a host: {error.strerror}") from error
+        if self._host is not None and time.monotonic() - self._took_at > DEAF_S:
+            self._hang_up()
         if self._host is None:
-            self._host = arrived
             arrived.setblocking(False)
             arrived.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            self._took_at = time.monotonic()
+            self._host = arrived
+            self._greet()
         else:
             arrived.close()
         return True
+
+    def _greet(self) -> None:
+        """A host has come."""
 
     def fileno(self) -> int:
         assert self._host is not None
@@ -187,10 +256,10 @@ class TcpPort(Port):
     def read(self) -> bytes | None:
         assert self._host is not None
         try:
-            data = self._host.recv(_CHUNK)
+            data = self._host.recv(READ_AT_ONCE)
         except BlockingIOError:
             return b""
-        except ConnectionError:
+        except OSError:
             data = b""
         if not data:
             self._hang_up()
@@ -198,11 +267,14 @@ class TcpPort(Port):
         return data
 
     def write(self, data: bytes) -> int:
-        assert self._host is not None
-        try:
-            return self._host.send(data)
-        except (BlockingIOError, ConnectionError):  # what broke shows at the next read
+        if self._host is None:
             return 0
+        try:
+            sent = self._host.send(data)
+        except OSError:  # full, or broken: what broke shows at the next read
+            return 0
+        self._took_at = time.monotonic()
+        return sent
 
     def unread(self) -> int:
         if self._host is None:
@@ -210,11 +282,168 @@ class TcpPort(Port):
         (unacknowledged,) = struct.unpack("i", fcntl.ioctl(self._host, termios.TIOCOUTQ, struct.pack("i", 0)))
         return int(unacknowledged)
 
+    def unplug(self) -> None:
+        self.close()
+
+    def plug_in(self, name: str | None) -> None:
+        host, port = self._address
+        self._listen(host, port if name is None else _host_and_port(f":{name}")[1])
+
     def close(self) -> None:
         self._hang_up()
-        self._listener.close()
+        if self._listener is not None:
+            self._listener.close()
+            self._listener = None
 
     def _hang_up(self) -> None:
         if self._host is not None:
             self._host.close()
             self._host = None
+
+
+class ControlLines:
+    """Settings and control lines of the serial port that an RFC 2217 host believes to talk to."""
+
+    def __init__(self) -> None:
+        self.baudrate = 9600
+        self.bytesize = 8
+        self.parity = "N"
+        self.stopbits = 1
+        self.xonxoff = False
+        self.rtscts = False
+        self.break_condition = False
+        self.cts = self.dsr = self.cd = True
+        self.ri = False
+        self.rts = False
+        self.raised = False
+        """DTR has gone from off to on"""
+        self._dtr = False
+
+    @property
+    def dtr(self) -> bool:
+        """Data terminal ready; boards of the Arduino family reset when it is raised."""
+        return self._dtr
+
+    @dtr.setter
+    def dtr(self, level: bool) -> None:
+        self.raised = self.raised or (level and not self._dtr)
+        self._dtr = level
+
+    def reset_input_buffer(self) -> None:
+        """Nothing waits in a buffer of its own."""
+
+    def reset_output_buffer(self) -> None:
+        """Nothing waits in a buffer of its own."""
+
+
+class Rfc2217Port(TcpPort):
+    """A TCP port with Telnet's COM port option (RFC 2217), through which baud rate and control lines are seen."""
+
+    SCHEME = "rfc2217"
+
+    def _greet(self) -> None:
+        self.control = ControlLines()
+        self._outgoing = bytearray()
+        """bytes for the socket, escaped, with the answers of the negotiation among them"""
+        self._manager = PortManager(cast("Serial", self.control), cast("Serial", _Connection(self._outgoing)))
+
+    def read(self) -> bytes | None:
+        data = super().read()
+        if not data:
+            self._flush()
+            return data
+        try:
+            plain = b"".join(self._manager.filter(data))
+        except (KeyError, ValueError, TypeError, struct.error):  # a suboption that breaks the standard
+            self._hang_up()
+            return None
+        if len(self._manager.suboption or b"") > LONGEST_SUBOPTION:
+            self._hang_up()
+            return None
+        self._flush()
+        return plain
+
+    def write(self, data: bytes) -> int:
+        if self._host is None:
+            return 0
+        if self._outgoing and not self._flush():
+            return 0
+        taken = data[:READ_AT_ONCE]
+        self._outgoing += taken.replace(b"\xff", b"\xff\xff")
+        self._flush()
+        return len(taken)
+
+    def unread(self) -> int:
+        return super().unread() + (len(self._outgoing) if self._host is not None else 0)
+
+    def take_reset(self) -> bool:
+        if self._host is None:
+            return False
+        raised, self.control.raised = self.control.raised, False
+        return raised
+
+    def _flush(self) -> bool:
+        """Send what waits; whether everything has gone."""
+        if self._outgoing:
+            del self._outgoing[: super().write(bytes(self._outgoing))]
+        return not self._outgoing
+
+
+class _Connection:
+    """What pyserial's :class:`PortManager` writes its answers to."""
+
+    def __init__(self, outgoing: bytearray) -> None:
+        self._outgoing = outgoing
+
+    def write(self, data: bytes) -> None:
+        self._outgoing += data
+
+
+class PairPort(Port):
+    """One end of a socket pair, for a host in the same process, who holds the other end."""
+
+    def __init__(self, name: str = "pair") -> None:
+        self.name = name
+        self._socket, self.host_end = socket.socketpair()
+        self._socket.setblocking(False)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16384)
+
+    def host_present(self) -> bool:
+        return self._socket.fileno() >= 0
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def read(self) -> bytes | None:
+        try:
+            data = self._socket.recv(READ_AT_ONCE)
+        except BlockingIOError:
+            return b""
+        except OSError:
+            data = b""
+        if not data:
+            self._socket.close()
+            return None
+        return data
+
+    def write(self, data: bytes) -> int:
+        try:
+            return self._socket.send(data)
+        except OSError:
+            return 0
+
+    def unread(self) -> int:
+        if self._socket.fileno() < 0:
+            return 0
+        (waiting,) = struct.unpack("i", fcntl.ioctl(self._socket, termios.TIOCOUTQ, struct.pack("i", 0)))
+        return int(waiting)
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def _host_and_port(address: str) -> tuple[str, int]:
+    host, colon, port = address.rpartition(":")
+    if not colon or not (port.isascii() and port.isdecimal() and len(port) < 6 and int(port) < 65536):
+        raise InputError(f"'{address}' is no address; expected HOST:PORT or :PORT with a port up to 65535")
+    return host or "127.0.0.1", int(port)

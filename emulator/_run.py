@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import os
 import secrets
-import select
+import selectors
 import signal
 import threading
 import time
@@ -23,12 +23,12 @@ from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 from ..errors import InputError
 from ..wire import BoardProtocol, board_protocol
-from ._board import Board
-from ._line import Line, TransmitBuffer
+from ._device import Device
+from ._hand import Hand
 from ._ports import Port
 from ._scene import Scene
 from ._truth import TruthFile
@@ -43,8 +43,10 @@ LISTENER_S = 1.0
 """fast clock: how long a host may say nothing before it is taken for a mere listener"""
 MOST_BEHIND_S = 0.5
 """real clock: how late a tick may be before board time is let go"""
-ANSWER_ROOM = 4096
-"""bytes in the transmit buffer up to which commands are answered; beyond, their answers wait"""
+TICKS_AT_ONCE = 64
+"""ticks between two looks at the port, at most"""
+WRITE_SOON = 4096
+"""bytes that have arrived at the host's end with which the port goes before further ticks"""
 DRAIN_S = 5.0
 """at the end: how long to wait for a host that has stopped reading"""
 
@@ -55,15 +57,19 @@ class Stop:
     def __init__(self) -> None:
         self.signal: int | None = None
         """the signal that asked, if one did"""
+        self._asked = threading.Event()
         self._read, self._write = os.pipe()
+        os.set_blocking(self._write, False)
 
     def set(self, number: int | None = None) -> None:
         """End the run between two ticks."""
         self.signal = self.signal or number
-        os.write(self._write, b"!")
+        if not self._asked.is_set():
+            self._asked.set()
+            os.write(self._write, b"!")
 
     def is_set(self) -> bool:
-        return bool(select.select([self._read], [], [], 0)[0])
+        return self._asked.is_set()
 
     def fileno(self) -> int:
         return self._read
@@ -75,11 +81,10 @@ class Stop:
 
 @contextmanager
 def stop_on_signals() -> Iterator[Stop]:
-    """A :class:`Stop` that SIGINT and SIGTERM set, instead of what they did before. In the main thread only."""
+    """A :class:`Stop` that SIGINT, SIGTERM and SIGHUP set, instead of what they did before. In the main thread only."""
     stop = Stop()
-    before = {
-        number: signal.signal(number, lambda number, _: stop.set(number)) for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda number, _: stop.set(number)) for number in numbers}
     try:
         yield stop
     finally:
@@ -95,7 +100,9 @@ class Outcome:
     seconds: float = 0.0
     """board time"""
     dropped: int = 0
-    """frames that a host was too slow for"""
+    """frames for which the transmit buffer had no room: the host, or the line, was too slow"""
+    lost_bytes: int = 0
+    """bytes that a UART sent and that the host had no room for"""
     behind_s: float = 0.0
     """real clock: by how much board time fell behind because this machine was too slow"""
 
@@ -103,7 +110,9 @@ class Outcome:
         """What whoever started the run should know, a line each."""
         notes = []
         if self.dropped:
-            notes.append(f"{self.dropped} frames were dropped: the host read too slowly")
+            notes.append(f"{self.dropped} frames were dropped: the host or the line was too slow")
+        if self.lost_bytes:
+            notes.append(f"{self.lost_bytes} bytes were lost: the host read too slowly")
         if self.behind_s:
             notes.append(f"board time fell {self.behind_s:.1f} s behind: this machine is too slow for the scene")
         return notes
@@ -118,39 +127,54 @@ def emulate(
     seed: int = 0,
     truth: Path | None = None,
     family: str = "ohmskin",
+    hand: Hand | None = None,
     stop: Stop,
 ) -> Outcome:
     """Run a board on ``port`` for ``duration_s`` of board time or until ``stop``, and write the truth file then.
 
+    Args:
+        scene: what to emulate.
+        port: where a host meets the board; left open.
+        clock: ``real`` or ``fast``, see the head of this module.
+        duration_s: s of board time.
+        seed: for noise, faults and jitter.
+        truth: file for every frame as it truly was; None: none.
+        family: whose protocol the board speaks, a key of :data:`ohmskin.wire.BOARDS`.
+        hand: presses beside the scene's contacts.
+        stop: asks for the end.
+
     Raises:
-        InputError: the duration is not positive, or the truth file cannot be written.
+        InputError: the duration is not positive, the family has no such array, or the truth file cannot be written.
         LinkError: the port failed.
         SolverError: the scene leads to a circuit without a solution.
 
     """
     if not duration_s > 0:
         raise InputError(f"duration is {duration_s} s; expected more than 0")
-    with nullcontext() if truth is None else TruthFile(truth, scene.skin.design.array.shape) as file:
-        board = Board(
+    protocol = _protocol(family, scene)
+    with nullcontext() if truth is None else _truth_file(truth, scene) as file:
+        device = Device(
             scene,
             seed=seed,
             boot_id=secrets.randbits(32),
             duration_s=duration_s,
-            protocol=_protocol(family, scene),
+            protocol=protocol,
             record=None if file is None else file.append,
+            # At the fast clock no tick is due while more than a little waits; only a UART can overflow.
+            hand=hand,
+            capacity=2**62 if clock == "fast" and scene.line.baud_rate is None else None,
         )
         outcome = Outcome()
-        pace: _Clock = _RealClock(outcome) if clock == "real" else _FastClock()
-        link = _Link(board, port, Line(scene.line, seed), pace.buffer(scene), outcome)
-        while board.next_us < duration_s * 1e6 and not stop.is_set():
-            if link.exchange():
-                pace.host_arrived(board)
-            if pace.due(board, link):
-                link.send(board.tick())
-            else:
-                link.wait(stop, pace.wait_s(board))
-        outcome.seconds = min(board.next_us / 1e6, duration_s)
-        link.drain(stop)
+        pace: _Pace = _RealPace(device, outcome) if clock == "real" else _FastPace(device)
+        session = _Session(device, port, pace, auto_reset=scene.line.auto_reset)
+        end_us = duration_s * 1e6
+        while device.board.next_us < end_us and not stop.is_set():
+            session.exchange()
+            if not session.live(end_us):
+                session.wait(stop)
+        outcome.seconds = min(device.time_s, duration_s)
+        session.drain(stop)
+        outcome.dropped, outcome.lost_bytes = device.dropped, device.transmission.lost_bytes
     return outcome
 
 
@@ -164,6 +188,7 @@ def running(
     seed: int = 0,
     truth: Path | None = None,
     family: str = "ohmskin",
+    hand: Hand | None = None,
 ) -> Iterator[None]:
     """:func:`emulate` in a thread while the block lasts: a board for a test in the same process.
 
@@ -176,7 +201,15 @@ def running(
         try:
             with port:
                 emulate(
-                    scene, port, clock=clock, duration_s=duration_s, seed=seed, truth=truth, family=family, stop=stop
+                    scene,
+                    port,
+                    clock=clock,
+                    duration_s=duration_s,
+                    seed=seed,
+                    truth=truth,
+                    family=family,
+                    hand=hand,
+                    stop=stop,
                 )
         except Exception as error:
             failures.append(error)
@@ -193,65 +226,92 @@ def running(
         raise failures[0]
 
 
+def _truth_file(path: Path, scene: Scene) -> TruthFile:
+    skin = scene.skin
+    return TruthFile(
+        path,
+        skin.design.array.shape,
+        pitch_mm=skin.cell_pitch_mm,
+        full_scale_kpa=skin.cell.full_scale_kpa,
+    )
+
+
 def _protocol(family: str, scene: Scene) -> BoardProtocol:
     design = scene.skin.design
     assert design.adc is not None  # a scene is refused without one
     return board_protocol(family, shape=design.array.shape, adc_bits=design.adc.bits)
 
 
-class _Link:
-    """Board, line and buffer on one side, the port on the other."""
+class _HasFileno(Protocol):
+    def fileno(self) -> int: ...
 
-    def __init__(self, board: Board, port: Port, line: Line, buffer: TransmitBuffer, outcome: Outcome) -> None:
-        self.present = False
-        self.buffer = buffer
-        self._board, self._port, self._line, self._outcome = board, port, line, outcome
 
-    def exchange(self) -> bool:
-        """Read commands, write what waits; True when a host has just come."""
-        was_present, self.present = self.present, self._port.host_present()
-        arrived = self.present and not was_present
-        if self.present != was_present:
-            self.buffer.clear()
-        if arrived:
-            self.buffer.offer(b"\0")  # ends what may have been cut off for the last host
-        if self.present:
-            data = self._port.read()
-            if data is None:
-                self.present = False
-                self.buffer.clear()
-                return False
-            self._board.receive(data)
-            if len(self.buffer) < ANSWER_ROOM:
-                for answer in self._board.answers():
-                    self.buffer.offer(self._line.carry(answer))
-            if self.buffer:
-                self.buffer.sent(self._port.write(self.buffer.peek()))
-        return arrived
+def _wait_for(readable: list[_HasFileno], writable: list[_HasFileno], timeout_s: float) -> None:
+    """Wait until one of these is ready, or the time is over."""
+    with selectors.DefaultSelector() as selector:
+        for end in readable:
+            both = selectors.EVENT_WRITE if end in writable else 0
+            selector.register(end, selectors.EVENT_READ | both)
+        selector.select(timeout_s)
 
-    def send(self, packets: list[bytes]) -> None:
-        """Send the packets of one tick, all or none. Without a host they are spoken to the wind."""
-        delivered = b"".join(map(self._line.carry, packets))
-        frames = self._board.streaming
-        if self.present and not self.buffer.offer(delivered) and frames:
-            self._board.overrun = True
-            self._outcome.dropped += 1
 
-    def wait(self, stop: Stop, timeout_s: float) -> None:
-        """Until the port or ``stop`` wants attention, or ``timeout_s`` has passed, or something else may be new."""
-        readable: list[Stop | Port] = [stop, self._port] if self.present else [stop]
-        writable = [self._port] if self.present and self.buffer else []
-        longest = LONGEST_WAIT_S if self.present else HOST_POLL_S
-        select.select(readable, writable, [], min(max(timeout_s, 0.0), longest))
+class _Session:
+    """The device on one side, the port on the other, and a host who comes and goes."""
+
+    def __init__(self, device: Device, port: Port, pace: _Pace, *, auto_reset: bool) -> None:
+        self._device, self._port, self._pace = device, port, pace
+        self._auto_reset = auto_reset
+        self._present = False
+        self._plugged = True
+
+    def exchange(self) -> None:
+        """Read commands and write what has arrived at the host's end."""
+        if not self._follow_cable():
+            return
+        was_present, self._present = self._present, self._port.host_present()
+        now_us = self._pace.now_us()
+        if self._present != was_present:
+            self._device.transmission.clear(now_us)
+        if self._present and not was_present:
+            self._host_arrived(now_us)
+        if not self._present:
+            return
+        data = self._port.read()
+        if data is None:
+            self._present = False
+            self._device.transmission.clear(now_us)
+            return
+        if self._auto_reset and self._port.take_reset():
+            self._device.reset("", now_us)
+        self._device.receive(data, now_us)
+        self._deliver(now_us)
+
+    def live(self, end_us: float) -> bool:
+        """Live through the ticks that are due; whether there was one."""
+        for tick in range(TICKS_AT_ONCE):
+            if self._device.board.next_us >= end_us or not self._pace.due(host_present=self._present):
+                return tick > 0
+            self._device.tick(host_present=self._present)
+            if len(self._device.transmission.host) >= WRITE_SOON:
+                break
+        return True
+
+    def wait(self, stop: Stop) -> None:
+        """Until the port or ``stop`` wants attention, or something is due, or something else may be new."""
+        readable: list[_HasFileno] = [stop, self._port] if self._present else [stop]
+        writable: list[_HasFileno] = [self._port] if self._present and self._device.transmission.host else []
+        longest = LONGEST_WAIT_S if self._present else HOST_POLL_S
+        _wait_for(readable, writable, min(max(self._pace.wait_s(), 0.0), longest))
 
     def drain(self, stop: Stop) -> None:
         """Let a host read to the end what was written, as long as it goes on reading."""
         left, patience_ends, quiet = None, 0.0, 0
+        self._pace.finish()
         while not stop.is_set() and quiet < 3:
             self.exchange()
-            if not self.present:
+            if not self._present:
                 return
-            before, left = left, (len(self.buffer), self._port.unread())
+            before, left = left, (len(self._device.transmission), self._port.unread())
             now = time.monotonic()
             if left != before:
                 patience_ends = now + DRAIN_S
@@ -259,76 +319,123 @@ class _Link:
                 return
             # The kernel moves bytes on in steps: empty for a moment is not empty yet.
             quiet = quiet + 1 if left == (0, 0) else 0
-            select.select([stop], [], [], HOST_POLL_S)
+            _wait_for([stop], [], HOST_POLL_S)
+
+    def _follow_cable(self) -> bool:
+        """Take the port away or bring it back as the scene says; whether it is there."""
+        unplugged = self._device.unplugged()
+        if unplugged and self._plugged:
+            self._name = self._device.new_name()
+            self._port.unplug()
+            self._plugged = self._present = False
+            self._device.transmission.clear(self._pace.now_us())
+        elif not unplugged and not self._plugged:
+            self._port.plug_in(self._name)
+            self._plugged = True
+            # The cable is also the supply: the board starts anew.
+            self._device.reset("", self._pace.now_us())
+        return self._plugged
+
+    def _host_arrived(self, now_us: float) -> None:
+        self._port.take_reset()  # the level on opening is no edge beside the one taken here
+        if self._auto_reset:
+            self._device.reset("", now_us)
+        self._device.transmission.offer(b"\0", now_us)  # ends what may have been cut off for the last host
+        self._pace.host_arrived()
+
+    def _deliver(self, now_us: float) -> None:
+        self._device.advance(now_us)
+        self._device.steal()
+        arrived = self._device.arrived()
+        if arrived:
+            self._device.transmission.taken(self._port.write(arrived))
 
 
-class _Clock(ABC):
-    """When to tick."""
+class _Pace(ABC):
+    """When to tick, and what the line time is."""
 
     @abstractmethod
-    def buffer(self, scene: Scene) -> TransmitBuffer:
-        """A transmit buffer that loses what this clock means to lose."""
+    def now_us(self) -> float:
+        """Line time."""
 
     @abstractmethod
-    def host_arrived(self, board: Board) -> None:
+    def host_arrived(self) -> None:
         """A host has opened the port."""
 
     @abstractmethod
-    def due(self, board: Board, link: _Link) -> bool:
+    def due(self, *, host_present: bool) -> bool:
         """Whether the next tick is due now."""
 
     @abstractmethod
-    def wait_s(self, board: Board) -> float:
+    def wait_s(self) -> float:
         """How long nothing can become due by itself."""
 
+    @abstractmethod
+    def finish(self) -> None:
+        """No more ticks will come: what is on the line arrives."""
 
-class _RealClock(_Clock):
-    def __init__(self, outcome: Outcome) -> None:
-        self._outcome = outcome
+
+class _RealPace(_Pace):
+    def __init__(self, device: Device, outcome: Outcome) -> None:
+        self._device, self._outcome = device, outcome
         self._start = time.monotonic()
 
-    def buffer(self, scene: Scene) -> TransmitBuffer:
-        # A description and a few frames, as a microcontroller would have.
-        rows, columns = scene.skin.design.array.shape
-        return TransmitBuffer(8192 + 8 * rows * columns)
+    def now_us(self) -> float:
+        return 1e6 * (time.monotonic() - self._start)
 
-    def host_arrived(self, board: Board) -> None:
+    def host_arrived(self) -> None:
         pass
 
-    def due(self, board: Board, link: _Link) -> bool:
-        late = -self.wait_s(board)
-        if late > MOST_BEHIND_S:
-            self._start += late
-            self._outcome.behind_s += late
-        return late >= 0
+    def finish(self) -> None:
+        pass
 
-    def wait_s(self, board: Board) -> float:
-        return self._start + board.next_us / 1e6 - time.monotonic()
+    def due(self, *, host_present: bool) -> bool:
+        late_s = (self.now_us() - self._device.next_us) / 1e6
+        if late_s > MOST_BEHIND_S:
+            self._device.fall_behind(1e6 * late_s)
+            self._outcome.behind_s += late_s
+        return late_s >= 0
+
+    def wait_s(self) -> float:
+        now_us = self.now_us()
+        return (min(self._device.next_us, self._device.transmission.next_us(now_us)) - now_us) / 1e6
 
 
-class _FastClock(_Clock):
-    _ENOUGH = 4096
-
-    def __init__(self) -> None:
+class _FastPace(_Pace):
+    def __init__(self, device: Device) -> None:
+        self._device = device
         self._orders = 0
         self._silent_until = inf
+        self._line_us = 0.0
 
-    def buffer(self, scene: Scene) -> TransmitBuffer:
-        # No limit of its own: no tick is due while more than a little waits.
-        return TransmitBuffer(2**62)
+    def now_us(self) -> float:
+        # Time stands still between ticks, unless bytes are on the line: then it goes on to their arrival.
+        transmission = self._device.transmission
+        self._line_us = max(self._line_us, self._device.next_us)
+        if not self._device.board.wants_tick and not transmission.host:
+            arrival_us = transmission.next_us(self._line_us)
+            if arrival_us < inf:
+                self._line_us = max(self._line_us, arrival_us)
+        return self._line_us
 
-    def host_arrived(self, board: Board) -> None:
+    def host_arrived(self) -> None:
         # Serial programs discard what came before they were ready: say nothing until they are.
-        board.streaming = False
-        self._orders = board.orders
+        self._device.board.streaming = False
+        self._orders = self._device.board.orders
         self._silent_until = time.monotonic() + LISTENER_S
 
-    def due(self, board: Board, link: _Link) -> bool:
-        if not link.present:
+    def due(self, *, host_present: bool) -> bool:
+        board = self._device.board
+        if self._device.unplugged():
+            return True
+        if not host_present:
             return False
         if board.orders == self._orders and time.monotonic() >= self._silent_until:
             board.streaming = not board.protocol.family.polled
-        return board.wants_tick and len(link.buffer) < self._ENOUGH
+        return board.wants_tick and len(self._device.transmission.host) < WRITE_SOON
 
-    def wait_s(self, board: Board) -> float:
+    def wait_s(self) -> float:
         return HOST_POLL_S
+
+    def finish(self) -> None:
+        self._line_us = inf

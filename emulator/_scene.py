@@ -17,9 +17,9 @@ from ..config import Finite, NotNegative, Positive, Section, parse, read_toml
 from ..errors import InputError
 from ._contacts import Contact
 from ._events import Event, check_events
+from ._line_settings import ClockSettings, LineSettings, LinkFault
 from ._movie import Movie
 
-Share = Annotated[float, Field(ge=0, lt=1)]
 Percent = Annotated[float, Field(ge=0, le=1000)]
 DriftPoint = Annotated[tuple[Finite, Annotated[float, Field(ge=-300, le=1000)]], Field(strict=False)]
 
@@ -113,21 +113,14 @@ class BoardSettings(Section):
     """ohm of resistors that the board's self-test can read in place of a cell"""
 
 
-class LineSettings(Section):
-    """What the line to the host does to the bytes."""
-
-    packet_loss: Share = 0.0
-    """chance that a packet vanishes"""
-    bit_errors: Share = 0.0
-    """chance of each bit to be flipped"""
-
-
 class Scene(Section):
     """A skin, its board, the line, and what happens to them. ``Scene.load("scene.toml")``."""
 
     skin: SkinSettings
     board: BoardSettings = BoardSettings()
     line: LineSettings = LineSettings()
+    clock: ClockSettings = ClockSettings()
+    link_fault: list[LinkFault] = Field(default_factory=list)
     contact: list[Contact] = Field(default_factory=list)
     event: list[Event] = Field(default_factory=list)
     movie: Movie | None = None

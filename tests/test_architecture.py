@@ -16,7 +16,7 @@ MAY_IMPORT = {
     "bench": SHARED | {"circuits", "cell"},
     "emulator": SHARED | {"circuits", "cell", "wire"},
     "driver": SHARED | {"circuits", "cell", "wire"},
-    "doctor": SHARED | {"circuits", "wire"},
+    "doctor": SHARED | {"circuits", "wire", "driver"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
 }
 

@@ -95,7 +95,7 @@ def test_the_command_prints_a_table_or_json_and_draws(tmp_path: Path, capsys: py
     ("options", "message"),
     [
         (["--size", "0"], "size is 0; expected 1 to 1024"),
-        (["--segment", "0"], "segment is 0.0 ohm; expected more than 0"),
+        (["--segment", "0"], "segment is 0.0 ohm; expected 1e-30 to 1e+30"),
         (["--size", "x"], "Invalid value for '--size'"),
     ],
 )

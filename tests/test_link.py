@@ -116,7 +116,11 @@ def test_a_tare_takes_unknown_lines_out_of_the_estimate(scene_file: Path, tmp_pa
 
 
 def test_a_lossy_and_noisy_line_is_counted_end_to_end(tmp_path: Path) -> None:
-    what = scene(line={"packet_loss": 0.05, "bit_errors": 2e-5})
+    faults = [
+        {"kind": "dropped-packets", "probability": 0.05, "at": 1.0},
+        {"kind": "flipped-bits", "probability": 2e-4, "at": 1.0},
+    ]
+    what = scene(link_fault=faults)
     port, truth = PtyPort(), tmp_path / "truth.npz"
     with running(what, port, clock="fast", duration_s=20.0, truth=truth):
         frames = collect(port.name, lossy=True)
@@ -232,18 +236,6 @@ def test_a_stale_link_is_replaced_and_a_file_is_not(tmp_path: Path) -> None:
     assert link.read_text() == "precious"
 
 
-def test_a_link_to_a_living_board_is_not_taken_over(tmp_path: Path) -> None:
-    link = tmp_path / "skin"
-    first = PtyPort(link)
-    with pytest.raises(InputError, match=r"skin: leads to .* expected a free name"):
-        PtyPort(link)
-    assert link.resolve() == Path(os.path.realpath(first.name))
-    link.unlink()
-    with PtyPort(link):
-        first.close()  # leaves a link that is no longer its own alone
-        assert link.is_symlink()
-
-
 @contextmanager
 def chatter(data: bytes) -> Iterator[str]:
     """A serial device that is no board: it says ``data`` again and again."""
@@ -322,7 +314,7 @@ def test_a_port_without_permission_names_the_group(tmp_path: Path, monkeypatch: 
         (["{scene}", "--tcp", "4711x"], "'4711x' is no address; expected HOST:PORT or :PORT"),
         (["{scene}", "--tcp", "localhost:70000"], "'localhost:70000' is no address"),
         (["{scene}", "--tcp", "192.0.2.1:1"], "192.0.2.1:1: cannot listen there"),
-        (["{scene}", "--link", "{tmp}/a", "--tcp", ":0"], "--link and --tcp exclude each other"),
+        (["{scene}", "--link", "{tmp}/a", "--tcp", ":0"], "--link, --tcp and --rfc2217 exclude each other"),
         (["{scene}", "--duration", "-1"], "-1.0 is not in the range x>0"),
         (["{scene}", "--duration", "nan"], "duration is nan s; expected more than 0"),
         (["{scene}", "--clock", "slow"], "'slow' is not one of 'real', 'fast'"),

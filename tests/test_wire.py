@@ -365,7 +365,7 @@ def test_a_description_has_limits(text: bytes, reason: str) -> None:
 
 def test_unknown_flags_texts_and_tables_are_left_unread() -> None:
     frame = decode(raw(0x01, struct.pack("<HHH", 1, 1, 0xFFFF) + b"\5\0", sequence=3))
-    assert frame == FramePacket(3, 0, 1, 1, b"\5\0", Flag.OVERRUN, 0)
+    assert frame == FramePacket(3, 0, 1, 1, b"\5\0", Flag.OVERRUN | Flag.LAST, 0)
     who = decode(raw(0x03, bytes(14) + b"A1\0F\0red\0"))
     assert isinstance(who, Identity)
     assert (who.serial_number, who.firmware) == ("A1", "F")

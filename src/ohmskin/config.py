@@ -135,6 +135,9 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
             message = "expected a list [...]" if not isinstance(first["input"], dict) else "expected [[...]], not [...]"
         case "dict_type" | "model_type" | "model_attributes_type":
             message = "expected a table"
+        case "greater_than" | "greater_than_equal" | "less_than" | "less_than_equal" as kind:
+            ((_, limit),) = first["ctx"].items()
+            message = f"input should be {kind.replace('_', ' ').replace('than equal', 'than or equal to')} {limit:g}"
         case _:
             message = first["msg"][0].lower() + first["msg"][1:]
     given = first["input"]

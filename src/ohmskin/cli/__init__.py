@@ -31,7 +31,7 @@ from click.shell_completion import shell_complete
 
 from .. import __version__, _signals
 from ..errors import OhmskinError
-from ..text import one_line
+from ..text import one_line, shortened
 
 # name -> one-line help. The module cli/NAME.py holds a click command called `command`.
 COMMANDS = {
@@ -39,6 +39,7 @@ COMMANDS = {
     "netlist": "Write one scan step as a SPICE netlist.",
     "verify": "Verify a readout design: report.html, report.json, junit.xml.",
     "emulate": "Run a virtual scan board on a pty or TCP port.",
+    "score": "Compare a client's recording with the emulator's truth.",
     "fit": "Identify a cell and calibrate its estimators from a recording.",
     "estimate": "Estimate pressure from a recording of resistance.",
     "bench": "Measure speed against error: all methods and their peers.",
@@ -46,6 +47,8 @@ COMMANDS = {
 }
 
 BAD_INPUT, DEFECT = 2, 70
+LONGEST_WORD = 200
+"""characters of an argument that a message repeats"""
 _COMPLETE = "_OHMSKIN_COMPLETE"
 """the variable by which a shell asks for completions, as click's documentation names it"""
 
@@ -122,7 +125,8 @@ def run(args: Sequence[str] | None = None) -> int:
         number = getattr(error, "signal_number", signal.SIGINT)
         return _failed(_signals.NAMES.get(number, "interrupted"), 128 + number, state)
     except click.ClickException as error:
-        return _failed(error.format_message(), BAD_INPUT, state)
+        words = (shortened(word, LONGEST_WORD) for word in error.format_message().split())
+        return _failed(" ".join(words), BAD_INPUT, state)
     except OhmskinError as error:
         return _failed(str(error), BAD_INPUT, state)
     except _StandardOutputError as error:

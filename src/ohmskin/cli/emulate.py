@@ -1,4 +1,4 @@
-"""``ohmskin emulate``: a virtual scan board on a pty or TCP port."""
+"""``ohmskin emulate``: a virtual scan board on a pseudo-terminal, a TCP port or an RFC 2217 port."""
 
 from __future__ import annotations
 
@@ -8,15 +8,33 @@ from typing import cast
 
 import click
 
-from ..emulator import ClockName, PtyPort, Scene, TcpPort, emulate, stop_on_signals
+from ..emulator import ClockName, Port, PtyPort, Rfc2217Port, Scene, TcpPort, emulate, stop_on_signals
+from ..emulator.firmware import AVR8JS, check_scene, emulate_firmware
+from ..wire import BOARDS, board_family
 from . import arguments
 
 
 @click.command(epilog=arguments.example("ohmskin emulate scene.toml --link /tmp/skin --truth truth.npz"))
 @click.argument("scene_file", metavar="SCENE.toml", type=click.Path(path_type=Path))
+@click.option(
+    "--board",
+    "family",
+    default="ohmskin",
+    show_default=True,
+    metavar="NAME",
+    help=f"Family of boards to speak like: {', '.join(BOARDS)}.",
+)
 @click.option("--link", type=click.Path(path_type=Path), metavar="PATH", help="Symbolic link to make to the pty.")
 @click.option("--tcp", metavar="HOST:PORT", help="Listen here instead of on a pty; :PORT is the loopback.")
+@click.option("--rfc2217", metavar="HOST:PORT", help="Likewise, with baud rate and control lines (Telnet).")
 @click.option("--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True)
+@click.option(
+    "--engine",
+    type=click.Choice(["model", "firmware"]),
+    default="model",
+    show_default=True,
+    help="What runs the board: a model of it, or the reference board's program on an emulated processor (Node.js).",
+)
 @click.option(
     "--duration", type=click.FloatRange(min=0, min_open=True), default=inf, metavar="S", help="Seconds of board time."
 )
@@ -25,26 +43,74 @@ from . import arguments
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="K", help="For noise and line faults.")
 def command(
-    scene_file: Path, link: Path | None, tcp: str | None, clock: str, duration: float, truth: Path | None, seed: int
+    scene_file: Path,
+    family: str,
+    link: Path | None,
+    tcp: str | None,
+    rfc2217: str | None,
+    clock: str,
+    engine: str,
+    duration: float,
+    truth: Path | None,
+    seed: int,
 ) -> int:
     """Emulate the board and skin of SCENE.toml; the port to open is printed first.
 
     With --clock real the board runs whether anyone reads or not. With --clock fast it runs as fast as it is read.
     """
-    if link is not None and tcp is not None:
-        raise click.UsageError("--link and --tcp exclude each other")
+    if sum(place is not None for place in (link, tcp, rfc2217)) > 1:
+        raise click.UsageError("--link, --tcp and --rfc2217 exclude each other")
+    board_family(family)
     scene = Scene.load(scene_file)
-    with stop_on_signals() as stop, PtyPort(link) if tcp is None else TcpPort.at(tcp) as port:
-        click.echo(port.name)
-        outcome = emulate(
-            scene,
-            port,
-            clock=cast("ClockName", clock),
-            duration_s=duration,
-            seed=seed,
-            truth=truth,
-            stop=stop,
-        )
+    if engine == "firmware":
+        if family != "ohmskin":
+            raise click.UsageError(f"--engine firmware and --board {family} exclude each other")
+        check_scene(scene)
+        AVR8JS.require()
+    with stop_on_signals() as stop, _port(link, tcp, rfc2217) as port:
+        click.echo(banner(scene, port, family))
+        clock_name = cast("ClockName", clock)
+        if engine == "firmware":
+            outcome = emulate_firmware(
+                scene, port, clock=clock_name, duration_s=duration, seed=seed, truth=truth, stop=stop
+            )
+        else:
+            outcome = emulate(
+                scene,
+                port,
+                clock=clock_name,
+                duration_s=duration,
+                seed=seed,
+                truth=truth,
+                family=family,
+                stop=stop,
+            )
         for note in outcome.notes():
             click.echo(f"ohmskin: {note}", err=True)
         return 0 if stop.signal is None else 128 + stop.signal
+
+
+def _port(link: Path | None, tcp: str | None, rfc2217: str | None) -> Port:
+    if tcp is not None:
+        return TcpPort.at(tcp)
+    if rfc2217 is not None:
+        return Rfc2217Port.at(rfc2217)
+    return PtyPort(link)
+
+
+def banner(scene: Scene, port: Port, family: str) -> str:
+    """The name of the port, alone on its line for scripts, and how to connect, for people."""
+    design = scene.skin.design
+    assert design.adc is not None  # a scene is refused without one
+    rows, columns = design.array.shape
+    board = "" if family == "ohmskin" else f', board="{family}"'
+    baud_rate = scene.line.baud_rate or board_family(family).baud_rate
+    return "\n".join(
+        [
+            port.name,
+            f"  board     {family}, {rows} x {columns} cells of {design.adc.bits} bits, "
+            f"{scene.board.frame_rate:g} frames/s, serial number {scene.board.serial_number}",
+            f'  driver    Skin.open("{port.name}"{board})',
+            f'  pyserial  serial.serial_for_url("{port.name}", {baud_rate})',
+        ]
+    )

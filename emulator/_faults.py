@@ -1,0 +1,111 @@
+"""Fault injection on the link: seeded noise, and faults that the scene schedules. No clock and no I/O."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import BoolArray
+from ._line_settings import BYTE_FAULTS, PACKET_FAULTS, LineSettings, LinkFault
+
+Bytes = NDArray[np.uint8]
+
+
+class Line:
+    """What becomes of packets on their way, by the settings of a scene. The same seed gives the same faults."""
+
+    def __init__(self, settings: LineSettings, seed: int, faults: Sequence[LinkFault] = ()) -> None:
+        """Prepare the line.
+
+        Args:
+            settings: noise that is always there.
+            seed: of the random numbers, which are apart from those of the converter's noise.
+            faults: what goes wrong besides.
+
+        """
+        self._settings = settings
+        self._faults = [fault for fault in faults if fault.kind in BYTE_FAULTS + PACKET_FAULTS]
+        self._done = [-1] * len(self._faults)
+        """for each fault the number of its last occurrence that has hit"""
+        self._random = np.random.default_rng([seed, 1])
+
+    def carry(self, packet: bytes, time_s: float = 0.0) -> bytes:
+        """The packet as the line delivers it: lost (empty), damaged, or as it is.
+
+        Args:
+            packet: the bytes that the board sends.
+            time_s: board time, by which scheduled faults go.
+
+        """
+        if self._settings.packet_loss and self._random.random() < self._settings.packet_loss:
+            return b""
+        if self._settings.bit_errors:
+            bits = np.unpackbits(np.frombuffer(packet, dtype=np.uint8))
+            bits ^= self._random.random(len(bits)) < self._settings.bit_errors
+            packet = np.packbits(bits).tobytes()
+        for number, fault in enumerate(self._faults):
+            if packet:
+                packet = self._inject(number, fault, packet, time_s)
+        return packet
+
+    def _inject(self, number: int, fault: LinkFault, packet: bytes, time_s: float) -> bytes:
+        if fault.probability is not None:
+            if not fault.active(time_s):
+                return packet
+            size = 1 if fault.kind in PACKET_FAULTS else len(packet)
+            hit = self._random.random(size) < fault.probability
+        else:
+            occurrence = fault.occurrence(time_s)
+            if occurrence <= self._done[number]:
+                return packet
+            self._done[number] = occurrence
+            hit = np.zeros(len(packet), dtype=np.bool_)
+            hit[self._random.permutation(len(packet))[: fault.count]] = True
+        if not hit.any():
+            return packet
+        if fault.kind in PACKET_FAULTS:
+            copies = 0 if fault.kind == "dropped-packets" else 2
+            return packet * copies
+        return self._damage(fault.kind, np.frombuffer(packet, dtype=np.uint8), hit)
+
+    def _damage(self, kind: str, packet: Bytes, hit: BoolArray) -> bytes:
+        """The packet with the bytes where ``hit`` is True damaged."""
+        size = int(hit.sum())
+        match kind:
+            case "flipped-bits":
+                damaged = packet.copy()
+                damaged[hit] ^= (1 << self._random.integers(0, 8, size)).astype(np.uint8)
+            case "dropped-bytes":
+                damaged = packet[~hit]
+            case "inserted-bytes":
+                noise = self._random.integers(0, 256, size, dtype=np.uint8)
+                damaged = np.insert(packet, np.flatnonzero(hit), noise)
+            case _:
+                damaged = np.repeat(packet, np.where(hit, 2, 1))
+        return damaged.tobytes()
+
+
+class Schedule:
+    """When faults of the kinds that last or happen at once are due."""
+
+    def __init__(self, faults: Sequence[LinkFault]) -> None:
+        self._faults = list(faults)
+        self._done = [-1] * len(self._faults)
+
+    def active(self, kind: str, time_s: float) -> LinkFault | None:
+        """A fault of this kind that is going on, or None."""
+        for fault in self._faults:
+            if fault.kind == kind and fault.active(time_s):
+                return fault
+        return None
+
+    def begun(self, kind: str, time_s: float) -> LinkFault | None:
+        """A fault of this kind that has begun since the last call, or None."""
+        for number, fault in enumerate(self._faults):
+            occurrence = fault.occurrence(time_s)
+            if fault.kind == kind and occurrence > self._done[number]:
+                self._done[number] = occurrence
+                return fault
+        return None

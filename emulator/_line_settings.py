@@ -1,0 +1,113 @@
+"""The tables ``[line]``, ``[clock]`` and ``[[link_fault]]`` of SCENE.toml: how bytes travel from board to host."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from ..config import Finite, NotNegative, Positive, Section
+
+Share = Annotated[float, Field(ge=0, lt=1)]
+
+BYTE_FAULTS = ("flipped-bits", "dropped-bytes", "inserted-bytes", "duplicated-bytes")
+PACKET_FAULTS = ("dropped-packets", "duplicated-packets")
+LASTING_FAULTS = ("split-bytes", "stall", "unplug", "second-host")
+FaultKind = Literal[
+    "flipped-bits",
+    "dropped-bytes",
+    "inserted-bytes",
+    "duplicated-bytes",
+    "dropped-packets",
+    "duplicated-packets",
+    "split-bytes",
+    "stall",
+    "reset",
+    "unplug",
+    "second-host",
+]
+BOOT_TEXT = "\r\nBoard starting\r\nreset cause: external\r\n"
+
+
+class LineSettings(Section):
+    """``[line]``: a UART or USB link, what it can carry, and how much noise it adds."""
+
+    packet_loss: Share = 0.0
+    """chance that a packet vanishes"""
+    bit_errors: Share = 0.0
+    """chance of each bit to be flipped"""
+    baud_rate: Annotated[int, Field(ge=300, le=100_000_000)] | None = None
+    """bit/s of a UART, ten for each byte; None: the board has USB of its own, which is as fast as the host"""
+    board_buffer: Annotated[int, Field(ge=64)] | None = None
+    """bytes that the board can hold ready to send; None: 8192 and four frames"""
+    host_buffer: Annotated[int, Field(ge=64)] = 65536
+    """bytes that the host's USB bridge and driver hold; behind a UART, bytes beyond are lost"""
+    usb_packet: Annotated[int, Field(ge=1)] | None = None
+    """bytes of payload in a packet of the USB bridge (FTDI at full speed: 62); None: bytes pass one by one"""
+    latency: NotNegative = 0.0
+    """s that a partly filled USB packet waits (FTDI's latency timer: 0.016)"""
+    auto_reset: bool = False
+    """True: a host that opens the port or raises DTR resets the board, as on an Arduino"""
+
+
+class ClockSettings(Section):
+    """``[clock]``: the board's own clock beside the host's."""
+
+    offset: NotNegative = 0.0
+    """s that the board's clock shows when the emulation begins"""
+    drift_ppm: Annotated[Finite, Field(ge=-100_000, le=100_000)] = 0.0
+    """by how much the board's clock is fast, in parts per million"""
+    jitter: NotNegative = 0.0
+    """s, standard deviation of the delay (half a normal distribution) with which the board sends a frame"""
+
+
+class LinkFault(Section):
+    """``[[link_fault]]``: something that goes wrong on the link, at a time or with a probability."""
+
+    kind: FaultKind
+    at: NotNegative = 0.0
+    """s of board time at which the fault begins"""
+    duration: Positive | None = None
+    """s that the fault lasts; None: 1 s, or without end for a fault that has a probability"""
+    period: Positive | None = None
+    """s after which the fault comes again; None: never"""
+    probability: Annotated[float, Field(gt=0, le=1)] | None = None
+    """of each byte (each packet) to be hit while the fault lasts; None: ``count`` are hit in the first packet"""
+    count: Annotated[int, Field(ge=1)] = 1
+    """bytes (packets) that are hit where no probability is given"""
+    text: str = BOOT_TEXT
+    """reset only: what the boot loader prints on the line"""
+    name: str | None = None
+    """unplug only: where the board appears again; None: where it was"""
+
+    @model_validator(mode="after")
+    def _keys_fit_the_kind(self) -> Self:
+        random = self.kind in BYTE_FAULTS + PACKET_FAULTS
+        if self.probability is not None and not random:
+            raise ValueError(f"a fault of kind '{self.kind}' has no probability; it happens at a time")
+        if self.name is not None and self.kind != "unplug":
+            raise ValueError(f"a fault of kind '{self.kind}' has no name; only 'unplug' has one")
+        if self.period is not None and self.duration is not None and self.duration > self.period:
+            raise ValueError(f"the fault lasts {self.duration} s, longer than its period of {self.period} s")
+        return self
+
+    @property
+    def lasts_s(self) -> float:
+        """How long each occurrence lasts."""
+        if self.duration is not None:
+            return self.duration
+        return float("inf") if self.probability is not None else 1.0
+
+    def occurrence(self, time_s: float) -> int:
+        """Number of the occurrence that began last at ``time_s``, from 0; -1 before the first."""
+        if time_s < self.at:
+            return -1
+        return 0 if self.period is None else int((time_s - self.at) // self.period)
+
+    def active(self, time_s: float) -> bool:
+        """Whether the fault is going on at ``time_s``."""
+        occurrence = self.occurrence(time_s)
+        if occurrence < 0:
+            return False
+        began = self.at + (0.0 if self.period is None else occurrence * self.period)
+        return time_s < began + self.lasts_s

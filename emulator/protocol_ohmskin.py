@@ -1,0 +1,92 @@
+"""URL handler for pyserial: ``serial.serial_for_url("ohmskin://scene.toml")`` opens a virtual board in this process.
+
+The board lives in a thread from ``open`` to ``close``. Options follow the path like those of ``ohmskin emulate``:
+``ohmskin://scene.toml?clock=fast&seed=3&board=flexitac&duration=10&truth=truth.npz``. An absolute path has three
+slashes: ``ohmskin:///home/me/scene.toml``. pyserial finds this module, by its name, once :mod:`ohmskin.emulator` has
+been imported.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from math import inf
+from pathlib import Path
+from typing import cast
+from urllib.parse import parse_qsl, unquote, urlsplit
+
+from serial import SerialException
+from serial.urlhandler import protocol_socket
+
+from ..errors import InputError, OhmskinError
+from ._ports import PairPort
+from ._run import ClockName, running
+from ._scene import Scene
+
+OPTIONS = ("board", "clock", "duration", "seed", "truth")
+
+
+class Serial(protocol_socket.Serial):
+    """A serial port with a virtual board at its other end."""
+
+    def open(self) -> None:
+        """Start the board.
+
+        Raises:
+            SerialException: the URL or the scene is wrong, or the port is open already.
+
+        """
+        self.logger = None
+        if self.port is None:
+            raise SerialException("the port has no name; expected ohmskin://SCENE.toml")
+        if self.is_open:
+            raise SerialException("the port is open already")
+        self._life = contextlib.ExitStack()
+        try:
+            self._socket = self._start(self.port)
+        except OhmskinError as error:
+            raise SerialException(str(error)) from error
+        self._socket.setblocking(False)
+        self.is_open = True
+
+    def _start(self, url: str):  # type: ignore[no-untyped-def]  # a socket, whose type pyserial does not name
+        parts = urlsplit(url)
+        options = dict(parse_qsl(parts.query, keep_blank_values=True))
+        unknown = sorted(options.keys() - set(OPTIONS))
+        if unknown:
+            raise InputError(f"{url}: unknown option '{unknown[0]}'; expected one of {', '.join(OPTIONS)}")
+        clock = options.get("clock", "real")
+        if clock not in ("real", "fast"):
+            raise InputError(f"{url}: clock is '{clock}'; expected 'real' or 'fast'")
+        try:
+            duration_s, seed = float(options.get("duration", inf)), int(options.get("seed", 0))
+        except ValueError as error:
+            raise InputError(f"{url}: expected numbers for duration and seed: {error}") from error
+        port = PairPort(url)
+        try:
+            board = running(
+                Scene.load(unquote(parts.netloc + parts.path)),
+                port,
+                clock=cast("ClockName", clock),
+                duration_s=duration_s,
+                seed=seed,
+                truth=Path(options["truth"]) if "truth" in options else None,
+                family=options.get("board", "ohmskin"),
+            )
+            self._life.enter_context(board)
+        except BaseException:
+            port.close()
+            port.host_end.close()
+            raise
+        return port.host_end
+
+    def from_url(self, url: str) -> tuple[str, int]:
+        """Not used: the URL names a file."""
+        raise SerialException(f"{url} is no network address")
+
+    def close(self) -> None:
+        """Stop the board, and raise what it failed with."""
+        if not self.is_open:
+            return
+        self.is_open = False
+        self._socket.close()
+        self._life.close()
