@@ -105,7 +105,7 @@ def test_a_missing_sample_holds_the_pressure_of_its_cell_alone(name: str, seed: 
     whole, found = (estimate(EXAMPLE, name, time, read) for read in (resistance, holed))
     assert found[:, 1] == pytest.approx(whole[:, 1], abs=1e-9)
     if name == "inverse":
-        assert found[:, 0] == pytest.approx(whole[:, 0], abs=0.05)
+        assert found[:, 0] == pytest.approx(whole[:, 0], abs=0.02 * 15.5)  # turns below 1 % are not seen
     for k in range(1, 60):
         assert not missing[k] or found[k, 0] == found[k - 1, 0]
 
