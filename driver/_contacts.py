@@ -63,6 +63,7 @@ class ContactTracker:
         self._touched: BoolArray = np.zeros(shape, dtype=bool)
         self._known: list[tuple[Contact, float]] = []
         self._last_id = 0
+        self._time_s = -np.inf
 
     def update(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[Contact, ...]:
         """The contacts of the next frame, the one with the largest force first.
@@ -74,11 +75,10 @@ class ContactTracker:
 
         """
         found = self._find(pressure_kpa, std_kpa)
-        known = [(contact, seen_s) for contact, seen_s in self._known if time_s - seen_s <= REMEMBERED_S]
-        # At frame rates below the memory's, the frame just before still counts.
-        if not known and self._known:
-            latest = max(seen_s for _, seen_s in self._known)
-            known = [(contact, seen_s) for contact, seen_s in self._known if seen_s == latest]
+        # However slow the frames, the one just before counts.
+        oldest_s = min(time_s - REMEMBERED_S, self._time_s)
+        known = [(contact, seen_s) for contact, seen_s in self._known if seen_s >= oldest_s]
+        self._time_s = time_s
         contacts = self._name(found, known, time_s)
         names = {contact.id for contact in contacts}
         missing = [(contact, seen_s) for contact, seen_s in known if contact.id not in names]

@@ -37,15 +37,15 @@ class Frame:
     """the board started anew since the frame taken before"""
     estimator_restarted: bool
     """the estimator has no memory of earlier frames: the first frame, after a tare, or after a gap above 60 s"""
-    counts: NDArray[np.uint16]
+    counts: NDArray[np.uint16] = field(repr=False)
     """as the board sent them"""
-    valid: BoolArray
+    valid: BoolArray = field(repr=False)
     """where ``resistance`` is a measurement: not clipped, and known to 1 % or one ADC step, whichever is more"""
-    resistance: FloatArray
+    resistance: FloatArray = field(repr=False)
     """ohm of the cells, with what the circuit adds taken out; NaN where not valid"""
-    pressure: FloatArray
+    pressure: FloatArray = field(repr=False)
     """kPa, estimated from this and earlier frames; where not valid the last estimate, NaN before the first"""
-    pressure_std: FloatArray
+    pressure_std: FloatArray = field(repr=False)
     """kPa, standard deviation of ``pressure``; NaN where the estimator states none"""
     _contacts: Callable[[], tuple[Contact, ...]] = field(repr=False)
     _now: Callable[[], float] = field(repr=False)

@@ -51,19 +51,33 @@ class Introduction:
         """Take a packet.
 
         Raises:
-            ProtocolError: the board describes itself differently than before, or exceeds the limits.
+            ProtocolError: the board says something else than before, or exceeds the limits.
 
         """
+        difference = self.difference(event)
+        if difference:
+            raise ProtocolError(f"{self.port_name}: {difference}; open the skin again")
         if isinstance(event, Identity):
             self.identity = event
             return
-        before, self.description = self.description, event
-        if before is None:
+        if self.description is None:
             check_limits(event, self.port_name)
-        elif (before.design, before.cell) != (event.design, event.cell) and None in self._given:
-            raise ProtocolError(
-                f"{self.port_name}: the board describes itself differently than before; open the skin again"
-            )
+        self.description = event
+
+    def difference(self, event: Identity | Description) -> str:
+        """In what the board that speaks differs from the board from before; empty where it does not."""
+        if isinstance(event, Description):
+            before = self.description
+            same = before is None or (before.design, before.cell) == (event.design, event.cell)
+            return "" if same or None not in self._given else "the board describes itself differently than before"
+        known = self.identity
+        if known is None:
+            return ""
+        if event.serial_number != known.serial_number:
+            return f"board {event.serial_number} is there; expected {known.serial_number}"
+        if (event.rows, event.columns, event.adc_bits) != (known.rows, known.columns, known.adc_bits):
+            return f"a board of {event.rows} x {event.columns} cells is there; expected {known.rows} x {known.columns}"
+        return ""
 
     def design(self) -> Design:
         """The design of the readout: as given, as described, or as usual for the family.

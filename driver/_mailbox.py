@@ -46,6 +46,7 @@ class Mailbox:
         self.away: str | None = None
         """why the port is gone at present, while the driver tries to open it again"""
         self._drops_oldest = drops_oldest
+        self._closed = False
         self._frames: deque[RawFrame] = deque()
         self._places: list[Place] = []
         self._wakers: list[Callable[[], None]] = []
@@ -53,8 +54,9 @@ class Mailbox:
     def put(self, frame: RawFrame) -> None:
         """Let ``frame`` be the newest; the oldest is dropped where the queue is full."""
         with self.condition:
+            if self._closed:
+                return
             self.newest = frame
-            self.away = None
             self._frames.append(frame)
             if self._drops_oldest and len(self._frames) > self.capacity:
                 self._frames.popleft()
@@ -82,6 +84,7 @@ class Mailbox:
     def close(self, error: OhmskinError) -> None:
         """Drop what is queued, and let takers know that they get no more."""
         with self.condition:
+            self._closed = True
             self._frames.clear()
             self.newest = None
             self.end = error

@@ -68,6 +68,8 @@ class Reader:
         """a frame has come since the board was last asked"""
         self._proof_until = float("inf")
         """set while the board has yet to show that it is the one from before"""
+        self._proofs: set[type[object]] = set()
+        """packets that are still to come for that"""
         self._unproven: deque[tuple[FramePacket, Arrival]] = deque(maxlen=MOST_UNPROVEN)
         """frames that came meanwhile"""
         self._away_since: float | None = None
@@ -147,10 +149,8 @@ class Reader:
             self._live()
         except OhmskinError as error:
             self._mailbox.finish(error)
-        except BaseException as error:
-            self._mailbox.finish(LinkError(f"{self.port_name}: the reader thread failed: {error!r}"))
-            raise
         finally:
+            self._mailbox.finish(LinkError(f"{self.port_name}: the reader thread has ended"))
             self._release()
             self.introduced.set()
 
@@ -200,6 +200,16 @@ class Reader:
             self.send(order)
 
     def _read(self) -> None:
+        try:
+            self._drain()
+        except OhmskinError:
+            raise
+        except Exception as error:
+            # Nobody shall wait for frames that no longer come.
+            self._mailbox.finish(LinkError(f"{self.port_name}: reading failed: {error!r}"))
+            raise
+
+    def _drain(self) -> None:
         with self._reading:
             for _ in range(MOST_READS):
                 if self._port is None or (self._lossless and self._mailbox.is_full()):
@@ -232,7 +242,7 @@ class Reader:
             self.stream.announce(following, packet.boot_id)
             return
         if self._proof_until < float("inf"):
-            if self.introduction.identity is not None:
+            if self._proofs:
                 self._unproven.append((packet, arrival))
                 return
             # A board that cannot say who it is is known by its port.
@@ -255,13 +265,13 @@ class Reader:
 
     def _get_to_know(self, event: Identity | Description) -> None:
         """Take what the board says of itself; after a reconnection, compare it with what it said before."""
-        before = self.introduction.identity
-        if isinstance(event, Identity) and self._proof_until < float("inf") and before is not None:
-            if event.serial_number != before.serial_number:
-                raise LinkError(
-                    f"{self.port_name}: board {event.serial_number} is there; expected {before.serial_number}"
-                )
-            self._prove()
+        if self._proof_until < float("inf"):
+            difference = self.introduction.difference(event)
+            if difference:
+                raise LinkError(f"{self.port_name}: {difference}")
+            self._proofs.discard(type(event))
+            if not self._proofs:
+                self._prove()
         try:
             self.introduction.hear(event)
         except ProtocolError as error:
@@ -276,6 +286,7 @@ class Reader:
         self._proof_until = float("inf")
         self._away_since = None
         self._counters.reconnects += 1
+        self._counters.times_s.clear()
         self._mailbox.set_away(None)
         unproven, self._unproven = self._unproven, deque(maxlen=MOST_UNPROVEN)
         for packet, arrival in unproven:
@@ -297,6 +308,8 @@ class Reader:
                 self._port = port
                 self._protocol = self._new_protocol()
                 self._unproven.clear()
+                known = self.introduction.identity, self.introduction.description
+                self._proofs = {type(packet) for packet in known if packet is not None}
                 self._proof_until = time.monotonic() + PROOF_S
             return
         raise LinkError(f"{error}; it has not come back within {self._reconnect_s:g} s")

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from ..errors import LinkError
 from ._port import BytePort, open_port, ports_with, usb_serial_number
 
-FIRST_DELAY_S, LONGEST_DELAY_S = 0.1, 2.0
+FIRST_DELAY_S, LONGEST_DELAY_S = 0.1, 1.0
 
 
 class PortFinder:

@@ -94,6 +94,7 @@ class FrameStream:
         rebooted = self._has_rebooted(packet)
         if rebooted:
             counters.reboots += 1
+            counters.times_s.clear()
             self._recent.clear()
             self._expected = None if packet.sequence is None else 0
             self.clock = ClockMap()

@@ -62,7 +62,7 @@ class Tare:
 
         """
         try:
-            with np.load(path, allow_pickle=False) as file:
+            with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
                 values = {key: file[key] for key in (*_KEYS, "remarks")}
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             reason = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
@@ -176,7 +176,8 @@ def _unlike_others(ratio: FloatArray, measured: BoolArray, cell: Cell | None) ->
     if not unlike.any():
         return ""
     worst = _worst(np.where(unlike, np.abs(ratio - 1), 0.0))
-    return f"{_cells(unlike)} differ from the others, most cell {worst} with {ratio[worst]:.2f} times their median"
+    differ = "differs" if unlike.sum() == 1 else "differ"
+    return f"{_cells(unlike)} {differ} from the others, most cell {worst} with {ratio[worst]:.2f} times their median"
 
 
 def _worst(amount: FloatArray) -> tuple[int, int]:

@@ -93,7 +93,7 @@ class EmulatedSkin:
         self._ticks = Ticks(1e6 / scene.board.frame_rate)
         self._next_tick = 0
         rows, columns = scene.skin.design.array.shape
-        self._physics = _Physics(scene, np.random.default_rng(seed))
+        self._physics = ScenePhysics(scene, np.random.default_rng(seed))
         self._length = block_frames(rows * columns)
         self._block: FrameBlock | None = None
         self._place = 0
@@ -117,12 +117,20 @@ class EmulatedSkin:
     def set_period(self, period_us: float) -> None:
         """Frames come every ``period_us`` from the next one on, which stays where it was due."""
         next_us = self.next_us
+        self._forget_frames_ahead()
+        self._ticks, self._next_tick = Ticks(period_us, next_us), 0
+
+    def press(self, pressure_kpa: FloatArray) -> None:
+        """From the next frame on ``pressure_kpa`` (rows, columns) lies on the skin, beside the loads of the scene."""
+        self._forget_frames_ahead()
+        self._physics.by_hand_kpa = pressure_kpa.ravel()
+
+    def _forget_frames_ahead(self) -> None:
+        """Frames computed ahead did not happen: live through those before them again."""
         if self._block is not None and self._place < len(self._block):
-            # Frames computed ahead at the old rate did not happen: live through those before them again.
             self._physics = self._before
             if self._place:
                 self._physics.run(self._block.time_us[: self._place])
-        self._ticks, self._next_tick = Ticks(period_us, next_us), 0
         self._block, self._place = None, 0
 
     def _compute(self) -> None:
@@ -137,8 +145,8 @@ def block_frames(cells: int) -> int:
     return 1 << (frames.bit_length() - 1) | (frames > 1)
 
 
-class _Physics:
-    """The state of cells and noise, and how a block of frames changes it."""
+class ScenePhysics:
+    """The state of cells and noise, and how a block of frames changes it. Times never go back."""
 
     def __init__(self, scene: Scene, noise: np.random.Generator) -> None:
         self._scene = scene
@@ -155,26 +163,43 @@ class _Physics:
         self._active = np.empty(0, dtype=np.intp)
         self._time_us: int | None = None
         self._designs: dict[tuple[int, ...], Design] = {(): design}
+        self.by_hand_kpa = np.zeros(self._rest_ohm.size)
+        """(cells,) load beside those of the scene"""
 
-    def copy(self) -> _Physics:
+    def copy(self) -> ScenePhysics:
         """An independent copy, to come back to."""
         return copy.deepcopy(self, {id(self._scene): self._scene, id(self._designs): self._designs})
 
     def run(self, time_us: IntArray) -> FrameBlock:
         """Live through frames at these times; the pressure is taken to change linearly between frames."""
+        surface, resistance = self.cells(time_us)
+        volts = self._volts(time_us / 1e6, resistance)
+        if self._scene.board.noise:
+            volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
+        return FrameBlock(time_us, surface, resistance, volts, adc_codes(self._scene.skin.design, volts))
+
+    def cells(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Live through these times: kPa on the surface and ohm of the cells, both (frames, rows, columns)."""
         time_s = time_us / 1e6
-        surface, resistance = self._cells_at(time_us)
+        surface, resistance = self._cells_without_events(time_us)
         for event in self._scene.event:
             if event.changes_cells:
                 assert event.place is not None
                 place = (slice(None), *event.place)
                 resistance[place] = event.changed_cells(time_s, resistance[place])
-        volts = self._volts(time_s, resistance)
-        if self._scene.board.noise:
-            volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
-        return FrameBlock(time_us, surface, resistance, volts, adc_codes(self._scene.skin.design, volts))
+        return surface, resistance
 
-    def _cells_at(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
+    def design(self, time_s: float) -> Design:
+        """The circuit as the events of that time leave it."""
+        times = np.array([time_s])
+        happening = [
+            number
+            for number, event in enumerate(self._scene.event)
+            if not event.changes_cells and event.happening(times)[0]
+        ]
+        return self._design_during(tuple(happening))
+
+    def _cells_without_events(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
         """KPa on the surface and ohm of the cells, both (frames, rows, columns)."""
         frames, time_s, movie = len(time_us), time_us / 1e6, self._scene.movie
         started = time_us[0] if self._time_us is None else self._time_us
@@ -183,7 +208,7 @@ class _Physics:
         surface = np.zeros((frames, self._rest_ohm.size))
         if movie is not None and movie.quantity == "resistance":
             return surface.reshape(frames, *self._shape), movie.at(time_s, self._shape)
-        touched, pressure = self._scene.pressure_on(time_s)
+        touched, pressure = self._with_hand(*self._scene.pressure_on(time_s))
         surface[:, touched] = pressure
         felt_cells, felt = self._spreading.below(touched, pressure)
         felt = felt * self._sensitivity.flat[felt_cells]
@@ -198,6 +223,16 @@ class _Physics:
         if (drift != 1.0).any():
             resistance *= drift[:, None]
         return surface.reshape(frames, *self._shape), resistance.reshape(frames, *self._shape)
+
+    def _with_hand(self, touched: IntArray, pressure: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Cells (k,) and their pressures (frames, k) with the load by hand added."""
+        by_hand = np.flatnonzero(self.by_hand_kpa)
+        if not by_hand.size:
+            return touched, pressure
+        cells = np.union1d(touched, by_hand)
+        total = np.repeat(self.by_hand_kpa[cells][None], len(pressure), axis=0)
+        total[:, np.searchsorted(cells, touched)] += pressure
+        return cells, total
 
     def _volts(self, time_s: FloatArray, resistance: FloatArray) -> FloatArray:
         """V (frames, rows, columns) at the ADC, each stretch of frames by the circuit that the events leave."""

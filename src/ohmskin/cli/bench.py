@@ -11,6 +11,7 @@ import click
 from .. import bench, tables
 from ..bench import _estimators as of_cells
 from . import arguments
+from ._bar import progress_bar
 
 
 class _ManyValues(click.Command):
@@ -61,7 +62,12 @@ def command(
         judged = of_cells.estimators()
         click.echo(json.dumps([asdict(row) for row in judged], indent=1) if as_json else of_cells.table(judged))
         return
-    rows = list(bench.measure(sizes, segments, memory=memory, peers=peers, patient=patient))
+    arrays = [(size, segment) for size in sizes for segment in segments]
+    rows = []
+    with progress_bar("measuring") as progress:
+        for row in bench.measure(sizes, segments, memory=memory, peers=peers, patient=patient):
+            rows.append(row)
+            progress(arrays.index((row.size, row.segment)), len(arrays), f"{row.size} x {row.size}, {row.method}")
     if picture is not None:
         tables.write_text(picture, bench.picture(rows))
     click.echo(json.dumps([asdict(row) for row in rows], indent=1) if as_json else bench.table(rows), nl=as_json)

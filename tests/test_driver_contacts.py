@@ -1,0 +1,173 @@
+"""Contacts: places and forces of presses that are known, and ids that last."""
+
+from __future__ import annotations
+
+from itertools import islice
+
+import numpy as np
+import pytest
+from boards import DESIGN, Wire, lossless, scene
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ohmskin.arrays import FloatArray
+from ohmskin.driver import Contact, ContactTracker
+from ohmskin.emulator import Board
+
+PITCH_M = 0.004
+FULL_KPA = 20.0
+
+
+def bump(shape: tuple[int, int], row: float, column: float, peak_kpa: float, sigma: float = 0.8) -> FloatArray:
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    values: FloatArray = peak_kpa * np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / (2 * sigma**2))
+    return values
+
+
+def tracker(shape: tuple[int, int] = (16, 16)) -> ContactTracker:
+    return ContactTracker(shape, PITCH_M, FULL_KPA)
+
+
+def track(frames: list[FloatArray], std_kpa: float = 0.0, step_s: float = 0.01) -> list[tuple[Contact, ...]]:
+    one = tracker(frames[0].shape)
+    return [one.update(k * step_s, frame, np.full(frame.shape, std_kpa)) for k, frame in enumerate(frames)]
+
+
+def test_place_area_force_and_peak_of_a_block() -> None:
+    pressure = np.zeros((16, 16))
+    pressure[3:5, 10:13] = 10.0
+    pressure[4, 12] = 16.0
+    (contact,) = tracker().update(0.0, pressure, np.zeros((16, 16)))
+    assert contact.area_mm2 == pytest.approx(6 * 16.0)
+    assert contact.force_n == pytest.approx((5 * 10e3 + 16e3) * 16e-6)
+    assert contact.peak_kpa == 16.0
+    rows, columns = np.nonzero(pressure)
+    weights = pressure[rows, columns]
+    assert contact.y_mm == pytest.approx(4.0 * np.average(rows, weights=weights))
+    assert contact.x_mm == pytest.approx(4.0 * np.average(columns, weights=weights))
+    np.testing.assert_array_equal(contact.cells, np.argwhere(pressure > 0))
+
+
+@given(st.floats(3, 12), st.floats(3, 12), st.floats(4, 20))
+def test_a_bump_is_where_it_was_put(row: float, column: float, peak: float) -> None:
+    (contact,) = tracker().update(0.0, bump((16, 16), row, column, peak), np.zeros((16, 16)))
+    assert contact.y_mm == pytest.approx(4.0 * row, abs=0.4)
+    assert contact.x_mm == pytest.approx(4.0 * column, abs=0.4)
+
+
+@given(st.integers(0, 2**32), st.integers(1, 6))
+def test_every_cell_is_in_at_most_one_contact_and_ids_are_distinct(seed: int, presses: int) -> None:
+    rng = np.random.default_rng(seed)
+    one = tracker()
+    for k in range(5):
+        pressure = sum(bump((16, 16), *rng.uniform(0, 15, 2), rng.uniform(1, 20)) for _ in range(presses))
+        contacts = one.update(0.01 * k, np.asarray(pressure), np.full((16, 16), 0.1))
+        cells = np.concatenate([np.empty((0, 2), dtype=int), *(contact.cells for contact in contacts)])
+        assert len(np.unique(cells, axis=0)) == len(cells)
+        assert len({contact.id for contact in contacts}) == len(contacts)
+        assert [c.force_n for c in contacts] == sorted((c.force_n for c in contacts), reverse=True)
+        for contact in contacts:
+            assert contact.peak_kpa > 0.03 * FULL_KPA or k > 0
+
+
+def test_ids_last_while_contacts_move_and_pass_each_other() -> None:
+    """Two fingers, one going right along row 4, the other left along row 11; a third comes and goes."""
+    frames = []
+    for k in range(60):
+        pressure = bump((16, 16), 4, 2 + 0.2 * k, 10.0) + bump((16, 16), 11, 13 - 0.2 * k, 8.0)
+        if 20 <= k < 30:
+            pressure = pressure + bump((16, 16), 15, 0, 6.0)
+        frames.append(pressure)
+    seen = track(frames)
+    upper = [next(c.id for c in contacts if c.y_mm < 24) for contacts in seen]
+    lower = [next(c.id for c in contacts if 32 < c.y_mm < 56) for contacts in seen]
+    assert set(upper) == {1}
+    assert set(lower) == {2}
+    assert [len(contacts) for contacts in seen] == [3 if 20 <= k < 30 else 2 for k in range(60)]
+    assert {c.id for contacts in seen for c in contacts} == {1, 2, 3}
+
+
+def test_a_new_contact_gets_a_new_id_and_a_short_dropout_keeps_the_old_one() -> None:
+    press, nothing = bump((16, 16), 8, 8, 10.0), np.zeros((16, 16))
+    seen = track([press] + [nothing] * 10 + [press] + [nothing] * 40 + [press])
+    ids = [contacts[0].id for contacts in seen if contacts]
+    assert ids == [1, 1, 2]
+
+
+def test_noise_makes_no_contacts_and_a_weak_press_does_not_flicker() -> None:
+    """Noise of 1 kPa with a correct standard deviation; a press between the two thresholds once it has begun."""
+    rng = np.random.default_rng(8)
+    noise = [rng.normal(0, 1.0, (16, 16)) for _ in range(400)]
+    assert not any(track(noise, std_kpa=1.0))
+    press = bump((16, 16), 8, 8, 4.0, sigma=1.5)
+    seen = track([2 * press + noise[0], *(press + sample for sample in noise)], std_kpa=1.0)
+    present = [any(contact.cells.tolist().count([8, 8]) for contact in contacts) for contacts in seen]
+    assert np.mean(present) > 0.9
+    cold = tracker()
+    started = [cold.update(0.01, press + sample, np.ones((16, 16))) for sample in noise[:1]]
+    assert started == [()]  # too weak to begin with
+
+
+def test_cells_without_a_pressure_or_with_no_idea_of_it_are_untouched() -> None:
+    pressure, std = np.full((4, 4), 10.0), np.zeros((4, 4))
+    pressure[:, 1], std[:, 2] = np.nan, np.inf
+    contacts = tracker((4, 4)).update(0.0, pressure, std)
+    assert sorted(len(contact.cells) for contact in contacts) == [4, 4]
+    assert tracker((4, 4)).update(0.0, np.full((4, 4), np.nan), std) == ()
+
+
+def big_scene() -> Board:
+    what = DESIGN | {
+        "array": {"rows": 8, "columns": 8, "row_lead": 20.0},
+        "sheet": {"pitch": 0.01, "electrode_width": 0.008},
+    }
+    bumps = [
+        {"bump": {"center": [2.0, 2.0], "sigma_cells": 0.8}, "load_kpa": [[0.2, 0.0], [0.3, 12.0], [3.0, 12.0]]},
+        {"bump": {"center": [6.5, 6.0], "sigma_cells": 0.6}, "load_kpa": [[0.6, 0.0], [0.7, 9.0], [3.0, 9.0]]},
+    ]
+    return Board(scene(skin={"design": what}, contact=bumps, board={"frame_rate": 100.0}))
+
+
+def test_contacts_of_a_skin_are_where_it_is_pressed() -> None:
+    with lossless(Wire(big_scene())) as skin:
+        frames = list(islice(skin, 120))
+        assert frames[10].contacts == ()
+        first, second = frames[-1].contacts
+        assert frames[-1].contacts is frames[-1].contacts
+    assert (first.x_mm, first.y_mm) == pytest.approx((20.0, 20.0), abs=1.0)
+    assert (second.x_mm, second.y_mm) == pytest.approx((60.0, 65.0), abs=1.0)
+    # The force under a bell is 2 pi sigma^2 times its peak; its skirt lies below the threshold.
+    assert first.force_n == pytest.approx(2 * np.pi * 0.008**2 * 12e3, rel=0.1)
+
+
+def test_the_pitch_can_be_given() -> None:
+    with lossless(Wire(big_scene()), pitch=0.005) as skin:
+        frames = list(islice(skin, 120))
+        assert (frames[-1].contacts[0].x_mm) == pytest.approx(10.0, abs=0.5)
+
+
+def test_ids_do_not_depend_on_the_order_in_which_frames_are_asked() -> None:
+    with lossless(Wire(big_scene())) as skin:
+        one_by_one = [frame.contacts for frame in islice(skin, 150)]
+    with lossless(Wire(big_scene())) as skin:
+        _ = next(skin).contacts  # from now on contacts are followed
+        frames = list(islice(skin, 149))
+        backwards = [frame.contacts for frame in reversed(frames)][::-1]
+    names = [[(c.id, c.x_mm) for c in contacts] for contacts in one_by_one[1:]]
+    assert names == [[(c.id, c.x_mm) for c in contacts] for contacts in backwards]
+
+
+def test_contacts_asked_for_late_have_one_name_each() -> None:
+    """Nothing was followed before the first question; frames from before it are named after those of then."""
+    with lossless(Wire(big_scene())) as skin:
+        frames = list(islice(skin, 120))
+        latest = {c.id: (c.x_mm, c.y_mm) for c in frames[-1].contacts}
+        for frame in frames[80:]:
+            assert {c.id: pytest.approx((c.x_mm, c.y_mm), abs=1.0) for c in frame.contacts} == latest
+    assert [c.id for c in frames[-1].contacts] == [1, 2]
+
+
+def test_frames_in_which_nothing_touches_cost_little(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The labelling is not even begun."""
+    monkeypatch.setattr("ohmskin.driver._contacts.ndimage.label", lambda *_: 1 / 0)
+    assert track([np.zeros((16, 16))] * 3) == [(), (), ()]

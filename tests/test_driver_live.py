@@ -1,0 +1,726 @@
+"""The live path: freshness, losses told apart, ends, reconnection, and readers of every kind."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import os
+import pty
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from boards import DESIGN, Script, Wire, gone, lossless, scene
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ohmskin.circuits import Design
+from ohmskin.config import parse
+from ohmskin.driver import Arrival, BytePort, Frame, Skin, discover
+from ohmskin.driver._port import DescriptorPort
+from ohmskin.driver._reader import Reader
+from ohmskin.emulator import Board, PtyPort, TcpPort, running
+from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
+from ohmskin.wire import (
+    BOARDS,
+    DescriptionPiece,
+    Flag,
+    FramePacket,
+    Identity,
+    Order,
+    encode,
+    host_protocol,
+    write_description,
+)
+
+WHAT = scene().skin
+
+
+def sheet(boot_id: int = 1, *, cell: bool = True) -> bytes:
+    text = write_description(WHAT.design.model_dump(), WHAT.cell.model_dump() if cell else None)
+    return encode(DescriptionPiece(0, 0, 0, len(text), text, boot_id))
+
+
+def identity(serial_number: str = "A1", *, boot_id: int = 1, rows: int = 3) -> bytes:
+    return encode(Identity(0, 0, rows, 2, 12, True, 1000, 100, serial_number, "test", boot_id))
+
+
+def frame(sequence: int, *, boot_id: int = 1, level: int = 2000, flags: Flag = Flag.NONE, ms: float = 1.0) -> bytes:
+    counts = np.full((3, 2), level)
+    time_us = round(1000 * ms * sequence)
+    return encode(FramePacket.of(counts, sequence=sequence, time_us=time_us, boot_id=boot_id, flags=flags))
+
+
+SIX_FRAMES = [frame(k) for k in range(6)]
+
+
+def described(*pieces: bytes, last: Callable[[], bytes] | None = None) -> Script:
+    return Script(identity(), sheet(), *pieces, last=last)
+
+
+def sequences(frames: list[Frame]) -> list[int | None]:
+    return [frame.sequence for frame in frames]
+
+
+class TestDelivery:
+    """Who gets which frames, and what is said of the others."""
+
+    def test_a_slow_reader_gets_the_newest_frame_and_the_number_of_those_it_missed(self) -> None:
+        port = described(frame(0))
+        with Skin(port) as skin:
+            assert next(skin).sequence == 0
+            port.say(b"".join(frame(k) for k in range(1, 500)))
+            late = next(skin)
+            assert (late.sequence, late.skipped_before, late.lost_before) == (499, 498, 0)
+            port.say(frame(500), frame(510), frame(511))
+            until(lambda: skin.stats().frames == 503)
+            last = next(skin)
+        assert (last.sequence, last.skipped_before, last.lost_before) == (511, 2, 9)
+        assert skin.stats().skipped == 500
+        assert skin.stats().lost == 9
+
+    def test_a_frame_that_has_come_is_seen_without_waiting_for_the_reader_thread(self) -> None:
+        """Python may keep the thread from running for milliseconds; here for ever."""
+        port = described(frame(0))
+        with Skin(port) as skin:
+            assert next(skin).sequence == 0
+            port.wait = lambda timeout_s: time.sleep(0.01) or False  # type: ignore[method-assign]
+            time.sleep(0.02)
+            port.say(frame(1))
+            assert skin.latest(max_age=10.0).sequence == 1
+            port.say(frame(2))
+            assert skin.read(timeout=0.0).sequence == 2
+
+    def test_every_frame_is_queued_and_what_overflows_is_counted(self) -> None:
+        port = described()
+        with Skin(port, delivery="every", queue=100) as skin:
+            port.say(b"".join(frame(k) for k in range(150)))
+            until(lambda: skin.stats().frames == 150)
+            frames = [skin.read(0.0) for _ in range(100)]
+            with pytest.raises(LinkTimeout):
+                skin.read(0.0)
+        assert sequences(frames) == list(range(50, 150))
+        assert [f.skipped_before for f in frames] == [50] + 99 * [0]
+
+    def test_lossless_delivery_leaves_on_the_port_what_does_not_fit(self) -> None:
+        board = Board(scene())
+        with Skin(Wire(board), delivery="lossless", queue=10) as skin:
+            first = next(skin)
+            time.sleep(0.1)
+            assert board._sequence < 200  # a turn of the reader thread at most
+            frames = list(islice(skin, 1000))
+        assert sequences([first, *frames]) == list(range(1001))
+
+    def test_readers_do_not_take_frames_from_each_other(self) -> None:
+        port = described()
+        with Skin(port, delivery="every", queue=1000) as skin:
+            own, other = skin.frames(), skin.frames()
+            seen: list[Frame] = []
+            skin.on_frame(seen.append)
+            began = threading.Thread(target=lambda: port.say(*(frame(k) for k in range(50))))
+            first = threading.Thread(target=lambda: mine.extend(islice(own, 50)))
+            mine: list[Frame] = []
+            first.start()
+            time.sleep(0.05)  # a generator takes its place when it is first asked
+            second = threading.Thread(target=lambda: theirs.extend(islice(other, 50)))
+            theirs: list[Frame] = []
+            second.start()
+            time.sleep(0.05)
+            began.start()
+            for thread in (began, first, second):
+                thread.join(20)
+            until(lambda: len(seen) == 50)
+            shared = [skin.read(1.0) for _ in range(50)]
+        assert sequences(mine) == sequences(theirs) == sequences(seen) == sequences(shared) == list(range(50))
+        for one, another in zip(mine, shared, strict=True):
+            assert one.pressure is another.pressure  # converted once, whoever asks
+
+    def test_async_iteration_gets_frames_and_ends_with_the_skin(self) -> None:
+        port = described()
+
+        async def follow(skin: Skin) -> list[Frame]:
+            frames = []
+            threading.Timer(0.05, lambda: port.say(*(frame(k) for k in range(20)))).start()
+            async for one in skin:
+                frames.append(one)
+                if one.sequence == 19:
+                    threading.Timer(0.05, skin.close).start()
+            return frames
+
+        with Skin(port, delivery="every") as skin:
+            assert sequences(asyncio.run(follow(skin))) == list(range(20))
+
+    def test_async_iteration_lets_other_tasks_run_and_times_out(self) -> None:
+        async def both(skin: Skin) -> int:
+            ticks = 0
+
+            async def tick() -> None:
+                nonlocal ticks
+                while True:
+                    ticks += 1
+                    await asyncio.sleep(0.01)
+
+            ticking = asyncio.create_task(tick())
+            with pytest.raises(LinkTimeout, match=r"no frame within 0\.3 s"):
+                async for _ in skin:
+                    pass
+            ticking.cancel()
+            return ticks
+
+        with Skin(described(), timeout=0.3) as skin:
+            assert asyncio.run(both(skin)) > 5
+
+    def test_a_callback_that_fails_ends_alone(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        failures: list[threading.ExceptHookArgs] = []
+        monkeypatch.setattr(threading, "excepthook", failures.append)
+        port = described()
+        with Skin(port) as skin:
+            skin.on_frame(lambda frame: 1 / 0)  # type: ignore[arg-type, return-value]
+            port.say(frame(0))
+            until(lambda: bool(failures))
+            assert failures[0].exc_type is ZeroDivisionError
+            assert next(skin).sequence == 0
+
+
+class TestFreshness:
+    """A frame says how old it is, and an old one is never given for a new one."""
+
+    def test_a_stale_frame_is_refused(self) -> None:
+        port = described(frame(0))
+        with Skin(port) as skin:
+            assert skin.latest(5.0, timeout=5.0).sequence == 0
+            time.sleep(0.2)
+            with pytest.raises(LinkTimeout, match=r"no frame younger than 0\.1 s: the newest frame is 0\.\d+ s old"):
+                skin.latest(0.1)
+            again = skin.latest(60.0)
+            assert again.sequence == 0
+            assert again.age > 0.2
+            assert skin.latest(60.0) is again
+
+    def test_the_wait_for_a_young_frame_ends_with_it(self) -> None:
+        port = described(frame(0))
+        with Skin(port) as skin:
+            next(skin)
+            time.sleep(0.1)
+            threading.Timer(0.2, lambda: port.say(frame(400))).start()
+            assert skin.latest(0.1, timeout=20.0).sequence == 400
+
+    def test_before_the_first_frame_there_is_none(self) -> None:
+        with Skin(described()) as skin, pytest.raises(LinkTimeout, match="none came"):
+            skin.latest(1.0)
+
+    def test_frames_that_waited_are_as_old_as_they_are(self) -> None:
+        """A burst that the operating system held back: the board's clock says when each frame was sent."""
+        port = described(*(frame(k, ms=10.0) for k in range(3)))
+        with Skin(port, delivery="every") as skin:
+            newest = [next(skin) for _ in range(3)][-1]
+            time.sleep(0.3)
+            port.say(b"".join(frame(k, ms=10.0) for k in range(3, 23)))
+            burst = [next(skin) for _ in range(20)]
+        steps = np.diff([f.monotonic_time for f in [newest, *burst]])
+        np.testing.assert_allclose(steps, 0.010, atol=1e-6)
+        assert all(later.host_time > sooner.host_time for sooner, later in itertools.pairwise(burst))
+
+    def test_a_frame_as_a_dict_is_arrays_only(self) -> None:
+        with Skin(described(frame(3))) as skin:
+            one = next(skin)
+        values = one.as_dict()
+        assert all(isinstance(value, np.ndarray) for value in values.values())
+        assert values["pressure"].shape == values["pressure_std"].shape == (3, 2)
+        assert values["sequence"] == 3
+        assert values["age"] > 0
+        assert not any(name.startswith("_") for name in values)
+        assert len(repr(one)) < 400
+
+
+class TestEnds:
+    """How a stream ends, and what is said then."""
+
+    def test_the_last_frame_of_a_finite_board_ends_the_iteration(self) -> None:
+        port = described(frame(0), frame(1, flags=Flag.LAST))
+        with lossless(port) as skin:
+            assert sequences(list(skin)) == [0, 1]
+            assert list(skin) == []
+            with pytest.raises(LinkEnded, match="the board has come to the end of its frames"):
+                skin.read()
+
+    def test_a_port_that_goes_away_is_an_error_with_its_reason(self) -> None:
+        with lossless(described(frame(0), last=gone)) as skin:
+            assert next(skin).sequence == 0
+            for _ in range(2):
+                with pytest.raises(LinkError, match="gone"):
+                    next(skin)
+
+    @pytest.mark.parametrize("delivery", ["newest", "every", "lossless"])
+    def test_closing_from_another_thread_ends_every_reader_quietly(self, delivery: str) -> None:
+        with Skin(described(frame(0)), delivery=delivery) as skin:  # type: ignore[arg-type]
+            next(skin)
+            threading.Timer(0.1, skin.close).start()
+            began = time.monotonic()
+            assert list(skin) == []
+            assert time.monotonic() - began < 2.5
+            assert next(skin, None) is None
+            assert list(skin.frames()) == []
+            for ask in (skin.read, lambda: skin.latest(60.0), lambda: skin.tare(1)):
+                with pytest.raises(LinkEnded, match="the skin is closed"):
+                    ask()
+            skin.close()
+
+    def test_after_closing_tcp_nothing_but_an_end_comes(self) -> None:
+        port = TcpPort.at(":0")
+        with running(scene(), port):
+            skin = Skin.open(port.name)
+            assert next(skin).sequence is not None
+            skin.close()
+            with pytest.raises(StopIteration):
+                next(skin)
+            with pytest.raises(LinkError):
+                skin.read()
+
+    def test_closing_gives_threads_and_descriptors_back(self) -> None:
+        threads, descriptors = threading.active_count(), len(os.listdir("/proc/self/fd"))
+        for _ in range(3):
+            port = PtyPort()
+            with running(scene(), port), Skin.open(port.name) as skin:
+                next(skin)
+                skin.on_frame(lambda frame: None)
+        assert threading.active_count() == threads
+        assert len(os.listdir("/proc/self/fd")) == descriptors
+
+    def test_a_callback_may_close_the_skin(self) -> None:
+        port = described()
+        skin = Skin(port)
+        skin.on_frame(lambda frame: skin.close())
+        port.say(frame(0))
+        until(lambda: port.closed)
+        assert list(skin) == []
+
+
+class TestDamage:
+    """Duplicates, faults and overruns."""
+
+    def test_a_duplicate_is_counted_and_dropped(self) -> None:
+        pieces = [frame(0), frame(1), frame(1), frame(0), frame(2), frame(2), frame(3, flags=Flag.LAST)]
+        with lossless(described(*pieces)) as skin:
+            frames = list(skin)
+        assert sequences(frames) == [0, 1, 2, 3]
+        assert not any(f.rebooted or f.lost_before for f in frames)
+        assert skin.stats().duplicates == 3
+
+    def test_after_a_fault_the_frames_go_on(self) -> None:
+        pieces = [frame(5), encode(FramePacket.of(np.full((3, 2), 9), sequence=2, time_us=9000, boot_id=1)), frame(10)]
+        with lossless(described(*pieces)) as skin:
+            assert next(skin).sequence == 5
+            with pytest.raises(ProtocolError, match="frame 2 came where 6 was next"):
+                next(skin)
+            after = next(skin)
+        assert (after.sequence, after.lost_before) == (10, 7)
+
+    def test_an_overrun_in_a_skipped_frame_is_told_in_the_next(self) -> None:
+        port = described(frame(0))
+        with Skin(port) as skin:
+            assert not next(skin).overrun
+            port.say(frame(1) + frame(4, flags=Flag.OVERRUN) + frame(5))
+            told = next(skin)
+            port.say(frame(6))
+            until(lambda: skin.stats().frames == 5)
+            after = next(skin)
+        assert (told.overrun, told.lost_before, told.skipped_before) == (True, 2, 2)
+        assert (after.overrun, after.lost_before, after.skipped_before) == (False, 0, 0)
+        assert skin.stats().overruns == 1
+
+    def test_noise_is_counted_and_so_is_the_return_of_packets(self) -> None:
+        pieces = [frame(0), b"\xa5noise\0", b"\xa5more\0", frame(1), b"x\0", frame(2, flags=Flag.LAST)]
+        with lossless(described(*pieces)) as skin:
+            assert len(list(skin)) == 3
+        assert (skin.stats().corrupt, skin.stats().resyncs) == (3, 2)
+
+    def test_a_boot_id_tells_a_reboot_that_numbers_and_times_do_not(self) -> None:
+        """The board starts anew, runs for longer than before while nobody listens, and is heard again."""
+        pieces = [frame(0), frame(1), frame(7, boot_id=2), frame(8, boot_id=2, flags=Flag.LAST)]
+        with lossless(described(*pieces)) as skin:
+            frames = list(skin)
+        assert [f.rebooted for f in frames] == [False, False, True, False]
+        assert [f.lost_before for f in frames] == [0, 0, 7, 0]
+
+    @given(st.lists(st.sampled_from([*SIX_FRAMES, b"\0", b"junk\0", identity(), sheet()]), max_size=30))
+    def test_every_frame_that_came_is_in_one_count(self, pieces: list[bytes]) -> None:
+        def over() -> bytes:
+            raise LinkEnded("over")
+
+        port = described(*pieces, last=over)
+        faults, taken = 0, []
+        with Skin(port, delivery="lossless") as skin:
+            while True:
+                try:
+                    taken.append(skin.read())
+                except ProtocolError:
+                    faults += 1
+                except LinkEnded:
+                    break
+        stats = skin.stats()
+        sent = sum(piece in SIX_FRAMES for piece in pieces)
+        assert len(taken) == stats.frames
+        assert stats.frames + stats.duplicates + faults == sent
+        assert stats.skipped == 0
+
+
+class Bench:
+    """A port that goes away and comes back on request: a cable to pull."""
+
+    def __init__(self, *boards: Script) -> None:
+        self.ports = list(boards)
+        self.tries = 0
+
+    def plug_in(self, port: Script) -> None:
+        self.ports.append(port)
+
+    def reopen(self) -> BytePort:
+        self.tries += 1
+        if not self.ports:
+            raise LinkError("script: no such port")
+        return self.ports.pop(0)
+
+
+class TestReconnection:
+    def test_the_next_frame_says_so_and_tare_and_estimator_are_kept(self) -> None:
+        bench = Bench()
+        first = described(*(frame(k) for k in range(6)), last=gone)
+        with Skin(first, delivery="lossless", reopen=bench.reopen) as skin:
+            rest = skin.tare(5)
+            assert next(skin).sequence == 5
+            bench.plug_in(Script(identity(boot_id=2), sheet(boot_id=2), frame(3, boot_id=2), frame(4, boot_id=2)))
+            back, after = next(skin), next(skin)
+            assert skin.tared is rest
+        assert (back.sequence, back.lost_before) == (3, 3)
+        assert (back.reconnected, back.rebooted, back.estimator_restarted) == (True, True, False)
+        assert (after.reconnected, after.rebooted, after.estimator_restarted) == (False, False, False)
+        np.testing.assert_allclose(back.pressure, 0.0, atol=1e-9)
+        assert skin.stats().reconnects == 1
+
+    def test_a_board_that_kept_running_is_not_a_reboot_and_what_it_sent_meanwhile_is_lost(self) -> None:
+        bench = Bench(Script(identity(), sheet(), frame(50)))
+        with Skin(described(frame(0), last=gone), delivery="lossless", reopen=bench.reopen) as skin:
+            frames = list(islice(skin, 2))
+        assert [(f.sequence, f.lost_before, f.reconnected, f.rebooted) for f in frames] == [
+            (0, 0, False, False),
+            (50, 49, True, False),
+        ]
+
+    def test_frames_that_come_before_the_board_has_shown_who_it_is_are_kept(self) -> None:
+        bench = Bench(Script(frame(1), identity(), frame(2), sheet(), frame(3)))
+        with Skin(described(frame(0), last=gone), delivery="lossless", reopen=bench.reopen) as skin:
+            assert sequences(list(islice(skin, 4))) == [0, 1, 2, 3]
+
+    def test_another_board_at_the_same_port_is_left_alone(self) -> None:
+        stranger = Script(identity("B2"), sheet(), frame(0))
+        larger = Script(identity(rows=4), sheet(), frame(0))
+        bench = Bench(stranger, larger, Script(identity(boot_id=3), sheet(boot_id=3), frame(9, boot_id=3)))
+        with Skin(described(frame(0), last=gone), delivery="lossless", reopen=bench.reopen) as skin:
+            assert sequences(list(islice(skin, 2))) == [0, 9]
+        assert stranger.closed
+        assert larger.closed
+
+    def test_a_board_that_stays_away_is_an_error_after_the_time_given(self) -> None:
+        bench = Bench()
+        with Skin(described(frame(0), last=gone), reopen=bench.reopen, reconnect=0.5, timeout=30.0) as skin:
+            next(skin)
+            with pytest.raises(LinkTimeout, match="trying to open the port again"):
+                skin.latest(0.001)
+            began = time.monotonic()
+            with pytest.raises(LinkError, match=r"gone; it has not come back within 0\.5 s"):
+                next(skin)
+            assert time.monotonic() - began < 20
+        assert 2 <= bench.tries <= 5  # back-off: 0.1, 0.2, ... s
+
+    def test_a_skin_can_be_closed_while_the_board_is_away(self) -> None:
+        with Skin(described(frame(0), last=gone), reopen=Bench().reopen, reconnect=1000.0) as skin:
+            next(skin)
+            until(lambda: skin._mailbox.away is not None)
+            began = time.monotonic()
+        assert time.monotonic() - began < 5
+
+    def test_after_a_long_gap_the_estimator_starts_anew_and_the_frame_says_so(self) -> None:
+        with lossless(described(frame(0), frame(1), frame(2, ms=45_000.0, level=1500))) as skin:
+            frames = list(islice(skin, 3))
+        assert [f.estimator_restarted for f in frames] == [True, False, True]
+        fresh = WHAT.cell.estimator((3, 2)).update(0.0, frames[2].resistance)
+        np.testing.assert_array_equal(frames[2].pressure, fresh.pressure_kpa)
+
+    def test_a_killed_emulator_that_starts_again_is_found_again(self, tmp_path: Path) -> None:
+        link = tmp_path / "skin"
+        with running(scene(board={"frame_rate": 500.0}), PtyPort(link)):
+            skin = Skin.open(str(link), reconnect=30.0)
+            assert next(skin).sequence is not None
+        with skin, running(scene(board={"frame_rate": 500.0}), PtyPort(link)):
+            back = next(frame for frame in skin if frame.reconnected)
+            assert back.rebooted
+            assert next(skin).lost_before == 0
+
+    def test_a_usb_board_is_found_under_another_name(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """As when a cable is pulled and put in again while its old name is still taken, here by another device."""
+        names = {}
+
+        class Listed:
+            def __init__(self, device: str, serial_number: str) -> None:
+                self.device, self.serial_number = device, serial_number
+
+        monkeypatch.setattr(
+            "serial.tools.list_ports.comports", lambda: [Listed(name, serial) for name, serial in names.items()]
+        )
+        one, other = PtyPort(), PtyPort()
+        names[one.name] = "USB-1"
+        with running(scene(), one):
+            skin = Skin.open(one.name, reconnect=30.0)
+            assert next(skin).sequence is not None
+            names.clear()
+        with skin, running(scene(), other):
+            names[other.name] = "USB-1"
+            assert next(frame for frame in skin if frame.reconnected).rebooted
+
+
+class TestPorts:
+    def test_more_than_1024_descriptors(self) -> None:
+        """select() cannot wait for a descriptor beyond 1023."""
+        resource = pytest.importorskip("resource")
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        if hard != resource.RLIM_INFINITY and hard < 1300:
+            pytest.skip(f"this system allows {hard} descriptors")
+        resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 1300), hard))
+        spare = []
+        port, server = PtyPort(), socket.create_server(("127.0.0.1", 0))
+        talk = identity() + sheet() + b"".join(frame(k) for k in range(100))
+
+        def serve() -> None:
+            board, _ = server.accept()
+            with board:
+                board.sendall(talk)
+                board.recv(10**6)
+                done.wait(30)
+
+        done, thread = threading.Event(), threading.Thread(target=serve)
+        thread.start()
+        try:
+            with running(scene(), port):
+                spare = [os.open("/dev/null", os.O_RDONLY) for _ in range(1100)]
+                for name in (port.name, "socket://{}:{}".format(*server.getsockname())):
+                    with Skin.open(name) as skin:
+                        assert next(skin).sequence is not None
+        finally:
+            done.set()
+            for descriptor in spare:
+                os.close(descriptor)
+            resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+            server.close()
+        thread.join()
+
+    def test_a_terminal_window_is_not_written_to(self) -> None:
+        """A link that an emulator left behind may lead to what is now somebody's terminal."""
+        window, terminal = pty.openpty()
+        name = os.ttyname(terminal)
+        shell = "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0); print(flush=True); input()"
+        process = subprocess.Popen(
+            [sys.executable, "-c", shell], stdin=terminal, stdout=subprocess.PIPE, start_new_session=True
+        )
+        os.close(terminal)
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()
+            with pytest.raises(LinkError, match=rf"is the terminal of process {process.pid} \(.*\), not a board"):
+                Skin.open(name)
+            os.set_blocking(window, False)
+            with pytest.raises(BlockingIOError):
+                os.read(window, 100)
+        finally:
+            process.kill()
+            process.communicate()
+            os.close(window)
+
+    def test_a_full_line_is_an_error_in_bounded_time(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("ohmskin.driver._port.WRITE_TIMEOUT_S", 0.1)
+        read, write = os.pipe()
+        os.set_blocking(write, False)
+
+        class Pipe(DescriptorPort):
+            def _release(self) -> None:
+                os.close(read)
+                os.close(write)
+
+        port = Pipe("pipe", write)
+        with pytest.raises(LinkError, match=r"pipe: the board takes no commands \(the line is full\)"):
+            port.write(bytes(10**6))
+        port.close()
+        port.close()
+
+
+class TestBoards:
+    def test_boards_are_listed_by_serial_number_and_opened_by_it(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        ports = [PtyPort() for _ in range(2)]
+        silent = PtyPort()
+        names = [port.name for port in ports]
+        monkeypatch.setattr("ohmskin.driver._discover.serial_ports", lambda: [*names, silent.name, "/dev/nowhere"])
+        with (
+            running(scene(board={"serial_number": "right"}), ports[0]),
+            running(scene(board={"serial_number": "left"}), ports[1]),
+            silent,
+        ):
+            found = discover()
+            assert [(board.serial_number, board.port) for board in found] == [("left", names[1]), ("right", names[0])]
+            assert (found[0].rows, found[0].columns) == (3, 2)
+            with Skin.open(serial_number="left") as left, Skin.open(serial_number="right") as right:
+                assert (left.serial_number, right.serial_number) == ("left", "right")
+                assert next(left).sequence is not None
+                assert next(right).sequence is not None
+            with pytest.raises(LinkError, match="no board with serial number middle; boards present: left at "):
+                Skin.open(serial_number="middle")
+            with pytest.raises(LinkError, match="board left is there; expected right"):
+                Skin.open(names[1], serial_number="right")
+
+    def test_without_a_cell_there_are_ohms_and_no_pressure(self) -> None:
+        family = replace(BOARDS["ohmskin"], has_description=False)
+        with Skin(Script(frame(0)), board=family, design=WHAT.design) as skin:
+            one = next(skin)
+        assert skin.cell is None
+        assert np.isfinite(one.resistance).all()
+        assert np.isnan(one.pressure).all()
+        assert one.contacts == ()
+
+    def test_a_board_without_a_known_readout_asks_for_it(self) -> None:
+        family = replace(BOARDS["ohmskin"], has_description=False)
+        port = Script(frame(0))
+        with pytest.raises(InputError, match="does not describe its readout; pass design="):
+            Skin(port, board=family)
+        assert port.closed
+
+    def test_a_polled_board_is_asked_for_every_frame_and_for_no_more_than_fit(self) -> None:
+        port = described()
+        answered = 0
+
+        def answer(data: bytes) -> None:
+            nonlocal answered
+            if one_frame in data:
+                port.say(frame(answered))
+                answered += 1
+
+        family = replace(BOARDS["ohmskin"], polled=True)
+        one_frame = host_protocol(family).request(Order.ONE_FRAME)[1:4]
+        port.write = answer  # type: ignore[method-assign]
+        with Skin(port, board=family, delivery="lossless", queue=10) as skin:
+            taken = sequences(list(islice(skin, 50)))
+            assert np.diff(np.array(taken, dtype=float)).tolist() == [1.0] * 49
+            assert taken[-1] is not None
+            assert answered < taken[-1] + 100
+
+
+def absurd(**changes: object) -> bytes:
+    design, cell = WHAT.design.model_dump(), WHAT.cell.model_dump()
+    for path, value in changes.items():
+        table, key = path.split("__")
+        (design if table in design else cell)[table][key] = value
+    text = write_description(design, cell)
+    return b"".join(
+        encode(DescriptionPiece(0, 0, offset, len(text), text[offset : offset + 200], 1))
+        for offset in range(0, len(text), 200)
+    )
+
+
+class TestDescriptions:
+    """A description is what a stranger sent: it may be refused, and must not crash or stall the host."""
+
+    @pytest.mark.parametrize(
+        "changes",
+        [
+            {"array__row_lead": 1e31},
+            {"array__row_lead": 1e-320},
+            {"array__rows": 2**40},
+            {"array__rows": 1000, "array__columns": 1000},
+            {"array__rows": 64, "array__columns": 64, "array__sheet": "continuous"},
+            {"model__etau2_kpa": 1e-320},
+            {"model__eu1_kpa": 1e300},
+            {"drive__voltage": 0.0},
+            {"adc__bits": 2**62},
+            {"array__sheet": "x" * 5000},
+        ],
+    )
+    def test_absurd_values_are_protocol_errors(self, changes: dict[str, object]) -> None:
+        began = time.monotonic()
+        with pytest.raises(ProtocolError, match="script: the board describes"):
+            Skin(Script(identity(), absurd(**changes), frame(0)), timeout=60.0)
+        assert time.monotonic() - began < 50
+
+    @pytest.mark.parametrize("error", [IndexError, ZeroDivisionError, OverflowError, ValueError, MemoryError])
+    def test_what_nothing_can_be_computed_from_is_a_protocol_error(
+        self, error: type[Exception], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        def fail(*_: object) -> None:
+            raise error("no such thing")
+
+        monkeypatch.setattr("ohmskin.driver._convert.CountReader.__call__", fail)
+        with pytest.raises(ProtocolError, match="the board describes itself wrongly: no such thing"):
+            Skin(described())
+
+    def test_the_timeout_covers_setting_up_the_circuit(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        released = threading.Event()
+
+        def stall(*_: object) -> None:
+            released.wait(60)
+
+        monkeypatch.setattr("ohmskin.driver._convert.CountReader.__call__", stall)
+        port = described(frame(0))
+        began = time.monotonic()
+        try:
+            with pytest.raises(ProtocolError, match=r"was not set up within 0\.5 s"):
+                Skin(port, timeout=0.5)
+            assert time.monotonic() - began < 20
+            assert port.closed
+        finally:
+            released.set()
+
+    def test_a_board_that_changes_its_description_is_refused(self) -> None:
+        other = parse(DESIGN | {"array": {"rows": 3, "columns": 2, "row_lead": 50.0}}, Design, source="design")
+        text = write_description(other.model_dump(), WHAT.cell.model_dump())
+        port = described(frame(0), encode(DescriptionPiece(1, 1, 0, len(text), text, 1)))
+        with lossless(port) as skin:
+            assert next(skin).sequence == 0
+            with pytest.raises(ProtocolError, match="describes itself differently than before; open the skin again"):
+                next(skin)
+
+
+def test_taps_hear_every_byte_with_its_time() -> None:
+    port = described()
+    heard: list[Arrival] = []
+    with Skin(port) as skin:
+        skin.on_bytes(heard.append)
+        port.say(frame(0), b"noise\0", frame(1))
+        until(lambda: skin.stats().frames == 2)
+    assert b"".join(arrival.data for arrival in heard) == frame(0) + b"noise\0" + frame(1)
+    assert all(after.received_at >= before.received_at for before, after in itertools.pairwise(heard))
+
+
+def test_an_unforeseen_failure_while_reading_is_not_silence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threading, "excepthook", lambda _: None)
+    port = described(frame(0))
+    with Skin(port) as skin:
+        next(skin)
+        monkeypatch.setattr(Reader, "_handle", lambda *_: 1 / 0)
+        port.say(frame(1))
+        with pytest.raises((LinkError, ZeroDivisionError)):  # the thread finds it, or the reader itself
+            next(skin)
+        with pytest.raises(LinkError, match="reading failed: ZeroDivisionError"):
+            next(skin)
+
+
+def until(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
+    """Wait for another thread."""
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.002)

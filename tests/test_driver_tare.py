@@ -1,0 +1,198 @@
+"""Tare: what it takes out, when it is refused, and that it can be kept and taken back."""
+
+from __future__ import annotations
+
+import re
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from boards import DESIGN, Script, Wire, lossless, scene
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from ohmskin.cell import Cell
+from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.config import parse
+from ohmskin.driver import Skin, Tare
+from ohmskin.driver._tare import RestReadings
+from ohmskin.emulator import Board
+from ohmskin.errors import InputError
+from ohmskin.wire import DescriptionPiece, FramePacket, Identity, encode, write_description
+
+CELL = Cell.example()
+REST = CELL.rest_resistance_ohm
+
+
+def taken(resistance: np.ndarray, step_s: float = 0.02) -> RestReadings:
+    return RestReadings(resistance, step_s * np.arange(len(resistance)))
+
+
+def tare_of(resistance: np.ndarray, cell: Cell | None = CELL) -> Tare:
+    return taken(resistance).tare(cell, lost=0, serial_number="A1", wall_time=1.0)
+
+
+def at_rest(noise: float, spread: float, frames: int = 40, seed: int = 3) -> np.ndarray:
+    """(frames, 8, 8) ohm: cells that differ by ``spread``, read with ``noise``, both relative."""
+    rng = np.random.default_rng(seed)
+    cells = REST * (1 + spread * rng.uniform(-1, 1, (8, 8)))
+    return np.asarray(cells * (1 + noise * rng.standard_normal((frames, 8, 8))))
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-2])
+@pytest.mark.parametrize("spread", [0.0, 0.1, 0.2])
+def test_an_unloaded_skin_is_tared(noise: float, spread: float) -> None:
+    readings = at_rest(noise, spread)
+    tare = tare_of(readings)
+    assert tare.remarks == ()
+    np.testing.assert_allclose(tare.rest_resistance_ohm, readings.mean(axis=0))
+    np.testing.assert_allclose(tare.std_ohm, readings.std(axis=0, ddof=1), atol=1e-9)
+
+
+def test_noise_seldom_looks_like_a_load() -> None:
+    assert sum(bool(tare_of(at_rest(0.02, 0.1, seed=seed)).remarks) for seed in range(50)) <= 1
+
+
+def test_one_pressed_cell_is_noticed() -> None:
+    readings = at_rest(1e-3, 0.1)
+    readings[:, 2, 5] *= 1.6
+    (remark,) = tare_of(readings).remarks
+    assert re.match(r"1 cell differs from the others, most cell \(2, 5\) with 1\.\d\d times their median", remark)
+
+
+def test_a_press_on_the_whole_skin_is_noticed_by_the_data_sheet() -> None:
+    (remark,) = tare_of(2.5 * at_rest(1e-3, 0.1)).remarks
+    assert "times the 1e+04 ohm that the data sheet gives for rest" in remark
+    assert tare_of(2.5 * at_rest(1e-3, 0.1), cell=None).remarks == ()
+
+
+def test_a_load_that_comes_or_goes_is_noticed() -> None:
+    readings = at_rest(1e-3, 0.1)
+    readings[:, 4, 4] *= np.linspace(1.0, 1.1, len(readings))
+    (remark,) = tare_of(readings).remarks
+    assert "the resistance of 1 cell is changing, most at cell (4, 4) by " in remark
+
+
+def test_cells_that_are_not_read_take_the_data_sheet() -> None:
+    readings = at_rest(1e-3, 0.1)
+    readings[:, 0, 0] = np.nan
+    readings[::2, 1, 1] = np.nan
+    tare = tare_of(readings)
+    assert tare.rest_resistance_ohm[0, 0] == REST
+    assert not tare.measured[0, 0]
+    assert tare.rest_resistance_ohm[1, 1] == pytest.approx(np.nanmean(readings[:, 1, 1]))
+    with pytest.raises(InputError, match="no cell has a valid reading"):
+        tare_of(np.full((5, 2, 2), np.nan))
+
+
+@given(arrays(np.float64, st.tuples(st.integers(1, 5), st.just(2), st.just(3)), elements=st.floats(1.0, 1e7)))
+def test_a_tare_saved_is_the_tare_loaded(tmp_path_factory: pytest.TempPathFactory, readings: np.ndarray) -> None:
+    path = tmp_path_factory.mktemp("tare") / "tare.npz"
+    tare = taken(readings).tare(CELL, lost=None, serial_number="A1", wall_time=1.7e9)
+    tare.save(path)
+    again = Tare.load(path)
+    for name in ("rest_resistance_ohm", "measured", "std_ohm"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(tare, name))
+    for name in ("frames", "lost", "serial_number", "wall_time", "remarks"):
+        assert getattr(again, name) == getattr(tare, name)
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 broken", b"time_s,pressure_kpa\n0,1\n", None])
+def test_what_is_no_tare_is_one_line(content: bytes | None, tmp_path: Path) -> None:
+    path = tmp_path / "tare.npz"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(InputError, match=r"tare\.npz: is no saved tare: ") as caught:
+        Tare.load(path)
+    assert "\n" not in str(caught.value)
+
+
+def unknown_lead() -> Design:
+    """The design of a maker who forgot the switches."""
+    return parse({**DESIGN, "array": {"rows": 3, "columns": 2}}, Design, source="design")
+
+
+def test_a_tare_can_be_taken_back_and_used_again() -> None:
+    with lossless(Wire(Board(scene(contact=[]))), design=unknown_lead()) as skin:
+        before = next(skin)
+        first = skin.tare(5)
+        tared = next(skin)
+        assert skin.tared is first
+        assert tared.estimator_restarted
+        assert skin.undo_tare() is None
+        undone = next(skin)
+        skin.use_tare(first)
+        again = next(skin)
+        assert skin.undo_tare() is None
+        assert skin.undo_tare() is None
+    assert (before.pressure > 0.1).all()
+    np.testing.assert_allclose(tared.pressure, 0.0, atol=1e-9)
+    np.testing.assert_allclose(undone.pressure, before.pressure)
+    np.testing.assert_allclose(again.pressure, 0.0, atol=1e-9)
+
+
+def test_a_loaded_skin_is_not_tared_unless_told_to() -> None:
+    """Row 1 of the scene's skin is pressed between 1 and 3 s; at 50 Hz, frame 100 is at 2 s."""
+    with lossless(Wire(Board(scene()))) as skin:
+        list(islice(skin, 100))
+        with pytest.raises(InputError, match=r"skin seems to be loaded: 1 cell differs .* tare\(force=True\)"):
+            skin.tare(10)
+        assert skin.tared is None
+        assert next(skin).pressure[1, 1] > 10
+        forced = skin.tare(10, force=True)
+        assert len(forced.remarks) == 1
+        np.testing.assert_allclose(next(skin).pressure, 0.0, atol=0.5)
+
+
+def test_a_tare_of_another_board_or_shape_is_refused() -> None:
+    tare = tare_of(at_rest(0.0, 0.0))
+    with lossless(Wire(Board(scene(contact=[])))) as skin:
+        with pytest.raises(InputError, match="a tare of 8 x 8 cells; this skin has 3 x 2"):
+            skin.use_tare(tare)
+        next(skin)
+        with pytest.raises(InputError, match="a tare of board A1; this is board EMULATED"):
+            skin.use_tare(tare_of(np.full((5, 3, 2), REST)))
+
+
+def conversation(numbers: list[int]) -> list[bytes]:
+    what = scene().skin
+    counts = adc_codes(what.design, scan(what.design, np.full((3, 2), REST)).volts)
+    text = write_description(what.design.model_dump(), what.cell.model_dump())
+    head = [
+        encode(Identity(0, 0, 3, 2, 12, True, 1000, len(text), "A1", "test", 1)),
+        encode(DescriptionPiece(0, 0, 0, len(text), text, 1)),
+    ]
+    return head + [encode(FramePacket.of(counts, sequence=k, time_us=1000 * k, boot_id=1)) for k in numbers]
+
+
+def test_frames_lost_during_a_tare_count() -> None:
+    with lossless(Script(*conversation([0, 1, 5, 6, 9, 10]))) as skin:
+        next(skin)
+        tare = skin.tare(4)
+        after = next(skin)
+    assert tare.lost == 5
+    assert (after.sequence, after.lost_before, after.skipped_before) == (10, 5, 0)
+
+
+def test_a_tare_takes_frames_of_now_and_not_those_that_wait() -> None:
+    port = Script(*conversation(list(range(20))))
+    with Skin(port, delivery="every") as skin:
+        while skin.stats().frames < 20:
+            pass
+        port.say(*conversation(list(range(20, 30)))[2:])
+        skin.tare(3)
+        assert next(skin).sequence is not None
+        assert skin.stats().skipped >= 17
+
+
+def test_after_a_tare_no_old_estimate_is_handed_out() -> None:
+    port = Script(*conversation([0]))
+    with Skin(port) as skin:
+        assert skin.latest(60.0, timeout=10.0).sequence == 0
+        skin.use_tare(Tare(np.full((3, 2), 2 * REST), np.ones((3, 2), bool), np.zeros((3, 2)), 1, 0, "A1", 0.0))
+        port.say(*conversation([1])[2:])
+        new = skin.latest(60.0, timeout=10.0)
+        assert new.sequence == 1
+        assert new.estimator_restarted
