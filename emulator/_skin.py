@@ -93,7 +93,7 @@ class EmulatedSkin:
         self._ticks = Ticks(1e6 / scene.board.frame_rate)
         self._next_tick = 0
         rows, columns = scene.skin.design.array.shape
-        self._physics = _Physics(scene, np.random.default_rng(seed))
+        self._physics = ScenePhysics(scene, np.random.default_rng(seed))
         self._length = block_frames(rows * columns)
         self._block: FrameBlock | None = None
         self._place = 0
@@ -145,8 +145,8 @@ def block_frames(cells: int) -> int:
     return 1 << (frames.bit_length() - 1) | (frames > 1)
 
 
-class _Physics:
-    """The state of cells and noise, and how a block of frames changes it."""
+class ScenePhysics:
+    """The state of cells and noise, and how a block of frames changes it. Times never go back."""
 
     def __init__(self, scene: Scene, noise: np.random.Generator) -> None:
         self._scene = scene
@@ -166,25 +166,40 @@ class _Physics:
         self.by_hand_kpa = np.zeros(self._rest_ohm.size)
         """(cells,) load beside those of the scene"""
 
-    def copy(self) -> _Physics:
+    def copy(self) -> ScenePhysics:
         """An independent copy, to come back to."""
         return copy.deepcopy(self, {id(self._scene): self._scene, id(self._designs): self._designs})
 
     def run(self, time_us: IntArray) -> FrameBlock:
         """Live through frames at these times; the pressure is taken to change linearly between frames."""
+        surface, resistance = self.cells(time_us)
+        volts = self._volts(time_us / 1e6, resistance)
+        if self._scene.board.noise:
+            volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
+        return FrameBlock(time_us, surface, resistance, volts, adc_codes(self._scene.skin.design, volts))
+
+    def cells(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Live through these times: kPa on the surface and ohm of the cells, both (frames, rows, columns)."""
         time_s = time_us / 1e6
-        surface, resistance = self._cells_at(time_us)
+        surface, resistance = self._cells_without_events(time_us)
         for event in self._scene.event:
             if event.changes_cells:
                 assert event.place is not None
                 place = (slice(None), *event.place)
                 resistance[place] = event.changed_cells(time_s, resistance[place])
-        volts = self._volts(time_s, resistance)
-        if self._scene.board.noise:
-            volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
-        return FrameBlock(time_us, surface, resistance, volts, adc_codes(self._scene.skin.design, volts))
+        return surface, resistance
 
-    def _cells_at(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
+    def design(self, time_s: float) -> Design:
+        """The circuit as the events of that time leave it."""
+        times = np.array([time_s])
+        happening = [
+            number
+            for number, event in enumerate(self._scene.event)
+            if not event.changes_cells and event.happening(times)[0]
+        ]
+        return self._design_during(tuple(happening))
+
+    def _cells_without_events(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
         """KPa on the surface and ohm of the cells, both (frames, rows, columns)."""
         frames, time_s, movie = len(time_us), time_us / 1e6, self._scene.movie
         started = time_us[0] if self._time_us is None else self._time_us
