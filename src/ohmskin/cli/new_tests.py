@@ -8,7 +8,7 @@ from ..hil import write_suite
 from . import arguments
 
 
-@click.command(epilog=arguments.example("ohmskin new-tests skin-tests", "pytest skin-tests"))
+@click.command(epilog=arguments.example("ohmskin new-tests skin-tests"))
 @click.argument("folder", metavar="DIR")
 def command(folder: str) -> None:
     """Write an example suite for pytest into DIR. It passes at once against the emulated board."""
