@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
+from ohmskin.bench._reference import Indeterminate, reference_volts
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, scan
 from ohmskin.cli import run
@@ -104,9 +105,7 @@ def _judge_design(data: bytes, rng: random.Random, folder: Path) -> str:
 
 
 def _agrees_with_reference(design: Design, rng: random.Random) -> None:
-    """Volts as modified nodal analysis finds them (tests/reference.py, 60 digits), within the certified bound."""
-    from reference import Indeterminate, reference_volts  # imports slowly
-
+    """Volts as modified nodal analysis finds them (bench/_reference.py, 60 digits), within the certified bound."""
     cells = np.array([rng.choice((1e3, 1e4, 1e5, 3.3e4)) for _ in range(math.prod(design.array.shape))])
     frame = cells.reshape(design.array.shape)
     try:
