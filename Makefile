@@ -3,8 +3,15 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 SUDO   := $(shell [ "$$(id -u)" = 0 ] || echo sudo)
-# Debian packages that the tests need: the SPICE library, and its command for the netlist tests.
-TEST_PACKAGES := libngspice0 ngspice
+# Debian packages that the tests need: the SPICE library, and its command for the netlist tests; the compiler of the
+# firmware, and simavr, the second emulator of its processor.
+TEST_PACKAGES := libngspice0 ngspice gcc-avr avr-libc gcc libc6-dev libsimavr-dev libelf-dev
+# Node.js comes from Debian only where no other one is installed.
+ifeq ($(shell command -v npm),)
+TEST_PACKAGES += nodejs npm
+endif
+# The emulated processor of the firmware tests, by name, version and checksum.
+LOOP   := emulator/firmware
 
 # Top-level folders that are packages below ohmskin; src/ohmskin links to them.
 ROOMS  := $(shell sed -n 's/^"ohmskin\.\([a-z_]*\)" = "\1"$$/\1/p' pyproject.toml)
@@ -17,7 +24,7 @@ demo: $(VENV)/demo.stamp
 	 if [ $$code = 3 ]; then echo "Some checks could not be run here; the report says which and why."; exit 0; fi; \
 	 exit $$code
 
-test: system-test-packages $(VENV)/dev.stamp lint
+test: system-test-packages $(VENV)/dev.stamp $(LOOP)/node_modules/.package-lock.json lint
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 lint: $(VENV)/dev.stamp
@@ -30,6 +37,9 @@ system-test-packages:
 	   dpkg -s $$p 2>/dev/null | grep -q '^Status: install ok' || missing="$$missing $$p"; done; \
 	 if [ -n "$$missing" ]; then \
 	   $(SUDO) apt-get update -qq && DEBIAN_FRONTEND=noninteractive $(SUDO) apt-get install -y -qq $$missing >/dev/null; fi
+
+$(LOOP)/node_modules/.package-lock.json: $(LOOP)/package-lock.json | system-test-packages
+	npm ci --prefix $(LOOP) --no-audit --no-fund --silent
 
 # A source distribution cannot hold the links, and a checkout without symbolic links has text files in their place.
 links:
@@ -50,5 +60,6 @@ $(VENV)/dev.stamp: $(BIN)/python pyproject.toml | links
 	@touch $@
 
 clean:
+	rm -rf $(LOOP)/node_modules firmware/build
 	rm -rf $(VENV) build dist ohmskin-report *.egg-info src/*.egg-info .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +

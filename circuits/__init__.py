@@ -9,6 +9,7 @@ from ._board import Board
 from ._design import Adc, Array, Cells, Design, Drive, Fault, Operation, Readout, Requirements, Sheet
 from ._effects import Effect, effects
 from ._ideal import apparent_resistance, ideal_volts
+from ._population import Boards, PopulationReading, scan_population
 from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
@@ -16,7 +17,7 @@ from ._sequence import scan_sequence
 from ._spread import Spread
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import Conditioning, Recoverer, Recovery, Status, conditioning, recover
-from .timing import Noise, Settling, Stability, noise, stability
+from .timing import Noise, Settling, Stability, Transient, noise, stability
 
 CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
 """Readout circuits that a design file can name"""
@@ -28,6 +29,7 @@ __all__ = [
     "Array",
     "BatchResult",
     "Board",
+    "Boards",
     "Cells",
     "Conditioning",
     "Conditions",
@@ -37,6 +39,7 @@ __all__ = [
     "Fault",
     "Noise",
     "Operation",
+    "PopulationReading",
     "Readout",
     "Recoverer",
     "Recovery",
@@ -49,6 +52,7 @@ __all__ = [
     "Spread",
     "Stability",
     "Status",
+    "Transient",
     "adc_codes",
     "adc_error",
     "apparent_resistance",
@@ -62,6 +66,7 @@ __all__ = [
     "recover",
     "scan",
     "scan_batch",
+    "scan_population",
     "scan_sequence",
     "sensitivity",
     "stability",

@@ -6,11 +6,14 @@ from ._board import Board
 from ._contacts import Contact
 from ._device import Device
 from ._faults import Line
+from ._hand import Hand
 from ._line import Transmission
 from ._line_settings import ClockSettings, LineSettings, LinkFault
+from ._plan import Plan, PlannedEffect, plan
 from ._ports import PairPort, Port, PtyPort, Rfc2217Port, TcpPort
 from ._run import ClockName, Outcome, Stop, emulate, running, stop_on_signals
 from ._scene import BoardSettings, Scene, SkinSettings
+from ._score import Recording, Score, Truth, score, score_text
 from ._shapes import Bump, Disc, Image, Point, Rectangle
 from ._skin import EmulatedSkin, FrameBlock, Sample
 from ._spread import shares, spread
@@ -27,26 +30,35 @@ __all__ = [
     "Disc",
     "EmulatedSkin",
     "FrameBlock",
+    "Hand",
     "Image",
     "Line",
     "LineSettings",
     "LinkFault",
     "Outcome",
     "PairPort",
+    "Plan",
+    "PlannedEffect",
     "Point",
     "Port",
     "PtyPort",
+    "Recording",
     "Rectangle",
     "Rfc2217Port",
     "Sample",
     "Scene",
+    "Score",
     "SkinSettings",
     "Stop",
     "TcpPort",
     "Transmission",
+    "Truth",
     "TruthFile",
     "emulate",
+    "plan",
     "running",
+    "score",
+    "score_text",
     "shares",
     "spread",
     "stop_on_signals",

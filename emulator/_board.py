@@ -36,6 +36,7 @@ from ..wire import (
     board_protocol,
     write_description,
 )
+from ._hand import Hand
 from ._scene import Scene
 from ._self_test import self_test
 from ._skin import EmulatedSkin, FrameBlock, Sample
@@ -57,6 +58,7 @@ class Board:
         duration_s: float = math.inf,
         protocol: BoardProtocol | None = None,
         record: Callable[[Sample], None] | None = None,
+        hand: Hand | None = None,
     ) -> None:
         """Switch the board on.
 
@@ -67,9 +69,11 @@ class Board:
             duration_s: after which no frame comes any more; the one before says so.
             protocol: the board's end of the line; None: the native one.
             record: told of every frame that the board scans.
+            hand: presses beside the scene's contacts.
 
         """
         self.scene = scene
+        self._hand = hand
         self.protocol = board_protocol("ohmskin") if protocol is None else protocol
         self.streaming = not self.protocol.family.polled
         self.orders = 0
@@ -95,6 +99,11 @@ class Board:
         """commands to answer, by packet type"""
 
     @property
+    def skin(self) -> EmulatedSkin:
+        """What the board reads."""
+        return self._skin
+
+    @property
     def next_us(self) -> int:
         """Time of the next tick, in us since the start."""
         return self._skin.next_us
@@ -107,6 +116,8 @@ class Board:
     def tick(self) -> list[bytes]:
         """Live through the next tick; the packets to send, each one whole."""
         time_us = self.next_us
+        if self._hand is not None:
+            self._feel(self._hand, time_us)
         block, place = self._skin.read()
         if time_us < self._silent_until_us:
             return []
@@ -118,6 +129,13 @@ class Board:
         if self.wants_tick:
             packets.append(self._send(block, place, time_us - self._booted_us))
         return [packet for packet in packets if packet]
+
+    def _feel(self, hand: Hand, time_us: int) -> None:
+        """Take a load that has changed, from this tick on."""
+        pressure = hand.take_change()
+        if pressure is not None:
+            self._skin.press(pressure)
+            hand.in_force((time_us - self._booted_us) / 1e6)
 
     def receive(self, data: bytes) -> None:
         """Take bytes of the host. Commands take effect at once; their answers wait for :meth:`answers`."""

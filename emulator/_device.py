@@ -14,6 +14,7 @@ import numpy as np
 from ..wire import BoardProtocol
 from ._board import Board
 from ._faults import Line, Schedule
+from ._hand import Hand
 from ._line import Transmission
 from ._scene import Scene
 from ._skin import Sample
@@ -37,6 +38,7 @@ class Device:
         protocol: BoardProtocol | None = None,
         record: Callable[[Sample], None] | None = None,
         capacity: int | None = None,
+        hand: Hand | None = None,
     ) -> None:
         """Switch the device on; arguments as for :class:`Board`.
 
@@ -48,9 +50,18 @@ class Device:
             protocol: the board's end of the line.
             record: told of every frame that the board scans.
             capacity: bytes of the transmit buffer; None: those of a microcontroller.
+            hand: presses beside the scene's contacts.
 
         """
-        self.board = Board(scene, seed=seed, boot_id=boot_id, duration_s=duration_s, protocol=protocol, record=record)
+        self.board = Board(
+            scene,
+            seed=seed,
+            boot_id=boot_id,
+            duration_s=duration_s,
+            protocol=protocol,
+            record=record,
+            hand=hand,
+        )
         if capacity is None:
             rows, columns = scene.skin.design.array.shape
             capacity = 8192 + 8 * rows * columns

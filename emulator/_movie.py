@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import zipfile
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import PrivateAttr
 
-from ..arrays import FloatArray
+from ..arrays import AnyArray, FloatArray
 from ..config import Section
 from ..errors import InputError
 from ..tables import read_columns
+from ._archive import numbers, read_arrays
 from ._loads import Seconds, within_period
 
 _MOST_BYTES = 1 << 30
-"""size limit of a movie in memory"""
+"""size limit of a movie of one quantity in memory"""
 _NAMES = {"pressure": ("pressure_kpa", "pressure"), "resistance": ("resistance_ohm", "resistance")}
 _TIMES = ("time_s", "time")
 
@@ -42,7 +43,7 @@ class Movie(Section):
     def _check(self, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         path = Path(self.file)
         match path.suffix.lower():
-            case ".npz":
+            case ".npz" | ".npy":
                 times, frames = self._from_npz(path)
             case ".csv":
                 times, frames = self._from_csv(path, shape)
@@ -80,21 +81,12 @@ class Movie(Section):
         return result
 
     def _from_npz(self, path: Path) -> tuple[FloatArray, FloatArray]:
-        try:
-            with zipfile.ZipFile(path) as archive:
-                size = sum(member.file_size for member in archive.infolist())
-            if size > 4 * _MOST_BYTES:
-                raise InputError(f"{path}: unpacks to more than {4 * _MOST_BYTES >> 30} GiB, the limit for a movie")
-            with np.load(path, allow_pickle=False) as arrays:
-                times = _first(arrays, _TIMES, path)
-                frames = _first(arrays, _NAMES[self.quantity], path)
-        except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-            if isinstance(error, InputError):
-                raise
-            reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-            raise InputError(f"{path}: cannot be read: {reason}") from error
-        if frames.nbytes > _MOST_BYTES:
-            raise InputError(f"{path}: larger than {_MOST_BYTES >> 30} GiB, the limit for a movie")
+        arrays = read_arrays(path, [*_TIMES, *_NAMES[self.quantity]], most_bytes=2 * _MOST_BYTES)
+        times, frames = (_first(arrays, names, path) for names in (_TIMES, _NAMES[self.quantity]))
+        if times.ndim != 1 or frames.ndim != 3:
+            raise InputError(
+                f"{path}: has times {times.shape} and frames {frames.shape}; expected (F,), (F, rows, columns)"
+            )
         return times, frames
 
     def _from_csv(self, path: Path, shape: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
@@ -105,8 +97,9 @@ class Movie(Section):
         return table["time_s"], frames.reshape(-1, rows, columns)
 
 
-def _first(arrays: Any, names: tuple[str, ...], path: Path) -> FloatArray:
+def _first(arrays: Mapping[str, AnyArray], names: tuple[str, ...], path: Path) -> FloatArray:
+    """The first array that is there, as numbers."""
     for name in names:
         if name in arrays:
-            return np.asarray(arrays[name], dtype=np.float64)
-    raise InputError(f"{path}: has no array '{names[0]}'; it has {', '.join(arrays)}")
+            return numbers(path, name, arrays[name], arrays[name].ndim)
+    raise InputError(f"{path}: has no array '{names[0]}'")

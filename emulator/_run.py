@@ -28,6 +28,7 @@ from typing import Literal, Protocol
 from ..errors import InputError
 from ..wire import BoardProtocol, board_protocol
 from ._device import Device
+from ._hand import Hand
 from ._ports import Port
 from ._scene import Scene
 from ._truth import TruthFile
@@ -126,6 +127,7 @@ def emulate(
     seed: int = 0,
     truth: Path | None = None,
     family: str = "ohmskin",
+    hand: Hand | None = None,
     stop: Stop,
 ) -> Outcome:
     """Run a board on ``port`` for ``duration_s`` of board time or until ``stop``, and write the truth file then.
@@ -138,6 +140,7 @@ def emulate(
         seed: for noise, faults and jitter.
         truth: file for every frame as it truly was; None: none.
         family: whose protocol the board speaks, a key of :data:`ohmskin.wire.BOARDS`.
+        hand: presses beside the scene's contacts.
         stop: asks for the end.
 
     Raises:
@@ -149,7 +152,7 @@ def emulate(
     if not duration_s > 0:
         raise InputError(f"duration is {duration_s} s; expected more than 0")
     protocol = _protocol(family, scene)
-    with nullcontext() if truth is None else TruthFile(truth, scene.skin.design.array.shape) as file:
+    with nullcontext() if truth is None else _truth_file(truth, scene) as file:
         device = Device(
             scene,
             seed=seed,
@@ -158,6 +161,7 @@ def emulate(
             protocol=protocol,
             record=None if file is None else file.append,
             # At the fast clock no tick is due while more than a little waits; only a UART can overflow.
+            hand=hand,
             capacity=2**62 if clock == "fast" and scene.line.baud_rate is None else None,
         )
         outcome = Outcome()
@@ -184,6 +188,7 @@ def running(
     seed: int = 0,
     truth: Path | None = None,
     family: str = "ohmskin",
+    hand: Hand | None = None,
 ) -> Iterator[None]:
     """:func:`emulate` in a thread while the block lasts: a board for a test in the same process.
 
@@ -196,7 +201,15 @@ def running(
         try:
             with port:
                 emulate(
-                    scene, port, clock=clock, duration_s=duration_s, seed=seed, truth=truth, family=family, stop=stop
+                    scene,
+                    port,
+                    clock=clock,
+                    duration_s=duration_s,
+                    seed=seed,
+                    truth=truth,
+                    family=family,
+                    hand=hand,
+                    stop=stop,
                 )
         except Exception as error:
             failures.append(error)
@@ -211,6 +224,16 @@ def running(
         stop.close()
     if failures:
         raise failures[0]
+
+
+def _truth_file(path: Path, scene: Scene) -> TruthFile:
+    skin = scene.skin
+    return TruthFile(
+        path,
+        skin.design.array.shape,
+        pitch_mm=skin.cell_pitch_mm,
+        full_scale_kpa=skin.cell.full_scale_kpa,
+    )
 
 
 def _protocol(family: str, scene: Scene) -> BoardProtocol:

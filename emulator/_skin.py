@@ -52,6 +52,12 @@ class FrameBlock:
     resistance_ohm: FloatArray
     volts: FloatArray
     counts: CodeArray
+    method: tuple[str, ...]
+    """(frames,) how the circuit was solved, as :class:`ohmskin.circuits.BatchResult` says"""
+    error_volts: FloatArray
+    """(frames,) V by which no output is off, certified; noise not counted"""
+    cells_stepped: int
+    """cells that were not at rest during the block"""
 
     def __len__(self) -> int:
         return len(self.time_us)
@@ -93,7 +99,7 @@ class EmulatedSkin:
         self._ticks = Ticks(1e6 / scene.board.frame_rate)
         self._next_tick = 0
         rows, columns = scene.skin.design.array.shape
-        self._physics = _Physics(scene, np.random.default_rng(seed))
+        self._physics = ScenePhysics(scene, np.random.default_rng(seed))
         self._length = block_frames(rows * columns)
         self._block: FrameBlock | None = None
         self._place = 0
@@ -103,6 +109,16 @@ class EmulatedSkin:
     def next_us(self) -> int:
         """Time of the next frame, in us since the start."""
         return self._ticks.at(self._next_tick)
+
+    @property
+    def block(self) -> FrameBlock | None:
+        """The block of the latest frame; None before the first."""
+        return self._block
+
+    @property
+    def frames_ready(self) -> int:
+        """Frames that are computed and not read."""
+        return 0 if self._block is None else len(self._block) - self._place
 
     def read(self) -> tuple[FrameBlock, int]:
         """The next frame, as a block and the frame's place in it."""
@@ -117,12 +133,20 @@ class EmulatedSkin:
     def set_period(self, period_us: float) -> None:
         """Frames come every ``period_us`` from the next one on, which stays where it was due."""
         next_us = self.next_us
+        self._forget_frames_ahead()
+        self._ticks, self._next_tick = Ticks(period_us, next_us), 0
+
+    def press(self, pressure_kpa: FloatArray) -> None:
+        """From the next frame on ``pressure_kpa`` (rows, columns) lies on the skin, beside the loads of the scene."""
+        self._forget_frames_ahead()
+        self._physics.by_hand_kpa = pressure_kpa.ravel()
+
+    def _forget_frames_ahead(self) -> None:
+        """Frames computed ahead did not happen: live through those before them again."""
         if self._block is not None and self._place < len(self._block):
-            # Frames computed ahead at the old rate did not happen: live through those before them again.
             self._physics = self._before
             if self._place:
                 self._physics.run(self._block.time_us[: self._place])
-        self._ticks, self._next_tick = Ticks(period_us, next_us), 0
         self._block, self._place = None, 0
 
     def _compute(self) -> None:
@@ -137,8 +161,8 @@ def block_frames(cells: int) -> int:
     return 1 << (frames.bit_length() - 1) | (frames > 1)
 
 
-class _Physics:
-    """The state of cells and noise, and how a block of frames changes it."""
+class ScenePhysics:
+    """The state of cells and noise, and how a block of frames changes it. Times never go back."""
 
     def __init__(self, scene: Scene, noise: np.random.Generator) -> None:
         self._scene = scene
@@ -153,28 +177,47 @@ class _Physics:
         self._rest_ohm = self._cells.rest_resistance_ohm.ravel()
         self._rest_tolerance = _REST_STEPS / 2.0**design.adc.bits
         self._active = np.empty(0, dtype=np.intp)
+        self._stepped = 0
         self._time_us: int | None = None
         self._designs: dict[tuple[int, ...], Design] = {(): design}
+        self.by_hand_kpa = np.zeros(self._rest_ohm.size)
+        """(cells,) load beside those of the scene"""
 
-    def copy(self) -> _Physics:
+    def copy(self) -> ScenePhysics:
         """An independent copy, to come back to."""
         return copy.deepcopy(self, {id(self._scene): self._scene, id(self._designs): self._designs})
 
     def run(self, time_us: IntArray) -> FrameBlock:
         """Live through frames at these times; the pressure is taken to change linearly between frames."""
+        surface, resistance = self.cells(time_us)
+        volts, method, error_volts = self._read(time_us / 1e6, resistance)
+        if self._scene.board.noise:
+            volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
+        counts = adc_codes(self._scene.skin.design, volts)
+        return FrameBlock(time_us, surface, resistance, volts, counts, method, error_volts, self._stepped)
+
+    def cells(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
+        """Live through these times: kPa on the surface and ohm of the cells, both (frames, rows, columns)."""
         time_s = time_us / 1e6
-        surface, resistance = self._cells_at(time_us)
+        surface, resistance = self._cells_without_events(time_us)
         for event in self._scene.event:
             if event.changes_cells:
                 assert event.place is not None
                 place = (slice(None), *event.place)
                 resistance[place] = event.changed_cells(time_s, resistance[place])
-        volts = self._volts(time_s, resistance)
-        if self._scene.board.noise:
-            volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
-        return FrameBlock(time_us, surface, resistance, volts, adc_codes(self._scene.skin.design, volts))
+        return surface, resistance
 
-    def _cells_at(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
+    def design(self, time_s: float) -> Design:
+        """The circuit as the events of that time leave it."""
+        times = np.array([time_s])
+        happening = [
+            number
+            for number, event in enumerate(self._scene.event)
+            if not event.changes_cells and event.happening(times)[0]
+        ]
+        return self._design_during(tuple(happening))
+
+    def _cells_without_events(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
         """KPa on the surface and ohm of the cells, both (frames, rows, columns)."""
         frames, time_s, movie = len(time_us), time_us / 1e6, self._scene.movie
         started = time_us[0] if self._time_us is None else self._time_us
@@ -182,13 +225,15 @@ class _Physics:
         self._time_us = int(time_us[-1])
         surface = np.zeros((frames, self._rest_ohm.size))
         if movie is not None and movie.quantity == "resistance":
+            self._stepped = 0
             return surface.reshape(frames, *self._shape), movie.at(time_s, self._shape)
-        touched, pressure = self._scene.pressure_on(time_s)
+        touched, pressure = self._with_hand(*self._scene.pressure_on(time_s))
         surface[:, touched] = pressure
         felt_cells, felt = self._spreading.below(touched, pressure)
         felt = felt * self._sensitivity.flat[felt_cells]
 
         self._active = np.union1d(self._active, felt_cells)
+        self._stepped = len(self._active)
         on_active = np.zeros((frames, len(self._active)))
         on_active[:, np.searchsorted(self._active, felt_cells)] = felt
         resistance = np.repeat(self._rest_ohm[None], frames, axis=0)
@@ -199,18 +244,30 @@ class _Physics:
             resistance *= drift[:, None]
         return surface.reshape(frames, *self._shape), resistance.reshape(frames, *self._shape)
 
-    def _volts(self, time_s: FloatArray, resistance: FloatArray) -> FloatArray:
-        """V (frames, rows, columns) at the ADC, each stretch of frames by the circuit that the events leave."""
+    def _with_hand(self, touched: IntArray, pressure: FloatArray) -> tuple[IntArray, FloatArray]:
+        """Cells (k,) and their pressures (frames, k) with the load by hand added."""
+        by_hand = np.flatnonzero(self.by_hand_kpa)
+        if not by_hand.size:
+            return touched, pressure
+        cells = np.union1d(touched, by_hand)
+        total = np.repeat(self.by_hand_kpa[cells][None], len(pressure), axis=0)
+        total[:, np.searchsorted(cells, touched)] += pressure
+        return cells, total
+
+    def _read(self, time_s: FloatArray, resistance: FloatArray) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
+        """Volts at the ADC, methods and certified errors, each stretch of frames by the circuit that events leave."""
         events = [(k, event) for k, event in enumerate(self._scene.event) if not event.changes_cells]
-        if not events:
-            return scan_sequence(self._scene.skin.design, resistance).volts
-        happening = np.array([event.happening(time_s) for _, event in events])
+        happening = np.array([event.happening(time_s) for _, event in events]).reshape(len(events), len(time_s))
         changes = np.flatnonzero((happening[:, 1:] != happening[:, :-1]).any(axis=0)) + 1
-        volts = np.empty(resistance.shape)
+        volts, error = np.empty(resistance.shape), np.empty(len(time_s))
+        methods: tuple[str, ...] = ()
         for first, last in pairwise([0, *changes.tolist(), len(time_s)]):
             now = tuple(k for (k, _), on in zip(events, happening[:, first], strict=True) if on)
-            volts[first:last] = scan_sequence(self._design_during(now), resistance[first:last]).volts
-        return volts
+            read = scan_sequence(self._design_during(now), resistance[first:last])
+            volts[first:last] = read.volts
+            error[first:last] = read.error_bound * np.abs(read.volts).max(axis=(1, 2))
+            methods += read.method
+        return volts, methods, error
 
     def _design_during(self, events: tuple[int, ...]) -> Design:
         """The design while these events last."""

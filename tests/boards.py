@@ -13,6 +13,7 @@ from ohmskin.driver import Arrival, BytePort, Skin
 from ohmskin.emulator import Board, Line, Scene
 from ohmskin.errors import LinkError
 
+EXAMPLES = Path(__file__).parents[1] / "examples"
 DESIGN: dict[str, Any] = {
     "array": {"rows": 3, "columns": 2, "row_lead": 70.0},
     "drive": {"voltage": -1.0},

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import tracemalloc
-from pathlib import Path
-
 import numpy as np
 import pytest
 from boards import DESIGN, scene
@@ -13,9 +9,8 @@ from boards import DESIGN, scene
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.config import parse
-from ohmskin.emulator import Board, Line, Sample, Scene, TruthFile
+from ohmskin.emulator import Board, Line, Sample, Scene
 from ohmskin.emulator._scene import LineSettings
-from ohmskin.errors import InputError
 from ohmskin.wire import (
     Command,
     Description,
@@ -199,66 +194,3 @@ def test_a_noisy_line_flips_bits_at_its_rate() -> None:
     packet = bytes(range(256)) * 40
     flipped = np.unpackbits(np.frombuffer(line.carry(packet), np.uint8) ^ np.frombuffer(packet, np.uint8))
     assert flipped.mean() == pytest.approx(0.01, rel=0.15)
-
-
-def sample(k: int, shape: tuple[int, int] = (3, 2)) -> Sample:
-    values = np.full(shape, float(k))
-    return Sample(k, k / 10, values + 1, values + 2, values + 3, values.astype(np.uint32))
-
-
-def test_the_truth_file_has_every_frame(tmp_path: Path) -> None:
-    path = tmp_path / "truth.npz"
-    with TruthFile(path, (3, 2)) as truth:
-        for k in range(50):
-            truth.append(sample(k))
-        assert not path.exists()
-    with np.load(path) as arrays:
-        assert {name: arrays[name].shape for name in arrays} == {
-            "sequence": (50,),
-            "time_s": (50,),
-            "pressure_kpa": (50, 3, 2),
-            "resistance_ohm": (50, 3, 2),
-            "volts": (50, 3, 2),
-        }
-        np.testing.assert_array_equal(arrays["sequence"], np.arange(50))
-        np.testing.assert_array_equal(arrays["volts"][:, 2, 1], np.arange(50) + 3.0)
-    assert [file.name for file in tmp_path.iterdir()] == ["truth.npz"]
-
-
-def test_a_run_without_frames_has_an_empty_truth(tmp_path: Path) -> None:
-    with TruthFile(tmp_path / "t.npz", (3, 2)):
-        pass
-    with np.load(tmp_path / "t.npz") as arrays:
-        assert arrays["volts"].shape == (0, 3, 2)
-
-
-def test_a_failed_run_leaves_the_old_truth_alone(tmp_path: Path) -> None:
-    path = tmp_path / "t.npz"
-    path.write_bytes(b"old")
-
-    def fail() -> None:
-        with TruthFile(path, (3, 2)) as truth:
-            truth.append(sample(1))
-            raise KeyError
-
-    with pytest.raises(KeyError):
-        fail()
-    assert path.read_bytes() == b"old"
-    assert [file.name for file in tmp_path.iterdir()] == ["t.npz"]
-
-
-@pytest.mark.parametrize(("name", "reason"), [("no/t.npz", "No such file"), (".", "is a directory")])
-def test_a_truth_file_that_cannot_be_is_refused_before_the_run(tmp_path: Path, name: str, reason: str) -> None:
-    with pytest.raises(InputError, match=re.escape(reason)), TruthFile(tmp_path / name, (3, 2)):
-        pytest.fail("the run began")
-
-
-def test_a_long_record_takes_bounded_memory(tmp_path: Path) -> None:
-    one, frames = sample(1, (32, 32)), 2000
-    with TruthFile(tmp_path / "t.npz", (32, 32)) as truth:
-        tracemalloc.start()
-        for _ in range(frames):
-            truth.append(one)
-        _, peak = tracemalloc.get_traced_memory()
-        tracemalloc.stop()
-    assert peak < 1e6 < frames * 3 * one.volts.nbytes / 10

@@ -1,6 +1,7 @@
-"""Readings in time: settling after a row switch, stability of the amplifiers, and noise."""
+"""Readings in time: settling after a row switch, stability of the amplifiers, transients, and noise."""
 
 from ._noise import Noise, noise
 from ._settling import Settling, Stability, stability
+from ._transient import Transient
 
-__all__ = ["Noise", "Settling", "Stability", "noise", "stability"]
+__all__ = ["Noise", "Settling", "Stability", "Transient", "noise", "stability"]

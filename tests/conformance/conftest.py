@@ -7,21 +7,31 @@ from pathlib import Path
 
 import pytest
 import tomli_w
-from boards import DESIGN, PRESS, scene
+from boards import DESIGN, EXAMPLES, PRESS, scene
+from needs import need
 
 from ohmskin.emulator import Port, PtyPort, Rfc2217Port, TcpPort, running
+from ohmskin.emulator.firmware import missing_for, running_firmware
 
 BOARD = {"frame_rate": 100.0, "reference_resistances": [10e3, 20e3]}
 SKIN = {"design": DESIGN | {"array": {"rows": 16, "columns": 16}}}
 
 
-@pytest.fixture(params=["pty", "tcp", "rfc2217", "in-process"])
+@pytest.fixture(params=["pty", "tcp", "rfc2217", "in-process", "firmware"])
 def port(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[str]:
     """The name of a board in service, which nobody has open."""
     if request.param == "in-process":
         file = tmp_path / "scene.toml"
         file.write_text(tomli_w.dumps({"skin": SKIN, "board": BOARD, "contact": [PRESS]}))
         yield f"ohmskin://{file}"
+        return
+    if request.param == "firmware":
+        need(missing_for())
+        reference_board = scene(
+            skin={"design": str(EXAMPLES / "board-4x4.toml")}, board={"frame_rate": 100.0}, contact=[]
+        )
+        with PtyPort() as end, running_firmware(reference_board, end):
+            yield end.name
         return
     match request.param:
         case "pty":

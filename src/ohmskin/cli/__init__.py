@@ -39,6 +39,7 @@ COMMANDS = {
     "netlist": "Write one scan step as a SPICE netlist.",
     "verify": "Verify a readout design: report.html, report.json, junit.xml.",
     "emulate": "Run a virtual scan board on a pty or TCP port.",
+    "score": "Compare a client's recording with the emulator's truth.",
     "fit": "Identify a cell and calibrate its estimators from a recording.",
     "estimate": "Estimate pressure from a recording of resistance.",
     "bench": "Measure speed against error: all methods and their peers.",

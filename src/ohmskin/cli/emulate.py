@@ -8,7 +8,8 @@ from typing import cast
 
 import click
 
-from ..emulator import ClockName, Port, PtyPort, Rfc2217Port, Scene, TcpPort, emulate, stop_on_signals
+from ..emulator import ClockName, Port, PtyPort, Rfc2217Port, Scene, TcpPort, emulate, plan, stop_on_signals
+from ..emulator.firmware import AVR8JS, check_scene, emulate_firmware
 from ..wire import BOARDS, board_family
 from . import arguments
 
@@ -28,12 +29,20 @@ from . import arguments
 @click.option("--rfc2217", metavar="HOST:PORT", help="Likewise, with baud rate and control lines (Telnet).")
 @click.option("--clock", type=click.Choice(["real", "fast"]), default="real", show_default=True)
 @click.option(
+    "--engine",
+    type=click.Choice(["model", "firmware"]),
+    default="model",
+    show_default=True,
+    help="What runs the board: a model of it, or the reference board's program on an emulated processor (Node.js).",
+)
+@click.option(
     "--duration", type=click.FloatRange(min=0, min_open=True), default=inf, metavar="S", help="Seconds of board time."
 )
 @click.option(
     "--truth", type=click.Path(path_type=Path), metavar="FILE.npz", help="Record every frame as it truly was."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="K", help="For noise and line faults.")
+@click.option("--plan", "only_plan", is_flag=True, help="Only print what would be modelled, what not, and the cost.")
 def command(
     scene_file: Path,
     family: str,
@@ -41,9 +50,11 @@ def command(
     tcp: str | None,
     rfc2217: str | None,
     clock: str,
+    engine: str,
     duration: float,
     truth: Path | None,
     seed: int,
+    only_plan: bool,
 ) -> int:
     """Emulate the board and skin of SCENE.toml; the port to open is printed first.
 
@@ -53,18 +64,32 @@ def command(
         raise click.UsageError("--link, --tcp and --rfc2217 exclude each other")
     board_family(family)
     scene = Scene.load(scene_file)
+    if only_plan:
+        click.echo("\n".join(plan(scene, seed=seed).lines()))
+        return 0
+    if engine == "firmware":
+        if family != "ohmskin":
+            raise click.UsageError(f"--engine firmware and --board {family} exclude each other")
+        check_scene(scene)
+        AVR8JS.require()
     with stop_on_signals() as stop, _port(link, tcp, rfc2217) as port:
         click.echo(banner(scene, port, family))
-        outcome = emulate(
-            scene,
-            port,
-            clock=cast("ClockName", clock),
-            duration_s=duration,
-            seed=seed,
-            truth=truth,
-            family=family,
-            stop=stop,
-        )
+        clock_name = cast("ClockName", clock)
+        if engine == "firmware":
+            outcome = emulate_firmware(
+                scene, port, clock=clock_name, duration_s=duration, seed=seed, truth=truth, stop=stop
+            )
+        else:
+            outcome = emulate(
+                scene,
+                port,
+                clock=clock_name,
+                duration_s=duration,
+                seed=seed,
+                truth=truth,
+                family=family,
+                stop=stop,
+            )
         for note in outcome.notes():
             click.echo(f"ohmskin: {note}", err=True)
         return 0 if stop.signal is None else 128 + stop.signal

@@ -1,0 +1,30 @@
+"""Firmware in the loop: the reference board's program, executed instruction by instruction.
+
+``firmware/`` has the program, ``docs/hardware.md`` the board. The emulated processor is avr8js, a process of Node.js::
+
+    with FirmwareBoard(Scene.load("scene.toml")) as board:
+        data = board.run(0.5)  # the bytes that the board sends in half a second of its own time
+"""
+
+from ._board import REFERENCE_BOARDS, BoardKind, BoardSettings, FirmwareBoard, check_scene
+from ._circuit import REFERENCE_RESISTORS_OHM, reference_outputs
+from ._engines import AVR8JS, Engine, missing_for
+from ._loop import emulate_firmware, running_firmware
+from ._processor import CLOCK_HZ, Processor
+
+__all__ = [
+    "AVR8JS",
+    "CLOCK_HZ",
+    "REFERENCE_BOARDS",
+    "REFERENCE_RESISTORS_OHM",
+    "BoardKind",
+    "BoardSettings",
+    "Engine",
+    "FirmwareBoard",
+    "Processor",
+    "check_scene",
+    "emulate_firmware",
+    "missing_for",
+    "reference_outputs",
+    "running_firmware",
+]

@@ -1,0 +1,219 @@
+"""A firmware board in service on a pty or TCP port: the loop around processor, serial converter, port and clock.
+
+``real``
+    Board time is the machine's. When the machine cannot keep up, board time falls behind.
+``fast``
+    Board time passes as fast as the host reads, and stands still while no host is there.
+
+Between board and port there is a USB converter with a small buffer and a handshake line: while the buffer is full the
+board may not send, and drops whole frames.
+"""
+
+from __future__ import annotations
+
+import secrets
+import selectors
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from math import inf
+from pathlib import Path
+
+from ...errors import InputError
+from .._faults import Line, Schedule
+from .._ports import Port
+from .._run import ClockName, Outcome, Stop
+from .._scene import Scene
+from .._truth import TruthFile
+from ._board import BoardSettings, FirmwareBoard
+from ._engines import AVR8JS, Engine
+
+SLICE_S = 5e-3
+"""s of board time between two looks at the port"""
+CONVERTER_BYTES = 4096
+"""in the buffer of the USB converter when it stops the board; what is on its way then still fits"""
+MOST_BEHIND_S = 0.5
+"""real clock: how late a slice may be before board time is let go"""
+DRAIN_S = 5.0
+"""at the end: how long to wait for a host that has stopped reading"""
+HOST_POLL_S = 0.01
+"""how often to look whether a host has come"""
+
+
+def emulate_firmware(
+    scene: Scene,
+    port: Port,
+    *,
+    clock: ClockName = "real",
+    duration_s: float = inf,
+    seed: int = 0,
+    truth: Path | None = None,
+    settings: BoardSettings | None = None,
+    engine: Engine = AVR8JS,
+    stop: Stop,
+) -> Outcome:
+    """Run a firmware board on ``port`` for ``duration_s`` of board time or until ``stop``; then write the truth file.
+
+    Args:
+        scene: skin, circuit and contacts; its array is that of one of the boards.
+        port: where a host may come.
+        clock: see above.
+        duration_s: of board time.
+        seed: for noise and line faults.
+        truth: .npz file of the frames that left the board, as they truly were.
+        settings: of the board; None: frame rate and serial number of the scene.
+        engine: emulator of the processor.
+        stop: ends the run.
+
+    Raises:
+        InputError: no firmware fits the scene, or the truth file cannot be written.
+        MissingExtra: the engine cannot run here.
+        LinkError: the port or the emulated processor failed.
+
+    """
+    if not duration_s > 0:
+        raise InputError(f"duration is {duration_s} s; expected more than 0")
+    outcome = Outcome()
+    with nullcontext() if truth is None else TruthFile(truth, scene.skin.design.array.shape) as file:
+        record = None if file is None else file.append
+        boot_id = secrets.randbits(32)
+        with FirmwareBoard(scene, settings=settings, engine=engine, seed=seed, boot_id=boot_id, record=record) as board:
+            converter = _Converter(board, port, seed)
+            start = time.monotonic()
+            while board.time_s < duration_s and not stop.is_set():
+                converter.exchange()
+                if clock == "fast":
+                    wait_s = 0.0 if converter.hungry else HOST_POLL_S
+                else:
+                    wait_s = start + board.time_s - time.monotonic()
+                    if wait_s < -MOST_BEHIND_S:
+                        start -= wait_s
+                        outcome.behind_s -= wait_s
+                if wait_s <= 0:
+                    converter.run(min(SLICE_S, duration_s - board.time_s))
+                else:
+                    converter.wait(stop, wait_s)
+            outcome.seconds = min(board.time_s, duration_s)
+            converter.drain(stop)
+    return outcome
+
+
+@contextmanager
+def running_firmware(
+    scene: Scene,
+    port: Port,
+    *,
+    clock: ClockName = "real",
+    duration_s: float = inf,
+    seed: int = 0,
+    truth: Path | None = None,
+    settings: BoardSettings | None = None,
+    engine: Engine = AVR8JS,
+) -> Iterator[None]:
+    """:func:`emulate_firmware` in a thread while the block lasts; the port is closed at its end.
+
+    Raises:
+        InputError, MissingExtra: before the block begins, as :func:`emulate_firmware`.
+
+    """
+    engine.require()
+    stop, failures = Stop(), []
+
+    def live() -> None:
+        try:
+            with port:
+                emulate_firmware(
+                    scene,
+                    port,
+                    clock=clock,
+                    duration_s=duration_s,
+                    seed=seed,
+                    truth=truth,
+                    settings=settings,
+                    engine=engine,
+                    stop=stop,
+                )
+        except Exception as error:
+            failures.append(error)
+
+    thread = threading.Thread(target=live, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        stop.close()
+    if failures:
+        raise failures[0]
+
+
+class _Converter:
+    """The USB converter: bytes of the board on one side, the port on the other."""
+
+    def __init__(self, board: FirmwareBoard, port: Port, seed: int) -> None:
+        self._board, self._port = board, port
+        self._line = Line(board.scene.line, seed, board.scene.link_fault)
+        self._schedule = Schedule(board.scene.link_fault)
+        self._present = False
+        self._buffer = bytearray()
+        self._packet = b""
+        """the beginning of a packet whose end has not left the board"""
+
+    @property
+    def hungry(self) -> bool:
+        """Whether a host is there and has taken nearly all that was sent."""
+        return self._present and len(self._buffer) < CONVERTER_BYTES // 2
+
+    def exchange(self) -> None:
+        """Bytes from the port to the board, and from the buffer to the port."""
+        was_present, self._present = self._present, self._port.host_present()
+        if self._present != was_present:
+            self._buffer.clear()
+        if self._present and not was_present:
+            self._buffer += b"\0"  # ends what may have been cut off for the last host
+        if self._present:
+            data = self._port.read()
+            if data is None:
+                self._present = False
+                self._buffer.clear()
+            else:
+                self._board.send(data)
+        stalled = self._schedule.active("stall", self._board.time_s) is not None
+        if self._present and self._buffer and not stalled:
+            del self._buffer[: self._port.write(bytes(self._buffer))]
+        self._board.clear_to_send = len(self._buffer) < CONVERTER_BYTES
+
+    def run(self, seconds: float) -> None:
+        """Let the board live; the faults of the scene's line befall whole packets."""
+        *packets, self._packet = (self._packet + self._board.run(seconds)).split(b"\0")
+        if self._present:
+            for packet in packets:
+                self._buffer += self._line.carry(packet + b"\0", self._board.time_s)
+
+    def wait(self, stop: Stop, timeout_s: float) -> None:
+        """Until the port or ``stop`` wants attention, or ``timeout_s`` has passed."""
+        with selectors.DefaultSelector() as selector:
+            selector.register(stop, selectors.EVENT_READ)
+            if self._present:
+                both = selectors.EVENT_WRITE if self._buffer else 0
+                selector.register(self._port, selectors.EVENT_READ | both)
+            selector.select(min(timeout_s, HOST_POLL_S))
+
+    def drain(self, stop: Stop) -> None:
+        """Let a host read to the end what was sent, as long as it goes on reading."""
+        left, patience_ends, quiet = None, 0.0, 0
+        while not stop.is_set() and quiet < 3:
+            self.exchange()
+            if not self._present:
+                return
+            before, left = left, (len(self._buffer), self._port.unread())
+            now = time.monotonic()
+            if left != before:
+                patience_ends = now + DRAIN_S
+            elif now > patience_ends:
+                return
+            # The kernel moves bytes on in steps: empty for a moment is not empty yet.
+            quiet = quiet + 1 if left == (0, 0) else 0
+            self.wait(stop, HOST_POLL_S)

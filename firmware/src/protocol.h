@@ -1,0 +1,35 @@
+/* Numbers of the protocol, as in docs/wire.md. */
+#ifndef PROTOCOL_H
+#define PROTOCOL_H
+
+#define PROTOCOL_VERSION 2
+
+#define PACKET_FRAME 0x01
+#define PACKET_DESCRIPTION 0x02
+#define PACKET_IDENTITY 0x03
+#define PACKET_SELF_TEST 0x04
+#define PACKET_REPLY 0x05
+
+#define FLAG_OVERRUN 0x0001
+
+#define ORDER_DESCRIBE 0x81
+#define ORDER_START 0x82
+#define ORDER_STOP 0x83
+#define ORDER_IDENTIFY 0x84
+#define ORDER_ONE_FRAME 0x85
+#define ORDER_RATE 0x86
+#define ORDER_SELF_TEST 0x87
+#define ORDER_LAST ORDER_SELF_TEST
+
+#define STATUS_TAKEN 0
+#define STATUS_UNKNOWN_ORDER 1
+#define STATUS_BAD_PAYLOAD 2
+#define STATUS_OUT_OF_RANGE 3
+#define STATUS_NOT_NOW 4
+#define STATUS_WRONG_VERSION 6
+
+#define LINE_GOOD 0
+#define LINE_OPEN 1
+#define LINE_SHORTED 2
+
+#endif

@@ -1,0 +1,368 @@
+"""The truth file, whatever ends the run, and the score of recordings against it."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ohmskin.cli import run
+from ohmskin.emulator import Recording, Sample, Truth, TruthFile, score
+from ohmskin.errors import InputError
+
+ROOT = Path(__file__).parents[1]
+
+
+def sample(k: int, shape: tuple[int, int] = (3, 2)) -> Sample:
+    values = np.full(shape, float(k))
+    return Sample(k, k / 10, values + 1, values + 2, values + 3, values.astype(np.uint32))
+
+
+def test_the_truth_file_has_every_frame(tmp_path: Path) -> None:
+    path = tmp_path / "truth.npz"
+    with TruthFile(path, (3, 2)) as truth:
+        for k in range(50):
+            truth.append(sample(k))
+        assert not path.exists()
+    with np.load(path) as arrays:
+        assert {name: arrays[name].shape for name in arrays} == {
+            "sequence": (50,),
+            "time_s": (50,),
+            "pressure_kpa": (50, 3, 2),
+            "resistance_ohm": (50, 3, 2),
+            "volts": (50, 3, 2),
+            "pitch_mm": (),
+            "full_scale_kpa": (),
+        }
+        np.testing.assert_array_equal(arrays["sequence"], np.arange(50))
+        np.testing.assert_array_equal(arrays["volts"][:, 2, 1], np.arange(50) + 3.0)
+    assert [file.name for file in tmp_path.iterdir()] == ["truth.npz"]
+
+
+def test_a_run_without_frames_has_an_empty_truth(tmp_path: Path) -> None:
+    with TruthFile(tmp_path / "t.npz", (3, 2)):
+        pass
+    with np.load(tmp_path / "t.npz") as arrays:
+        assert arrays["volts"].shape == (0, 3, 2)
+
+
+def test_a_failed_run_keeps_its_frames_and_one_without_frames_the_old_file(tmp_path: Path) -> None:
+    path = tmp_path / "t.npz"
+    path.write_bytes(b"old")
+
+    def fail(frames: int) -> None:
+        with TruthFile(path, (3, 2)) as truth:
+            for k in range(frames):
+                truth.append(sample(k))
+            raise KeyError
+
+    with pytest.raises(KeyError):
+        fail(0)
+    assert path.read_bytes() == b"old"
+    with pytest.raises(KeyError):
+        fail(7)
+    with np.load(path) as arrays:
+        np.testing.assert_array_equal(arrays["sequence"], np.arange(7))
+    assert [file.name for file in tmp_path.iterdir()] == ["t.npz"]
+
+
+def test_a_spool_is_readable_after_every_block(tmp_path: Path) -> None:
+    """Nothing closes the file here, as when the emulator is killed."""
+    truth = TruthFile(tmp_path / "t.npz", (32, 32)).__enter__()
+    for k in range(200):
+        truth.append(sample(k, (32, 32)))
+        found = np.load(tmp_path / "t.npz.spool.npy")
+        assert k - 25 < len(found) <= k + 1
+    np.testing.assert_array_equal(found["volts"][-1], sample(len(found) - 1, (32, 32)).volts)
+    loaded = Truth.load(tmp_path / "t.npz.spool.npy")
+    assert loaded.pressure_kpa.shape == (len(found), 32, 32)
+    with TruthFile(tmp_path / "t.npz", (32, 32)) as next_truth:  # the next run does not touch what was left
+        next_truth.append(sample(0, (32, 32)))
+    assert len(np.load(tmp_path / "t.npz.spool.npy")) == len(found)
+    truth._spool.close()
+
+
+def test_a_full_disk_is_named_and_loses_one_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, spool = tmp_path / "t.npz", tmp_path / "t.npz.spool.npy"
+    with pytest.raises(InputError, match=re.escape(f"{path}: cannot be written: No space left on device; {spool}")):
+        fill_the_disk(path, monkeypatch)
+    assert 0 < len(np.load(spool)) < 100
+    assert not path.exists()
+
+
+def fill_the_disk(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with TruthFile(path, (32, 32)) as truth:
+        for k in range(100):
+            truth.append(sample(k, (32, 32)))
+            if k == 60:
+                monkeypatch.setattr(truth, "_spool", FullDisk(truth._spool))
+
+
+class FullDisk:
+    """A file on a disk that has just become full."""
+
+    def __init__(self, file: Any) -> None:
+        self._file = file
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+    def write(self, data: bytes) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+SCENE = """
+skin.design = "prototype.toml"
+board.frame_rate = 500.0
+[[contact]]
+cells = [[1, 2]]
+sine = {mean_kpa = 5.0, amplitude_kpa = 3.0, frequency_hz = 2.0}
+"""
+
+
+def start_emulator(folder: Path) -> subprocess.Popen[str]:
+    (folder / "prototype.toml").write_text((ROOT / "verification" / "prototype.toml").read_text())
+    (folder / "scene.toml").write_text(SCENE)
+    board = subprocess.Popen(
+        [sys.executable, "-m", "ohmskin", "emulate", "scene.toml", "--tcp", ":0", "--truth", "t.npz"],
+        cwd=folder,
+        text=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert board.stdout is not None
+    assert board.stdout.readline()
+    spool = folder / "t.npz.spool.npy"
+    deadline = time.monotonic() + 60
+    while not (spool.exists() and spool.stat().st_size > 5000):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    return board
+
+
+def test_a_killed_emulator_leaves_its_frames(tmp_path: Path) -> None:
+    board = start_emulator(tmp_path)
+    board.kill()
+    board.communicate(timeout=30)
+    truth = Truth.load(tmp_path / "t.npz.spool.npy")
+    assert len(truth.sequence) > 10
+    np.testing.assert_array_equal(truth.sequence, np.arange(len(truth.sequence)))
+    assert truth.pressure_kpa[:, 1, 2].max() > 2.0
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGHUP, 129), (signal.SIGTERM, 143)])
+def test_a_hang_up_ends_the_run_with_a_whole_truth(tmp_path: Path, number: int, code: int) -> None:
+    board = start_emulator(tmp_path)
+    board.send_signal(number)
+    _, errors = board.communicate(timeout=60)
+    assert (board.returncode, errors.count("Traceback")) == (code, 0)
+    truth = Truth.load(tmp_path / "t.npz")
+    np.testing.assert_array_equal(truth.sequence, np.arange(len(truth.sequence)))
+    assert truth.full_scale_kpa == 15.5
+    assert truth.pitch_mm == pytest.approx(25.4)
+    assert not list(tmp_path.glob("*.spool*"))
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("no/t.npz", "No such file"), (".", "is a directory"), (os.devnull, "no regular file")],
+)
+def test_a_truth_file_that_cannot_be_is_refused_before_the_run(tmp_path: Path, name: str, reason: str) -> None:
+    with pytest.raises(InputError, match=re.escape(reason)), TruthFile(tmp_path / name, (3, 2)):
+        pytest.fail("the run began")
+
+
+def test_a_long_record_takes_bounded_memory(tmp_path: Path) -> None:
+    one, frames = sample(1, (32, 32)), 2000
+    with TruthFile(tmp_path / "t.npz", (32, 32)) as truth:
+        tracemalloc.start()
+        for _ in range(frames):
+            truth.append(one)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    assert peak < 1e6 < frames * 3 * one.volts.nbytes / 10
+
+
+FRAMES, SHAPE, FULL = 120, (8, 9), 15.5
+
+
+def truth(**changes: Any) -> Truth:
+    """One bump that presses and moves along, frames 100 ... 219 at 50 Hz."""
+    rows, columns = np.mgrid[:8, :9]
+    time_s = np.arange(FRAMES) / 50
+    load = 10 * np.sin(np.pi * time_s / 2.4)[:, None, None] ** 2
+    away = (rows - 4) ** 2 + (columns - (2 + 2 * time_s[:, None, None])) ** 2
+    fields = {
+        "sequence": np.arange(100, 100 + FRAMES),
+        "time_s": time_s,
+        "pressure_kpa": load * np.exp(-away / 2),
+        "pitch_mm": 4.0,
+        "full_scale_kpa": FULL,
+    }
+    return Truth(**(fields | changes))
+
+
+def recording(**changes: Any) -> Recording:
+    real = truth()
+    fields: dict[str, Any] = {
+        "sequence": real.sequence,
+        "time": real.time_s + 1000.0,
+        "pressure": real.pressure_kpa,
+        "valid": np.ones(real.pressure_kpa.shape, dtype=bool),
+    }
+    return Recording(**(fields | changes))
+
+
+def test_a_perfect_recording_scores_no_error() -> None:
+    result = score(recording(), truth())
+    assert (result.frames, result.lost_frames, result.repeated_frames, result.unknown_frames) == (FRAMES, 0, 0, 0)
+    assert result.rmse_kpa == result.worst_kpa == result.contacts_missed == result.contacts_false == 0
+    assert result.contacts > 80
+    assert result.location_rms == pytest.approx(0.0, abs=1e-9)
+    assert result.arrival_worst_ms == pytest.approx(0.0, abs=1e-6)
+    assert result.delay_ms == pytest.approx(0.0, abs=1e-6)
+
+
+def test_errors_are_where_and_as_large_as_they_are() -> None:
+    pressure = truth().pressure_kpa.copy()
+    pressure[:, 7, 0] += 0.5
+    pressure[40, 4, 3] += 3.1
+    result = score(recording(pressure=pressure), truth())
+    assert result.worst_at == (140, 4, 3)
+    assert result.worst_kpa == pytest.approx(3.1)
+    assert result.worst_percent == pytest.approx(20.0)
+    squares = FRAMES * 0.5**2 + 3.1**2
+    assert result.rmse_kpa == pytest.approx(np.sqrt(squares / (FRAMES * 72)))
+
+
+def test_a_recording_that_is_off_by_a_cell_is_off_by_the_pitch() -> None:
+    moved = np.roll(truth().pressure_kpa, 1, axis=1)
+    result = score(recording(pressure=moved), truth())
+    assert result.location_rms == pytest.approx(4.0, rel=0.02)
+    assert result.location_unit == "mm"
+    bare = score(recording(pressure=moved), truth(pitch_mm=np.nan))
+    assert (bare.location_rms, bare.location_unit) == (pytest.approx(1.0, rel=0.02), "cells")
+    assert score(recording(pressure=moved), truth(), pitch_mm=10.0).location_rms == pytest.approx(10.0, rel=0.02)
+
+
+def test_contacts_are_missed_and_imagined() -> None:
+    none = score(recording(pressure=np.zeros((FRAMES, *SHAPE))), truth())
+    assert none.contacts_missed == none.contacts > 0
+    assert np.isnan(none.location_rms)
+    pressure = truth().pressure_kpa.copy()
+    pressure[:, 0, 8] = 9.0
+    ghost = score(recording(pressure=pressure), truth())
+    assert ghost.contacts_false == FRAMES
+    assert ghost.contacts_missed == 0
+
+
+def test_losses_repeats_and_strangers_are_counted() -> None:
+    kept = np.r_[0:30, 40:FRAMES]
+    real = truth()
+    sequence = np.r_[real.sequence[kept], 130, 9999]
+    pressure = np.concatenate([real.pressure_kpa[kept], real.pressure_kpa[[30, 0]]])
+    sequence = np.r_[sequence, real.sequence[5]]
+    pressure = np.concatenate([pressure, real.pressure_kpa[[5]]])
+    some = recording(
+        sequence=sequence, time=np.arange(len(sequence)) * 0.02, pressure=pressure, valid=np.isfinite(pressure)
+    )
+    result = score(some, truth())
+    assert result.frames == FRAMES - 9
+    assert (result.lost_frames, result.repeated_frames, result.unknown_frames) == (9, 1, 1)
+    assert result.rmse_kpa == 0
+
+
+def test_cells_that_the_host_does_not_vouch_for_do_not_count() -> None:
+    pressure = truth().pressure_kpa.copy()
+    pressure[:, 2, 2] = np.nan
+    valid = np.ones(pressure.shape, dtype=bool)
+    valid[:, 2, 2] = False
+    result = score(recording(pressure=pressure, valid=valid), truth())
+    assert result.worst_kpa == 0
+    assert result.valid_percent == pytest.approx(100 * 71 / 72)
+
+
+@pytest.mark.parametrize("frames", [0.0, 3.0, 7.5])
+def test_the_delay_of_an_estimator_is_found(frames: float) -> None:
+    real = truth()
+    late = np.interp(np.arange(FRAMES) - frames, np.arange(FRAMES), real.pressure_kpa.sum(axis=(1, 2)))
+    pressure = np.repeat(late[:, None, None], 72, axis=1).reshape(FRAMES, *SHAPE)
+    expected = np.repeat(real.pressure_kpa.sum(axis=(1, 2))[:, None], 72, axis=1).reshape(FRAMES, *SHAPE)
+    result = score(recording(pressure=pressure), truth(pressure_kpa=expected))
+    assert result.delay_ms == pytest.approx(20.0 * frames, abs=2.0)
+
+
+def test_arrival_is_counted_from_the_fastest_frame() -> None:
+    arrived = truth().time_s + 5.0
+    arrived[50] += 0.08
+    assert score(recording(time=arrived), truth()).arrival_worst_ms == pytest.approx(80.0)
+
+
+def test_what_does_not_belong_together_is_refused() -> None:
+    with pytest.raises(InputError, match="expected the same array"):
+        score(recording(pressure=np.zeros((FRAMES, 2, 2))), truth())
+    with pytest.raises(InputError, match="not of the same run"):
+        score(recording(sequence=np.arange(9000, 9000 + FRAMES)), truth())
+
+
+def save(path: Path, **arrays: Any) -> Path:
+    np.savez(path, **arrays)
+    return path
+
+
+def test_the_command_scores_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    real = truth()
+    there = save(
+        tmp_path / "truth.npz",
+        **{name: getattr(real, name) for name in ("sequence", "time_s", "pressure_kpa", "pitch_mm", "full_scale_kpa")},
+    )
+    here = save(
+        tmp_path / "r.npz",
+        sequence=real.sequence.astype(np.uint32),
+        time=real.time_s,
+        pressure=(real.pressure_kpa + 0.1).astype(np.float32),
+    )
+    assert run(["score", str(here), str(there), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["rmse_kpa"] == pytest.approx(0.1, rel=1e-4)
+    assert found["frames"] == FRAMES
+    assert run(["score", str(here), str(there)]) == 0
+    assert "0.1 kPa, 0.65 % of full scale" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "is no .npz file"),
+        (b"PK\x05\x06" + bytes(18), "has no array 'sequence'"),
+        ({"sequence": [1.5], "time": [0.0], "pressure": [[[1.0]]]}, "expected whole numbers"),
+        ({"sequence": [1, 2], "time": [0.0], "pressure": [[[1.0]]]}, "one entry of each per frame"),
+        ({"sequence": [1], "time": [np.nan], "pressure": [[[1.0]]]}, "'time' has entries that are no numbers"),
+        ({"sequence": [1], "time": [0.0], "pressure": [[1.0]]}, "expected numbers in 3 dimensions"),
+        ({"sequence": [1], "time": [0.0], "pressure": [[["a"]]]}, "expected numbers in 3 dimensions"),
+        ({"sequence": [1], "time": [0.0], "pressure": [[[1.0]]], "valid": [1]}, "'valid' has shape (1,)"),
+        (None, "No such file"),
+    ],
+)
+def test_a_file_that_is_no_recording_is_refused_in_one_line(
+    tmp_path: Path, content: Any, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "r.npz"
+    if isinstance(content, bytes):
+        path.write_bytes(content)
+    elif content is not None:
+        save(path, **content)
+    assert run(["score", str(path), str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
