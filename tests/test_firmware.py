@@ -118,7 +118,7 @@ def test_the_program_describes_the_design_that_is_shipped(kind: Any) -> None:
     header = FIRMWARE / "src" / f"description_{kind.name}.h"
     assert header.read_text() == describe.header(design, Cell.example())
     with FirmwareBoard(scene(kind.name)) as board:
-        heard = Host(board).hear(0.2)
+        heard = Host(board).hear(0.35)
     (description,) = of(Description, heard)
     assert Design.model_validate(description.design) == design
     assert Cell.model_validate(description.cell) == Cell.example()
@@ -266,7 +266,7 @@ def test_the_self_test_of_the_large_board_sees_its_reference_resistors() -> None
     with FirmwareBoard(scene("16x16")) as board:
         host = Host(board)
         host.hear(0.03)
-        (result,) = of(SelfTest, host.ask(Order.SELF_TEST, 0.04))
+        (result,) = of(SelfTest, host.ask(Order.SELF_TEST, 0.08))
     assert set(result.rows) == set(result.columns) == {LineState.GOOD}
     assert all(measured == pytest.approx(nominal, rel=0.01) for nominal, measured in result.references)
 
