@@ -2,7 +2,7 @@
 
 from ._calibrate import CalibrationResult, calibrate, estimate_recording
 from ._cell import ESTIMATORS, Cell
-from ._estimators import Estimate, Estimator
+from ._estimator import Estimator
 from ._forward import Forward
 from ._identify import recovery_branches
 from ._material import drifted_rest_resistance, sensitivity
@@ -18,7 +18,6 @@ __all__ = [
     "CalibrationResult",
     "Cell",
     "ContactModel",
-    "Estimate",
     "Estimator",
     "Forward",
     "M10Model",

@@ -11,7 +11,7 @@ from ..errors import InputError
 from . import _simulate as simulate
 from . import _training as training
 from ._cell import ESTIMATORS, Calibrated, Cell, EstimatorName
-from ._estimators import Estimator
+from ._estimator import Estimator
 from ._identify import HELD_OUT, Fit, fits
 from ._inverse import margin
 from ._learned import DRIFT, Learned, Seen
@@ -113,12 +113,21 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
 def estimate_recording(
     estimator: Estimator, time_s: FloatArray, resistance_ohm: FloatArray
 ) -> tuple[FloatArray, FloatArray | None]:
-    """A single cell's estimates (n,) and standard deviations, in kPa, of a whole recording."""
-    estimates = [estimator.update(float(t), r) for t, r in zip(time_s, resistance_ohm, strict=True)]
-    pressure = np.array([float(e.pressure_kpa) for e in estimates])
-    if any(e.std_kpa is None for e in estimates):
-        return pressure, None
-    return pressure, np.array([float(e.std_kpa) for e in estimates if e.std_kpa is not None])
+    """Estimates (n,) of one cell and their standard deviations, in kPa, of a whole recording.
+
+    Args:
+        estimator: made for the shape ().
+        time_s: (n,) increasing.
+        resistance_ohm: (n,); NaN where there is no reading.
+
+    Returns:
+        Pressure, and its standard deviation or None if the estimator states none.
+    """
+    pressure, std = np.empty((2, len(time_s)))
+    for n, elapsed in enumerate(np.diff(time_s, prepend=time_s[0])):
+        pressure[n] = estimator.step(float(elapsed), resistance_ohm[n])
+        std[n] = estimator.std_kpa
+    return pressure, std if estimator.states_std else None
 
 
 def _teacher(found: tuple[Fit, ...]) -> Fit:

@@ -9,6 +9,7 @@ from ._board import Board
 from ._design import Adc, Array, Cells, Design, Drive, Fault, Operation, Readout, Requirements, Sheet
 from ._effects import Effect, effects
 from ._ideal import apparent_resistance, ideal_volts
+from ._population import Boards, PopulationReading, scan_population
 from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
@@ -28,6 +29,7 @@ __all__ = [
     "Array",
     "BatchResult",
     "Board",
+    "Boards",
     "Cells",
     "Conditioning",
     "Conditions",
@@ -37,6 +39,7 @@ __all__ = [
     "Fault",
     "Noise",
     "Operation",
+    "PopulationReading",
     "Readout",
     "Recoverer",
     "Recovery",
@@ -63,6 +66,7 @@ __all__ = [
     "recover",
     "scan",
     "scan_batch",
+    "scan_population",
     "scan_sequence",
     "sensitivity",
     "stability",

@@ -99,6 +99,11 @@ class Board:
         """commands to answer, by packet type"""
 
     @property
+    def skin(self) -> EmulatedSkin:
+        """What the board reads."""
+        return self._skin
+
+    @property
     def next_us(self) -> int:
         """Time of the next tick, in us since the start."""
         return self._skin.next_us

@@ -52,6 +52,12 @@ class FrameBlock:
     resistance_ohm: FloatArray
     volts: FloatArray
     counts: CodeArray
+    method: tuple[str, ...]
+    """(frames,) how the circuit was solved, as :class:`ohmskin.circuits.BatchResult` says"""
+    error_volts: FloatArray
+    """(frames,) V by which no output is off, certified; noise not counted"""
+    cells_stepped: int
+    """cells that were not at rest during the block"""
 
     def __len__(self) -> int:
         return len(self.time_us)
@@ -103,6 +109,16 @@ class EmulatedSkin:
     def next_us(self) -> int:
         """Time of the next frame, in us since the start."""
         return self._ticks.at(self._next_tick)
+
+    @property
+    def block(self) -> FrameBlock | None:
+        """The block of the latest frame; None before the first."""
+        return self._block
+
+    @property
+    def frames_ready(self) -> int:
+        """Frames that are computed and not read."""
+        return 0 if self._block is None else len(self._block) - self._place
 
     def read(self) -> tuple[FrameBlock, int]:
         """The next frame, as a block and the frame's place in it."""
@@ -161,6 +177,7 @@ class ScenePhysics:
         self._rest_ohm = self._cells.rest_resistance_ohm.ravel()
         self._rest_tolerance = _REST_STEPS / 2.0**design.adc.bits
         self._active = np.empty(0, dtype=np.intp)
+        self._stepped = 0
         self._time_us: int | None = None
         self._designs: dict[tuple[int, ...], Design] = {(): design}
         self.by_hand_kpa = np.zeros(self._rest_ohm.size)
@@ -173,10 +190,11 @@ class ScenePhysics:
     def run(self, time_us: IntArray) -> FrameBlock:
         """Live through frames at these times; the pressure is taken to change linearly between frames."""
         surface, resistance = self.cells(time_us)
-        volts = self._volts(time_us / 1e6, resistance)
+        volts, method, error_volts = self._read(time_us / 1e6, resistance)
         if self._scene.board.noise:
             volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
-        return FrameBlock(time_us, surface, resistance, volts, adc_codes(self._scene.skin.design, volts))
+        counts = adc_codes(self._scene.skin.design, volts)
+        return FrameBlock(time_us, surface, resistance, volts, counts, method, error_volts, self._stepped)
 
     def cells(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
         """Live through these times: kPa on the surface and ohm of the cells, both (frames, rows, columns)."""
@@ -207,6 +225,7 @@ class ScenePhysics:
         self._time_us = int(time_us[-1])
         surface = np.zeros((frames, self._rest_ohm.size))
         if movie is not None and movie.quantity == "resistance":
+            self._stepped = 0
             return surface.reshape(frames, *self._shape), movie.at(time_s, self._shape)
         touched, pressure = self._with_hand(*self._scene.pressure_on(time_s))
         surface[:, touched] = pressure
@@ -214,6 +233,7 @@ class ScenePhysics:
         felt = felt * self._sensitivity.flat[felt_cells]
 
         self._active = np.union1d(self._active, felt_cells)
+        self._stepped = len(self._active)
         on_active = np.zeros((frames, len(self._active)))
         on_active[:, np.searchsorted(self._active, felt_cells)] = felt
         resistance = np.repeat(self._rest_ohm[None], frames, axis=0)
@@ -234,18 +254,20 @@ class ScenePhysics:
         total[:, np.searchsorted(cells, touched)] += pressure
         return cells, total
 
-    def _volts(self, time_s: FloatArray, resistance: FloatArray) -> FloatArray:
-        """V (frames, rows, columns) at the ADC, each stretch of frames by the circuit that the events leave."""
+    def _read(self, time_s: FloatArray, resistance: FloatArray) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
+        """Volts at the ADC, methods and certified errors, each stretch of frames by the circuit that events leave."""
         events = [(k, event) for k, event in enumerate(self._scene.event) if not event.changes_cells]
-        if not events:
-            return scan_sequence(self._scene.skin.design, resistance).volts
-        happening = np.array([event.happening(time_s) for _, event in events])
+        happening = np.array([event.happening(time_s) for _, event in events]).reshape(len(events), len(time_s))
         changes = np.flatnonzero((happening[:, 1:] != happening[:, :-1]).any(axis=0)) + 1
-        volts = np.empty(resistance.shape)
+        volts, error = np.empty(resistance.shape), np.empty(len(time_s))
+        methods: tuple[str, ...] = ()
         for first, last in pairwise([0, *changes.tolist(), len(time_s)]):
             now = tuple(k for (k, _), on in zip(events, happening[:, first], strict=True) if on)
-            volts[first:last] = scan_sequence(self._design_during(now), resistance[first:last]).volts
-        return volts
+            read = scan_sequence(self._design_during(now), resistance[first:last])
+            volts[first:last] = read.volts
+            error[first:last] = read.error_bound * np.abs(read.volts).max(axis=(1, 2))
+            methods += read.method
+        return volts, methods, error
 
     def _design_during(self, events: tuple[int, ...]) -> Design:
         """The design while these events last."""

@@ -452,8 +452,8 @@ class TestReconnection:
         with lossless(described(frame(0), frame(1), frame(2, ms=45_000.0, level=1500))) as skin:
             frames = list(islice(skin, 3))
         assert [f.estimator_restarted for f in frames] == [True, False, True]
-        fresh = WHAT.cell.estimator((3, 2)).update(0.0, frames[2].resistance)
-        np.testing.assert_array_equal(frames[2].pressure, fresh.pressure_kpa)
+        fresh = WHAT.cell.estimator((3, 2)).step(1.0, frames[2].resistance)
+        np.testing.assert_array_equal(frames[2].pressure, fresh)
 
     def test_a_killed_emulator_that_starts_again_is_found_again(self, tmp_path: Path) -> None:
         link = tmp_path / "skin"
