@@ -171,12 +171,14 @@ def test_too_short_a_dwell_shows_as_the_error_that_settling_predicts() -> None:
         with FirmwareBoard(movie, settings=BoardSettings(dwell_us=dwell_us), record=samples.append) as board:
             board.hold_cells(cells)
             board.run(0.05)
-        design = movie.skin.design.replace(adc={"acquisition_time": 2e-6})
+        acquisition = 2e-6  # s: long enough for the capacitor; Settling has the conversions follow each other
+        design = movie.skin.design.replace(adc={"acquisition_time": acquisition})
         settling = Settling(design, cells)
         selected = {row: time for time, row in board.row_switches}
         for time, row, column in board.sample_instants:
             if row in (0, 2):
-                predicted = settling.sampled_from_rest(time - selected[row])[row, column]
+                period = time - selected[row] + (3 - column) * acquisition
+                predicted = settling.sampled_from_rest(period)[row, column]
                 assert samples[-1].volts[row, column] == pytest.approx(predicted, abs=1e-5)
         errors.append(np.abs(samples[-1].volts - settling.settled)[0, 0])
         first = [time - selected[row] for time, row, column in board.sample_instants if column == 0]
