@@ -9,10 +9,11 @@ from ._board import Board
 from ._design import Adc, Array, Cells, Design, Drive, Fault, Operation, Readout, Requirements, Sheet
 from ._effects import Effect, effects
 from ._ideal import apparent_resistance, ideal_volts
+from ._population import Boards, PopulationReading, scan_population
 from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
-from ._sequence import scan_sequence
+from ._sequence import interpolates, scan_sequence
 from ._spread import Spread
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import (
@@ -38,6 +39,7 @@ __all__ = [
     "Array",
     "BatchResult",
     "Board",
+    "Boards",
     "Cells",
     "Conditioning",
     "Conditions",
@@ -49,6 +51,7 @@ __all__ = [
     "LiveRecovery",
     "Noise",
     "Operation",
+    "PopulationReading",
     "Readout",
     "Recoverer",
     "Recovery",
@@ -71,11 +74,13 @@ __all__ = [
     "conversion_limits",
     "effects",
     "ideal_volts",
+    "interpolates",
     "live_recovery",
     "noise",
     "recover",
     "scan",
     "scan_batch",
+    "scan_population",
     "scan_sequence",
     "sensitivity",
     "stability",

@@ -297,6 +297,8 @@ class Operation(Section):
 
     frame_rate: Annotated[float, Field(gt=0, le=1e6)] | None = None
     """Hz: frames of all rows"""
+    baudrate: Annotated[float, Field(gt=0, le=1e12)] | None = None
+    """bit/s of the link to the host, start and stop bits included"""
     temperature_range: Annotated[tuple[NotNegative, NotNegative], Field(strict=False)] | None = None
     """K, lowest and highest ambient temperature; None: 298.15 K only"""
     readings_per_calibration: Annotated[int, Field(ge=1)] = 20

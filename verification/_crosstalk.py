@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from .. import plots
@@ -10,18 +12,16 @@ from ..circuits import Array, Design, ideal_volts, scan, spice
 from ..emulator import spread
 from ..errors import MissingExtra
 from ._maps import heat_maps
-from ._outcome import Check, Figure, Finding, Table
+from ._outcome import Check, Figure, Finding, Table, does_not_apply
+from ._static import worst_of
 from ._subject import Subject
 from ._variants import (
     amplifiers,
     change,
     converted,
     grounded_divider,
-    ideal,
     open_divider,
     replaced,
-    worst_crosstalk,
-    worst_reading_error,
 )
 
 OPEN_DIVIDER = "divider, idle lines open"
@@ -56,6 +56,10 @@ def grid_resistance(subject: Subject) -> Finding:
 
 def equation_10(subject: Subject) -> Finding:
     """P12: Vout = -Vin Rref / Rij, and how far real parts depart from it."""
+    if subject.design.readout.circuit != "inverting-amplifier":
+        return does_not_apply(
+            f"equation (10) is that of an inverting amplifier, not of a {subject.design.readout.circuit}"
+        )
     circuit = amplifiers(subject.design)
     rng = np.random.default_rng(12)
     worst = 0.0
@@ -64,13 +68,12 @@ def equation_10(subject: Subject) -> Finding:
         signal = scan(circuit, cells, method="exact").volts - circuit.readout.reference_voltage
         alone = ideal_volts(circuit, cells) - circuit.readout.reference_voltage
         worst = max(worst, float(np.abs(signal / alone - 1).max()))
-    amplified = subject.design.readout.circuit == "inverting-amplifier"
     return Finding(
         checks=[
             Check("ideal parts give -Vin Rref/Rij whatever the neighbours: worst relative deviation", worst, 1e-12)
         ],
         text=["Twenty random arrays over four decades of resistance, read with ideal parts, against equation (10)."],
-        figures=[_sweep(subject)] if amplified else [],
+        figures=[_sweep(subject)],
     )
 
 
@@ -102,9 +105,24 @@ def _sweep(subject: Subject) -> Figure:
         return Figure(plots.svg(figure), caption)
 
 
-def crosstalk(subject: Subject) -> Finding:
-    """P13: grounded idle rows and an amplifier on each column leave no crosstalk but that of real parts."""
-    design, limits = subject.design, subject.design.requirements
+@dataclass(frozen=True)
+class _Readouts:
+    """What each readout makes of each pattern of presses."""
+
+    patterns: dict[str, BoolArray]
+    true: dict[str, FloatArray]
+    """by pattern: change of each cell's resistance in %"""
+    seen: dict[str, dict[str, FloatArray]]
+    """by pattern and readout: change of the apparent resistance in %"""
+
+    def untouched(self, readout: str) -> float:
+        """Largest change of an untouched cell over all patterns, %."""
+        changes = (np.abs(np.where(self.patterns[p], 0.0, seen[readout])).max() for p, seen in self.seen.items())
+        return float(max(changes))
+
+
+def _compared(subject: Subject) -> _Readouts:
+    design = subject.design
     patterns = _patterns(design.array.shape)
     readouts = {
         OPEN_DIVIDER: open_divider(design),
@@ -113,68 +131,77 @@ def crosstalk(subject: Subject) -> Finding:
         "as designed": design,
     }
     at_rest = np.full(design.array.shape, subject.rest)
-    worst: dict[str, float] = {}
-    rows, figures = [], []
+    true, seen = {}, {}
     for title, pressed in patterns.items():
         cells = np.where(pressed, subject.pressed, subject.rest)
-        seen = {name: change(readout, at_rest, cells) for name, readout in readouts.items()}
-        true = np.where(pressed, 100 * (subject.pressed / subject.rest - 1), 0.0)
-        figures.append(
-            Figure(
-                heat_maps({"truth": true} | seen, label="change of resistance / %", limit=true.max(), marked=pressed),
-                f"{title.capitalize()}: change of each cell's apparent resistance against rest. Outlined cells are "
-                "pressed; every other cell should read 0.",
-            )
-        )
-        for name, changed in seen.items():
-            untouched = np.abs(np.where(pressed, 0.0, changed))
-            place = np.unravel_index(np.argmax(untouched), untouched.shape)
-            worst[name] = max(worst.get(name, 0.0), worst_crosstalk(readouts[name], at_rest, cells))
-            rows.append(
-                [
-                    title,
-                    name,
-                    f"{untouched[place]:.3g} %" if untouched[place] > 1e-9 else "none",
-                    f"({place[0]}, {place[1]})" if untouched[place] > 1e-9 else "",
-                    f"{100 * np.min(changed[pressed] / true[pressed]):.1f} %",
-                ]
-            )
-    frames = [at_rest] + [np.where(pressed, subject.pressed, subject.rest) for pressed in patterns.values()]
+        true[title] = np.where(pressed, 100 * (subject.pressed / subject.rest - 1), 0.0)
+        seen[title] = {name: change(readout, at_rest, cells) for name, readout in readouts.items()}
+    return _Readouts(patterns, true, seen)
+
+
+def crosstalk(subject: Subject) -> Finding:
+    """P13: grounded idle rows and an amplifier on each column leave no crosstalk but that of real parts."""
+    design, limits = subject.design, subject.design.requirements
+    compared = _compared(subject)
+    frames = [np.full(design.array.shape, subject.rest)]
+    frames += [np.where(pressed, subject.pressed, subject.rest) for pressed in compared.patterns.values()]
     scans = [scan(design, cells, method="exact") for cells in frames]
-    error = max(worst_reading_error(design, cells) for cells in frames)
+    worst, error = (100 * abs(worst_of(subject, name).value) for name in ("crosstalk", "reading_error"))
+    ideal_parts = compared.untouched("amplifier, ideal parts")
     checks = [
-        Check("crosstalk as designed, worst untouched cell", worst["as designed"], limits.crosstalk_percent, "%"),
-        Check("crosstalk with ideal parts, worst untouched cell", worst["amplifier, ideal parts"], 1e-10, "%"),
-        Check(
-            "reading error as designed, worst cell, uncalibrated",
-            error,
-            limits.reading_error_percent,
-            "%",
-        ),
+        Check("crosstalk as designed, worst untouched cell", worst, limits.crosstalk_percent, "%"),
+        Check("crosstalk with ideal parts, worst untouched cell", ideal_parts, 1e-10, "%"),
+        Check("reading error as designed, worst cell, uncalibrated", error, limits.reading_error_percent, "%"),
         Check("outputs at a supply limit", float(sum(int(result.saturated.sum()) for result in scans)), 0.0),
         _against_ngspice(design, frames, [result.volts for result in scans]),
     ]
     if min(design.array.shape) > 1:
-        checks.append(Check("the plain divider does show crosstalk", worst[OPEN_DIVIDER], 1.0, "%", at_least=True))
+        found = compared.untouched(OPEN_DIVIDER)
+        checks.append(Check("the plain divider does show crosstalk", found, 1.0, "%", at_least=True))
     return Finding(
         checks=checks,
         text=[
             f"Cells rest at {subject.rest:.0f} ohm and are pressed with {subject.full_scale_kpa:g} kPa, which raises "
             f"them to {subject.pressed:.0f} ohm at equilibrium. Crosstalk is the change of an untouched cell's "
             "apparent resistance, in % of its own reading. 'As designed' includes leads, segments, the amplifier's "
-            "gain, offset, bias current and swing, and the ADC; the checks take the worse sign of offset and bias "
-            "current, and the worst place within an ADC step."
+            "gain, offset, bias current and swing, and the ADC; the checks take the worst pattern, the worst corner of "
+            "all tolerances, and the worst place within an ADC step.",
+            f"Crosstalk: {worst_of(subject, 'crosstalk').search}.",
         ],
-        figures=figures,
-        tables=[
-            Table(
-                ["pressed", "readout", "worst crosstalk", "at cell", "pressed cells show, of their true change"],
-                rows,
-                "Crosstalk of each readout.",
-            ),
-            _budget(subject, patterns),
-        ],
+        figures=[_pattern_figure(compared, title) for title in compared.patterns],
+        tables=[_pattern_table(compared)],
     )
+
+
+def _pattern_figure(compared: _Readouts, title: str) -> Figure:
+    pressed, true = compared.patterns[title], compared.true[title]
+    maps = {"truth": true} | compared.seen[title]
+    return Figure(
+        heat_maps(maps, label="change of resistance / %", limit=float(np.abs(true).max()), marked=pressed),
+        f"{title.capitalize()}: change of each cell's apparent resistance against rest. Outlined cells are pressed; "
+        "every other cell should read 0.",
+    )
+
+
+def _pattern_table(compared: _Readouts) -> Table:
+    rows = []
+    for title, seen in compared.seen.items():
+        pressed = compared.patterns[title]
+        for name, changed in seen.items():
+            untouched = np.abs(np.where(pressed, 0.0, changed))
+            place = np.unravel_index(np.argmax(untouched), untouched.shape)
+            visible = untouched[place] > 1e-9
+            rows.append(
+                [
+                    title,
+                    name,
+                    f"{untouched[place]:.3g} %" if visible else "none",
+                    f"({place[0]}, {place[1]})" if visible else "",
+                    f"{100 * np.min(changed[pressed] / compared.true[title][pressed]):.1f} %",
+                ]
+            )
+    header = ["pressed", "readout", "worst crosstalk", "at cell", "pressed cells show, of their true change"]
+    return Table(header, rows, "Crosstalk of each readout, nominal parts.")
 
 
 def slicing(subject: Subject) -> Finding:
@@ -270,34 +297,3 @@ def _patterns(shape: tuple[int, int]) -> dict[str, BoolArray]:
     if rows * columns > 1:
         patterns["all but one"] = ~one
     return patterns
-
-
-def _budget(subject: Subject, patterns: dict[str, BoolArray]) -> Table:
-    """Each real part alone: what it costs, over all patterns."""
-    design = subject.design
-    perfect = ideal(design, design.readout.circuit, design.drive.idle_rows)
-    at_rest = np.full(design.array.shape, subject.rest)
-    array, readout = design.array, design.readout
-    lines = ("row_segment", "column_segment")
-    alone: dict[str, Design] = {
-        "row leads and switches": replaced(perfect, "array", row_lead=array.row_lead),
-        "column leads": replaced(perfect, "array", column_lead=array.column_lead),
-        "fabric segments": replaced(perfect, "array", **{key: getattr(array, key) for key in lines}),
-        "open-loop gain": replaced(perfect, "readout", open_loop_gain=readout.open_loop_gain),
-        "offset voltage": replaced(perfect, "readout", offset_voltage=readout.offset_voltage),
-        "bias current": replaced(perfect, "readout", bias_current=readout.bias_current),
-        "output swing": replaced(perfect, "readout", supply=readout.supply),
-        "ADC": perfect.replace(adc=design.adc),
-        "all together": design,
-    }
-    rows = []
-    for name, variant in alone.items():
-        frames = [np.where(pressed, subject.pressed, subject.rest) for pressed in patterns.values()]
-        error = max(worst_reading_error(variant, cells) for cells in frames)
-        crosstalk = max(worst_crosstalk(variant, at_rest, cells) for cells in frames)
-        rows.append([name, *(f"{value:.3g} %" if value > 1e-9 else "none" for value in (error, crosstalk))])
-    return Table(
-        ["real part, alone", "worst reading error", "worst crosstalk"],
-        rows,
-        "Error budget of the design, over all patterns, for the worse sign of offset and bias current.",
-    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 
@@ -16,14 +17,31 @@ from ..driver import Frame, Skin
 from ..emulator import Contact, PtyPort, Rectangle, Scene, running
 from ..emulator._scene import BoardSettings, SkinSettings
 from ..errors import InputError
+from ._chain import runs
 from ._maps import heat_maps
 from ._outcome import Check, Figure, Finding, not_run
 from ._subject import Subject
 from ._timing import timing
 
 RATE_HZ = 50.0
-SECONDS = 40.0
+SECONDS = 26.0
+PATIENCE_S = 60.0
+"""for one frame: a slow machine is no failure"""
 TOUCHED = 0.1  # of full scale: above it a cell counts as touched
+
+
+@dataclass(frozen=True)
+class _Received:
+    """What the driver made of a board's frames, beside the truth."""
+
+    scene: Scene
+    frames: list[Frame]
+    applied: FloatArray
+    """(frames, rows, columns) kPa"""
+    unlike: int
+    """counts that differ from those sent"""
+    misplaced: float
+    """share of cells wrongly shown as touched or untouched"""
 
 
 def whole_skin(subject: Subject) -> Finding:
@@ -38,54 +56,66 @@ def whole_skin(subject: Subject) -> Finding:
 
 
 def _emulated(subject: Subject) -> Finding:
+    """The chain in board time for the pressures; a board on a pseudo-terminal for packets, driver and places."""
+    limit = subject.design.requirements.pressure_rmse_percent
+    operated = subject.at_rate(RATE_HZ)
+    histories = runs(operated)
+    rmse, peak = (100 * max(found) for found in zip(*((h.rmse()[0], h.peak()[0]) for h in histories), strict=True))
+    lost = 100 * max(float(history.lost.mean()) for history in histories)
+    received = _receive(operated)
+    frames = received.frames
+    speed = timing(operated, RATE_HZ)
+    return Finding(
+        checks=[
+            Check("pressure RMSE, worst cell while touched", rmse, 2 * limit, "% of full scale"),
+            Check("pressure, peak error of any cell", peak, 4 * limit, "% of full scale"),
+            Check("readings lost to a limit", lost, 0.0, "%"),
+            Check("cells wrongly shown as touched or untouched", 100 * received.misplaced, 1.0, "%"),
+            Check("counts that differ from what the board sent", float(received.unlike), 0.0),
+            Check("frames lost", float(sum(frame.lost_before or 0 for frame in frames)), 0.0),
+            Check("frames received", float(len(frames)), SECONDS * RATE_HZ, at_least=True),
+            *speed.checks,
+        ],
+        text=[
+            "Pressures: boards at the worst corner of their tolerances and drawn at random, with the design's noise, "
+            "settling and converter, read by a host that knows nominal parts and each cell's resistance at rest.",
+            f"Places and packets: the virtual board scans a skin with {len(received.scene.contact)} contacts "
+            f"{RATE_HZ:g} times a second and sends packets over a pseudo-terminal; the driver opens it like any serial "
+            "port, learns the design from the board, and estimates the pressure of every cell. A cell counts as "
+            f"touched above {100 * TOUCHED:g} % of full scale; frames within 0.3 s of a change are left out of that "
+            "comparison. Time is the board's: this machine's speed decides nothing.",
+            *speed.text,
+        ],
+        figures=[
+            _traces(received, subject.full_scale_kpa),
+            _snapshot(received, subject.full_scale_kpa),
+            *speed.figures,
+        ],
+        tables=speed.tables,
+    )
+
+
+def _receive(subject: Subject) -> _Received:
     scene = _scene(subject)
+    full = subject.full_scale_kpa
     with tempfile.TemporaryDirectory() as folder:
         truth_file = Path(folder) / "truth.npz"
         port = PtyPort()
         # The board lives a little longer than what the host takes, so that it never waits for a last frame.
-        with running(scene, port, clock="fast", duration_s=SECONDS + 1.0, truth=truth_file):
-            start = time.perf_counter()
-            with Skin.open(port.name, delivery="lossless") as skin:
-                frames = list(islice(skin, round(SECONDS * RATE_HZ)))
-            elapsed = time.perf_counter() - start
+        with (
+            running(scene, port, clock="fast", duration_s=SECONDS + 1.0, truth=truth_file),
+            Skin.open(port.name, delivery="lossless", timeout=PATIENCE_S) as skin,
+        ):
+            frames = list(islice(skin, round(SECONDS * RATE_HZ)))
         with np.load(truth_file) as file:
             truth = {name: file[name] for name in file.files}
     frames = [frame for frame in frames if (frame.sequence or 0) < len(truth["sequence"])]
     applied = truth["pressure_kpa"][[frame.sequence for frame in frames]]
     estimate = np.array([frame.pressure for frame in frames])
     sent = adc_codes(subject.design, truth["volts"])
-    full = subject.full_scale_kpa
-    error = (estimate - applied) / full
     unlike = sum(int((frame.counts != sent[frame.sequence]).sum()) for frame in frames)
-    settled = _settled(applied, full)
-    misplaced = (np.isnan(estimate) | ((estimate > TOUCHED * full) != (applied > TOUCHED * full)))[settled]
-    per_cell = 100 * np.sqrt(np.mean(error**2, axis=0))
-    worst = np.unravel_index(np.argmax(per_cell), per_cell.shape)
-    limit = subject.design.requirements.pressure_rmse_percent
-    speed = timing(subject, RATE_HZ)
-    return Finding(
-        checks=[
-            Check(
-                "pressure RMSE, all cells and frames", 100 * float(np.sqrt(np.mean(error**2))), limit, "% of full scale"
-            ),
-            Check("pressure RMSE, worst cell", float(per_cell[worst]), 2 * limit, "% of full scale"),
-            Check("cells wrongly shown as touched or untouched", 100 * float(misplaced.mean()), 1.0, "%"),
-            Check("counts that differ from what the board sent", float(unlike), 0.0),
-            Check("frames lost", float(sum(frame.lost_before or 0 for frame in frames)), 0.0),
-            Check("frames received", float(len(frames)), SECONDS * RATE_HZ, at_least=True),
-            Check("speed over real time, emulator included", SECONDS / elapsed, 1.0, "times", at_least=True),
-            *speed.checks,
-        ],
-        text=[
-            f"The virtual board scans a skin with {len(scene.contact)} contacts {RATE_HZ:g} times a second and sends "
-            "packets over a pseudo-terminal; the driver opens it like any serial port, learns the design from the "
-            "board, and estimates the pressure of every cell. A cell counts as touched above "
-            f"{100 * TOUCHED:g} % of full scale; frames within 0.3 s of a change are left out of that comparison.",
-            *speed.text,
-        ],
-        figures=[_traces(scene, frames, applied, full), _snapshot(frames, applied, full), *speed.figures],
-        tables=speed.tables,
-    )
+    wrong = np.isnan(estimate) | ((estimate > TOUCHED * full) != (applied > TOUCHED * full))
+    return _Received(scene, frames, applied, unlike, float(wrong[_settled(applied, full)].mean()))
 
 
 def _hardware(port: str) -> Finding:
@@ -139,8 +169,10 @@ def _settled(applied: FloatArray, full: float) -> BoolArray:
     return settled
 
 
-def _traces(scene: Scene, frames: list[Frame], applied: FloatArray, full: float) -> Figure:
-    places = sorted({tuple(np.argwhere(c.coverage(applied.shape[1:]) > 0)[0].tolist()) for c in scene.contact})
+def _traces(received: _Received, full: float) -> Figure:
+    frames, applied = received.frames, received.applied
+    contacts = received.scene.contact
+    places = sorted({tuple(np.argwhere(c.coverage(applied.shape[1:]) > 0)[0].tolist()) for c in contacts})
     times = [frame.device_time for frame in frames]
     with plots.drawing(len(places), 1, height=1.0 + 1.3 * len(places), sharex=True) as (figure, axes):
         for panel, (row, column) in zip(axes[:, 0], places, strict=True):
@@ -152,7 +184,8 @@ def _traces(scene: Scene, frames: list[Frame], applied: FloatArray, full: float)
         return Figure(plots.svg(figure), "One cell of each contact, through board, port, driver and estimator.")
 
 
-def _snapshot(frames: list[Frame], applied: FloatArray, full: float) -> Figure:
+def _snapshot(received: _Received, full: float) -> Figure:
+    frames, applied = received.frames, received.applied
     busiest = int(np.argmax((applied > TOUCHED * full).sum(axis=(1, 2)) + applied.sum(axis=(1, 2)) / (1e3 * full)))
     estimate = frames[busiest].pressure
     maps = {"applied": applied[busiest], "estimated": estimate, "difference": estimate - applied[busiest]}

@@ -45,7 +45,33 @@ def heat_maps(
         return plots.svg(figure)
 
 
-def _outline(column: int, row: int) -> Any:
+def value_map(array: FloatArray, *, label: str, top: float, limit: float | None) -> str:
+    """One array (rows, columns) of magnitudes from 0 to ``top``, the limit marked on the scale; NaN stays empty."""
+    rows, columns = array.shape
+    width = min(max(3.2, 0.42 * columns + 1.6), 8.4)
+    height = min(max(2.0, (width - 1.2) * rows / columns), 7.0)
+    with plots.drawing(1, 1, width=width, height=height) as (figure, ((panel,),)):
+        image = panel.imshow(array, cmap="viridis_r", vmin=0.0, vmax=top, interpolation="nearest")
+        panel.grid(visible=False)
+        panel.set(xlabel="column", ylabel="row")
+        panel.set_xticks(range(columns) if columns <= 16 else [0, columns - 1])
+        panel.set_yticks(range(rows) if rows <= 16 else [0, rows - 1])
+        panel.tick_params(length=0)
+        if rows * columns <= 64:
+            for (i, j), value in np.ndenumerate(array):
+                if np.isfinite(value):
+                    colour = "w" if value > 0.6 * top else plots.INK
+                    panel.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=colour)
+        bar = figure.colorbar(image, ax=panel, shrink=0.9, label=label)
+        if limit is not None:
+            bar.ax.axhline(limit, color=plots.RED, lw=2)
+            bar.ax.text(-0.15, limit, "limit ", color=plots.RED, ha="right", va="center", fontsize=8)
+            for i, j in np.argwhere(np.nan_to_num(array, nan=0.0) > limit):
+                panel.add_patch(_outline(j, i, plots.RED))
+        return plots.svg(figure)
+
+
+def _outline(column: int, row: int, colour: str = plots.INK) -> Any:
     from matplotlib.patches import Rectangle
 
-    return Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=plots.INK, linewidth=1.8)
+    return Rectangle((column - 0.5, row - 0.5), 1, 1, fill=False, edgecolor=colour, linewidth=1.8)

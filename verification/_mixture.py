@@ -11,7 +11,7 @@ from ..arrays import FloatArray
 from ..cell import Percolation
 from ..circuits import Design, adc_codes, clipped, noise, scan
 from ..errors import InputError
-from ._outcome import Check, Figure, Finding, Table
+from ._outcome import Check, Figure, Finding, Table, does_not_apply
 from ._pressure import STEP_KPA, errors, pressed, respond, side_by_side
 from ._subject import Subject
 from ._variants import replaced
@@ -24,7 +24,7 @@ LOADS = np.linspace(0.0, 1.0, 6)
 def fraction(subject: Subject) -> Finding:
     """Sensitivity and resolution against the carbon-black fraction."""
     if subject.design.readout.circuit != "inverting-amplifier" or subject.design.adc is None:
-        raise InputError("this study needs a design with inverting amplifiers and an [adc]")
+        return does_not_apply("this study needs a design with inverting amplifiers and an [adc]")
     law = Percolation(KNOWN, subject.rest, subject.pressed / subject.rest - 1)
     fine = np.geomspace(FRACTIONS[0], FRACTIONS[-1], 30)
     fixed, chosen = (np.array([_resolution(subject, law, f, choose=choose) for f in fine]) for choose in (False, True))

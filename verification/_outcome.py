@@ -1,11 +1,24 @@
-"""What an experiment finds: measured numbers against limits, with figures and tables for a reader."""
+"""Outcomes of checks and requirements, with the figures and tables that explain them.
+
+====================  =================================================================================================
+outcome               meaning
+====================  =================================================================================================
+pass                  a finite number was found, and it keeps every limit
+fail                  a limit is not kept, or what was found is no finite number
+not run               no number could be found: parts are not given, a program or a board is missing, no limit is given
+does not apply        the design has nothing that the quantity describes (a divider has no phase margin)
+====================  =================================================================================================
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
+
+from ..circuits import Requirement
+from ._units import engineering
 
 
 class Outcome(StrEnum):
@@ -14,6 +27,7 @@ class Outcome(StrEnum):
     PASS = "pass"
     FAIL = "fail"
     NOT_RUN = "not run"
+    NOT_APPLICABLE = "does not apply"
 
 
 def worst(outcomes: Iterable[Outcome]) -> Outcome:
@@ -21,12 +35,22 @@ def worst(outcomes: Iterable[Outcome]) -> Outcome:
     found = set(outcomes)
     if Outcome.FAIL in found:
         return Outcome.FAIL
-    return Outcome.PASS if found == {Outcome.PASS} else Outcome.NOT_RUN
+    if Outcome.NOT_RUN in found or not found:
+        return Outcome.NOT_RUN
+    return Outcome.PASS if Outcome.PASS in found else Outcome.NOT_APPLICABLE
+
+
+class NotRun(Exception):  # no error: a defined outcome
+    """A quantity cannot be found; the message says what is missing."""
+
+
+class DoesNotApply(Exception):
+    """The design has nothing that the quantity describes; the message says why."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """One requirement: ``measured`` must be at most (or, with ``at_least``, no less than) ``limit``.
+    """One limit: ``measured`` must be at most (or, with ``at_least``, no less than) ``limit``.
 
     A measured value that is not finite fails; None means the check was not run, for ``reason``.
     """
@@ -51,11 +75,11 @@ class Check:
 
     @property
     def requirement(self) -> str:
-        return f"{'≥' if self.at_least else '≤'} {self.limit:.4g} {self.unit}".rstrip()
+        return f"{'≥' if self.at_least else '≤'} {engineering(self.limit, self.unit)}"
 
     @property
     def found(self) -> str:
-        return self.reason if self.measured is None else f"{self.measured:.4g} {self.unit}".rstrip()
+        return self.reason if self.measured is None else engineering(self.measured, self.unit)
 
 
 @dataclass(frozen=True)
@@ -83,9 +107,13 @@ class Finding:
     text: Sequence[str] = ()
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
+    inapplicable: str = ""
+    """why the claim says nothing about this design"""
 
     @property
     def outcome(self) -> Outcome:
+        if self.inapplicable:
+            return Outcome.NOT_APPLICABLE
         return worst(check.outcome for check in self.checks)
 
 
@@ -98,12 +126,104 @@ class Claim:
     where: str
     says: str
     finding: Finding = field(default_factory=lambda: Finding(checks=()))
+    seconds: float = 0.0
+    """of computing"""
 
     @property
     def outcome(self) -> Outcome:
         return self.finding.outcome
 
 
+@dataclass(frozen=True)
+class Measurement:
+    """What was found for a requirement."""
+
+    value: float
+    """in ``unit``; the magnitude where only that counts"""
+    unit: str
+    where: str = ""
+    """cell, pattern and corner at which the value is worst"""
+    confidence: str = ""
+    """how sure the value is: a search, a number of samples, a bound"""
+    text: Sequence[str] = ()
+    contributions: Mapping[str, float] = field(default_factory=dict)
+    """by kind of part, in ``unit``: for the tornado"""
+    samples: Sequence[float] = ()
+    """in ``unit``, one per board of the Monte Carlo analysis"""
+    proven: bool | None = None
+    """Monte Carlo: whether the lower confidence bound of the yield keeps the wanted yield; None: the value decides"""
+    figures: Sequence[Figure] = ()
+    tables: Sequence[Table] = ()
+
+
+@dataclass(frozen=True)
+class Result:
+    """A requirement and what became of it."""
+
+    requirement: Requirement
+    title: str
+    """of the quantity"""
+    method: str
+    unit: str
+    measurement: Measurement | None = None
+    reason: str = ""
+    """why it was not run, or does not apply"""
+    inapplicable: bool = False
+    seconds: float = 0.0
+    """of computing"""
+
+    @property
+    def outcome(self) -> Outcome:
+        if self.inapplicable:
+            return Outcome.NOT_APPLICABLE
+        found, limits = self.measurement, self.requirement
+        if found is None or (limits.min is None and limits.max is None):
+            return Outcome.NOT_RUN
+        if not math.isfinite(found.value):
+            return Outcome.FAIL
+        if found.proven is not None:
+            return Outcome.PASS if found.proven else Outcome.FAIL
+        return Outcome.PASS if self.margin is not None and self.margin >= 0 else Outcome.FAIL
+
+    @property
+    def margin(self) -> float | None:
+        """By how much the nearer limit is kept (positive) or missed, in the unit of the limits."""
+        if self.measurement is None or not math.isfinite(self.measurement.value):
+            return None
+        value, low, high = self.measurement.value, self.requirement.min, self.requirement.max
+        margins = ([] if low is None else [value - low]) + ([] if high is None else [high - value])
+        return min(margins, default=None)
+
+    @property
+    def limit(self) -> str:
+        """In words."""
+        low, high = self.requirement.min, self.requirement.max
+        if low is not None and high is not None:
+            return f"{engineering(low, self.unit)} to {engineering(high, self.unit)}"
+        if low is not None:
+            return f"≥ {engineering(low, self.unit)}"
+        return "none given" if high is None else f"≤ {engineering(high, self.unit)}"
+
+    @property
+    def found(self) -> str:
+        """The value with its unit, or why there is none."""
+        return self.reason if self.measurement is None else engineering(self.measurement.value, self.unit)
+
+    @property
+    def margin_shown(self) -> str:
+        """The margin with its unit, and its share of the limit."""
+        if self.margin is None:
+            return ""
+        limits = [abs(limit) for limit in (self.requirement.min, self.requirement.max) if limit]
+        share = f" ({100 * self.margin / min(limits):.0f} %)" if limits else ""
+        return engineering(self.margin, self.unit) + share
+
+
 def not_run(name: str, reason: str) -> Finding:
     """The finding of an experiment that could not be carried out."""
     return Finding(checks=[Check(name, None, 0.0, reason=reason)])
+
+
+def does_not_apply(reason: str) -> Finding:
+    """The finding of an experiment that says nothing about the design."""
+    return Finding(checks=[], inapplicable=reason)

@@ -1,24 +1,99 @@
-"""The report of a verification run: one HTML file for people, JSON and JUnit for programs."""
+"""The report of a verification run: a page for people, JSON and JUnit for programs, Markdown for a pull request."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import importlib.metadata
 import importlib.resources
 import json
+import math
 import platform
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from .. import __version__
-from ..circuits import Design
-from ..errors import InputError, MissingExtra
-from ..tables import write_text
-from ._outcome import Claim, Outcome, worst
+import numpy as np
 
-EXIT_CODES = {Outcome.PASS: 0, Outcome.FAIL: 1, Outcome.NOT_RUN: 3}
+from .. import __version__, plots
+from ..circuits import Design
+from ..errors import MissingExtra, OhmskinError
+from ..files import make_folder, write_together
+from ..text import printable
+from ._budget import error_budget
+from ._catalogue import CATALOGUE
+from ._export import export_samples
+from ._outcome import Claim, Figure, Measurement, Outcome, Result, worst
+from ._parameters import MAXIMA
+from ._record import (
+    SCHEMA_VERSION,
+    ChangeRecord,
+    CheckRecord,
+    ClaimRecord,
+    ReportRecord,
+    RequirementRecord,
+    compare,
+    jsonable,
+    number,
+)
+from ._schematic import schematic
+from ._spice_deck import dynamic_netlist
+from ._subject import Subject
+from ._units import PREFIXED, engineering
+
+EXIT_CODES = {Outcome.PASS: 0, Outcome.FAIL: 1, Outcome.NOT_RUN: 3, Outcome.NOT_APPLICABLE: 3}
+FILES = ("report.html", "report.json", "junit.xml", "summary.md", "netlist.cir")
+UNITS = {
+    "array": {"row_segment": "ohm", "column_segment": "ohm", "row_lead": "ohm", "column_lead": "ohm"},
+    "drive": {"voltage": "V"},
+    "readout": {
+        "reference_resistance": "ohm",
+        "reference_voltage": "V",
+        "gain_bandwidth": "Hz",
+        "offset_voltage": "V",
+        "bias_current": "A",
+        "supply": "V",
+        "column_capacitance": "F",
+        "feedback_capacitance": "F",
+        "voltage_noise": "V/sqrt(Hz)",
+        "current_noise": "A/sqrt(Hz)",
+        "temperature": "K",
+    },
+    "adc": {
+        "bits": "bit",
+        "range": "V",
+        "sampling_capacitance": "F",
+        "switch_resistance": "ohm",
+        "acquisition_time": "s",
+        "offset_voltage": "V",
+        "inl_steps": "steps",
+    },
+    "sheet": {"pitch": "m", "thickness": "m", "electrode_width": "m"},
+    "cells": {"rest_resistance": "ohm", "full_scale_resistance": "ohm", "full_scale_kpa": "kPa"},
+    "operation": {
+        "frame_rate": "Hz",
+        "baudrate": "bit/s",
+        "temperature_range": "K",
+        "readings_per_calibration": "frames",
+    },
+    "requirements": {"crosstalk_percent": "%", "reading_error_percent": "%", "pressure_rmse_percent": "%"},
+}
+"""Units of the keys of DESIGN.toml; keys without one have none."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """A line of the table of component values."""
+
+    section: str
+    key: str
+    value: str
+    spread: str
+    named: bool
+    """whether the design names it"""
 
 
 @dataclass(frozen=True)
@@ -26,16 +101,32 @@ class Report:
     """What a verification run found, and on what."""
 
     title: str
-    design: Design
-    target: str
+    subject: Subject
+    results: list[Result]
+    """of the requirements"""
     claims: list[Claim]
-    """P1 to P14"""
+    """P1 to P14, if the paper's claims were run"""
     appendices: list[Claim]
     """what goes beyond the paper"""
     seconds: float
     command: str = "ohmskin verify"
     """that makes this report again"""
+    fingerprint: str = ""
+    """SHA-256 of everything that the numbers depend on"""
+    require_all: bool = False
+    judged_by_default: bool = False
+    """the limits are the shipped defaults, not the user's"""
+    changes: list[ChangeRecord] = field(default_factory=list)
+    """against an older report"""
     finished: datetime = field(default_factory=lambda: datetime.now(UTC))
+
+    @property
+    def design(self) -> Design:
+        return self.subject.design
+
+    @property
+    def target(self) -> str:
+        return self.subject.target
 
     @property
     def sections(self) -> list[Claim]:
@@ -43,7 +134,8 @@ class Report:
 
     @property
     def outcome(self) -> Outcome:
-        return worst(claim.outcome for claim in self.sections)
+        found = worst([*(r.outcome for r in self.results), *(claim.outcome for claim in self.sections)])
+        return Outcome.FAIL if self.require_all and found is not Outcome.PASS else found
 
     @property
     def exit_code(self) -> int:
@@ -51,29 +143,69 @@ class Report:
         return EXIT_CODES[self.outcome]
 
     def count(self, outcome: str) -> int:
-        """How many claims ended so."""
-        return sum(claim.outcome == outcome for claim in self.sections)
+        """How many requirements and claims ended so."""
+        outcomes = [r.outcome for r in self.results] + [claim.outcome for claim in self.sections]
+        return sum(found == outcome for found in outcomes)
+
+    @property
+    def not_judged(self) -> list[str]:
+        """Quantities of the catalogue that no requirement names."""
+        named = {result.requirement.quantity for result in self.results}
+        return [name for name in CATALOGUE if name not in named]
+
+    @property
+    def left_out(self) -> list[tuple[str, str, str]]:
+        """(id, what, reason) of everything that was not run or does not apply."""
+        found = [
+            (r.requirement.id, r.title, f"{r.outcome}: {r.reason or 'no limit is given'}")
+            for r in self.results
+            if r.outcome in (Outcome.NOT_RUN, Outcome.NOT_APPLICABLE)
+        ]
+        for claim in self.sections:
+            if claim.finding.inapplicable:
+                found.append((claim.id, claim.title, f"does not apply: {claim.finding.inapplicable}"))
+            found += [
+                (claim.id, check.name, f"not run: {check.reason.splitlines()[-1] if check.reason else 'no reason'}")
+                for check in claim.finding.checks
+                if check.outcome is Outcome.NOT_RUN
+            ]
+        return found
+
+    def against(self, old: ReportRecord) -> Report:
+        """The same report with its changes against an older one."""
+        return replace(self, changes=compare(self.record(), old))
 
     def write(self, folder: str | Path) -> tuple[dict[str, Path], list[str]]:
-        """Write ``report.json``, ``report.html`` and ``junit.xml``; returns their paths, and what was missing for some.
+        """Write all files together, or none; returns their paths, and what was missing for some.
 
         Raises:
             InputError: the folder cannot be made or written to.
         """
-        texts, missing = {"report.json": self.json()}, []
+        target = make_folder(folder)
+        texts: dict[str, str] = {"report.json": self.json(), "summary.md": self.markdown()}
+        missing = []
         for name, make in (("report.html", self.html), ("junit.xml", self.junit)):
             try:
                 texts[name] = make()
             except MissingExtra as error:
                 missing.append(f"{name} not written: {error}")
-        target = Path(folder)
-        try:
-            target.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{folder}: cannot be made: {error.strerror}") from error
-        for name, text in texts.items():
-            write_text(target / name, text)
+        if self.netlist:
+            texts["netlist.cir"] = self.netlist
+        # An old page of another design must not lie beside new numbers.
+        contents: dict[str | Path, bytes | None] = {
+            target / name: texts[name].encode() if name in texts else None for name in FILES
+        }
+        write_together(contents)
         return {name: target / name for name in texts}, missing
+
+    @cached_property
+    def netlist(self) -> str:
+        """The circuit with its dynamic parts as a SPICE deck; empty where a design has none."""
+        try:
+            cells = np.full(self.design.array.shape, self.subject.rest)
+            return dynamic_netlist(self.design, cells, row=0)
+        except OhmskinError:
+            return ""
 
     def html(self) -> str:
         """A self-contained page."""
@@ -85,95 +217,286 @@ class Report:
         page = jinja2.Environment(
             autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
         )
+        page.filters["printable"] = printable
         return page.from_string(source).render(
-            report=self, settings=self._settings(), environment=_environment(), command=self.command
+            report=self,
+            settings=self.settings(),
+            environment=environment(),
+            schematic=schematic(self.design),
+            budget=error_budget(self.subject),
+            pictures={r.requirement.id: _pictures(r) for r in self.results},
+            netlist=base64.b64encode(self.netlist.encode()).decode(),
+            engineering=engineering,
+        )
+
+    def record(self) -> ReportRecord:
+        """Everything that report.json holds."""
+        return ReportRecord(
+            schema_version=SCHEMA_VERSION,
+            title=printable(self.title),
+            outcome=self.outcome.value,
+            exit_code=self.exit_code,
+            finished=self.finished.isoformat(timespec="seconds"),
+            seconds=round(self.seconds, 3),
+            command=printable(self.command),
+            target=self.target,
+            seed=self.subject.seed,
+            samples=self.subject.samples,
+            design_sha256=self.design_sha256,
+            cell_sha256=self.cell_sha256,
+            run_sha256=self.fingerprint,
+            cell_source=self.subject.cell_source,
+            design=jsonable(self.design.model_dump(mode="python")),
+            cell=jsonable(self.subject.cell.model_dump(mode="python")),
+            environment=environment(),
+            requirements=[_requirement_record(result) for result in self.results],
+            not_judged=self.not_judged,
+            claims=[_claim_record(claim) for claim in self.claims],
+            appendices=[_claim_record(claim) for claim in self.appendices],
+            changes=self.changes,
         )
 
     def json(self) -> str:
-        """Every claim and check with its numbers."""
-        return json.dumps(
-            {
-                "title": self.title,
-                "outcome": self.outcome,
-                "finished": self.finished.isoformat(timespec="seconds"),
-                "seconds": round(self.seconds, 3),
-                "target": self.target,
-                "design": _jsonable(self.design.model_dump(mode="python")),
-                "environment": _environment(),
-                "claims": [_record(claim) for claim in self.claims],
-                "appendices": [_record(claim) for claim in self.appendices],
-            },
-            indent=2,
-            allow_nan=False,
-            ensure_ascii=False,
-        )
+        """Every requirement, claim and check with its numbers; :func:`._record.schema` is its schema."""
+        return json.dumps(self.record().model_dump(mode="json"), indent=2, allow_nan=False, ensure_ascii=False) + "\n"
+
+    def export(self, path: str | Path) -> None:
+        """The Monte Carlo boards as a table: .parquet (pandas), .nc (xarray) or .csv.
+
+        Raises:
+            InputError: nothing was sampled, another kind of file, or it cannot be written.
+            MissingExtra: the extra ``data`` is not installed.
+        """
+        export_samples(self.results, path)
+
+    @property
+    def design_sha256(self) -> str:
+        return _sha256(self.design)
+
+    @property
+    def cell_sha256(self) -> str:
+        return _sha256(self.subject.cell)
 
     def junit(self) -> str:
-        """One suite per claim, one case per check; what was not run is skipped with its reason."""
+        """One case per requirement and per check, with values as properties and times; what was not run is skipped."""
         try:
-            from junitparser import Failure, JUnitXml, Skipped, TestCase, TestSuite
+            from junitparser import Failure, JUnitXml, Properties, Property, Skipped, TestCase, TestSuite
         except ImportError as error:
             raise _missing("junitparser") from error
         xml = JUnitXml("ohmskin verify")
+        suite = TestSuite("requirements")
+        for result in self.results:
+            case = TestCase(_xml(f"{result.requirement.id} {result.title}"), "ohmskin.verify", result.seconds)
+            properties = Properties()
+            for name, value in _properties(result).items():
+                properties.add_property(Property(name, _xml(value)))
+            case.append(properties)
+            if result.outcome is Outcome.FAIL:
+                case.result = [Failure(_xml(f"measured {result.found}, required {result.limit}"))]
+            elif result.outcome is not Outcome.PASS:
+                case.result = [Skipped(_xml(f"{result.outcome}: {result.reason or 'no limit is given'}"))]
+            suite.add_testcase(case)
+        if self.results:
+            xml.add_testsuite(suite)
         for claim in self.sections:
             suite = TestSuite(f"{claim.id} {claim.title}")
+            suite.add_property("seconds", f"{claim.seconds:.3f}")
             for check in claim.finding.checks:
-                case = TestCase(check.name, classname=f"ohmskin.verify.{claim.id}")
+                case = TestCase(_xml(check.name), classname=f"ohmskin.verify.{claim.id}")
                 if check.outcome is Outcome.FAIL:
-                    case.result = [Failure(f"measured {check.found}, required {check.requirement}")]
+                    case.result = [Failure(_xml(f"measured {check.found}, required {check.requirement}"))]
                 elif check.outcome is Outcome.NOT_RUN:
-                    case.result = [Skipped(f"not run: {check.reason}")]
+                    case.result = [Skipped(_xml(f"not run: {check.reason}"))]
                 suite.add_testcase(case)
             xml.add_testsuite(suite)
         xml.update_statistics()
         text: bytes | str = xml.tostring()
         return text.decode() if isinstance(text, bytes) else text
 
-    def _settings(self) -> list[tuple[str, str, str, bool]]:
-        """(section, key, value, named by the design) for the design table."""
+    def markdown(self) -> str:
+        """The verdict and the table of requirements."""
+        lines = [
+            f"# {printable(self.title)}: {self.outcome}",
+            "",
+            f"{self.count('pass')} pass, {self.count('fail')} fail, {self.count('not run')} not run, "
+            f"{self.count('does not apply')} do not apply. Design {self.design_sha256[:12]}, seed {self.subject.seed}, "
+            f"ohmskin {__version__}.",
+            "",
+            "| requirement | outcome | limit | measured | margin | where |",
+            "|---|---|---|---|---|---|",
+        ]
+        for r in self.results:
+            where = r.measurement.where if r.measurement else ""
+            cells = (f"{r.requirement.id} {r.title}", r.outcome, r.limit, r.found, r.margin_shown, where)
+            lines.append("| " + " | ".join(printable(str(c)).replace("|", "\\|") for c in cells) + " |")
+        if self.sections:
+            lines += ["", "| claim | outcome |", "|---|---|"]
+            lines += [f"| {claim.id} {claim.title} | {claim.outcome} |" for claim in self.sections]
+        if self.changes:
+            lines += ["", "| against the older report | change | was | is |", "|---|---|---|---|"]
+            lines += [f"| {c.id} | {c.change} | {c.was} | {c.is_now} |" for c in self.changes if c.change != "same"]
+        return "\n".join(lines) + "\n"
+
+    def settings(self) -> list[Setting]:
+        """Every component value, with its unit and its tolerance."""
         rows = []
+        spreads = self.design.spreads
         for section in type(self.design).model_fields:
             part = getattr(self.design, section)
-            if part is None:
+            if part is None or isinstance(part, tuple):
                 continue
-            rows += [(section, key, _shown(value), key in part.model_fields_set) for key, value in part]
+            for key, value in part:
+                if key == "spread":
+                    continue
+                unit = UNITS.get(section, {}).get(key, "")
+                spread = spreads.get(f"{section}.{key}")
+                shown = "" if spread is None else _spread_shown(spread, unit)
+                if spread is None and f"{section}.{key}" in MAXIMA and np.any(np.asarray(value)):
+                    shown = "data-sheet maximum of either sign"
+                rows.append(Setting(section, key, _value_shown(value, unit), shown, key in part.model_fields_set))
+        for place, fault in enumerate(self.design.fault):
+            rows.append(Setting("fault", str(place), f"{fault.kind} at {fault.place}, {fault.ohms:g} ohm", "", True))
         return rows
 
 
-def _record(claim: Claim) -> dict[str, Any]:
+def _spread_shown(spread: Any, unit: str) -> str:
+    parts = [f"± {100 * spread.tolerance:g} %" if spread.tolerance else ""]
+    parts += [f"± {engineering(spread.deviation, unit)}" if spread.deviation else ""]
+    parts += [f"matched to {100 * spread.matching:g} %" if spread.matching is not None else ""]
+    parts += [f"packages of {spread.package}" if spread.package else ""]
+    parts += [f"{1e6 * spread.temperature_coefficient:g} ppm/K" if spread.temperature_coefficient else ""]
+    return ", ".join([*filter(None, parts), spread.distribution])
+
+
+def _value_shown(value: Any, unit: str) -> str:
+    if isinstance(value, bool) or not isinstance(value, int | float | tuple | list):
+        return "not given" if value is None else str(value)
+    if isinstance(value, tuple | list):
+        return "[" + ", ".join(_value_shown(item, unit) for item in value) + "]"
+    return engineering(float(value), unit, 6)
+
+
+def _xml(text: str) -> str:
+    return printable(" ".join(text.split()))
+
+
+def _properties(result: Result) -> dict[str, str]:
+    """What JUnit carries beside the outcome."""
+    found = {"quantity": result.requirement.quantity, "method": result.method, "limit": result.limit}
+    found |= {"measured": result.found, "margin": result.margin_shown, "source": result.requirement.source}
+    if result.measurement is not None:
+        found |= {"value": repr(result.measurement.value), "unit": result.unit, "where": result.measurement.where}
+        found["confidence"] = result.measurement.confidence
+    return {name: value for name, value in found.items() if value}
+
+
+def _requirement_record(result: Result) -> RequirementRecord:
+    found, wanted = result.measurement, result.requirement
+    return RequirementRecord(
+        id=wanted.id,
+        text=wanted.text,
+        source=wanted.source,
+        quantity=wanted.quantity,
+        title=result.title,
+        method=result.method,
+        unit=result.unit,
+        min=wanted.min,
+        max=wanted.max,
+        outcome=result.outcome.value,
+        measured=number(found.value) if found else None,
+        margin=result.margin,
+        where=found.where if found else "",
+        confidence=found.confidence if found else "",
+        reason=result.reason,
+        contributions={k: v for k, v in (found.contributions if found else {}).items() if math.isfinite(v)},
+        samples=[number(value) for value in (found.samples if found else ())],
+        seconds=round(result.seconds, 4),
+    )
+
+
+def _claim_record(claim: Claim) -> ClaimRecord:
     checks = [
-        {
-            "name": check.name,
-            "outcome": check.outcome,
-            "measured": _jsonable(check.measured),
-            "limit": check.limit,
-            "relation": ">=" if check.at_least else "<=",
-            "unit": check.unit,
-            "reason": check.reason,
-        }
+        CheckRecord(
+            name=check.name,
+            outcome=check.outcome.value,
+            measured=number(check.measured),
+            limit=check.limit,
+            relation=">=" if check.at_least else "<=",
+            unit=check.unit,
+            reason=check.reason,
+        )
         for check in claim.finding.checks
     ]
-    return {"id": claim.id, "title": claim.title, "where": claim.where, "outcome": claim.outcome, "checks": checks}
+    return ClaimRecord(
+        id=claim.id,
+        title=claim.title,
+        where=claim.where,
+        outcome=claim.outcome.value,
+        checks=checks,
+        seconds=round(claim.seconds, 4),
+    )
 
 
-def _shown(value: Any) -> str:
-    if isinstance(value, float):
-        return f"{value:g}"
-    if isinstance(value, tuple | list):
-        return "[" + ", ".join(map(_shown, value)) + "]"
-    return str(value)
+def _pictures(result: Result) -> list[Figure]:
+    """Figures of a requirement: its own, the tornado of its contributions, and the histogram of its samples."""
+    found = result.measurement
+    if found is None:
+        return []
+    pictures = list(found.figures)
+    if len(found.contributions) > 1:
+        pictures.append(_tornado(result, found))
+    if found.samples:
+        pictures.append(_histogram(result, found))
+    return pictures
 
 
-def _jsonable(value: Any) -> Any:
-    """JSON has no infinity: such values become text."""
-    if isinstance(value, dict):
-        return {key: _jsonable(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_jsonable(item) for item in value]
-    return value if not isinstance(value, float) or abs(value) < float("inf") else str(value)
+def _tornado(result: Result, found: Measurement) -> Figure:
+    scale, unit = _scale(result.unit, max(map(abs, found.contributions.values()), default=1.0))
+    items = sorted(found.contributions.items(), key=lambda item: abs(item[1]))
+    with plots.drawing(1, 1, width=7.2, height=0.7 + 0.26 * len(items)) as (figure, ((panel,),)):
+        values = [scale * value for _, value in items]
+        panel.barh(range(len(items)), values, color=[plots.BLUE if v >= 0 else plots.ORANGE for v in values])
+        panel.set_yticks(range(len(items)), [name for name, _ in items])
+        panel.axvline(0, color=plots.INK, lw=0.8)
+        panel.set_xlabel(f"contribution / {unit}" if unit else "contribution")
+        panel.grid(visible=False, axis="y")
+        return Figure(
+            plots.svg(figure),
+            f"{result.title}: what each kind of part adds at its own worst corner, all others nominal (tornado).",
+        )
 
 
-def _environment() -> dict[str, str]:
+def _histogram(result: Result, found: Measurement) -> Figure:
+    values = np.array([v for v in found.samples if math.isfinite(v)])
+    lost = len(found.samples) - len(values)
+    with plots.drawing(1, 1, width=7.2, height=2.5) as (figure, ((panel,),)):
+        if len(values):
+            panel.hist(values, bins=min(60, max(8, len(values) // 12)), color=plots.SKY)
+        for limit in (result.requirement.min, result.requirement.max):
+            if limit is not None:
+                panel.axvline(limit, color=plots.RED, lw=1.6)
+                panel.text(limit, panel.get_ylim()[1], " limit", color=plots.RED, va="top", fontsize=8)
+        panel.set(xlabel=f"{result.title.lower()} / {result.unit}", ylabel="boards")
+        note = f" {lost} boards gave no number and count as failed." if lost else ""
+        return Figure(plots.svg(figure), f"{result.title} of {len(found.samples)} boards drawn at random.{note}")
+
+
+def _scale(unit: str, largest: float) -> tuple[float, str]:
+    """A factor and a unit with prefix for axes."""
+    if unit not in PREFIXED or not largest:
+        return 1.0, unit
+    shown = engineering(largest, unit)
+    value, _, prefixed = shown.partition(" ")
+    factor = 10.0 ** round(math.log10(float(value) / largest)) if float(value) else 1.0
+    return factor, prefixed
+
+
+def _sha256(model: Any) -> str:
+    return hashlib.sha256(json.dumps(jsonable(model.model_dump(mode="python")), sort_keys=True).encode()).hexdigest()
+
+
+def environment() -> dict[str, str]:
+    """Versions that the numbers come from."""
     versions = {name: importlib.metadata.version(name) for name in ("numpy", "scipy")}
     return {"ohmskin": __version__, "python": platform.python_version(), "system": sys.platform, **versions}
 

@@ -1,23 +1,47 @@
-"""Run every experiment, whatever happens to any of them."""
+"""Run every requirement and every experiment, whatever happens to any of them.
+
+Each one is a task of its own: a function of the subject that shares nothing with the others. Tasks run in this process,
+in worker processes, or in any executor of ``concurrent.futures``, with the same numbers. What a task found is stored as
+soon as it is there, so that an interrupted run goes on where it stopped.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import hashlib
 import importlib.resources
+import json
 import time
 import traceback
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterable, Sequence
+from concurrent.futures import Executor, as_completed
 from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import numpy as np
+from pydantic import BaseModel, TypeAdapter
+
+from .. import __version__
 from ..cell import Cell
-from ..circuits import Design
+from ..circuits import Design, Requirement
 from ..driver import Skin
-from ..errors import OhmskinError
+from ..errors import InputError, OhmskinError
+from ..files import make_folder, read_text
+from ..progress import Progress, silent
+from ..tables import write_text
+from ..workers import in_processes
+from ._catalogue import SAMPLED
 from ._claims import APPENDICES, STATEMENTS, Statement
-from ._outcome import Claim, Finding, not_run
+from ._montecarlo import BLOCK, Samples, blocks, sample_block
+from ._outcome import Claim, Finding, Result, not_run
 from ._report import Report
-from ._subject import Subject
+from ._requirements import check_requirements, default_requirements, evaluate
+from ._static import box_of, patterns_of
+from ._subject import SAMPLES, SEED, Subject
 
 NO_PORT = ("emulated", "firmware")
+_READING = ("crosstalk", "reading_error", "gain_error")
 
 
 def prototype() -> Design:
@@ -26,42 +50,217 @@ def prototype() -> Design:
         return Design.load(path)
 
 
+class Task(NamedTuple):
+    """One piece of work, small enough to pickle."""
+
+    key: str
+    """unique, and fit for a file name"""
+    what: str
+    """for the progress bar"""
+    kind: str
+    """"requirement", "claim" or "samples\""""
+    number: int
+    """of the requirement, of the statement, or of the block of boards"""
+
+
+class Work(NamedTuple):
+    """What the tasks of one run have in common."""
+
+    subject: Subject
+    requirements: tuple[Requirement, ...]
+    folder: Path
+    """where the files of quantities of one's own are"""
+    patterns: tuple[Any, ...] = ()
+    """pressed cells of the Monte Carlo frames"""
+
+
 def verify(
-    design: Design | None = None, *, title: str | None = None, target: str = "emulated", jobs: int = 1
+    design: Design | None = None,
+    *,
+    cell: Cell | None = None,
+    requirements: Sequence[Requirement] | None = None,
+    paper: bool | None = None,
+    speed: bool = False,
+    only: Iterable[str] = (),
+    title: str | None = None,
+    target: str = "emulated",
+    samples: int = SAMPLES,
+    seed: int = SEED,
+    jobs: int = 1,
+    executor: Executor | None = None,
+    store: Path | None = None,
+    folder: Path | None = None,
+    require_all: bool = False,
+    command: str = "ohmskin verify",
+    progress: Progress = silent,
 ) -> Report:
-    """Run the experiments P1 to P14 and the appendices on a design.
+    """Verify a design against its requirements, and on request against the paper's claims.
 
     Args:
         design: None takes :func:`prototype`.
+        cell: what the skin is made of; None: the design's [cells], else the shipped example cell.
+        requirements: None takes those of the design, else :func:`default_requirements`.
+        paper: whether the paper's claims P1 to P14 are run too; None: only for the prototype.
+        speed: whether S1 and S2 are run: what a digit costs, of solvers and of estimators. They take a minute.
+        only: ids of requirements and claims; empty: all.
         title: what the report calls the design.
-        target: the board of P14: "emulated", or a serial port.
-        jobs: how many experiments run side by side, each in a process of its own.
+        target: the board that is measured: "emulated", "firmware", or a serial port.
+        samples: boards of the Monte Carlo analysis.
+        seed: of all random numbers.
+        jobs: processes side by side.
+        executor: computes the tasks instead, wherever that is.
+        store: folder for what tasks have found so far; None: nothing is kept.
+        folder: where the files of quantities of one's own are; None: the present folder.
+        require_all: what could not be run counts as failed.
+        command: what the report says makes it again.
+        progress: told of each task that is done.
 
     Raises:
+        InputError: bad requirements, an unknown id, no samples.
         LinkError, ProtocolError: the target is a port with no board behind it, found before anything is run.
     """
+    if samples < 1:
+        raise InputError(f"samples is {samples}; expected at least 1")
     if target not in NO_PORT:
         with Skin.open(target) as skin:
             next(skin)
     start = time.perf_counter()
-    subject = Subject(prototype() if design is None else design, Cell.example(), target)
-    run = partial(_run, subject)
-    statements = [*STATEMENTS, *APPENDICES]
-    if jobs == 1:
-        claims = [run(statement) for statement in statements]
-    else:
-        _ = subject.calibrated  # once, before it goes to every process
-        with ProcessPoolExecutor(jobs) as pool:
-            claims = list(pool.map(run, statements))
-    count = len(STATEMENTS)
+    subject = Subject(prototype() if design is None else design, cell, target, seed, samples)
+    wanted = tuple(requirements if requirements is not None else subject.design.requirement)
+    wanted = wanted or default_requirements(subject.design)
+    here = folder or Path()
+    check_requirements(wanted, here)
+    with_paper = design is None if paper is None else paper
+    statements = [*(STATEMENTS if with_paper else ()), *(APPENDICES if speed else ())]
+    wanted, statements = _chosen(wanted, statements, tuple(only))
+    work = Work(subject, wanted, here)
+    memory = _Store(store, _fingerprint(work))
+    results = _compute(work, statements, memory, jobs, executor, progress)
     name = title or ("the paper's 4 × 4 prototype" if design is None else "readout design")
-    command = " ".join(["ohmskin verify", *([name] if design is not None else [])])
+    claims = [found for found in results if isinstance(found, Claim)]
+    known = {statement.id for statement in STATEMENTS}
+    report = Report(
+        title=name,
+        subject=subject,
+        results=[found for found in results if isinstance(found, Result)],
+        claims=[claim for claim in claims if claim.id in known],
+        appendices=[claim for claim in claims if claim.id not in known],
+        seconds=time.perf_counter() - start,
+        command=command,
+        fingerprint=memory.fingerprint,
+        require_all=require_all,
+        judged_by_default=requirements is None and not subject.design.requirement,
+    )
+    memory.clear()
+    return report
+
+
+def _chosen(
+    requirements: tuple[Requirement, ...], statements: list[Statement], only: tuple[str, ...]
+) -> tuple[tuple[Requirement, ...], list[Statement]]:
+    if not only:
+        return requirements, statements
+    every = {statement.id: statement for statement in [*STATEMENTS, *APPENDICES]}
+    known = {requirement.id for requirement in requirements}
+    for id in only:
+        if id not in known and id not in every:
+            raise InputError(f"--only {id}: no such requirement; expected one of {', '.join([*sorted(known), *every])}")
+    return tuple(r for r in requirements if r.id in only), [s for s in every.values() if s.id in only]
+
+
+def _compute(
+    work: Work,
+    statements: list[Statement],
+    memory: _Store,
+    jobs: int,
+    executor: Executor | None,
+    progress: Progress,
+) -> list[Result | Claim]:
+    """All results in order; those stored are not computed again."""
+    sampled = [number for number, r in enumerate(work.requirements) if r.method == SAMPLED and r.quantity in _READING]
+    names = [statement.id for statement in [*STATEMENTS, *APPENDICES]]
+    tasks = [
+        Task(f"requirement-{number}", f"{r.id} {r.quantity}", "requirement", number)
+        for number, r in enumerate(work.requirements)
+        if number not in sampled
+    ]
+    tasks += [Task(f"claim-{s.id}", f"{s.id} {s.title}", "claim", names.index(s.id)) for s in statements]
+    if sampled:
+        work = _with_patterns(work)
+        if work.patterns:
+            count = blocks(work.subject.samples)
+            tasks += [
+                Task(f"samples-{k}", f"boards {k * BLOCK + 1} to {(k + 1) * BLOCK}", "samples", k) for k in range(count)
+            ]
+    found = _run_all(work, tasks, memory, jobs, executor, progress)
+    if sampled and work.patterns:
+        parts = [found[f"samples-{k}"] for k in range(blocks(work.subject.samples))]
+        joined = Samples.joined([Samples(*(np.asarray(values) for values in part)) for part in parts])
+        limited = (getattr(joined, name)[: work.subject.samples] for name in Samples.__dataclass_fields__)
+        work.subject.memo["samples"] = Samples(*limited)
+    for number in sampled:
+        found[f"requirement-{number}"] = evaluate(work.subject, work.requirements[number], work.folder)
+    ordered = [found[f"requirement-{number}"] for number in range(len(work.requirements))]
+    return ordered + [found[f"claim-{statement.id}"] for statement in statements]
+
+
+def _with_patterns(work: Work) -> Work:
+    """The presses of the Monte Carlo frames, found once for all processes."""
+    try:
+        patterns = patterns_of(work.subject)
+    except InputError:  # no sensitivities: the frame in which every second cell is pressed
+        patterns = [np.indices(work.subject.design.array.shape).sum(axis=0) % 2 == 0]
+        work.subject.memo["patterns"] = patterns
+    return work._replace(patterns=tuple(patterns))
+
+
+def _run_all(
+    work: Work, tasks: list[Task], memory: _Store, jobs: int, executor: Executor | None, progress: Progress
+) -> dict[str, Any]:
+    found = {task.key: value for task in tasks if (value := memory.load(task)) is not None}
+    left = [task for task in tasks if task.key not in found]
+    done = len(found)
+
+    def tell(item: tuple[Task, Any]) -> None:
+        nonlocal done
+        task, value = item
+        found[task.key] = value
+        memory.save(task, value)
+        done += 1
+        progress(done, len(tasks), task.what)
+
+    run = partial(_do, work)
+    if executor is None:
+        in_processes(run, left, jobs=jobs, done=tell)
+    else:
+        futures = [executor.submit(run, task) for task in left]
+        for future in as_completed(futures):
+            tell(future.result())
+    return found
+
+
+_subjects: dict[str, Subject] = {}
+"""In each process: the subject with the intermediate results that earlier tasks have left."""
+
+
+def _do(work: Work, task: Task) -> tuple[Task, Any]:
+    """One task, in whatever process."""
+    subject = _subjects.setdefault(_fingerprint(work), work.subject)
+    if len(_subjects) > 4:  # a long-lived worker serves many runs
+        _subjects.clear()
+    if task.kind == "samples":
+        block = sample_block(box_of(subject), list(work.patterns), subject.seed, task.number)
+        return task, [getattr(block, name).tolist() for name in Samples.__dataclass_fields__]
+    if task.kind == "requirement":
+        return task, evaluate(subject, work.requirements[task.number], work.folder)
+    return task, _claim(subject, [*STATEMENTS, *APPENDICES][task.number])
+
+
+def _claim(subject: Subject, statement: Statement) -> Claim:
+    start = time.perf_counter()
+    finding = _finding(subject, statement)
     seconds = time.perf_counter() - start
-    return Report(name, subject.design, target, claims[:count], claims[count:], seconds, command)
-
-
-def _run(subject: Subject, statement: Statement) -> Claim:
-    return Claim(statement.id, statement.title, statement.where, statement.says, _finding(subject, statement))
+    return Claim(statement.id, statement.title, statement.where, statement.says, finding, seconds)
 
 
 def _finding(subject: Subject, statement: Statement) -> Finding:
@@ -71,3 +270,60 @@ def _finding(subject: Subject, statement: Statement) -> Finding:
         return not_run("experiment", f"{type(error).__name__}: {error}")
     except Exception:  # a defect in one experiment must not cost the report of the others
         return not_run("experiment", f"stopped by a defect: {traceback.format_exc(limit=-3)}")
+
+
+def _fingerprint(work: Work) -> str:
+    """SHA-256 of everything that the numbers depend on."""
+    subject = work.subject
+    told = {
+        "version": __version__,
+        "design": subject.design.model_dump(mode="python"),
+        "cell": subject.cell.model_dump(mode="python"),
+        "requirements": [requirement.model_dump(mode="python") for requirement in work.requirements],
+        "target": subject.target,
+        "seed": subject.seed,
+        "samples": subject.samples,
+    }
+    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+
+
+class _Store:
+    """Results of tasks in a folder, one JSON file each, so that a run can go on after an interruption."""
+
+    def __init__(self, folder: Path | None, fingerprint: str) -> None:
+        self.fingerprint = fingerprint
+        self._folder = None if folder is None else folder / fingerprint[:16]
+
+    def load(self, task: Task) -> Any:
+        """What an earlier run found, or None."""
+        if self._folder is None or not (path := self._folder / f"{task.key}.json").is_file():
+            return None
+        try:
+            value = json.loads(read_text(path, most_bytes=1 << 28))
+            kinds: dict[str, Any] = {"requirement": Result, "claim": Claim, "samples": list[list[float]]}
+            return TypeAdapter(kinds[task.kind]).validate_python(value)
+        except (ValueError, InputError):  # a file of another version is computed again
+            return None
+
+    def save(self, task: Task, value: Any) -> None:
+        if self._folder is None:
+            return
+        make_folder(self._folder)
+        plain = dataclasses.asdict(value) if dataclasses.is_dataclass(value) and not isinstance(value, type) else value
+        write_text(self._folder / f"{task.key}.json", json.dumps(plain, default=_plain))
+
+    def clear(self) -> None:
+        """The run is complete: its report takes the place of what was stored."""
+        if self._folder is None or not self._folder.is_dir():
+            return
+        for path in self._folder.glob("*.json"):
+            path.unlink(missing_ok=True)
+        for folder in (self._folder, self._folder.parent):
+            try:
+                folder.rmdir()
+            except OSError:
+                return
+
+
+def _plain(value: Any) -> Any:
+    return value.model_dump(mode="python") if isinstance(value, BaseModel) else str(value)

@@ -1,15 +1,20 @@
-"""What all experiments work on: the design under verification, the cell, and where the board is."""
+"""What all experiments work on: the design under verification, its cells, and where the board is."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, cached_property
+from typing import Any
 
 import numpy as np
 
 from ..bench._estimators import noisy
-from ..cell import Cell, calibrate, checked_recording, protocol_load, sensitivity
+from ..cell import Cell, ContactModel, PaperModel, calibrate, checked_recording, protocol_load, sensitivity
 from ..circuits import Design
+from ._parameters import NOMINAL_K, Factors
+
+SAMPLES = 1000
+SEED = 1
 
 
 @dataclass(frozen=True)
@@ -17,8 +22,61 @@ class Subject:
     """Design, cell and target of one verification run."""
 
     design: Design
-    cell: Cell
+    given_cell: Cell | None = None
+    """of ``--cell``; None: the design's [cells], or the shipped example cell"""
     target: str = "emulated"
+    seed: int = SEED
+    samples: int = SAMPLES
+    """boards of the Monte Carlo analysis"""
+    memo: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    """intermediate results that several requirements share"""
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Intermediate results stay in the process that worked them out."""
+        return {name: value for name, value in self.__dict__.items() if name != "factors"} | {"memo": {}}
+
+    @cached_property
+    def cell(self) -> Cell:
+        """The cell with its memory: as given, or the example cell scaled to the resistances of the design."""
+        stated = self.design.cells
+        if self.given_cell is not None:
+            return self.given_cell
+        example = Cell.example()
+        if stated is None:
+            return example
+        full = stated.full_scale_kpa or example.full_scale_kpa
+        change = stated.full_scale_resistance / stated.rest_resistance - 1
+        if change < 0:
+            beside = 1 / (1 / stated.full_scale_resistance - 1 / stated.rest_resistance)
+            model: Any = ContactModel(full_scale_resistance_ohm=beside)
+        else:
+            assert isinstance(example.model, PaperModel)
+            softer = example.model.gain_per_kpa * full / change
+            keys = ("eu1_kpa", "etau2_kpa", "eu2_kpa_per_s", "e1_kpa", "e2_kpa", "e3_kpa", "eta2_kpa_s", "eta3_kpa_s")
+            model = example.model.replace(**{key: getattr(example.model, key) * softer for key in keys})
+        return Cell(rest_resistance_ohm=stated.rest_resistance, full_scale_kpa=full, model=model)
+
+    def at_rate(self, frame_rate: float) -> Subject:
+        """The same with a frame rate, where the design states none."""
+        if self.design.operation.frame_rate is not None:
+            return self
+        stated = self.design.replace(operation={"frame_rate": frame_rate})
+        return Subject(stated, self.given_cell, self.target, self.seed, self.samples)
+
+    @property
+    def cell_source(self) -> str:
+        """Where the resistances of the cells come from."""
+        if self.given_cell is not None:
+            return "CELL.toml"
+        if self.design.cells is not None:
+            return "[cells] of the design, with the memory of the shipped example cell"
+        return "the shipped example cell: its values are the project's own"
+
+    @property
+    def knows_pressure(self) -> bool:
+        """Whether a full scale in kPa is given, or no cell at all and the example stands in."""
+        stated = self.design.cells
+        return self.given_cell is not None or stated is None or stated.full_scale_kpa is not None
 
     @property
     def rest(self) -> float:
@@ -29,11 +87,33 @@ class Subject:
     def full_scale_kpa(self) -> float:
         return self.cell.full_scale_kpa
 
-    @property
+    @cached_property
     def pressed(self) -> float:
         """ohm at equilibrium under full scale"""
         change = sensitivity(self.cell.model, self.full_scale_kpa, self.rest)
         return self.rest * (1 + change)
+
+    @cached_property
+    def cell_spread(self) -> float:
+        """Largest relative deviation of a cell's resistance from that of the nominal cell, temperature included."""
+        spread = self.design.spreads.get("cells.rest_resistance")
+        if spread is None:
+            return 0.0
+        width = spread.tolerance + spread.deviation / self.rest
+        if self.design.operation.temperature_range is not None:
+            extremes = (abs(kelvin - NOMINAL_K) for kelvin in self.design.operation.temperature_range)
+            width += abs(spread.temperature_coefficient) * max(extremes)
+        return float(width)
+
+    @property
+    def extremes(self) -> tuple[float, float]:
+        """ohm: the least and the largest resistance that any cell takes"""
+        low, high = sorted((self.rest, self.pressed))
+        return low * (1 - min(self.cell_spread, 0.999)), high * (1 + self.cell_spread)
+
+    @cached_property
+    def factors(self) -> Factors:
+        return Factors.of(self.design)
 
     @cached_property
     def calibrated(self) -> Cell:

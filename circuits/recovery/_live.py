@@ -51,7 +51,7 @@ _SIGMAS = 4.0  # posterior standard deviations that an uncertainty covers
 _BOUNDLESS = 1e6  # relative change of a conductance that counts for any larger one
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _NO_STEP = 1e-3  # relative change by a further step that is none
-_GAINS_NOTHING = 0.999  # of the misfit is left after a step that gained nothing
+_SAME = 1e-3  # relative change of the misfit by a step that gained nothing
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
 
@@ -377,7 +377,7 @@ class _CoupledLive:
         x, left, misfit, stalled = self._solve(measured, 40 if first else _EVALUATIONS)
         self._x = x
         base = self._base
-        if misfit > _MISFIT and (first or stalled):
+        if misfit > _MISFIT and stalled:
             self._base = self._x = None
             raise SolverError("no cell resistances give these readings; check that the design is that of the board")
         conductance = np.exp(x)
@@ -418,7 +418,7 @@ class _CoupledLive:
             left = self._step(measured - volts)
             off = float(np.abs(left).max())
             last, misfit = misfit, self._misfit(measured - volts)
-            stalled = misfit > _GAINS_NOTHING * last
+            stalled = abs(misfit - last) <= _SAME * misfit
             if off <= _NO_STEP or (misfit <= _FITS and self._serves(left)):
                 break
             if count < evaluations - 1:

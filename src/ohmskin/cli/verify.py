@@ -2,39 +2,175 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
 import click
 
+from ..cell import Cell
 from ..circuits import Design
-from ..verification import verify
+from ..errors import InputError, MissingExtra
+from ..files import check_writable, make_folder
+from ..text import printable
+from ..verification import CATALOGUE, Report, load_record, load_requirements, schema, verify
 from . import arguments
+from ._bar import progress_bar
+
+EXPORTS = (".parquet", ".nc", ".csv")
 
 
-@click.command(epilog=arguments.example("ohmskin verify design.toml -o report --jobs 2"))
+@click.command(epilog=arguments.example("ohmskin verify design.toml --cell cell.toml -o report --require-all"))
 @click.argument("design_file", metavar="[DESIGN.toml]", required=False)
+@click.option("--cell", "cell_file", metavar="CELL.toml", help="What the skin is made of.")
+@click.option(
+    "--requirements", "requirement_files", multiple=True, metavar="FILE", help="Requirements beside the design."
+)
+@click.option("--paper", is_flag=True, help="Run the paper's claims P1 to P14 on the design, too.")
+@click.option("--speed", is_flag=True, help="Measure what a digit costs, of solvers (S1) and estimators (S2).")
 @click.option(
     "-o", "--output", default="ohmskin-report", show_default=True, metavar="DIR", help="Where the report goes."
 )
 @click.option(
-    "--target", default="emulated", show_default=True, metavar="emulated|firmware|PORT", help="The board of P14."
+    "--target",
+    default="emulated",
+    show_default=True,
+    metavar="emulated|firmware|PORT",
+    help="The board that is measured.",
 )
-@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Experiments side by side.")
-def command(design_file: str | None, output: str, target: str, jobs: int) -> int:
-    """Verify a readout design; without DESIGN.toml, the paper's 4 x 4 prototype.
+@click.option("--only", multiple=True, metavar="ID", help="Run only this requirement or claim; may be repeated.")
+@click.option("--require-all", is_flag=True, help="What could not be run fails the verification (for CI).")
+@click.option("--against", metavar="OLD.json", help="Say what is better, worse, new or gone since that report.")
+@click.option("--samples", type=click.IntRange(min=1), default=1000, show_default=True, help="Monte Carlo boards.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of all random numbers.")
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes side by side.")
+@click.option("--dask", metavar="ADDRESS", help="Compute on the workers of this Dask scheduler.")
+@click.option("--export", metavar="FILE", help="The Monte Carlo boards as .parquet, .nc (xarray) or .csv.")
+@click.option("--quantities", is_flag=True, help="List the quantities that a requirement may limit, and exit.")
+@click.option("--schema", "print_schema", is_flag=True, help="Print the JSON schema of report.json, and exit.")
+def command(
+    design_file: str | None,
+    cell_file: str | None,
+    requirement_files: tuple[str, ...],
+    paper: bool,
+    speed: bool,
+    output: str,
+    target: str,
+    only: tuple[str, ...],
+    require_all: bool,
+    against: str | None,
+    samples: int,
+    seed: int,
+    jobs: int,
+    dask: str | None,
+    export: str | None,
+    quantities: bool,
+    print_schema: bool,
+) -> int:
+    """Verify a readout design against its requirements; without DESIGN.toml, the paper's 4 x 4 prototype.
 
-    Writes report.html, report.json and junit.xml. Exit code 0: all pass; 1: a requirement fails; 2: bad input;
-    3: something could not be run.
+    Requirements are [[requirement]] tables in the design or in a file beside it; a design without any is held to
+    ohmskin's own. Writes report.html, report.json, junit.xml, summary.md and netlist.cir.
+
+    Exit code 0: all pass; 1: a requirement fails; 2: bad input; 3: something could not be run.
     """
+    if quantities or print_schema:
+        click.echo(schema() if print_schema else _catalogue(), nl=False)
+        return 0
+    if dask and jobs > 1:
+        raise InputError("give --jobs or --dask, not both")
     design = None if design_file is None else Design.load(design_file)
-    report = verify(design, title=design_file, target=target, jobs=jobs)
-    paths, missing = report.write(output)
+    cell = None if cell_file is None else Cell.load(cell_file)
+    requirements = [requirement for file in requirement_files for requirement in load_requirements(file)]
+    old = None if against is None else load_record(against)
+    if export is not None and Path(export).suffix not in EXPORTS:
+        raise InputError(f"--export {export}: expected a file name that ends with {', '.join(EXPORTS)}")
+    folder = make_folder(output)
+    check_writable(folder / "report.html", folder / "report.json", *([export] if export else []))
+    own = (design.requirement if design is not None else ()) if requirements else ()
+    with _executor(dask) as executor, progress_bar("verifying") as progress:
+        report = verify(
+            design,
+            cell=cell,
+            requirements=[*own, *requirements] or None,
+            paper=True if paper else None,
+            speed=speed,
+            only=only,
+            title=None if design_file is None else design_file,
+            target=target,
+            samples=samples,
+            seed=seed,
+            jobs=jobs,
+            executor=executor,
+            store=folder / ".partial",
+            folder=None if design_file is None else Path(design_file).parent,
+            require_all=require_all,
+            command=_command(design_file, cell_file, requirement_files, paper, seed, samples),
+            progress=progress,
+        )
+    if old is not None:
+        report = report.against(old)
+    paths, missing = report.write(folder)
+    if export is not None:
+        report.export(export)
+    _say(report)
+    for reason in missing:
+        click.echo(f"ohmskin: {reason}", err=True)
+    counts = ", ".join(f"{report.count(outcome)} {outcome}" for outcome in ("pass", "fail", "not run"))
+    click.echo(
+        f"{report.outcome}: {counts}, {report.count('does not apply')} do not apply: "
+        f"{paths.get('report.html', paths['report.json'])}"
+    )
+    return report.exit_code
+
+
+def _say(report: Report) -> None:
+    for r in report.results:
+        click.echo(printable(f"{r.requirement.id:>5}  {r.outcome:<14} {r.title}: {r.found} (required {r.limit})"))
     for claim in report.sections:
-        click.echo(f"{claim.id:>4}  {claim.outcome:<8} {claim.title}")
+        click.echo(f"{claim.id:>5}  {claim.outcome:<14} {claim.title}")
         for check in claim.finding.checks:
             if check.outcome != "pass":
                 reason = check.found.splitlines()[-1] if check.found else ""
-                click.echo(f"      {'':8} {check.name}: {reason}")
-    for reason in missing:
-        click.echo(f"ohmskin: {reason}", err=True)
-    passed, failed, left = (report.count(outcome) for outcome in ("pass", "fail", "not run"))
-    click.echo(f"{passed} pass, {failed} fail, {left} not run: {paths.get('report.html', paths['report.json'])}")
-    return report.exit_code
+                click.echo(printable(f"       {'':14} {check.name}: {reason}"))
+    for change in report.changes:
+        if change.change != "same":
+            click.echo(
+                f"{change.id:>5}  {change.change}: was {change.was or 'not there'}, is {change.is_now or 'gone'}"
+            )
+
+
+def _command(
+    design: str | None, cell: str | None, requirements: tuple[str, ...], paper: bool, seed: int, samples: int
+) -> str:
+    parts = ["ohmskin verify", design or "", f"--cell {cell}" if cell else ""]
+    parts += [f"--requirements {file}" for file in requirements]
+    parts += ["--paper" if paper else "", f"--seed {seed} --samples {samples}"]
+    return " ".join(part for part in parts if part)
+
+
+def _catalogue() -> str:
+    lines = [f"{'quantity':<22} {'unit':<16} {'methods':<36} what it is"]
+    for q in CATALOGUE.values():
+        lines.append(f"{q.name:<22} {q.unit:<16} {', '.join(q.methods):<36} {q.says}")
+    return "\n".join(lines) + "\n"
+
+
+@contextmanager
+def _executor(address: str | None) -> Iterator[Executor | None]:
+    """An executor on the workers of a Dask scheduler, or None."""
+    if address is None:
+        yield None
+        return
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise MissingExtra("--dask needs Dask: pip install 'ohmskin[dask]'") from error
+    try:
+        client: Any = Client(address, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]  # untyped
+    except (OSError, ValueError) as error:
+        raise InputError(f"--dask {address}: no scheduler answers there: {error}") from error
+    with client:
+        yield client.get_executor(retries=3)

@@ -1,0 +1,272 @@
+"""End to end in board time: pressure, cells, a real board, noise, settling, converter, and a host of nominal parts.
+
+Nothing here depends on the speed of this machine: time is that of the board. The host inverts the circuit with the
+nominal parts of the design; what it learns beside these is each cell's resistance at rest, averaged over the first
+frames of the untouched skin (``operation.readings_per_calibration``). It knows no offset, no lead and no gain.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .. import plots
+from ..arrays import BoolArray, FloatArray
+from ..circuits import Design, Recoverer, Requirement, Status, apparent_resistance, noise, scan_batch
+from ..emulator import Contact, Rectangle
+from ..errors import InputError, SolverError
+from ._dynamic import rate_of, settling_share
+from ._outcome import Figure, Measurement, NotRun
+from ._parameters import MAXIMA, Factors
+from ._static import box_of, worst_of
+from ._subject import Subject
+from ._units import engineering
+
+SECONDS = 24.0
+FASTEST_HZ = 50.0
+"""frames are simulated at most this often; faster boards have the settling of their own rate"""
+SLOWEST_HZ = 10.0
+WORK = 400_000
+"""cells times frames that are simulated at most: larger arrays are followed at a lower rate"""
+TOUCHED = 0.1
+"""of full scale: above it a cell counts as touched"""
+
+
+@dataclass(frozen=True)
+class Run:
+    """One board's history. Arrays are (frames, rows, columns)."""
+
+    board: str
+    """which board of all that can be built"""
+    time_s: FloatArray
+    applied_kpa: FloatArray
+    estimated_kpa: FloatArray
+    """NaN before a cell's first valid reading"""
+    lost: BoolArray
+    """readings beyond the converter's range, or of outputs at a limit"""
+    full_scale_kpa: float
+
+    @cached_property
+    def error(self) -> FloatArray:
+        """Of full scale; a cell that was never read is off by infinity."""
+        error = (self.estimated_kpa - self.applied_kpa) / self.full_scale_kpa
+        return np.where(np.isfinite(error), error, np.inf)
+
+    @property
+    def touched(self) -> BoolArray:
+        return np.asarray(self.applied_kpa > TOUCHED * self.full_scale_kpa)
+
+    def rmse(self) -> tuple[float, tuple[int, int]]:
+        """Of each cell while it is touched, and of all cells at rest; the worst one and where it is."""
+        with np.errstate(invalid="ignore", divide="ignore"):
+            square = np.where(self.touched, self.error**2, 0.0).sum(axis=0) / self.touched.sum(axis=0)
+            all_the_time = np.mean(self.error**2, axis=0)
+        worst = np.fmax(square, all_the_time)
+        place = np.unravel_index(int(np.argmax(worst)), worst.shape)
+        return float(np.sqrt(worst[place])), (int(place[0]), int(place[1]))
+
+    def peak(self) -> tuple[float, tuple[int, int, int]]:
+        """Largest magnitude of the error, and its frame and cell."""
+        frame, row, column = np.unravel_index(int(np.argmax(np.abs(self.error))), self.error.shape)
+        return float(np.abs(self.error[frame, row, column])), (int(frame), int(row), int(column))
+
+
+def contacts(shape: tuple[int, int], full: float) -> list[Contact]:
+    """Three contacts that overlap in time, on whatever array: a corner, an edge, and a block."""
+    rows, columns = shape
+
+    def load(start: float, end: float, level: float) -> list[tuple[float, float]]:
+        return [(start, 0.0), (start + 0.1, level * full), (end, level * full), (end + 0.1, 0.0)]
+
+    return [
+        Contact(cells=[(0, 0)], load_kpa=load(2.0, 14.0, 1.0)),
+        Contact(cells=[(rows - 1, columns // 2)], load_kpa=[*load(5.0, 9.0, 0.6), *load(12.0, 20.0, 0.9)]),
+        Contact(
+            rectangle=Rectangle(center=(rows / 2, columns - 1.0), size_cells=(2.0, 1.0)),
+            load_kpa=[(8.0, 0.0), (16.0, 0.8 * full), (21.0, 0.8 * full), (21.1, 0.0)],
+        ),
+    ]
+
+
+def host_design(design: Design) -> Design:
+    """What the driver knows: nominal parts, and nothing of offsets, bias currents and converter errors."""
+    unknown: dict[str, dict[str, float]] = {}
+    for key in MAXIMA:
+        section, name = key.split(".")
+        if getattr(design, section) is not None and key not in design.spreads:
+            unknown.setdefault(section, {})[name] = 0.0
+    return design.replace(**unknown)
+
+
+def runs(subject: Subject) -> list[Run]:
+    """The worst corner of the reading error, and a board drawn at random; worked out once."""
+    if "runs" not in subject.memo:
+        random = np.random.default_rng(np.random.SeedSequence([subject.seed, 1 << 20]))
+        boards = [("a board drawn at random", subject.factors.sample(random, 1)[0])]
+        try:
+            corner = worst_of(subject, "gain_error").corner
+            boards.insert(0, ("the worst corner of the gain error", corner.factors[0]))
+        except InputError:
+            pass
+        subject.memo["runs"] = [simulate(subject, name, factors) for name, factors in boards]
+    found: list[Run] = subject.memo["runs"]
+    return found
+
+
+def simulate(subject: Subject, name: str, factors: FloatArray) -> Run:
+    """24 s of one board under three contacts."""
+    design, shape = subject.design, subject.design.array.shape
+    if design.adc is None:
+        raise NotRun("missing: adc.bits, adc.range")
+    if not subject.knows_pressure:
+        raise NotRun("missing: cells.full_scale_kpa")
+    declared = rate_of(subject)
+    most = max(WORK / (shape[0] * shape[1] * SECONDS), SLOWEST_HZ)
+    rate = min(declared, FASTEST_HZ, most)
+    time_s = np.arange(0.0, SECONDS, 1.0 / rate)
+    random = np.random.default_rng(np.random.SeedSequence([subject.seed, 1 << 21]))
+    full = subject.full_scale_kpa
+    pressing = contacts(shape, full)
+    coverage = [contact.coverage(shape) for contact in pressing]
+    applied = np.array([sum(c.load(t) * cover for c, cover in zip(pressing, coverage, strict=True)) for t in time_s])
+    applied = np.minimum(applied, full)  # contacts meet on small arrays; cells are not meant for more
+    scale = 1.0 + subject.cell_spread * random.uniform(-1.0, 1.0, shape)
+    forward = subject.cell.forward(shape, rest_resistance_ohm=subject.rest * scale)
+    steps = np.diff(time_s, prepend=time_s[0])
+    cells = np.array([forward.step(float(dt), kpa) for dt, kpa in zip(steps, applied, strict=True)])
+    volts, lost = _converted(subject, subject.factors, factors, cells, settling_share(subject, declared), random)
+    return Run(name, time_s, applied, _estimated(subject, time_s, volts, lost), lost, full)
+
+
+def _converted(
+    subject: Subject,
+    parts: Factors,
+    factors: FloatArray,
+    cells: FloatArray,
+    share: float,
+    random: np.random.Generator,
+) -> tuple[FloatArray, BoolArray]:
+    """V that the codes of a real board stand for, and which readings are lost."""
+    box = box_of(subject)
+    population = parts.population(factors[None])
+    board = population.boards.design(subject.design, 0)
+    adc = board.adc
+    found = scan_batch(board, cells)
+    volts = found.volts + share * (np.roll(found.volts, 1, axis=1) - found.volts)
+    try:
+        states = [noise(board, np.full(cells.shape[1:], ohms)).before_adc for ohms in (subject.rest, subject.pressed)]
+        volts = volts + random.standard_normal(volts.shape) * np.maximum(*states)
+    except (InputError, SolverError):  # no noise is given, which its own requirement says
+        pass
+    volts = box.converted(volts, population.converter[0])
+    lost = found.saturated | box.clipped(volts)
+    if adc is None:
+        return volts, lost
+    codes = np.clip(np.floor((volts - adc.range[0]) / adc.step), 0, 2.0**adc.bits - 1)
+    return adc.range[0] + (codes + 0.5) * adc.step, lost
+
+
+def _estimated(subject: Subject, time_s: FloatArray, volts: FloatArray, lost: BoolArray) -> FloatArray:
+    """kPa: circuit inversion with nominal parts, resistance at rest from the first frames, the cell's estimator."""
+    design = host_design(subject.design)
+    recover = Recoverer(design, accuracy=1e-6)
+    ohms = np.full(volts.shape, np.nan)
+    for frame, (reading, clipped) in enumerate(zip(volts, lost, strict=True)):
+        try:
+            recovery = recover(reading, clipped=clipped)
+        except SolverError:
+            continue
+        known = np.isin(recovery.status, (Status.READ, Status.DISTURBED)) & (recovery.resistance > 0) & ~clipped
+        ohms[frame] = np.where(known, recovery.resistance, np.nan)
+    first = ohms[: design.operation.readings_per_calibration]
+    counted = np.isfinite(first).sum(axis=0)
+    rest = np.where(counted > 0, np.nansum(first, axis=0) / np.maximum(counted, 1), subject.rest)
+    estimator = subject.cell.estimator(volts.shape[1:], rest_resistance_ohm=rest)
+    steps = np.diff(time_s, prepend=time_s[0])
+    return np.array([estimator.step(float(dt), frame) for dt, frame in zip(steps, ohms, strict=True)])
+
+
+def one_cell_read(subject: Subject, ohms: FloatArray) -> tuple[FloatArray, float]:
+    """What the nominal board reads of one cell with this history (samples,), among cells at rest.
+
+    Returns:
+        Apparent ohm (samples,), and the share of readings that are lost to a limit. The frame rate is that of the
+        design, or :data:`FASTEST_HZ` where the design states none.
+    """
+    shape = subject.design.array.shape
+    place = (shape[0] // 2, shape[1] // 2)
+    cells = np.full((len(ohms), *shape), subject.rest)
+    cells[:, *place] = ohms
+    share = settling_share(subject, subject.design.operation.frame_rate or FASTEST_HZ)
+    random = np.random.default_rng(np.random.SeedSequence([subject.seed, 1 << 22]))
+    nominal = Factors.nominal(subject.design)
+    volts, lost = _converted(subject, nominal, np.zeros(0), cells, share, random)
+    return apparent_resistance(subject.design, volts)[:, *place], float(lost[:, *place].mean())
+
+
+def pressure_rmse(subject: Subject, requirement: Requirement, method: str) -> Measurement:
+    """RMS error of the pressure of the worst cell while it is touched, % of full scale."""
+    rate_of(subject, requirement)
+    found = [(run.rmse(), run) for run in runs(subject)]
+    (error, place), run = max(found, key=lambda item: item[0][0])
+    lost = float(run.lost.mean())
+    where = f"cell {place} of {run.board}" + (f"; {100 * lost:.3g} % of all readings are lost" if lost else "")
+    return Measurement(
+        100 * error,
+        "% of full scale",
+        where=where,
+        confidence=f"{len(found)} boards, {len(run.time_s)} frames each, in board time",
+        text=[_what_is_in(subject)],
+        figures=[_traces(run)],
+    )
+
+
+def pressure_peak_error(subject: Subject, requirement: Requirement, method: str) -> Measurement:
+    """Largest error of the pressure of any cell at any time, % of full scale."""
+    rate_of(subject, requirement)
+    found = [(run.peak(), run) for run in runs(subject)]
+    (error, (frame, row, column)), run = max(found, key=lambda item: item[0][0])
+    return Measurement(
+        100 * error,
+        "% of full scale",
+        where=f"cell ({row}, {column}) at {engineering(float(run.time_s[frame]), 's')}, {run.board}",
+        confidence=f"{len(found)} boards, {len(run.time_s)} frames each, in board time",
+        text=[_what_is_in(subject)],
+    )
+
+
+def lost_readings(subject: Subject, requirement: Requirement, method: str) -> Measurement:
+    """Share of readings beyond the converter's range or of outputs at a limit during the presses, %."""
+    found = [(100 * float(run.lost.mean()), run) for run in runs(subject)]
+    share, run = max(found, key=lambda item: item[0])
+    cells = np.argwhere(run.lost.any(axis=0))
+    places = ", ".join(f"({i}, {j})" for i, j in cells[:6].tolist())
+    return Measurement(share, "%", where=f"{len(cells)} cells of {run.board}: {places}" if len(cells) else "none")
+
+
+def _what_is_in(subject: Subject) -> str:
+    rate = rate_of(subject)
+    share = settling_share(subject, rate)
+    settled = (
+        f"{100 * share:.2g} % of the preceding row is left in each reading" if share else "readings settle in full"
+    )
+    return (
+        f"Declared rate {engineering(rate, 'Hz')}: {settled}. Noise, converter and parts are those of the design; the "
+        "host knows nominal parts and takes each cell's resistance at rest from the first "
+        f"{subject.design.operation.readings_per_calibration} frames. Estimator: {subject.cell.default_estimator}."
+    )
+
+
+def _traces(run: Run) -> Figure:
+    busiest = run.applied_kpa.sum(axis=0)
+    places = [np.unravel_index(k, busiest.shape) for k in np.argsort(-busiest, axis=None)[:3]]
+    with plots.drawing(len(places), 1, height=0.8 + 1.2 * len(places), sharex=True) as (figure, axes):
+        for panel, (row, column) in zip(axes[:, 0], places, strict=True):
+            panel.plot(run.time_s, run.applied_kpa[:, row, column], color=plots.INK, lw=4, alpha=0.25, label="applied")
+            panel.plot(run.time_s, run.estimated_kpa[:, row, column], lw=1, label="host's estimate")
+            panel.set(title=f"cell ({row}, {column})", ylabel="kPa")
+        axes[0, 0].legend(ncols=2, loc="upper right")
+        axes[-1, 0].set_xlabel("board time / s")
+        return Figure(plots.svg(figure), f"The most pressed cells, read by {run.board}.")

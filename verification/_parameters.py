@@ -1,0 +1,213 @@
+"""Tolerances as independent factors: which boards can be built of a design, from its nominal one to its corners.
+
+Every part value is linear in factors that each lie between -1 and 1::
+
+    value = centre + matrix @ factors
+
+A line that deviates on its own has one factor. Lines of one package share a factor and have a smaller one each
+(``matching``). One factor stands for the ambient temperature, which all temperature coefficients follow. The corners of
+the cube of all factors are the worst cases; random points in the cube are the samples of the Monte Carlo analysis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from math import erf, sqrt
+
+import numpy as np
+from scipy.special import erfinv
+
+from ..arrays import FloatArray
+from ..circuits import Boards, Design, Spread
+
+SECTION = {
+    "row_lead": "array",
+    "row_segment": "array",
+    "column_lead": "array",
+    "column_segment": "array",
+    "reference_resistance": "readout",
+    "open_loop_gain": "readout",
+    "offset_voltage": "readout",
+    "bias_current": "readout",
+    "voltage": "drive",
+    "reference_voltage": "readout",
+}
+"""The parts of :class:`ohmskin.circuits.Boards`, and the section of DESIGN.toml that each is in."""
+CONVERTER = ("offset_voltage", "gain_error", "inl_steps")
+"""Errors of the converter, in the order of the columns of :attr:`Population.converter`."""
+MAXIMA = ("readout.offset_voltage", "readout.bias_current", *(f"adc.{name}" for name in CONVERTER))
+"""A plain number here is a data-sheet maximum of either sign."""
+TEMPERATURE = "temperature"
+NOMINAL_K = 298.15
+_TRUNCATION = erf(3.0 / sqrt(2.0))  # share of a normal distribution within three standard deviations
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One independent deviation."""
+
+    key: str
+    """section and key of the part, or :data:`TEMPERATURE`"""
+    line: int | None
+    """row or column; None: all lines"""
+    package: int | None = None
+    """number of the package whose lines share the deviation"""
+    distribution: str = "uniform"
+
+    @property
+    def name(self) -> str:
+        """For a reader."""
+        if self.package is not None:
+            return f"{self.key}, package {self.package}"
+        if self.line is None:
+            return self.key
+        return f"{self.key}[{self.line}]"
+
+
+@dataclass(frozen=True)
+class Population:
+    """S boards, each with its converter's errors and the resistance of its cells relative to the nominal cell."""
+
+    boards: Boards
+    converter: FloatArray
+    """(S, 3): V, relative slope, steps; see :data:`CONVERTER`"""
+
+
+@dataclass(frozen=True)
+class Factors:
+    """All independent deviations of a design's parts."""
+
+    factors: tuple[Factor, ...]
+    centre: Mapping[str, FloatArray]
+    """(L,) by part, of the boards that all factors 0 stand for"""
+    matrix: Mapping[str, FloatArray]
+    """(L, F) by part"""
+
+    @classmethod
+    def of(cls, design: Design) -> Factors:
+        """The factors of a design whose spreads are not zero."""
+        spreads = dict(design.spreads)
+        nominal = _nominal_values(design)
+        found: list[Factor] = []
+        columns: list[tuple[str, FloatArray]] = []
+        centre = {key: value.copy() for key, value in nominal.items()}
+        drift: dict[str, FloatArray] = {}
+        for key, value in nominal.items():
+            spread = spreads.get(key)
+            if spread is None:
+                if key not in MAXIMA or not value.any():
+                    continue
+                centre[key] = np.zeros_like(value)
+                for line, width in enumerate(np.abs(value)):
+                    found.append(Factor(key, line if len(value) > 1 else None))
+                    columns.append((key, _unit(len(value), line, width)))
+                continue
+            for factor, column in _of_part(key, value, spread):
+                found.append(factor)
+                columns.append((key, column))
+            if spread.temperature_coefficient and design.operation.temperature_range is not None:
+                low, high = (kelvin - NOMINAL_K for kelvin in design.operation.temperature_range)
+                slope = spread.temperature_coefficient * value
+                centre[key] = centre[key] + slope * (low + high) / 2
+                drift[key] = slope * (high - low) / 2
+        matrix = {key: np.zeros((len(value), len(found) + bool(drift))) for key, value in nominal.items()}
+        for number, (key, column) in enumerate(columns):
+            matrix[key][:, number] = column
+        if drift:
+            found.append(Factor(TEMPERATURE, None))
+            for key, column in drift.items():
+                matrix[key][:, -1] = column
+        return cls(tuple(found), centre, matrix)
+
+    @classmethod
+    def nominal(cls, design: Design) -> Factors:
+        """No factors: only the board with the values that ``scan`` reads with."""
+        values = _nominal_values(design)
+        return cls((), values, {key: np.zeros((len(value), 0)) for key, value in values.items()})
+
+    def __len__(self) -> int:
+        return len(self.factors)
+
+    def values(self, key: str, factors: FloatArray) -> FloatArray:
+        """(S, L) values of one part for factors (S, F)."""
+        result: FloatArray = self.centre[key] + factors @ self.matrix[key].T
+        return result
+
+    def population(self, factors: FloatArray) -> Population:
+        """The boards of factors (S, F)."""
+        parts = {}
+        for field in fields(Boards):
+            values = self.values(f"{SECTION[field.name]}.{field.name}", factors)
+            parts[field.name] = np.maximum(values, 1.0) if field.name == "open_loop_gain" else values
+        if "adc.gain_error" in self.centre:
+            converter = np.concatenate([self.values(f"adc.{name}", factors) for name in CONVERTER], axis=1)
+        else:
+            converter = np.zeros((len(factors), len(CONVERTER)))
+        return Population(Boards(**parts), converter)
+
+    def sample(self, random: np.random.Generator, count: int) -> FloatArray:
+        """(S, F) random factors."""
+        uniform = random.uniform(-1.0, 1.0, (count, len(self)))
+        drawn = uniform.copy()
+        for number, factor in enumerate(self.factors):
+            column = uniform[:, number]
+            if factor.distribution == "normal":
+                drawn[:, number] = sqrt(2.0) * erfinv(column * _TRUNCATION) / 3.0
+            elif factor.distribution == "two-point":
+                drawn[:, number] = np.where(column < 0, -1.0, 1.0)
+        return drawn
+
+    def describe(self, factors: FloatArray) -> str:
+        """A corner in words: parts, and the sign of each line."""
+        signs: dict[str, list[tuple[str, int]]] = {}
+        for factor, value in zip(self.factors, factors, strict=True):
+            if value == 0:
+                continue
+            place = "" if factor.line is None else str(factor.line)
+            label = f"package {factor.package}" if factor.package is not None else place
+            signs.setdefault(factor.key, []).append((label, 1 if value > 0 else -1))
+        return "; ".join(f"{key} {_signs(lines)}" for key, lines in signs.items()) or "nominal parts"
+
+
+def _signs(lines: list[tuple[str, int]]) -> str:
+    up, down = ([label for label, sign in lines if sign == wanted] for wanted in (1, -1))
+    if not down:
+        return "high"
+    if not up:
+        return "low"
+    few, word = (up, "high") if len(up) <= len(down) else (down, "low")
+    other = "low" if word == "high" else "high"
+    return f"{word} at {', '.join(few)}, {other} elsewhere"
+
+
+def _of_part(key: str, value: FloatArray, spread: Spread) -> Iterator[tuple[Factor, FloatArray]]:
+    """The factors of one kind of part, each with its column of the matrix (L,)."""
+    count = len(value)
+    width = spread.tolerance * np.abs(value) + spread.deviation
+    if spread.matching is not None:
+        size = spread.package or count
+        common = (spread.tolerance - spread.matching) * np.abs(value)
+        width = spread.matching * np.abs(value) + spread.deviation
+        for package in range(-(-count // size)):
+            members = np.arange(count) // size == package
+            if common[members].any():
+                yield Factor(key, None, package, spread.distribution), np.where(members, common, 0.0)
+    for line in range(count):
+        if width[line] > 0 and np.isfinite(width[line]):
+            factor = Factor(key, line if count > 1 else None, None, spread.distribution)
+            yield factor, _unit(count, line, float(width[line]))
+
+
+def _unit(count: int, line: int, width: float) -> FloatArray:
+    column = np.zeros(count)
+    column[line] = width
+    return column
+
+
+def _nominal_values(design: Design) -> dict[str, FloatArray]:
+    boards = Boards.of(design)
+    values = {f"{SECTION[field.name]}.{field.name}": getattr(boards, field.name)[0] for field in fields(boards)}
+    if design.adc is not None:
+        values |= {f"adc.{name}": np.array([getattr(design.adc, name)]) for name in CONVERTER}
+    return values

@@ -1,0 +1,207 @@
+"""The readout as a schematic in SVG, drawn from the design with its values (the paper's Fig. 15)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..circuits import Design
+from ._units import engineering
+
+_STROKE = 'fill="none" stroke="currentColor" stroke-width="1.4"'
+PITCH_X, PITCH_Y = 190.0, 120.0
+LEFT, TOP = 210.0, 60.0
+
+
+class _Drawing:
+    """SVG elements; coordinates in px."""
+
+    def __init__(self) -> None:
+        self.elements: list[str] = []
+
+    def line(self, *points: tuple[float, float]) -> None:
+        path = " ".join(f"{x:g},{y:g}" for x, y in points)
+        self.elements.append(f'<polyline points="{path}" {_STROKE}/>')
+
+    def dot(self, x: float, y: float) -> None:
+        self.elements.append(f'<circle cx="{x:g}" cy="{y:g}" r="2.6" fill="currentColor"/>')
+
+    def text(self, x: float, y: float, words: str, *, anchor: str = "middle", size: float = 12.0) -> None:
+        safe = words.replace("&", "&amp;").replace("<", "&lt;")
+        self.elements.append(
+            f'<text x="{x:g}" y="{y:g}" text-anchor="{anchor}" font-size="{size:g}" fill="currentColor">{safe}</text>'
+        )
+
+    def resistor(self, x: float, y: float, *, vertical: bool = False, length: float = 36.0) -> None:
+        """A box of ``length`` around (x, y); the wire is interrupted by it."""
+        width, height = (12.0, length) if vertical else (length, 12.0)
+        self.elements.append(
+            f'<rect x="{x - width / 2:g}" y="{y - height / 2:g}" width="{width:g}" height="{height:g}" '
+            'fill="var(--paper, white)" stroke="currentColor" stroke-width="1.4"/>'
+        )
+
+    def capacitor(self, x: float, y: float, *, vertical: bool = False) -> None:
+        """Two plates around (x, y)."""
+        if vertical:
+            self.elements.append(
+                f'<rect x="{x - 9:g}" y="{y - 3:g}" width="18" height="6" fill="var(--paper, white)" stroke="none"/>'
+            )
+            self.line((x - 9, y - 3), (x + 9, y - 3))
+            self.line((x - 9, y + 3), (x + 9, y + 3))
+        else:
+            self.elements.append(
+                f'<rect x="{x - 3:g}" y="{y - 9:g}" width="6" height="18" fill="var(--paper, white)" stroke="none"/>'
+            )
+            self.line((x - 3, y - 9), (x - 3, y + 9))
+            self.line((x + 3, y - 9), (x + 3, y + 9))
+
+    def ground(self, x: float, y: float) -> None:
+        for half, down in ((9, 0), (6, 4), (3, 8)):
+            self.line((x - half, y + down), (x + half, y + down))
+
+    def amplifier(self, x: float, y: float) -> None:
+        """A triangle that points down from (x, y): inputs 20 px to the left (-) and right (+), output at y + 52."""
+        self.elements.append(
+            f'<polygon points="{x - 34:g},{y:g} {x + 34:g},{y:g} {x:g},{y + 52:g}" '
+            'fill="var(--paper, white)" stroke="currentColor" stroke-width="1.4"/>'
+        )
+        self.text(x - 17, y + 15, "−", size=14)
+        self.text(x + 17, y + 15, "+", size=14)
+
+    def svg(self, width: float, height: float, title: str) -> str:
+        body = "".join(self.elements)
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" width="{width:g}" '
+            f'role="img" aria-label="{title}" font-family="sans-serif">{body}</svg>'
+        )
+
+
+def schematic(design: Design) -> str:
+    """An excerpt of two rows and two columns (fewer, if the array has fewer) with the values of all parts."""
+    rows, columns = min(design.array.rows, 2), min(design.array.columns, 2)
+    drawing = _Drawing()
+    right, bottom = LEFT + (columns - 1) * PITCH_X, TOP + (rows - 1) * PITCH_Y
+    for row in range(rows):
+        _row(drawing, design, row, right)
+    for column in range(columns):
+        x = LEFT + column * PITCH_X + 55
+        drawing.line((x, TOP + 45), (x, bottom + 90))
+        for row in range(rows):
+            y = TOP + row * PITCH_Y
+            cell_x = LEFT + column * PITCH_X
+            drawing.line((cell_x, y), (cell_x, y + 45), (x, y + 45))
+            drawing.resistor(cell_x, y + 25, vertical=True, length=26)
+            drawing.dot(cell_x, y)
+            drawing.dot(x, y + 45)
+            drawing.text(cell_x - 12, y + 29, f"R{row}{column}", anchor="end", size=11)
+            if row + 1 < rows and _some(design.array.column_segment):
+                drawing.resistor(x, y + 85, vertical=True, length=24)
+                if column == 0:
+                    drawing.text(x + 10, y + 89, _value(design.array.column_segment, "ohm"), anchor="start", size=11)
+        if _some(design.array.column_lead):
+            drawing.resistor(x, bottom + 70, vertical=True, length=26)
+            if column == 0:
+                drawing.text(
+                    x + 10, bottom + 74, f"lead {_value(design.array.column_lead, 'ohm')}", anchor="start", size=11
+                )
+        _end(drawing, design, x, bottom + 90, label=column == 0)
+    size = f"{design.array.rows} × {design.array.columns} cells"
+    drawing.text(LEFT + 55, 22, f"{design.readout.circuit}, {size}; drawn: the first rows and columns", size=13)
+    return drawing.svg(right + 330, bottom + 330, f"schematic: {design.readout.circuit}, {size}")
+
+
+def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
+    y = TOP + row * PITCH_Y
+    drawing.line((80, y), (right + 20, y))
+    drive = engineering(design.drive.voltage, "V")
+    idle = {"ground": "at the reference", "float": "open"}[design.drive.idle_rows]
+    if design.readout.circuit == "voltage-feedback":
+        idle = "at the follower"
+    drawing.text(72, y - 3, f"row {row}", anchor="end")
+    words = f"selected: {drive}" if row == 0 else f"idle: {idle}"
+    drawing.text(72, y + 12, words, anchor="end", size=10.5)
+    if _some(design.array.row_lead):
+        drawing.resistor(130, y)
+        if row == 0:
+            drawing.text(130, y - 12, f"lead {_value(design.array.row_lead, 'ohm')}", size=11)
+    if right > LEFT and _some(design.array.row_segment):
+        drawing.resistor(LEFT + PITCH_X / 2 + 25, y, length=28)
+        if row == 0:
+            drawing.text(LEFT + PITCH_X / 2 + 25, y - 12, f"segment {_value(design.array.row_segment, 'ohm')}", size=11)
+
+
+def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) -> None:
+    readout = design.readout
+    if readout.circuit != "inverting-amplifier":
+        drawing.line((x, y), (x, y + 30))
+        drawing.line((x, y + 30), (x, y + 110))
+        drawing.resistor(x, y + 70, vertical=True)
+        drawing.ground(x, y + 110)
+        drawing.line((x, y + 30), (x + 60, y + 30))
+        drawing.dot(x, y + 30)
+        if label:
+            drawing.text(x + 12, y + 74, _value(readout.reference_resistance, "ohm"), anchor="start", size=11)
+            if readout.circuit == "voltage-feedback":
+                drawing.text(x + 12, y + 100, "a follower drives all idle lines", anchor="start", size=11)
+        _converter(drawing, design, x + 60, y + 30, label=label)
+        return
+    drawing.line((x, y), (x, y + 60), (x + 10, y + 60), (x + 10, y + 66))
+    drawing.dot(x, y + 30)
+    top, out = y + 66, y + 66 + 52
+    amplifier_x = x + 27
+    drawing.amplifier(amplifier_x, top)
+    drawing.line((amplifier_x + 17, top), (amplifier_x + 17, top - 10), (amplifier_x + 46, top - 10))
+    drawing.line((amplifier_x + 46, top - 10), (amplifier_x + 46, top + 4))
+    drawing.ground(amplifier_x + 46, top + 4)
+    drawing.line((amplifier_x, out), (amplifier_x, out + 26))
+    side = x - 48
+    drawing.line((x, y + 30), (side, y + 30), (side, out + 12), (amplifier_x, out + 12))
+    drawing.resistor(side, y + 80, vertical=True)
+    drawing.dot(amplifier_x, out + 12)
+    if readout.feedback_capacitance:
+        drawing.line((x, y + 40), (side + 24, y + 40), (side + 24, out + 4), (amplifier_x, out + 4))
+        drawing.capacitor(side + 24, y + 80, vertical=True)
+    if label:
+        drawing.text(side - 10, y + 76, "Rref", anchor="end", size=11)
+        drawing.text(side - 10, y + 91, _value(readout.reference_resistance, "ohm"), anchor="end", size=11)
+        if readout.feedback_capacitance:
+            drawing.text(
+                side - 10, y + 112, f"Cf {engineering(readout.feedback_capacitance, 'F')}", anchor="end", size=11
+            )
+        values = [
+            f"gain {_value(readout.open_loop_gain, '')}" if np.all(np.isfinite(readout.open_loop_gain)) else "",
+            f"GBW {engineering(readout.gain_bandwidth, 'Hz')}" if np.isfinite(readout.gain_bandwidth) else "",
+            f"offset {_value(readout.offset_voltage, 'V')}" if _some(readout.offset_voltage) else "",
+            f"swing {readout.supply[0]:g} … {readout.supply[1]:g} V" if np.isfinite(readout.supply).any() else "",
+        ]
+        for number, words in enumerate(filter(None, values)):
+            drawing.text(amplifier_x + 40, top + 26 + 13 * number, words, anchor="start", size=10)
+    reference = f"{readout.reference_voltage:g} V" if readout.reference_voltage else ""
+    if reference and label:
+        drawing.text(amplifier_x + 60, top + 8, reference, anchor="start", size=10)
+    _converter(drawing, design, amplifier_x, out + 26, label=label)
+
+
+def _converter(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) -> None:
+    adc = design.adc
+    drawing.elements.append(
+        f'<rect x="{x - 24:g}" y="{y:g}" width="48" height="24" fill="var(--paper, white)" stroke="currentColor" '
+        'stroke-width="1.4" stroke-dasharray="' + ("none" if adc else "3 3") + '"/>'
+    )
+    drawing.text(x, y + 16, "ADC", size=11)
+    if label and adc:
+        drawing.text(x + 32, y + 12, f"{adc.bits} bit, {adc.range[0]:g} … {adc.range[1]:g} V", anchor="start", size=10)
+
+
+def _some(value: float | Sequence[float]) -> bool:
+    return bool(np.any(np.asarray(value)))
+
+
+def _value(value: float | Sequence[float], unit: str) -> str:
+    """One value, or the range of a list of them."""
+    values = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    low, high = float(values.min()), float(values.max())
+    if low == high:
+        return engineering(low, unit)
+    return f"{engineering(low, unit)} … {engineering(high, unit)}"

@@ -1,0 +1,114 @@
+"""Fault coverage: which broken lines and cells a self-test of the untouched skin can tell.
+
+The self-test reads the skin at rest and compares every reading with the interval that a sound board can give. That
+interval follows to first order from all tolerances, the spread of the cells and the step of the converter. A fault is
+detected if at least one reading leaves its interval.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..circuits import Design, Fault, Requirement, scan, sensitivity
+from ..errors import InputError, SolverError
+from ._outcome import Measurement, NotRun, Table
+from ._parameters import SECTION
+from ._static import box_of
+from ._subject import Subject
+
+MOST_FAULTS = 400
+"""faults that are solved; of larger arrays every n-th cell is taken"""
+
+
+def faults_of(design: Design) -> list[Fault]:
+    """Open and shorted cells, lines broken at their electronics, in the middle and at the end, bridged neighbours."""
+    rows, columns = design.array.shape
+    places = [(i, j) for i in range(rows) for j in range(columns)]
+    every = -(-2 * len(places) // MOST_FAULTS)
+    kept = places[::every]
+    found = [Fault(kind=kind, place=place) for kind in ("open-cell", "shorted-cell") for place in kept]
+    for row in range(rows):
+        for column in sorted({0, columns // 2, columns - 1}):
+            found.append(Fault(kind="broken-row", place=(row, column)))
+    for column in range(columns):
+        for row in sorted({0, rows // 2, rows - 1}):
+            found.append(Fault(kind="broken-column", place=(row, column)))
+    found += [Fault(kind="bridged-rows", place=(row, columns // 2), resistance=1.0) for row in range(rows - 1)]
+    found += [Fault(kind="bridged-columns", place=(rows // 2, column), resistance=1.0) for column in range(columns - 1)]
+    return found
+
+
+def sound_interval(subject: Subject) -> tuple[FloatArray, FloatArray]:
+    """Nominal output and largest deviation (N, M) in V of a sound board whose cells are at rest."""
+    box = box_of(subject)
+    population = box.factors.population(np.zeros((1, len(box.factors))))
+    design = population.boards.design(subject.design, 0)
+    cells = np.full(design.array.shape, subject.rest)
+    found = sensitivity(design, cells)
+    width = np.abs(found.cells * cells).sum(axis=(-2, -1)) * subject.cell_spread
+    derivatives = {
+        "row_lead": found.row_lead,
+        "row_segment": found.row_segment.sum(axis=-1),
+        "column_lead": found.column_lead,
+        "column_segment": found.column_segment.sum(axis=-2),
+        "reference_resistance": found.reference_resistance,
+        "open_loop_gain": -found.inverse_gain / population.boards.open_loop_gain**2,
+        "offset_voltage": found.offset_voltage,
+        "bias_current": found.bias_current,
+    }
+    for name, derivative in derivatives.items():
+        matrix = box.factors.matrix[f"{SECTION[name]}.{name}"]
+        if matrix.any():
+            width = width + np.abs(derivative @ matrix).sum(axis=-1)
+    signal = np.abs(found.volts - design.readout.reference_voltage)
+    drive = box.factors.matrix["drive.voltage"]
+    width = width + signal * np.abs(drive).sum() / abs(design.drive.voltage)
+    width = width + np.abs(box.factors.matrix["readout.reference_voltage"]).sum()
+    if design.adc is not None:
+        widths = [
+            np.abs(box.factors.matrix[f"adc.{key}"]).sum() for key in ("offset_voltage", "gain_error", "inl_steps")
+        ]
+        width = width + widths[0] + widths[1] * signal + (widths[2] + 1.0) * design.adc.step
+    return found.volts, width
+
+
+def fault_coverage(subject: Subject, requirement: Requirement, method: str) -> Measurement:
+    """Share of single faults that the self-test detects, %."""
+    design = subject.design
+    if design.fault:
+        raise NotRun("the design has faults of its own; a self-test is judged on a sound one")
+    try:
+        nominal, width = sound_interval(subject)
+    except InputError as error:
+        raise NotRun(f"no interval of a sound board: {error}") from error
+    low, high = design.readout.supply
+    counts: dict[str, Counter[bool]] = {}
+    missed: list[str] = []
+    cells = np.full(design.array.shape, subject.rest)
+    for fault in faults_of(design):
+        try:
+            volts = np.clip(scan(design.replace(fault=(fault,)), cells, method="exact").volts, low, high)
+            if design.adc is not None:
+                volts = np.clip(volts, *design.adc.range)
+            told = bool((~(np.abs(volts - nominal) <= width)).any())
+        except SolverError:  # ideal parts contradict each other: no sound reading comes of it
+            told = True
+        counts.setdefault(fault.kind, Counter())[told] += 1
+        if not told:
+            missed.append(f"{fault.kind} at {fault.place}")
+    told_of_all = sum(count[True] for count in counts.values())
+    total = sum(sum(count.values()) for count in counts.values())
+    rows = [
+        [kind, str(sum(count.values())), str(count[True]), f"{100 * count[True] / sum(count.values()):.1f} %"]
+        for kind, count in counts.items()
+    ]
+    return Measurement(
+        100 * told_of_all / total,
+        "%",
+        where=f"not told: {', '.join(missed[:5])}{', ...' if len(missed) > 5 else ''}" if missed else "all are told",
+        confidence=f"{total} single faults solved exactly; interval of a sound board to first order",
+        tables=[Table(["fault", "tried", "told", "coverage"], rows, "Faults that a self-test at rest can tell.")],
+    )

@@ -1,0 +1,58 @@
+"""Engineering notation: ``23500`` ohm is shown as ``23.5 kΩ``; and conversion between the units of limits."""
+
+from __future__ import annotations
+
+import math
+
+from ..errors import InputError
+
+PREFIXES = {-15: "f", -12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G", 12: "T"}
+PREFIXED = {"V": "V", "A": "A", "ohm": "Ω", "Ω": "Ω", "F": "F", "Hz": "Hz", "s": "s", "W": "W", "m": "m"}
+PREFIXED |= {"V/sqrt(Hz)": "V/√Hz", "A/sqrt(Hz)": "A/√Hz", "S": "S"}
+"""Units that take a prefix, and how each is written."""
+FACTORS = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
+
+
+def engineering(value: float, unit: str = "", digits: int = 4) -> str:
+    """A number with its unit, the exponent a multiple of three where the unit takes a prefix."""
+    if math.isnan(value):
+        return "no number"
+    if math.isinf(value):
+        return ("−" if value < 0 else "") + "∞" + (f" {unit}" if unit else "")
+    if unit not in PREFIXED:
+        shown = f"{value:.{digits}g}"
+        return f"{_minus(shown)} {unit}".rstrip()
+    if value == 0:
+        return f"0 {PREFIXED[unit]}"
+    exponent = 3 * math.floor(math.log10(abs(value)) / 3 + 1e-12)
+    exponent = min(max(exponent, min(PREFIXES)), max(PREFIXES))
+    shown = f"{value / 10.0**exponent:.{digits}g}"
+    if "e" in shown:
+        shown = f"{value / 10.0**exponent:.0f}" if abs(value) >= 1 else f"{value:.{digits}g}"
+    return f"{_minus(shown)} {PREFIXES[exponent]}{PREFIXED[unit]}"
+
+
+def conversion(given: str, wanted: str) -> float:
+    """The factor from unit ``given`` to unit ``wanted``: from mV to V, 1e-3.
+
+    Raises:
+        InputError: the units do not measure the same.
+    """
+    if given in ("", wanted):
+        return 1.0
+    plain = {"Ω": "ohm", "degrees": "°", "deg": "°"}
+    given, wanted = plain.get(given, given), plain.get(wanted, wanted)
+    if given == wanted:
+        return 1.0
+    special = {("kPa", "Pa"): 1e3, ("Pa", "kPa"): 1e-3, ("%", ""): 0.01, ("", "%"): 100.0}
+    if (given, wanted) in special:
+        return special[given, wanted]
+    if given[:1] in FACTORS and given[1:] == wanted:
+        return FACTORS[given[0]]
+    raise InputError(
+        f"unit '{given}' does not fit; expected '{wanted}'" if wanted else f"unit '{given}' is not expected"
+    )
+
+
+def _minus(shown: str) -> str:
+    return shown.replace("-", "−") if shown.startswith("-") else shown
