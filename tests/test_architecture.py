@@ -17,6 +17,7 @@ MAY_IMPORT = {
     "emulator": SHARED | {"circuits", "cell", "wire"},
     "driver": SHARED | {"circuits", "cell", "wire"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
+    "hil": SHARED | {"driver", "emulator"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
 }
 
