@@ -8,21 +8,19 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 from itertools import islice
 from pathlib import Path
 
-import numpy as np
 import pytest
 import serial
 import tomli_w
 from boards import DESIGN, PRESS, scene
 
 from ohmskin.driver import Skin
-from ohmskin.emulator import Device, PtyPort, Rfc2217Port, Scene, TcpPort, running
+from ohmskin.emulator import Device, PtyPort, Rfc2217Port, Scene, TcpPort, running, soak
 from ohmskin.emulator import _ports as ports
-from ohmskin.wire import Command, Corrupt, FramePacket, Identity, Order, encode, host_protocol
+from ohmskin.wire import Command, FramePacket, Identity, Order, encode, host_protocol
 
 
 def read_until(line: serial.SerialBase | socket.socket, wanted: type, count: int = 1, timeout_s: float = 20.0) -> list:  # type: ignore[type-arg]
@@ -219,64 +217,24 @@ def test_more_than_1024_open_files_are_no_obstacle() -> None:
                 assert len(list(islice(skin, 3))) == 3
 
 
-@contextmanager
-def growth_kb(limit: int) -> Iterator[None]:
-    """The block may not grow this process by more than ``limit`` kB."""
-
-    def resident() -> int:
-        return int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize() // 1024
-
-    before = resident()
-    yield
-    assert resident() - before < limit
+def test_frames_and_hosts_without_end_leave_nothing_behind(scene_file: Path) -> None:
+    """A bounded run of what ``python -m ohmskin.emulator.soak`` does with a million frames and two thousand hosts."""
+    lines: list[str] = []
+    code = soak.main([str(scene_file), "--frames", "20000", "--hosts", "120"], say=lines.append)
+    assert code == 0, lines
+    assert lines[0].startswith("20000 frames arrived, 0 missing or corrupt")
+    assert lines[1].startswith("120 hosts came and went, 40 of them were sent something, 0 files")
 
 
-def test_hosts_that_come_and_go_leave_nothing_behind() -> None:
-    """A hundred of each kind: silent ones, ones that leave in mid-packet, ones that send noise."""
-    port = TcpPort.at(":0")
-    random = np.random.default_rng(2)
-    open_files = len(os.listdir("/proc/self/fd"))
-    with running(scene(), port):
-        for k in range(300):
-            with connect(port) as host:
-                if k % 3 == 1:
-                    host.recv(int(random.integers(1, 200)))
-                elif k % 3 == 2:
-                    host.sendall(random.bytes(int(random.integers(1, 300))))
-        with connect(port) as last:
-            assert read_until(last, FramePacket, 3)
-    assert len(os.listdir("/proc/self/fd")) <= open_files + 1
-
-
-def test_many_frames_take_no_memory() -> None:
-    """Twenty thousand frames through device and host protocol, without a gap."""
-    what = scene(board={"frame_rate": 1000.0, "noise": 0.001})
-    device, host = Device(what, capacity=2**62), host_protocol("ohmskin")
-    expected = 0
-
-    def live(frames: int) -> None:
-        nonlocal expected
-        while expected < frames:
-            device.tick(host_present=True)
-            device.advance(device.next_us)
-            data = device.arrived()
-            device.transmission.taken(len(data))
-            for event in host.feed(data, 0.0):
-                assert not isinstance(event, Corrupt)
-                if isinstance(event, FramePacket):
-                    assert event.sequence == expected
-                    expected += 1
-                elif isinstance(event, Identity):
-                    assert event.sequence == expected
-
-    live(2000)
-    with growth_kb(4096):
-        live(20_000)
+def test_a_soak_that_finds_something_says_so(scene_file: Path) -> None:
+    scene_file.write_text(scene_file.read_text() + "[line]\npacket_loss = 0.01\n")
+    assert soak.main([str(scene_file), "--frames", "2000", "--hosts", "3"], say=lambda line: None) == 1
 
 
 def test_unplugging_hangs_up_on_the_host_and_plugging_in_serves_it_again() -> None:
     what = scene(
-        link_fault=[{"kind": "unplug", "at": 2.0, "duration": 0.3}], board={"frame_rate": 100.0, "serial_number": "U7"}
+        link_fault=[{"kind": "unplug", "at_s": 2.0, "duration_s": 0.3}],
+        board={"frame_rate": 100.0, "serial_number": "U7"},
     )
     port = TcpPort.at(":0")
     with running(what, port):
@@ -300,9 +258,9 @@ def test_unplugging_hangs_up_on_the_host_and_plugging_in_serves_it_again() -> No
 def test_an_unplugged_link_file_is_a_valid_scene() -> None:
     tables = {
         "skin": {"design": DESIGN},
-        "line": {"baud_rate": 1_000_000, "usb_packet": 62, "latency": 0.016},
-        "clock": {"offset": 3.0, "drift_ppm": -40.0, "jitter": 1e-4},
-        "link_fault": [{"kind": "reset", "at": 2.0, "period": 5.0, "text": "boot\r\n"}],
+        "line": {"baud_rate": 1_000_000, "usb_packet": 62, "latency_s": 0.016},
+        "clock": {"offset_s": 3.0, "drift_ppm": -40.0, "jitter_s": 1e-4},
+        "link_fault": [{"kind": "reset", "at_s": 2.0, "every_s": 5.0, "text": "boot\r\n"}],
     }
     what = Scene.from_tables(tables, source="scene", directory=Path())
     assert what.link_fault[0].occurrence(7.5) == 1
