@@ -39,6 +39,7 @@ class Device:
         record: Callable[[Sample], None] | None = None,
         capacity: int | None = None,
         hand: Hand | None = None,
+        ahead: bool = False,
     ) -> None:
         """Switch the device on; arguments as for :class:`Board`.
 
@@ -51,6 +52,7 @@ class Device:
             record: told of every frame that the board scans.
             capacity: bytes of the transmit buffer; None: those of a microcontroller.
             hand: presses beside the scene's contacts.
+            ahead: compute frames ahead in a thread.
 
         """
         self.board = Board(
@@ -61,6 +63,7 @@ class Device:
             protocol=protocol,
             record=record,
             hand=hand,
+            ahead=ahead,
         )
         if capacity is None:
             rows, columns = scene.skin.design.array.shape

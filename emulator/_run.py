@@ -162,6 +162,7 @@ def emulate(
             record=None if file is None else file.append,
             # At the fast clock no tick is due while more than a little waits; only a UART can overflow.
             hand=hand,
+            ahead=clock == "real",
             capacity=2**62 if clock == "fast" and scene.line.baud_rate is None else None,
         )
         outcome = Outcome()
