@@ -15,6 +15,9 @@ TOLERANCE = 0.02
 """relative uncertainty of a conductance up to which a cell is valid in any case; the project's own choice"""
 STEPS = 2.0
 """ADC steps of its own reading that a valid cell may be uncertain by, where that is more"""
+_GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
+_LARGEST_NOISE = 8  # ADC steps between frames that may be noise; more is a press
+_MEAN_CHANGE = 2.0 / np.sqrt(np.pi)  # mean change between two readings of a normal distribution, in its deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +64,10 @@ class CountReader:
             self._codes - 1 if volts is None else min(self._codes - 1, int(np.searchsorted(volts + half, high)))
         )
         self._level = design.readout.reference_voltage
+        rising = (design.drive.voltage > 0) != design.board.circuit.inverts  # whether more current raises the output
+        self._guards_low, self._guards_high = not rising and low >= adc.range[0], rising and high <= adc.range[1]
+        self._noise = 0.0  # ADC steps, standard deviation of the readings
+        self._before: NDArray[np.integer] | None = None
         self._counts = b""
         self._reading: Reading | None = None
 
@@ -91,11 +98,27 @@ class CountReader:
         self._counts, self._reading = same, None if (reading.status == Status.DISTURBED).any() else reading
         return reading
 
+    def _measured_noise(self, counts: NDArray[np.integer]) -> float:
+        """Standard deviation of the readings in ADC steps, from how they differ from frame to frame.
+
+        Pressing changes readings as well, so the estimate is rather too large. It forgets within a hundred frames.
+        """
+        if self._before is not None:
+            change = np.abs(np.subtract(counts, self._before, dtype=np.int64))
+            fresh = float(np.minimum(change, _LARGEST_NOISE).mean()) / _MEAN_CHANGE
+            self._noise = max(0.98 * self._noise, fresh)
+        self._before = counts
+        return self._noise
+
     def _read(self, counts: NDArray[np.integer]) -> Reading:
         volts = counts.astype(np.float64)
         volts *= self._step
         volts += self._lowest + 0.5 * self._step
-        limited = (counts < self._first) | (counts >= self._last)
+        # Noise takes an output that stands at a limit of its swing to codes on either side of it.
+        guard = np.ceil(_GUARD * self._measured_noise(counts))
+        lowest = self._first + (guard if self._guards_low else 0.0)
+        highest = self._last - (guard if self._guards_high else 0.0)
+        limited = (counts < lowest) | (counts >= highest)
         faint = None
         if limited.any():
             # At the end of the range where hardly a current flows, not knowing a cell disturbs no other.

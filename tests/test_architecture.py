@@ -13,7 +13,7 @@ MAY_IMPORT = {
     "circuits": SHARED,
     "cell": SHARED,
     "wire": SHARED,
-    "bench": SHARED | {"circuits", "cell", "wire", "emulator"},
+    "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
     "emulator": SHARED | {"circuits", "cell", "wire"},
     "driver": SHARED | {"circuits", "cell", "wire"},
     "doctor": SHARED | {"circuits", "wire", "driver"},

@@ -148,3 +148,21 @@ def test_what_a_frame_did_not_settle_the_next_ones_do() -> None:
 def test_a_design_without_a_converter_is_refused() -> None:
     with pytest.raises(InputError, match=r"no \[adc\] section"):
         live_recovery(board("inverting-amplifier", 2, 2, 12).replace(adc=None))
+
+
+def test_noise_does_not_bring_a_saturated_output_back_to_life() -> None:
+    """An output at its limit, with noise of half a step, is read on either side of the limit."""
+    design = board("inverting-amplifier", 6, 6, 12, row_lead=5.0, column_lead=5.0).replace(
+        readout={"supply": [-0.1, 3.3], "reference_resistance": 20e3}, adc={"range": [0.0, 3.3]}
+    )
+    rng, read = np.random.default_rng(0), CountReader(design)
+    cells = 10 ** rng.uniform(4.0, 4.3, (6, 6))
+    cells[2, 3] = cells[5, 0] = 5.0
+    volts = scan(design, cells).volts
+    for number in range(200):
+        noisy = volts + rng.normal(scale=0.5 * design.adc.step, size=volts.shape)  # type: ignore[union-attr]
+        reading = read(adc_codes(design, noisy))
+        if number:  # nothing is known of the noise before
+            assert not reading.valid[cells < 100].any()
+            assert (relative_error(reading.resistance, cells)[reading.valid] < 0.01).all()
+            assert reading.valid.sum() >= 10

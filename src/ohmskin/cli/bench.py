@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from .. import bench, tables
+from ..bench import _driver as of_drivers
 from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
 from . import arguments
@@ -46,6 +47,9 @@ class _ManyValues(click.Command):
 @click.option("--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Draw error against time.")
 @click.option("--estimators", is_flag=True, help="Measure the pressure estimators instead, on a material of their own.")
 @click.option("--emulator", "of_emulator", is_flag=True, help="Measure the virtual board instead, at these sizes.")
+@click.option(
+    "--driver", "of_driver", is_flag=True, help="Measure the live path instead, bytes to kPa, at these sizes."
+)
 @arguments.as_json("the measurements")
 def command(
     sizes: tuple[int, ...],
@@ -56,6 +60,7 @@ def command(
     picture: Path | None,
     estimators: bool,
     of_emulator: bool,
+    of_driver: bool,
     as_json: bool,
 ) -> None:
     """Measure N x N arrays of 10 kohm to 1 Mohm with R ohm per line segment and lead: time per frame, true error,
@@ -68,6 +73,10 @@ def command(
     if of_emulator:
         boards = list(of_boards.emulator(sizes))
         click.echo(json.dumps([asdict(row) for row in boards], indent=1) if as_json else of_boards.table(boards))
+        return
+    if of_driver:
+        paths = list(of_drivers.driver(sizes))
+        click.echo(json.dumps([asdict(row) for row in paths], indent=1) if as_json else of_drivers.table(paths))
         return
     arrays = [(size, segment) for size in sizes for segment in segments]
     rows = []

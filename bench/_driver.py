@@ -1,0 +1,182 @@
+"""The live path: bytes to ohms to kPa, frames per second of processor time, worst frame, and error.
+
+A scene of fingers that wander over a skin is turned into packets beforehand, with the board's own noise and ADC. The
+stages of the driver then take them one after the other: packets (:mod:`ohmskin.wire`), counts to ohms
+(:class:`ohmskin.driver.CountReader`), ohms to kPa (the cell's default estimator).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..cell import Cell
+from ..circuits import CIRCUITS, Design, adc_codes, scan_batch
+from ..driver import CountReader
+from ..wire import FramePacket, board_protocol, host_protocol
+
+FRAMES = 400
+FRAME_RATE_HZ = 200.0
+NOISE_STEPS = 0.5
+"""standard deviation of the outputs' noise in ADC steps"""
+HARD_OHM = 5.0
+"""of cells that are held at a short, so that their outputs saturate"""
+CASES: tuple[tuple[str, str, int, int], ...] = (
+    ("inverting-amplifier", "ground", 12, 0),
+    ("inverting-amplifier", "ground", 12, 7),
+    ("inverting-amplifier", "ground", 8, 0),
+    ("row-amplifier", "ground", 12, 0),
+    ("voltage-feedback", "ground", 12, 0),
+    ("voltage-divider", "ground", 10, 0),
+    ("voltage-divider", "float", 10, 0),
+)
+"""circuit, idle rows, ADC bits, saturated cells"""
+_LARGEST_COUPLED = 16  # side beyond which dividers and followers are left out: minutes
+
+
+@dataclass(frozen=True)
+class Row:
+    """One board."""
+
+    size: int
+    """of the N x N array"""
+    circuit: str
+    idle_rows: str
+    bits: int
+    saturated_cells: int
+    frames_per_second: float
+    """per second of processor time, bytes to kPa"""
+    decode_us: float
+    """median per frame"""
+    ohms_us: float
+    kpa_us: float
+    worst_frame: float
+    """processor time of the slowest frame, all stages, in medians; the first ten frames are left out"""
+    valid_percent: float
+    """of the cells"""
+    worst_ohm_error_percent: float
+    """of a valid cell, relative to its own resistance"""
+    rmse_kpa: float
+    """of valid cells"""
+    worst_kpa: float
+
+
+def driver(sizes: Iterable[int], *, frames: int = FRAMES) -> Iterator[Row]:
+    """Measure boards of every size in :data:`CASES`."""
+    for size in sizes:
+        for circuit, idle_rows, bits, saturated in CASES:
+            if size <= _LARGEST_COUPLED or CIRCUITS.index(circuit) in (0, 3):
+                yield _measured(design(size, circuit, idle_rows, bits), saturated, frames)
+
+
+def design(size: int, circuit: str, idle_rows: str, bits: int) -> Design:
+    """A board for the shipped example cell, which rises from 10 kohm when pressed."""
+    amplified = circuit.endswith("amplifier")
+    readout: dict[str, Any] = {"circuit": circuit, "reference_resistance": 20e3 if amplified else 5e3}
+    if circuit != "voltage-divider":
+        readout |= {"open_loop_gain": 1e5, "supply": [-0.1, 3.3]}
+    return Design.model_validate(
+        {
+            "array": {"rows": size, "columns": size, "row_lead": 5.0, "column_lead": 5.0},
+            "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
+            "readout": readout,
+            "adc": {"bits": bits, "range": [0.0, 3.3]},
+        }
+    )
+
+
+def _measured(board: Design, saturated: int, frames: int) -> Row:
+    cell = Cell.example()
+    pressure, cells = _pressed(cell, board.array.shape, frames)
+    if saturated:
+        places = np.random.default_rng(1).choice(cells[0].size, saturated, replace=False)
+        cells.reshape(frames, -1)[:, places] = HARD_OHM
+    packets = _packets(board, cells)
+    decode, read = host_protocol("ohmskin"), CountReader(board)
+    estimator = cell.estimator(board.array.shape)
+    times = np.empty((frames, 3))
+    found_ohm, valid = np.empty_like(cells), np.empty(cells.shape, dtype=np.bool_)
+    found_kpa = np.empty_like(cells)
+    for number, packet in enumerate(packets):
+        start = process_time()
+        (event,) = decode.feed(packet, number / FRAME_RATE_HZ)
+        assert isinstance(event, FramePacket)
+        decoded = process_time()
+        reading = read(event.counts)
+        solved = process_time()
+        found_kpa[number] = estimator.step(1.0 / FRAME_RATE_HZ, reading.resistance)
+        times[number] = decoded - start, solved - decoded, process_time() - solved
+        found_ohm[number], valid[number] = reading.resistance, reading.valid
+    whole = times.sum(axis=1)
+    usual = float(np.median(whole))
+    off_ohm = np.abs(found_ohm / cells - 1.0)[valid]
+    off_kpa = (found_kpa - pressure)[valid]
+    decode_s, ohms_s, kpa_s = (float(part) for part in np.median(times, axis=0))
+    return Row(
+        size=board.array.rows,
+        circuit=board.readout.circuit,
+        idle_rows=board.drive.idle_rows,
+        bits=board.adc.bits if board.adc else 0,
+        saturated_cells=saturated,
+        frames_per_second=frames / float(whole.sum()),
+        decode_us=1e6 * decode_s,
+        ohms_us=1e6 * ohms_s,
+        kpa_us=1e6 * kpa_s,
+        worst_frame=float(whole[10:].max()) / usual,
+        valid_percent=100.0 * float(valid.mean()),
+        worst_ohm_error_percent=100.0 * float(off_ohm.max(initial=0.0)),
+        rmse_kpa=float(np.sqrt(np.mean(off_kpa**2))) if off_kpa.size else np.nan,
+        worst_kpa=float(np.abs(off_kpa).max(initial=0.0)),
+    )
+
+
+def _pressed(cell: Cell, shape: tuple[int, int], frames: int) -> tuple[FloatArray, FloatArray]:
+    """kPa and ohm (frames, rows, columns): five fingers that wander about and press more and less."""
+    random = np.random.default_rng(0)
+    row, column = np.indices(shape)
+    place, way = random.uniform(0.0, 1.0, (5, 2)) * shape, random.uniform(-1.0, 1.0, (5, 2))
+    frequency_hz = random.uniform(0.3, 1.5, 5)
+    time_s = np.arange(frames) / FRAME_RATE_HZ
+    pressure = np.zeros((frames, *shape))
+    for start, direction, frequency in zip(place, way, frequency_hz, strict=True):
+        at = start + direction * time_s[:, None]
+        away = (row - at[:, :1, None]) ** 2 + (column - at[:, 1:, None]) ** 2
+        strength_kpa = 5.0 * (1.0 - np.cos(2.0 * np.pi * frequency * time_s))
+        pressure += strength_kpa[:, None, None] * np.exp(-away / 2.0)
+    pressure[pressure < 0.05] = 0.0
+    forward = cell.forward(shape)
+    cells = np.array([forward.step(1.0 / FRAME_RATE_HZ, kpa) for kpa in pressure])
+    return pressure, cells
+
+
+def _packets(board: Design, cells: FloatArray) -> list[bytes]:
+    assert board.adc is not None
+    volts = scan_batch(board, cells).volts
+    volts = volts + np.random.default_rng(2).normal(scale=NOISE_STEPS * board.adc.step, size=volts.shape)
+    protocol = board_protocol("ohmskin")
+    return [
+        protocol.frame(FramePacket.of(counts, sequence=n, time_us=round(1e6 * n / FRAME_RATE_HZ), boot_id=1))
+        for n, counts in enumerate(adc_codes(board, volts))
+    ]
+
+
+def table(rows: Iterable[Row]) -> str:
+    """The rows as text."""
+    head = (
+        "frames per second of processor time on one core, bytes to kPa; worst frame in medians; errors of valid cells\n"
+        "    cells  circuit              idle    bits saturated  frames/s  decode   ohms    kPa us  worst   valid"
+        "   ohm error   RMSE  worst kPa"
+    )
+    lines = (
+        f"{row.size:>4} x {row.size:<4}{row.circuit:<20} {row.idle_rows:<7}{row.bits:>4}{row.saturated_cells:>8}"
+        f"{row.frames_per_second:>12.0f}{row.decode_us:>8.0f}{row.ohms_us:>7.0f}{row.kpa_us:>7.0f}"
+        f"{row.worst_frame:>10.1f}{row.valid_percent:>7.1f} %{row.worst_ohm_error_percent:>9.2f} %"
+        f"{row.rmse_kpa:>9.3f}{row.worst_kpa:>9.2f}"
+        for row in rows
+    )
+    return "\n".join([head, *lines])
