@@ -87,7 +87,7 @@ class Board:
         self._record = record
         self._skin = EmulatedSkin(scene, seed, ahead=ahead)
         self._period_us = 1e6 / scene.board.frame_rate
-        self._booted_us = -round(1e6 * scene.clock.offset)
+        self._booted_us = -round(1e6 * scene.clock.offset_s)
         """board time at which the time stamps begin with 0"""
         self._silent_until_us = 0
         """board time up to which the boot loader runs"""

@@ -98,13 +98,13 @@ class Device:
         now_us, time_s = self.next_us, self.time_s
         reset = self._schedule.begun("reset", time_s)
         if reset is not None:
-            self.reset(reset.text, now_us, boots_for_s=reset.duration or 0.0)
+            self.reset(reset.text, now_us, boots_for_s=reset.duration_s or 0.0)
         scanning = self.board.wants_tick
         packets = self.board.tick()
         if not host_present:
             return
-        if self._clock.jitter:
-            now_us += abs(self._random.normal(scale=1e6 * self._clock.jitter))
+        if self._clock.jitter_s:
+            now_us += abs(self._random.normal(scale=1e6 * self._clock.jitter_s))
         if not self._send(packets, now_us) and scanning:
             self.board.overrun = True
             self.dropped += 1
