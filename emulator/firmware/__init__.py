@@ -10,6 +10,7 @@ from ._board import REFERENCE_BOARDS, BoardKind, BoardSettings, FirmwareBoard, c
 from ._circuit import REFERENCE_RESISTORS_OHM, reference_outputs
 from ._engines import AVR8JS, Engine, missing_for
 from ._loop import emulate_firmware, running_firmware
+from ._measure import DwellError, FrameRate, dwell_error, fastest_scan, line_rate
 from ._processor import CLOCK_HZ, Processor
 
 __all__ = [
@@ -19,11 +20,16 @@ __all__ = [
     "REFERENCE_RESISTORS_OHM",
     "BoardKind",
     "BoardSettings",
+    "DwellError",
     "Engine",
     "FirmwareBoard",
+    "FrameRate",
     "Processor",
     "check_scene",
+    "dwell_error",
     "emulate_firmware",
+    "fastest_scan",
+    "line_rate",
     "missing_for",
     "reference_outputs",
     "running_firmware",
