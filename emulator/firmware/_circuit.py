@@ -101,9 +101,9 @@ class ScanCircuit:
     def _solve(self) -> None:
         """Settled outputs of every row, of none, and (when it is asked for) of the reference resistors."""
         self._solved_for = self.resistance_ohm
-        self._settled = scan(self._design, self.resistance_ohm).volts
+        self._settled = scan(self._design, self.resistance_ohm, method="exact").volts
         undriven = self._design.replace(drive={"voltage": _NO_DRIVE})
-        self._idle = scan(undriven, self.resistance_ohm).volts[0]
+        self._idle = scan(undriven, self.resistance_ohm, method="exact").volts[0]
         self._reference: FloatArray | None = None
 
     def _aim(self) -> None:
@@ -142,7 +142,7 @@ def reference_outputs(design: Design, resistance: FloatArray) -> FloatArray:
         },
         fault=tuple(_one_row_further(fault) for fault in design.fault),
     )
-    outputs: FloatArray = scan(extended, np.vstack([known, resistance])).volts[0]
+    outputs: FloatArray = scan(extended, np.vstack([known, resistance]), method="exact").volts[0]
     return outputs
 
 

@@ -18,16 +18,16 @@ from .._scene import Scene
 from .._skin import Sample
 from ._board import BoardKind, BoardSettings, FirmwareBoard
 
-CONVERTER_CLOCKS = (7, 6, 5, 4)
+PRESCALERS_LOG2 = (7, 6, 5, 4)
 """prescalers of the ADC, 2**this"""
 BAUD_RATES = (115_200, 500_000, 1_000_000, 2_000_000)
 ERROR_BUDGET_STEPS = 0.5
 """ADC steps by which a reading may be off because it has not settled"""
-_SCANS_S = 0.05
-"""s of board time after which the first frames are there"""
+_SLICE_S = 5e-3
+"""s of board time between two looks at what the board has sent"""
 _AFTER_INTRODUCTION_S = 0.5
 """s of board time after which the board has described itself, at any line speed but the slowest"""
-_COUNTED_S = 1.0
+_COUNTED_S = 0.5
 _PREDICTED_ACQUISITION = 2e-6
 """s given to the predicted capacitor: Settling has all conversions of a row follow each other at its end"""
 
@@ -78,13 +78,13 @@ def dwell_error(design: Design, settings: BoardSettings) -> DwellError:
     with FirmwareBoard(_scene(design), settings=settings, record=samples.append) as board:
         board.hold_cells(cells)
         while not samples:
-            board.run(_SCANS_S)
+            board.run(_SLICE_S)
         selected = {row: time for time, row in board.row_switches}
         instants = [(time - selected[row], row, column) for time, row, column in board.sample_instants]
         dwell_us = board.settings.dwell_us if board.settings.dwell_us is not None else board.kind.dwell_us
     assert design.adc is not None
     settling = Settling(design.replace(adc={"acquisition_time": _PREDICTED_ACQUISITION}), cells)
-    settled = scan(design, cells).volts
+    settled = scan(design, cells, method="exact").volts
     predicted = np.zeros(cells.shape)
     columns = design.array.columns
     for after, row, column in instants:
@@ -121,12 +121,13 @@ def shortest_period_us(design: Design, settings: BoardSettings) -> int:
     """The shortest time between two frames, in us, that the firmware takes."""
     with FirmwareBoard(_scene(design), settings=settings) as board:
         host = host_protocol("ohmskin")
-        board.run(_SCANS_S)
+        board.run(_SLICE_S)
+        board.send(host.request(Order.STOP))
 
         def takes(period_us: int) -> bool:
             board.send(host.request(Order.RATE, period_us=period_us))
             while True:
-                for event in host.feed(board.run(_SCANS_S), board.time_s):
+                for event in host.feed(board.run(_SLICE_S), board.time_s):
                     if isinstance(event, Reply) and event.order == Order.RATE.value:
                         return event.status is Status.TAKEN
 
@@ -180,7 +181,7 @@ def tables(kinds: Sequence[BoardKind], examples: Path) -> Iterator[str]:
         yield f"### Board {kind.name}: fastest scan within {ERROR_BUDGET_STEPS:g} ADC steps of settled"
         yield "| ADC clock / kHz | shortest dwell / us | error / steps | frames/s |"
         yield "|---|---|---|---|"
-        for prescaler in CONVERTER_CLOCKS:
+        for prescaler in PRESCALERS_LOG2:
             rate = fastest_scan(design, prescaler)
             clock_khz = rate.adc_clock_hz / 1e3
             yield f"| {clock_khz:g} | {rate.dwell_us} | {rate.error_steps:.2f} | {rate.frames_per_s:.0f} |"
