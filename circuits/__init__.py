@@ -13,7 +13,7 @@ from ._population import Boards, PopulationReading, scan_population
 from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
-from ._sequence import scan_sequence
+from ._sequence import interpolates, scan_sequence
 from ._spread import Spread
 from .readouts import CIRCUITS as _CIRCUITS
 from .recovery import Conditioning, Recoverer, Recovery, Status, conditioning, recover
@@ -62,6 +62,7 @@ __all__ = [
     "conversion_limits",
     "effects",
     "ideal_volts",
+    "interpolates",
     "noise",
     "recover",
     "scan",
