@@ -66,8 +66,8 @@ def firmware_in_the_loop(subject: Subject) -> Finding:
         ],
         text=[
             f"The program of the reference board runs on an emulated ATmega328P ({FRAMES} frames at {RATE_HZ:g} Hz "
-            "over a pseudo-terminal). The modelled circuit answers each conversion with the voltage at its sample instant, "
-            "settling after the row switch included.",
+            "over a pseudo-terminal). The modelled circuit answers each conversion with the voltage at its sample "
+            "instant, settling after the row switch included.",
             "Error against dwell: rows of 10 kohm between rows without cells, so that every output jumps at every "
             "step. The model works the same instants out without knowing the program.",
         ],
