@@ -6,6 +6,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...circuits import Design, Fault, Transient, adc_codes, scan, volts_of_codes
+from .._hand import Hand
 from .._scene import Scene
 from .._skin import ScenePhysics
 
@@ -22,12 +23,13 @@ REFERENCE_RESISTORS_OHM = (10e3, 15e3)
 class ScanCircuit:
     """Skin and readout of a scene, at times and with row selections that the program decides."""
 
-    def __init__(self, scene: Scene, seed: int) -> None:
+    def __init__(self, scene: Scene, seed: int, hand: Hand | None = None) -> None:
         """Start with no row selected and everything settled.
 
         Args:
             scene: its design has amplifiers and an ADC.
             seed: for the noise at the ADC.
+            hand: presses beside the scene's contacts.
 
         Raises:
             InputError: the design's circuit has no dynamic model.
@@ -36,6 +38,7 @@ class ScanCircuit:
         self._noise_volts = scene.board.noise
         self._random = np.random.default_rng(seed)
         self._physics = ScenePhysics(scene, self._random)
+        self._hand = hand
         self._design = self._physics.design(0.0)
         surface, cells = self._physics.cells(np.array([0]))
         self.pressure_kpa: FloatArray = surface[0]
@@ -85,9 +88,15 @@ class ScanCircuit:
 
     def _look_at_skin(self, time_s: float) -> None:
         self._looked_at_s = time_s
+        by_hand = None if self._hand is None else self._hand.take_change()
+        if by_hand is not None:
+            self._physics.by_hand_kpa = by_hand.ravel()
         surface, cells = self._physics.cells(np.array([round(time_s * 1e6)]))
         self.pressure_kpa = surface[0]
         self._change(self._physics.design(time_s), cells[0])
+        if by_hand is not None:
+            assert self._hand is not None
+            self._hand.in_force(time_s)  # since power-up, a few ms more than the time in the frames
 
     def _change(self, design: Design, resistance: FloatArray) -> None:
         """The circuit is this one from now on; it is solved again only if that makes a difference."""
