@@ -29,7 +29,7 @@ from .solvers import Network, reduce, siemens
 
 LARGEST = 64 * 64
 """cells for which all readings' derivatives by all parts fit into memory (0.13 GB per kind of part)"""
-_SHORT = 1e7  # conductance of a shorted cell, relative to the largest other one
+_SHORT = 1e8  # conductance of a shorted cell, relative to the largest other one
 
 
 @dataclass(frozen=True)
@@ -95,8 +95,10 @@ def board_sensitivity(board: Board, cells: FloatArray) -> Sensitivity:
     network = grid_network(board, cells)
     shorts = ~np.isfinite(network.conductance) & ~network.wire
     if shorts.any():
+        joined = _joins_ports(network, shorts)
         network = _with_small_resistances(board, network, shorts)
-        ports = reduce(network).value  # of the same small resistances
+        if joined:  # the current through the short is the difference of two ports' potentials, which must not vanish
+            ports = reduce(network).value
     fields = _Fields.of(board, cells, network)
     result = _empty(reading.volts, fields.conductance)
     for group in board.circuit.sensitivity_groups(board, ports, reading):
@@ -131,11 +133,20 @@ def _turned_back(found: Sensitivity) -> Sensitivity:
     )
 
 
+def _joins_ports(network: Network, shorts: BoolArray) -> bool:
+    """Whether ideal lines and shorts alone connect two ports."""
+    a, b = network.ends[shorts | np.isinf(network.conductance)].T
+    size = len(network.place)
+    links = coo_array((np.ones(len(a)), (a, b)), shape=(size, size))
+    _, island = connected_components(links, directed=False)
+    return len(np.unique(island[network.ports])) < len(network.ports)
+
+
 def _with_small_resistances(board: Board, network: Network, shorts: BoolArray) -> Network:
     """The network with very small resistances in place of ``shorts`` (branches,), which are no ideal lines.
 
-    The current through a short is the drop across it times its conductance. A short of 1e7 times the largest other
-    conductance moves a reading by 1e-7 or so, and leaves enough digits of its drop for five of a derivative.
+    The current through a short is the drop across it times its conductance. A short of 1e8 times the largest other
+    conductance moves a reading by 1e-8 or so, and leaves enough digits of its drop for four of a derivative.
     """
     behind = siemens(board.column_lead + board.circuit.end_resistance(board))
     others = np.concatenate([network.conductance, behind])
