@@ -72,6 +72,8 @@ class Converter:
         self._counters = counters
         self._read = CountReader(design)
         self._lock = threading.RLock()
+        self.on_converted: Callable[[RawFrame, Measurement], None] | None = None
+        """told of every measurement: for a recorder"""
         self._rest_ohm: FloatArray | None = None
         self._rest_changes = deque(rest_changes)
         self.on_rest: Callable[[FloatArray | None, float | None], None] | None = None
@@ -114,7 +116,10 @@ class Converter:
             done = 0 if self._last is None else self._last.index
             if frame.index > done:
                 for queued in [*mailbox.between(done, frame.index), frame]:
-                    self._measured[queued.index] = self._convert(queued)
+                    measurement = self._convert(queued)
+                    self._measured[queued.index] = measurement
+                    if self.on_converted is not None:
+                        self.on_converted(queued, measurement)
                 passed = mailbox.passed()
                 self._measured = {k: value for k, value in self._measured.items() if k > passed or k == frame.index}
             return self._measured.get(frame.index)

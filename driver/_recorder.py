@@ -7,7 +7,9 @@ shows without plugins. Chunks are closed every second, so a recording that is cu
 from __future__ import annotations
 
 import base64
+import contextlib
 import json
+import queue
 import struct
 import threading
 import time
@@ -34,6 +36,8 @@ STAMP = struct.Struct("<dd")
 """before the bytes of each arrival: monotonic time and time since the epoch in s, bit for bit as the driver had them"""
 FLUSH_S = 1.0
 CHUNK_BYTES = 2**20
+MOST_WAITING = 1000
+"""decoded frames that wait for the disk"""
 
 _NUMBER = {"type": "number"}
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
@@ -124,6 +128,9 @@ class Recorder:
             FRAME_TOPIC: self._writer.register_channel(FRAME_TOPIC, "json", frame),
         }
         self._guarded(self._writer.flush)
+        self._waiting: queue.Queue[Frame | None] = queue.Queue(MOST_WAITING)
+        self._thread = threading.Thread(target=self._write_frames, name=f"ohmskin recorder {path}", daemon=True)
+        self._thread.start()
 
     def arrived(self, arrival: Arrival) -> None:
         """Write bytes of the board."""
@@ -140,7 +147,15 @@ class Recorder:
         self._event({"event": "rest", "rest_ohm": rest, "after": None if after_s is None else after_s.hex()})
 
     def frame(self, frame: Frame) -> None:
-        """Write a decoded frame, for viewers."""
+        """Have a decoded frame written, for viewers. Does not wait: left out when the disk is far behind."""
+        with contextlib.suppress(queue.Full):
+            self._waiting.put_nowait(frame)
+
+    def _write_frames(self) -> None:
+        while (frame := self._waiting.get()) is not None:
+            self._write_frame(frame)
+
+    def _write_frame(self, frame: Frame) -> None:
         image = np.ascontiguousarray(frame.pressure, dtype="<f4")
         rows, columns = image.shape
         seconds, nanoseconds = divmod(round(frame.host_time * 1e9), 10**9)
@@ -179,6 +194,9 @@ class Recorder:
             InputError: the file could not be written to the end. What was written before can be read.
 
         """
+        if self._thread.is_alive():
+            self._waiting.put(None)
+            self._thread.join()
         with self._lock:
             writer, self._writer = self._writer, None
             if writer is not None:

@@ -28,7 +28,7 @@ from ._reconnect import PortFinder
 from ._recorder import Recorder
 from ._replay import RecordedSettings, ReplayPort
 from ._statistics import Counters, LinkStatistics
-from ._taker import AsyncFrames, FrameCallback, FrameTaker, Source
+from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, Source
 from ._tare import RestReadings, Tare
 
 Delivery = Literal["newest", "every", "lossless"]
@@ -157,7 +157,7 @@ class Skin:
         self._taring = threading.Lock()
         if self._recorder is not None:
             self._converter.on_rest = self._recorder.rest_changed
-            self.on_frame(self._recorder.frame)
+            self._converter.on_converted = ConvertedFrames(self._source, self._recorder.frame).converted
 
     @classmethod
     def open(

@@ -12,6 +12,10 @@ from ..emulator import PtyPort, Stop, stop_on_signals
 from ..errors import LinkEnded, LinkError
 from . import arguments
 
+POLL_S = 0.01
+LISTENER_S = 1.0
+"""a host that asks nothing for so long is one that only listens"""
+
 
 @click.command(epilog=arguments.example("ohmskin replay press.mcap --link /tmp/skin --speed 0.5"))
 @click.argument("recording", metavar="FILE.mcap", type=click.Path(path_type=Path))
@@ -37,14 +41,26 @@ def command(recording: Path, link: Path | None, speed: float) -> int:
                 break
             except LinkError:
                 continue  # the port was gone for a while then; the host's is not
-        while port.host_present() and port.unread() and not stop.is_set():
-            time.sleep(0.01)
+        _drain(port, stop)
         return 0 if stop.signal is None else 128 + stop.signal
 
 
 def _wait_for_host(port: PtyPort, stop: Stop) -> None:
+    """Wait until a host has opened the port and, since serial programs discard what came before, is ready to read."""
     while not (port.host_present() or stop.is_set()):
-        time.sleep(0.01)
+        time.sleep(POLL_S)
+    ready_at = time.monotonic() + LISTENER_S
+    while time.monotonic() < ready_at and not (stop.is_set() or port.read()):
+        time.sleep(POLL_S)
+
+
+def _drain(port: PtyPort, stop: Stop) -> None:
+    """Let the host read to the end."""
+    quiet = 0
+    # The kernel moves bytes on in steps: empty for a moment is not empty yet.
+    while quiet < 3 and port.host_present() and not stop.is_set():
+        quiet = 0 if port.unread() else quiet + 1
+        time.sleep(POLL_S)
 
 
 def _send(port: PtyPort, data: bytes, stop: Stop) -> None:
