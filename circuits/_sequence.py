@@ -66,6 +66,12 @@ def scan_sequence(design: Design, resistance: ArrayLike, *, error_volts: float |
     )
 
 
+def interpolates(design: Design) -> bool:
+    """Whether :func:`scan_sequence` can interpolate frames of this design; of other designs it solves every frame."""
+    linear = design.board.linear
+    return linear is not None and linear.wires is not None
+
+
 def _interpolated(
     board: Board, cells: FloatArray, error_volts: float
 ) -> tuple[FloatArray, FloatArray, BoolArray, BoolArray] | None:

@@ -2,19 +2,21 @@
 
 Nothing here depends on the host, on a clock or on how many frames are asked for at a time. Frames are computed ahead in
 blocks that are laid out from the first tick of a frame rate on, so that the same seed gives the same bytes whoever asks
-and whenever. Only cells that were touched and have not come back to rest are stepped.
+and whenever. The first blocks are short, so that the first frame comes soon. Only cells that were touched and have not
+come back to rest are stepped.
 """
 
 from __future__ import annotations
 
 import copy
+import threading
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from ..arrays import CodeArray, FloatArray, IntArray
-from ..circuits import Design, adc_codes, scan_sequence
+from ..circuits import Design, adc_codes, interpolates, scan_sequence
 from ._scene import Scene
 from ._spread import Spreading
 
@@ -22,6 +24,8 @@ _BLOCK_VALUES = 1 << 17
 """cells times frames of a block: arrays of this size stay in the processor's cache"""
 _LONGEST_BLOCK = 512
 """frames; longer blocks would not be cheaper"""
+_LONGEST_SOLVED_BLOCK = 8
+"""the same where every frame is solved: a block has nothing to share then, and may take long"""
 _REST_STEPS = 1.0 / 64.0
 """ADC steps at full scale by which a cell may still be off when it is taken to be at rest again"""
 
@@ -93,17 +97,25 @@ class EmulatedSkin:
     :class:`._scene.SkinSettings`, the ``[skin]`` table of a scene file.
     """
 
-    def __init__(self, scene: Scene, seed: int = 0) -> None:
-        """Build the skin; ``seed`` draws the noise at the ADC."""
+    def __init__(self, scene: Scene, seed: int = 0, *, ahead: bool = False) -> None:
+        """Build the skin.
+
+        Args:
+            scene: skin, contacts and circuit.
+            seed: draws the noise at the ADC.
+            ahead: compute the next block in a thread while this one is read.
+
+        """
         self._scene = scene
         self._ticks = Ticks(1e6 / scene.board.frame_rate)
         self._next_tick = 0
-        rows, columns = scene.skin.design.array.shape
-        self._physics = ScenePhysics(scene, np.random.default_rng(seed))
-        self._length = block_frames(rows * columns)
+        self._longest = longest_block(scene.skin.design)
+        self._length = 1
+        self._ahead = ahead
+        self._next: _NextBlock | None = None
+        self._before = self._physics = ScenePhysics(scene, np.random.default_rng(seed))
         self._block: FrameBlock | None = None
         self._place = 0
-        self._before = self._physics
 
     @property
     def next_us(self) -> int:
@@ -143,21 +155,64 @@ class EmulatedSkin:
 
     def _forget_frames_ahead(self) -> None:
         """Frames computed ahead did not happen: live through those before them again."""
+        if self._next is not None:
+            self._next.join()
+            self._next = None
         if self._block is not None and self._place < len(self._block):
             self._physics = self._before
             if self._place:
                 self._physics.run(self._block.time_us[: self._place])
-        self._block, self._place = None, 0
+        self._block, self._place, self._length = None, 0, 1
 
     def _compute(self) -> None:
-        self._before = self._physics.copy()
-        times = np.array([self._ticks.at(self._next_tick + k) for k in range(self._length)])
-        self._block, self._place = self._physics.run(times), 0
+        computed = self._next or self._start_block(self._next_tick)
+        self._before = self._physics
+        self._physics, self._block = computed.result()
+        self._place, self._next = 0, None
+        if self._ahead:
+            self._next = self._start_block(self._next_tick + len(self._block))
+            self._next.start()
+
+    def _start_block(self, first_tick: int) -> _NextBlock:
+        times = np.array([self._ticks.at(first_tick + k) for k in range(self._length)])
+        # 1, 3, 5, 9, 17 ... frames: intervals of these halve evenly.
+        self._length = min(self._longest, max(3, 2 * self._length - 1))
+        return _NextBlock(self._physics, times)
 
 
-def block_frames(cells: int) -> int:
-    """Frames of a block of an array of so many cells: a power of two and one more, so that intervals halve evenly."""
-    frames = min(_LONGEST_BLOCK, max(1, _BLOCK_VALUES // cells))
+class _NextBlock(threading.Thread):
+    """A block and the physics behind its last frame, computed in this thread or by the one that asks for them."""
+
+    def __init__(self, physics: ScenePhysics, time_us: IntArray) -> None:
+        super().__init__(name="ohmskin-physics", daemon=True)
+        self._physics, self._time_us = physics.copy(), time_us
+        self._block: FrameBlock | None = None
+        self._error: Exception | None = None
+
+    def run(self) -> None:
+        try:
+            self._block = self._physics.run(self._time_us)
+        except Exception as error:
+            self._error = error
+
+    def result(self) -> tuple[ScenePhysics, FrameBlock]:
+        """Wait for the thread, if it was started. Raises what the physics raised."""
+        if self.ident is None:
+            self.run()
+        else:
+            self.join()
+        if self._error is not None:
+            raise self._error
+        assert self._block is not None
+        return self._physics, self._block
+
+
+def longest_block(design: Design) -> int:
+    """Frames of the longest block of a design: a power of two and one more, so that intervals halve evenly."""
+    rows, columns = design.array.shape
+    frames = min(_LONGEST_BLOCK, max(1, _BLOCK_VALUES // (rows * columns)))
+    if not interpolates(design):
+        return min(frames, _LONGEST_SOLVED_BLOCK)
     return 1 << (frames.bit_length() - 1) | (frames > 1)
 
 

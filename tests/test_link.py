@@ -118,8 +118,8 @@ def test_a_tare_takes_unknown_lines_out_of_the_estimate(scene_file: Path, tmp_pa
 
 def test_a_lossy_and_noisy_line_is_counted_end_to_end(tmp_path: Path) -> None:
     faults = [
-        {"kind": "dropped-packets", "probability": 0.05, "at": 1.0},
-        {"kind": "flipped-bits", "probability": 2e-4, "at": 1.0},
+        {"kind": "dropped-packets", "probability": 0.05, "at_s": 1.0},
+        {"kind": "flipped-bits", "probability": 2e-4, "at_s": 1.0},
     ]
     what = scene(link_fault=faults)
     port, truth = PtyPort(), tmp_path / "truth.npz"
