@@ -92,6 +92,8 @@ class ReplayPort:
         self._latest = 0.0
         self._start: tuple[float, float] | None = None
         self._interrupted = threading.Event()
+        self._lock = threading.Lock()
+        """one thread may wait while another reads"""
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until the next bytes are due."""
@@ -107,17 +109,16 @@ class ReplayPort:
 
     def read(self) -> Arrival:
         """The next recorded bytes, if they are due; LinkEnded at the end, LinkError where the port was gone."""
-        item = self._peek()
-        if self._due_s() > 0:
-            return Arrival(b"", self.now(), time.time())
-        self._next = None
-        if isinstance(item, LinkEnded):
-            self._next = item
-            raise item
-        if isinstance(item, LinkError):
-            raise item
-        self._latest = item.received_at
-        return item
+        with self._lock:
+            if self._remaining_s() > 0:
+                return Arrival(b"", self.now(), time.time())
+            item, self._next = self._peek(), None
+            if isinstance(item, LinkEnded):
+                self._next = item
+            if isinstance(item, LinkError):
+                raise item
+            self._latest = item.received_at
+            return item
 
     def write(self, data: bytes) -> None:
         """Does nothing: a recording takes no orders."""
@@ -146,6 +147,10 @@ class ReplayPort:
         return self._next
 
     def _due_s(self) -> float:
+        with self._lock:
+            return self._remaining_s()
+
+    def _remaining_s(self) -> float:
         """Seconds until the next bytes; not positive: now."""
         item = self._peek()
         if self._speed is None or isinstance(item, LinkError):
