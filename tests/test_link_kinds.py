@@ -264,9 +264,9 @@ def test_the_driver_survives_the_example_of_a_bad_link(tmp_path: Path) -> None:
         running(what, PtyPort(tmp_path / "skin"), clock="fast", duration_s=60.0),
         Skin.open(str(tmp_path / "skin"), timeout=60.0) as skin,
     ):
-        sequences = [frame.sequence for frame in skin]
+        assert [frame.pressure.shape for frame in skin]
         statistics = skin.stats()
-    assert len(sequences) > 100
+    assert statistics.frames > 3000
     assert statistics.corrupt > 0
     assert statistics.reconnects == 1
     assert statistics.reboots == 2
