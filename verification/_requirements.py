@@ -62,6 +62,7 @@ def default_requirements(design: Design) -> tuple[Requirement, ...]:
         ask(
             18, "reading_error", "99 % of all boards keep the error.", max=limits.reading_error_percent, method=SAMPLED
         ),
+        ask(19, "spice_agreement", "An independent simulator finds the same.", max=1.0),
     )
 
 
