@@ -98,8 +98,8 @@ def _cost(cell: Cell, name: str, moving: FloatArray, dt_s: float) -> float:
     """Microseconds per cell and sample: the median frame of (frames, cells) readings."""
     estimator = cell.estimator(moving.shape[1:], name)
     spent = []
-    for n, frame in enumerate(moving):
+    for frame in moving:
         start = perf_counter()
-        estimator.update(n * dt_s, frame)
+        estimator.step(dt_s, frame)
         spent.append(perf_counter() - start)
     return 1e6 * float(np.median(spent[3:])) / int(moving.shape[1])

@@ -144,12 +144,12 @@ def _solve(
 
     held: DisjointSet = DisjointSet([REFERENCE])  # nodes whose potential a source or a load ties to the reference
     feedback = readout.circuit == "voltage-feedback"
+    if feedback:
+        held.add(FOLLOWER)
+        held.merge(FOLLOWER, REFERENCE)
     for i in range(driven_lines):
         if i != row and feedback:
-            law = [(("drive", i), number(1)), (FOLLOWER, number(-1))]
-            system.branch(("source", i), ("drive", i), FOLLOWER, law, number(0))
-            held.add(("drive", i))
-            held.merge(("drive", i), REFERENCE)
+            parts.append((("drive", i), FOLLOWER, 0.0))
         elif i == row or design.drive.idle_rows == "ground":
             volts = number(design.drive.voltage if i == row else 0.0)
             system.branch(("source", i), ("drive", i), REFERENCE, [(("drive", i), number(1))], volts)
@@ -160,10 +160,7 @@ def _solve(
     amplified = readout.circuit in {"inverting-amplifier", "row-amplifier"}
     for j in range(read_lines):
         if feedback and j not in read:
-            law = [(("end", j), number(1)), (FOLLOWER, number(-1))]
-            system.branch(("tie", j), ("end", j), FOLLOWER, law, number(0))
-            held.add(("end", j))
-            held.merge(("end", j), REFERENCE)
+            parts.append((("end", j), FOLLOWER, 0.0))
     for j, rail in zip(read, stuck_at, strict=True):
         rref, vos = number(_of(readout.reference_resistance, j)), number(_of(readout.offset_voltage, j))
         bias, inverse_gain = number(_of(readout.bias_current, j)), _inverse(_of(readout.open_loop_gain, j))

@@ -32,6 +32,7 @@ from ..errors import SolverError
 from ._reference import Indeterminate, reference_volts
 
 _ULP = float(np.finfo(np.float64).eps)
+_NOTHING = 1e-30  # V; ideal parts are stood for by conductances 1e40 times the largest one
 _EMPTY = 1e-6  # bounds above say nothing worth knowing
 
 Draw = np.random.Generator
@@ -226,7 +227,7 @@ def check(family: str, number: int, tally: Tally) -> None:
     else:
         tally.bound = max(tally.bound, result.error_bound)
     if largest == 0.0:
-        if off > 0.0 and result.error_bound < inf:
+        if off > _NOTHING:
             found(f"{off} V, and is 0")
         return
     tally.error = max(tally.error, off / largest if method in (None, "exact") else 0.0)

@@ -2,7 +2,7 @@
 
 from ._calibrate import CalibrationResult, calibrate, estimate_recording
 from ._cell import ESTIMATORS, Cell
-from ._estimators import Estimate, Estimator
+from ._estimator import Estimator
 from ._forward import Forward
 from ._identify import recovery_branches
 from ._material import drifted_rest_resistance, sensitivity
@@ -10,7 +10,7 @@ from ._models import AsymmetricModel, ContactModel, M10Model, PaperModel
 from ._percolation import Percolation
 from ._protocol import check_protocol, protocol_load, protocol_text
 from ._recording import Recording, check_times, checked_recording
-from ._report import calibration_figure, calibration_text
+from ._report import calibration_figure, calibration_record, calibration_text
 
 __all__ = [
     "ESTIMATORS",
@@ -18,7 +18,6 @@ __all__ = [
     "CalibrationResult",
     "Cell",
     "ContactModel",
-    "Estimate",
     "Estimator",
     "Forward",
     "M10Model",
@@ -27,6 +26,7 @@ __all__ = [
     "Recording",
     "calibrate",
     "calibration_figure",
+    "calibration_record",
     "calibration_text",
     "check_protocol",
     "check_times",

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError
+from ..progress import Progress, silent
 from . import _simulate as simulate
 from . import _training as training
 from ._cell import ESTIMATORS, Calibrated, Cell, EstimatorName
-from ._estimators import Estimator
+from ._estimator import Estimator
 from ._identify import HELD_OUT, Fit, fits
 from ._inverse import margin
 from ._learned import DRIFT, Learned, Seen
@@ -25,6 +27,8 @@ STATIC_WORTH = 0.5
 has the loads of the rest, and flatters whatever has a memory of them"""
 LEAST = 0.1
 """share of the readings that must lie before the last third of a recording's time, and in it"""
+STEPS = 6
+"""of a calibration, for progress: three kinds of model, two times learning, one time judging"""
 EXACT = 0.005
 """held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
 
@@ -46,7 +50,9 @@ class CalibrationResult:
         return self.fits[0]
 
 
-def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> CalibrationResult:
+def calibrate(
+    recording: Recording, *, full_scale_kpa: float | None = None, progress: Progress = silent
+) -> CalibrationResult:
     """Identify the cell of a recording and calibrate its estimators.
 
     The kind of model is chosen by its error on the last third of the recording when fitted to the first two; so
@@ -55,6 +61,7 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     Args:
         recording: presses and releases of one cell.
         full_scale_kpa: None: the largest pressure of the recording.
+        progress: told of each step that is done.
 
     Raises:
         InputError: the resistance does not follow the pressure, or no model of any kind fits.
@@ -73,7 +80,12 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     full = float(np.quantile(thin.pressure_kpa, 0.999)) if full_scale_kpa is None else full_scale_kpa
     if not 0 < full < np.inf:
         raise InputError(f"full scale is {full} kPa; expected more than 0")
-    found = tuple(fits(thin, full))
+    steps = itertools.count(1)
+
+    def tell(what: str) -> None:
+        progress(next(steps), STEPS, what)
+
+    found = tuple(fits(thin, full, tell))
     model = found[0].model
     rest = found[0].rest_resistance_ohm
     cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
@@ -93,11 +105,14 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     first = replace(whole, simulation=teacher.simulate_partial).until(cut)
     seen = _seen(thin)
     trial = cell.replace(estimators=_learned(first, full).replace(seen=seen))
+    tell("learned from two thirds")
     judged = _judge(trial, thin, cut)
+    tell("judged on the last third")
     percent = {name: float(100 * np.sqrt(np.mean(error**2)) / full) for name, (error, _) in judged.items()}
-    silent = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
-    default, reason = _choose(percent, float(np.sqrt(max(found[0].held_out_error ** 2 - silent**2, 0.0))))
+    noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
+    default, reason = _choose(percent, float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0))))
     final = _learned(whole, full)
+    tell("learned from all")
     calibrated = {
         name: training.calibrated(learned, *(value / full for value in judged[name]), most=final.static.std_kpa / full)
         for name in ("play", "distilled")
@@ -113,12 +128,21 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
 def estimate_recording(
     estimator: Estimator, time_s: FloatArray, resistance_ohm: FloatArray
 ) -> tuple[FloatArray, FloatArray | None]:
-    """A single cell's estimates (n,) and standard deviations, in kPa, of a whole recording."""
-    estimates = [estimator.update(float(t), r) for t, r in zip(time_s, resistance_ohm, strict=True)]
-    pressure = np.array([float(e.pressure_kpa) for e in estimates])
-    if any(e.std_kpa is None for e in estimates):
-        return pressure, None
-    return pressure, np.array([float(e.std_kpa) for e in estimates if e.std_kpa is not None])
+    """Estimates (n,) of one cell and their standard deviations, in kPa, of a whole recording.
+
+    Args:
+        estimator: made for the shape ().
+        time_s: (n,) increasing.
+        resistance_ohm: (n,); NaN where there is no reading.
+
+    Returns:
+        Pressure, and its standard deviation or None if the estimator states none.
+    """
+    pressure, std = np.empty((2, len(time_s)))
+    for n, elapsed in enumerate(np.diff(time_s, prepend=time_s[0])):
+        pressure[n] = estimator.step(float(elapsed), resistance_ohm[n])
+        std[n] = estimator.std_kpa
+    return pressure, std if estimator.states_std else None
 
 
 def _teacher(found: tuple[Fit, ...]) -> Fit:

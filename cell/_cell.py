@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike
 from ..arrays import FloatArray
 from ..config import Positive, Section, load, write_toml
 from ..errors import InputError
-from ._estimators import Doubt, EquilibriumEstimator, Estimator, PaperEstimator
+from ._estimator import Conditions, Estimator
 from ._forward import Forward, make_forward
 from ._inverse import InverseEstimator, margin
-from ._learned import DRIFT, Learned, LearnedEstimator, Seen, StaticCurve, StaticCurveEstimator
+from ._learned import DRIFT, Learned, LearnedEstimator, Seen, StaticCurve
 from ._models import AsymmetricModel, M10Model, Model, PaperModel
-from ._turning import TurningEstimator
+from ._paper import PaperEstimator, TurningEstimator
+from ._static import EquilibriumEstimator, StaticCurveEstimator, equilibrium_gain
 
 EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
@@ -74,7 +75,7 @@ class Cell(Section):
             return self.estimators.default
         match self.model:
             case PaperModel():
-                return "paper"
+                return "inverse"
             case AsymmetricModel() | M10Model() if margin(self.model, self.full_scale_kpa) > 0:
                 return "inverse"
         return "static"
@@ -87,54 +88,66 @@ class Cell(Section):
         return make_forward(self.model, self.full_scale_kpa, shape, self._rest(rest_resistance_ohm))
 
     def estimator(
-        self, shape: tuple[int, ...], name: str | None = None, *, rest_resistance_ohm: ArrayLike | None = None
+        self,
+        shape: tuple[int, ...],
+        name: str | None = None,
+        *,
+        rest_resistance_ohm: ArrayLike | None = None,
+        noise: float | None = None,
     ) -> Estimator:
-        """A causal estimator for cells of ``shape``; ``name`` is one of ``ESTIMATORS``, None the default.
+        """A causal estimator for cells of ``shape``.
+
+        Args:
+            shape: of a frame.
+            name: one of ``ESTIMATORS``; None: :attr:`default_estimator`.
+            rest_resistance_ohm: R0, broadcast to ``shape``; None: the cell's.
+            noise: standard deviation of R/R0 at rest to begin with; it is then measured. None: that of the
+                calibration, if there is one. 0: readings are exact and taken as they are.
 
         Raises:
             InputError: no such estimator, or not one for this cell; R0 does not fit ``shape``.
         """
         name = name or self.default_estimator
+        if name not in ESTIMATORS:
+            raise InputError(f"no estimator '{name}'; expected one of {', '.join(ESTIMATORS)}")
         rest, full, learned = self._rest(rest_resistance_ohm), self.full_scale_kpa, self.estimators
+        conditions, model = self._conditions(name, noise), self.model
+        full_r = equilibrium_gain(model, full, self.rest_resistance_ohm)
         match name:
             case "static":
                 if learned is None:
-                    return EquilibriumEstimator(self.model, full, shape, rest)
-                return StaticCurveEstimator(learned.static, full, shape, rest, self._doubt(name))
+                    return EquilibriumEstimator(model, full, shape, rest, conditions)
+                return StaticCurveEstimator(learned.static, full, full_r, shape, rest, conditions)
             case "paper":
-                if not isinstance(self.model, PaperModel):
+                if not isinstance(model, PaperModel):
                     raise self._other_kind(name, "paper")
-                return PaperEstimator(self.model, full, shape, rest, self._doubt(name))
+                return PaperEstimator(model, full, shape, rest, conditions)
             case "inverse":
-                if isinstance(self.model, PaperModel):
-                    return TurningEstimator(self.model, full, shape, rest, self._doubt(name))
-                if not isinstance(self.model, AsymmetricModel | M10Model):
+                if isinstance(model, PaperModel):
+                    return TurningEstimator(model, full, shape, rest, conditions)
+                if not isinstance(model, AsymmetricModel | M10Model):
                     raise self._other_kind(name, "paper', 'asymmetric' or 'm10")
-                return InverseEstimator(self.model, full, shape, rest, self._doubt(name))
-            case "play" | "distilled":
-                found = None if learned is None else learned.play if name == "play" else learned.distilled
-                if found is None:
-                    raise InputError(
-                        f"the estimator '{name}' is learned from a recording, and this cell has none: run ohmskin fit"
-                    )
-                return LearnedEstimator(found, full, shape, rest, self._doubt(name))
-        raise InputError(f"no estimator '{name}'; expected one of {', '.join(ESTIMATORS)}")
+                return InverseEstimator(model, full, shape, rest, conditions)
+        found = None if learned is None else learned.play if name == "play" else learned.distilled
+        if found is None:
+            raise InputError(
+                f"the estimator '{name}' is learned from a recording, and this cell has none: run ohmskin fit"
+            )
+        return LearnedEstimator(found, full, full_r, shape, rest, conditions)
 
     def _other_kind(self, name: str, kind: str) -> InputError:
         return InputError(f"the estimator '{name}' inverts a cell of kind '{kind}'; this one is '{self.model.kind}'")
 
-    def _doubt(self, name: EstimatorName) -> Doubt:
-        """With the held-out error as a constant, for estimators that have no better idea of theirs."""
+    def _conditions(self, name: str, noise: float | None) -> Conditions:
+        """What the calibration says of readings, loads, and of errors that an inverse cannot see in its readings."""
         learned = self.estimators
         if learned is None:
-            return Doubt()
-        percent = learned.held_out_percent.get(name)
-        return Doubt(
-            std_kpa=None if percent is None else DRIFT * max(percent, SUREST_PERCENT) / 100 * self.full_scale_kpa,
-            noise=learned.seen.noise,
-            step_s=learned.seen.step_s,
+            return Conditions(noise=noise)
+        percent = learned.held_out_percent.get(name) if name in ("paper", "inverse") else None  # type: ignore[call-overload]
+        return Conditions(
+            model_std_kpa=0.0 if percent is None else DRIFT * max(percent, SUREST_PERCENT) / 100 * self.full_scale_kpa,
+            noise=(learned.seen.noise or None) if noise is None else noise,
             speed_kpa_per_s=learned.seen.speed_kpa_per_s,
-            most_kpa=self.full_scale_kpa / 2,
         )
 
     def _rest(self, given: ArrayLike | None) -> FloatArray:

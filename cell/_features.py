@@ -13,8 +13,6 @@ import numpy as np
 
 from ..arrays import FloatArray
 
-Memory = dict[str, FloatArray]
-
 
 @dataclass(frozen=True)
 class Bank:
@@ -31,34 +29,37 @@ class Bank:
         """Number of features."""
         return 2 + len(self.lags_s) + len(self.plays)
 
-    def begin(self, r: FloatArray) -> Memory:
-        """The memory of cells that have always read ``r``."""
-        return {
-            "recent": np.stack([r, r, r]),
-            "smooth": r.copy(),
-            "lags": np.repeat(r[None], len(self.lags_s), axis=0),
-            "plays": np.repeat(r[None], len(self.plays), axis=0),
-        }
+    @property
+    def rows(self) -> int:
+        """Number of rows of the memory: the last three readings, the smoothed one, lags, plays."""
+        return 4 + len(self.lags_s) + len(self.plays)
 
-    def advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
-        """The memory after the reading went to ``r``; a glitch of one sample is passed over (median of three)."""
-        _, before, last = memory["recent"]
+    def begin(self, r: FloatArray) -> FloatArray:
+        """The memory (rows, *shape) of cells that have always read ``r`` (*shape)."""
+        return np.repeat(r[None], self.rows, axis=0)
+
+    def lags(self, memory: FloatArray) -> FloatArray:
+        """The smoothed reading and its lags (1 + lags, *shape)."""
+        return memory[3 : 4 + len(self.lags_s)]
+
+    def advance(self, memory: FloatArray, dt_s: float, r: FloatArray) -> None:
+        """Let the reading go to ``r``; a glitch of one sample is passed over (median of three). Changes ``memory``."""
+        before, last = memory[1], memory[2]
         median = np.maximum(np.minimum(before, last), np.minimum(np.maximum(before, last), r))
-        smooth = memory["smooth"] + (median - memory["smooth"]) * _gone(dt_s, self.smoothing_s)
-        constants = _column(self.lags_s, r.ndim)
+        memory[0:2] = memory[1:3].copy()
+        memory[2] = r
+        smooth = memory[3]
+        smooth += (median - smooth) * _gone(dt_s, self.smoothing_s)
+        lags, plays = self.lags(memory)[1:], memory[4 + len(self.lags_s) :]
+        lags += (smooth - lags) * _gone(dt_s, _column(self.lags_s, r.ndim))
         width = _column(self.plays, r.ndim)
-        return {
-            "recent": np.stack([before, last, r]),
-            "smooth": smooth,
-            "lags": memory["lags"] + (smooth - memory["lags"]) * _gone(dt_s, constants),
-            "plays": np.clip(memory["plays"], smooth - width, smooth + width),
-        }
+        np.maximum(plays, smooth - width, out=plays)
+        np.minimum(plays, smooth + width, out=plays)
 
-    def features(self, memory: Memory) -> FloatArray:
+    def features(self, memory: FloatArray) -> FloatArray:
         """(count, *shape): the smoothed reading, its distance from the last raw one, and from each memory."""
-        smooth = memory["smooth"]
-        newest = memory["recent"][-1:]
-        return np.concatenate([smooth[None], smooth - newest, smooth - memory["lags"], smooth - memory["plays"]])
+        smooth = memory[3]
+        return np.concatenate([smooth[None], smooth - memory[2:3], smooth - memory[4:]])
 
     def run(self, dt_s: FloatArray, r: FloatArray) -> FloatArray:
         """Features (n, count, *shape) of recordings (n, *shape) that start from a long-held reading."""
@@ -66,7 +67,7 @@ class Bank:
         found = np.empty((len(r), self.count, *r.shape[1:]))
         found[0] = self.features(memory)
         for n in range(1, len(r)):
-            memory = self.advance(memory, float(dt_s[n]), r[n])
+            self.advance(memory, float(dt_s[n]), r[n])
             found[n] = self.features(memory)
         return found
 
@@ -80,7 +81,7 @@ def play_follow(signal: FloatArray, width: float) -> FloatArray:
     return followed
 
 
-def _gone(dt_s: FloatArray | float, seconds: FloatArray | float) -> FloatArray:
+def _gone(dt_s: float, seconds: FloatArray | float) -> FloatArray:
     return np.asarray(-np.expm1(-np.asarray(dt_s) / seconds))
 
 

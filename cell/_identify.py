@@ -149,10 +149,10 @@ def longest_recovery(recording: Recording, full_scale_kpa: float) -> slice | Non
     return slice(int(start) - 1, int(stop))
 
 
-def fits(recording: Recording, full_scale_kpa: float) -> list[Fit]:
+def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None] = lambda what: None) -> list[Fit]:
     """Every kind that can describe the recording, the best first.
 
-    Best is the simplest whose held-out error is within 5 % of the least one.
+    Best is the simplest whose held-out error is within 5 % of the least one. ``told`` hears of each kind that is done.
 
     Raises:
         InputError: the resistance does not follow the pressure.
@@ -164,7 +164,10 @@ def fits(recording: Recording, full_scale_kpa: float) -> list[Fit]:
     else:
         start = _start(recording, full_scale_kpa, rest)
         kinds = [_asymmetric_kind(start), _paper_kind(start), _m10_kind(start)]
-        found = [_fit(kind, recording, full_scale_kpa, rest, lower) for kind in kinds]
+        found = []
+        for kind in kinds:
+            found.append(_fit(kind, recording, full_scale_kpa, rest, lower))
+            told(f"fitted {kind.kind}")
     least = min(fit.held_out_error for fit in found)
     blind = float(np.std(recording.resistance_ohm) / np.ptp(recording.resistance_ohm))
     if not least < 0.9 * blind:

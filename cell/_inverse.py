@@ -1,4 +1,4 @@
-"""The exact inverse of a cell with asymmetric branches: it switches itself, and has no thresholds.
+"""The exact inverse of a cell with asymmetric branches, by Newton's method: no switch, no thresholds.
 
 Where the resistance of a step rises with the load at its end, whatever the step (``margin`` positive), a reading
 has exactly one load, and the inverse is as exact as the model. Real carbon-black silicone that answers unloading
@@ -14,10 +14,15 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
 from . import _lag as lag
-from ._estimators import CERTAIN, LOADS, Doubt, Estimator, Memory
+from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
 from ._forward import as_m10
 from ._models import AsymmetricModel, M10Model
-from ._smoothing import Smoother
+from ._paper import LOADS
+
+LOAD, BRANCHES, BROKEN, ANCHOR = 3, slice(4, 6), 6, 7
+"""rows of the memory; the anchor is the load behind a play as wide as the noise"""
+STILL_SIGMAS = 3.0
+"""half width of that play, in standard deviations: noise within it breaks no chains"""
 
 ACCURACY = 1e-11
 """of full scale, to which a step with a change-over is solved"""
@@ -49,7 +54,7 @@ class _ChangeOver:
     """(2, n) time constants at first"""
     second_s: FloatArray
     """(2, n) and after a change-over"""
-    dt_s: FloatArray | float
+    dt_s: float
     kept: FloatArray
     """(2, n) where the branches would end without change-over if the load stayed"""
     follows: FloatArray
@@ -84,13 +89,15 @@ class InverseEstimator(Estimator):
     one side. Where b or opposite branches spoil that, what is left is bracketed.
     """
 
+    rows = ("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor")
+
     def __init__(
         self,
         model: AsymmetricModel | M10Model,
         full_scale_kpa: float,
         shape: tuple[int, ...],
         rest_resistance_ohm: FloatArray,
-        doubt: Doubt = CERTAIN,
+        conditions: Conditions,
     ) -> None:
         found = margin(model, full_scale_kpa)
         if not found > 0:
@@ -99,30 +106,31 @@ class InverseEstimator(Estimator):
                 f"(a + 2 b s - k falls to {found:.2g} of the slope at equilibrium); use another estimator"
             )
         self.model = m = as_m10(model, full_scale_kpa) if isinstance(model, AsymmetricModel) else model
-        self.full_scale_kpa, self._smoother = full_scale_kpa, Smoother(doubt.noise)
         self._alpha = np.array([[m.alpha1], [m.alpha2]])
         self._rise_s, self._fall_s = np.array([[m.rise1_s], [m.rise2_s]]), np.array([[m.fall1_s], [m.fall2_s]])
         steepest = m.a + 2 * max(m.b, 0.0) * LOADS[1] + m.alpha1 + m.alpha2 + m.k
-        self._credible = (LOADS[0] * steepest, LOADS[1] * steepest)
+        credible = (LOADS[0] * steepest, LOADS[1] * steepest)
         self._constants_s = np.concatenate([self._rise_s, self._fall_s, [[m.tau_s]]])
-        super().__init__(shape, rest_resistance_ohm, doubt)
+        full_r = m.a + m.b + m.alpha1 + m.alpha2
+        # With b < 0 the answer grows ever steeper towards the load where a fast step has no slope left.
+        self._highest = min(LOADS[1], max(1.0, 0.4 * (m.a - m.k) / -m.b)) if m.b < 0 else LOADS[1]
+        super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
 
-    def _begin(self, r: FloatArray) -> Memory:
+    def _begin(self, r: FloatArray) -> FloatArray:
         m = self.model
-        s = _root(m.b, np.full_like(r, m.a + m.alpha1 + m.alpha2), r)
-        return self._memory_of(r, s, self._alpha * s, np.zeros_like(s)) | self._smoother.begin(r)
+        slope = np.full_like(r, m.a + m.alpha1 + m.alpha2)
+        s = _root(m.b, slope, r)
+        memory = np.zeros((len(self.rows), *r.shape))
+        memory[PRESSURE], memory[LOAD], memory[BRANCHES] = s * self.full_scale_kpa, s, self._alpha * s
+        memory[GAIN], memory[ANCHOR] = self.full_scale_kpa / slope, s
+        return memory
 
-    def _memory_of(self, r: FloatArray, s: FloatArray, branches: FloatArray, broken: FloatArray) -> Memory:
-        found = {"r": r, "pressure_kpa": s * self.full_scale_kpa, "load": s, "branches": branches, "broken": broken}
-        return found | self._std()
-
-    def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
-        smoother, r = self._smoother.advance(memory, dt_s, r)
-        m, alpha, s0, x = self.model, self._alpha, memory["load"], memory["branches"]
+    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+        m, alpha, s0, x, broken = self.model, self._alpha, memory[LOAD], memory[BRANCHES], memory[BROKEN]
         gone, ramp = lag.weights(dt_s, self._constants_s)  # (5, 1) or (5, n)
         target = alpha * s0
         lead = target - x
-        free = memory["broken"] * (1 - gone[4])
+        free = broken * (1 - gone[4])
         breaking = m.k * (1 - ramp[4])
         ahead = lead > 0
         kept = x + lead * np.where(ahead, gone[:2], gone[2:4])
@@ -131,14 +139,16 @@ class InverseEstimator(Estimator):
         up = change > 0  # r rises with the load, so that this is also the sign of the step
         charging = ahead | ((lead == 0) & up)
         follows = np.where(charging, alpha * ramp[:2], alpha * ramp[2:4])
+        width = STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
+        if not self._exact and m.k:
+            still = slope + follows[0] + follows[1]
+            moves = np.abs(s0 + change / np.maximum(still, 1e-9) - memory[ANCHOR]) > width
+            breaking = np.where(moves, breaking, 0.0)
         slope = slope + np.where(up, breaking, -breaking)
         step = _root(m.b, slope + follows[0] + follows[1], change)
         branches = kept + follows * step
         crossed = np.flatnonzero(((target + alpha * step - branches) * lead < 0).any(axis=0))
         if crossed.size:
-            part = {name: memory[name][..., crossed] for name in ("load", "branches", "broken")}
-            dt = np.broadcast_to(dt_s, r.shape)[crossed]
-            part_dt = dt_s if np.ndim(dt_s) == 0 else dt
             discharging = lead[:, crossed] < 0
             change_over = _ChangeOver(
                 lead=lead[:, crossed],
@@ -146,21 +156,54 @@ class InverseEstimator(Estimator):
                 alpha=alpha,
                 first_s=np.where(discharging, self._fall_s, self._rise_s),
                 second_s=np.where(discharging, self._rise_s, self._fall_s),
-                dt_s=part_dt,
+                dt_s=dt_s,
                 kept=kept[:, crossed],
                 follows=follows[:, crossed],
             )
-            bend = (alpha * part_dt * np.abs(1 / self._rise_s - 1 / self._fall_s)).sum(axis=0)
+            bend = (alpha * dt_s * np.abs(1 / self._rise_s - 1 / self._fall_s)).sum(axis=0)
             sums = change[crossed] + kept[0, crossed] + kept[1, crossed]
             found, ends, solved = self._newton(change_over, bend, slope[crossed], sums, step[crossed])
             if not solved.all():
                 left = ~solved
-                rest = {name: value[..., left] for name, value in part.items()}
-                s = self._bracketed(rest, dt[left], r[crossed[left]], rest["load"] + step[crossed[left]])
-                found[left] = s - rest["load"]
-                ends[:, left] = self._branches(rest, dt[left], s)
+                rest = memory[:, crossed[left]]
+                s = self._bracketed(rest, dt_s, r[crossed[left]], rest[LOAD] + step[crossed[left]])
+                found[left] = s - rest[LOAD]
+                ends[:, left] = self._branches(rest, dt_s, s)
             step[crossed], branches[:, crossed] = found, ends
-        return self._memory_of(r, s0 + step, branches, free + breaking * np.abs(step)) | smoother
+        new = memory.copy()
+        new[LOAD], new[BRANCHES], new[BROKEN] = s0 + step, branches, free + breaking * np.abs(step)
+        if not self._exact:
+            self._limit(new, r, std)
+        new[PRESSURE] = new[LOAD] * self.full_scale_kpa
+        new[ANCHOR] = np.maximum(np.minimum(memory[ANCHOR], new[LOAD] + width), new[LOAD] - width)
+        new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self._full_scale_r)
+        new[VARIANCE] = new[VARIANCE] * np.exp(-2 * dt_s / m.fall1_s)
+        return new
+
+    def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
+        """Keep loads within :data:`LOADS`; where the model needs a pull, let it remember less instead."""
+        allowed = -(3 * std / self._full_scale_r + 0.01)
+        load = memory[LOAD]
+        pulled = load < allowed
+        if pulled.any():
+            s = np.broadcast_to(allowed, load.shape)[pulled]
+            left = r[pulled] - (self.model.a + self.model.b * s) * s
+            remembered = memory[4:7, pulled].sum(axis=0)
+            share = np.clip(np.divide(left, remembered, out=np.zeros_like(left), where=remembered > 0), 0, 1)
+            memory[4:7, pulled] *= share
+            load[pulled] = s
+        np.minimum(load, self._highest, out=load)
+
+    def _hold(self, memory: FloatArray, dt_s: float) -> FloatArray:
+        held = memory.copy()
+        s = memory[LOAD]
+        held[BRANCHES] = self._branches(memory, dt_s, s)
+        held[BROKEN] *= np.exp(-dt_s / self.model.tau_s)
+        return held
+
+    def _settled(self, memory: FloatArray, band: float) -> BoolArray:
+        found: BoolArray = np.abs(memory[4:7]).sum(axis=0) < band
+        return found
 
     def _newton(
         self, change_over: _ChangeOver, bend: FloatArray, slope: FloatArray, sums: FloatArray, step: FloatArray
@@ -184,18 +227,18 @@ class InverseEstimator(Estimator):
                 break
         return step, ends, solved
 
-    def _branches(self, memory: Memory, dt_s: FloatArray, s: FloatArray) -> FloatArray:
+    def _branches(self, memory: FloatArray, dt_s: float, s: FloatArray) -> FloatArray:
         """Branches (2, n) after a step to load ``s``, through any change-over."""
-        before, after = self._alpha * memory["load"], self._alpha * s
-        return lag.asymmetric(memory["branches"], before, after, dt_s, self._rise_s, self._fall_s)
+        before, after = self._alpha * memory[LOAD], self._alpha * s
+        return lag.asymmetric(memory[BRANCHES], before, after, dt_s, self._rise_s, self._fall_s)
 
-    def _bracketed(self, memory: Memory, dt_s: FloatArray, r: FloatArray, guess: FloatArray) -> FloatArray:
+    def _bracketed(self, memory: FloatArray, dt_s: float, r: FloatArray, guess: FloatArray) -> FloatArray:
         """Illinois' false position on the step function, which rises with the load."""
-        m, s0 = self.model, memory["load"]
+        m, s0 = self.model, memory[LOAD]
         gone, ramp = lag.weights(dt_s, m.tau_s)
 
         def excess(s: FloatArray) -> FloatArray:
-            broken = memory["broken"] * (1 - gone) + m.k * np.abs(s - s0) * (1 - ramp)
+            broken = memory[BROKEN] * (1 - gone) + m.k * np.abs(s - s0) * (1 - ramp)
             above: FloatArray = (m.a + m.b * s) * s + self._branches(memory, dt_s, s).sum(axis=0) + broken - r
             return above
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cached_property
 from typing import Annotated, Self
 
 import numpy as np
@@ -10,9 +9,9 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 from scipy.special import ndtri
 
-from ..arrays import FloatArray, SingleArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..config import Finite, NotNegative, Positive, Section
-from ._estimators import CERTAIN, Doubt, Estimator, Memory
+from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
 from ._features import Bank
 
 Numbers = Annotated[tuple[Finite, ...], Field(strict=False)]
@@ -129,33 +128,6 @@ class Terms:
         return np.concatenate([np.ones_like(first), z, first**2, first**3, cosines], axis=1)
 
 
-class StaticCurveEstimator(Estimator):
-    """The calibrated cubic, without memory."""
-
-    def __init__(
-        self,
-        curve: StaticCurve,
-        full_scale_kpa: float,
-        shape: tuple[int, ...],
-        rest_resistance_ohm: FloatArray,
-        doubt: Doubt = CERTAIN,
-    ) -> None:
-        self.curve, self.full_scale_kpa = curve, full_scale_kpa
-        super().__init__(shape, rest_resistance_ohm, doubt)
-
-    def _begin(self, r: FloatArray) -> Memory:
-        limits = self.curve.limits
-        load = np.clip(self.curve.load(r), limits.lowest, limits.highest)
-        return {
-            "r": r,
-            "pressure_kpa": load * self.full_scale_kpa,
-            "std_kpa": np.full(r.shape, self.curve.std_kpa),
-        }
-
-    def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
-        return self._begin(r)
-
-
 class LearnedEstimator(Estimator):
     """Runs a :class:`Learned` map; a cell that has not moved keeps its last answer."""
 
@@ -163,43 +135,52 @@ class LearnedEstimator(Estimator):
         self,
         learned: Learned,
         full_scale_kpa: float,
+        full_scale_r: float,
         shape: tuple[int, ...],
         rest_resistance_ohm: FloatArray,
-        doubt: Doubt = CERTAIN,
+        conditions: Conditions,
     ) -> None:
-        self.learned, self.full_scale_kpa = learned, full_scale_kpa
+        self.learned = learned
         self._bank = learned.bank
+        self._seen = slice(3 + self._bank.rows, 3 + self._bank.rows + self._bank.count)
         self._terms = Terms(
             np.array(learned.mean), np.array(learned.scale), learned.seed, learned.directions, np.float32
         )
-        super().__init__(shape, rest_resistance_ohm, doubt)
+        self._weights = np.array([learned.weights, learned.error_weights], dtype=np.float32).T
+        self._steepest = full_scale_kpa / max(abs(full_scale_r), 1e-9)
+        super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions)
 
-    @cached_property
-    def _weights(self) -> SingleArray:
-        return np.array([self.learned.weights, self.learned.error_weights], dtype=np.float32).T
+    def _begin(self, r: FloatArray) -> FloatArray:
+        memory = np.zeros((self._seen.stop, *r.shape))
+        memory[3 : self._seen.start] = self._bank.begin(r)
+        memory[self._seen] = self._terms.standardised(self._bank.features(memory[3 : self._seen.start]))
+        memory[GAIN] = self._steepest
+        self._answer(memory, slice(None))
+        return memory
 
-    def _begin(self, r: FloatArray) -> Memory:
-        memory = self._bank.begin(r)
-        seen = self._terms.standardised(self._bank.features(memory))
-        load, std = self._map(seen)
-        return memory | {
-            "r": r,
-            "seen": seen,
-            "pressure_kpa": load * self.full_scale_kpa,
-            "std_kpa": std * self.full_scale_kpa,
-        }
-
-    def _advance(self, memory: Memory, dt_s: FloatArray | float, r: FloatArray) -> Memory:
-        bank = self._bank.advance(memory, dt_s, r)
+    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+        bank = memory[3 : self._seen.start]
+        self._bank.advance(bank, dt_s, r)
         now = self._terms.standardised(self._bank.features(bank))
-        seen, pressure, std = (memory[name].copy() for name in ("seen", "pressure_kpa", "std_kpa"))
-        moved = np.flatnonzero(np.abs(now - seen).max(axis=0) > STILL)
-        if moved.size:
-            seen[:, moved] = now[:, moved]
-            load, deviation = self._map(now[:, moved])
-            pressure[moved] = load * self.full_scale_kpa
-            std[moved] = deviation * self.full_scale_kpa
-        return bank | {"r": r, "seen": seen, "pressure_kpa": pressure, "std_kpa": std}
+        change = now - memory[self._seen]
+        moved = np.flatnonzero(np.abs(change, out=change).max(axis=0) > STILL)
+        if moved.size == r.size:
+            memory[self._seen] = now
+            self._answer(memory, slice(None))
+        elif moved.size:
+            memory[self._seen, moved] = now[:, moved]
+            self._answer(memory, moved)
+        return memory
+
+    def _answer(self, memory: FloatArray, cells: IntArray | slice) -> None:
+        """Map the features of ``cells`` afresh; changes ``memory``."""
+        load, std = self._map(memory[self._seen, cells])
+        memory[PRESSURE, cells] = load * self.full_scale_kpa
+        memory[VARIANCE, cells] = (std * self.full_scale_kpa) ** 2
+
+    def _settled(self, memory: FloatArray, band: float) -> BoolArray:
+        found: BoolArray = np.abs(self._bank.lags(memory[3 : self._seen.start])).max(axis=0) < 2 * band
+        return found
 
     def _map(self, standardised: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Normalised load and its standard deviation (m) for standardised features (count, m)."""

@@ -6,18 +6,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
-from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
+from ._models import Model
+from ._static import equilibrium_gain
 
 
 def sensitivity(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) -> float:
     """S = (Rmax - R0)/R0 of a cell at equilibrium under full scale; negative where contact dominates (P2)."""
-    match model:
-        case PaperModel() | AsymmetricModel():
-            return model.gain_per_kpa * full_scale_kpa
-        case M10Model():
-            return model.a + model.b + model.alpha1 + model.alpha2
-        case ContactModel():
-            return 1 / (1 + rest_resistance_ohm / model.full_scale_resistance_ohm) - 1
+    return equilibrium_gain(model, full_scale_kpa, rest_resistance_ohm)
 
 
 def drifted_rest_resistance(

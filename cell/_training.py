@@ -31,6 +31,8 @@ CREEP_LENGTH = (0.08, 1.33)
 """its time constants, in lengths of the recording"""
 WIDEST, FLOOR, SUREST = 2.0, 0.5, 0.02
 """limits of the standard deviation of learned estimators, see :func:`calibrated`"""
+AT_REST = 0.3
+"""weight of a cell that has always read R0, for which no load is to be answered"""
 UNEXPLAINED = ((3.0, 0.5), (60.0, 0.7))
 """over how many seconds the model's error wanders, and how much of it does"""
 ROWS = 20000
@@ -166,11 +168,14 @@ def learn(
     mean = data.simulated.mean(axis=0)
     scale = np.maximum(data.simulated.std(axis=0), 1e-6 * max(calibration.spread, 1e-9))
     terms = Terms(mean, scale, seed, directions)
+    at_rest = bank.features(bank.begin(np.zeros(1)))
+    rest = np.asarray(terms(terms.standardised(at_rest)), dtype=np.float64)
     real = np.asarray(terms(terms.standardised(data.real.T)), dtype=np.float64)
     made = np.asarray(terms(terms.standardised(data.simulated.T)), dtype=np.float64)
     penalty = ridge * np.eye(real.shape[1])
     penalty[0, 0] = 0.0
     normal = made.T @ made / len(made) + real.T @ real / len(real) + penalty
+    normal += AT_REST * rest.T @ rest
 
     def solve(of_made: FloatArray, of_real: FloatArray) -> FloatArray:
         moments = made.T @ of_made / len(made) + real.T @ of_real / len(real)

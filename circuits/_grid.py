@@ -6,11 +6,13 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ..arrays import FloatArray
+from ..arrays import FloatArray, IntArray
 from ..errors import SolverError
 from . import _sheet as sheet
 from ._board import Board
 from .solvers import Element, Network, Rounded, port_conductances, reduce, siemens
+
+_SHORT = 1e-60  # ohm; at most that is a wire, see :func:`.solvers.siemens`
 
 
 def exact_ports(board: Board, cells: FloatArray) -> Rounded:
@@ -24,11 +26,9 @@ def exact_ports(board: Board, cells: FloatArray) -> Rounded:
         SolverError: parts of no resistance join sources that contradict each other.
 
     """
-    if board.plain:
-        if (cells == 0).any():
-            refuse_contradictions(board, cells)
-        return port_conductances(board.cell_conductance(cells), board.lines)
     refuse_contradictions(board, cells)
+    if board.plain:
+        return port_conductances(board.cell_conductance(cells), board.lines)
     return reduce(grid_network(board, cells))
 
 
@@ -79,35 +79,32 @@ def grid_network(board: Board, cells: FloatArray) -> Network:
 
 
 def refuse_contradictions(board: Board, cells: FloatArray) -> None:
-    """Raise SolverError where parts of 0 ohm alone join two row drivers, or two ideal amplifiers, with each other.
+    """Raise SolverError where parts of 0 ohm alone join ideal sources, which contradict each other.
 
-    Such sources contradict each other, or leave it open how they share a current. Floating idle rows have no drivers.
-    One driver joined with one ideal amplifier is not refused: its reading is infinite.
+    What counts as an ideal source, and which may not meet, is the circuit's to say
+    (:meth:`.ReadoutCircuit.contradiction`).
 
     Args:
         board: the lines and their faults.
-        cells: (..., N, M) ohm; a cell shorted in any frame counts as shorted.
+        cells: (..., N, M) ohm; a cell that is a short in any frame counts as one.
 
     """
-    row, column = board.row_ohms, board.column_ohms
+    if cells.min() > _SHORT and not any(fault.ohms <= _SHORT for fault in board.faults):
+        return
+    row, column = np.isinf(board.lines.row), np.isinf(board.lines.column)
     rows, columns = board.shape
     drivers, ends = np.arange(rows), rows + np.arange(columns)
     on_row = rows + columns + np.arange(rows * columns).reshape(rows, columns)
     on_column = on_row + rows * columns
     ideal = board.circuit.ideal_inputs(board)
     joints = [
-        (np.column_stack([drivers, on_row[:, :-1]])[row == 0], on_row[row == 0]),
-        (on_column[:-1][column[1:] == 0], on_column[1:][column[1:] == 0]),
+        (np.column_stack([drivers, on_row[:, :-1]])[row], on_row[row]),
+        (on_column[:-1][column[1:]], on_column[1:][column[1:]]),
         (on_column[-1][ideal], ends[ideal]),
     ]
-    shorted = (cells == 0).any(axis=tuple(range(cells.ndim - 2)))
-    for fault in board.faults:
-        if fault.kind == "open-cell" and fault.ohms > 0:
-            shorted[fault.place] = False
-    for fault in board.faults:
-        if fault.kind == "shorted-cell" and fault.ohms == 0:
-            shorted[fault.place] = True
-        elif fault.bridge and fault.ohms == 0:
+    shorted = np.isinf(board.cell_conductance(cells)).any(axis=tuple(range(cells.ndim - 2)))
+    for fault in board.bridges:
+        if fault.ohms <= _SHORT:
             line = on_row if fault.kind == "bridged-rows" else on_column
             here, there = fault.ends
             joints.append((np.array([line[here]]), np.array([line[there]])))
@@ -115,24 +112,9 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> None:
     first_nodes, second_nodes = (np.concatenate(side) for side in zip(*joints, strict=True))
     size = rows + columns + 2 * rows * columns
     links = coo_array((np.ones(len(first_nodes)), (first_nodes, second_nodes)), shape=(size, size))
-    _, island = connected_components(links, directed=False)
-    driven = drivers[:1] if board.floating else drivers
-    of_rows, of_columns = board.line_kinds
-    for what, nodes, number, remedy in (
-        (f"{of_rows} drivers", driven, board.driven_line, f"array.{of_rows}_lead"),
-        (
-            f"ideal amplifiers of {of_columns}s",
-            ends,
-            board.sensed_line,
-            f"array.{of_columns}_lead, or readout.open_loop_gain a finite value",
-        ),
-    ):
-        _, first, count = np.unique(island[nodes], return_index=True, return_counts=True)
-        if (count > 1).any():
-            one = int(first[count > 1][0])
-            other = int(np.flatnonzero(island[nodes] == island[nodes[one]])[1])
-            low, high = sorted((number(one), number(other)))
-            raise SolverError(
-                f"the {what} {low} and {high} are joined by parts of 0 ohm; "
-                f"give what joins them, or {remedy}, a resistance"
-            )
+    island: IntArray = np.asarray(connected_components(links, directed=False)[1], dtype=np.intp)
+    found = board.circuit.contradiction(board, island[drivers], island[ends])
+    if found is not None:
+        raise SolverError(
+            f"{found.what} are joined by parts of 0 ohm; give what joins them, or {found.remedy}, a resistance"
+        )

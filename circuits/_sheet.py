@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from .solvers import Element, Network, reduce, siemens
+from .solvers import Element, Network, Rounded, reduce, siemens
 
 if TYPE_CHECKING:
     from ._design import Sheet
@@ -57,7 +57,7 @@ def pieces(
     beside = first_face + np.arange(rows * (columns - 1) * each).reshape(rows, columns - 1, each)
     below = first_face + beside.size + np.arange((rows - 1) * columns * each).reshape(rows - 1, columns, each)
     place = np.concatenate([_middles(rows, columns - 1, each, 0.0, 0.5), _middles(rows - 1, columns, each, 0.5, 0.0)])
-    scale = siemens(resistance / unit_resistance(sheet))
+    scale, free = siemens(resistance / unit_resistance(sheet)), _unit(sheet, Sides())
     elements = []
     for row in range(rows):
         for column in range(columns):
@@ -67,17 +67,17 @@ def pieces(
             nodes += [beside[row, column]] if sides.right else []
             nodes += [below[row - 1, column]] if sides.up else []
             nodes += [below[row, column]] if sides.down else []
-            unit, here = _unit(sheet, sides), scale[..., row, column, None, None]
+            (unit, rounded), here = _unit(sheet, sides), scale[..., row, column, None, None]
             with np.errstate(invalid="ignore"):
                 between = np.where(unit > 0, unit * here, 0.0)
-            elements.append(Element(np.concatenate(nodes), between))
+            elements.append(Element(np.concatenate(nodes), between, float(rounded + free.relative)))
     return place, tuple(elements)
 
 
 @lru_cache(maxsize=16)
 def unit_resistance(sheet: Sheet) -> float:
     """Ohm of one free cell of 1 ohm m."""
-    return float(1.0 / _unit(sheet, Sides())[0, 1])
+    return float(1.0 / _unit(sheet, Sides()).value[0, 1])
 
 
 def _middles(rows: int, columns: int, each: int, down: float, along: float) -> FloatArray:
@@ -86,7 +86,7 @@ def _middles(rows: int, columns: int, each: int, down: float, along: float) -> F
 
 
 @lru_cache(maxsize=64)
-def _unit(sheet: Sheet, sides: Sides) -> FloatArray:
+def _unit(sheet: Sheet, sides: Sides) -> Rounded:
     """S between the strips of row and column and the open faces, side by side, of one cell of 1 ohm m."""
     cut, layers = sheet.divisions, sheet.layers
     side, height = sheet.pitch / cut, sheet.thickness / layers
@@ -123,8 +123,8 @@ def _unit(sheet: Sheet, sides: Sides) -> FloatArray:
         wire=np.zeros(len(conductance), dtype=np.bool_),
         ports=np.concatenate(ports),
     )
-    unit = reduce(network).value
-    unit.flags.writeable = False
+    unit = reduce(network)
+    unit.value.flags.writeable = False
     return unit
 
 

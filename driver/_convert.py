@@ -77,7 +77,7 @@ class Converter:
         counts = np.full(self.design.array.shape, 2 ** (adc.bits - 1), dtype=np.uint16)
         reading = self._read(counts)
         if self.cell is not None:
-            self._fresh_estimator().update(0.0, reading.resistance)
+            self._fresh_estimator().step(1.0, reading.resistance)
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
         """Take these rest resistances (rows, columns) from now on, None those of the data sheet; memory is dropped."""
@@ -114,9 +114,8 @@ class Converter:
             self._estimator = self._new_estimator()
         pressure = std = np.full(frame.counts.shape, np.nan)
         if self._estimator is not None:
-            estimate = self._estimator.update(frame.time_s, reading.resistance)
-            pressure = estimate.pressure_kpa
-            std = std if estimate.std_kpa is None else estimate.std_kpa
+            pressure = self._estimator.step(gap_s, reading.resistance)
+            std = self._estimator.std_kpa
         view = PressureView(frame.time_s, _read_only(pressure), _read_only(std))
         self.contacts.pass_by(view)
         return Measurement(_read_only(reading.valid), _read_only(reading.resistance), pressure, std, view, self._starts)

@@ -222,6 +222,7 @@ class Reader:
                     tap(arrival)
                 for event in self._protocol.feed(arrival.data, arrival.received_at):
                     self._handle(event, arrival)
+                self._mailbox.tell()
 
     def _handle(self, event: Event, arrival: Arrival) -> None:
         self._reason = event.reason if isinstance(event, Corrupt) else ""

@@ -35,6 +35,8 @@ class Port(ABC):
 
     name: str
     """what a host opens"""
+    hosts = 0
+    """hosts so far, for ports that can tell one from the next"""
 
     @abstractmethod
     def host_present(self) -> bool:
@@ -234,13 +236,14 @@ class TcpPort(Port):
             if error.errno in (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM):
                 return self._host is not None
             raise LinkError(f"{self.name}: cannot accept a host: {error.strerror}") from error
-        if self._host is not None and time.monotonic() - self._took_at > DEAF_S:
+        if self._host is not None and (time.monotonic() - self._took_at > DEAF_S or _left(self._host)):
             self._hang_up()
         if self._host is None:
             arrived.setblocking(False)
             arrived.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             self._took_at = time.monotonic()
             self._host = arrived
+            self.hosts += 1
             self._greet()
         else:
             arrived.close()
@@ -440,6 +443,13 @@ class PairPort(Port):
 
     def close(self) -> None:
         self._socket.close()
+
+
+def _left(host: socket.socket) -> bool:
+    """Whether the host has closed its end, even if bytes that it sent before are still unread."""
+    poll = select.poll()
+    poll.register(host, select.POLLRDHUP)
+    return bool(poll.poll(0))
 
 
 def _host_and_port(address: str) -> tuple[str, int]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from cells import exactly
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
@@ -35,12 +36,10 @@ def test_the_inverse_is_exact_at_any_time_steps(model: AsymmetricModel | M10Mode
     dt = 10 ** rng.uniform(-4, 1, 60)
     load = rng.choice([0.0, 15.5, -1.0], (60, 3)) * rng.random((60, 3))
     load[0] = 0
-    forward, estimator = cell.forward((3,)), cell.estimator((3,), "inverse")
-    estimator.update(0.0, forward.step(1.0, load[0]))
-    time = np.cumsum(dt)
+    forward, estimator = cell.forward((3,)), cell.estimator((3,), "inverse", noise=0.0)
+    estimator.step(1.0, forward.step(1.0, load[0]))
     for n in range(1, 60):
-        read = forward.step(time[n] - (time[n - 1] if n > 1 else 0.0), load[n])
-        assert estimator.update(time[n], read).pressure_kpa == pytest.approx(load[n], abs=1e-5)
+        assert estimator.step(dt[n], forward.step(dt[n], load[n])) == pytest.approx(load[n], abs=1e-5)
 
 
 def bracketed(model: M10Model, dt: float, readings: np.ndarray) -> np.ndarray:
@@ -77,9 +76,7 @@ def test_noise_that_turns_branches_in_every_sample_costs_no_accuracy(model: M10M
     """Noisy readings against bracketing, sample by sample: 1e-9 of full scale."""
     rng = np.random.default_rng(9)
     readings = 0.4 * np.sin(np.arange(120) / 15)[:, None] ** 2 + 0.005 * rng.standard_normal((120, 3))
-    estimator = cell_of(model).estimator((3,), "inverse")
-    rest = EXAMPLE.rest_resistance_ohm
-    found = np.stack([estimator.update(n * dt, rest * (1 + r)).pressure_kpa for n, r in enumerate(readings)])
+    found = exactly(cell_of(model), "inverse", dt * np.arange(120), EXAMPLE.rest_resistance_ohm * (1 + readings))
     for cell in range(3):
         expected = 15.5 * bracketed(model, dt, readings[:, cell])
         assert found[:, cell] == pytest.approx(expected, abs=15.5e-9)
@@ -87,10 +84,9 @@ def test_noise_that_turns_branches_in_every_sample_costs_no_accuracy(model: M10M
 
 def test_a_reading_beyond_the_models_reach_stays_finite() -> None:
     """With b < 0 the resistance has a top; above it there is no load, and the next readings are answered again."""
-    estimator = cell_of(SAFE).estimator((), "inverse")
-    rest = EXAMPLE.rest_resistance_ohm
-    for n, r in enumerate([0.0, 0.1, 0.05, 50.0, 40.0, 0.2, 0.1, 0.0]):
-        assert np.isfinite(estimator.update(n * 0.05, rest * (1 + r)).pressure_kpa)
+    readings = np.array([0.0, 0.1, 0.05, 50.0, 40.0, 0.2, 0.1, 0.0])
+    read = EXAMPLE.rest_resistance_ohm * (1 + readings)
+    assert np.isfinite(exactly(cell_of(SAFE), "inverse", 0.05 * np.arange(8), read)).all()
 
 
 def test_an_ambiguous_cell_is_refused() -> None:
@@ -120,29 +116,25 @@ def test_the_margin_is_where_two_loads_begin_to_share_a_resistance() -> None:
 )
 def test_a_held_load_does_not_fade(cell: Cell, name: str) -> None:
     """An hour at 10 kPa, then a gap of a week: the estimate stays."""
-    forward, estimator = cell.forward(()), cell.estimator((), name)
-    time = 0.0
-    estimator.update(time, forward.step(1.0, 0.0))
-    time += 0.05
-    estimator.update(time, forward.step(0.05, 10.0))
+    forward, estimator = cell.forward(()), cell.estimator((), name, noise=0.0)
+    estimator.step(1.0, forward.step(1.0, 0.0))
+    estimator.step(0.05, forward.step(0.05, 10.0))
     for _ in range(900):
-        time += 4.0
-        held = estimator.update(time, forward.step(4.0, 10.0))
-    assert held.pressure_kpa == pytest.approx(10.0, abs=1e-6)
-    week = estimator.update(time + 604800, forward.step(604800.0, 10.0))
-    assert week.pressure_kpa == pytest.approx(10.0, abs=1e-6)
+        held = estimator.step(4.0, forward.step(4.0, 10.0))
+    assert held == pytest.approx(10.0, abs=1e-6)
+    assert estimator.step(604800.0, forward.step(604800.0, 10.0)) == pytest.approx(10.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(("cell", "name"), [(EXAMPLE, "paper"), (EXAMPLE, "inverse"), (cell_of(ASYMMETRIC), "inverse")])
 def test_a_cell_that_opens_and_returns(cell: Cell, name: str) -> None:
     """Open, shorted, saturated to nonsense: missing; when it is back, it reads as if it had been looked at rarely."""
-    forward, estimator = cell.forward((2,)), cell.estimator((2,), name)
+    forward, estimator = cell.forward((2,)), cell.estimator((2,), name, noise=0.0)
     for n in range(400):
         load = 8.0 if n >= 100 else 0.0
         read = forward.step(0.05, load)
         if 150 <= n < 250:
             read[0] = [np.inf, 0.0, -5.0, np.nan][n % 4]
-        found = estimator.update(n * 0.05, read).pressure_kpa
+        found = estimator.step(0.05, read)
         assert np.isfinite(found).all()
     assert found == pytest.approx([8.0, 8.0], abs=1e-6)
 
@@ -150,10 +142,10 @@ def test_a_cell_that_opens_and_returns(cell: Cell, name: str) -> None:
 def test_a_wrong_rest_resistance_costs_no_more_than_itself() -> None:
     """R0 off by 3 % shifts r by 3 % of 1 + r; the estimate is off by that over the slope, and does not run away."""
     cell = cell_of(ASYMMETRIC)
-    estimator = cell.estimator((), "inverse", rest_resistance_ohm=1.03 * cell.rest_resistance_ohm)
+    estimator = cell.estimator((), "inverse", rest_resistance_ohm=1.03 * cell.rest_resistance_ohm, noise=0.0)
     forward = cell.forward(())
     worst = 0.0
     for n in range(4000):
         load = 7.0 + 7.0 * np.sin(n / 150) * np.sin(n / 47)
-        worst = max(worst, abs(float(estimator.update(n * 0.1, forward.step(0.1, load)).pressure_kpa) - load))
+        worst = max(worst, abs(float(estimator.step(0.1, forward.step(0.1, load))) - load))
     assert worst < 2 * 0.03 * (1 + 0.775) * 32

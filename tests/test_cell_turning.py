@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 
 from ohmskin.bench._independent import presses
 from ohmskin.cell import PaperModel
-from ohmskin.cell._estimators import Doubt, Estimator, PaperEstimator
-from ohmskin.cell._turning import TurningEstimator
+from ohmskin.cell._estimator import Conditions, Estimator
+from ohmskin.cell._paper import PaperEstimator, TurningEstimator
 
 MODEL = EXAMPLE.model
 assert isinstance(MODEL, PaperModel)
@@ -18,7 +18,7 @@ NOISE = 0.005
 
 
 def rmse(estimator: Estimator, read: np.ndarray, load: np.ndarray, dt: float) -> float:
-    found = np.array([float(estimator.update(n * dt, r).pressure_kpa) for n, r in enumerate(read)])
+    found = np.array([float(estimator.step(dt, r)) for r in read])
     return float(np.sqrt(np.mean((found / FULL - load) ** 2)))
 
 
@@ -38,7 +38,7 @@ def loads(kind: str, rng: np.random.Generator, dt: float) -> np.ndarray:
 def test_any_load_is_found(kind: str, seed: int, dt: float) -> None:
     """Without noise to 1.5 % of full scale, most of it until a turn is noticed; steps exactly."""
     load = loads(kind, np.random.default_rng(seed), dt)
-    assert rmse(TurningEstimator(MODEL, FULL, (), REST), sense(EXAMPLE, load, dt), load, dt) < (
+    assert rmse(TurningEstimator(MODEL, FULL, (), REST, Conditions(noise=0.0)), sense(EXAMPLE, load, dt), load, dt) < (
         1e-9 if kind == "steps" else 0.015
     )
 
@@ -52,9 +52,9 @@ def test_noise_costs_less_than_the_noise_inverted(kind: str, dt: float) -> None:
     rng = np.random.default_rng(5)
     load = loads(kind, rng, dt)
     read = sense(EXAMPLE, load, dt) * (1 + NOISE * rng.standard_normal(len(load)))
-    found = rmse(TurningEstimator(MODEL, FULL, (), REST, Doubt(noise=NOISE)), read, load, dt)
+    found = rmse(TurningEstimator(MODEL, FULL, (), REST, Conditions(noise=NOISE)), read, load, dt)
     assert found < 0.015
-    assert found < 0.5 * rmse(PaperEstimator(MODEL, FULL, (), REST), read, load, dt)
+    assert found < 0.5 * rmse(PaperEstimator(MODEL, FULL, (), REST, Conditions()), read, load, dt)
 
 
 @pytest.mark.parametrize("kind", ["steps", "presses", "slow ramps"])
@@ -69,4 +69,4 @@ def test_wrong_time_constants_stay_bearable(kind: str, factor: float) -> None:
     rng = np.random.default_rng(6)
     load = loads(kind, rng, 0.1)
     read = sense(EXAMPLE, load) * (1 + NOISE * rng.standard_normal(len(load)))
-    assert rmse(TurningEstimator(wrong, FULL, (), REST, Doubt(noise=NOISE)), read, load, 0.1) < 0.06
+    assert rmse(TurningEstimator(wrong, FULL, (), REST, Conditions(noise=NOISE)), read, load, 0.1) < 0.06

@@ -187,6 +187,9 @@ def test_resistances_too_small_to_invert_are_none(circuit: str) -> None:
     cells = np.array([[1e3, 5e3], [2e3, 5e-324]])
     tiny = {"row_lead": 5e-324, "column_lead": 1e-310, "row_segment": 1e-300, "column_segment": 5e-324}
     design = amplifier(2, 2, open_loop_gain=1e5).with_circuit(circuit)
+    if circuit == "voltage-feedback":  # a short between a driver and the follower would be a contradiction
+        tiny["column_lead"] = 1.0
+        design = design.replace(array={"column_lead": 1.0})
     none = cells.copy()
     none[1, 1] = 0.0
     small = design.replace(array=tiny)

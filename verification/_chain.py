@@ -189,7 +189,8 @@ def _estimated(subject: Subject, time_s: FloatArray, volts: FloatArray, lost: Bo
     counted = np.isfinite(first).sum(axis=0)
     rest = np.where(counted > 0, np.nansum(first, axis=0) / np.maximum(counted, 1), subject.rest)
     estimator = subject.cell.estimator(volts.shape[1:], rest_resistance_ohm=rest)
-    return np.array([estimator.update(float(t), frame).pressure_kpa for t, frame in zip(time_s, ohms, strict=True)])
+    steps = np.diff(time_s, prepend=time_s[0])
+    return np.array([estimator.step(float(dt), frame) for dt, frame in zip(steps, ohms, strict=True)])
 
 
 def one_cell_read(subject: Subject, ohms: FloatArray) -> tuple[FloatArray, float]:

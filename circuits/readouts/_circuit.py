@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray, FloatArray, IntArray
+from ._rounding import energy_bound
 
 if TYPE_CHECKING:
     from .._board import Board
@@ -30,6 +31,9 @@ class Reading(NamedTuple):
     """(..., N, M) V"""
     saturated: BoolArray
     """(..., N, M) outputs that stand at a supply limit"""
+    magnitude: FloatArray
+    """(..., N, M) V: the sum of the sizes of all that an output is the sum of, each in proportion to port
+    conductances; what does not depend on the grid is left out"""
     relative: float = 0.0
     """bound on the rounding errors of the eliminations behind it, relative to the conductances they leave"""
 
@@ -70,6 +74,10 @@ class ReadoutCircuit(ABC):
     def end_resistance(self, board: Board) -> FloatArray:
         """(M,) ohm that the circuit presents behind each column lead; the bound on rounding errors is made of it."""
 
+    def energy_bound(self, board: Board, ports: FloatArray, relative: float) -> FloatArray:
+        """V (..., N, M) by which a relative error of all conductances can move the outputs, by the ports' energies."""
+        return energy_bound(board, ports, relative, self.end_resistance(board))
+
     def ends(self, board: Board) -> Ends | None:
         """What the columns end in where all are read at once and none is at a limit; None for other circuits."""
         return None
@@ -85,6 +93,31 @@ class ReadoutCircuit(ABC):
     def ideal_inputs(self, board: Board) -> BoolArray:
         """(M,) column ends that the circuit holds like an ideal voltage source."""
         return np.zeros(board.shape[1], dtype=np.bool_)
+
+    def contradiction(self, board: Board, rows: IntArray, columns: IntArray) -> Contradiction | None:
+        """Two ideal sources that parts of 0 ohm join with each other; None if there are none.
+
+        One driver joined with one ideal amplifier is not reported: its reading is infinite.
+
+        Args:
+            board: the lines.
+            rows: (N,) number of the island, joined by parts of 0 ohm, that each row's driver is on.
+            columns: (M,) the same for the columns' ends; ends that are no :meth:`ideal_inputs` are on their own.
+
+        """
+        of_rows, of_columns = board.line_kinds
+        pair = _same_island(rows[:1] if board.floating else rows)
+        if pair is not None:
+            low, high = sorted(map(board.driven_line, pair))
+            return Contradiction(f"the {of_rows} drivers {low} and {high}", f"array.{of_rows}_lead")
+        pair = _same_island(columns)
+        if pair is not None:
+            low, high = sorted(map(board.sensed_line, pair))
+            return Contradiction(
+                f"the ideal amplifiers of {of_columns}s {low} and {high}",
+                f"array.{of_columns}_lead, or readout.open_loop_gain a finite value",
+            )
+        return None
 
     def in_the_limit(self, board: Board, cells: FloatArray, volts: FloatArray) -> FloatArray:
         """``volts`` (..., N, M) with the limits in place of what large stand-ins for ideal parts gave."""
@@ -143,6 +176,24 @@ class ReadoutCircuit(ABC):
     def refuse_cards(self, writer: DeckWriter) -> None:
         """Raise SolverError where ideal parts contradict each other, or a netlist cannot express them."""
         return
+
+
+class Contradiction(NamedTuple):
+    """Ideal sources that are joined by parts of 0 ohm."""
+
+    what: str
+    """names the sources"""
+    remedy: str
+    """the key that can keep them apart"""
+
+
+def _same_island(islands: IntArray) -> tuple[int, int] | None:
+    """The first two entries that are alike."""
+    for one, island in enumerate(islands):
+        others = np.flatnonzero(islands[one + 1 :] == island)
+        if len(others):
+            return one, one + 1 + int(others[0])
+    return None
 
 
 def rounding_floor(board: Board) -> float:

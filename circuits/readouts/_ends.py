@@ -56,10 +56,19 @@ def terminate(ports: FloatArray, rows: int, resistance: FloatArray) -> Rounded:
     return eliminate_leading(network, columns)
 
 
-def column_currents(board: Board, terminated: Rounded, source: FloatArray) -> Rounded:
-    """Current (..., N, M) in A into the columns' sources (M,) in V, in every scan step.
+class Currents(NamedTuple):
+    """Currents into the columns' sources, in every scan step."""
 
-    The relative error (...,) is that of the network's conductances and of the eliminations that follow.
+    value: FloatArray
+    """(..., N, M) A"""
+    magnitude: FloatArray
+    """(..., N, M) A: the sum of the sizes of all that the current is the sum of"""
+    relative: FloatArray
+    """(...,) of the network's conductances and of the eliminations that followed"""
+
+
+def column_currents(board: Board, terminated: Rounded, source: FloatArray) -> Currents:
+    """Currents into the columns' sources (M,) in V, in every scan step.
 
     Args:
         board: drive and idle rows.
@@ -73,9 +82,14 @@ def column_currents(board: Board, terminated: Rounded, source: FloatArray) -> Ro
     if not board.floating:
         transfer = network[..., :rows, rows:]
         idle = (network[..., rows:, rows:] * difference).sum(axis=-1) - transfer.sum(axis=-2) * source
-        grounded: FloatArray = board.drive * transfer + idle[..., None, :]
-        return Rounded(grounded, relative)
-    currents = np.empty((*network.shape[:-2], rows, columns))
+        idle_size = (network[..., rows:, rows:] * np.abs(difference)).sum(axis=-1)
+        idle_size += transfer.sum(axis=-2) * np.abs(source)
+        return Currents(
+            value=board.drive * transfer + idle[..., None, :],
+            magnitude=abs(board.drive) * transfer + idle_size[..., None, :],
+            relative=relative,
+        )
+    currents, sizes = np.empty((2, *network.shape[:-2], rows, columns))
     worst = np.zeros(relative.shape)  # each step is solved on its own
     for row in range(rows):
         order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
@@ -83,7 +97,8 @@ def column_currents(board: Board, terminated: Rounded, source: FloatArray) -> Ro
         worst = np.maximum(worst, step)
         driven = alone[..., 0, 1:] * (board.drive - source)
         currents[..., row, :] = driven + (alone[..., 1:, 1:] * difference).sum(axis=-1)
-    return Rounded(currents, relative + worst)
+        sizes[..., row, :] = np.abs(driven) + (alone[..., 1:, 1:] * np.abs(difference)).sum(axis=-1)
+    return Currents(currents, sizes, relative + worst)
 
 
 def sum_of_others(values: FloatArray) -> FloatArray:

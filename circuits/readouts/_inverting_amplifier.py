@@ -44,17 +44,19 @@ class InvertingAmplifier(ReadoutCircuit):
         rows, columns = board.shape
         ends = amplifier_ends(board)
         network = terminate(ports, rows, ends.resistance + board.column_lead)
-        currents, errors = column_currents(board, network, ends.source)
-        volts, relative = ends.output + ends.slope * currents, float(errors.max(initial=0.0))
+        currents = column_currents(board, network, ends.source)
+        volts, relative = ends.output + ends.slope * currents.value, float(currents.relative.max(initial=0.0))
+        magnitude = np.abs(ends.slope) * currents.magnitude
         low, high = board.supply
         saturated = (volts < low) | (volts > high)
         if saturated.any():
             frames = ports.reshape(-1, *ports.shape[-2:])
-            stacked, flags = volts.reshape(-1, rows, columns), saturated.reshape(-1, rows, columns)
+            stacked, flags, sizes = (part.reshape(-1, rows, columns) for part in (volts, saturated, magnitude))
             for frame in np.flatnonzero(flags.any(axis=(1, 2))):
-                stacked[frame], flags[frame], own = _read_saturated(board, frames[frame], stacked[frame])
-                relative = max(relative, own)
-        return Reading(volts, saturated, relative)
+                one = _read_saturated(board, frames[frame], stacked[frame], sizes[frame])
+                stacked[frame], flags[frame], sizes[frame] = one.volts, one.saturated, one.magnitude
+                relative = max(relative, one.relative)
+        return Reading(volts, saturated, magnitude, relative)
 
     def end_resistance(self, board: Board) -> FloatArray:
         return amplifier_ends(board).resistance
@@ -255,7 +257,7 @@ def amplifier_ends(board: Board, state: SignArray | None = None) -> Ends:
     )
 
 
-def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray) -> Reading:
+def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray, magnitude: FloatArray) -> Reading:
     """One frame in which some output hits its limit: find for each step which columns do, by principal pivoting."""
     rows, columns = board.shape
     low, high = board.supply
@@ -264,7 +266,7 @@ def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray) -> Readi
         np.where(np.isinf(board.gain), 0.0, end / board.gain) if isfinite(end) else 0.0 for end in (low, high)
     )
     state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
-    volts = volts.copy()
+    volts, magnitude = volts.copy(), magnitude.copy()
     pending: BoolArray = np.atleast_1d(state.any(axis=1))
     relative = 0.0
     for attempt in range(_MURTY_AFTER + 4 * columns):
@@ -275,8 +277,9 @@ def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray) -> Readi
                 continue
             ends = amplifier_ends(board, pattern)
             network = terminate(ports, rows, ends.resistance + board.column_lead)
-            every_current, error = column_currents(board, network, ends.source)
-            currents, relative = every_current[steps], max(relative, float(error))
+            every = column_currents(board, network, ends.source)
+            currents, relative = every.value[steps], max(relative, float(every.relative))
+            magnitude[steps] = np.abs(ends.slope) * every.magnitude[steps]
             volts[steps] = ends.output + ends.slope * currents
             wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
             # A clamped output stays so while the amplifier's input still drives it outwards.
@@ -289,7 +292,7 @@ def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray) -> Readi
             pending[steps] = (wanted != pattern).any(axis=1)
             state[steps] = wanted
         if not pending.any():
-            return Reading(volts, state != 0, relative)
+            return Reading(volts, state != 0, magnitude, relative)
     raise SolverError("no consistent set of saturated outputs was found; check supply and reference_voltage")
 
 

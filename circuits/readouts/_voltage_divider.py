@@ -37,17 +37,22 @@ class VoltageDivider(ReadoutCircuit):
         rows, columns = board.shape
         load, behind = board.reference, board.reference + board.column_lead
         if not self.columns_one_by_one(board):
-            currents, relative = column_currents(board, terminate(ports, rows, behind), np.zeros(columns))
-            volts = board.level + load * currents
+            currents = column_currents(board, terminate(ports, rows, behind), np.zeros(columns))
+            signal, relative = load * currents.value, currents.relative
         elif not board.floating:
             inner, relative = inverted(ports[..., rows:, rows:], ports[..., :rows, rows:].sum(axis=-2), rows)
             open_circuit = board.drive * ports[..., :rows, rows:] @ inner
             source_resistance = np.einsum("...jj->...j", inner)[..., None, :]
-            volts = board.level + open_circuit * load / (behind + source_resistance)
+            signal = open_circuit * load / (behind + source_resistance)
         else:
             between, relative = effective_resistance(ports, rows)
-            volts = board.level + board.drive * load / (behind + between)
-        return Reading(volts, np.zeros(volts.shape, dtype=np.bool_), float(relative.max(initial=0.0)))
+            signal = board.drive * load / (behind + between)
+        return Reading(
+            volts=board.level + signal,
+            saturated=np.zeros(signal.shape, dtype=np.bool_),
+            magnitude=np.abs(signal),  # a quotient of sums of one sign
+            relative=float(relative.max(initial=0.0)),
+        )
 
     def end_resistance(self, board: Board) -> FloatArray:
         return board.reference

@@ -8,21 +8,50 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
-from ..solvers import siemens
+from ..solvers import ULP, siemens
 from ._adjoint import SensitivityGroup, TiedPorts
-from ._circuit import Reading
+from ._circuit import Contradiction, Reading
 from ._ends import sum_of_others, terminate
+from ._rounding import conductance_into_rows
 from ._voltage_divider import VoltageDivider
 
 if TYPE_CHECKING:
     from .._board import Board
     from ..spice import DeckWriter
+
+
+class _Balance(NamedTuple):
+    """The current balance of the sensed column, (..., N, M): one unknown, the potential V of its end."""
+
+    driven: FloatArray
+    """S between the selected row and the column"""
+    idle: FloatArray
+    """S between all idle lines and the column"""
+    slope: FloatArray
+    """S: what remains at the column once the follower is eliminated"""
+    relative: float
+
+    @classmethod
+    def of(cls, board: Board, ports: FloatArray) -> _Balance:
+        rows, _ = board.shape
+        network, relative = terminate(ports, rows, board.column_lead)
+        driven = network[..., :rows, rows:]
+        idle = sum_of_others(driven) + network[..., rows:, rows:].sum(axis=-1)[..., None, :]
+        slope = driven + idle * board.inverse_gain + siemens(board.reference)
+        return cls(driven, idle, slope, float(relative.max(initial=0.0)))
+
+    def column(self, board: Board) -> FloatArray:
+        """V of the sensed column's end against the reference."""
+        lift = board.loop_share * board.offset - board.inverse_gain * board.level
+        current = self.driven * board.drive - board.bias + self.idle * lift
+        volts: FloatArray = current / self.slope
+        return volts
 
 
 class VoltageFeedback(VoltageDivider):
@@ -41,17 +70,69 @@ class VoltageFeedback(VoltageDivider):
         ``Y (drive - V) + S (F - V) = V / Rref + Ib`` and ``F = A (V + Vos - F)``. The second one eliminated, V meets S
         only through S / (1 + A): that is how far the idle lines are kept away, and no large numbers are subtracted.
         """
-        rows, _ = board.shape
-        network, relative = terminate(ports, rows, board.column_lead)
-        driven = network[..., :rows, rows:]
-        idle = sum_of_others(driven) + network[..., rows:, rows:].sum(axis=-1)[..., None, :]
-        lift = board.loop_share * board.offset - board.inverse_gain * board.level
-        injected = driven * board.drive - board.bias
-        column = (injected + idle * lift) / (driven + idle * board.inverse_gain + siemens(board.reference))
+        balance = _Balance.of(board, ports)
+        column = balance.column(board)
         volts = board.loop_share * (board.level + column + board.offset)
         low, high = board.supply
         saturated = (volts < low) | (volts > high)
-        return Reading(np.clip(volts, low, high), saturated, float(relative.max(initial=0.0)))
+        # What flows into the column from the selected row and from the idle lines; their rounding, too, is multiplied
+        # by the gain from the follower's offset to its output.
+        follower = np.abs(board.loop_share * board.offset) + np.abs(board.inverse_gain * board.level)
+        from_row = balance.driven * (np.abs(board.drive - column) + ULP * np.abs(column))
+        from_idle = balance.idle * (follower + board.inverse_gain * np.abs(column))
+        magnitude = board.loop_share * (from_row + from_idle) / balance.slope
+        return Reading(np.clip(volts, low, high), saturated, magnitude, balance.relative)
+
+    def energy_bound(self, board: Board, ports: FloatArray, relative: float) -> FloatArray:
+        """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.
+
+        The first is that of Y, the column's conductance to all other lines; the second is at most the sum of that of
+        the selected row and that of the column, both against the idle lines, in the energy norm.
+        """
+        balance = _Balance.of(board, ports)
+        column = balance.column(board)
+        above_idle = column - board.loop_share * (board.level + column + board.offset) + board.level
+        own = np.sqrt(balance.driven + balance.idle)
+        row = np.sqrt(conductance_into_rows(ports, board.shape[0], board.column_lead))[..., None]
+        with np.errstate(invalid="ignore"):  # no volts across an infinite conductance
+            field = row * np.abs(board.drive - column + above_idle) + own * np.abs(above_idle)
+            error: FloatArray = board.loop_share * relative * own * field / balance.slope
+        follower = np.abs(board.loop_share * board.offset) + np.abs(board.inverse_gain * board.level)
+        lifted: FloatArray = board.loop_share * balance.idle * follower / balance.slope
+        return error + 4.0 * ULP * lifted
+
+    def ideal_inputs(self, board: Board) -> BoolArray:
+        """The follower holds every idle column."""
+        ideal: BoolArray = np.isinf(siemens(board.column_lead))
+        return ideal
+
+    def contradiction(self, board: Board, rows: IntArray, columns: IntArray) -> Contradiction | None:
+        """Joined sources: two row drivers; a driver and the follower; an ideal follower's output and its input.
+
+        In each step one row is driven by its driver and one column is sensed; the follower holds all other lines.
+        """
+        found = super().contradiction(board, rows, columns[:0])
+        if found is not None:
+            return found
+        joined = rows[:, None] == columns
+        several_rows, several_columns = (length > 1 for length in board.shape)
+        # Of a joined row and column, the follower holds the column while the row is driven, or the row while the
+        # column is sensed. The latter is a contradiction only if the follower is ideal.
+        joined &= several_columns | (several_rows & np.isinf(board.gain))
+        if joined.any():
+            row, column = (int(place) for place in np.argwhere(joined)[0])
+            return Contradiction(
+                f"the driver of row {row} and the end of column {column}, which the follower drives in turn,",
+                "array.column_lead",
+            )
+        for column, island in enumerate(columns):
+            for other in np.flatnonzero(columns[:column] == island).tolist():
+                if np.isinf(board.gain[column]) or np.isinf(board.gain[other]):
+                    return Contradiction(
+                        f"the ends of columns {other} and {column}, which are the ideal follower's input and output,",
+                        "array.column_lead, or readout.open_loop_gain a finite value",
+                    )
+        return None
 
     def columns_one_by_one(self, board: Board) -> bool:
         return True

@@ -16,7 +16,7 @@
 
 from ._attenuation import Attenuated, Wires, attenuate
 from ._elimination import ULP, Rounded, eliminate_leading, inverted
-from ._exact import exact_transfer, series_conductance
+from ._exact import entrywise, exact_transfer, series_conductance
 from ._network import Element, Network, reduce
 from ._ports import IDEAL_WIRE, LARGEST_PART, Lines, has_ideal_lines, port_conductances
 from ._sequence import SequenceTransfer, sequence_transfer
@@ -36,6 +36,7 @@ __all__ = [
     "Wires",
     "attenuate",
     "eliminate_leading",
+    "entrywise",
     "exact_transfer",
     "has_ideal_lines",
     "inverted",

@@ -31,14 +31,29 @@ def exact_transfer(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, Fl
 
 
 def _transfer_error(conductance: FloatArray, grid: Lines, transfer: FloatArray, relative: FloatArray) -> FloatArray:
-    """S by which transfer conductances may be off after a relative error (...,) of all conductances."""
+    """S by which transfer conductances may be off after a relative error (...,) of all conductances.
+
+    Two bounds hold, and the smaller one counts: by the energies of the ports (:mod:`._elimination`), and entry by entry
+    (:func:`entrywise`). The second is coarse, but finite where a port has an infinite conductance to the others.
+    """
+    rows, columns = transfer.shape[-2:]
+    eliminated = rows + columns if has_ideal_lines(grid) else 2 * rows * columns
     relative = relative[..., None, None]
-    if has_ideal_lines(grid):
-        return relative * transfer  # one elimination: each entry has that relative error
     row, column = port_roots(conductance, grid)
     row, column = (np.where(root > 0, root, np.nan) for root in (row, column))
-    error = relative * row[..., :, None] * column[..., None, :]
-    return np.where(np.isnan(error), 0.0, error)  # nothing flows from a row or into a column that is open
+    error = np.fmin(relative * row[..., :, None] * column[..., None, :], entrywise(relative, eliminated) * transfer)
+    return np.where(np.isnan(row)[..., :, None] | np.isnan(column)[..., None, :], 0.0, error)  # an open line: nothing
+
+
+def entrywise(relative: FloatArray, eliminated: int) -> FloatArray:
+    """Bound on the relative error of each single port conductance, after relative errors of all conductances.
+
+    A port conductance is a quotient of two polynomials in the branch conductances, with coefficients that are not
+    negative (the all-minors matrix tree theorem, Chaiken 1982). Each monomial is a product of as many conductances as
+    nodes are eliminated, and one more in the numerator.
+    """
+    bound: FloatArray = (2.0 * eliminated + 1.0) * relative
+    return bound
 
 
 def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:

@@ -26,6 +26,8 @@ class Element(NamedTuple):
     nodes: IntArray
     between: FloatArray
     """(..., nodes, nodes) S"""
+    relative: float = 0.0
+    """bound on the relative error of ``between``"""
 
 
 @dataclass(frozen=True)
@@ -81,7 +83,8 @@ def reduce(network: Network) -> Rounded:
             at = np.searchsorted(nodes, element.nodes)
             touched[at] += 1
             between[..., at[:, None], at] += element.between
-        return _Part(nodes, touched, between, np.full(between.shape[:-2], ULP * len(lines)))
+        relative = max((element.relative for element in whole), default=0.0) + ULP * (len(lines) + len(whole))
+        return _Part(nodes, touched, between, np.full(between.shape[:-2], relative))
 
     def part(items: IntArray) -> _Part:
         among = items[items >= branches] - branches
@@ -124,4 +127,4 @@ def _capped(network: Network) -> tuple[FloatArray, list[Element]]:
     )
     short = IDEAL_WIRE * largest
     conductance = np.minimum(network.conductance, np.where(network.wire, IDEAL_WIRE * short, short))
-    return conductance, [Element(nodes, np.minimum(between, short)) for nodes, between in network.elements]
+    return conductance, [part._replace(between=np.minimum(part.between, short)) for part in network.elements]

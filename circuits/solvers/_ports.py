@@ -19,7 +19,7 @@ from ...arrays import FloatArray
 from ._dissection import Tree, dissect
 from ._elimination import ULP, Rounded, eliminate_leading
 
-IDEAL_WIRE = 1e20  # conductance of 0 ohm, relative to the largest one it must outdo
+IDEAL_WIRE = 1e40  # conductance of 0 ohm, relative to the largest one it must outdo; leaks are below any rounding
 LARGEST_PART = 1e14  # S that a part outside the grid (load, lead, Rref/(1 + A)) is taken to have at most
 _AS_GOOD_AS_SHORT = 1e200  # S
 

@@ -1,0 +1,119 @@
+"""Estimators without memory: the equilibrium curve of a model, or the calibrated cubic, inverted (isotonic lookup)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
+from ._learned import StaticCurve
+from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
+
+POINTS = 1025
+"""of the tabulated equilibrium curve"""
+CONTACT_SHARE = 0.02
+"""standard deviation over the pressure, of a contact's answer"""
+
+
+def equilibrium_gain(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) -> float:
+    """r at equilibrium under full scale; negative for a contact."""
+    match model:
+        case PaperModel() | AsymmetricModel():
+            return model.gain_per_kpa * full_scale_kpa
+        case M10Model():
+            return model.a + model.b + model.alpha1 + model.alpha2
+        case ContactModel():
+            return 1 / (1 + rest_resistance_ohm / model.full_scale_resistance_ohm) - 1
+
+
+def memory_share(model: Model) -> float:
+    """Standard deviation over the pressure, of an answer that ignores what the model remembers.
+
+    It is half of the range in which r may lie while the pressure is the same.
+    """
+    match model:
+        case PaperModel():
+            return 0.5 * (model.overshoot - 1 / (model.e1_kpa * model.gain_per_kpa))
+        case AsymmetricModel():
+            return 0.5 * (1 - 1 / (model.e1_kpa * model.gain_per_kpa))
+        case M10Model():
+            remembered = model.alpha1 + model.alpha2 + 2 * model.k
+            return min(0.5 * remembered / max(model.a + model.b + model.alpha1 + model.alpha2, 1e-9), 2.0)
+        case ContactModel():
+            return CONTACT_SHARE
+
+
+class EquilibriumEstimator(Estimator):
+    """The equilibrium of the model inverted, without memory: what a calibration curve gives."""
+
+    def __init__(
+        self,
+        model: Model,
+        full_scale_kpa: float,
+        shape: tuple[int, ...],
+        rest_resistance_ohm: FloatArray,
+        conditions: Conditions,
+    ) -> None:
+        self.model, self._share = model, memory_share(model)
+        rest = float(np.median(rest_resistance_ohm))
+        full_r = equilibrium_gain(model, full_scale_kpa, rest)
+        load = np.linspace(0, 1, POINTS)
+        match model:
+            case PaperModel() | AsymmetricModel():
+                curve = full_r * load
+            case M10Model():
+                curve = (model.a + model.alpha1 + model.alpha2) * load + model.b * load**2
+            case ContactModel():
+                curve = 1 / (1 + rest / model.full_scale_resistance_ohm * load**model.exponent) - 1
+        # Conductance over that at rest is what contacts add to; elsewhere the curve is a table of r.
+        self._sign = -1.0 if isinstance(model, ContactModel) else 1.0
+        curve = np.maximum.accumulate(self._sign * curve)
+        rises = np.concatenate(([True], np.diff(curve) > 0))
+        self._curve, self._load = curve[rises], load[rises]
+        slope = np.gradient(self._load, self._curve) if self._curve.size > 1 else np.zeros_like(self._curve)
+        self._slope = np.minimum(np.abs(slope), STEEPEST / max(abs(full_r), 1e-12))
+        super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions)
+
+    def _begin(self, r: FloatArray) -> FloatArray:
+        x = self._sign * r
+        memory = np.empty((3, *r.shape))
+        load = np.interp(x, self._curve, self._load)
+        memory[PRESSURE] = load * self.full_scale_kpa
+        memory[GAIN] = np.interp(x, self._curve, self._slope) * self.full_scale_kpa
+        memory[VARIANCE] = (self._share * memory[PRESSURE]) ** 2
+        return memory
+
+    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+        return self._begin(r)
+
+
+STEEPEST = 20.0
+"""times the mean slope that the inverse of a curve may have; a contact's is infinite at rest"""
+
+
+class StaticCurveEstimator(Estimator):
+    """The calibrated cubic, without memory."""
+
+    def __init__(
+        self,
+        curve: StaticCurve,
+        full_scale_kpa: float,
+        full_scale_r: float,
+        shape: tuple[int, ...],
+        rest_resistance_ohm: FloatArray,
+        conditions: Conditions,
+    ) -> None:
+        self.curve = curve
+        super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions)
+
+    def _begin(self, r: FloatArray) -> FloatArray:
+        curve, small = self.curve, 1e-3 * self._full_scale_r
+        load, beyond = curve.load(r), curve.load(r + small)
+        memory = np.empty((3, *r.shape))
+        memory[PRESSURE] = np.clip(load, curve.limits.lowest, curve.limits.highest) * self.full_scale_kpa
+        memory[GAIN] = np.abs(beyond - load) / small * self.full_scale_kpa
+        memory[VARIANCE] = curve.std_kpa**2
+        return memory
+
+    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+        return self._begin(r)

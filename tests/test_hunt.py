@@ -1,0 +1,134 @@
+"""A bounded search for wrong readings, the findings of past searches, and what the search itself must notice."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from ohmskin.bench import hunt
+from ohmskin.bench._reference import Indeterminate, reference_volts
+from ohmskin.circuits import Design, scan
+from ohmskin.errors import SolverError
+
+
+@pytest.mark.parametrize("family", hunt.FAMILIES)
+def test_a_search_of_each_family_finds_nothing(family: str) -> None:
+    tally = hunt.Tally()
+    for number in range(60):
+        hunt.check(family, number, tally)
+    assert tally.designs == 60
+    assert not tally.findings
+
+
+def feedback(cells: object, *, gain: float = inf, offset: float = 0.0, **array: object) -> Design:
+    rows, columns = np.shape(cells)
+    return Design.model_validate(
+        {
+            "array": {"rows": rows, "columns": columns} | array,
+            "drive": {"voltage": -1.0},
+            "readout": {
+                "circuit": "voltage-feedback",
+                "reference_resistance": 1000.0,
+                "open_loop_gain": gain,
+                "offset_voltage": offset,
+            },
+        }
+    )
+
+
+def test_shorts_among_ideal_and_real_lines_keep_the_bound() -> None:
+    """Conductances that stand for shorts tie with each other; LU interchanged rows, and the bound was broken."""
+    cells = [[0.0, 0.0, 0.0], [0.0, 0.0, 1e4]]
+    design = feedback(cells, gain=1e5, row_lead=17.3, column_lead=[4.29, 20.7, 0.0])
+    result = scan(design, cells)
+    exact = reference_volts(design, cells)
+    assert np.abs(result.volts - exact).max() <= result.error_bound * np.abs(exact).max()
+    assert result.error_bound < 1e-10
+    assert exact[0, 2] == pytest.approx(-0.98293, abs=1e-5)
+
+
+def test_shorts_that_join_floating_rows_keep_the_bound() -> None:
+    cells = [[1e4, 1e4, 0.0, 0.0], [0.0, 0.0, 0.0, 1e4]]
+    design = Design.model_validate(
+        {
+            "array": {"rows": 2, "columns": 4, "row_lead": 12.4, "column_lead": [5.46, 10.3, 24.7, 0.0]},
+            "drive": {"voltage": -1.0, "idle_rows": "float"},
+            "readout": {"circuit": "inverting-amplifier", "reference_resistance": 1000.0},
+        }
+    )
+    result = scan(design, cells)
+    exact = reference_volts(design, cells)
+    assert np.abs(result.volts - exact).max() <= result.error_bound * np.abs(exact).max()
+    assert result.error_bound < 1e-10
+    assert exact[0, 3] == pytest.approx(80.65, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("cells", "parts", "message"),
+    [
+        ([[0.0, 1e4], [1e4, 1e4]], {"offset": 1e-3}, "the driver of row 0 and the end of column 0"),
+        ([[0.0], [1e4]], {"offset": 1e-3}, "the driver of row 0 and the end of column 0"),
+        ([[0.0, 0.0]], {"gain": 1e5}, "the driver of row 0 and the end of column 0"),
+        ([[0.0, 0.0], [1e4, 1e4]], {"row_lead": 1.0}, "the ends of columns 0 and 1"),
+        ([[0.0, 1e4], [0.0, 1e4]], {"column_lead": 1.0}, "the row drivers 0 and 1"),
+    ],
+)
+def test_contradictions_of_a_follower_are_refused(cells: object, parts: dict[str, float], message: str) -> None:
+    design = feedback(cells, **parts)
+    with pytest.raises(SolverError, match=message):
+        scan(design, cells)
+    with pytest.raises(Indeterminate):
+        reference_volts(design, cells)
+
+
+@pytest.mark.parametrize(
+    ("cells", "parts"),
+    [
+        ([[0.0]], {}),
+        ([[0.0], [1e4]], {"gain": 1e5, "offset": 1e-3}),
+        ([[0.0, 0.0], [1e4, 1e4]], {"row_lead": 1.0, "gain": 1e5, "offset": 1e-3}),
+        ([[0.0, 1e4], [1e4, 1e4]], {"column_lead": 1e-3, "offset": 1e-3}),
+    ],
+)
+def test_followers_near_a_contradiction_keep_their_bound(cells: object, parts: dict[str, float]) -> None:
+    """The gain from the follower's offset to its output is up to its open-loop gain."""
+    design = feedback(cells, **parts)
+    result, exact = scan(design, cells), reference_volts(design, cells)
+    assert np.abs(result.volts - exact).max() <= result.error_bound * np.abs(exact).max() + 4.5e-16
+
+
+def test_a_complete_short_by_a_fault_is_a_contradiction_as_one_by_a_cell_is() -> None:
+    base = feedback([[1e4, 1e4]])
+    design = base.replace(
+        readout={"circuit": "inverting-amplifier"},
+        array={"row_lead": 1.0},
+        fault=[{"kind": "shorted-cell", "place": [0, column]} for column in range(2)],
+    )
+    with pytest.raises(SolverError, match="ideal amplifiers of columns 0 and 1"):
+        scan(design, [[1e4, 1e4]])
+
+
+def test_the_search_notices_wrong_readings(monkeypatch: pytest.MonkeyPatch) -> None:
+    def wrong(design: Design, cells: object, **options: object) -> object:
+        result = scan(design, cells)
+        result.volts[0, 0] *= 1.0 + 1e-6
+        return result
+
+    monkeypatch.setattr(hunt, "scan", wrong)
+    tally = hunt.Tally()
+    for number in range(20):
+        hunt.check("ordinary", number, tally)
+    assert len(tally.findings) > 10
+    assert all("broken bound" in finding for finding in tally.findings)
+
+
+def test_the_command_prints_counts_and_shows_a_design() -> None:
+    ran = CliRunner().invoke(hunt.main, ["--seconds", "0.5", "--family", "ties"])
+    assert ran.exit_code == 0, ran.output
+    assert "designs" in ran.output
+    shown = CliRunner().invoke(hunt.main, ["--show", "ties:3"])
+    assert shown.exit_code == 0
+    assert "cells = [[" in shown.output
