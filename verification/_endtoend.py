@@ -50,7 +50,7 @@ def whole_skin(subject: Subject) -> Finding:
         case "emulated":
             return _emulated(subject)
         case "firmware":
-            return not_run("board firmware", "there is no firmware in this version")
+            return not_run("applied pressures", "the firmware is measured by the requirements, not by P14")
         case port:
             return _hardware(port)
 

@@ -226,4 +226,4 @@ class _Writer:
 
     @staticmethod
     def _each(value: float | tuple[float, ...], count: int) -> list[float]:
-        return np.full(count, value, dtype=np.float64).tolist()  # type: ignore[no-any-return]  # a list of float
+        return np.full(count, value, dtype=np.float64).tolist()
