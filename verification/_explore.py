@@ -1,9 +1,9 @@
 """Design exploration: variations of a design, their Pareto front, and what must change to keep a requirement.
 
 Each variation is judged by three figures that pull in different directions: the worst-case reading error, the
-worst-case crosstalk, and the pressure that one standard deviation of noise stands for. A variation is on the Pareto front
-if no other one is at least as good in all three and better in one. Variations in which an output or the converter leaves
-its range are kept in the table, and are not on the front.
+worst-case crosstalk, and the pressure that one standard deviation of noise stands for. A variation is on the Pareto
+front if no other one is at least as good in all three and better in one. Variations in which an output or the converter
+leaves its range are kept in the table, and are not on the front.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def explore(subject: Subject, *, points: int = 60, progress: Progress = silent) 
 
 
 def pareto(figures: np.ndarray) -> BoolArray:
-    """Which rows (points, figures) no other row dominates; smaller is better, and a row with NaN or inf is dominated."""
+    """Which rows (points, figures) no other row dominates; smaller is better. A row with NaN or inf is dominated."""
     finite = np.isfinite(figures).all(axis=1)
     front = finite.copy()
     for index in np.flatnonzero(finite):

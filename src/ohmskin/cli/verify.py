@@ -173,7 +173,7 @@ def _executor(address: str | None) -> Iterator[Executor | None]:
     except ImportError as error:
         raise MissingExtra("--dask needs Dask: pip install 'ohmskin[dask]'") from error
     try:
-        client: Any = Client(address, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]  # untyped
+        client: Any = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(f"--dask {address}: no scheduler answers there: {error}") from error
     with client:
