@@ -166,7 +166,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path: Path, monkeypatch
 
 
 def test_a_board_without_a_reading_is_a_failed_board() -> None:
-    design = prototype().replace(readout={"supply": (0.0, 2.005)})
+    design = prototype().replace(readout={"supply": (0.0, 1.951)})
     (result,) = verify(design, requirements=SAMPLED, samples=100).results
     assert result.measurement is not None
     lost = sum(not np.isfinite(value) for value in result.measurement.samples)

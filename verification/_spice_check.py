@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 
 from ..circuits import Design, Requirement, Settling, noise, scan, spice
@@ -69,8 +71,9 @@ def _static(design: Design, cells: np.ndarray, row: int) -> list[Row]:
 
 
 def _dynamic(design: Design, cells: np.ndarray, row: int) -> list[Row]:
-    # The rows before the selected one have no signal there, which offsets would have: compare without them.
-    alike = design.replace(readout={"offset_voltage": 0.0, "bias_current": 0.0})
+    # The linear model is what is compared: before the selection there is no signal, which offsets would bring, and a
+    # single-supply output would stand at its limit.
+    alike = design.replace(readout={"offset_voltage": 0.0, "bias_current": 0.0, "supply": (-inf, inf)})
     settling = Settling(alike, cells)
     period = SHARE_OF_SETTLING * settling.shortest_period(0.01)
     if alike.adc is not None and alike.adc.acquisition_time:

@@ -222,6 +222,8 @@ class _Writer:
         for line in measured:
             yield f"*# {line}"
             yield f"*# print {line.split()[2]}"
+        final = self.design.readout.reference_voltage + self.design.drive.voltage
+        yield f"*# alter vdrive dc = {final!r}"
         yield from (f"*# {noise}", "*# setplot noise2", "*# print onoise_total", "*# quit")
 
     @staticmethod
