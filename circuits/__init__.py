@@ -16,7 +16,17 @@ from ._sensitivity import Sensitivity, sensitivity
 from ._sequence import interpolates, scan_sequence
 from ._spread import Spread
 from .readouts import CIRCUITS as _CIRCUITS
-from .recovery import Conditioning, Recoverer, Recovery, Status, conditioning, recover
+from .recovery import (
+    Conditioning,
+    LiveReading,
+    LiveRecovery,
+    Recoverer,
+    Recovery,
+    Status,
+    conditioning,
+    live_recovery,
+    recover,
+)
 from .timing import Noise, Settling, Stability, Transient, noise, stability
 
 CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
@@ -37,6 +47,8 @@ __all__ = [
     "Drive",
     "Effect",
     "Fault",
+    "LiveReading",
+    "LiveRecovery",
     "Noise",
     "Operation",
     "PopulationReading",
@@ -63,6 +75,7 @@ __all__ = [
     "effects",
     "ideal_volts",
     "interpolates",
+    "live_recovery",
     "noise",
     "recover",
     "scan",
