@@ -152,7 +152,8 @@ def scan_population(
 
 def _covered(design: Design) -> bool:
     """Whether the elimination knows this kind of design."""
-    known = design.readout.circuit in ("inverting-amplifier", "voltage-divider")
+    circuit = design.board.circuit
+    known = (circuit.virtual_ground or circuit.mixes_cells) and circuit.senses == "columns"
     return known and design.array.sheet == "sliced" and not design.fault
 
 

@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
 from .. import __version__
-from ..circuits.spice._ngspice import available, command_available
+from ..circuits.spice import available, command_available
 from ._finding import Finding, State
 
 PACKAGE = "ohmskin"

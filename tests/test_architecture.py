@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ast
+import importlib
 from pathlib import Path
 
 import pytest
+
+from ohmskin.circuits.readouts import CIRCUITS
 
 ROOT = Path(__file__).parent.parent
 SHARED = {"arrays", "errors", "config", "files", "plots", "progress", "tables", "text", "workers"}
@@ -57,3 +60,43 @@ def test_only_one_module_imports_pyspice() -> None:
         if any(name.split(".")[0] == "PySpice" for name in _imports(file))
     }
     assert users <= {"circuits/spice/_ngspice.py"}
+
+
+def test_solvers_know_conductances_and_lines_only() -> None:
+    for file in sorted((ROOT / "circuits" / "solvers").glob("*.py")):
+        ours = {name for name in _imports(file) if name.startswith("ohmskin.")}
+        outside = {
+            name
+            for name in ours
+            if not name.startswith(("ohmskin.circuits.solvers", "ohmskin.arrays", "ohmskin.errors"))
+        }
+        assert not outside, f"{file.relative_to(ROOT)} imports {outside}"
+
+
+def test_only_the_table_of_circuits_knows_their_names() -> None:
+    names = {circuit.name for circuit in CIRCUITS.values()}
+    for file in sorted((ROOT / "circuits").rglob("*.py")):
+        if file.parent.name == "readouts":
+            continue
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Compare):
+                said = {part.value for part in ast.walk(node) if isinstance(part, ast.Constant)} & names
+                assert not said, f"{file.relative_to(ROOT)}:{node.lineno} compares the name of a circuit: {said}"
+
+
+@pytest.mark.parametrize("room", MAY_IMPORT)
+def test_other_rooms_import_from_the_face_only(room: str) -> None:
+    for file in sorted((ROOT / room).rglob("*.py")):
+        for name in _imports(file):
+            parts = name.split(".")
+            if parts[0] == "ohmskin" and len(parts) > 2 and parts[1] in MAY_IMPORT and parts[1] != room:
+                hidden = [part for part in parts[2:] if part.startswith("_") and not part.startswith("__")]
+                assert not hidden, f"{file.relative_to(ROOT)} imports {name}"
+
+
+@pytest.mark.parametrize("room", MAY_IMPORT)
+def test_no_public_name_hides_a_module(room: str) -> None:
+    face = importlib.import_module(f"ohmskin.{room}")
+    modules = {file.stem for file in (ROOT / room).glob("*.py")}
+    hidden = modules & set(getattr(face, "__all__", ()))
+    assert not hidden, f"ohmskin.{room}: {hidden} are modules and names"

@@ -14,8 +14,7 @@ from .. import plots
 from ..arrays import BoolArray, FloatArray
 from ..circuits import adc_codes
 from ..driver import Frame, Skin
-from ..emulator import Contact, PtyPort, Rectangle, Scene, running
-from ..emulator._scene import BoardSettings, SkinSettings
+from ..emulator import BoardSettings, Contact, PtyPort, Rectangle, Scene, SkinSettings, running
 from ..errors import InputError
 from ._chain import runs
 from ._firmware import firmware_in_the_loop

@@ -15,8 +15,7 @@ import numpy as np
 from .. import plots
 from ..circuits import adc_codes
 from ..driver import Skin
-from ..emulator import Contact, PtyPort, Rectangle, Scene
-from ..emulator._scene import BoardSettings, SkinSettings
+from ..emulator import BoardSettings, Contact, PtyPort, Rectangle, Scene, SkinSettings
 from ..emulator.firmware import (
     BAUD_RATES,
     ERROR_BUDGET_STEPS,

@@ -17,8 +17,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..circuits import Requirement, adc_codes, apparent_resistance, clipped, scan, volts_of_codes
 from ..driver import Frame, Skin
-from ..emulator import PtyPort, Scene, Stop, emulate
-from ..emulator._scene import BoardSettings, SkinSettings
+from ..emulator import BoardSettings, PtyPort, Scene, SkinSettings, Stop, emulate
 from ..emulator.firmware import AVR8JS, check_scene, emulate_firmware
 from ..errors import LinkError, MissingExtra, ProtocolError
 from ._dynamic import reading_noise
