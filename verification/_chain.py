@@ -220,7 +220,7 @@ def pressure_rmse(subject: Subject, requirement: Requirement, method: str) -> Me
     where = f"cell {place} of {run.board}" + (f"; {100 * lost:.3g} % of all readings are lost" if lost else "")
     return Measurement(
         100 * error,
-        "% of full scale",
+        "% FS",
         where=where,
         confidence=f"{len(found)} boards, {len(run.time_s)} frames each, in board time",
         text=[_what_is_in(subject)],
@@ -235,7 +235,7 @@ def pressure_peak_error(subject: Subject, requirement: Requirement, method: str)
     (error, (frame, row, column)), run = max(found, key=lambda item: item[0][0])
     return Measurement(
         100 * error,
-        "% of full scale",
+        "% FS",
         where=f"cell ({row}, {column}) at {engineering(float(run.time_s[frame]), 's')}, {run.board}",
         confidence=f"{len(found)} boards, {len(run.time_s)} frames each, in board time",
         text=[_what_is_in(subject)],
