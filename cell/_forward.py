@@ -45,6 +45,9 @@ class Forward(ABC):
             raise InputError(f"pressure has shape {np.shape(pressure_kpa)}, expected {self.shape}") from error
         if not np.isfinite(pressure).all():
             raise InputError("pressure is not finite everywhere; expected kPa")
+        lowest = self._lowest_kpa()
+        if pressure.size and pressure.min() < lowest:
+            raise InputError(f"pressure is {pressure.min():g} kPa; a pull below {lowest:.3g} kPa leaves no resistance")
         resistance = self._step(dt_s, pressure)
         self._pressure = pressure.copy()
         return resistance
@@ -128,6 +131,10 @@ class Forward(ABC):
         return np.zeros(self.shape)
 
     @abstractmethod
+    def _lowest_kpa(self) -> float:
+        """The strongest pull (negative) that leaves a positive resistance whatever went before."""
+
+    @abstractmethod
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         """Advance the memory from ``self._pressure`` to ``pressure``; the resistance in ohm."""
 
@@ -207,6 +214,9 @@ class PaperForward(Forward):
         resistance: FloatArray = self.rest_resistance_ohm * (1 + r)
         return resistance
 
+    def _lowest_kpa(self) -> float:
+        return -0.99 / (1 / self.model.eu1_kpa + 1 / self.model.etau2_kpa)
+
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         m, before = self.model, self._pressure
         starts = (pressure > before) & ~self._rising
@@ -245,6 +255,13 @@ class M10Forward(Forward):
     def _remembered(self) -> FloatArray:
         return np.abs(self._x1) + np.abs(self._x2) + np.abs(self._broken)
 
+    def _lowest_kpa(self) -> float:
+        m = self.model
+        gain, bend = max(m.a, 0.0) + m.alpha1 + m.alpha2, max(-m.b, 0.0)
+        # The root of bend s^2 + gain s = 0.99, in the form that stands bend = 0.
+        root = 2 * 0.99 / (gain + np.sqrt(gain**2 + 4 * bend * 0.99)) if gain or bend else np.inf
+        return -float(root) * self.full_scale_kpa
+
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         m, s0, s1 = self.model, self._pressure / self.full_scale_kpa, pressure / self.full_scale_kpa
         self._x1 = lag.asymmetric(self._x1, m.alpha1 * s0, m.alpha1 * s1, dt_s, m.rise1_s, m.fall1_s)
@@ -270,6 +287,9 @@ class ContactForward(Forward):
 
     def _run(self, dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
         return self._step(0.0, pressure)
+
+    def _lowest_kpa(self) -> float:
+        return -np.inf
 
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         load = np.maximum(pressure, 0) / self.full_scale_kpa

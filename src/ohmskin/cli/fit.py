@@ -17,9 +17,15 @@ from . import arguments
     "--full-scale", metavar="KPA", type=float, help="Full scale of the cell [the recording's largest pressure]."
 )
 @click.option("--protocol", is_flag=True, help="Print the presses to apply; with STEPS.csv, check that it has them.")
+@click.option("--trust-units", is_flag=True, help="Take numbers that look like other units than s, kPa and ohm.")
 @click.option("--plot", metavar="FILE.png", type=click.Path(path_type=Path), help="Model, residuals and estimate.")
 def command(
-    steps: Path | None, output: Path | None, full_scale: float | None, protocol: bool, plot: Path | None
+    steps: Path | None,
+    output: Path | None,
+    full_scale: float | None,
+    protocol: bool,
+    trust_units: bool,
+    plot: Path | None,
 ) -> None:
     """Identify a cell from a recording with the columns time_s,pressure_kpa,resistance_ohm.
 
@@ -30,7 +36,7 @@ def command(
             raise click.UsageError("expected STEPS.csv, or --protocol to print the presses to apply")
         click.echo(protocol_text())
         return
-    recording = Recording.load(steps)
+    recording = Recording.load(steps, trust_units=trust_units)
     if protocol:
         for line in check_protocol(recording, full_scale):
             click.echo(line)
