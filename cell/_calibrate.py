@@ -18,7 +18,7 @@ from ._learned import DRIFT, Learned, Seen
 from ._models import AsymmetricModel, ContactModel, M10Model
 from ._recording import Recording
 
-MOST = 10000
+MOST = 6000
 """samples that are learned from; a longer recording is thinned"""
 FOLD_CELLS = 32
 """simulated for learning before each fold; a third of those for the final estimators"""
@@ -48,9 +48,9 @@ class CalibrationResult:
 def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> CalibrationResult:
     """Identify the cell of a recording and calibrate its estimators.
 
-    Kinds of models and estimators are compared by rolling-origin evaluation: the recording is cut into folds that each
-    contain presses, what comes before a fold is fitted and learned from, and the worst fold counts. What is kept is then
-    fitted and learned from the whole. Deterministic.
+    Kinds of models and estimators are compared by rolling-origin evaluation. The recording is cut into folds that each
+    contain presses. What comes before a fold is fitted and learned from, and the worst fold counts. What is kept is
+    then fitted and learned from the whole. Deterministic.
 
     Args:
         recording: presses and releases of one cell.
@@ -85,12 +85,14 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
         unexplained=teacher.error * float(np.ptp(thin.resistance_ohm)) / rest,
     )
     seen = _seen(thin)
-    judged: dict[EstimatorName, list[tuple[FloatArray, FloatArray]]] = {}
+    judged: dict[EstimatorName, list[Judged]] = {}
     for fold, simulation in zip(parts, teacher.simulate_folds, strict=True):
         first = replace(whole, simulation=simulation).until(fold.start_s)
         trial = cell.replace(estimators=_learned(first, full, cells=FOLD_CELLS).replace(seen=seen))
-        for name, pair in _judge(trial, thin, fold).items():
-            judged.setdefault(name, []).append(pair)
+        for name in LEARNED:
+            judged.setdefault(name, []).append(_judge(trial, name, thin, fold))
+    for name, pairs in _judge_models(cell.replace(estimators=None), thin, parts).items():
+        judged[name] = pairs
     by_fold = {
         name: tuple(float(100 * np.sqrt(np.mean(error**2)) / full) for error, _ in pairs)
         for name, pairs in judged.items()
@@ -180,19 +182,42 @@ def _seen(recording: Recording) -> Seen:
     )
 
 
-def _judge(cell: Cell, recording: Recording, fold: Fold) -> dict[EstimatorName, tuple[FloatArray, FloatArray]]:
-    """Errors and standard deviations in kPa within the fold, of every estimator that this cell can have."""
-    judged: dict[EstimatorName, tuple[FloatArray, FloatArray]] = {}
+LEARNED: tuple[EstimatorName, ...] = ("static", "play", "distilled")
+FROM_MODEL: tuple[EstimatorName, ...] = ("paper", "inverse")
+Judged = tuple[FloatArray, FloatArray]
+"""errors and standard deviations in kPa within a fold"""
+
+
+def _judge(cell: Cell, name: EstimatorName, recording: Recording, fold: Fold) -> Judged:
+    """Of an estimator that was learned before the fold."""
     until = int(np.searchsorted(recording.time_s, fold.end_s))
     part = slice(int(np.searchsorted(recording.time_s, fold.start_s)), until)
-    for name in ESTIMATORS:
+    learned = cell.estimators
+    if name == "static" and learned is not None:
+        curve = learned.static
+        load = curve.load(recording.resistance_ohm[part] / cell.rest_resistance_ohm - 1)
+        load = np.clip(load, curve.limits.lowest, curve.limits.highest)
+        error = load * cell.full_scale_kpa - recording.pressure_kpa[part]
+        return error, np.full(error.shape, curve.std_kpa)
+    estimator = cell.estimator((), name)
+    pressure, std = estimate_recording(estimator, recording.time_s[:until], recording.resistance_ohm[:until])
+    error = (pressure - recording.pressure_kpa[:until])[part]
+    return error, np.full(error.shape, np.inf) if std is None else std[part]
+
+
+def _judge_models(cell: Cell, recording: Recording, parts: tuple[Fold, ...]) -> dict[EstimatorName, list[Judged]]:
+    """Of the estimators that follow from the model alone, as far as this cell can have them."""
+    judged: dict[EstimatorName, list[Judged]] = {}
+    for name in FROM_MODEL:
         try:
             estimator = cell.estimator((), name)
         except InputError:
             continue  # not for this kind of cell
-        pressure, std = estimate_recording(estimator, recording.time_s[:until], recording.resistance_ohm[:until])
-        error = (pressure - recording.pressure_kpa[:until])[part]
-        judged[name] = error, np.full(error.shape, np.inf) if std is None else std[part]
+        pressure, std = estimate_recording(estimator, recording.time_s, recording.resistance_ohm)
+        error = pressure - recording.pressure_kpa
+        deviation = np.full(error.shape, np.inf) if std is None else std
+        edges = [slice(*np.searchsorted(recording.time_s, [part.start_s, part.end_s])) for part in parts]
+        judged[name] = [(error[edge], deviation[edge]) for edge in edges]
     return judged
 
 

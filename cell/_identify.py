@@ -19,7 +19,7 @@ from ._recording import Recording
 
 Simulation = Callable[[np.random.Generator, FloatArray, float], FloatArray]
 """Cells like the identified one, jittered, under loads (n, m) at a time step: resistance (n, m) in ohm"""
-POINTS, POINTS_BEFORE_FOLDS = 2500, 1500
+POINTS, POINTS_BEFORE_FOLDS = 2000, 1000
 """samples that enter the least squares, of the whole and of a fold with what comes before it; more are thinned"""
 ORIGINS = (0.45, 0.65, 0.825)
 """shares of all pressing after which the folds begin: what comes before is fitted, the fold judges"""
@@ -27,6 +27,8 @@ PRESSED = 0.05
 """of full scale: half width of the play whose movement counts as pressing"""
 FEWEST = 30
 """readings before a fold that are enough to fit"""
+STARTS = 2
+"""of the starts, those that are nearest to the recording, are followed to the end"""
 EXPLAINS = 0.7
 """share of the standard deviation of the resistance that some model must fit better than"""
 SIMPLER = 1.05
@@ -364,10 +366,14 @@ def _solve(kind: _Kind, grid: _Grid, starts: list[tuple[float, ...]], lower: flo
     width = np.where(positive, PRIOR_LOG, PRIOR_PLAIN * np.abs(high))
     width[-1] = PRIOR_REST
     best: Any = None
+    begins = []
     for start in starts:
         first = np.array([*start, 0.0]) if len(start) == len(kind.names) else np.array(start)
-        first = np.clip(free(np.clip(first, low, high)), bounds[0] + 1e-6, bounds[1] - 1e-6)
-        found = least_squares(residual, first, jacobian, bounds=bounds, x_scale="jac", max_nfev=40)
+        begins.append(np.clip(free(np.clip(first, low, high)), bounds[0] + 1e-6, bounds[1] - 1e-6))
+    errors = ((responses(np.column_stack(begins)) - target[:, None]) ** 2).sum(axis=0)
+    for place in np.argsort(errors)[:STARTS]:
+        first = begins[place]
+        found = least_squares(residual, first, jacobian, bounds=bounds, x_scale="jac", max_nfev=30)
         if best is None or found.cost < best.cost:
             best = found
     j = best.jac
