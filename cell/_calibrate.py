@@ -10,7 +10,7 @@ from ..arrays import FloatArray
 from ..errors import InputError
 from . import _simulate as simulate
 from . import _training as training
-from ._cell import ESTIMATORS, Calibrated, Cell, EstimatorName
+from ._cell import Calibrated, Cell, EstimatorName
 from ._estimator import Estimator
 from ._identify import Fit, Fold, fits, folds
 from ._inverse import margin
