@@ -10,7 +10,7 @@ from ._models import AsymmetricModel, ContactModel, M10Model, PaperModel
 from ._percolation import Percolation
 from ._protocol import check_protocol, protocol_load, protocol_text
 from ._recording import Recording, check_times, checked_recording
-from ._report import calibration_figure, calibration_text
+from ._report import calibration_figure, calibration_record, calibration_text
 
 __all__ = [
     "ESTIMATORS",
@@ -26,6 +26,7 @@ __all__ = [
     "Recording",
     "calibrate",
     "calibration_figure",
+    "calibration_record",
     "calibration_text",
     "check_protocol",
     "check_times",

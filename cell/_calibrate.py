@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..errors import InputError
+from ..progress import Progress, silent
 from . import _simulate as simulate
 from . import _training as training
 from ._cell import Calibrated, Cell, EstimatorName
@@ -24,6 +26,8 @@ FOLD_CELLS = 32
 """simulated for learning before each fold; a third of those for the final estimators"""
 TEACHES_WORSE = 0.7
 """share of the richer kind's error below which a simpler one teaches"""
+STEPS = 7
+"""of a calibration, for progress: three kinds of model, three folds, and learning from all"""
 EXACT = 0.005
 """held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
 
@@ -45,7 +49,9 @@ class CalibrationResult:
         return self.fits[0]
 
 
-def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> CalibrationResult:
+def calibrate(
+    recording: Recording, *, full_scale_kpa: float | None = None, progress: Progress = silent
+) -> CalibrationResult:
     """Identify the cell of a recording and calibrate its estimators.
 
     Kinds of models and estimators are compared by rolling-origin evaluation. The recording is cut into folds that each
@@ -55,6 +61,7 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     Args:
         recording: presses and releases of one cell.
         full_scale_kpa: None: the largest pressure of the recording.
+        progress: told of each step that is done.
 
     Raises:
         InputError: the resistance does not follow the pressure, or no model of any kind fits.
@@ -66,7 +73,12 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     full = float(np.quantile(thin.pressure_kpa, 0.999)) if full_scale_kpa is None else full_scale_kpa
     if not 0 < full < np.inf:
         raise InputError(f"full scale is {full} kPa; expected more than 0")
-    found = tuple(fits(thin, full))
+    steps = itertools.count(1)
+
+    def tell(what: str) -> None:
+        progress(next(steps), STEPS, what)
+
+    found = tuple(fits(thin, full, tell))
     model = found[0].model
     rest = found[0].rest_resistance_ohm
     cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
@@ -91,6 +103,7 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
         trial = cell.replace(estimators=_learned(first, full, cells=FOLD_CELLS).replace(seen=seen))
         for name in LEARNED:
             judged.setdefault(name, []).append(_judge(trial, name, thin, fold))
+        tell("learned before a fold, and judged on it")
     for name, pairs in _judge_models(cell.replace(estimators=None), thin, parts).items():
         judged[name] = pairs
     by_fold = {
@@ -101,6 +114,7 @@ def calibrate(recording: Recording, *, full_scale_kpa: float | None = None) -> C
     default, reason = _choose(by_fold, float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0))))
     worst = {name: max(percent) for name, percent in by_fold.items()}
     final = _learned(whole, full, cells=training.CELLS)
+    tell("learned from all")
     together = {name: tuple(map(np.concatenate, zip(*pairs, strict=True))) for name, pairs in judged.items()}
     calibrated = {
         name: training.calibrated(

@@ -204,10 +204,10 @@ def longest_recovery(recording: Recording, full_scale_kpa: float) -> slice | Non
     return slice(int(start) - 1, int(stop))
 
 
-def fits(recording: Recording, full_scale_kpa: float) -> list[Fit]:
+def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None] = lambda what: None) -> list[Fit]:
     """Every kind that can describe the recording, the best first.
 
-    Best is the simplest whose held-out error is within 5 % of the least one.
+    Best is the simplest whose held-out error is within 5 % of the least one. ``told`` hears of each kind that is done.
 
     Raises:
         InputError: the resistance does not follow the pressure.
@@ -221,11 +221,14 @@ def fits(recording: Recording, full_scale_kpa: float) -> list[Fit]:
         size = float(np.ptp(np.percentile(recording.resistance_ohm, [0.5, 99.5])) / rest)
         task = _Task(recording, full_scale_kpa, rest, lower, folds(recording, full_scale_kpa))
         asymmetric, solutions = _fit(_asymmetric_kind(start, size), task, [])
+        told("fitted asymmetric")
         # What contains another kind is started from where that one ended too, so that it never fits worse.
         paper, _ = _fit(
             _paper_kind(start, size), task, [(*solution[:-1], 0.2, 5.0, solution[-1]) for solution in solutions]
         )
+        told("fitted paper")
         m10, _ = _fit(_m10_kind(start, size), task, [_asymmetric_as_m10(solution, size) for solution in solutions])
+        told("fitted m10")
         found = [asymmetric, paper, m10]
     least = min(fit.held_out_error for fit in found)
     blind = float(np.std(recording.resistance_ohm) / np.ptp(recording.resistance_ohm))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,6 +52,44 @@ def calibration_text(calibration: CalibrationResult) -> str:
 
 def _percents(values: tuple[float, ...], unit: float = 1.0) -> str:
     return " ".join(f"{unit * value:5.1f}" for value in values)
+
+
+def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
+    """What :func:`calibration_text` says, for programs: numbers, texts, lists and None only.
+
+    Errors are shares of the range of the resistance; those of the estimators are % of full scale. A number that is
+    infinite (the standard error of a parameter that is not identified) is None.
+    """
+    cell = calibration.cell
+    assert cell.estimators is not None
+    return {
+        "kind": cell.model.kind,
+        "rest_resistance_ohm": cell.rest_resistance_ohm,
+        "full_scale_kpa": cell.full_scale_kpa,
+        "fits": [
+            {
+                "kind": fit.model.kind,
+                "error": fit.error,
+                "held_out_error": fit.held_out_error,
+                "folds": list(fit.fold_errors),
+            }
+            for fit in calibration.fits
+        ],
+        "parameters": [
+            {
+                "name": parameter.name,
+                "value": parameter.value,
+                "std_error": parameter.std_error if np.isfinite(parameter.std_error) else None,
+                "identified": parameter.identified,
+            }
+            for parameter in calibration.fit.parameters
+        ],
+        "inverse_margin": calibration.inverse_margin,
+        "estimator": cell.estimators.default,
+        "reason": cell.estimators.reason,
+        "held_out_percent": dict(cell.estimators.held_out_percent),
+        "fold_percent": {name: list(values) for name, values in cell.estimators.fold_percent.items()},
+    }
 
 
 def calibration_figure(calibration: CalibrationResult, path: str | Path) -> None:

@@ -13,10 +13,20 @@ from ._population import Boards, PopulationReading, scan_population
 from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
 from ._sensitivity import Sensitivity, sensitivity
-from ._sequence import scan_sequence
+from ._sequence import interpolates, scan_sequence
 from ._spread import Spread
 from .readouts import CIRCUITS as _CIRCUITS
-from .recovery import Conditioning, Recoverer, Recovery, Status, conditioning, recover
+from .recovery import (
+    Conditioning,
+    LiveReading,
+    LiveRecovery,
+    Recoverer,
+    Recovery,
+    Status,
+    conditioning,
+    live_recovery,
+    recover,
+)
 from .timing import Noise, Settling, Stability, Transient, noise, stability
 
 CIRCUITS: tuple[str, ...] = tuple(_CIRCUITS)
@@ -37,6 +47,8 @@ __all__ = [
     "Drive",
     "Effect",
     "Fault",
+    "LiveReading",
+    "LiveRecovery",
     "Noise",
     "Operation",
     "PopulationReading",
@@ -62,6 +74,8 @@ __all__ = [
     "conversion_limits",
     "effects",
     "ideal_volts",
+    "interpolates",
+    "live_recovery",
     "noise",
     "recover",
     "scan",

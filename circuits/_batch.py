@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -25,7 +26,6 @@ class BatchResult:
     """As :class:`._scan.ScanResult`, with the frames along the first axis: (frames, rows, columns)."""
 
     volts: FloatArray
-    resistance: FloatArray
     saturated: BoolArray
     method: tuple[str, ...]
     """of each frame"""
@@ -33,6 +33,12 @@ class BatchResult:
     """(frames,), relative to the largest \\|volt\\| of the frame"""
     seconds: float
     """wall time of all frames together"""
+    design: Design = field(repr=False)
+
+    @cached_property
+    def resistance(self) -> FloatArray:
+        """Ohm that equation (10) makes of ``volts``; worked out when asked for."""
+        return apparent_resistance(self.design, self.volts)
 
 
 def scan_batch(
@@ -73,11 +79,11 @@ def scan_batch(
     volts = board.turn(volts)
     return BatchResult(
         volts=volts,
-        resistance=apparent_resistance(design, volts),
         saturated=board.turn(saturated),
         method=tuple(methods),
         error_bound=bound,
         seconds=time.perf_counter() - start,
+        design=design,
     )
 
 

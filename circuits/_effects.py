@@ -7,8 +7,8 @@ design's own part or, where it names none, with an ordinary one (:data:`ORDINARY
 For amplifiers over grounded idle rows the laws are closed (G in S, sums over a row or a column):
 
 * leads and segments: ``R_row sum_k G_ik + R_col sum_k G_kj``, a segment counting with the cells beyond it;
-* gain: ``(1 + Rref sum_k G_kj) / A``; offset: ``Vos (1 + Rref sum_k G_kj) / (Vin Rref G_ij)``; bias current:
-  ``Ib R_ij / Vin``.
+* gain: ``(1 + Rref sum_k G_kj) abs(Vout / (Vout - Vref)) / A``;
+* offset: ``Vos (1 + Rref sum_k G_kj) / (Vin Rref G_ij)``; bias current: ``Ib R_ij / Vin``.
 
 Other circuits have no such laws; theirs come from :func:`.sensitivity`, up to 32 x 32 cells.
 """
@@ -116,7 +116,7 @@ class _ClosedLaw:
         self.live = _live(cells)
         with np.errstate(divide="ignore"):
             self.conductance = np.where(self.live, 1.0 / cells, 0.0)
-        self.board, self.drive = board, abs(board.drive)
+        self.board, self.drive, self.sign = board, abs(board.drive), np.sign(board.drive)
 
     def __call__(self, key: str, value: object) -> float:
         part = np.abs(np.asarray(value, dtype=np.float64))
@@ -135,7 +135,9 @@ class _ClosedLaw:
             case "column_segment":
                 change = part * (down[::-1].cumsum(axis=0)[::-1] - down[-1])
             case "open_loop_gain":
-                change = noise_gain / part + np.zeros_like(conductance)
+                # The input is off by the whole output over A, the reference voltage included.
+                output = np.divide(self.board.level, -self.sign * signal, out=np.zeros_like(signal), where=self.live)
+                change = noise_gain / part * np.abs(1.0 + output)
             case _:
                 volts = noise_gain if key == "offset_voltage" else reference
                 change = np.divide(part * volts, signal, out=np.zeros_like(signal), where=self.live)

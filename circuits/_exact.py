@@ -6,6 +6,7 @@ Frames whose outputs are linear in the grid's transfer conductances need no more
 
 from __future__ import annotations
 
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ._board import Board
 from ._grid import exact_ports, refuse_contradictions
-from .readouts import few_ulp
+from .readouts import LinearReadout, few_ulp
 from .solvers import entrywise, exact_transfer
 
 
@@ -33,11 +34,20 @@ def read_exactly(board: Board, cells: FloatArray) -> tuple[Outputs, FloatArray]:
         board: what reads them.
         cells: (..., N, M) ohm, in line coordinates.
 
+    Returns:
+        Outputs, and V (..., N, M) by which each may be off; inf for those that ideal parts leave open.
+
+    Raises:
+        SolverError: parts of no resistance join sources that contradict each other.
+
     """
-    linear = board.linear
-    if linear is None:
-        return _read_ports(board, cells)
-    refuse_contradictions(board, cells)
+    undetermined = refuse_contradictions(board, cells)
+    outputs, error = _read_linearly(board, board.linear, cells) if board.linear else _read_ports(board, cells)
+    return outputs, error if undetermined is None else np.where(undetermined, inf, error)
+
+
+def _read_linearly(board: Board, linear: LinearReadout, cells: FloatArray) -> tuple[Outputs, FloatArray]:
+    """By the transfer conductances alone, where no output can have reached a limit."""
     transfer, off = exact_transfer(board.cell_conductance(cells), linear.lines)
     volts = linear.volts(transfer)
     error = linear.error(off, transfer)

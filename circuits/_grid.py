@@ -6,7 +6,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import SolverError
 from . import _sheet as sheet
 from ._board import Board
@@ -78,8 +78,11 @@ def grid_network(board: Board, cells: FloatArray) -> Network:
     )
 
 
-def refuse_contradictions(board: Board, cells: FloatArray) -> None:
+def refuse_contradictions(board: Board, cells: FloatArray) -> BoolArray | None:
     """Raise SolverError where parts of 0 ohm alone join ideal sources, which contradict each other.
+
+    Returns:
+        (..., N, M) outputs that such parts leave open; None if there are none.
 
     What counts as an ideal source, and which may not meet, is the circuit's to say
     (:meth:`.ReadoutCircuit.contradiction`).
@@ -90,7 +93,7 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> None:
 
     """
     if cells.min() > _SHORT and not any(fault.ohms <= _SHORT for fault in board.faults):
-        return
+        return None
     row, column = np.isinf(board.lines.row), np.isinf(board.lines.column)
     rows, columns = board.shape
     drivers, ends = np.arange(rows), rows + np.arange(columns)
@@ -118,3 +121,9 @@ def refuse_contradictions(board: Board, cells: FloatArray) -> None:
         raise SolverError(
             f"{found.what} are joined by parts of 0 ohm; give what joins them, or {found.remedy}, a resistance"
         )
+    undetermined = board.circuit.undetermined(board, island[drivers], island[ends])
+    if undetermined is None:
+        return None
+    frames = np.asarray(np.isinf(board.cell_conductance(cells)).any(axis=(-2, -1)))
+    some = np.asarray(frames | bool(board.bridges))
+    return np.asarray(some[..., None, None] & undetermined)

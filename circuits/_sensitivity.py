@@ -10,7 +10,7 @@ a line without resistance has its sensitivities too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,12 +19,13 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import splu
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..errors import InputError, SolverError
 from ._board import Board
 from ._design import Design
 from ._grid import exact_ports, grid_network
 from .readouts import SensitivityGroup
+from .solvers import Network, reduce, siemens
 
 LARGEST = 64 * 64
 """cells for which all readings' derivatives by all parts fit into memory (0.13 GB per kind of part)"""
@@ -38,7 +39,7 @@ class Sensitivity:
     volts: FloatArray
     """the readings themselves, (N, M) V"""
     conductance: FloatArray
-    """(N, M) S, at which the cells' derivatives hold; a shorted cell stands for a very small resistance"""
+    """(N, M) S of the cells, without what a fault puts across them; shorted ones stand for very small resistances"""
     cell_conductance: FloatArray
     """(N, M, N, M) V/S"""
     row_lead: FloatArray
@@ -91,7 +92,14 @@ def board_sensitivity(board: Board, cells: FloatArray) -> Sensitivity:
         raise InputError(f"sensitivities are for at most {LARGEST} cells, the design has {cells.size}")
     ports = exact_ports(board, cells).value
     reading = board.circuit.read(board, ports)
-    fields = _Fields.of(board, cells)
+    network = grid_network(board, cells)
+    shorts = ~np.isfinite(network.conductance) & ~network.wire
+    if shorts.any():
+        joined = _joins_ports(network, shorts)
+        network = _with_small_resistances(board, network, shorts)
+        if joined:  # the current through the short is the difference of two ports' potentials, which must not vanish
+            ports = reduce(network).value
+    fields = _Fields.of(board, cells, network)
     result = _empty(reading.volts, fields.conductance)
     for group in board.circuit.sensitivity_groups(board, ports, reading):
         _collect(result, fields, group)
@@ -125,6 +133,27 @@ def _turned_back(found: Sensitivity) -> Sensitivity:
     )
 
 
+def _joins_ports(network: Network, shorts: BoolArray) -> bool:
+    """Whether ideal lines and shorts alone connect two ports."""
+    a, b = network.ends[shorts | np.isinf(network.conductance)].T
+    size = len(network.place)
+    links = coo_array((np.ones(len(a)), (a, b)), shape=(size, size))
+    _, island = connected_components(links, directed=False)
+    return len(np.unique(island[network.ports])) < len(network.ports)
+
+
+def _with_small_resistances(board: Board, network: Network, shorts: BoolArray) -> Network:
+    """The network with very small resistances in place of ``shorts`` (branches,), which are no ideal lines.
+
+    The current through a short is the drop across it times its conductance. A short of 1e8 times the largest other
+    conductance moves a reading by 1e-8 or so, and leaves enough digits of its drop for four of a derivative.
+    """
+    behind = siemens(board.column_lead + board.circuit.end_resistance(board))
+    others = np.concatenate([network.conductance, behind])
+    short = _SHORT * float(others[np.isfinite(others)].max(initial=0.0)) or 1.0
+    return replace(network, conductance=np.where(shorts, short, network.conductance))
+
+
 class _Fields(NamedTuple):
     """What a unit potential of each port, the others at 0, does inside."""
 
@@ -138,14 +167,11 @@ class _Fields(NamedTuple):
     """(N + M, N, M) A that comes to each crosspoint of a column line"""
 
     @classmethod
-    def of(cls, board: Board, cells: FloatArray) -> _Fields:
+    def of(cls, board: Board, cells: FloatArray, network: Network) -> _Fields:
+        """``network`` is the board's with these cells, and without shorts."""
         rows, columns = cells.shape
-        network = grid_network(board, cells)
         cell_at = rows * columns + (rows - 1) * columns
-        conductance = network.conductance.copy()
-        known = conductance[np.isfinite(conductance)]
-        short = _SHORT * float(known.max(initial=0.0)) or 1.0
-        conductance[cell_at:] = np.minimum(conductance[cell_at:], short)
+        conductance = network.conductance
         # Ends of ideal wires are one node.
         wired = np.isinf(conductance)
         count = len(network.place)
@@ -196,9 +222,9 @@ class _Fields(NamedTuple):
             else:
                 entering[:, *here] -= current[:, bridge]
                 entering[:, *there] += current[:, bridge]
-        return cls(
-            drops[:, ours].reshape(-1, rows, columns), siemens_at[ours].reshape(rows, columns), leaving, entering
-        )
+        across = siemens_at[ours].reshape(rows, columns)
+        own = np.minimum(siemens(cells + board.series_ohms), across)  # a fault across a cell is no part of it
+        return cls(drops[:, ours].reshape(-1, rows, columns), own, leaving, entering)
 
 
 def _empty(volts: FloatArray, conductance: FloatArray) -> Sensitivity:

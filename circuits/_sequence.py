@@ -12,7 +12,6 @@ from ..errors import InputError
 from ._batch import BatchResult, checked_frames, scan_batch
 from ._board import Board
 from ._design import Design
-from ._ideal import apparent_resistance
 from .readouts import few_ulp
 from .solvers import SequenceTransfer, exact_transfer, sequence_transfer
 
@@ -59,12 +58,18 @@ def scan_sequence(design: Design, resistance: ArrayLike, *, error_volts: float |
         methods[others] = read.method
     return BatchResult(
         volts=volts,
-        resistance=apparent_resistance(design, volts),
         saturated=saturated,
         method=tuple(methods.tolist()),
         error_bound=bound,
         seconds=time.perf_counter() - start,
+        design=design,
     )
+
+
+def interpolates(design: Design) -> bool:
+    """Whether :func:`scan_sequence` can interpolate frames of this design; of other designs it solves every frame."""
+    linear = design.board.linear
+    return linear is not None and linear.wires is not None
 
 
 def _interpolated(

@@ -47,12 +47,13 @@ class Mailbox:
         """why the port is gone at present, while the driver tries to open it again"""
         self._drops_oldest = drops_oldest
         self._closed = False
+        self._room_wanted = False
         self._frames: deque[RawFrame] = deque()
         self._places: list[Place] = []
         self._wakers: list[Callable[[], None]] = []
 
     def put(self, frame: RawFrame) -> None:
-        """Let ``frame`` be the newest; the oldest is dropped where the queue is full."""
+        """Let ``frame`` be the newest; the oldest is dropped where the queue is full. :meth:`tell` makes it known."""
         with self.condition:
             if self._closed:
                 return
@@ -60,6 +61,10 @@ class Mailbox:
             self._frames.append(frame)
             if self._drops_oldest and len(self._frames) > self.capacity:
                 self._frames.popleft()
+
+    def tell(self) -> None:
+        """Wake those who wait for frames: once for all frames that came together, since each wake-up costs time."""
+        with self.condition:
             self._tell()
 
     def report(self, error: OhmskinError) -> None:
@@ -130,7 +135,8 @@ class Mailbox:
         passed = min((place.index for place in self._places), default=0)
         while self._frames and self._frames[0].index <= passed:
             self._frames.popleft()
-        self.condition.notify_all()
+        if self._room_wanted and self._has_room():
+            self.condition.notify_all()
 
     def is_full(self) -> bool:
         """Whether the queue has no room."""
@@ -138,9 +144,15 @@ class Mailbox:
             return len(self._frames) >= self.capacity
 
     def wait_for_room(self, timeout_s: float) -> None:
-        """Wait until the queue has room, for at most ``timeout_s``."""
+        """Wait until half of the queue is free, for at most ``timeout_s``."""
         with self.condition:
-            self.condition.wait_for(lambda: len(self._frames) < self.capacity or self.end is not None, timeout_s)
+            self._room_wanted = True
+            self.condition.wait_for(lambda: self._has_room() or self.end is not None, timeout_s)
+            self._room_wanted = False
+
+    def _has_room(self) -> bool:
+        # Half a queue at a time: threads that take turns for every frame spend more on turns than on frames.
+        return 2 * len(self._frames) <= self.capacity
 
     def add_waker(self, waker: Callable[[], None]) -> None:
         """Let ``waker`` be called, from the reader thread, whenever something is new."""

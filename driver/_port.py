@@ -29,6 +29,8 @@ WRITE_TIMEOUT_S = 1.0
 """a line that takes no byte for this long is broken"""
 CONNECT_TIMEOUT_S = 5.0
 _CHUNK = 65536
+_EMULATOR = "ohmskin.emulator"
+"""package in which pyserial finds the handler of ohmskin:// addresses; imported only for such an address"""
 _NOT_NOW = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 _HUNG_UP = (errno.EPIPE, errno.ECONNRESET, errno.EIO, errno.ENXIO, errno.ENODEV)
 
@@ -305,6 +307,8 @@ def serial_ports() -> list[str]:
 
 def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -> serial.SerialBase:
     _refuse_terminal(name)
+    if name.startswith("ohmskin://") and _EMULATOR not in serial.protocol_handler_packages:
+        serial.protocol_handler_packages.append(_EMULATOR)
     try:
         device = serial.serial_for_url(name, baudrate, timeout=0, write_timeout=WRITE_TIMEOUT_S, do_not_open=True)
         device.exclusive = True

@@ -8,24 +8,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
-from ..circuits import Design, Recoverer, Status, clipped, volts_of_codes
+from ..circuits import Design, Status, live_recovery
 from ..errors import ProtocolError, SolverError
 
-TOLERANCE = 0.01
+TOLERANCE = 0.02
 """relative uncertainty of a conductance up to which a cell is valid in any case; the project's own choice"""
-_ACCURACY = 1e-6  # of an apparent conductance: far below the step of any converter
+STEPS = 2.0
+"""ADC steps of its own reading that a valid cell may be uncertain by, where that is more"""
 
 
 @dataclass(frozen=True, slots=True)
 class Reading:
     """What one frame of counts says about the cells. Arrays are (rows, columns)."""
 
-    volts: FloatArray
     resistance: FloatArray
     """of the cells, in ohm; NaN where not valid"""
     uncertainty: FloatArray
-    """relative, of a cell's conductance: what cells that are not known can make of it; inf where nothing is known"""
+    """relative, of a cell's conductance: half an ADC step of every reading, and what cells that are not known can make
+    of this one; inf where nothing is known"""
     valid: BoolArray
+    """where ``resistance`` is a measurement"""
+    status: NDArray[np.int8]
+    """a :class:`ohmskin.circuits.Status` each, which says why a cell is not valid: open, at a limit, disturbed by
+    others or by a change that the frame's time did not suffice for, or hidden behind a known fault"""
     solved: bool
     """False where no cell resistances give such readings: then no cell is valid"""
 
@@ -34,49 +39,77 @@ class CountReader:
     """Counts of one board, frame by frame, to the resistances of its cells.
 
     The whole circuit is inverted: what leads, switches, lines, finite gain, offset and bias current add to the
-    readings is taken out of them (:mod:`ohmskin.circuits.recovery`).
+    readings is taken out of them (:func:`ohmskin.circuits.live_recovery`), to a fraction of an ADC step and at a
+    bounded cost per frame.
     """
 
     def __init__(self, design: Design) -> None:
         """Raises ProtocolError if the design has no ADC."""
-        if design.adc is None:
+        adc = design.adc
+        if adc is None:
             raise ProtocolError("the board's design has no [adc]; counts mean nothing without one")
-        self._design, self._adc = design, design.adc
-        self._recover = Recoverer(design, accuracy=_ACCURACY)
+        self._shape = design.array.shape
+        self._codes = 2**adc.bits
+        self._recover = live_recovery(design)
+        self._lowest, self._step = adc.range[0], adc.step
+        # The middle of a code is half a step away from what may have been read; a limit on an edge belongs to both.
+        half = adc.step / 2 * (1 + 1e-9)
+        low, high = design.readout.supply
+        volts = adc.range[0] + (np.arange(self._codes) + 0.5) * adc.step if adc.bits <= 16 else None
+        self._first = 0 if volts is None else max(1, int(np.searchsorted(volts - half, low, side="right")))
+        self._last = (
+            self._codes - 1 if volts is None else min(self._codes - 1, int(np.searchsorted(volts + half, high)))
+        )
+        self._level = design.readout.reference_voltage
+        self._counts = b""
+        self._reading: Reading | None = None
 
     def __call__(self, counts: NDArray[np.integer]) -> Reading:
         """The resistances behind ``counts`` (rows, columns).
 
         A cell is not valid where the converter is at either end of its range or the output at a limit of its swing,
         since the volts may then lie anywhere beyond, and where it gives no current. Such a cell may be anything from
-        what just reaches the limit to a short, and what that makes of the others is their ``uncertainty``: they are
-        valid as long as it stays below :data:`TOLERANCE`, or below what one step of the converter makes of them.
+        what just reaches the limit to a short, and what that makes of the others is their ``uncertainty``, together
+        with half an ADC step of all readings. Cells are valid as long as it stays below :data:`TOLERANCE`, or below
+        :data:`STEPS` of their own.
 
         Raises:
             ProtocolError: the counts are not of this design: another shape, or beyond its ADC.
 
         """
-        design, adc = self._design, self._adc
-        if counts.shape != design.array.shape:
-            sent, expected = "{} x {}".format(*counts.shape), "{} x {}".format(*design.array.shape)
+        same = counts.tobytes()
+        if self._reading is not None and same == self._counts:
+            return self._reading
+        if counts.shape != self._shape:
+            sent, expected = "{} x {}".format(*counts.shape), "{} x {}".format(*self._shape)
             raise ProtocolError(f"the board sends {sent} cells; its design has {expected}")
-        if counts.max() >= 2**adc.bits:
-            raise ProtocolError(f"the board sends a count of {counts.max()}; its ADC has {adc.bits} bits")
-        volts = volts_of_codes(design, counts)
-        low, high = design.readout.supply
-        half = adc.step / 2 * (1 + 1e-9)  # a limit on the very edge of a code belongs to both
-        within = (volts - half > low) & (volts + half < high)
-        limited = clipped(design, counts) | ~within
-        # At the end of the range where hardly a current flows, not knowing it disturbs no other cell.
-        faint = limited & (np.abs(volts - design.readout.reference_voltage) < 1.5 * adc.step)
+        if counts.max() >= self._codes:
+            bits = self._codes.bit_length() - 1
+            raise ProtocolError(f"the board sends a count of {counts.max()}; its ADC has {bits} bits")
+        reading = self._read(counts)
+        # What is not settled yet may be so after another frame of the same counts.
+        self._counts, self._reading = same, None if (reading.status == Status.DISTURBED).any() else reading
+        return reading
+
+    def _read(self, counts: NDArray[np.integer]) -> Reading:
+        volts = counts.astype(np.float64)
+        volts *= self._step
+        volts += self._lowest + 0.5 * self._step
+        limited = (counts < self._first) | (counts >= self._last)
+        faint = None
+        if limited.any():
+            # At the end of the range where hardly a current flows, not knowing a cell disturbs no other.
+            faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
+            limited = limited & ~faint
         try:
-            found = self._recover(volts, clipped=limited & ~faint)
+            found = self._recover(volts, limited)
         except SolverError:
             nothing = np.full(counts.shape, np.nan)
-            return Reading(volts, nothing, np.full(counts.shape, np.inf), counts < 0, solved=False)
-        step = adc.step / np.maximum(np.abs(volts - design.readout.reference_voltage), adc.step)
-        known = np.isin(found.status, (Status.READ, Status.DISTURBED)) & (
-            found.uncertainty <= np.maximum(step, TOLERANCE)
-        )
-        valid = known & ~faint & (found.resistance > 0)
-        return Reading(volts, np.where(valid, found.resistance, np.nan), found.uncertainty, valid, solved=True)
+            status = np.full(counts.shape, Status.DISTURBED, dtype=np.int8)
+            return Reading(nothing, np.full(counts.shape, np.inf), counts < 0, status, solved=False)
+        valid = found.uncertainty <= np.maximum(2.0 * STEPS * found.own_step, TOLERANCE)
+        valid &= found.status != Status.OPEN
+        if faint is not None:
+            valid &= ~faint
+        resistance = found.resistance if valid.all() else np.where(valid, found.resistance, np.nan)
+        return Reading(resistance, found.uncertainty, valid, found.status, solved=True)

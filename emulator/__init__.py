@@ -9,6 +9,7 @@ from ._faults import Line
 from ._hand import Hand
 from ._line import Transmission
 from ._line_settings import ClockSettings, LineSettings, LinkFault
+from ._plan import Plan, PlannedEffect, plan
 from ._ports import PairPort, Port, PtyPort, Rfc2217Port, TcpPort
 from ._run import ClockName, Outcome, Stop, emulate, running, stop_on_signals
 from ._scene import BoardSettings, Scene, SkinSettings
@@ -36,6 +37,8 @@ __all__ = [
     "LinkFault",
     "Outcome",
     "PairPort",
+    "Plan",
+    "PlannedEffect",
     "Point",
     "Port",
     "PtyPort",
@@ -52,6 +55,7 @@ __all__ = [
     "Truth",
     "TruthFile",
     "emulate",
+    "plan",
     "running",
     "score",
     "score_text",

@@ -59,6 +59,7 @@ class Board:
         protocol: BoardProtocol | None = None,
         record: Callable[[Sample], None] | None = None,
         hand: Hand | None = None,
+        ahead: bool = False,
     ) -> None:
         """Switch the board on.
 
@@ -70,6 +71,7 @@ class Board:
             protocol: the board's end of the line; None: the native one.
             record: told of every frame that the board scans.
             hand: presses beside the scene's contacts.
+            ahead: compute frames ahead in a thread, for who must send each frame in time.
 
         """
         self.scene = scene
@@ -83,9 +85,9 @@ class Board:
         self.boot_id = boot_id
         self.duration_s = duration_s
         self._record = record
-        self._skin = EmulatedSkin(scene, seed)
+        self._skin = EmulatedSkin(scene, seed, ahead=ahead)
         self._period_us = 1e6 / scene.board.frame_rate
-        self._booted_us = -round(1e6 * scene.clock.offset)
+        self._booted_us = -round(1e6 * scene.clock.offset_s)
         """board time at which the time stamps begin with 0"""
         self._silent_until_us = 0
         """board time up to which the boot loader runs"""
@@ -97,6 +99,11 @@ class Board:
         self._description = write_description(scene.skin.design.model_dump(), scene.skin.cell.model_dump())
         self._waiting: dict[int, Command | BadCommand] = {Order.DESCRIBE.value: Command(Order.DESCRIBE)}
         """commands to answer, by packet type"""
+
+    @property
+    def skin(self) -> EmulatedSkin:
+        """What the board reads."""
+        return self._skin
 
     @property
     def next_us(self) -> int:

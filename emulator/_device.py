@@ -39,6 +39,7 @@ class Device:
         record: Callable[[Sample], None] | None = None,
         capacity: int | None = None,
         hand: Hand | None = None,
+        ahead: bool = False,
     ) -> None:
         """Switch the device on; arguments as for :class:`Board`.
 
@@ -51,6 +52,7 @@ class Device:
             record: told of every frame that the board scans.
             capacity: bytes of the transmit buffer; None: those of a microcontroller.
             hand: presses beside the scene's contacts.
+            ahead: compute frames ahead in a thread.
 
         """
         self.board = Board(
@@ -61,6 +63,7 @@ class Device:
             protocol=protocol,
             record=record,
             hand=hand,
+            ahead=ahead,
         )
         if capacity is None:
             rows, columns = scene.skin.design.array.shape
@@ -95,13 +98,13 @@ class Device:
         now_us, time_s = self.next_us, self.time_s
         reset = self._schedule.begun("reset", time_s)
         if reset is not None:
-            self.reset(reset.text, now_us, boots_for_s=reset.duration or 0.0)
+            self.reset(reset.text, now_us, boots_for_s=reset.duration_s or 0.0)
         scanning = self.board.wants_tick
         packets = self.board.tick()
         if not host_present:
             return
-        if self._clock.jitter:
-            now_us += abs(self._random.normal(scale=1e6 * self._clock.jitter))
+        if self._clock.jitter_s:
+            now_us += abs(self._random.normal(scale=1e6 * self._clock.jitter_s))
         if not self._send(packets, now_us) and scanning:
             self.board.overrun = True
             self.dropped += 1

@@ -87,7 +87,7 @@ class Transmission:
         if self._sending:
             due = min(self._free_us, now_us + _GLANCE_US)
         if self._bridge:
-            due = min(due, max(self._bridge_since_us + 1e6 * self._settings.latency, now_us))
+            due = min(due, max(self._bridge_since_us + 1e6 * self._settings.latency_s, now_us))
         return due
 
     def taken(self, size: int) -> None:
@@ -120,7 +120,7 @@ class Transmission:
     def _to_host(self, now_us: float) -> None:
         packet = self._settings.usb_packet or 1
         size = len(self._bridge) // packet * packet
-        if now_us >= self._bridge_since_us + 1e6 * self._settings.latency:
+        if now_us >= self._bridge_since_us + 1e6 * self._settings.latency_s:
             size = len(self._bridge)
         if not size:
             return

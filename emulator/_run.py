@@ -162,6 +162,7 @@ def emulate(
             record=None if file is None else file.append,
             # At the fast clock no tick is due while more than a little waits; only a UART can overflow.
             hand=hand,
+            ahead=clock == "real",
             capacity=2**62 if clock == "fast" and scene.line.baud_rate is None else None,
         )
         outcome = Outcome()
@@ -262,6 +263,7 @@ class _Session:
         self._device, self._port, self._pace = device, port, pace
         self._auto_reset = auto_reset
         self._present = False
+        self._hosts = port.hosts
         self._plugged = True
 
     def exchange(self) -> None:
@@ -270,9 +272,11 @@ class _Session:
             return
         was_present, self._present = self._present, self._port.host_present()
         now_us = self._pace.now_us()
-        if self._present != was_present:
+        another = self._port.hosts != self._hosts
+        self._hosts = self._port.hosts
+        if self._present != was_present or another:
             self._device.transmission.clear(now_us)
-        if self._present and not was_present:
+        if self._present and (another or not was_present):
             self._host_arrived(now_us)
         if not self._present:
             return

@@ -30,6 +30,8 @@ from ._archive import numbers, read_arrays
 
 CONTACT_SHARE = 0.1
 """a contact is a patch of cells above this share of full scale"""
+PAIR_CELLS = 3.0
+"""contacts that are farther apart are not the same: one is missed, the other false"""
 _LONGEST_DELAY_S = 2.0
 
 
@@ -219,12 +221,13 @@ def _compare_contacts(estimate: FloatArray, expected: FloatArray, threshold: flo
         if not (seen.max() > threshold or real.max() > threshold):
             continue
         there, here = _contacts(real, threshold), _contacts(seen, threshold)
+        apart = np.linalg.norm(there[:, None] - here[None], axis=2)
+        paired = apart[linear_sum_assignment(np.minimum(apart, 2.0 * PAIR_CELLS))]
+        same = paired[paired <= PAIR_CELLS]
         contacts += len(there)
-        missed += max(len(there) - len(here), 0)
-        false += max(len(here) - len(there), 0)
-        if len(there) and len(here):
-            apart = np.linalg.norm(there[:, None] - here[None], axis=2)
-            distances.append(apart[linear_sum_assignment(apart)])
+        missed += len(there) - len(same)
+        false += len(here) - len(same)
+        distances.append(same)
     return _Places(contacts, missed, false, np.concatenate(distances) if distances else np.empty(0))
 
 

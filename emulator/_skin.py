@@ -2,19 +2,21 @@
 
 Nothing here depends on the host, on a clock or on how many frames are asked for at a time. Frames are computed ahead in
 blocks that are laid out from the first tick of a frame rate on, so that the same seed gives the same bytes whoever asks
-and whenever. Only cells that were touched and have not come back to rest are stepped.
+and whenever. The first blocks are short, so that the first frame comes soon. Only cells that were touched and have not
+come back to rest are stepped.
 """
 
 from __future__ import annotations
 
 import copy
+import threading
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 from ..arrays import CodeArray, FloatArray, IntArray
-from ..circuits import Design, adc_codes, scan_sequence
+from ..circuits import Design, adc_codes, interpolates, scan_sequence
 from ._scene import Scene
 from ._spread import Spreading
 
@@ -22,6 +24,8 @@ _BLOCK_VALUES = 1 << 17
 """cells times frames of a block: arrays of this size stay in the processor's cache"""
 _LONGEST_BLOCK = 512
 """frames; longer blocks would not be cheaper"""
+_LONGEST_SOLVED_BLOCK = 8
+"""the same where every frame is solved: a block has nothing to share then, and may take long"""
 _REST_STEPS = 1.0 / 64.0
 """ADC steps at full scale by which a cell may still be off when it is taken to be at rest again"""
 
@@ -52,6 +56,12 @@ class FrameBlock:
     resistance_ohm: FloatArray
     volts: FloatArray
     counts: CodeArray
+    method: tuple[str, ...]
+    """(frames,) how the circuit was solved, as :class:`ohmskin.circuits.BatchResult` says"""
+    error_volts: FloatArray
+    """(frames,) V by which no output is off, certified; noise not counted"""
+    cells_stepped: int
+    """cells that were not at rest during the block"""
 
     def __len__(self) -> int:
         return len(self.time_us)
@@ -87,22 +97,40 @@ class EmulatedSkin:
     :class:`._scene.SkinSettings`, the ``[skin]`` table of a scene file.
     """
 
-    def __init__(self, scene: Scene, seed: int = 0) -> None:
-        """Build the skin; ``seed`` draws the noise at the ADC."""
+    def __init__(self, scene: Scene, seed: int = 0, *, ahead: bool = False) -> None:
+        """Build the skin.
+
+        Args:
+            scene: skin, contacts and circuit.
+            seed: draws the noise at the ADC.
+            ahead: compute the next block in a thread while this one is read.
+
+        """
         self._scene = scene
         self._ticks = Ticks(1e6 / scene.board.frame_rate)
         self._next_tick = 0
-        rows, columns = scene.skin.design.array.shape
-        self._physics = ScenePhysics(scene, np.random.default_rng(seed))
-        self._length = block_frames(rows * columns)
+        self._longest = longest_block(scene.skin.design)
+        self._length = 1
+        self._ahead = ahead
+        self._next: _NextBlock | None = None
+        self._before = self._physics = ScenePhysics(scene, np.random.default_rng(seed))
         self._block: FrameBlock | None = None
         self._place = 0
-        self._before = self._physics
 
     @property
     def next_us(self) -> int:
         """Time of the next frame, in us since the start."""
         return self._ticks.at(self._next_tick)
+
+    @property
+    def block(self) -> FrameBlock | None:
+        """The block of the latest frame; None before the first."""
+        return self._block
+
+    @property
+    def frames_ready(self) -> int:
+        """Frames that are computed and not read."""
+        return 0 if self._block is None else len(self._block) - self._place
 
     def read(self) -> tuple[FrameBlock, int]:
         """The next frame, as a block and the frame's place in it."""
@@ -127,21 +155,65 @@ class EmulatedSkin:
 
     def _forget_frames_ahead(self) -> None:
         """Frames computed ahead did not happen: live through those before them again."""
+        if self._next is not None:
+            self._next.join()
+            self._next = None
         if self._block is not None and self._place < len(self._block):
             self._physics = self._before
             if self._place:
                 self._physics.run(self._block.time_us[: self._place])
-        self._block, self._place = None, 0
+        self._block, self._place, self._length = None, 0, 1
 
     def _compute(self) -> None:
-        self._before = self._physics.copy()
-        times = np.array([self._ticks.at(self._next_tick + k) for k in range(self._length)])
-        self._block, self._place = self._physics.run(times), 0
+        computed = self._next or self._start_block(self._next_tick)
+        self._before = self._physics
+        self._physics, self._block = computed.result()
+        self._place, self._next = 0, None
+        if self._ahead:
+            self._next = self._start_block(self._next_tick + len(self._block))
+            self._next.start()
+
+    def _start_block(self, first_tick: int) -> _NextBlock:
+        times = np.array([self._ticks.at(first_tick + k) for k in range(self._length)])
+        # 1, 3, 5, 9, 17 ... frames: intervals of these halve evenly.
+        self._length = min(self._longest, max(3, 2 * self._length - 1))
+        return _NextBlock(self._physics, times)
 
 
-def block_frames(cells: int) -> int:
-    """Frames of a block of an array of so many cells: a power of two and one more, so that intervals halve evenly."""
-    frames = min(_LONGEST_BLOCK, max(1, _BLOCK_VALUES // cells))
+class _NextBlock(threading.Thread):
+    """A block and the physics behind its last frame, computed in this thread or by the one that asks for them."""
+
+    def __init__(self, physics: ScenePhysics, time_us: IntArray) -> None:
+        # No daemon: the interpreter waits for its end. A thread that is cut off within numpy aborts the process.
+        super().__init__(name="ohmskin-physics", daemon=False)
+        self._physics, self._time_us = physics.copy(), time_us
+        self._block: FrameBlock | None = None
+        self._error: Exception | None = None
+
+    def run(self) -> None:
+        try:
+            self._block = self._physics.run(self._time_us)
+        except Exception as error:
+            self._error = error
+
+    def result(self) -> tuple[ScenePhysics, FrameBlock]:
+        """Wait for the thread, if it was started. Raises what the physics raised."""
+        if self.ident is None:
+            self.run()
+        else:
+            self.join()
+        if self._error is not None:
+            raise self._error
+        assert self._block is not None
+        return self._physics, self._block
+
+
+def longest_block(design: Design) -> int:
+    """Frames of the longest block of a design: a power of two and one more, so that intervals halve evenly."""
+    rows, columns = design.array.shape
+    frames = min(_LONGEST_BLOCK, max(1, _BLOCK_VALUES // (rows * columns)))
+    if not interpolates(design):
+        return min(frames, _LONGEST_SOLVED_BLOCK)
     return 1 << (frames.bit_length() - 1) | (frames > 1)
 
 
@@ -161,6 +233,7 @@ class ScenePhysics:
         self._rest_ohm = self._cells.rest_resistance_ohm.ravel()
         self._rest_tolerance = _REST_STEPS / 2.0**design.adc.bits
         self._active = np.empty(0, dtype=np.intp)
+        self._stepped = 0
         self._time_us: int | None = None
         self._designs: dict[tuple[int, ...], Design] = {(): design}
         self.by_hand_kpa = np.zeros(self._rest_ohm.size)
@@ -173,10 +246,11 @@ class ScenePhysics:
     def run(self, time_us: IntArray) -> FrameBlock:
         """Live through frames at these times; the pressure is taken to change linearly between frames."""
         surface, resistance = self.cells(time_us)
-        volts = self._volts(time_us / 1e6, resistance)
+        volts, method, error_volts = self._read(time_us / 1e6, resistance)
         if self._scene.board.noise:
             volts = volts + self._noise.normal(scale=self._scene.board.noise, size=volts.shape)
-        return FrameBlock(time_us, surface, resistance, volts, adc_codes(self._scene.skin.design, volts))
+        counts = adc_codes(self._scene.skin.design, volts)
+        return FrameBlock(time_us, surface, resistance, volts, counts, method, error_volts, self._stepped)
 
     def cells(self, time_us: IntArray) -> tuple[FloatArray, FloatArray]:
         """Live through these times: kPa on the surface and ohm of the cells, both (frames, rows, columns)."""
@@ -207,6 +281,7 @@ class ScenePhysics:
         self._time_us = int(time_us[-1])
         surface = np.zeros((frames, self._rest_ohm.size))
         if movie is not None and movie.quantity == "resistance":
+            self._stepped = 0
             return surface.reshape(frames, *self._shape), movie.at(time_s, self._shape)
         touched, pressure = self._with_hand(*self._scene.pressure_on(time_s))
         surface[:, touched] = pressure
@@ -214,6 +289,7 @@ class ScenePhysics:
         felt = felt * self._sensitivity.flat[felt_cells]
 
         self._active = np.union1d(self._active, felt_cells)
+        self._stepped = len(self._active)
         on_active = np.zeros((frames, len(self._active)))
         on_active[:, np.searchsorted(self._active, felt_cells)] = felt
         resistance = np.repeat(self._rest_ohm[None], frames, axis=0)
@@ -234,18 +310,20 @@ class ScenePhysics:
         total[:, np.searchsorted(cells, touched)] += pressure
         return cells, total
 
-    def _volts(self, time_s: FloatArray, resistance: FloatArray) -> FloatArray:
-        """V (frames, rows, columns) at the ADC, each stretch of frames by the circuit that the events leave."""
+    def _read(self, time_s: FloatArray, resistance: FloatArray) -> tuple[FloatArray, tuple[str, ...], FloatArray]:
+        """Volts at the ADC, methods and certified errors, each stretch of frames by the circuit that events leave."""
         events = [(k, event) for k, event in enumerate(self._scene.event) if not event.changes_cells]
-        if not events:
-            return scan_sequence(self._scene.skin.design, resistance).volts
-        happening = np.array([event.happening(time_s) for _, event in events])
+        happening = np.array([event.happening(time_s) for _, event in events]).reshape(len(events), len(time_s))
         changes = np.flatnonzero((happening[:, 1:] != happening[:, :-1]).any(axis=0)) + 1
-        volts = np.empty(resistance.shape)
+        volts, error = np.empty(resistance.shape), np.empty(len(time_s))
+        methods: tuple[str, ...] = ()
         for first, last in pairwise([0, *changes.tolist(), len(time_s)]):
             now = tuple(k for (k, _), on in zip(events, happening[:, first], strict=True) if on)
-            volts[first:last] = scan_sequence(self._design_during(now), resistance[first:last]).volts
-        return volts
+            read = scan_sequence(self._design_during(now), resistance[first:last])
+            volts[first:last] = read.volts
+            error[first:last] = read.error_bound * np.abs(read.volts).max(axis=(1, 2))
+            methods += read.method
+        return volts, methods, error
 
     def _design_during(self, events: tuple[int, ...]) -> Design:
         """The design while these events last."""

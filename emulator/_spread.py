@@ -64,7 +64,9 @@ class Spreading:
         within = (np.abs(apart_row) <= _REACH) & (np.abs(apart_column) <= _REACH)
         centre = np.where(within, apart_row, 0) + _REACH, np.where(within, apart_column, 0) + _REACH
         share = np.where(within, self._shares[centre], 0.0)
-        return felt, pressure_kpa @ share
+        # Not by BLAS, whose rounding differs from row to row: a load that is held must be held to the last bit, since
+        # the paper's model takes any fall of the pressure for a release.
+        return felt, np.einsum("fk,km->fm", pressure_kpa, share)
 
 
 @lru_cache(maxsize=16)

@@ -9,12 +9,17 @@ been imported.
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import selectors
+import struct
+import termios
 from math import inf
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 from urllib.parse import parse_qsl, unquote, urlsplit
 
-from serial import SerialException
+from serial import PortNotOpenError, SerialException, SerialTimeoutException
+from serial.serialutil import Timeout
 from serial.urlhandler import protocol_socket
 
 from ..errors import InputError, OhmskinError
@@ -79,6 +84,50 @@ class Serial(protocol_socket.Serial):
             raise
         return port.host_end
 
+    def read(self, size: int = 1) -> bytes:
+        """Up to ``size`` bytes, fewer after the timeout; SerialException when the board's time is over."""
+        self._check_open()
+        got, patience = bytearray(), _patience(self.timeout)
+        while len(got) < size and self._ready(selectors.EVENT_READ, patience):
+            data = self._socket.recv(size - len(got))
+            if data:
+                got += data
+            elif got:
+                break
+            else:
+                raise SerialException(f"{self.port}: the board has gone")
+        return bytes(got)
+
+    def write(self, data: Any, /) -> int:
+        """Send all of ``data``; SerialTimeoutException where that takes longer than the write timeout."""
+        self._check_open()
+        left, patience = memoryview(bytes(data)), _patience(self.write_timeout)
+        while left:
+            if not self._ready(selectors.EVENT_WRITE, patience):
+                raise SerialTimeoutException(f"{self.port}: the board takes no bytes")
+            try:
+                left = left[self._socket.send(left) :]
+            except OSError as error:
+                raise SerialException(f"{self.port}: the board has gone") from error
+        return len(bytes(data))
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that can be read without waiting."""
+        self._check_open()
+        (waiting,) = struct.unpack("i", fcntl.ioctl(self._socket, termios.FIONREAD, struct.pack("i", 0)))
+        return int(waiting)
+
+    def _check_open(self) -> None:
+        if not self.is_open:
+            raise PortNotOpenError
+
+    def _ready(self, event: int, patience: Timeout) -> bool:
+        """Wait for the socket; whether it is ready. pyserial's own way, select(), fails beyond descriptor 1023."""
+        with selectors.DefaultSelector() as selector:
+            selector.register(self._socket, event)
+            return bool(selector.select(patience.time_left()))
+
     def from_url(self, url: str) -> tuple[str, int]:
         """Not used: the URL names a file."""
         raise SerialException(f"{url} is no network address")
@@ -90,3 +139,7 @@ class Serial(protocol_socket.Serial):
         self.is_open = False
         self._socket.close()
         self._life.close()
+
+
+def _patience(timeout_s: float | None) -> Timeout:
+    return Timeout(timeout_s)  # type: ignore[arg-type]  # None is for ever, which the type stubs do not know

@@ -1,4 +1,4 @@
-"""Print the most pressed cell of each frame: python read_skin.py PORT."""
+"""Print what touches the skin, frame by frame: python read_skin.py PORT."""
 
 import sys
 
@@ -6,5 +6,5 @@ from ohmskin.driver import Skin
 
 with Skin.open(sys.argv[1]) as skin:
     for frame in skin:
-        row, column = divmod(int(frame.pressure.argmax()), frame.pressure.shape[1])
-        print(f"{frame.device_time:7.2f} s  cell {row}, {column}: {frame.pressure.max():5.1f} kPa")
+        touches = [f"{c.peak_kpa:.1f} kPa at ({c.x_mm:.0f}, {c.y_mm:.0f}) mm" for c in frame.contacts]
+        print(f"{frame.device_time:7.2f} s  {', '.join(touches) or '0 kPa'}")

@@ -13,10 +13,11 @@ MAY_IMPORT = {
     "circuits": SHARED,
     "cell": SHARED,
     "wire": SHARED,
-    "bench": SHARED | {"circuits", "cell"},
+    "bench": SHARED | {"circuits", "cell", "wire", "emulator"},
     "emulator": SHARED | {"circuits", "cell", "wire"},
     "driver": SHARED | {"circuits", "cell", "wire"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
+    "hil": SHARED | {"driver", "emulator"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
 }
 

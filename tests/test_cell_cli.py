@@ -1,5 +1,6 @@
 """The commands fit and estimate, end to end on files."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,24 @@ def test_fit_then_estimate(steps: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert (found["time_s"] == truth["time_s"]).all()
     assert np.sqrt(np.mean((found["pressure_kpa"] - truth["pressure_kpa"]) ** 2)) < 0.02 * FULL
     assert (found["std_kpa"] > 0).all()
+
+
+def test_what_was_found_can_be_read_by_a_program(steps: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["fit", str(steps), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["kind"] == "contact"
+    assert found["full_scale_kpa"] == pytest.approx(FULL)
+    (exponent,) = [item for item in found["parameters"] if item["name"] == "exponent"]
+    assert exponent["value"] == pytest.approx(0.9, abs=0.05)
+    assert found["estimator"] == "static"
+
+
+def test_a_place_that_cannot_be_written_is_refused_before_the_fit(
+    steps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("ohmskin.cli.fit.calibrate", lambda *args, **kwargs: 1 / 0)
+    assert run(["fit", str(steps), "-o", str(tmp_path / "no" / "cell.toml")]) == 2
+    assert "cell.toml: cannot be written" in capsys.readouterr().err
 
 
 def test_the_protocol_is_printed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -192,19 +192,20 @@ def test_a_short_costs_the_cells_that_it_makes_wrong_and_no_others(lead: float) 
 
 
 def test_readings_that_no_cells_can_give_are_counted_and_not_valid() -> None:
-    """Every cell at once near the most that a floating divider can show is beyond what its grid can do."""
+    """In a floating divider no cell can read more than any way around it in series."""
     loaded = design(
         drive={"voltage": 3.3, "idle_rows": "float"},
         readout={"circuit": "voltage-divider", "reference_resistance": 1e3},
     )
-    counts = np.full((3, 2), 100)
-    counts[0] = 4000
-    sent = [encode(FramePacket.of(counts, sequence=0, time_us=0))]
+    counts = np.full((3, 2), 4000)
+    counts[0, 0] = 10
+    sent = [encode(FramePacket.of(counts, sequence=n, time_us=1000 * n)) for n in range(8)]
     with lossless(Script(*sent), design=loaded, cell=Cell.example()) as skin:
-        frame = next(skin)
-        assert skin.stats().unsolved == 1
-    assert not frame.valid.any()
-    assert np.isnan(frame.resistance).all()
+        frames = list(islice(skin, 8))
+        assert skin.stats().unsolved >= 1  # how many frames it takes to be sure depends on the one before
+    for frame in frames:
+        assert not frame.valid.any()
+        assert np.isnan(frame.resistance).all()
 
 
 def test_an_invalid_cell_keeps_its_last_pressure() -> None:

@@ -116,8 +116,8 @@ class TestDelivery:
             first = next(skin)
             time.sleep(0.1)
             assert board._sequence < 200  # a turn of the reader thread at most
-            frames = list(islice(skin, 1000))
-        assert sequences([first, *frames]) == list(range(1001))
+            frames = list(islice(skin, 300))
+        assert sequences([first, *frames]) == list(range(301))
 
     def test_readers_do_not_take_frames_from_each_other(self) -> None:
         port = described()
@@ -209,9 +209,9 @@ class TestFreshness:
         port = described(frame(0))
         with Skin(port) as skin:
             next(skin)
-            time.sleep(0.1)
-            threading.Timer(0.2, lambda: port.say(frame(400))).start()
-            assert skin.latest(0.1, timeout=20.0).sequence == 400
+            time.sleep(0.6)
+            threading.Timer(0.2, lambda: port.say(frame(60_000))).start()
+            assert skin.latest(0.5, timeout=20.0).sequence == 60_000
 
     def test_before_the_first_frame_there_is_none(self) -> None:
         with Skin(described()) as skin, pytest.raises(LinkTimeout, match="none came"):

@@ -46,6 +46,17 @@ def test_estimates_are_right_to_first_order(circuit: str, table: str, key: str, 
     assert found.estimate == pytest.approx(largest, rel=0.02, abs=1e-12)
 
 
+@pytest.mark.parametrize("circuit", ["inverting-amplifier", "row-amplifier", "voltage-feedback"])
+@pytest.mark.parametrize("drive", [-1.0, 1.0])
+@pytest.mark.parametrize("level", [0.0, 1.65])
+def test_a_finite_gain_is_asked_for_the_reference_voltage_too(circuit: str, drive: float, level: float) -> None:
+    bare = amplifier(5, 6, reference_voltage=level, open_loop_gain=1e12 if circuit == "voltage-feedback" else np.inf)
+    bare = bare.with_circuit(circuit).replace(drive={"voltage": drive})
+    real = put_in(bare, "readout", "open_loop_gain", 1e7)
+    before, after = (scan(each, CELLS).volts - level for each in (bare, real))
+    assert named(real)["open_loop_gain"].estimate == pytest.approx(np.abs(after / before - 1).max(), rel=0.02)
+
+
 def test_what_is_not_named_is_listed_with_an_ordinary_part() -> None:
     found = named(amplifier(5, 6))
     assert not any(effect.modelled for effect in found.values())

@@ -102,7 +102,8 @@ def test_design_and_cell_may_be_files_beside_the_scene(tmp_path: Path) -> None:
     "example", sorted((Path(__file__).parents[1] / "examples").glob("*.toml")), ids=lambda p: p.name
 )
 def test_the_examples_load(example: Path) -> None:
-    assert Design.load(example) if "prototype" in example.name else Scene.load(example)
+    is_design = "\n[array]\n" in example.read_text()
+    assert Design.load(example) if is_design else Scene.load(example)
 
 
 LOAD = {"load_kpa": [[0.0, 1.0]]}
@@ -158,12 +159,23 @@ def test_the_document_shows_a_scene_that_loads(tmp_path: Path) -> None:
     page = (root / "docs" / "scene.md").read_text(encoding="utf-8")
     (tmp_path / "prototype.toml").write_text((root / "verification" / "prototype.toml").read_text())
     (tmp_path / "cell.toml").write_text((root / "cell" / "example.toml").read_text())
-    (block,) = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
-    other_shapes = re.findall(r"^# ((?:disc|rectangle|bump) = \{.*?\})", block, flags=re.MULTILINE)
-    assert len(other_shapes) == 3
+    block, *others = re.findall(r"```toml\n(.*?)```", page, flags=re.DOTALL)
+    other_shapes = re.findall(r"^# ((?:point|disc|rectangle|bump) = \{.*?\})", block, flags=re.MULTILINE)
+    assert len(other_shapes) == 4
     shape = re.search(r"^cells = .*?\]\]", block, flags=re.MULTILINE)
     assert shape is not None
     for other in [shape.group(), *other_shapes]:
         path = tmp_path / "scene.toml"
         path.write_text(block.replace(shape.group(), other))
         assert Scene.load(path).pressure_kpa(2.0).max() > 1.0
+    np.savez(tmp_path / "truth.npz", time_s=[0.0, 1.0], pressure_kpa=np.zeros((2, 4, 4)))
+    path.write_text("\n".join([block, *others]))
+    whole = Scene.load(path)
+    assert (len(whole.event), whole.movie is not None) == (1, True)
+    assert whole.skin.drift.percent_per_degree == 7.0
+    (tmp_path / "press.csv").write_text("time_s,pressure_kpa\n0,1\n")
+    loads = re.findall(r"^\| `((?:load_kpa|force_n|sine|taps|recorded) = .*?)` \|", page, flags=re.MULTILINE)
+    assert len(loads) == 5
+    for load in loads:
+        path.write_text(f'[skin]\ndesign = "prototype.toml"\n[[contact]]\ncells = [[0, 0]]\n{load}\n')
+        assert Scene.load(path).pressure_kpa(0.01).max() >= 0.0

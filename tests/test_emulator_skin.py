@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from ohmskin.circuits import Design, scan
 from ohmskin.emulator import Bump, Contact, Disc, EmulatedSkin, FrameBlock, Image, Point, Rectangle, Scene, spread
-from ohmskin.errors import InputError
+from ohmskin.errors import InputError, SolverError
 
 BIG: dict[str, Any] = {
     **DESIGN,
@@ -67,7 +67,7 @@ def test_blocks_are_the_full_physics_within_a_quarter_step(skin: dict[str, Any])
 def test_how_frames_are_asked_for_changes_no_bit(pieces: list[int], seed: int) -> None:
     what = sliding(board={"frame_rate": 1000.0, "noise": 1e-3})
     straight = read(what, sum(pieces), seed=seed)
-    skin, done = EmulatedSkin(what, seed), 0
+    skin, done = EmulatedSkin(what, seed, ahead=bool(seed % 2)), 0
     for piece in pieces:  # each piece at once, as a host that stops and starts asks for them
         for _ in range(piece):
             block, place = skin.read()
@@ -76,9 +76,10 @@ def test_how_frames_are_asked_for_changes_no_bit(pieces: list[int], seed: int) -
             done += 1
 
 
-def test_a_new_frame_rate_begins_where_the_old_one_was() -> None:
+@pytest.mark.parametrize("ahead", [False, True])
+def test_a_new_frame_rate_begins_where_the_old_one_was(ahead: bool) -> None:
     what = sliding(board={"frame_rate": 100.0})
-    skin = EmulatedSkin(what)
+    skin = EmulatedSkin(what, ahead=ahead)
     for _ in range(31):
         skin.read()
     skin.set_period(5_000)
@@ -215,7 +216,7 @@ def test_events_come_and_go() -> None:
     def with_event(**event: Any) -> np.ndarray:
         found = volts(event=[{"at_s": 1.0, "until_s": 2.0, **event}])
         outside = np.r_[0:10, 20:30]
-        np.testing.assert_array_equal(found[outside], quiet[outside])
+        np.testing.assert_allclose(found[outside], quiet[outside], rtol=1e-5)
         return found[window]
 
     opened = with_event(kind="open-cell", place=[1, 0])
@@ -224,13 +225,13 @@ def test_events_come_and_go() -> None:
     shorted = with_event(kind="shorted-cell", place=[1, 0], resistance=100e3)
     np.testing.assert_allclose(shorted[:, 1, 0] - quiet[window, 1, 0], 20e3 / 100e3, rtol=2e-2)
     sparking = with_event(kind="sparking-cell", place=[1, 0], rate_hz=10.0)[:, 1, 0]
-    assert {round(float(v), 6) for v in sparking} == {0.0, round(float(quiet[0, 1, 0]), 6)}
+    assert {round(float(v), 4) for v in sparking} == {0.0, round(float(quiet[0, 1, 0]), 4)}
     assert (with_event(kind="broken-row", place=[2, 0])[:, 2] < 1e-3).all()
     bridged = with_event(kind="bridged-rows", place=[0, 1], resistance=10.0)
     apart, together = np.abs(quiet[0, 0] - quiet[0, 1]).max(), np.abs(bridged[:, 0] - bridged[:, 1]).max()
     assert together < 0.1 * apart
     sagging = with_event(kind="supply-sag", share=0.5)
-    np.testing.assert_allclose(sagging, quiet[window] / 2, rtol=1e-12)
+    np.testing.assert_allclose(sagging, quiet[window] / 2, rtol=1e-5)
 
 
 def test_spread_and_drift_change_all_cells() -> None:
@@ -279,6 +280,14 @@ def test_a_movie_of_resistance_may_be_a_table(tmp_path: Path) -> None:
     np.testing.assert_allclose(ohms[:, 2, 1], 6e3)
 
 
+def nested(depth: int) -> dict[str, Any]:
+    """Tables within tables."""
+    tables: dict[str, Any] = {}
+    for _ in range(depth):
+        tables = {"a": tables}
+    return tables
+
+
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
@@ -301,6 +310,8 @@ def test_a_movie_of_resistance_may_be_a_table(tmp_path: Path) -> None:
         ({"event": [{"at_s": 1.0, "kind": "bridged-rows", "place": [2, 0]}]}, "event[0]"),
         ({"movie": {"file": "no.npz"}}, "no.npz: cannot be read: No such file"),
         ({"skin": {"design": DESIGN, "drift": {"temperature_change_c": 1e3}}}, "a million times"),
+        ({"skin": {"design": DESIGN, "drift": {"temperature_change_c": [[0, 0], [9, 1e3]]}}}, "a million times"),
+        ({"contact": [nested(3000)]}, "nested too deeply"),
     ],
 )
 def test_a_scene_that_cannot_be_is_refused_in_one_line(tables: dict[str, Any], message: str) -> None:
@@ -308,6 +319,21 @@ def test_a_scene_that_cannot_be_is_refused_in_one_line(tables: dict[str, Any], m
         scene(**tables)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_picture_that_is_none_is_refused_in_one_line(tmp_path: Path) -> None:
+    for name, content, message in (
+        ("p.npy", b"nonsense", "is no .npy file"),
+        ("p.png", b"nonsense", "is no .png file"),
+        ("p.csv", b"0,2\n", "outside 0 ... 1"),
+        ("p.csv", b"0,a\n", "is not a number"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        image = {"file": name, "center": [0, 0], "size_mm": [1, 1]}
+        tables = {"skin": {"design": DESIGN}, "contact": [{"image": image, "load_kpa": [[0, 1]]}]}
+        with pytest.raises(InputError, match=message) as caught:
+            Scene.from_tables(tables, source="s", directory=tmp_path)
+        assert "\n" not in str(caught.value)
 
 
 def test_one_disc_on_the_largest_array_takes_little_memory() -> None:
@@ -321,3 +347,35 @@ def test_one_disc_on_the_largest_array_takes_little_memory() -> None:
 def test_names_say_what_they_are() -> None:
     assert FrameBlock.__doc__
     assert Design.model_validate(BIG).array.rows == 9
+
+
+def test_the_first_frame_of_a_slow_circuit_does_not_wait_for_others() -> None:
+    divider = {**DESIGN, "readout": {"circuit": "voltage-divider", "reference_resistance": 20e3}}
+    skin = EmulatedSkin(scene(skin={"design": divider}))
+    lengths = []
+    for _ in range(60):
+        block, place = skin.read()
+        if place == 0:
+            lengths.append(len(block))
+    assert lengths[:2] == [1, 3]
+    assert max(lengths) <= 8
+
+
+@pytest.mark.parametrize("ahead", [False, True])
+def test_what_fails_in_the_physics_is_raised_where_frames_are_read(
+    ahead: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    skin = EmulatedSkin(scene(), ahead=ahead)
+    skin.read()
+
+    def fail(*args: object) -> None:
+        raise SolverError("no solution")
+
+    monkeypatch.setattr("ohmskin.emulator._skin.scan_sequence", fail)
+
+    def read_on() -> None:
+        for _ in range(10):
+            skin.read()
+
+    with pytest.raises(SolverError, match="no solution"):
+        read_on()

@@ -67,6 +67,13 @@ def test_few_pressed_cells_spread_like_the_whole_array() -> None:
         np.testing.assert_allclose(spread(surface, depth), expected, rtol=1e-12, atol=1e-15)
 
 
+def test_a_held_load_is_felt_as_held_to_the_last_bit() -> None:
+    random = np.random.default_rng(5)
+    cells = np.sort(random.choice(108, 20, replace=False))
+    _, below = Spreading((12, 9), 0.6).below(cells, np.tile(random.uniform(0, 20, 20), (65, 1)))
+    assert (below == below[0]).all()
+
+
 def test_a_cover_and_an_uncut_sheet_spread_what_presses_on_the_skin() -> None:
     def felt(design: dict[str, Any], **skin: float) -> np.ndarray:
         emulated = EmulatedSkin(scene(skin={"design": design, **skin}, board={"frame_rate": 0.5}))

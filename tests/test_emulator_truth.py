@@ -265,6 +265,9 @@ def test_contacts_are_missed_and_imagined() -> None:
     ghost = score(recording(pressure=pressure), truth())
     assert ghost.contacts_false == FRAMES
     assert ghost.contacts_missed == 0
+    far = score(recording(pressure=np.roll(truth().pressure_kpa, 4, axis=1)), truth())
+    assert far.contacts_missed > 0.5 * far.contacts
+    assert far.contacts_false > 0.5 * far.contacts
 
 
 def test_losses_repeats_and_strangers_are_counted() -> None:

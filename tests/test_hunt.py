@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from ohmskin.bench import hunt
 from ohmskin.bench._reference import Indeterminate, reference_volts
-from ohmskin.circuits import Design, scan
+from ohmskin.circuits import Design, scan, scan_batch
 from ohmskin.errors import SolverError
 
 
@@ -109,6 +109,21 @@ def test_a_complete_short_by_a_fault_is_a_contradiction_as_one_by_a_cell_is() ->
     )
     with pytest.raises(SolverError, match="ideal amplifiers of columns 0 and 1"):
         scan(design, [[1e4, 1e4]])
+
+
+def test_what_an_idle_driver_leaves_open_has_no_bound() -> None:
+    """Driver and virtual ground hold the same potential, and nothing says how they share the current."""
+    cells = np.array([[0.0, 1e4], [1e4, 1e4]])
+    for circuit in ("inverting-amplifier", "row-amplifier"):
+        design = feedback(cells).replace(readout={"circuit": circuit, "supply": (-1.0, 3.0)})
+        with pytest.raises(Indeterminate):
+            reference_volts(design, cells)
+        result = scan(design, cells)
+        assert result.saturated.tolist() == [[True, False], [False, False]]
+        assert result.error_bound == inf
+        frames = scan_batch(design, [cells, np.full((2, 2), 1e4)])
+        assert frames.error_bound[0] == inf
+        assert frames.error_bound[1] < 1e-12
 
 
 def test_the_search_notices_wrong_readings(monkeypatch: pytest.MonkeyPatch) -> None:

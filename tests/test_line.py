@@ -68,7 +68,7 @@ def test_a_uart_that_is_too_slow_overflows_the_board_and_one_that_nobody_reads_t
 
 
 def test_a_usb_bridge_sends_full_packets_at_once_and_the_rest_when_its_timer_ends() -> None:
-    line = Transmission(LineSettings(usb_packet=62, latency=0.016), 10**6)
+    line = Transmission(LineSettings(usb_packet=62, latency_s=0.016), 10**6)
     line.offer(data(200), 1000.0)
     line.advance(1000.0)
     assert len(line.host) == 186
@@ -100,7 +100,7 @@ def carried(kind: str, **keys: object) -> list[bytes]:
     ("kind", "growth"), [("dropped-bytes", -1), ("inserted-bytes", 1), ("duplicated-bytes", 1), ("flipped-bits", 0)]
 )
 def test_byte_faults_come_at_their_rate_and_in_their_time(kind: str, growth: int) -> None:
-    packets = carried(kind, probability=0.02, at=2.0, duration=3.0)
+    packets = carried(kind, probability=0.02, at_s=2.0, duration_s=3.0)
     clean = [data(1000, k) for k in range(100)]
     assert packets[:20] == clean[:20]
     assert packets[50:] == clean[50:]
@@ -111,18 +111,18 @@ def test_byte_faults_come_at_their_rate_and_in_their_time(kind: str, growth: int
     else:
         errors = np.frombuffer(b"".join(packets), np.uint8) ^ np.frombuffer(b"".join(clean), np.uint8)
         assert int(np.unpackbits(errors).sum()) == pytest.approx(600, abs=120)
-    assert packets == carried(kind, probability=0.02, at=2.0, duration=3.0)  # the seed's
+    assert packets == carried(kind, probability=0.02, at_s=2.0, duration_s=3.0)  # the seed's
 
 
 def test_a_fault_without_probability_hits_its_count_once_in_each_period() -> None:
-    packets = carried("dropped-bytes", at=1.05, period=2.0, count=3)
+    packets = carried("dropped-bytes", at_s=1.05, every_s=2.0, count=3)
     short = {k: 1000 - len(packet) for k, packet in enumerate(packets) if len(packet) != 1000}
     assert short == {11: 3, 31: 3, 51: 3, 71: 3, 91: 3}
 
 
 def test_whole_packets_are_dropped_or_doubled() -> None:
-    assert [len(packet) for packet in carried("dropped-packets", at=0.15)[:4]] == [1000, 1000, 0, 1000]
-    assert [len(packet) for packet in carried("duplicated-packets", at=0.15)[:4]] == [1000, 1000, 2000, 1000]
+    assert [len(packet) for packet in carried("dropped-packets", at_s=0.15)[:4]] == [1000, 1000, 0, 1000]
+    assert [len(packet) for packet in carried("duplicated-packets", at_s=0.15)[:4]] == [1000, 1000, 2000, 1000]
 
 
 @pytest.mark.parametrize(
@@ -130,9 +130,9 @@ def test_whole_packets_are_dropped_or_doubled() -> None:
     [
         ({"kind": "stall", "probability": 0.1}, "a fault of kind 'stall' has no probability"),
         ({"kind": "reset", "name": "x"}, "a fault of kind 'reset' has no name"),
-        ({"kind": "stall", "duration": 3.0, "period": 2.0}, "lasts 3.0 s, longer than its period of 2.0 s"),
+        ({"kind": "stall", "duration_s": 3.0, "every_s": 2.0}, "lasts 3.0 s and comes every 2.0 s"),
         ({"kind": "stal"}, "kind"),
-        ({"kind": "stall", "duration": float("nan")}, "duration"),
+        ({"kind": "stall", "duration_s": float("nan")}, "duration_s"),
     ],
 )
 def test_a_fault_that_cannot_be_is_refused(fault: dict[str, object], message: str) -> None:
@@ -186,7 +186,7 @@ def test_a_host_that_does_not_read_makes_a_counted_overflow_and_never_a_stall() 
 
 
 def test_the_boards_clock_has_its_offset_and_its_drift() -> None:
-    what = scene(clock={"offset": 50.0, "drift_ppm": 1000.0}, board={"frame_rate": 100.0})
+    what = scene(clock={"offset_s": 50.0, "drift_ppm": 1000.0}, board={"frame_rate": 100.0})
     _, heard = live(what, 10.0)
     got = [(now_us, event) for now_us, event in heard if isinstance(event, FramePacket)]
     stamps = np.array([event.time_us for _, event in got])
@@ -197,7 +197,7 @@ def test_the_boards_clock_has_its_offset_and_its_drift() -> None:
 
 
 def test_jitter_delays_frames_and_keeps_their_order() -> None:
-    what = scene(clock={"jitter": 0.004}, board={"frame_rate": 100.0})
+    what = scene(clock={"jitter_s": 0.004}, board={"frame_rate": 100.0})
     device, host = Device(what), host_protocol("ohmskin")
     delays = []
     for _ in range(500):
@@ -213,7 +213,7 @@ def test_jitter_delays_frames_and_keeps_their_order() -> None:
 
 
 def test_a_reset_is_a_new_boot_with_text_on_the_line() -> None:
-    what = scene(link_fault=[{"kind": "reset", "at": 1.0, "duration": 0.5}], board={"frame_rate": 100.0})
+    what = scene(link_fault=[{"kind": "reset", "at_s": 1.0, "duration_s": 0.5}], board={"frame_rate": 100.0})
     _, heard = live(what, 3.0)
     got = frames(heard)
     boots = [frame.boot_id for frame in got]
@@ -228,17 +228,17 @@ def test_a_reset_is_a_new_boot_with_text_on_the_line() -> None:
 
 
 def test_a_stall_delivers_late_and_a_second_host_takes_bytes_away() -> None:
-    what = scene(link_fault=[{"kind": "stall", "at": 1.0, "duration": 0.5}], board={"frame_rate": 100.0})
+    what = scene(link_fault=[{"kind": "stall", "at_s": 1.0, "duration_s": 0.5}], board={"frame_rate": 100.0})
     _, heard = live(what, 3.0)
     quiet = [now_us for now_us, event in heard if isinstance(event, FramePacket) and 1.01e6 < now_us < 1.49e6]
     assert not quiet
     assert [frame.sequence for frame in frames(heard)] == list(range(300))
 
-    what = scene(link_fault=[{"kind": "split-bytes", "at": 0.0, "duration": 9.0}], board={"frame_rate": 10.0})
+    what = scene(link_fault=[{"kind": "split-bytes", "at_s": 0.0, "duration_s": 9.0}], board={"frame_rate": 10.0})
     _, heard = live(what, 3.0)
     assert [frame.sequence for frame in frames(heard)][:5] == list(range(5))
 
-    what = scene(link_fault=[{"kind": "second-host", "at": 1.0, "duration": 1.0}], board={"frame_rate": 100.0})
+    what = scene(link_fault=[{"kind": "second-host", "at_s": 1.0, "duration_s": 1.0}], board={"frame_rate": 100.0})
     device, host, heard = Device(what), host_protocol("ohmskin"), []
     while device.time_s < 3.0:
         device.tick(host_present=True)
@@ -257,8 +257,8 @@ def test_the_same_seed_gives_the_same_bytes() -> None:
     what = scene(
         board={"noise": 0.001, "frame_rate": 200.0},
         line={"bit_errors": 1e-5},
-        clock={"jitter": 0.001},
-        link_fault=[{"kind": "dropped-bytes", "probability": 1e-3}, {"kind": "reset", "at": 0.5}],
+        clock={"jitter_s": 0.001},
+        link_fault=[{"kind": "dropped-bytes", "probability": 1e-3}, {"kind": "reset", "at_s": 0.5}],
     )
     assert live(what, 2.0, seed=4)[1] == live(what, 2.0, seed=4)[1]
     assert live(what, 2.0, seed=4)[1] != live(what, 2.0, seed=5)[1]

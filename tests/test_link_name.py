@@ -140,7 +140,7 @@ def test_of_emulators_that_race_for_a_name_exactly_one_gets_it(scene_file: Path,
 
 
 def test_a_cable_that_is_pulled_takes_the_link_away_and_brings_it_back_under_another_name(tmp_path: Path) -> None:
-    faults = [{"kind": "unplug", "at": 0.3, "duration": 0.3, "name": "skin2"}]
+    faults = [{"kind": "unplug", "at_s": 0.3, "duration_s": 0.3, "name": "skin2"}]
     link, other = tmp_path / "skin", tmp_path / "skin2"
     seen = set()
     with running(scene(link_fault=faults, board={"frame_rate": 100.0}), PtyPort(link)):

@@ -13,7 +13,7 @@ from needs import need
 from variety import any_design
 
 from ohmskin.bench._reference import reference_volts
-from ohmskin.circuits import Design
+from ohmskin.circuits import CIRCUITS, Design
 from ohmskin.circuits.spice import command_available, frame_deck, netlist, run_control
 from ohmskin.cli import run
 from ohmskin.errors import InputError, SolverError
@@ -31,6 +31,14 @@ def test_ngspice_reads_what_the_circuit_says(seed: int) -> None:
     design, cells = any_design(seed)
     expected = reference_volts(design, cells)
     np.testing.assert_allclose(read_by_ngspice(design, cells), expected, rtol=1e-7, atol=1e-11)
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS)
+@pytest.mark.parametrize("shape", [(1, 1), (3, 1), (1, 3)])
+def test_ngspice_reads_arrays_of_one_line(circuit: str, shape: tuple[int, int]) -> None:
+    cells = 10 ** np.random.default_rng(0).uniform(3, 5, shape)
+    design = amplifier(*shape, lead=20.0, segment=3.0, open_loop_gain=1e4, offset_voltage=1e-3).with_circuit(circuit)
+    np.testing.assert_allclose(read_by_ngspice(design, cells), reference_volts(design, cells), rtol=1e-7)
 
 
 @pytest.mark.parametrize("seed", range(200))

@@ -63,7 +63,7 @@ def changes(design: Design, cells: np.ndarray, found: Sensitivity) -> Iterator[t
             yield f"{key} {line}", derivatives[..., line], part, size or float(values[line])
 
 
-def check(design: Design, cells: np.ndarray) -> None:
+def check(design: Design, cells: np.ndarray, rtol: float = 1e-6) -> None:
     found = sensitivity(design, cells)
     np.testing.assert_allclose(found.volts, scan(design, cells).volts, rtol=1e-12)
     scale = np.abs(found.volts - design.readout.reference_voltage).max()
@@ -74,7 +74,7 @@ def check(design: Design, cells: np.ndarray) -> None:
         else:
             up, down = (reference_volts(*change(sign * STEP * size)) for sign in (1, -1))
             expected = (up - down) / (2 * STEP)
-        np.testing.assert_allclose(derivative * size, expected, rtol=1e-6, atol=1e-9 * scale, err_msg=name)
+        np.testing.assert_allclose(derivative * size, expected, rtol=rtol, atol=1e-9 * scale, err_msg=name)
 
 
 @pytest.mark.parametrize("circuit", CIRCUITS)
@@ -136,6 +136,34 @@ def test_lines_without_resistance_have_sensitivities_too(circuit: str) -> None:
         changed = design.replace(array={key: 1e-4})
         moved = reference_volts(changed, cells) - reference_volts(design, cells)
         np.testing.assert_allclose(moved, 1e-4 * derivative, rtol=1e-5, atol=1e-15)
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS)
+@pytest.mark.parametrize("ohms", [0.0, 50.0, 1e5])
+def test_a_fault_across_a_cell_is_no_part_of_it(circuit: str, ohms: float) -> None:
+    cells = 10 ** np.random.default_rng(4).uniform(3, 4, (3, 3))
+    fault = Fault(kind="shorted-cell", place=(1, 2), resistance=ohms)
+    opened = Fault(kind="open-cell", place=(0, 1), resistance=500.0)
+    design = amplifier(3, 3, lead=40.0, segment=3.0, open_loop_gain=1e4).with_circuit(circuit)
+    check(design.replace(fault=(fault, opened)), cells, rtol=1e-6 if ohms else 1e-4)  # fewer digits of a short's drop
+
+
+@pytest.mark.parametrize("circuit", CIRCUITS)
+@pytest.mark.parametrize("lead", [0.0, 5.0])
+def test_lines_to_a_shorted_cell_have_their_sensitivities(circuit: str, lead: float) -> None:
+    """One-sided: from 0 to a very small resistance, the current through the short being what its lines carry."""
+    cells = 10 ** np.random.default_rng(5).uniform(3, 4, (2, 3))
+    cells[1, 1] = 0.0
+    design = amplifier(2, 3, lead=lead, open_loop_gain=10.0).with_circuit(circuit)
+    if circuit == "voltage-feedback" and not lead:  # the follower must not meet the driver
+        design = design.replace(array={"column_lead": 3.0})
+    found, volts = sensitivity(design, cells), reference_volts(design, cells)
+    for key, derivative in (("row_lead", found.row_lead), ("column_lead", found.column_lead)):
+        for line in range(derivative.shape[-1]):
+            ohms = np.broadcast_to(getattr(design.array, key), derivative.shape[-1]).astype(float)
+            ohms[line] += 1e-5
+            moved = reference_volts(design.replace(array={key: tuple(ohms.tolist())}), cells) - volts
+            np.testing.assert_allclose(1e-5 * derivative[..., line], moved, rtol=1e-4, atol=1e-12, err_msg=key)
 
 
 def test_what_has_no_sensitivities_is_refused() -> None:

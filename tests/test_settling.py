@@ -127,32 +127,78 @@ def test_against_an_ngspice_transient(name: str) -> None:
     np.testing.assert_allclose(transient(design, period, 4), sampled, atol=2e-5 * scale)
 
 
-def test_one_sampling_capacitor_serves_the_columns_in_turn() -> None:
-    """Against an ODE solver that runs the amplifier and the capacitor through many frames."""
-    design = board({"sampling_capacitance": 1e-11, "switch_resistance": 1e4, "acquisition_time": 2e-7})
-    settling, period, tau = Settling(design, CELLS), 2e-6, 1e-7
+@pytest.mark.parametrize("capacitance", [0.0, 1e-11], ids=["an ideal sampler", "a capacitor"])
+def test_one_sampling_capacitor_serves_the_columns_in_turn(capacitance: float) -> None:
+    """Against an ODE solver that runs amplifiers and capacitor through many frames, each column in its own slot."""
+    slot, period = 2e-7, 2e-6
+    design = board({"sampling_capacitance": capacitance, "switch_resistance": 1e4, "acquisition_time": slot})
+    settling, tau = Settling(design, CELLS), 1e4 * capacitance
     dynamics = settling._dynamics[0]
     rows, columns = CELLS.shape
-    outputs = settling.settled[-1].copy()
-    held, samples = 0.0, np.zeros(CELLS.shape)
+    state, samples = np.r_[settling.settled[-1], 0.0], np.zeros(CELLS.shape)
     for step in range(6 * rows):
         goal = settling.settled[step % rows]
 
-        def settle(_: float, v: np.ndarray, goal: np.ndarray = goal) -> np.ndarray:
-            return dynamics.matrix @ (v - goal)
+        def rate(_: float, state: np.ndarray, chosen: int | None, goal: np.ndarray = goal) -> np.ndarray:
+            charging = 0.0 if chosen is None or not tau else (state[chosen] - state[-1]) / tau
+            return np.r_[dynamics.matrix @ (state[:-1] - goal), charging]
 
-        waiting = solve_ivp(settle, (0, period - 2e-7), outputs, rtol=1e-10, atol=1e-12)
-        for j in range(columns):
-            start = np.r_[waiting.y[:, -1], held]
-
-            def rate(_: float, state: np.ndarray, j: int = j, goal: np.ndarray = goal) -> np.ndarray:
-                return np.r_[dynamics.matrix @ (state[:-1] - goal), (state[j] - state[-1]) / tau]
-
-            outputs_and_held = solve_ivp(rate, (0, 2e-7), start, rtol=1e-10, atol=1e-12).y[:, -1]
-            held = samples[step % rows, j] = outputs_and_held[-1]
-        outputs = outputs_and_held[:-1]
+        for chosen, duration in [(None, period - columns * slot), *((j, slot) for j in range(columns))]:
+            run = solve_ivp(rate, (0, duration), state, args=(chosen,), rtol=1e-10, atol=1e-12)
+            state = run.y[:, -1]
+            if chosen is not None:
+                samples[step % rows, chosen] = state[-1] if tau else state[chosen]
     assert np.abs(samples - settling.settled).max() > 0.01
     np.testing.assert_allclose(settling.sampled(period), samples, atol=1e-7)
+
+
+def test_the_first_column_has_the_least_time_to_settle() -> None:
+    """8 columns of 2 us each at 1 MHz: 16 us serve the last column alone."""
+    cells = np.full((2, 8), 5e3)
+    cells[1] = 5e4
+    adc = Adc(bits=12, range=(0.0, 3.3), acquisition_time=2e-6)
+    design = amplifier(2, 8, gain_bandwidth=1e6, reference_resistance=2e4).replace(adc=adc)
+    settling = Settling(design, cells)
+    tau = (1 + 2e4 * (1 / 5e3 + 1 / 5e4)) / (2 * pi * 1e6)
+    off = np.abs(settling.sampled_from_rest(16e-6) / settling.settled - 1.0)
+    np.testing.assert_allclose(off, np.tile(np.exp(-2e-6 * np.arange(1, 9) / tau), (2, 1)), rtol=1e-6, atol=1e-12)
+    assert settling.shortest_period(1e-3) == pytest.approx(14e-6 + tau * log(1e3), rel=1e-6)
+
+
+def test_rows_that_are_sensed_are_converted_in_the_order_of_their_numbers() -> None:
+    """The array with amplifiers on its rows is the turned one with amplifiers on its columns, but for the order."""
+    parts = {"gain_bandwidth": 1e6, "reference_resistance": 2e4, "lead": 70.0}
+    adc = Adc(bits=12, range=(0.0, 3.3), sampling_capacitance=1e-11, switch_resistance=1e4, acquisition_time=2e-7)
+    on_rows = amplifier(*CELLS.shape, circuit="row-amplifier", **parts).replace(adc=adc)
+    on_columns = amplifier(*CELLS.shape[::-1], **parts).replace(adc=adc)  # without segments lines have no direction
+    one, other = Settling(on_rows, CELLS), Settling(on_columns, CELLS.T)
+    np.testing.assert_allclose(one.sampled(1e-6), other.sampled(1e-6).T, rtol=1e-9)
+    np.testing.assert_allclose(one.sampled_from_rest(1e-6), other.sampled_from_rest(1e-6).T, rtol=1e-9)
+    assert one.shortest_period(0.2) == pytest.approx(other.shortest_period(0.2), rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(25))
+def test_a_ringing_amplifier_keeps_its_error_at_every_longer_period(seed: int) -> None:
+    """Phase margins below 20 degrees: an error that falls below the limit and rises above it again does not count."""
+    rng = np.random.default_rng(seed)
+    cells = 10 ** rng.uniform(3.5, 5.5, (2, 2))
+    margin = 90.0
+    while not 2.0 < margin < 20.0:
+        design = amplifier(
+            2,
+            2,
+            lead=float(rng.choice([0.0, 70.0])),
+            reference_resistance=2e4,
+            gain_bandwidth=float(10 ** rng.uniform(5, 8)),
+            column_capacitance=float(10 ** rng.uniform(-10, -7)),
+        )
+        margin = float(stability(design, cells).phase_margin.min())
+    settling, error = Settling(design, cells), float(10 ** rng.uniform(-4, -0.5))
+    period = settling.shortest_period(error)
+    ringing = np.abs(np.linalg.eigvals(settling._dynamics[0].matrix)).max()
+    longer = period + np.linspace(0.0, min(2.0 * period, 60.0 / ringing), 400)
+    assert max(map(settling.error, longer)) <= error * (1 + 1e-9)
+    assert settling.error(0.9999 * period) > error
 
 
 @pytest.mark.parametrize("name", LAGS)

@@ -23,7 +23,16 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 FOLDERS = {Path(folder).parts[0] for folder in PROJECT["tool"]["setuptools"]["package-dir"].values()}
 ROOMS = (*sorted(FOLDERS - {"src"}), "src/ohmskin")
 LEFT_OVER = shutil.ignore_patterns(
-    ".venv", ".git", "build", "dist", "*.egg-info", "__pycache__", ".*_cache", ".hypothesis", "ohmskin-report"
+    ".venv",
+    ".git",
+    "build",
+    "dist",
+    "*.egg-info",
+    "__pycache__",
+    ".*_cache",
+    ".hypothesis",
+    "ohmskin-report",
+    "node_modules",
 )
 
 
@@ -70,7 +79,8 @@ def test_the_wheel_holds_every_file_of_every_room(wheel: Path) -> None:
     packed = set(zipfile.ZipFile(wheel).namelist())
     for room in ROOMS:
         for file in (ROOT / room).rglob("*"):
-            if file.suffix not in (".py", ".toml", ".html", ".typed") or "__pycache__" in file.parts:
+            packs = file.suffix in (".py", ".toml", ".html", ".typed", ".cjs", ".hex")
+            if not packs or {"__pycache__", "node_modules"} & set(file.parts):
                 continue
             inside = file.relative_to(ROOT / "src" if room.startswith("src") else ROOT)
             name = str(inside if room.startswith("src") else Path("ohmskin") / inside)
@@ -83,10 +93,10 @@ def test_the_source_distribution_holds_what_a_maintainer_needs(built: Path) -> N
     (file,) = built.glob("*.tar.gz")
     with tarfile.open(file) as archive:
         packed = {name.partition("/")[2] for name in archive.getnames()}
-    for folder in ("docs", "examples", "tests", ".ci", *ROOMS):
+    for folder in ("docs", "examples", "firmware", "tests", ".ci", *ROOMS):
         for path in (ROOT / folder).rglob("*"):
             linked = any(part.is_symlink() for part in [path, *path.parents])
-            if path.is_file() and not linked and "__pycache__" not in path.parts:
+            if path.is_file() and not linked and not {"__pycache__", "node_modules", "build"} & set(path.parts):
                 assert str(path.relative_to(ROOT)) in packed
     assert {"Makefile", "README.md", "CHANGELOG.md", "LICENSE", "pyproject.toml"} <= packed
 
@@ -127,7 +137,9 @@ def _lowest_versions() -> list[str]:
 
 
 def test_the_wheel_holds_no_tests(wheel: Path) -> None:
-    assert not [name for name in zipfile.ZipFile(wheel).namelist() if "test" in name.lower()]
+    for name in map(Path, zipfile.ZipFile(wheel).namelist()):
+        assert "tests" not in name.parts
+        assert not name.name.startswith(("test_", "conftest"))
 
 
 def test_every_command_starts(clean: Path, tmp_path: Path) -> None:

@@ -97,7 +97,7 @@ class ReadoutCircuit(ABC):
     def contradiction(self, board: Board, rows: IntArray, columns: IntArray) -> Contradiction | None:
         """Two ideal sources that parts of 0 ohm join with each other; None if there are none.
 
-        One driver joined with one ideal amplifier is not reported: its reading is infinite.
+        One driver joined with one ideal amplifier is not reported: its reading is infinite, or at a supply limit.
 
         Args:
             board: the lines.
@@ -117,6 +117,10 @@ class ReadoutCircuit(ABC):
                 f"the ideal amplifiers of {of_columns}s {low} and {high}",
                 f"array.{of_columns}_lead, or readout.open_loop_gain a finite value",
             )
+        return None
+
+    def undetermined(self, board: Board, rows: IntArray, columns: IntArray) -> BoolArray | None:
+        """(N, M) outputs that ideal parts of 0 ohm leave open; None if there are none. Arguments as above."""
         return None
 
     def in_the_limit(self, board: Board, cells: FloatArray, volts: FloatArray) -> FloatArray:

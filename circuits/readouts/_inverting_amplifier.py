@@ -88,6 +88,17 @@ class InvertingAmplifier(ReadoutCircuit):
         ideal: BoolArray = (board.column_lead == 0) & np.isinf(board.gain)
         return ideal
 
+    def undetermined(self, board: Board, rows: IntArray, columns: IntArray) -> BoolArray | None:
+        """Outputs of ideal amplifiers whose inputs a driver holds, while that driver is idle.
+
+        Driver and amplifier then hold the same potential, and nothing says how they share the column's current.
+        """
+        if board.floating:
+            return None
+        joined = rows[:, None] == columns
+        outputs: BoolArray = joined.any(axis=0) & ~joined
+        return outputs if outputs.any() else None
+
     def in_the_limit(self, board: Board, cells: FloatArray, volts: FloatArray) -> FloatArray:
         """What the large conductances that stand for ideal wires and shorts mean in the limit.
 

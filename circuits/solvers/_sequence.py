@@ -157,15 +157,21 @@ class _Limits:
     """(k, N) 1 where a changing cell lies in a row"""
     columns: FloatArray
     """(k, M)"""
+    changing: IntArray
+    """(k,) indices of the changing cells in the flattened array"""
     to_driver: FloatArray
     """(k,) ohm from each changing cell along its row to the driver"""
     to_amplifier: FloatArray
     """(k,) ohm"""
+    row_losses: FloatArray
+    """(N, M) G R of G_high, R the resistance to the driver"""
+    column_losses: FloatArray
+    """(N, M) the same, R the resistance to the amplifier"""
     row_loss: float
     """largest of sum_m R G over the rows, R the resistance to the driver: bounds the norm of K G of a row"""
     column_loss: float
-    row_sum: float
-    """S, largest sum of the conductances of a row"""
+    pair_loss: float
+    """largest product of a row of ``row_losses`` and one of ``column_losses``: see :meth:`_curvature`"""
     column_sum: float
     lift: float
     """largest G R over all cells, R the resistance to the amplifier: volts that a column is lifted by"""
@@ -182,17 +188,21 @@ class _Limits:
         n_rows, n_columns = highest.shape
         row, column = wires.ladders(highest[None])
         row_of, column_of = np.divmod(changing, n_columns)
+        row_losses, column_losses = wires.to_driver * highest, wires.to_amplifier * highest
         return cls(
+            changing=changing,
+            row_losses=row_losses,
+            column_losses=column_losses,
+            pair_loss=float((row_losses @ column_losses.T).max()),
             rows=np.eye(n_rows)[row_of],
             columns=np.eye(n_columns)[column_of],
             to_driver=wires.to_driver.flat[changing],
             to_amplifier=wires.to_amplifier.flat[changing],
-            row_loss=float((wires.to_driver * highest).sum(axis=1).max()),
-            column_loss=float((wires.to_amplifier * highest).sum(axis=0).max()),
-            row_sum=float(highest.sum(axis=1).max()),
+            row_loss=float(row_losses.sum(axis=1).max()),
+            column_loss=float(column_losses.sum(axis=0).max()),
             column_sum=float(highest.sum(axis=0).max()),
-            lift=float((wires.to_amplifier * highest).max()),
-            back_lift=float((wires.to_driver * highest).max()),
+            lift=float(column_losses.max()),
+            back_lift=float(row_losses.max()),
             row_drop=float(1.0 - row.profile.min()),
             column_drop=float(1.0 - column.profile.min()),
         )
@@ -219,20 +229,27 @@ class _Limits:
         )
 
     def _curvature(self, half: FloatArray) -> float:
-        """For conductances that move by ``half`` (k,) S to both sides of the middle."""
-        row_loss = self.row_loss + _RADII * ((half * self.to_driver) @ self.rows).max()
-        column_loss = self.column_loss + _RADII * ((half * self.to_amplifier) @ self.columns).max()
+        """For conductances that move by ``half`` (k,) S to both sides of the middle.
+
+        With H = G_high + R ``half`` the leading term of E is at most sum_k H_kj sum_m (H_km R_km) (H_im R'_im), where R
+        and R' are the resistances to driver and amplifier. The inner sum is a product of a row of one matrix and a row
+        of another, which is bounded power by power of the radius. All further terms are a geometric series.
+        """
+        row_half, column_half = np.zeros_like(self.row_losses), np.zeros_like(self.column_losses)
+        row_half.flat[self.changing] = half * self.to_driver
+        column_half.flat[self.changing] = half * self.to_amplifier
+        once = (row_half @ self.column_losses.T + self.row_losses @ column_half.T).max()
+        twice = (row_half @ column_half.T).max()
+        pair_loss = self.pair_loss + _RADII * once + _RADII**2 * twice
+
+        row_loss = self.row_loss + _RADII * row_half.sum(axis=1).max()
+        column_loss = self.column_loss + _RADII * column_half.sum(axis=0).max()
+        column_sum = self.column_sum + _RADII * (half @ self.columns).max()
         inside = (row_loss < 1.0) & (column_loss < 1.0)
         row_kept, column_kept = np.where(inside, 1.0 - row_loss, 1.0), np.where(inside, 1.0 - column_loss, 1.0)
-        into_rows, into_columns = row_loss / row_kept, column_loss / column_kept
-        inside &= into_rows * into_columns < 1.0
-        endless = 1.0 / np.where(inside, 1.0 - into_rows * into_columns, 1.0)
-        lift = (self.lift + _RADII * (half * self.to_amplifier).max()) / (row_kept * column_kept)
-        back = (self.back_lift + _RADII * (half * self.to_driver).max()) / (row_kept * column_kept)
-        column_sum = self.column_sum + _RADII * (half @ self.columns).max()
-        row_sum = self.row_sum + _RADII * (half @ self.rows).max()
-        forth = column_sum / column_kept * into_rows * lift
-        reverse = row_sum / row_kept * into_columns * back
-        most = np.minimum(forth, reverse) * endless
+        returned = row_loss * column_loss / (row_kept * column_kept)
+        inside &= returned < 1.0
+        endless = 1.0 / np.where(inside, 1.0 - returned, 1.0)
+        most = column_sum * pair_loss / (row_kept * column_kept) ** 2 * endless
         error = most * _RADII / ((_RADII - 1.0) ** 2 * (_RADII + 1.0))
         return float(np.min(error, where=inside, initial=np.inf))

@@ -49,7 +49,8 @@ class Deck:
         readings = []
         for column, node in enumerate(self.outputs):
             parts = [f"{sign}v({name})" for sign, name in (("", node), ("-", self.ground)) if name != REFERENCE]
-            point = f"[{column}]" if self.one_by_one else ""
+            # ngspice makes no vector of a sweep of one point, so that there is nothing to index.
+            point = f"[{column}]" if self.one_by_one and len(self.outputs) > 1 else ""
             volts = "".join(part + point for part in parts) or "0"
             readings += [f"let volts_{column} = {volts}", f"print volts_{column}"]
         control = [".control", "set numdgt=16", self.analysis, *readings, "quit", ".endc"]

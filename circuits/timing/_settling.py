@@ -8,15 +8,18 @@ fixed point of a whole frame. Slewing and saturation are not linear: slewing is 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from math import exp, log, pi
+from math import exp, inf, pi
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm, solve
+from scipy.optimize import brentq, minimize_scalar
 from scipy.signal import lfilter
 
-from ...arrays import FloatArray
+from ...arrays import ComplexArray, FloatArray
 from ...errors import InputError, SolverError
 from .._design import Design
 from .._scan import scan
@@ -64,34 +67,29 @@ class Settling:
         self._briefest = self._acquisition * board.shape[1]
 
     def sampled(self, period: float) -> FloatArray:
-        """What is read, V (rows, columns), if each row is selected for ``period`` s and sampled at its end.
+        """What is read, V (rows, columns), if each row is selected for ``period`` s.
 
-        The scan is taken to go round and round over the same cells. With ``adc.acquisition_time`` one sampling
-        capacitor serves the columns in turn, so that each conversion starts from what the one before has left; the
-        outputs of all columns are taken at the end of the step.
+        The scan is taken to go round and round over the same cells. Without ``adc.acquisition_time`` all columns are
+        sampled at the end of the step. With it, one sampling capacitor serves the columns in turn, in the order of
+        their numbers, and the last conversion ends with the step: the first column has the least time to settle, and
+        each conversion starts from what the one before has left.
 
         Raises:
             InputError: the period is not positive or shorter than the acquisitions of all columns.
 
         """
-        tail, left = self._tails(period, np.roll(self._settled, 1, axis=0), periodic=True)
-        arriving = (1 - left) * self._settled + tail
-        if self._acquisition:  # one capacitor: conversions follow each other column by column
-            sampled = _periodic_decay(arriving.reshape(-1, 1), left).reshape(arriving.shape)
-        else:
-            sampled = _periodic_decay(arriving, left)
-        return self._board.turn(sampled)
+        return self._board.turn(self._settled + self._in_turn(self._steps(period)))
 
     def sampled_from_rest(self, period: float) -> FloatArray:
         """As :meth:`sampled`, for rows that each follow one without any signal: outputs and capacitor at the reference.
+
+        A shared capacitor, too, is at the reference before each conversion.
 
         Raises:
             InputError: as :meth:`sampled`.
 
         """
-        rest = np.full_like(self._settled, self._board.level)
-        tail, left = self._tails(period, rest, periodic=False)
-        return self._board.turn(self._settled + tail + left * (rest - self._settled))
+        return self._board.turn(self._settled + self._from_rest(self._steps(period)))
 
     def error(self, period: float) -> float:
         """The largest deviation from settled, relative to the largest signal of the frame.
@@ -99,13 +97,18 @@ class Settling:
         The larger one of the steady scan and of the scan from rest, since cells that are all alike would need no
         settling at all.
         """
-        deviation = max(np.abs(v - self.settled).max() for v in (self.sampled(period), self.sampled_from_rest(period)))
-        return float(deviation) / self._signal if deviation else 0.0
+        steps = self._steps(period)
+        deviation = max(float(np.abs(d).max()) for d in (self._in_turn(steps), self._from_rest(steps)))
+        return deviation / self._signal if deviation else 0.0
 
     def shortest_period(self, error: float) -> float:
         """The shortest row period in s from which on :meth:`error` stays within ``error``.
 
         A ringing amplifier may pass the right value much earlier; such luck does not count. 0 if nothing has to settle.
+
+        The search starts at a period from which on the sum of all modes' envelopes keeps the error. From there it goes
+        down in steps that are short against the modes that still matter, and looks for a peak between steps wherever
+        the error comes near the limit.
 
         Raises:
             SolverError: no period will do, because the acquisition time is too short for the sampling capacitor.
@@ -113,92 +116,220 @@ class Settling:
         """
         if not 0 < error < 1:
             raise InputError(f"settling error {error}: expected a fraction between 0 and 1 of the largest signal")
-        slowest = min((-_slowest(d.matrix) for d in self._dynamics if d.matrix.size), default=np.inf)
-        if self._sampling and not self._acquisition:
-            slowest = min(slowest, 1 / self._sampling)
-        if np.isinf(slowest):
-            longest = self._briefest
-            if longest and self.error(longest) > error:
-                raise self._hopeless()
-            return longest
-        longest = self._briefest + log(10 / error) / slowest
-        for _ in range(20):
-            if self.error(longest) <= error:
+        if self._unhurried() > error:
+            raise SolverError(
+                f"the sampling capacitor, of time constant {self._sampling} s, cannot follow within "
+                f"adc.acquisition_time = {self._acquisition} s"
+            )
+        modes = self._modes()
+        if not len(modes.rate):
+            return self._briefest
+
+        def excess(waiting: float) -> float:
+            return self.error(self._briefest + waiting) - error
+
+        allowed = (error - self._unhurried()) * self._signal
+        slowest = float(-modes.rate.real.max())
+        upper = modes.settled_after(allowed)
+        for _ in range(60):
+            if excess(upper) <= 0:
                 break
-            longest = self._briefest + 2 * (longest - self._briefest)
-        else:
-            raise self._hopeless()
+            upper *= 2.0
+        upper_excess = excess(upper)
+        after, after_excess = upper, inf  # the step before the last one
         while True:
-            shorter = self._briefest + 0.98 * (longest - self._briefest)
-            if shorter - self._briefest < 1e-9 / slowest:
+            lower = upper - modes.step(upper, allowed)
+            if lower < 1e-9 / slowest:
+                lower = 0.0 if self._briefest else 1e-9 / slowest
+            lower_excess = excess(lower)
+            if lower_excess > 0:
+                return self._briefest + _crossing(excess, lower, upper)
+            if upper_excess > -_NEAR * error and upper_excess >= max(lower_excess, after_excess):
+                found = minimize_scalar(lambda waiting: -excess(waiting), bounds=(lower, after), method="bounded")
+                if found.fun < 0:
+                    return self._briefest + _crossing(excess, float(found.x), after)
+            if lower <= 1e-9 / slowest:
                 return self._briefest
-            if self.error(shorter) > error:
-                break
-            longest = shorter
-        for _ in range(30):
-            middle = (shorter + longest) / 2
-            if self.error(middle) > error:
-                shorter = middle
-            else:
-                longest = middle
-        return longest
+            after, after_excess, upper, upper_excess = upper, upper_excess, lower, lower_excess
 
-    def _hopeless(self) -> SolverError:
-        return SolverError(
-            f"the sampling capacitor, of time constant {self._sampling} s, cannot follow within "
-            f"adc.acquisition_time = {self._acquisition} s"
-        )
+    def _unhurried(self) -> float:
+        """What is left of the error after any time: a shared capacitor's memory of the conversion before."""
+        left = self._left(1.0)
+        if not self._acquisition or not left:
+            return 0.0
+        rest = left * np.abs(self._settled - self._board.level).max()
+        return float(max(rest, np.abs(self._memory(np.zeros_like(self._settled), left)).max())) / self._signal
 
-    def _tails(self, period: float, before: FloatArray, *, periodic: bool) -> tuple[FloatArray, float]:
-        """What the amplifiers' own settling adds to each sample, V (rows, columns), and what the sampling capacitor
-        keeps of its charge.
+    def _left(self, period: float) -> float:
+        """The share of its charge that a capacitor keeps through one acquisition."""
+        return exp(-(self._acquisition or period) / self._sampling) if self._sampling else 0.0
 
-        ``before``: the settled outputs of the step before each row. ``periodic``: these were not reached either.
+    def _in_time(self, rows: FloatArray) -> FloatArray:
+        """Rows from line coordinates to the order of time, or back: scans go by the array's own numbers of its lines.
+
+        Columns, too, are converted in that order; only :meth:`_memory` and :meth:`_propagators` need it.
         """
+        return rows[::-1] if self._board.turned else rows
+
+    def _steps(self, period: float) -> _Steps:
+        """What a step of so many seconds does to the states and to the samples."""
         if not period > 0 or period < self._briefest:
             raise InputError(
                 f"row period {period} s: expected a time above 0, and adc.acquisition_time for each column at least"
             )
-        acquisition = self._acquisition or period
-        rows, columns = self._settled.shape
-        propagators = [self._propagators(d, period - acquisition, acquisition) for d in self._dynamics]
-        repeat = rows // len(self._dynamics)  # grounded idle rows: all steps have the same dynamics
-        steps, lifts = propagators * repeat, [d.lift for d in self._dynamics] * repeat
-        jumps = [lift @ jump for lift, jump in zip(lifts, before - self._settled, strict=True)]
-        states = len(self._dynamics[0].matrix)
-        state: FloatArray = np.zeros(states)
-        if periodic and states:
-            # What a frame leaves at its end if it starts from nothing; then what it leaves if it starts from that.
-            through: FloatArray = np.eye(states)
-            for (carry, _), jump in zip(steps, jumps, strict=True):
-                through, state = carry @ through, carry @ (state + jump)
-            state = solve(np.eye(states) - through, state)
-        tails = np.empty((rows, columns))
-        for row, ((carry, sample), jump) in enumerate(zip(steps, jumps, strict=True)):
-            start = state + jump
-            tails[row] = sample @ start
-            if periodic:
-                state = carry @ start
-        return tails, exp(-acquisition / self._sampling) if self._sampling else 0.0
+        repeat = len(self._settled) // len(self._dynamics)  # grounded idle rows: all steps have the same dynamics
+        propagators = [self._propagators(dynamics, period) for dynamics in self._dynamics] * repeat
+        order = slice(None, None, -1) if self._board.turned else slice(None)
+        return _Steps(propagators[order], ([d.lift for d in self._dynamics] * repeat)[order], self._left(period))
 
-    def _propagators(self, dynamics: Dynamics, waiting: float, acquisition: float) -> tuple[FloatArray, FloatArray]:
-        """From the state after a row switch to that at the end of the step (S, S), and to the sample (M, S)."""
-        states = len(dynamics.matrix)
+    def _in_turn(self, steps: _Steps) -> FloatArray:
+        """Deviations (rows, columns) in V of the samples of a scan that goes on and on."""
+        settled = self._in_time(self._settled)
+        jumps = [lift @ jump for lift, jump in zip(steps.lifts, np.roll(settled, 1, axis=0) - settled, strict=True)]
+        # What a frame leaves at its end if it starts from nothing; then what it leaves if it starts from that.
+        through: FloatArray = np.eye(len(steps.lifts[0]))
+        state: FloatArray = np.zeros(len(through))
+        for (carry, _), jump in zip(steps.propagators, jumps, strict=True):
+            through, state = carry @ through, carry @ (state + jump)
+        if len(state):
+            state = solve(np.eye(len(state)) - through, state)
+        tails = np.empty(settled.shape)
+        for row, ((carry, sample), jump) in enumerate(zip(steps.propagators, jumps, strict=True)):
+            tails[row] = sample @ (state + jump)
+            state = carry @ (state + jump)
+        return self._in_time(self._memory(tails, steps.left))
+
+    def _memory(self, tails: FloatArray, left: float) -> FloatArray:
+        """Deviations of samples, rows in the order of time, of which each capacitor kept a share of its last one."""
+        settled = self._in_time(self._settled)
+        arriving = (1 - left) * settled + tails
+        if not self._acquisition:
+            return _periodic_decay(arriving, left) - settled
+        # One capacitor: conversions follow each other column by column.
+        order = slice(None, None, -1) if self._board.turned else slice(None)
+        conversions = arriving[:, order].reshape(-1, 1)
+        return _periodic_decay(conversions, left).reshape(arriving.shape)[:, order] - settled
+
+    def _from_rest(self, steps: _Steps) -> FloatArray:
+        """Deviations (rows, columns) in V of the samples of rows that each start from rest."""
+        settled = self._in_time(self._settled)
+        jump = self._board.level - settled
+        tails = [
+            sample @ (lift @ own) for (_, sample), lift, own in zip(steps.propagators, steps.lifts, jump, strict=True)
+        ]
+        return self._in_time(np.array(tails) + steps.left * jump)
+
+    def _propagators(self, dynamics: Dynamics, period: float) -> tuple[FloatArray, FloatArray]:
+        """From the state after a row switch to that at the end of the step (S, S), and to each sample (M, S)."""
+        if not self._acquisition:
+            return self._acquired(dynamics, period)
+        carry, sample = self._acquired(dynamics, self._acquisition)
+        state = expm(dynamics.matrix * (period - self._briefest))
+        samples = np.empty_like(sample)
+        columns = np.arange(len(samples))
+        for column in columns[::-1] if self._board.turned else columns:
+            samples[column] = sample[column] @ state
+            state = carry @ state
+        return state, samples
+
+    def _acquired(self, dynamics: Dynamics, duration: float) -> tuple[FloatArray, FloatArray]:
+        """From the state as the capacitors are connected to that after ``duration`` s (S, S), and to them (M, S)."""
         if self._sampling == 0:
-            carry = expm(dynamics.matrix * (waiting + acquisition))
+            carry = expm(dynamics.matrix * duration)
             return carry, dynamics.output @ carry
-        columns = len(dynamics.output)
+        states = len(dynamics.matrix)
+        propagated = expm(self._with_capacitors(dynamics) * duration)[:, :states]
+        return propagated[:states], propagated[states:]
+
+    def _with_capacitors(self, dynamics: Dynamics) -> FloatArray:
+        """The system's matrix (S + M, S + M) in 1/s, with a capacitor on each output."""
+        states, columns = len(dynamics.matrix), len(dynamics.output)
         together = np.zeros((states + columns, states + columns))
         together[:states, :states] = dynamics.matrix
         together[states:, :states] = dynamics.output / self._sampling
         together[states:, states:] = -np.eye(columns) / self._sampling
-        connected = expm(together * acquisition)[:, :states] @ expm(dynamics.matrix * waiting)
-        return connected[:states], connected[states:]
+        return together
+
+    def _modes(self) -> _Modes:
+        """The modes that a sample's deviation is the sum of, with bounds on their sizes."""
+        rates, sizes = [], []
+        kept = 1.0 - self._left(1.0) if self._acquisition else 1.0
+        rows, columns = self._settled.shape
+        steps = [0] * rows if len(self._dynamics) == 1 else range(rows)
+        before = np.roll(self._settled, -1 if self._board.turned else 1, axis=0)
+        for number, dynamics in enumerate(self._dynamics):
+            own = self._settled[[step == number for step in steps]]
+            jumps = np.concatenate([own - self._board.level, own - before[[step == number for step in steps]]])
+            matrix, start = dynamics.matrix, dynamics.lift @ jumps.T
+            if self._acquisition:
+                seen = self._acquired(dynamics, self._acquisition)[1]
+            elif self._sampling:
+                matrix = self._with_capacitors(dynamics)
+                start = np.concatenate([start, jumps.T])
+                seen = np.eye(len(matrix))[-columns:]
+            else:
+                seen = dynamics.output
+            if not len(matrix):
+                continue
+            rate, shape = np.linalg.eig(matrix)
+            share = np.abs(np.linalg.solve(shape, start.astype(complex))).max(axis=1)
+            rates.append(rate)
+            sizes.append(np.abs(seen @ shape).max(axis=0) * share / kept)
+        if not rates:
+            return _Modes(np.empty(0, dtype=complex), np.empty(0))
+        return _Modes(np.concatenate(rates), np.concatenate(sizes))
 
 
-def _slowest(matrix: FloatArray) -> float:
-    """The largest real part of the eigenvalues, 1/s: negative."""
-    return float(np.linalg.eigvals(matrix).real.max())
+class _Steps(NamedTuple):
+    """The steps of a frame in the order of time, for one row period."""
+
+    propagators: list[tuple[FloatArray, FloatArray]]
+    """from the state after each row switch to that at its end (S, S), and to its samples (M, S)"""
+    lifts: list[FloatArray]
+    """(S, M) change of each step's settled state with its settled outputs"""
+    left: float
+    """share of its charge that a sampling capacitor keeps"""
+
+
+class _Modes(NamedTuple):
+    """Exponentials that a deviation is the sum of."""
+
+    rate: ComplexArray
+    """1/s, eigenvalues"""
+    size: FloatArray
+    """V, largest at the start of a step"""
+
+    def envelope(self, waiting: float) -> FloatArray:
+        """V that each mode can add to a sample so many seconds after a row switch, earlier steps included."""
+        decay = self.rate.real * waiting
+        envelope: FloatArray = self.size * np.exp(decay) / np.maximum(-np.expm1(decay), 1e-300)
+        return envelope
+
+    def settled_after(self, allowed: float) -> float:
+        """Seconds from which on all modes together stay within ``allowed`` V."""
+        least = 1.0 / float(np.abs(self.rate).max())
+        while self.envelope(least).sum() > allowed:
+            least *= 1.2
+        return least
+
+    def step(self, waiting: float, allowed: float) -> float:
+        """Seconds within which a sum of those modes that still matter hardly bends."""
+        matter = self.envelope(waiting) > _NEGLIGIBLE * allowed / len(self.rate)
+        fastest = float(np.abs(self.rate[matter]).max(initial=0.0))
+        return min(0.1 * waiting, 0.25 / fastest) if fastest else 0.1 * waiting
+
+
+_NEAR = 0.1  # of the limit; between two steps of a quarter of a radian an error rises by less than that
+_NEGLIGIBLE = 1e-3  # of the limit, all such modes together
+
+
+def _crossing(excess: Callable[[float], float], lower: float, upper: float) -> float:
+    """Where ``excess`` falls to zero between a time where it is positive and one where it is not."""
+    fine = 1e-9 * upper
+    at, beyond = float(brentq(excess, lower, upper, xtol=fine, rtol=1e-12)), fine
+    while at < upper and excess(at) > 0:
+        at, beyond = min(at + beyond, upper), 2.0 * beyond
+    return at
 
 
 def _periodic_decay(arriving: FloatArray, left: float) -> FloatArray:

@@ -44,6 +44,7 @@ const FREQUENCY_HZ = 16e6;
 const FLASH_BYTES = 32768;
 const SRAM_BYTES = 2048;
 const EEPROM_BYTES = 1024;
+const CBI = 0x9800; // opcode: clear a bit of an I/O register
 const HANDSHAKE_PIN = 2; // of port D
 
 // ---------------------------------------------------------------- the pipe
@@ -436,7 +437,9 @@ class Chip {
     while (cpu.cycles < until) {
       const pause = Math.min(until, cpu.cycles + 4096);
       while (cpu.cycles < pause) {
+        const opcode = cpu.progMem[cpu.pc];
         avr8js.avrInstruction(cpu);
+        if ((opcode & 0xff00) === CBI) cpu.cycles++; // two cycles; avr8js 0.21.1 counts one
         cpu.tick();
       }
       watchdog.check();

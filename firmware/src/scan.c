@@ -14,9 +14,10 @@
 #define US(us) ((us) * (uint32_t)TICKS_PER_US)
 
 #define SPIN_TICKS US(20)       /* nothing else is done so shortly before an instant that must be met */
-#define PREPARE_TICKS US(400)   /* to write the header of a frame */
+#define PREPARE_TICKS US(300)   /* to write the header of a frame */
 #define HANGING_TICKS US(10000) /* no conversion takes that long */
-#define AHEAD_TICKS US(1000)    /* the header of a frame is written so long before it is due */
+#define AHEAD_TICKS US(600)     /* the header of a frame is written so long before it is due */
+#define WORK_TICKS US(700)      /* other work takes at most: an answer is written */
 #define LOOK_TICKS US(50)       /* between two looks at the clock while nothing is measured */
 
 /* Time that the program itself takes at most, when a byte is sent in every pass of the loop. */
@@ -37,8 +38,10 @@ static enum { FRAME, SELF_TEST } job;
 
 static bool frame_requested;
 static bool prepared; /* the header of the next frame is written */
+static bool crowded;  /* no time is left between frames: answers to the host delay them */
 static bool overrun;  /* frames were dropped since the last one that was sent */
-static uint32_t due;  /* ticks at which the next frame begins; as the timer, it counts from power-up */
+static uint32_t due;    /* ticks at which the next frame should begin; as the timer, they count from power-up */
+static uint32_t begins; /* ticks at which it will: later if something else took long */
 static uint16_t looked_at;
 static struct writer writer;
 
@@ -72,7 +75,7 @@ void scan_start(void)
         ;
     if (!scan_set_period(settings.period_us))
         scan_set_period(DEFAULT_PERIOD_US);
-    due = clock_now() + AHEAD_TICKS;
+    due = clock_now() + AHEAD_TICKS + 2 * WORK_TICKS; /* the board says first who it is */
 }
 
 /* Time that one frame takes at least, in us. */
@@ -90,6 +93,7 @@ bool scan_set_period(uint32_t period_us)
     if (period_us < shortest_period_us() || period_us > LONGEST_PERIOD_US)
         return false;
     settings.period_us = period_us;
+    crowded = period_us < shortest_period_us() + (AHEAD_TICKS + 2 * WORK_TICKS) / TICKS_PER_US;
     return true;
 }
 
@@ -125,12 +129,16 @@ bool scan_alive(void)
 
 bool scan_idle(void)
 {
-    return phase == WAITING && !prepared;
+    if (phase != WAITING || prepared)
+        return false;
+    if (crowded || !(streaming || frame_requested))
+        return true;
+    return (int32_t)(due - clock_now()) > (int32_t)(AHEAD_TICKS + WORK_TICKS);
 }
 
 WORK prepare_frame(uint8_t *bytes)
 {
-    writer_begin(&writer, bytes, PACKET_FRAME, next_sequence, clock_us(due));
+    writer_begin(&writer, bytes, PACKET_FRAME, next_sequence, clock_us(begins));
     writer_add16(&writer, ROWS);
     writer_add16(&writer, COLUMNS);
     writer_add16(&writer, overrun ? FLAG_OVERRUN : 0);
@@ -142,10 +150,13 @@ WORK prepare_frame(uint8_t *bytes)
 WORK wait_for_frame(void)
 {
     uint32_t now = clock_now();
-    if ((int32_t)(due - now) < (int32_t)PREPARE_TICKS)
-        due = now + PREPARE_TICKS; /* late: the frame says when it really began */
     if ((int32_t)(due - now) > (int32_t)AHEAD_TICKS)
         return;
+    begins = due;
+    if ((int32_t)(due - now) < (int32_t)PREPARE_TICKS)
+        begins = now + PREPARE_TICKS;
+    if ((int32_t)(now - due) > (int32_t)US(settings.period_us))
+        due = begins; /* more than a frame late: what was missed is not made up for */
     uint8_t *bytes = frame_buffer();
     if (bytes != NULL) {
         prepare_frame(bytes);
@@ -159,7 +170,7 @@ WORK wait_for_frame(void)
 
 WORK begin_frame(void)
 {
-    while ((int16_t)((uint16_t)due - TCNT1) > 0)
+    while ((int16_t)((uint16_t)begins - TCNT1) > 0)
         ;
     row = column = 0;
     select_row(0);
@@ -193,7 +204,7 @@ WORK look_for_work(void)
 static void wait(void)
 {
     if (prepared) { /* the frame is due within a millisecond, so that 16 bits tell when */
-        if ((int16_t)((uint16_t)due - TCNT1) <= (int16_t)SPIN_TICKS)
+        if ((int16_t)((uint16_t)begins - TCNT1) <= (int16_t)SPIN_TICKS)
             begin_frame();
     } else if ((uint16_t)(TCNT1 - looked_at) >= LOOK_TICKS) {
         look_for_work();

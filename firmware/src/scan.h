@@ -18,7 +18,7 @@ void scan_service(void);
 /* Whether no conversion has hung: the watchdog is fed only then. */
 bool scan_alive(void);
 
-/* Whether nothing is being measured, so that a millisecond of work does no harm. */
+/* Whether nothing is being measured, and no frame is due soon: time for other work. */
 bool scan_idle(void);
 
 /* Scan once more, although stopped. */

@@ -3,9 +3,19 @@
 from collections.abc import Mapping
 
 from .._protocol import Family
+from ._actionsense import ACTIONSENSE
+from ._capstone import CAPSTONE
+from ._flexitac import FLEXITAC
+from ._fsr_array import FSR_ARRAY
+from ._m1616 import M1616
 from ._ohmskin import OHMSKIN
+from ._snowboard import SNOWBOARD
+from ._vitac import VITAC
+from ._wiresens import WIRESENS
 
-BOARDS: Mapping[str, Family] = {family.name: family for family in (OHMSKIN,)}
+_FAMILIES = (OHMSKIN, WIRESENS, FLEXITAC, VITAC, ACTIONSENSE, FSR_ARRAY, CAPSTONE, M1616, SNOWBOARD)
+
+BOARDS: Mapping[str, Family] = {family.name: family for family in _FAMILIES}
 """families by name"""
 
 __all__ = ["BOARDS"]

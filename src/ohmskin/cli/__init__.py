@@ -33,16 +33,21 @@ from .. import __version__, _signals
 from ..errors import OhmskinError
 from ..text import one_line, shortened
 
-# name -> one-line help. The module cli/NAME.py holds a click command called `command`.
+# name -> one-line help. The module cli/NAME.py (`_` for `-`) holds a click command called `command`.
 COMMANDS = {
     "scan": "Read one frame of cells through a readout design.",
     "netlist": "Write one scan step as a SPICE netlist.",
     "verify": "Verify a readout design: report.html, report.json, junit.xml.",
+    "explore": "Vary a design: the Pareto front, and what must change.",
     "emulate": "Run a virtual scan board on a pty or TCP port.",
+    "record": "Record a skin: every byte, and frames for viewers.",
+    "replay": "Play a recording on a port that any program can open.",
+    "export": "Convert a recording to arrays or tables.",
     "score": "Compare a client's recording with the emulator's truth.",
     "fit": "Identify a cell and calibrate its estimators from a recording.",
     "estimate": "Estimate pressure from a recording of resistance.",
     "bench": "Measure speed against error: all methods and their peers.",
+    "new-tests": "Write an example suite of tests for a skin, for pytest.",
     "doctor": "Look at the installation and the serial ports, and say how to mend them.",
 }
 
@@ -70,7 +75,7 @@ class _LazyGroup(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in COMMANDS:
             return None
-        command = importlib.import_module(f".{cmd_name}", __name__).command
+        command = importlib.import_module(f".{cmd_name.replace('-', '_')}", __name__).command
         assert isinstance(command, click.Command)
         if _debug not in command.params:
             command.params.append(_debug)

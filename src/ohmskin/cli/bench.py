@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from .. import bench, tables
+from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
 from . import arguments
 from ._bar import progress_bar
@@ -44,6 +45,7 @@ class _ManyValues(click.Command):
 @click.option("--wait", "patient", is_flag=True, help="Wait for slow peers, too: ngspice takes 20 s for 64 x 64.")
 @click.option("--picture", type=click.Path(path_type=Path), metavar="OUT.svg", help="Draw error against time.")
 @click.option("--estimators", is_flag=True, help="Measure the pressure estimators instead, on a material of their own.")
+@click.option("--emulator", "of_emulator", is_flag=True, help="Measure the virtual board instead, at these sizes.")
 @arguments.as_json("the measurements")
 def command(
     sizes: tuple[int, ...],
@@ -53,6 +55,7 @@ def command(
     patient: bool,
     picture: Path | None,
     estimators: bool,
+    of_emulator: bool,
     as_json: bool,
 ) -> None:
     """Measure N x N arrays of 10 kohm to 1 Mohm with R ohm per line segment and lead: time per frame, true error,
@@ -61,6 +64,10 @@ def command(
     if estimators:
         judged = of_cells.estimators()
         click.echo(json.dumps([asdict(row) for row in judged], indent=1) if as_json else of_cells.table(judged))
+        return
+    if of_emulator:
+        boards = list(of_boards.emulator(sizes))
+        click.echo(json.dumps([asdict(row) for row in boards], indent=1) if as_json else of_boards.table(boards))
         return
     arrays = [(size, segment) for size in sizes for segment in segments]
     rows = []

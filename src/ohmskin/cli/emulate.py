@@ -8,7 +8,7 @@ from typing import cast
 
 import click
 
-from ..emulator import ClockName, Port, PtyPort, Rfc2217Port, Scene, TcpPort, emulate, stop_on_signals
+from ..emulator import ClockName, Port, PtyPort, Rfc2217Port, Scene, TcpPort, emulate, plan, stop_on_signals
 from ..emulator.firmware import AVR8JS, check_scene, emulate_firmware
 from ..wire import BOARDS, board_family
 from . import arguments
@@ -42,6 +42,7 @@ from . import arguments
     "--truth", type=click.Path(path_type=Path), metavar="FILE.npz", help="Record every frame as it truly was."
 )
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="K", help="For noise and line faults.")
+@click.option("--plan", "only_plan", is_flag=True, help="Only print what would be modelled, what not, and the cost.")
 def command(
     scene_file: Path,
     family: str,
@@ -53,6 +54,7 @@ def command(
     duration: float,
     truth: Path | None,
     seed: int,
+    only_plan: bool,
 ) -> int:
     """Emulate the board and skin of SCENE.toml; the port to open is printed first.
 
@@ -62,6 +64,9 @@ def command(
         raise click.UsageError("--link, --tcp and --rfc2217 exclude each other")
     board_family(family)
     scene = Scene.load(scene_file)
+    if only_plan:
+        click.echo("\n".join(plan(scene, seed=seed).lines()))
+        return 0
     if engine == "firmware":
         if family != "ohmskin":
             raise click.UsageError(f"--engine firmware and --board {family} exclude each other")

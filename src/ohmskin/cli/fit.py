@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import click
 
-from ..cell import Recording, calibrate, calibration_figure, calibration_text, check_protocol, protocol_text
+from ..cell import (
+    Recording,
+    calibrate,
+    calibration_figure,
+    calibration_record,
+    calibration_text,
+    check_protocol,
+    protocol_text,
+)
+from ..files import check_writable
 from . import arguments
+from ._bar import progress_bar
 
 
 @click.command(epilog=arguments.example("ohmskin fit --protocol", "ohmskin fit steps.csv -o cell.toml --plot fit.png"))
@@ -19,6 +30,7 @@ from . import arguments
 @click.option("--protocol", is_flag=True, help="Print the presses to apply; with STEPS.csv, check that it has them.")
 @click.option("--trust-units", is_flag=True, help="Take numbers that look like other units than s, kPa and ohm.")
 @click.option("--plot", metavar="FILE.png", type=click.Path(path_type=Path), help="Model, residuals and estimate.")
+@arguments.as_json("what was found")
 def command(
     steps: Path | None,
     output: Path | None,
@@ -26,6 +38,7 @@ def command(
     protocol: bool,
     trust_units: bool,
     plot: Path | None,
+    as_json: bool,
 ) -> None:
     """Identify a cell from a recording with the columns time_s,pressure_kpa,resistance_ohm.
 
@@ -36,14 +49,16 @@ def command(
             raise click.UsageError("expected STEPS.csv, or --protocol to print the presses to apply")
         click.echo(protocol_text())
         return
+    check_writable(*(path for path in (output, plot) if path is not None))
     recording = Recording.load(steps, trust_units=trust_units)
     if protocol:
         for line in check_protocol(recording, full_scale):
-            click.echo(line)
-    found = calibrate(recording, full_scale_kpa=full_scale)
+            click.echo(line, err=as_json)
+    with progress_bar("fitting") as progress:
+        found = calibrate(recording, full_scale_kpa=full_scale, progress=progress)
     summary = calibration_text(found)
     if plot is not None:
         calibration_figure(found, plot)
     if output is not None:
         found.cell.save(output, comment=summary)
-    click.echo(summary)
+    click.echo(json.dumps(calibration_record(found), allow_nan=False) if as_json else summary)

@@ -1,0 +1,408 @@
+"""The families of boards: literal bytes, any cut, damage, and each one's known fault."""
+
+from __future__ import annotations
+
+import re
+import struct
+from itertools import islice, pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+from boards import scene
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from ohmskin.cell import Cell
+from ohmskin.circuits import Design, adc_codes
+from ohmskin.config import parse
+from ohmskin.driver import Skin
+from ohmskin.emulator import PtyPort, running
+from ohmskin.errors import InputError
+from ohmskin.wire import (
+    BOARDS,
+    BoardProtocol,
+    Command,
+    Corrupt,
+    Event,
+    FramePacket,
+    HostProtocol,
+    Order,
+    board_protocol,
+    host_protocol,
+)
+
+FOREIGN = [name for name in BOARDS if name != "ohmskin"]
+SMALL = [name for name in FOREIGN if BOARDS[name].layout.rows * BOARDS[name].layout.columns <= 256]
+Counts = NDArray[np.uint16]
+
+
+def ends(name: str) -> tuple[HostProtocol, BoardProtocol]:
+    return host_protocol(name), board_protocol(name)
+
+
+def picture(name: str, seed: int) -> Counts:
+    """Counts over the whole range of the family's converter."""
+    layout = BOARDS[name].layout
+    random = np.random.default_rng(seed)
+    return random.integers(0, 2**layout.adc_bits, (layout.rows, layout.columns)).astype(np.uint16)
+
+
+def stream(board: BoardProtocol, pictures: list[Counts]) -> bytes:
+    return b"".join(
+        board.frame(FramePacket.of(counts, sequence=k, time_us=20_000 * k)) for k, counts in enumerate(pictures)
+    )
+
+
+def frames(events: list[Event]) -> list[FramePacket]:
+    return [event for event in events if isinstance(event, FramePacket)]
+
+
+def flushed(name: str, board: BoardProtocol) -> bytes:
+    """Bytes after which a host has seen all frames before: a further frame or two."""
+    quiet = np.full((BOARDS[name].layout.rows, BOARDS[name].layout.columns), 7, dtype=np.uint16)
+    return stream(board, [quiet] * 2)
+
+
+# Literal frames, assembled here by hand from the description of each format.
+RAMP8 = np.arange(256, dtype=np.uint16).reshape(16, 16)
+
+
+def test_flexitac_in_literal_bytes() -> None:
+    cells = (np.arange(512) % 100).astype(np.uint16).reshape(16, 32)
+    line = bytes.fromhex("aa 55") + bytes(k % 100 for k in range(512))
+    assert board_protocol("flexitac").frame(FramePacket.of(cells, sequence=0, time_us=0)) == line
+    host = host_protocol("flexitac")
+    seen = frames(host.feed(line * 3, 4.5))
+    np.testing.assert_array_equal(seen[0].counts, cells)
+    assert (seen[0].sequence, seen[0].time_us, seen[0].received_at) == (None, None, 4.5)
+
+
+def test_vitac_in_literal_bytes() -> None:
+    first = b"0 1 2 3 4 5 6 7 8 9 10 11 12 13 14 15 \r\n"
+    last = b"240 241 242 243 244 245 246 247 248 249 250 251 252 253 254 255 \r\n\r\n"
+    line = board_protocol("vitac").frame(FramePacket.of(RAMP8, sequence=0, time_us=0))
+    assert line.startswith(first)
+    assert line.endswith(last)
+    assert line.count(b"\r\n") == 17
+    (_, frame) = host_protocol("vitac").feed(b"\r\n" + line, 0.0)
+    assert isinstance(frame, FramePacket)
+    np.testing.assert_array_equal(frame.counts, RAMP8)
+
+
+def test_snowboard_in_literal_bytes() -> None:
+    cells = np.arange(160, dtype=np.uint16).reshape(10, 16)
+    line = ",".join(str(k) for k in range(160)).encode() + b"\r\n"
+    assert board_protocol("snowboard").frame(FramePacket.of(cells, sequence=0, time_us=0)) == line
+    np.testing.assert_array_equal(frames(host_protocol("snowboard").feed(line, 0.0))[0].counts, cells)
+
+
+@pytest.mark.parametrize(("bits", "value", "pair"), [(10, 0x3E5, (0x1F, 0x05)), (12, 0xFC5, (0x3F, 0x05))])
+def test_actionsense_in_literal_bytes(bits: int, value: int, pair: tuple[int, int]) -> None:
+    cells = np.zeros((32, 32), dtype=np.uint16)
+    cells[0, 1] = value
+    high, low = pair
+    line = bytes([11, 11, 11, high + 11, low + 11]) + bytes([11]) * (2 * 1022) + b"\n"
+    assert len(line) == 2050
+    board = board_protocol("actionsense", adc_bits=bits)
+    assert board.frame(FramePacket.of(cells, sequence=0, time_us=0)) == line
+    host = host_protocol("actionsense", adc_bits=bits)
+    np.testing.assert_array_equal(frames(host.feed(line, 0.0))[0].counts, cells)
+    rows = b"".join(bytes([14, 11 + row]) + line[1 + 64 * row : 65 + 64 * row] + b"\n" for row in range(32))
+    np.testing.assert_array_equal(frames(host.feed(rows, 0.0))[0].counts, cells)
+    assert isinstance(host.feed(rows[:67] + rows[: 67 * 2], 0.0)[0], Corrupt)
+
+
+def test_fsr_array_in_literal_bytes() -> None:
+    cells = np.array([[1, 2, 3], [4, 5, 6], [7, 8, 0xFFF]], dtype=np.uint16)
+    line = bytes.fromhex("40 42 0f 00 28 46 0f 00 01 00 02 00 03 00 04 00 05 00 06 00 07 00 08 00 ff 0f")
+    host, board = (make("fsr-array", shape=(3, 3)) for make in (host_protocol, board_protocol))
+    assert host.request(Order.ONE_FRAME) == b"\x03"
+    assert board.feed(b"\x03\x09") == [Command(Order.ONE_FRAME)]
+    assert board.frame(FramePacket.of(cells, sequence=0, time_us=1_000_000)) == line
+    (frame,) = frames(host.feed(line, 0.0))
+    np.testing.assert_array_equal(frame.counts, cells)
+    assert (frame.sequence, frame.time_us) == (None, 1_000_000)
+    two = [make("fsr-array", shape=(4, 2)) for make in (host_protocol, board_protocol)]
+    layers = np.array([[1, 2], [3, 4], [5, 6], [7, 8]], dtype=np.uint16)
+    line = two[1].frame(FramePacket.of(layers, sequence=0, time_us=0))
+    assert struct.unpack("<8H", line[8:]) == (1, 2, 5, 6, 3, 4, 7, 8)
+    np.testing.assert_array_equal(frames(two[0].feed(line, 0.0))[0].counts, layers)
+    assert two[0].request(Order.ONE_FRAME) == b"\x42"
+
+
+def test_the_time_of_an_fsr_array_goes_on_beyond_32_bits() -> None:
+    host, board = (make("fsr-array", shape=(1, 1)) for make in (host_protocol, board_protocol))
+    stamps = [2**32 - 40_000, 2**32 - 20_000, 2**32, 2**32 + 20_000]
+    line = b"".join(board.frame(FramePacket.of([[5]], sequence=0, time_us=stamp)) for stamp in stamps)
+    assert [frame.time_us for frame in frames(host.feed(line, 0.0))] == stamps
+
+
+def test_capstone_in_literal_bytes() -> None:
+    cells = np.zeros((12, 20), dtype=np.uint16)
+    cells[0, 0], cells[11, 19] = 0x0102, 0x0FFF
+    line = bytes.fromhex("aa 55 02 01") + bytes(2 * 238) + bytes.fromhex("ff 0f 11 01 0d 0a")
+    host, board = (make("capstone", shape=(12, 20)) for make in (host_protocol, board_protocol))
+    assert board.frame(FramePacket.of(cells, sequence=0, time_us=0)) == line
+    np.testing.assert_array_equal(frames(host.feed(line, 0.0))[0].counts, cells)
+    whole = board_protocol("capstone").frame(FramePacket.of(np.zeros((16, 32), int), sequence=0, time_us=0))
+    assert len(whole) == 1030
+
+
+def test_m1616_in_literal_bytes() -> None:
+    cells = np.zeros((16, 16), dtype=np.uint16)
+    cells[0, 0], cells[15, 15] = 0x0102, 0x0FFF
+    line = bytes.fromhex("aa ab ac 01 02") + bytes(2 * 254) + bytes.fromhex("0f ff")
+    assert board_protocol("m1616").frame(FramePacket.of(cells, sequence=0, time_us=0)) == line + bytes(4)
+    host = host_protocol("m1616")
+    np.testing.assert_array_equal(frames(host.feed(line + b"\xaa\xab\xac\x01", 0.0))[0].counts, cells)
+
+
+def wiresens_packet(first: int, readings: list[int], number: int) -> bytes:
+    return struct.pack("<bH120HI", 1, first, *readings, number) + b"wr"
+
+
+def test_wiresens_in_literal_bytes() -> None:
+    """Three packets carry one frame of 256 cells and the beginning of the next."""
+    cells = list(range(256)) + [4095] * 104
+    line = b"".join(wiresens_packet(120 * k % 256, cells[120 * k : 120 * k + 120], k) for k in range(3))
+    assert len(line) == 3 * 249
+    assert line[:7] == bytes.fromhex("01 00 00 00 00 01 00")
+    board = board_protocol("wiresens")
+    ramp, full = RAMP8, np.full((16, 16), 4095, dtype=np.uint16)
+    assert stream(board, [ramp, full])[: len(line)] == line
+    (frame,) = frames(host_protocol("wiresens").feed(line, 0.0))
+    np.testing.assert_array_equal(frame.counts, ramp)
+    assert (frame.sequence, frame.time_us) == (0, None)
+
+
+def test_wiresens_sends_changes_as_pairs() -> None:
+    host = host_protocol("wiresens")
+    cells = list(range(256)) + [0] * 104
+    host.feed(b"".join(wiresens_packet(120 * k % 256, cells[120 * k : 120 * k + 120], k) for k in range(3)), 0.0)
+    pairs = [0, 4000] * 59 + [255, 77]
+    (frame,) = frames(host.feed(wiresens_packet(20000, pairs, 3), 0.0))
+    assert (frame.counts[0, 0], frame.counts[15, 15], frame.counts[10, 10]) == (4000, 77, 170)
+    assert frame.sequence is None
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+@settings(max_examples=20)
+@given(cuts=st.lists(st.integers(1, 700), min_size=1, max_size=6), joined_late=st.booleans())
+def test_frames_come_through_in_any_cut(name: str, cuts: list[int], joined_late: bool) -> None:
+    host, board = ends(name)
+    pictures = [picture(name, seed) for seed in range(4)]
+    line = stream(board, pictures) + flushed(name, board)
+    if joined_late:
+        line = line[1:]
+    events, at, k = list[Event](), 0, 0
+    while at < len(line):
+        events += host.feed(line[at : at + cuts[k % len(cuts)]], 0.0)
+        at, k = at + cuts[k % len(cuts)], k + 1
+    seen = [frame.counts for frame in frames(events)]
+    expected = pictures[1:] if joined_late or name == "vitac" else pictures
+    for counts in expected:
+        assert any(np.array_equal(counts, one) for one in seen)
+    assert len(seen) <= len(pictures) + 2
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+@settings(max_examples=25)
+@given(noise=st.binary(max_size=400), cut=st.integers(0, 1500))
+def test_noise_and_lost_bytes_cost_the_frames_that_they_hit_and_no_others(name: str, noise: bytes, cut: int) -> None:
+    """Two frames after the damage the host is in step again, whatever the noise was."""
+    host, board = ends(name)
+    pictures = [picture(name, seed) for seed in range(6)]
+    pieces = [stream(board, [counts]) for counts in pictures]
+    damaged = pieces[0] + pieces[1][: min(cut, len(pieces[1]))] + noise
+    events = host.feed(damaged, 0.0) + host.feed(b"".join(pieces[2:]) + flushed(name, board), 0.0)
+    seen = [frame.counts for frame in frames(events)]
+    for counts in pictures[4:]:
+        assert any(np.array_equal(counts, one) for one in seen), name
+    wrong = [one for one in seen if not any(np.array_equal(one, counts) for counts in [*pictures, flat(name)])]
+    checked = name not in {"flexitac", "fsr-array", "m1616", "wiresens", "actionsense"}  # formats with a check
+    assert len(wrong) <= (0 if checked else 2)
+
+
+def flat(name: str) -> Counts:
+    return np.full((BOARDS[name].layout.rows, BOARDS[name].layout.columns), 7, dtype=np.uint16)
+
+
+@pytest.mark.parametrize("name", list(BOARDS))
+@given(st.lists(st.binary(max_size=300), max_size=10))
+@settings(max_examples=20)
+def test_any_bytes_are_events_and_never_errors(name: str, pieces: list[bytes]) -> None:
+    host, board = ends(name)
+    for piece in pieces:
+        host.feed(piece, 0.0)
+        board.feed(piece)
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_noise_without_end_takes_bounded_memory_and_time(name: str) -> None:
+    host, random = host_protocol(name), np.random.default_rng(5)
+    corrupt = 0
+    for _ in range(20):
+        events = host.feed(random.bytes(20_000), 0.0)
+        corrupt += sum(event.size for event in events if isinstance(event, Corrupt))
+    held = max((len(value) for value in vars(host).values() if isinstance(value, bytearray)), default=0)
+    assert held < 20_000
+    assert corrupt > 300_000
+
+
+# Known faults
+
+
+def test_a_false_header_of_flexitac_is_seen_through() -> None:
+    """Cells of 170 and 85 side by side, for as long as you like, and bytes that are lost meanwhile."""
+    host, board = ends("flexitac")
+    random = np.random.default_rng(8)
+    base = random.integers(5, 60, (16, 32)).astype(np.uint16)
+    plain = [base + random.integers(0, 3, (16, 32)).astype(np.uint16) for _ in range(20)]
+    pressed = [counts.copy() for counts in plain]
+    for counts in pressed:
+        counts[4, 10:12] = 170, 85
+    line = stream(board, [*plain, *pressed * 10])
+    lost = 514 * 25 + 100
+    events = host.feed(line[:lost] + line[lost + 130 :], 0.0)  # the loss ends at the false header
+    seen = [frame.counts for frame in frames(events)]
+    good = [any(np.array_equal(one, counts) for counts in [*plain, *pressed]) for one in seen]
+    assert sum(good) >= 20 + 200 - 4
+    assert good.count(False) <= 1  # the frame that lost its bytes cannot be told from a good one
+    assert [event for event in events if isinstance(event, Corrupt)]
+
+
+def test_a_false_header_of_flexitac_from_the_beginning_is_reported_until_the_load_changes() -> None:
+    host, board = ends("flexitac")
+    random = np.random.default_rng(9)
+    pressed = [random.integers(5, 60, (16, 32)).astype(np.uint16) for _ in range(200)]
+    for counts in pressed[:190]:
+        counts[4, 10:12] = 170, 85
+    line = stream(board, pressed)
+    events = host.feed(line[300:], 0.0)  # the host joins in the middle, ahead of the false header's next coming
+    ambiguous = [event for event in events if isinstance(event, Corrupt) and "ambiguous" in event.reason]
+    assert len(ambiguous) >= 180
+    for frame in frames(events):
+        assert any(np.array_equal(frame.counts, counts) for counts in pressed)
+    assert len(frames(events)) >= 7
+
+
+def test_a_packet_number_of_wiresens_that_contains_the_terminator_costs_nothing() -> None:
+    """Numbers around 0x7277 and from 0x727700 on have "wr" in them."""
+    for start in (0x7270, 0x727700, 0x72770000, 0x7277 << 8):
+        host, events = host_protocol("wiresens"), list[Event]()
+        random = np.random.default_rng(start)
+        first = 0
+        for number in range(start, start + 300):
+            events += host.feed(wiresens_packet(first, random.integers(0, 4096, 120).tolist(), number), 0.0)
+            first = (first + 120) % 256
+        assert not [event for event in events if isinstance(event, Corrupt)]
+        assert len(frames(events)) >= 300 * 120 // 256 - 1
+        for before, after in pairwise(frames(events)):
+            assert before.sequence is not None
+            assert after.sequence == before.sequence + 1
+
+
+def test_lost_packets_of_wiresens_are_frames_that_are_missing_by_number() -> None:
+    board, host = board_protocol("wiresens"), host_protocol("wiresens")
+    line = stream(board, [picture("wiresens", seed) for seed in range(40)])
+    packets = [line[k : k + 249] for k in range(0, len(line), 249)]
+    kept = b"".join(packet for k, packet in enumerate(packets) if k not in {10, 30, 31})
+    seen = frames(host.feed(kept, 0.0))
+    for frame in seen:
+        assert frame.sequence is not None
+        np.testing.assert_array_equal(frame.counts, picture("wiresens", frame.sequence))
+    numbers = [frame.sequence for frame in seen]
+    missing = {packet * 120 // 256 for packet in (10, 30, 31)} | {
+        (packet * 120 + 119) // 256 for packet in (10, 30, 31)
+    }
+    assert set(range(len(line) // 249 * 120 // 256)) - set(numbers) == missing
+
+
+def test_debug_text_between_packets_of_wiresens_is_passed_over() -> None:
+    board, host = board_protocol("wiresens"), host_protocol("wiresens")
+    line = stream(board, [picture("wiresens", seed) for seed in range(12)])
+    texts = b"[wifi] write retry, rssi -70\r\n"
+    mixed = b"".join(line[k : k + 249] + texts for k in range(0, len(line), 249))
+    seen = frames(host.feed(mixed, 0.0))
+    assert [frame.sequence for frame in seen] == list(range(len(seen)))
+    assert len(seen) >= 10
+
+
+def test_a_broken_line_of_vitac_costs_its_frame() -> None:
+    host, board = ends("vitac")
+    pictures = [picture("vitac", seed) for seed in range(6)]
+    pieces = [stream(board, [counts]) for counts in pictures]
+    broken = [
+        b"\r\n" + pieces[0],
+        pieces[1].replace(b" ", b"", 1),
+        pieces[2][:100] + pieces[2][180:],
+        pieces[3],
+        pieces[4].replace(b"\r\n\r\n", b"\r\n"),
+        pieces[5],
+        pieces[0],
+    ]
+    seen = frames(host.feed(b"".join(broken), 0.0))
+    assert [next(k for k in range(6) if np.array_equal(pictures[k], one.counts)) for one in seen] == [0, 3, 0]
+
+
+# With driver and emulator
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_the_usual_circuit_fits_the_family(name: str) -> None:
+    family = BOARDS[name]
+    assert family.design is not None
+    design = parse(family.design, Design, source=name)
+    assert design.adc is not None
+    assert (*design.array.shape, design.adc.bits) == (family.layout.rows, family.layout.columns, family.layout.adc_bits)
+
+
+PRESS = {"cells": [[1, 1]], "load_kpa": [[0.0, 0.0], [0.05, 12.0]]}
+
+
+@pytest.mark.parametrize("name", FOREIGN)
+def test_a_serial_program_reads_what_the_emulator_speaks(name: str, tmp_path: Path) -> None:
+    """Over a pty, with the family's protocol object alone: every frame is one that the board scanned."""
+    truth, port, host = tmp_path / "truth.npz", PtyPort(), host_protocol(name)
+    what = scene(skin={"design": BOARDS[name].design}, contact=[PRESS], board={"frame_rate": 40.0})
+    seen = list[FramePacket]()
+    with (
+        running(what, port, clock="fast", truth=truth, family=name),
+        serial.serial_for_url(port.name, BOARDS[name].baud_rate, timeout=0.2) as line,
+    ):
+        while len(seen) < 12:
+            line.write(host.request(Order.ONE_FRAME))
+            seen += frames(host.feed(line.read(700), 0.0))
+    with np.load(truth) as arrays:
+        sent = adc_codes(what.skin.design, arrays["volts"])
+    places = [np.flatnonzero((sent == frame.counts).all(axis=(1, 2))) for frame in seen]
+    assert all(place.size for place in places)
+    assert len({frame.payload for frame in seen}) > 1  # the press is seen
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_the_driver_makes_pressures_of_what_the_emulator_speaks(name: str) -> None:
+    port, cell = PtyPort(), Cell.example()
+    what = scene(skin={"design": BOARDS[name].design}, contact=[PRESS], board={"frame_rate": 40.0})
+    with running(what, port, family=name), Skin.open(port.name, board=name, cell=cell, timeout=60.0) as skin:
+        taken = list(islice(skin, 12))
+    for frame in taken:
+        assert (frame.sequence is not None) == BOARDS[name].has_sequence
+        assert (frame.lost_before is not None) == BOARDS[name].has_sequence
+        assert (frame.device_time is not None) == BOARDS[name].has_device_time
+    assert taken[-1].pressure[1, 1] > 6.0
+
+
+def test_a_board_that_a_family_does_not_have_is_refused() -> None:
+    for name, shape, message in (
+        ("flexitac", (3, 3), "a board 'flexitac' of 3 x 3 cells; the family has 16 x 32, 12 x 32"),
+        ("fsr-array", (16, 17), "the family has n x n or, in two layers, 2n x n"),
+    ):
+        for make in (host_protocol, board_protocol):
+            with pytest.raises(InputError, match=re.escape(message)):
+                make(name, shape=shape)
+    with pytest.raises(InputError, match="an ADC of 12 bits; its format carries 8"):
+        board_protocol("flexitac", adc_bits=12)

@@ -1,0 +1,272 @@
+"""TCP, RFC 2217 and in-process links of the emulator, and hosts that misbehave on them."""
+
+from __future__ import annotations
+
+import os
+import resource
+import socket
+import subprocess
+import sys
+import time
+from contextlib import ExitStack, suppress
+from itertools import islice
+from pathlib import Path
+
+import pytest
+import serial
+import tomli_w
+from boards import DESIGN, PRESS, scene
+
+from ohmskin.driver import Skin
+from ohmskin.emulator import Device, PtyPort, Rfc2217Port, Scene, TcpPort, running, soak
+from ohmskin.emulator import _ports as ports
+from ohmskin.wire import Command, FramePacket, Identity, Order, encode, host_protocol
+
+
+def read_until(line: serial.SerialBase | socket.socket, wanted: type, count: int = 1, timeout_s: float = 20.0) -> list:  # type: ignore[type-arg]
+    """Events of one kind from a serial port or a socket."""
+    host, found, deadline = host_protocol("ohmskin"), [], time.monotonic() + timeout_s
+    while len(found) < count:
+        assert time.monotonic() < deadline, f"{len(found)} of {count} {wanted.__name__}"
+        data = line.recv(4096) if isinstance(line, socket.socket) else line.read(512)
+        if isinstance(line, socket.socket) and not data:
+            raise ConnectionResetError("hung up on")
+        found += [event for event in host.feed(data, 0.0) if isinstance(event, wanted)]
+    return found
+
+
+def connect(port: TcpPort) -> socket.socket:
+    address = port.name.partition("://")[2].rsplit(":", 1)
+    return socket.create_connection((address[0], int(address[1])), timeout=20)
+
+
+# RFC 2217
+
+
+def test_an_rfc2217_host_sets_the_baud_rate_and_the_control_lines() -> None:
+    port = Rfc2217Port.at(":0")
+    with running(scene(), port), serial.serial_for_url(port.name, 250_000, timeout=0.2) as line:
+        assert read_until(line, FramePacket)
+        assert port.control.baudrate == 250_000
+        assert port.control.dtr
+        line.dtr = False
+        line.rts = False
+        line.baudrate = 115_200
+        deadline = time.monotonic() + 20
+        while (port.control.dtr, port.control.rts, port.control.baudrate) != (False, False, 115_200):
+            assert time.monotonic() < deadline
+            line.read(100)
+
+
+def test_bytes_of_255_come_through_telnet(tmp_path: Path) -> None:
+    """Every count and its low byte at 255, which Telnet doubles on the line."""
+    port = Rfc2217Port.at(":0")
+    full = {**DESIGN, "adc": {"bits": 8, "range": [-9.0, -8.0]}}
+    with running(scene(skin={"design": full}), port), serial.serial_for_url(port.name, timeout=0.2) as line:
+        for frame in read_until(line, FramePacket, 5):
+            assert (frame.counts == 255).all()
+
+
+def test_a_host_that_raises_dtr_resets_a_board_that_has_auto_reset() -> None:
+    port = Rfc2217Port.at(":0")
+    what = scene(line={"auto_reset": True}, board={"frame_rate": 200.0})
+    with running(what, port), serial.serial_for_url(port.name, timeout=0.2) as line:
+        before = read_until(line, FramePacket, 5)[-1]
+        line.dtr = False
+        line.dtr = True
+        deadline = time.monotonic() + 20
+        while True:
+            after = read_until(line, FramePacket)[-1]
+            assert time.monotonic() < deadline
+            if after.boot_id != before.boot_id:
+                break
+        assert (after.boot_id - before.boot_id) % 2**32 < 5
+
+
+def test_a_host_that_breaks_telnet_is_hung_up_on_and_the_next_one_served() -> None:
+    """A suboption without end, and one that is too short."""
+    for attack in (b"\xff\xfa\x2c" + b"x" * 5000, b"\xff\xfa\x2c\x01\xff\xf0", b"\xff\xfa\x2c\x03\x63\xff\xf0"):
+        port = Rfc2217Port.at(":0")
+        with running(scene(), port):
+            with connect(port) as rude:
+                rude.sendall(attack)
+                rude.settimeout(20)
+                with suppress(ConnectionResetError):
+                    while rude.recv(4096):
+                        pass
+            with serial.serial_for_url(port.name, timeout=0.2) as line:
+                assert read_until(line, FramePacket, 3)
+
+
+# In the same process
+
+
+@pytest.fixture
+def scene_file(tmp_path: Path) -> Path:
+    file = tmp_path / "scene.toml"
+    file.write_text(tomli_w.dumps({"skin": {"design": DESIGN}, "contact": [PRESS]}))
+    return file
+
+
+def test_a_url_opens_a_board_in_this_process(scene_file: Path) -> None:
+    with serial.serial_for_url(f"ohmskin://{scene_file}?clock=fast&duration=1", timeout=0.5) as line:
+        assert [frame.sequence for frame in read_until(line, FramePacket, 50)] == list(range(50))
+
+
+def test_the_driver_reads_such_a_url_without_more_ado(scene_file: Path) -> None:
+    """In a new interpreter, which has imported the driver only."""
+    program = (
+        "import sys; from ohmskin.driver import Skin\n"
+        "with Skin.open(sys.argv[1]) as skin: print(next(iter(skin)).pressure.shape)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, f"ohmskin://{scene_file}"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "(3, 2)"
+
+
+@pytest.mark.parametrize(
+    ("url", "message"),
+    [
+        ("ohmskin:///no/scene.toml", "/no/scene.toml: cannot be read"),
+        ("ohmskin://{scene}?clock=slow", "clock is 'slow'; expected 'real' or 'fast'"),
+        ("ohmskin://{scene}?speed=1", "unknown option 'speed'; expected one of board, clock"),
+        ("ohmskin://{scene}?seed=x", "expected numbers for duration and seed"),
+    ],
+)
+def test_a_url_that_is_wrong_says_how(scene_file: Path, url: str, message: str) -> None:
+    with pytest.raises(serial.SerialException, match=message):
+        serial.serial_for_url(url.format(scene=scene_file))
+
+
+# Hosts that misbehave
+
+
+def test_a_host_that_never_reads_gives_way_to_one_that_knocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ports, "DEAF_S", 0.5)
+    port = TcpPort.at(":0")
+    what = scene(skin={"design": DESIGN | {"array": {"rows": 32, "columns": 32}}}, board={"frame_rate": 500.0})
+    with running(what, port), connect(port) as deaf:
+        assert read_until(deaf, FramePacket)
+        deadline = time.monotonic() + 60
+        while True:
+            assert time.monotonic() < deadline
+            with connect(port) as next_host:
+                try:
+                    if read_until(next_host, FramePacket, timeout_s=0.3):
+                        break
+                except (AssertionError, ConnectionError):
+                    time.sleep(0.1)
+
+
+def test_a_host_that_reads_is_not_pushed_out() -> None:
+    port = TcpPort.at(":0")
+    with running(scene(), port), connect(port) as first:
+        for _ in range(5):
+            assert read_until(first, FramePacket)
+            with connect(port) as second:
+                second.settimeout(20)
+                assert not second.recv(100)
+        assert read_until(first, FramePacket, 5)
+
+
+def test_a_flood_of_commands_by_a_host_that_does_not_read_grows_nothing_and_stops_no_clock() -> None:
+    device = Device(scene(board={"frame_rate": 100.0}))
+    flood = encode(Command(Order.DESCRIBE)) * 200 + encode(Command(Order.SELF_TEST)) * 200
+    largest = 0
+    while device.time_s < 5.0:
+        device.tick(host_present=True)
+        device.receive(flood, device.next_us)
+        device.advance(device.next_us)
+        largest = max(largest, len(device.transmission))
+    assert largest < 30_000
+    assert len(device.board._waiting) < 10
+
+
+def test_a_flood_over_tcp_leaves_board_time_right() -> None:
+    port = TcpPort.at(":0")
+    flood = encode(Command(Order.DESCRIBE)) * 500
+    with running(scene(), port), connect(port) as host:
+        host.setblocking(False)
+        began, sent = time.monotonic(), 0
+        while time.monotonic() < began + 1.5:
+            try:
+                sent += host.send(flood)
+            except BlockingIOError:
+                time.sleep(0.001)
+        passed = time.monotonic() - began
+        host.close()
+        with connect(port) as after:
+            frame = read_until(after, FramePacket)[0]
+    assert sent > 100_000
+    assert frame.time_us / 1e6 > 0.5 * passed  # the board lived on meanwhile, however slow this machine is
+
+
+def test_more_than_1024_open_files_are_no_obstacle() -> None:
+    """``select()`` fails beyond file descriptor 1023; emulator and driver do not use it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard != resource.RLIM_INFINITY and hard < 1400:
+        pytest.skip(f"at most {hard} files may be open here")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(soft, 1400), hard))
+    with ExitStack() as files:
+        files.callback(resource.setrlimit, resource.RLIMIT_NOFILE, (soft, hard))
+        for _ in range(1100):
+            files.callback(os.close, os.open(os.devnull, os.O_RDONLY))
+        for port in (PtyPort(), TcpPort.at(":0")):
+            with running(scene(), port), Skin.open(port.name) as skin:
+                assert len(list(islice(skin, 3))) == 3
+
+
+def test_frames_and_hosts_without_end_leave_nothing_behind(scene_file: Path) -> None:
+    """A bounded run of what ``python -m ohmskin.emulator.soak`` does with a million frames and two thousand hosts."""
+    lines: list[str] = []
+    code = soak.main([str(scene_file), "--frames", "20000", "--hosts", "120"], say=lines.append)
+    assert code == 0, lines
+    assert lines[0].startswith("20000 frames arrived, 0 missing or corrupt")
+    assert lines[1].startswith("120 hosts came and went, 40 of them were sent something, 0 files")
+
+
+def test_a_soak_that_finds_something_says_so(scene_file: Path) -> None:
+    scene_file.write_text(scene_file.read_text() + "[line]\npacket_loss = 0.01\n")
+    assert soak.main([str(scene_file), "--frames", "2000", "--hosts", "3"], say=lambda line: None) == 1
+
+
+def test_unplugging_hangs_up_on_the_host_and_plugging_in_serves_it_again() -> None:
+    what = scene(
+        link_fault=[{"kind": "unplug", "at_s": 2.0, "duration_s": 0.3}],
+        board={"frame_rate": 100.0, "serial_number": "U7"},
+    )
+    port = TcpPort.at(":0")
+    with running(what, port):
+        with connect(port) as first:
+            first.sendall(host_protocol("ohmskin").request(Order.IDENTIFY))
+            boot = read_until(first, Identity)[0].boot_id
+            while first.recv(4096):
+                pass
+        deadline = time.monotonic() + 20
+        while True:
+            assert time.monotonic() < deadline
+            try:
+                with connect(port) as second:
+                    identity = read_until(second, Identity)[0]
+                break
+            except ConnectionError:  # the cable is still out
+                time.sleep(0.02)
+        assert (identity.serial_number, identity.boot_id) == ("U7", (boot + 1) % 2**32)
+
+
+def test_the_driver_survives_the_example_of_a_bad_link(tmp_path: Path) -> None:
+    """A minute of the example at the fast clock, with everything that it has in store, counted by the driver."""
+    example = Path(__file__).parents[1] / "examples" / "bad_link.toml"
+    what = Scene.load(example)
+    assert {fault.kind for fault in what.link_fault} == {"dropped-bytes", "stall", "reset", "unplug"}
+    with (
+        running(what, PtyPort(tmp_path / "skin"), clock="fast", duration_s=60.0),
+        Skin.open(str(tmp_path / "skin"), timeout=60.0) as skin,
+    ):
+        assert [frame.pressure.shape for frame in skin]
+        statistics = skin.stats()
+    assert statistics.frames > 3000
+    assert statistics.corrupt > 0
+    assert statistics.reconnects == 1
+    assert statistics.reboots == 2

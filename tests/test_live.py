@@ -1,0 +1,150 @@
+"""The live recovery: quantised frames of every circuit, and what it says of its own errors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ohmskin.circuits import Design, Status, adc_codes, live_recovery, scan
+from ohmskin.circuits.recovery import _live
+from ohmskin.driver import CountReader
+from ohmskin.errors import InputError
+
+CIRCUITS = (
+    ("inverting-amplifier", "ground"),
+    ("row-amplifier", "ground"),
+    ("inverting-amplifier", "float"),
+    ("voltage-divider", "ground"),
+    ("voltage-divider", "float"),
+    ("voltage-feedback", "ground"),
+)
+
+
+def board(circuit: str, rows: int, columns: int, bits: int, *, idle_rows: str = "ground", **array: Any) -> Design:
+    amplified = "amplifier" in circuit
+    readout = {"circuit": circuit, "reference_resistance": 1e3 if amplified else 5e3}
+    if circuit != "voltage-divider":
+        readout |= {"open_loop_gain": 1e5, "offset_voltage": 1e-3, "supply": [-0.2, 3.3]}
+    return Design.model_validate(
+        {
+            "array": {"rows": rows, "columns": columns, "row_lead": 25.0, "column_lead": 25.0} | array,
+            "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
+            "readout": readout,
+            "adc": {"bits": bits, "range": [-0.1, 1.0] if amplified else [0.0, 3.3]},
+        }
+    )
+
+
+def pressed(shape: tuple[int, int], rng: np.random.Generator, frames: int, hard_ohm: float) -> np.ndarray:
+    """(frames, rows, columns) ohm: two fingers that wander over a skin at rest and press more or less."""
+    rest = 1e4 * 10 ** rng.uniform(-0.1, 0.1, shape)
+    place = rng.uniform(0, 1, (2, 2)) * shape
+    i, j = np.indices(shape)
+    result = []
+    for number in range(frames):
+        place = (place + rng.normal(0, 0.1, (2, 2))) % shape
+        load = sum(
+            np.exp(-((i - a) ** 2 + (j - b) ** 2)) * (0.5 + 0.5 * np.sin(number / 5 + k))
+            for k, (a, b) in enumerate(place)
+        )
+        result.append(1 / (1 / rest + np.minimum(load, 1.0) ** 2 * (1 / hard_ohm - 1e-4)))
+    return np.array(result)
+
+
+def relative_error(found: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Of conductances, 0 where nothing was found."""
+    return np.nan_to_num(np.abs(cells / found - 1), nan=0.0, posinf=0.0)
+
+
+@pytest.mark.parametrize(("circuit", "idle_rows"), CIRCUITS)
+@pytest.mark.parametrize("bits", [8, 12])
+def test_valid_cells_lie_within_what_is_claimed_whatever_the_converter(circuit: str, idle_rows: str, bits: int) -> None:
+    rng = np.random.default_rng(bits)
+    valid = cells = 0
+    for hard_ohm in (2000.0, 150.0):  # the second one saturates outputs and converter
+        design = board(circuit, int(rng.integers(3, 8)), int(rng.integers(3, 8)), bits, idle_rows=idle_rows)
+        read = CountReader(design)
+        for frame in pressed(design.array.shape, rng, 25, hard_ohm):
+            reading = read(adc_codes(design, scan(design, frame).volts))
+            assert reading.solved
+            error = relative_error(reading.resistance, frame)
+            assert (error[reading.valid] <= 1.5 * reading.uncertainty[reading.valid]).all()
+            assert (error[reading.valid] < 0.5).all()  # never off by a factor of two
+            valid, cells = valid + reading.valid.sum(), cells + frame.size
+    if circuit != "voltage-divider":  # 8 bits do not resolve a cell of a loaded grid
+        assert valid > 0.5 * cells
+
+
+@pytest.mark.parametrize(("lead", "segment"), [(0.0, 0.0), (5.0, 0.0), (25.0, 1.0), (50.0, 5.0)])
+@pytest.mark.parametrize("circuit", ["inverting-amplifier", "row-amplifier"])
+def test_amplified_cells_are_known_to_an_adc_step(circuit: str, lead: float, segment: float) -> None:
+    lines = {"row_lead": lead, "column_lead": lead, "row_segment": segment, "column_segment": segment}
+    design = board(circuit, 9, 12, 12, **lines)
+    read = CountReader(design)
+    for frame in pressed((9, 12), np.random.default_rng(3), 40, 2500.0):
+        reading = read(adc_codes(design, scan(design, frame).volts))
+        assert reading.valid.all()
+        step = design.adc.step / scan(design, frame).volts  # type: ignore[union-attr]
+        assert (relative_error(reading.resistance, frame) <= 1.3 * step + 2e-4).all()
+
+
+def test_unequal_offsets_and_gains_are_taken_out() -> None:
+    rng = np.random.default_rng(7)
+    design = board("inverting-amplifier", 6, 5, 16).replace(
+        readout={"offset_voltage": rng.uniform(-3e-3, 3e-3, 5).tolist(), "open_loop_gain": [1e3, 1e4, 1e5, 1e9, 1e2]}
+    )
+    read = CountReader(design)
+    for frame in pressed((6, 5), rng, 20, 2000.0):
+        reading = read(adc_codes(design, scan(design, frame).volts))
+        assert reading.valid.all()
+        np.testing.assert_allclose(reading.resistance, frame, rtol=2e-3)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_unknown_cells_disturb_no_valid_one(seed: int) -> None:
+    """Cells far beyond the limit: a valid neighbour is right all the same."""
+    rng = np.random.default_rng(seed)
+    lead = float(rng.choice([0.0, 1.0, 25.0, 100.0]))
+    design = board("inverting-amplifier", 7, 6, 12, row_lead=lead, column_lead=float(rng.choice([0.0, 5.0])))
+    read = CountReader(design)
+    for frame in pressed((7, 6), rng, 12, 2000.0):
+        for place in rng.choice(frame.size, 3, replace=False):
+            frame.flat[place] = 10 ** rng.uniform(-3, 2.3)
+        reading = read(adc_codes(design, scan(design, frame).volts))
+        error = relative_error(reading.resistance, frame)
+        assert (error[reading.valid] <= 1.5 * reading.uncertainty[reading.valid]).all()
+        assert (reading.status[frame < 300] != Status.READ).all()
+
+
+@pytest.mark.parametrize("size", [8, 24])
+def test_a_frame_has_a_bounded_number_of_evaluations(size: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever changes: each frame is new at random, and some cells are at their limits."""
+    counted = []
+    monkeypatch.setattr(_live, "attenuate", lambda *given, real=_live.attenuate: counted.append(1) or real(*given))
+    monkeypatch.setattr(
+        _live, "exact_transfer", lambda *given, real=_live.exact_transfer: counted.append(1) or real(*given)
+    )
+    design = board("inverting-amplifier", size, size, 12)
+    read, rng = CountReader(design), np.random.default_rng(0)
+    for _ in range(10):
+        counted.clear()
+        read(adc_codes(design, scan(design, 10 ** rng.uniform(1.5, 5, (size, size))).volts))
+        assert len(counted) <= 2 * (_live._EVALUATIONS + 1)
+
+
+def test_what_a_frame_did_not_settle_the_next_ones_do() -> None:
+    design = board("inverting-amplifier", 8, 8, 12, row_lead=100.0, column_lead=100.0)
+    read, rng = CountReader(design), np.random.default_rng(1)
+    for frame in 10 ** rng.uniform(3.3, 4.5, (5, 8, 8)):
+        counts = adc_codes(design, scan(design, frame).volts)
+        for _ in range(6):
+            reading = read(counts)
+        assert reading.valid.all()
+        assert (relative_error(reading.resistance, frame) <= 1.5 * reading.uncertainty).all()
+
+
+def test_a_design_without_a_converter_is_refused() -> None:
+    with pytest.raises(InputError, match=r"no \[adc\] section"):
+        live_recovery(board("inverting-amplifier", 2, 2, 12).replace(adc=None))
