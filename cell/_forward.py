@@ -45,12 +45,17 @@ class Forward(ABC):
             raise InputError(f"pressure has shape {np.shape(pressure_kpa)}, expected {self.shape}") from error
         if not np.isfinite(pressure).all():
             raise InputError("pressure is not finite everywhere; expected kPa")
-        lowest = self._lowest_kpa()
-        if pressure.size and pressure.min() < lowest:
-            raise InputError(f"pressure is {pressure.min():g} kPa; a pull below {lowest:.3g} kPa leaves no resistance")
+        self._check_pull(pressure)
         resistance = self._step(dt_s, pressure)
         self._pressure = pressure.copy()
         return resistance
+
+    def _check_pull(self, pressure_kpa: FloatArray) -> None:
+        """InputError where a pull would leave no resistance."""
+        lowest = self._lowest_kpa()
+        if pressure_kpa.size and pressure_kpa.min() < lowest:
+            strongest = f"pressure is {pressure_kpa.min():g} kPa"
+            raise InputError(f"{strongest}; a pull below {lowest:.3g} kPa leaves no resistance")
 
     def run(self, dt_s: ArrayLike, pressure_kpa: ArrayLike, cells: IntArray | None = None) -> FloatArray:
         """Take several steps at once: the same as one call of :meth:`step` per frame, up to rounding.
@@ -77,6 +82,7 @@ class Forward(ABC):
             raise InputError("time steps must be finite numbers of seconds >= 0")
         if not np.isfinite(pressure).all():
             raise InputError("pressure is not finite everywhere; expected kPa")
+        self._check_pull(pressure)
         if not len(dt):
             return np.empty(pressure.shape)
         if cells is None:
