@@ -111,7 +111,8 @@ class BoardSettings(Section):
 
     frame_rate: Annotated[float, Field(ge=1e-3, le=100_000)] = 50.0
     """Hz"""
-    serial_number: str = "EMULATED"
+    serial_number: Annotated[str, Field(max_length=64, pattern=r"^[^\x00-\x1f\x7f-\x9f]*$")] = "EMULATED"
+    """without control characters, which would reach the terminals that show it"""
     noise: NotNegative = 0.0
     """V rms, white, at the input of the ADC"""
     reference_resistances: Annotated[tuple[Positive, ...], Field(strict=False, max_length=64)] = ()
