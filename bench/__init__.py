@@ -3,7 +3,8 @@
 ``measure(sizes=[8, 64], segments=[1.0])`` measures everything, row by row; :func:`table` and :func:`picture` show it.
 """
 
+from ._estimators import INDEPENDENT, NOISE, estimators, noisy
 from ._measurement import Row, board, cells, measure
 from ._show import picture, table
 
-__all__ = ["Row", "board", "cells", "measure", "picture", "table"]
+__all__ = ["INDEPENDENT", "NOISE", "Row", "board", "cells", "estimators", "measure", "noisy", "picture", "table"]

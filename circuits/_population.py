@@ -278,7 +278,7 @@ def _outputs(design: Design, boards: Boards, seen: _Columns) -> FloatArray:
     """Output volts (S, M, R) of what the columns end in."""
     reference, lead = boards.reference_resistance[..., None], boards.column_lead[..., None]
     level, drive = boards.reference_voltage[..., None], boards.voltage[..., None]
-    if design.readout.circuit == "inverting-amplifier":
+    if design.board.circuit.virtual_ground:
         inverse = 1.0 / (1.0 + boards.open_loop_gain[..., None])
         share = 1.0 / (1.0 + 1.0 / boards.open_loop_gain[..., None])
         offset, lift = boards.offset_voltage[..., None], reference * boards.bias_current[..., None]

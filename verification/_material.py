@@ -10,7 +10,7 @@ from scipy import signal
 
 from .. import plots
 from ..arrays import FloatArray
-from ..bench._estimators import NOISE
+from ..bench import NOISE
 from ..cell import Cell, ContactModel, PaperModel, recovery_branches
 from ..errors import InputError
 from ._chain import one_cell_read

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from .. import bench as cost
 from .. import bench as measurements
-from ..bench import _estimators as cost
 from ._outcome import Check, Figure, Finding, Table
 from ._subject import Subject
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray
-from ..bench._estimators import noisy
+from ..bench import noisy
 from ..cell import Cell, ContactModel, PaperModel, calibrate, checked_recording, protocol_load, sensitivity
 from ..circuits import Design
 from ._parameters import NOMINAL_K, Factors
