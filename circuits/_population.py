@@ -135,7 +135,7 @@ def scan_population(
         for some in _chunks(count, max(1, _TOGETHER // columns**2)):
             with np.errstate(all="ignore"):  # what has no number is solved again below
                 volts[some] = _read(design, boards.part(some), cells if len(cells) == 1 else cells[some])
-        if design.readout.circuit != "voltage-divider":
+        if design.board.circuit.has_amplifiers:
             saturated = (volts < low) | (volts > high)
         again = ~np.isfinite(volts).all(axis=(1, 2))
         if resolve_saturation:
