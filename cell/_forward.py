@@ -245,6 +245,46 @@ class M10Forward(Forward):
     def _remembered(self) -> FloatArray:
         return np.abs(self._x1) + np.abs(self._x2) + np.abs(self._broken)
 
+    def _run(self, dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
+        """All steps of a block: both branches together, with what depends on time alone worked out before.
+
+        Whether a branch charges depends on its state, so that the branches are stepped one frame after the other. A
+        step within which a branch turns from charging to discharging or back is left to :func:`._lag.asymmetric`.
+        """
+        m = self.model
+        each = (2, *[1] * len(self.shape))
+        alpha, rise_s, fall_s = (
+            np.reshape(pair, each) for pair in ((m.alpha1, m.alpha2), (m.rise1_s, m.rise2_s), (m.fall1_s, m.fall2_s))
+        )
+        load = np.concatenate([self._pressure[None], pressure]) / self.full_scale_kpa
+        target = alpha * load[:, None]  # (frames + 1, 2, ...)
+        change = np.diff(target, axis=0)
+        dt = dt_s.reshape(-1, *[1] * (len(self.shape) + 1))
+        (gone_up, ramp_up), (gone_down, ramp_down) = (lag.weights(dt, constant) for constant in (rise_s, fall_s))
+        rising = change > 0
+
+        branches = np.empty(change.shape)
+        state = np.stack([self._x1, self._x2])
+        for frame, step_s in enumerate(dt_s.tolist()):
+            away = target[frame] - state
+            charging = (away > 0) | ((away == 0) & rising[frame])
+            gone = np.where(charging, gone_up[frame], gone_down[frame])
+            ramp = np.where(charging, ramp_up[frame], ramp_down[frame])
+            stepped = state + away * gone + change[frame] * ramp
+            turned = away * (target[frame + 1] - stepped) < 0
+            if turned.any():
+                exactly = lag.asymmetric(state, target[frame], target[frame + 1], step_s, rise_s, fall_s)
+                stepped = np.where(turned, exactly, stepped)
+            state = branches[frame] = stepped
+        self._x1, self._x2 = state
+
+        gone, ramp = lag.weights(dt[:, 0], m.tau_s)
+        broken = _recurrence(1.0 - gone, m.k * np.abs(np.diff(load, axis=0)) * (1.0 - ramp), self._broken)
+        self._broken = broken[-1]
+        r = m.a * load[1:] + m.b * load[1:] ** 2 + branches.sum(axis=1) + broken
+        resistance: FloatArray = self.rest_resistance_ohm * (1 + r)
+        return resistance
+
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         m, s0, s1 = self.model, self._pressure / self.full_scale_kpa, pressure / self.full_scale_kpa
         self._x1 = lag.asymmetric(self._x1, m.alpha1 * s0, m.alpha1 * s1, dt_s, m.rise1_s, m.fall1_s)

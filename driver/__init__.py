@@ -12,6 +12,8 @@ from ._discover import FoundBoard, discover
 from ._frame import Frame
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader, Reading
+from ._recorder import Recorder
+from ._replay import ReplayPort
 from ._skin import Delivery, Skin
 from ._statistics import LinkStatistics
 from ._tare import Tare
@@ -28,6 +30,8 @@ __all__ = [
     "Frame",
     "LinkStatistics",
     "Reading",
+    "Recorder",
+    "ReplayPort",
     "SerialPort",
     "Skin",
     "SocketPort",

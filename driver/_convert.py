@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import threading
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -47,9 +49,17 @@ class Converter:
     """
 
     def __init__(
-        self, design: Design, cell: Cell | None, estimator: str | None, pitch_m: float, counters: Counters
+        self,
+        design: Design,
+        cell: Cell | None,
+        estimator: str | None,
+        pitch_m: float,
+        counters: Counters,
+        rest_changes: Sequence[tuple[float, FloatArray | None]] = (),
     ) -> None:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
+
+        ``rest_changes`` are those of a recording: times, and the (cells,) rest resistances for frames after them.
 
         Raises:
             ProtocolError: the design has no ADC.
@@ -62,7 +72,12 @@ class Converter:
         self._counters = counters
         self._read = CountReader(design)
         self._lock = threading.RLock()
+        self.on_converted: Callable[[RawFrame, Measurement], None] | None = None
+        """told of every measurement: for a recorder"""
         self._rest_ohm: FloatArray | None = None
+        self._rest_changes = deque(rest_changes)
+        self.on_rest: Callable[[FloatArray | None, float | None], None] | None = None
+        """told of new rest resistances and of the time of the last frame before them: for a recorder"""
         self._starts = 0
         self._estimator = self._new_estimator()
         full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
@@ -84,6 +99,8 @@ class Converter:
         with self._lock:
             self._rest_ohm = rest_ohm
             self._estimator = self._new_estimator()
+            if self.on_rest is not None:
+                self.on_rest(rest_ohm, None if self._last is None else self._last.monotonic_time)
 
     def measure(self, frame: RawFrame, mailbox: Mailbox) -> Measurement | None:
         """The measurement of ``frame``, and of those before it that are still queued.
@@ -99,7 +116,10 @@ class Converter:
             done = 0 if self._last is None else self._last.index
             if frame.index > done:
                 for queued in [*mailbox.between(done, frame.index), frame]:
-                    self._measured[queued.index] = self._convert(queued)
+                    measurement = self._convert(queued)
+                    self._measured[queued.index] = measurement
+                    if self.on_converted is not None:
+                        self.on_converted(queued, measurement)
                 passed = mailbox.passed()
                 self._measured = {k: value for k, value in self._measured.items() if k > passed or k == frame.index}
             return self._measured.get(frame.index)
@@ -110,6 +130,9 @@ class Converter:
         reading = self._read(frame.counts)
         self._counters.converted += 1
         self._counters.unsolved += not reading.solved
+        while self._rest_changes and frame.monotonic_time > self._rest_changes[0][0]:
+            rest = self._rest_changes.popleft()[1]
+            self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
         if gap_s > KEEP_STATE_S:
             self._estimator = self._new_estimator()
         pressure = std = np.full(frame.counts.shape, np.nan)

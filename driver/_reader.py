@@ -54,6 +54,8 @@ class Reader:
         self.stream = FrameStream(port.name, counters)
         self.taps: list[Callable[[Arrival], None]] = []
         """told of all bytes that arrive, as they arrive: for a recorder"""
+        self.on_gone: list[Callable[[], None]] = []
+        """told when the port has gone away"""
         self._port: BytePort | None = port
         self._family: Family = introduction.family
         self._new_protocol = protocol
@@ -166,6 +168,8 @@ class Reader:
                 if self._stop.is_set() or self._reopen is None or not self.introduced.is_set():
                     raise
                 self._release()
+                for tap in self.on_gone:
+                    tap()
                 self._connect_again(error)
 
     def _serve(self) -> None:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from types import TracebackType
 from typing import Literal, Self
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
@@ -23,8 +25,10 @@ from ._mailbox import Mailbox
 from ._port import Arrival, BytePort
 from ._reader import Reader
 from ._reconnect import PortFinder
+from ._recorder import Recorder
+from ._replay import RecordedSettings, ReplayPort
 from ._statistics import Counters, LinkStatistics
-from ._taker import AsyncFrames, FrameCallback, FrameTaker, Source
+from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, Source
 from ._tare import RestReadings, Tare
 
 Delivery = Literal["newest", "every", "lossless"]
@@ -63,6 +67,7 @@ class Skin:
         reconnect: float = 10.0,
         reopen: Callable[[], BytePort] | None = None,
         pitch: float | None = None,
+        record: str | Path | None = None,
     ) -> None:
         """Introduce the board behind an open port.
 
@@ -79,16 +84,19 @@ class Skin:
             reconnect: s to try to open a port again that has gone away.
             reopen: opens the port again; None: a port that has gone away is not opened again.
             pitch: distance of neighbouring cells in m, for contacts; None: that of the design's ``[sheet]``.
+            record: MCAP file to record to, from the first byte; the recording ends with the skin.
 
         Raises:
             LinkTimeout: the board is silent.
             ProtocolError: it sends something else than packets, or a description that is not valid or too large.
             LinkError: the port is gone.
-            InputError: there is no such family, or no such estimator for this cell, or the design is not known.
+            InputError: there is no such family, or no such estimator for this cell, or the design is not known, or
+                the recording cannot be written.
 
         """
         self._timeout = timeout
         self._delivery = delivery
+        self._recorder: Recorder | None = None
         deadline = time.monotonic() + timeout
         try:
             family = board_family(board)
@@ -109,16 +117,24 @@ class Skin:
                 reopen=reopen,
                 reconnect_s=reconnect,
             )
+            if record is not None:
+                settings = RecordedSettings(family.name, design, cell, estimator, pitch)
+                self._recorder = Recorder(record, settings.as_metadata())
+                self._reader.taps.append(self._recorder.arrived)
+                self._reader.on_gone.append(self._recorder.port_gone)
         except BaseException:
             port.close()
             raise
         self._reader.start()
         try:
             self._reader.await_introduction(timeout)
-            set_up = partial(_set_up, introduction, estimator, pitch, self._counters)
+            changes = port.rest.changes if isinstance(port, ReplayPort) else ()
+            set_up = partial(_set_up, introduction, estimator, pitch, self._counters, changes)
             self._converter = _within(set_up, deadline, self._too_slow)
         except BaseException:
             self._reader.stop()
+            if self._recorder is not None:
+                self._recorder.close()
             raise
         self.family = family
         self.design = self._converter.design
@@ -139,6 +155,9 @@ class Skin:
         self._callbacks: list[FrameCallback] = []
         self._tares: list[Tare | None] = [None]
         self._taring = threading.Lock()
+        if self._recorder is not None:
+            self._converter.on_rest = self._recorder.rest_changed
+            self._converter.on_converted = ConvertedFrames(self._source, self._recorder.frame).converted
 
     @classmethod
     def open(
@@ -152,12 +171,16 @@ class Skin:
         estimator: str | None = None,
         timeout: float = 3.0,
         baudrate: int | None = None,
-        delivery: Delivery = "newest",
+        delivery: Delivery | None = None,
         queue: int = QUEUE,
         reconnect: float = 10.0,
         pitch: float | None = None,
+        record: str | Path | None = None,
+        speed: float | None = None,
     ) -> Skin:
-        """Open a serial device, a pty or ``socket://HOST:PORT``; see :meth:`__init__` for the rest.
+        """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording; see :meth:`__init__` for the rest.
+
+        A recording, a file that ends in ``.mcap``, is opened as its skin was, with all that is not given here.
 
         Args:
             port: name of the port; None: the port where :func:`discover` finds the board ``serial_number``.
@@ -168,16 +191,35 @@ class Skin:
             estimator: likewise.
             timeout: likewise.
             baudrate: of the UART, where there is one; None: that of the family.
-            delivery: likewise.
+            delivery: likewise; None: ``newest``, and ``lossless`` for a recording.
             queue: likewise.
             reconnect: likewise.
             pitch: likewise.
+            record: likewise.
+            speed: of a recording, times real time; None: as fast as it is read.
 
         Raises:
             LinkError: the port is not there, may not be used, or is in use, or another board is behind it; and what
                 :meth:`__init__` raises.
 
         """
+        if port is not None and str(port).endswith(".mcap"):
+            played = ReplayPort(port, speed)
+            settings = played.settings
+            return cls(
+                played,
+                board=settings.board,
+                design=design or settings.design,
+                cell=cell or settings.cell,
+                estimator=estimator or settings.estimator,
+                timeout=timeout,
+                delivery=delivery or "lossless",
+                queue=queue,
+                reconnect=reconnect,
+                reopen=played.reopen,
+                pitch=settings.pitch if pitch is None else pitch,
+                record=record,
+            )
         family = board_family(board)
         if port is None:
             if serial_number is None:
@@ -191,11 +233,12 @@ class Skin:
             cell=cell,
             estimator=estimator,
             timeout=timeout,
-            delivery=delivery,
+            delivery=delivery or "newest",
             queue=queue,
             reconnect=reconnect,
             reopen=finder.open_again,
             pitch=pitch,
+            record=record,
         )
         if serial_number is not None and skin.serial_number and skin.serial_number != serial_number:
             skin.close()
@@ -231,11 +274,19 @@ class Skin:
         self.close()
 
     def close(self) -> None:
-        """Give the port back, from any thread. Iterations end; the board goes on by itself."""
+        """Give the port back, from any thread. Iterations end; the board goes on by itself.
+
+        Raises:
+            InputError: a recording could not be written to its end.
+
+        """
         self._reader.stop()
         for callback in self._callbacks:
             callback.close()
         self._callbacks.clear()
+        recorder, self._recorder = self._recorder, None
+        if recorder is not None:
+            recorder.close()
 
     def __iter__(self) -> Iterator[Frame]:
         return self
@@ -309,6 +360,11 @@ class Skin:
     def on_bytes(self, tap: Callable[[Arrival], None]) -> None:
         """Call ``tap`` with all bytes from now on, as they arrive, in the thread that reads them: for recorders."""
         self._reader.taps.append(tap)
+
+    @property
+    def recorder(self) -> Recorder | None:
+        """The recording under way."""
+        return self._recorder
 
     def request(self, order: Order, *, period_us: int = 0) -> None:
         """Give the board an order of its protocol; LinkError where the port is gone."""
@@ -425,11 +481,18 @@ def _host_end(family: Family, introduction: Introduction) -> HostProtocol:
     return host_protocol(family, shape=design.array.shape, adc_bits=None if design.adc is None else design.adc.bits)
 
 
-def _set_up(introduction: Introduction, estimator: str | None, pitch: float | None, counters: Counters) -> Converter:
+def _set_up(
+    introduction: Introduction,
+    estimator: str | None,
+    pitch: float | None,
+    counters: Counters,
+    rest_changes: Sequence[tuple[float, FloatArray | None]],
+) -> Converter:
     """The converter for a board, tried out."""
     design, cell = introduction.design(), introduction.cell()
     try:
-        converter = Converter(design, cell, estimator, design.sheet.pitch if pitch is None else pitch, counters)
+        pitch_m = design.sheet.pitch if pitch is None else pitch
+        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes)
         converter.try_out()
     except OhmskinError:
         raise

@@ -12,7 +12,7 @@ import weakref
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from ..errors import LinkEnded, LinkTimeout, OhmskinError
+from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ._convert import Converter, Measurement
 from ._frame import Frame
 from ._mailbox import Mailbox, Place
@@ -52,7 +52,6 @@ class FrameTaker:
             self._faults = 0 if from_start else mailbox.fault.number
         self._lock = threading.Lock()
         self._before = _Totals() if last is None else _Totals.of(last)
-        self._starts = 0
         self._frame: Frame | None = None
         weakref.finalize(self, mailbox.leave, self._place)
 
@@ -179,28 +178,8 @@ class FrameTaker:
         return frame
 
     def _deliver(self, raw: RawFrame, measurement: Measurement) -> Frame:
-        before, self._before = self._before, _Totals.of(raw)
-        restarted, self._starts = measurement.estimator_starts > self._starts, measurement.estimator_starts
-        contacts, view = self._source.converter.contacts, measurement.view
-        return Frame(
-            sequence=raw.sequence,
-            device_time=raw.device_time,
-            host_time=raw.host_time,
-            monotonic_time=raw.monotonic_time,
-            lost_before=None if raw.lost is None else raw.lost - (before.lost or 0),
-            skipped_before=raw.index - before.index - 1,
-            overrun=raw.overruns > before.overruns,
-            reconnected=raw.reconnects > before.reconnects,
-            rebooted=raw.reboots > before.reboots,
-            estimator_restarted=restarted,
-            counts=raw.counts,
-            valid=measurement.valid,
-            resistance=measurement.resistance,
-            pressure=measurement.pressure,
-            pressure_std=measurement.pressure_std,
-            _contacts=lambda: contacts.of(view),
-            _now=self._source.now,
-        )
+        before, self._before = self._before, _Totals.of(raw, measurement.estimator_starts)
+        return _frame(raw, measurement, before, self._source)
 
     def _check_fault(self) -> None:
         """Raise a fault that this taker has not been told of."""
@@ -294,14 +273,27 @@ class FrameCallback:
             while not self._closed.is_set():
                 try:
                     frame = self._taker.take(0.1)
-                except LinkTimeout:
+                except (LinkTimeout, ProtocolError):
                     continue
-                except LinkEnded:
-                    return
+                except LinkError:
+                    return  # whoever reads or iterates is told why
                 if not self._closed.is_set():
                     self._callback(frame)
         finally:
             self._taker.leave()
+
+
+class ConvertedFrames:
+    """Hands on every frame that anybody has converted, in order: for a recorder."""
+
+    def __init__(self, source: Source, receive: Callable[[Frame], None]) -> None:
+        self._source, self._receive = source, receive
+        self._before = _Totals()
+
+    def converted(self, raw: RawFrame, measurement: Measurement) -> None:
+        """Take the next converted frame."""
+        before, self._before = self._before, _Totals.of(raw, measurement.estimator_starts)
+        self._receive(_frame(raw, measurement, before, self._source))
 
 
 @dataclass(slots=True)
@@ -313,10 +305,35 @@ class _Totals:
     overruns: int = 0
     reconnects: int = 0
     reboots: int = 0
+    estimator_starts: int = 0
 
     @classmethod
-    def of(cls, frame: RawFrame) -> _Totals:
-        return cls(frame.index, frame.lost, frame.overruns, frame.reconnects, frame.reboots)
+    def of(cls, frame: RawFrame, estimator_starts: int = 0) -> _Totals:
+        return cls(frame.index, frame.lost, frame.overruns, frame.reconnects, frame.reboots, estimator_starts)
+
+
+def _frame(raw: RawFrame, measurement: Measurement, before: _Totals, source: Source) -> Frame:
+    """The frame for a reader who had taken ``before``."""
+    contacts, view = source.converter.contacts, measurement.view
+    return Frame(
+        sequence=raw.sequence,
+        device_time=raw.device_time,
+        host_time=raw.host_time,
+        monotonic_time=raw.monotonic_time,
+        lost_before=None if raw.lost is None else raw.lost - (before.lost or 0),
+        skipped_before=raw.index - before.index - 1,
+        overrun=raw.overruns > before.overruns,
+        reconnected=raw.reconnects > before.reconnects,
+        rebooted=raw.reboots > before.reboots,
+        estimator_restarted=measurement.estimator_starts > before.estimator_starts,
+        counts=raw.counts,
+        valid=measurement.valid,
+        resistance=measurement.resistance,
+        pressure=measurement.pressure,
+        pressure_std=measurement.pressure_std,
+        _contacts=lambda: contacts.of(view),
+        _now=source.now,
+    )
 
 
 def _because(away: str | None) -> str:

@@ -44,7 +44,7 @@ class LineSettings(Section):
     """bytes that the host's USB bridge and driver hold; behind a UART, bytes beyond are lost"""
     usb_packet: Annotated[int, Field(ge=1)] | None = None
     """bytes of payload in a packet of the USB bridge (FTDI at full speed: 62); None: bytes pass one by one"""
-    latency_s: NotNegative = 0.0
+    latency_s: Annotated[float, Field(ge=0, le=60)] = 0.0
     """that a partly filled USB packet waits (FTDI's latency timer: 0.016)"""
     auto_reset: bool = False
     """True: a host that opens the port or raises DTR resets the board, as on an Arduino"""
@@ -53,11 +53,11 @@ class LineSettings(Section):
 class ClockSettings(Section):
     """``[clock]``: the board's own clock beside the host's."""
 
-    offset_s: NotNegative = 0.0
+    offset_s: Annotated[float, Field(ge=0, le=1e12)] = 0.0
     """that the board's clock shows when the emulation begins"""
     drift_ppm: Annotated[Finite, Field(ge=-100_000, le=100_000)] = 0.0
     """by how much the board's clock is fast, in parts per million"""
-    jitter_s: NotNegative = 0.0
+    jitter_s: Annotated[float, Field(ge=0, le=10)] = 0.0
     """standard deviation of the delay (half a normal distribution) with which the board sends a frame"""
 
 
@@ -75,9 +75,9 @@ class LinkFault(Section):
     """of each byte (each packet) to be hit while the fault lasts; None: ``count`` are hit in the first packet"""
     count: Annotated[int, Field(ge=1)] = 1
     """bytes (packets) that are hit where no probability is given"""
-    text: str = BOOT_TEXT
+    text: Annotated[str, Field(max_length=4096)] = BOOT_TEXT
     """reset only: what the boot loader prints on the line"""
-    name: str | None = None
+    name: Annotated[str, Field(min_length=1, max_length=255, pattern=r"^[^/\x00]+$")] | None = None
     """unplug only: where the board appears again; None: where it was"""
 
     @model_validator(mode="after")

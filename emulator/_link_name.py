@@ -25,6 +25,8 @@ class LinkName:
     """
 
     def __init__(self, path: Path) -> None:
+        if not path.name:
+            raise InputError(f"'{path}' is no name for a link; expected the name of a file")
         self.path = path
         self._lock_path = path.with_name(f".{path.name}.lock")
         self._device: str | None = None

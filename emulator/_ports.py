@@ -210,7 +210,8 @@ class TcpPort(Port):
 
     def _listen(self, host: str, port: int) -> None:
         try:
-            self._listener: socket.socket | None = socket.create_server((host, port))
+            family = socket.AF_INET6 if ":" in host else socket.AF_INET
+            self._listener: socket.socket | None = socket.create_server((host, port), family=family)
         except (OSError, UnicodeError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or str(error)
             raise LinkError(f"{host}:{port}: cannot listen there: {reason}") from error
@@ -218,7 +219,8 @@ class TcpPort(Port):
         # Like the small buffer of a serial port, so that a slow host is noticed soon. Inherited by connections.
         self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 16384)
         self._address = self._listener.getsockname()[:2]
-        self.name = "{}://{}:{}".format(self.SCHEME, *self._address)
+        shown = f"[{self._address[0]}]" if ":" in self._address[0] else self._address[0]
+        self.name = f"{self.SCHEME}://{shown}:{self._address[1]}"
 
     @classmethod
     def at(cls, address: str) -> Self:
@@ -456,4 +458,6 @@ def _host_and_port(address: str) -> tuple[str, int]:
     host, colon, port = address.rpartition(":")
     if not colon or not (port.isascii() and port.isdecimal() and len(port) < 6 and int(port) < 65536):
         raise InputError(f"'{address}' is no address; expected HOST:PORT or :PORT with a port up to 65535")
+    if host.startswith("[") and host.endswith("]"):  # IPv6
+        host = host[1:-1]
     return host or "127.0.0.1", int(port)

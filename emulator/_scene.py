@@ -60,6 +60,11 @@ class Drift(Section):
                 raise ValueError(f"the times of temperature_change_c must not decrease; {after} s follows {before} s")
         return self
 
+    def check(self) -> None:
+        """Raises InputError for a drift that no material has."""
+        points = self.temperature_change_c
+        self.factor(np.array([time for time, _ in points]) if isinstance(points, list) else np.zeros(1))
+
     def factor(self, time_s: FloatArray) -> FloatArray:
         """(frames,) factor of all resistances at each of ``time_s``."""
         points = self.temperature_change_c
@@ -106,7 +111,8 @@ class BoardSettings(Section):
 
     frame_rate: Annotated[float, Field(ge=1e-3, le=100_000)] = 50.0
     """Hz"""
-    serial_number: str = "EMULATED"
+    serial_number: Annotated[str, Field(max_length=64, pattern=r"^[^\x00-\x1f\x7f-\x9f]*$")] = "EMULATED"
+    """without control characters, which would reach the terminals that show it"""
     noise: NotNegative = 0.0
     """V rms, white, at the input of the ADC"""
     reference_resistances: Annotated[tuple[Positive, ...], Field(strict=False, max_length=64)] = ()
@@ -152,7 +158,11 @@ class Scene(Section):
     @classmethod
     def from_tables(cls, tables: Mapping[str, Any], *, source: str, directory: Path) -> Scene:
         """A scene from TOML tables; ``directory`` is where the paths in it start."""
-        scene = parse(_with_paths(_with_parts(tables, source, directory), directory), cls, source=source)
+        try:
+            whole = _with_paths(_with_parts(tables, source, directory), directory)
+        except RecursionError as error:
+            raise InputError(f"{source}: tables are nested too deeply") from error
+        scene = parse(whole, cls, source=source)
         try:
             scene.read_files()
         except InputError as error:
@@ -165,7 +175,7 @@ class Scene(Section):
             contact.read_files()
         if self.movie is not None:
             self.movie.frames(self.skin.design.array.shape)
-        self.skin.drift.factor(np.zeros(1))
+        self.skin.drift.check()
 
     def pressure_kpa(self, time_s: float) -> FloatArray:
         """(rows, columns) kPa on the surface at ``time_s``: contacts add up."""

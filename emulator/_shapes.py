@@ -284,8 +284,9 @@ def _pixel_overlap(away: FloatArray, size: float, pixels: int) -> FloatArray:
 
 
 def _numpy_array(path: Path) -> FloatArray:
+    content = io.BytesIO(read_bytes(path))
     try:
-        array = np.load(io.BytesIO(read_bytes(path)), allow_pickle=False)
+        array = np.load(content, allow_pickle=False)
         return np.asarray(array, dtype=np.float64)
     except (ValueError, TypeError, EOFError) as error:
         raise InputError(f"{path}: is no .npy file of numbers: {error}") from error
@@ -296,10 +297,13 @@ def _png(path: Path) -> FloatArray:
         import PIL.Image
     except ImportError as error:
         raise MissingExtra(f"{path}: .png needs Pillow: install ohmskin[report], or use .csv or .npy") from error
+    content = io.BytesIO(read_bytes(path))
     try:
-        with PIL.Image.open(io.BytesIO(read_bytes(path))) as picture:
+        with PIL.Image.open(content) as picture:
             if max(picture.size) > _MOST_PIXELS:
                 raise InputError(f"{path}: has {picture.size} pixels; expected at most {_MOST_PIXELS} along each side")
             return np.asarray(picture.convert("L"), dtype=np.float64) / 255.0
-    except (OSError, SyntaxError, ValueError) as error:
+    except InputError:
+        raise
+    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as error:
         raise InputError(f"{path}: is no .png file that can be read: {error}") from error

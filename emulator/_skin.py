@@ -184,7 +184,8 @@ class _NextBlock(threading.Thread):
     """A block and the physics behind its last frame, computed in this thread or by the one that asks for them."""
 
     def __init__(self, physics: ScenePhysics, time_us: IntArray) -> None:
-        super().__init__(name="ohmskin-physics", daemon=True)
+        # No daemon: the interpreter waits for its end. A thread that is cut off within numpy aborts the process.
+        super().__init__(name="ohmskin-physics", daemon=False)
         self._physics, self._time_us = physics.copy(), time_us
         self._block: FrameBlock | None = None
         self._error: Exception | None = None

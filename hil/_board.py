@@ -60,11 +60,11 @@ def serve(
         return
     described = _scene(scene)
     port = PtyPort()
-    if target == FIRMWARE:
-        with _firmware(described, port, seed):
-            yield BoardInService(target, port.name, family, None)
-        return
     hand = Hand(described.skin.design.array.shape)
+    if target == FIRMWARE:
+        with _firmware(described, port, seed, hand):
+            yield BoardInService(target, port.name, family, hand)
+        return
     with running(described, port, seed=seed, family=family, hand=hand):
         yield BoardInService(target, port.name, family, hand)
 
@@ -77,7 +77,7 @@ def _scene(path: Path | None) -> Scene:
 
 
 @contextmanager
-def _firmware(scene: Scene, port: PtyPort, seed: int) -> Iterator[None]:
+def _firmware(scene: Scene, port: PtyPort, seed: int, hand: Hand) -> Iterator[None]:
     """The firmware's engine on ``port``. It needs Node.js, which not every machine has."""
     try:
         engine = importlib.import_module("ohmskin.emulator.firmware")
@@ -88,5 +88,5 @@ def _firmware(scene: Scene, port: PtyPort, seed: int) -> Iterator[None]:
     if reason is not None:
         port.close()
         raise TargetMissing(str(reason))
-    with engine.running_firmware(scene, port, seed=seed):
+    with engine.running_firmware(scene, port, seed=seed, hand=hand):
         yield

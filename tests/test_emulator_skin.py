@@ -280,6 +280,14 @@ def test_a_movie_of_resistance_may_be_a_table(tmp_path: Path) -> None:
     np.testing.assert_allclose(ohms[:, 2, 1], 6e3)
 
 
+def nested(depth: int) -> dict[str, Any]:
+    """Tables within tables."""
+    tables: dict[str, Any] = {}
+    for _ in range(depth):
+        tables = {"a": tables}
+    return tables
+
+
 @pytest.mark.parametrize(
     ("tables", "message"),
     [
@@ -302,6 +310,8 @@ def test_a_movie_of_resistance_may_be_a_table(tmp_path: Path) -> None:
         ({"event": [{"at_s": 1.0, "kind": "bridged-rows", "place": [2, 0]}]}, "event[0]"),
         ({"movie": {"file": "no.npz"}}, "no.npz: cannot be read: No such file"),
         ({"skin": {"design": DESIGN, "drift": {"temperature_change_c": 1e3}}}, "a million times"),
+        ({"skin": {"design": DESIGN, "drift": {"temperature_change_c": [[0, 0], [9, 1e3]]}}}, "a million times"),
+        ({"contact": [nested(3000)]}, "nested too deeply"),
     ],
 )
 def test_a_scene_that_cannot_be_is_refused_in_one_line(tables: dict[str, Any], message: str) -> None:
@@ -309,6 +319,21 @@ def test_a_scene_that_cannot_be_is_refused_in_one_line(tables: dict[str, Any], m
         scene(**tables)
     assert message in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_picture_that_is_none_is_refused_in_one_line(tmp_path: Path) -> None:
+    for name, content, message in (
+        ("p.npy", b"nonsense", "is no .npy file"),
+        ("p.png", b"nonsense", "is no .png file"),
+        ("p.csv", b"0,2\n", "outside 0 ... 1"),
+        ("p.csv", b"0,a\n", "is not a number"),
+    ):
+        (tmp_path / name).write_bytes(content)
+        image = {"file": name, "center": [0, 0], "size_mm": [1, 1]}
+        tables = {"skin": {"design": DESIGN}, "contact": [{"image": image, "load_kpa": [[0, 1]]}]}
+        with pytest.raises(InputError, match=message) as caught:
+            Scene.from_tables(tables, source="s", directory=tmp_path)
+        assert "\n" not in str(caught.value)
 
 
 def test_one_disc_on_the_largest_array_takes_little_memory() -> None:

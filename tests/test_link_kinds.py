@@ -255,12 +255,18 @@ def test_unplugging_hangs_up_on_the_host_and_plugging_in_serves_it_again() -> No
         assert (identity.serial_number, identity.boot_id) == ("U7", (boot + 1) % 2**32)
 
 
-def test_an_unplugged_link_file_is_a_valid_scene() -> None:
-    tables = {
-        "skin": {"design": DESIGN},
-        "line": {"baud_rate": 1_000_000, "usb_packet": 62, "latency_s": 0.016},
-        "clock": {"offset_s": 3.0, "drift_ppm": -40.0, "jitter_s": 1e-4},
-        "link_fault": [{"kind": "reset", "at_s": 2.0, "every_s": 5.0, "text": "boot\r\n"}],
-    }
-    what = Scene.from_tables(tables, source="scene", directory=Path())
-    assert what.link_fault[0].occurrence(7.5) == 1
+def test_the_driver_survives_the_example_of_a_bad_link(tmp_path: Path) -> None:
+    """A minute of the example at the fast clock, with everything that it has in store, counted by the driver."""
+    example = Path(__file__).parents[1] / "examples" / "bad_link.toml"
+    what = Scene.load(example)
+    assert {fault.kind for fault in what.link_fault} == {"dropped-bytes", "stall", "reset", "unplug"}
+    with (
+        running(what, PtyPort(tmp_path / "skin"), clock="fast", duration_s=60.0),
+        Skin.open(str(tmp_path / "skin"), timeout=60.0) as skin,
+    ):
+        assert [frame.pressure.shape for frame in skin]
+        statistics = skin.stats()
+    assert statistics.frames > 3000
+    assert statistics.corrupt > 0
+    assert statistics.reconnects == 1
+    assert statistics.reboots == 2

@@ -79,9 +79,8 @@ def test_the_wheel_holds_every_file_of_every_room(wheel: Path) -> None:
     packed = set(zipfile.ZipFile(wheel).namelist())
     for room in ROOMS:
         for file in (ROOT / room).rglob("*"):
-            if file.suffix not in (".py", ".toml", ".html", ".typed") or {"__pycache__", "node_modules"} & set(
-                file.parts
-            ):
+            packs = file.suffix in (".py", ".toml", ".html", ".typed", ".cjs", ".hex")
+            if not packs or {"__pycache__", "node_modules"} & set(file.parts):
                 continue
             inside = file.relative_to(ROOT / "src" if room.startswith("src") else ROOT)
             name = str(inside if room.startswith("src") else Path("ohmskin") / inside)

@@ -18,8 +18,9 @@ from ..emulator import Contact, PtyPort, Rectangle, Scene, running
 from ..emulator._scene import BoardSettings, SkinSettings
 from ..errors import InputError
 from ._chain import runs
+from ._firmware import firmware_in_the_loop
 from ._maps import heat_maps
-from ._outcome import Check, Figure, Finding, not_run
+from ._outcome import Check, Figure, Finding
 from ._subject import Subject
 from ._timing import timing
 
@@ -50,7 +51,7 @@ def whole_skin(subject: Subject) -> Finding:
         case "emulated":
             return _emulated(subject)
         case "firmware":
-            return not_run("board firmware", "there is no firmware in this version")
+            return firmware_in_the_loop(subject)
         case port:
             return _hardware(port)
 

@@ -19,6 +19,7 @@ from ...arrays import FloatArray
 from ...circuits import adc_codes
 from ...errors import InputError
 from ...wire import FramePacket, PacketDecoder
+from .._hand import Hand
 from .._line_settings import BYTE_FAULTS, PACKET_FAULTS, ClockSettings
 from .._scene import Scene
 from .._skin import Sample
@@ -152,6 +153,7 @@ class FirmwareBoard:
         hex_file: Path | None = None,
         seed: int = 0,
         boot_id: int = 1,
+        hand: Hand | None = None,
         record: Callable[[Sample], None] | None = None,
     ) -> None:
         """Switch the board on.
@@ -163,6 +165,7 @@ class FirmwareBoard:
             hex_file: another program than the one that ohmskin brings, for the same wiring.
             seed: for the noise at the ADC.
             boot_id: number of this start.
+            hand: presses beside the scene's contacts.
             record: told of every frame that arrived at the serial line, as it truly was; volts are those converted.
 
         Raises:
@@ -185,7 +188,7 @@ class FirmwareBoard:
         """times that the watchdog has reset the chip"""
         self.conversions_hang = False
         """a fault: conversions that begin from now on never end"""
-        self._circuit = ScanCircuit(scene, seed)
+        self._circuit = ScanCircuit(scene, seed, hand)
         self._wiring = self.kind.wiring()
         self._rows: frozenset[int] = frozenset()
         self._observer = _FrameObserver(self._circuit, scene, record)

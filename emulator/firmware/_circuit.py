@@ -6,6 +6,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...circuits import Design, Fault, Transient, adc_codes, scan, volts_of_codes
+from .._hand import Hand
 from .._scene import Scene
 from .._skin import ScenePhysics
 
@@ -22,12 +23,13 @@ REFERENCE_RESISTORS_OHM = (10e3, 15e3)
 class ScanCircuit:
     """Skin and readout of a scene, at times and with row selections that the program decides."""
 
-    def __init__(self, scene: Scene, seed: int) -> None:
+    def __init__(self, scene: Scene, seed: int, hand: Hand | None = None) -> None:
         """Start with no row selected and everything settled.
 
         Args:
             scene: its design has amplifiers and an ADC.
             seed: for the noise at the ADC.
+            hand: presses beside the scene's contacts.
 
         Raises:
             InputError: the design's circuit has no dynamic model.
@@ -36,6 +38,7 @@ class ScanCircuit:
         self._noise_volts = scene.board.noise
         self._random = np.random.default_rng(seed)
         self._physics = ScenePhysics(scene, self._random)
+        self._hand = hand
         self._design = self._physics.design(0.0)
         surface, cells = self._physics.cells(np.array([0]))
         self.pressure_kpa: FloatArray = surface[0]
@@ -85,9 +88,15 @@ class ScanCircuit:
 
     def _look_at_skin(self, time_s: float) -> None:
         self._looked_at_s = time_s
+        by_hand = None if self._hand is None else self._hand.take_change()
+        if by_hand is not None:
+            self._physics.by_hand_kpa = by_hand.ravel()
         surface, cells = self._physics.cells(np.array([round(time_s * 1e6)]))
         self.pressure_kpa = surface[0]
         self._change(self._physics.design(time_s), cells[0])
+        if by_hand is not None:
+            assert self._hand is not None
+            self._hand.in_force(time_s)  # since power-up, a few ms more than the time in the frames
 
     def _change(self, design: Design, resistance: FloatArray) -> None:
         """The circuit is this one from now on; it is solved again only if that makes a difference."""
@@ -101,9 +110,9 @@ class ScanCircuit:
     def _solve(self) -> None:
         """Settled outputs of every row, of none, and (when it is asked for) of the reference resistors."""
         self._solved_for = self.resistance_ohm
-        self._settled = scan(self._design, self.resistance_ohm).volts
+        self._settled = scan(self._design, self.resistance_ohm, method="exact").volts
         undriven = self._design.replace(drive={"voltage": _NO_DRIVE})
-        self._idle = scan(undriven, self.resistance_ohm).volts[0]
+        self._idle = scan(undriven, self.resistance_ohm, method="exact").volts[0]
         self._reference: FloatArray | None = None
 
     def _aim(self) -> None:
@@ -142,7 +151,7 @@ def reference_outputs(design: Design, resistance: FloatArray) -> FloatArray:
         },
         fault=tuple(_one_row_further(fault) for fault in design.fault),
     )
-    outputs: FloatArray = scan(extended, np.vstack([known, resistance])).volts[0]
+    outputs: FloatArray = scan(extended, np.vstack([known, resistance]), method="exact").volts[0]
     return outputs
 
 

@@ -22,6 +22,7 @@ from pathlib import Path
 
 from ...errors import InputError
 from .._faults import Line, Schedule
+from .._hand import Hand
 from .._ports import Port
 from .._run import ClockName, Outcome, Stop
 from .._scene import Scene
@@ -51,6 +52,7 @@ def emulate_firmware(
     truth: Path | None = None,
     settings: BoardSettings | None = None,
     engine: Engine = AVR8JS,
+    hand: Hand | None = None,
     stop: Stop,
 ) -> Outcome:
     """Run a firmware board on ``port`` for ``duration_s`` of board time or until ``stop``; then write the truth file.
@@ -64,6 +66,7 @@ def emulate_firmware(
         truth: .npz file of the frames that left the board, as they truly were.
         settings: of the board; None: frame rate and serial number of the scene.
         engine: emulator of the processor.
+        hand: presses beside the scene's contacts.
         stop: ends the run.
 
     Raises:
@@ -78,7 +81,9 @@ def emulate_firmware(
     with nullcontext() if truth is None else TruthFile(truth, scene.skin.design.array.shape) as file:
         record = None if file is None else file.append
         boot_id = secrets.randbits(32)
-        with FirmwareBoard(scene, settings=settings, engine=engine, seed=seed, boot_id=boot_id, record=record) as board:
+        with FirmwareBoard(
+            scene, settings=settings, engine=engine, seed=seed, boot_id=boot_id, hand=hand, record=record
+        ) as board:
             converter = _Converter(board, port, seed)
             start = time.monotonic()
             while board.time_s < duration_s and not stop.is_set():
@@ -110,6 +115,7 @@ def running_firmware(
     truth: Path | None = None,
     settings: BoardSettings | None = None,
     engine: Engine = AVR8JS,
+    hand: Hand | None = None,
 ) -> Iterator[None]:
     """:func:`emulate_firmware` in a thread while the block lasts; the port is closed at its end.
 
@@ -132,6 +138,7 @@ def running_firmware(
                     truth=truth,
                     settings=settings,
                     engine=engine,
+                    hand=hand,
                     stop=stop,
                 )
         except Exception as error:

@@ -1,0 +1,233 @@
+"""Recording of a skin to an MCAP file: every byte with its time of arrival, and decoded frames for viewers.
+
+The bytes are what :mod:`._replay` plays through the same driver. The decoded frames are JSON in schemas that Foxglove
+shows without plugins. Chunks are closed every second, so a recording that is cut short loses at most its last second.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import queue
+import struct
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+import numpy as np
+
+from .. import __version__
+from ..arrays import FloatArray
+from ..errors import InputError, MissingExtra
+from ._frame import Frame
+from ._port import Arrival
+
+if TYPE_CHECKING:
+    from mcap.writer import Writer
+
+BYTES_TOPIC, EVENTS_TOPIC = "/ohmskin/bytes", "/ohmskin/events"
+PRESSURE_TOPIC, FRAME_TOPIC = "/ohmskin/pressure", "/ohmskin/frame"
+METADATA = "ohmskin"
+FORMAT = "1"
+STAMP = struct.Struct("<dd")
+"""before the bytes of each arrival: monotonic time and time since the epoch in s, bit for bit as the driver had them"""
+FLUSH_S = 1.0
+CHUNK_BYTES = 2**20
+MOST_WAITING = 1000
+"""decoded frames that wait for the disk"""
+
+_NUMBER = {"type": "number"}
+_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+_IMAGE_SCHEMA = {
+    "title": "foxglove.RawImage",
+    "type": "object",
+    "properties": {
+        "timestamp": _TIME,
+        "frame_id": {"type": "string"},
+        "width": {"type": "integer"},
+        "height": {"type": "integer"},
+        "encoding": {"type": "string"},
+        "step": {"type": "integer"},
+        "data": {"type": "string", "contentEncoding": "base64"},
+    },
+}
+_PLAIN_FIELDS = (
+    "sequence",
+    "device_time",
+    "host_time",
+    "lost_before",
+    "skipped_before",
+    "overrun",
+    "reconnected",
+    "rebooted",
+)
+_FRAME_SCHEMA = {
+    "title": "ohmskin.Frame",
+    "type": "object",
+    "properties": {
+        "sequence": {"type": ["integer", "null"]},
+        "device_time": {"type": ["number", "null"]},
+        "host_time": _NUMBER,
+        "lost_before": {"type": ["integer", "null"]},
+        "skipped_before": {"type": "integer"},
+        "overrun": {"type": "boolean"},
+        "reconnected": {"type": "boolean"},
+        "rebooted": {"type": "boolean"},
+        "valid_cells": {"type": "integer"},
+        "largest_kpa": {"type": ["number", "null"]},
+        "contacts": {"type": "array", "items": {"type": "object"}},
+    },
+}
+
+
+class Recorder:
+    """Writes one recording. :class:`~ohmskin.driver.Skin` makes it: ``Skin.open(port, record=...)``, ``skin.record()``.
+
+    A file that cannot be written any more (a full disk) ends the recording, not the skin: see :attr:`error`.
+    """
+
+    def __init__(self, path: str | Path, settings: Mapping[str, str]) -> None:
+        """Begin a recording.
+
+        Args:
+            path: of the file, which is replaced.
+            settings: what a replay must know beforehand, see :class:`._replay.RecordedSettings`.
+
+        Raises:
+            InputError: the file cannot be written.
+            MissingExtra: mcap is not installed.
+
+        """
+        try:
+            from mcap.writer import Writer
+        except ImportError as error:
+            raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
+        self.path = Path(path)
+        self.error: InputError | None = None
+        """why the recording ended before it was closed"""
+        self.frames = 0
+        """decoded frames written"""
+        try:
+            self._file: BinaryIO = self.path.open("wb")
+        except OSError as error:
+            raise self._failure(error) from error
+        self._lock = threading.Lock()
+        self._writer: Writer | None = Writer(self._file, chunk_size=CHUNK_BYTES)
+        self._flush_at = time.monotonic() + FLUSH_S
+        self._writer.start(profile="", library=f"ohmskin {__version__}")
+        self._writer.add_metadata(METADATA, {"format": FORMAT, **settings})
+        image = self._schema("foxglove.RawImage", _IMAGE_SCHEMA)
+        frame = self._schema("ohmskin.Frame", _FRAME_SCHEMA)
+        self._channels = {
+            BYTES_TOPIC: self._writer.register_channel(BYTES_TOPIC, "application/octet-stream", 0),
+            EVENTS_TOPIC: self._writer.register_channel(EVENTS_TOPIC, "json", 0),
+            PRESSURE_TOPIC: self._writer.register_channel(PRESSURE_TOPIC, "json", image),
+            FRAME_TOPIC: self._writer.register_channel(FRAME_TOPIC, "json", frame),
+        }
+        self._guarded(self._writer.flush)
+        self._waiting: queue.Queue[Frame | None] = queue.Queue(MOST_WAITING)
+        self._thread = threading.Thread(target=self._write_frames, name=f"ohmskin recorder {path}", daemon=True)
+        self._thread.start()
+
+    def arrived(self, arrival: Arrival) -> None:
+        """Write bytes of the board."""
+        stamp = STAMP.pack(arrival.received_at, arrival.wall_time)
+        self._write(BYTES_TOPIC, arrival.wall_time, stamp + arrival.data)
+
+    def port_gone(self) -> None:
+        """Note that the port has gone away: what follows came over another connection."""
+        self._event({"event": "port gone"})
+
+    def rest_changed(self, rest_ohm: FloatArray | None, after_s: float | None) -> None:
+        """Note new rest resistances (rows, columns), for frames later than ``after_s`` on the monotonic clock."""
+        rest = None if rest_ohm is None else base64.b64encode(rest_ohm.astype("<f8").tobytes()).decode()
+        self._event({"event": "rest", "rest_ohm": rest, "after": None if after_s is None else after_s.hex()})
+
+    def frame(self, frame: Frame) -> None:
+        """Have a decoded frame written, for viewers. Does not wait: left out when the disk is far behind."""
+        with contextlib.suppress(queue.Full):
+            self._waiting.put_nowait(frame)
+
+    def _write_frames(self) -> None:
+        while (frame := self._waiting.get()) is not None:
+            self._write_frame(frame)
+
+    def _write_frame(self, frame: Frame) -> None:
+        image = np.ascontiguousarray(frame.pressure, dtype="<f4")
+        rows, columns = image.shape
+        seconds, nanoseconds = divmod(round(frame.host_time * 1e9), 10**9)
+        shown = {
+            "timestamp": {"sec": seconds, "nsec": nanoseconds},
+            "frame_id": "skin",
+            "width": columns,
+            "height": rows,
+            "encoding": "32FC1",
+            "step": 4 * columns,
+            "data": base64.b64encode(image.tobytes()).decode(),
+        }
+        pressed = frame.pressure[frame.valid]
+        values: dict[str, Any] = {name: getattr(frame, name) for name in _PLAIN_FIELDS}
+        values["valid_cells"] = int(frame.valid.sum())
+        values["largest_kpa"] = float(pressed.max()) if pressed.size and np.isfinite(pressed).all() else None
+        values["contacts"] = [
+            {
+                "id": contact.id,
+                "x_mm": contact.x_mm,
+                "y_mm": contact.y_mm,
+                "area_mm2": contact.area_mm2,
+                "force_n": contact.force_n,
+                "peak_kpa": contact.peak_kpa,
+            }
+            for contact in frame.contacts
+        ]
+        self._write(PRESSURE_TOPIC, frame.host_time, json.dumps(shown).encode())
+        self._write(FRAME_TOPIC, frame.host_time, json.dumps(values).encode())
+        self.frames += 1
+
+    def close(self) -> None:
+        """End the recording; a second time does nothing.
+
+        Raises:
+            InputError: the file could not be written to the end. What was written before can be read.
+
+        """
+        if self._thread.is_alive():
+            self._waiting.put(None)
+            self._thread.join()
+        with self._lock:
+            writer, self._writer = self._writer, None
+            if writer is not None:
+                self._guarded(writer.finish)
+                self._guarded(self._file.close)
+        if self.error is not None:
+            raise self.error
+
+    def _event(self, event: dict[str, Any]) -> None:
+        self._write(EVENTS_TOPIC, time.time(), json.dumps(event).encode())
+
+    def _write(self, topic: str, wall_time: float, data: bytes) -> None:
+        with self._lock:
+            writer = self._writer
+            if writer is None or self.error is not None:
+                return
+            moment = max(round(wall_time * 1e9), 0)
+            self._guarded(lambda: writer.add_message(self._channels[topic], moment, data, moment))
+            if time.monotonic() >= self._flush_at:
+                self._guarded(writer.flush)
+                self._flush_at = time.monotonic() + FLUSH_S
+
+    def _guarded(self, write: Any) -> None:
+        try:
+            write()
+        except OSError as error:
+            self.error = self.error or self._failure(error)
+
+    def _failure(self, error: OSError) -> InputError:
+        return InputError(f"{self.path}: cannot be written: {error.strerror or error}")
+
+    def _schema(self, name: str, schema: Mapping[str, Any]) -> int:
+        assert self._writer is not None
+        return int(self._writer.register_schema(name, "jsonschema", json.dumps(schema).encode()))

@@ -1,0 +1,220 @@
+"""Replay of a recording: a port that says what the board said, when it said it."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..cell import Cell
+from ..circuits import Design
+from ..config import parse
+from ..errors import InputError, LinkEnded, LinkError, MissingExtra
+from ..wire import read_description, write_description
+from ._port import Arrival
+from ._recorder import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
+
+
+@dataclass(frozen=True)
+class RecordedSettings:
+    """How the skin of a recording was opened."""
+
+    board: str
+    """family"""
+    design: Design | None
+    """None: as the board described itself"""
+    cell: Cell | None
+    estimator: str | None
+    pitch: float | None
+    """m"""
+
+    def as_metadata(self) -> dict[str, str]:
+        """Texts for the file."""
+        tables = write_description(
+            None if self.design is None else self.design.model_dump(),
+            None if self.cell is None else self.cell.model_dump(exclude_none=True),
+        ).decode()
+        known = {"estimator": self.estimator, "pitch": None if self.pitch is None else float(self.pitch).hex()}
+        return {"board": self.board, "given": tables} | {key: value for key, value in known.items() if value}
+
+    @classmethod
+    def of(cls, metadata: dict[str, str], path: Path) -> RecordedSettings:
+        """The settings in a file's metadata; InputError where they are none."""
+        if metadata.get("format") != FORMAT:
+            raise InputError(f"{path}: a recording of format {metadata.get('format')}; expected {FORMAT}")
+        design, cell = read_description(metadata["given"].encode())
+        pitch = metadata.get("pitch")
+        return cls(
+            board=metadata["board"],
+            design=None if design is None else parse(design, Design, source=f"{path}: design"),
+            cell=None if cell is None else parse(cell, Cell, source=f"{path}: cell"),
+            estimator=metadata.get("estimator"),
+            pitch=None if pitch is None else float.fromhex(pitch),
+        )
+
+
+class RestSchedule:
+    """Rest resistances and the times from which they hold, in order."""
+
+    def __init__(self) -> None:
+        self.changes: list[tuple[float, FloatArray | None]] = []
+        """time on the monotonic clock after which they hold, and (cells,) ohm; None: those of the data sheet"""
+
+
+class ReplayPort:
+    """Plays a recording. Without ``speed`` as fast as it is read, otherwise at so many times real time.
+
+    Raises:
+        InputError: the file cannot be read, or is no recording of ohmskin.
+        MissingExtra: mcap is not installed.
+
+    """
+
+    def __init__(self, path: str | Path, speed: float | None = None) -> None:
+        if speed is not None and not 0 < speed < math.inf:
+            raise InputError(f"speed {speed}; expected a positive number")
+        self.path = Path(path)
+        self.name = str(path)
+        self.settings, self.rest, self.arrivals, self.seconds = _survey(self.path)
+        """how it was opened; its tares; how many times bytes came; how long it lasts in s"""
+        self._speed = speed
+        self._items = _items(self.path)
+        self._next: Arrival | LinkError | None = None
+        self._latest = 0.0
+        self._start: tuple[float, float] | None = None
+        self._interrupted = threading.Event()
+        self._lock = threading.Lock()
+        """one thread may wait while another reads"""
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until the next bytes are due."""
+        due_s = self._due_s()
+        if due_s > timeout_s:
+            if self._interrupted.wait(max(timeout_s, 0.0)):
+                self._interrupted.clear()
+            return False
+        if due_s > 0 and self._interrupted.wait(due_s):
+            self._interrupted.clear()
+            return False
+        return True
+
+    def read(self) -> Arrival:
+        """The next recorded bytes, if they are due; LinkEnded at the end, LinkError where the port was gone."""
+        with self._lock:
+            if self._remaining_s() > 0:
+                return Arrival(b"", self.now(), time.time())
+            item, self._next = self._peek(), None
+            if isinstance(item, LinkEnded):
+                self._next = item
+            if isinstance(item, LinkError):
+                raise item
+            self._latest = item.received_at
+            return item
+
+    def write(self, data: bytes) -> None:
+        """Does nothing: a recording takes no orders."""
+
+    def interrupt(self) -> None:
+        """End a :meth:`wait` that another thread is in."""
+        self._interrupted.set()
+
+    def now(self) -> float:
+        """Present time of the recording, on the clock that the host had then."""
+        if self._speed is None or self._start is None:
+            return self._latest
+        real_s, recorded_s = self._start
+        return recorded_s + (time.monotonic() - real_s) * self._speed
+
+    def close(self) -> None:
+        """Nothing to give back until the recording is read to its end."""
+
+    def reopen(self) -> ReplayPort:
+        """The port as it came back."""
+        return self
+
+    def _peek(self) -> Arrival | LinkError:
+        if self._next is None:
+            self._next = next(self._items, LinkEnded(f"{self.name}: the recording is over"))
+        return self._next
+
+    def _due_s(self) -> float:
+        with self._lock:
+            return self._remaining_s()
+
+    def _remaining_s(self) -> float:
+        """Seconds until the next bytes; not positive: now."""
+        item = self._peek()
+        if self._speed is None or isinstance(item, LinkError):
+            return 0.0
+        if self._start is None:
+            self._start = (time.monotonic(), item.received_at)
+        return (item.received_at - self.now()) / self._speed
+
+
+def _survey(path: Path) -> tuple[RecordedSettings, RestSchedule, int, float]:
+    settings, rest = None, RestSchedule()
+    arrivals, first, last = 0, None, 0.0
+    for topic, data in _records(path):
+        if topic == METADATA:
+            settings = RecordedSettings.of(data, path)
+        elif topic == BYTES_TOPIC:
+            arrivals += 1
+            last = STAMP.unpack_from(data)[0]
+            first = last if first is None else first
+        elif topic == EVENTS_TOPIC:
+            event = json.loads(data)
+            if event["event"] == "rest":
+                ohm = event["rest_ohm"]
+                values = None if ohm is None else np.frombuffer(base64.b64decode(ohm), dtype="<f8").astype(np.float64)
+                after = -math.inf if event["after"] is None else float.fromhex(event["after"])
+                rest.changes.append((after, values))
+    if settings is None:
+        raise InputError(f"{path}: is no recording of ohmskin; expected the metadata '{METADATA}'")
+    return settings, rest, arrivals, 0.0 if first is None else last - first
+
+
+def _items(path: Path) -> Iterator[Arrival | LinkError]:
+    for topic, data in _records(path):
+        if topic == BYTES_TOPIC:
+            received_at, wall_time = STAMP.unpack_from(data)
+            yield Arrival(data[STAMP.size :], received_at, wall_time)
+        elif topic == EVENTS_TOPIC and json.loads(data)["event"] == "port gone":
+            yield LinkError(f"{path}: the board has gone away (as it did then)")
+
+
+def _records(path: Path) -> Iterator[tuple[str, Any]]:
+    """Topic and data of each message in the order of writing, and the metadata; up to where the file is cut off."""
+    try:
+        from mcap.records import Channel, Message, Metadata
+        from mcap.stream_reader import StreamReader
+    except ImportError as error:
+        raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
+    topics: dict[int, str] = {}
+    found = False
+    try:
+        with path.open("rb") as file:
+            for record in StreamReader(file, record_size_limit=2**30, validate_crcs=True).records:
+                found = True
+                match record:
+                    case Metadata() if record.name == METADATA:
+                        yield METADATA, record.metadata
+                    case Channel():
+                        topics[record.id] = record.topic
+                    case Message():
+                        yield topics[record.channel_id], record.data
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except Exception as error:
+        # A process that was killed, or a full disk, ends a file anywhere: mcap, its decompressors and struct raise
+        # errors of many kinds there. What was written before is whole, as its checksums say.
+        if not found:
+            raise InputError(f"{path}: is no MCAP file: {str(error) or type(error).__name__}") from error

@@ -1,0 +1,279 @@
+"""Recording, replay and export: the same frames bit for bit, whatever ended the recording."""
+
+from __future__ import annotations
+
+import base64
+import csv
+import json
+import subprocess
+import sys
+import time
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+from boards import Script, Wire, gone, scene
+
+from ohmskin.cli import run
+from ohmskin.driver import Frame, ReplayPort, Skin
+from ohmskin.emulator import Board, PtyPort, running
+from ohmskin.errors import InputError
+from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
+
+ARRAYS = ("counts", "valid", "resistance", "pressure", "pressure_std")
+NUMBERS = (
+    "sequence",
+    "device_time",
+    "host_time",
+    "monotonic_time",
+    "lost_before",
+    "overrun",
+    "reconnected",
+    "rebooted",
+    "estimator_restarted",
+)
+
+
+def same(one: Frame, other: Frame) -> bool:
+    """Whether two frames agree in every bit."""
+    arrays = all(np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True) for name in ARRAYS)
+    return arrays and all(getattr(one, name) == getattr(other, name) for name in NUMBERS)
+
+
+def pieces(numbers: range, *, boot_id: int = 1, last: bool = False) -> list[bytes]:
+    what = scene().skin
+    text = write_description(what.design.model_dump(), what.cell.model_dump())
+    head = [
+        encode(Identity(0, 0, 3, 2, 12, True, 1000, len(text), "A1", "test", boot_id)),
+        encode(DescriptionPiece(0, 0, 0, len(text), text, boot_id)),
+    ]
+    rng = np.random.default_rng(boot_id)
+    frames = [
+        encode(
+            FramePacket.of(
+                2000 + rng.integers(-40, 40, (3, 2)),
+                sequence=k,
+                time_us=1000 * k,
+                boot_id=boot_id,
+                flags=Flag.LAST if last and k == numbers[-1] else Flag.NONE,
+            )
+        )
+        for k in numbers
+    ]
+    return head + frames
+
+
+def recorded(path: Path, count: int = 200) -> list[Frame]:
+    """Record an emulated board, and return its frames."""
+    with Skin(Wire(Board(scene())), delivery="lossless", record=path) as skin:
+        return list(islice(skin, count))
+
+
+def replayed(path: Path) -> list[Frame]:
+    with Skin.open(str(path)) as skin:
+        return list(skin)
+
+
+def test_a_replay_gives_the_same_frames_bit_for_bit(tmp_path: Path) -> None:
+    path = tmp_path / "press.mcap"
+    live = recorded(path)
+    again = replayed(path)
+    assert len(again) >= len(live)  # bytes that were read but not yet taken are recorded too
+    assert all(same(one, other) for one, other in zip(live, again, strict=False))
+    assert max(frame.pressure[1, 1] for frame in again) > 10
+
+
+def test_a_tare_in_the_middle_is_replayed_where_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "tare.mcap"
+    with Skin(Wire(Board(scene(contact=[]))), delivery="lossless", record=path) as skin:
+        live = list(islice(skin, 30))
+        skin.tare(10)
+        live += islice(skin, 30)
+        skin.undo_tare()
+        live += islice(skin, 30)
+    again = {frame.sequence: frame for frame in replayed(path)}
+    assert sum(frame.estimator_restarted for frame in live) == 3
+    # The frames that the tare itself took are in the replay, and not in the loop.
+    assert [same(frame, again[frame.sequence]) for frame in live] == [True] * 90
+
+
+def test_reconnection_losses_and_noise_are_replayed(tmp_path: Path) -> None:
+    path = tmp_path / "life.mcap"
+    first = Script(*pieces(range(5)), b"noise\0", *pieces(range(8, 12))[2:], last=gone)
+    second = Script(*pieces(range(3, 9), boot_id=2, last=True))
+    with Skin(first, delivery="lossless", reopen=lambda: second, record=path) as skin:
+        live = list(skin)
+        stats = skin.stats()
+    assert (stats.reconnects, stats.reboots, stats.lost, stats.corrupt) == (1, 1, 6, 1)
+    with Skin.open(str(path)) as skin:
+        again = list(skin)
+        after = skin.stats()
+        assert skin.serial_number == "A1"
+    assert len(live) == len(again) == 15
+    assert all(map(same, live, again))
+    assert (after.reconnects, after.reboots, after.lost, after.corrupt) == (1, 1, 6, 1)
+
+
+def test_what_was_given_at_opening_is_given_again(tmp_path: Path) -> None:
+    path = tmp_path / "given.mcap"
+    what = scene().skin
+    other = what.design.replace(array={"row_lead": 0.0})
+    options = {"design": other, "cell": what.cell, "estimator": "static", "pitch": 0.0031}
+    with Skin(Script(*pieces(range(9), last=True)), delivery="lossless", record=path, **options) as skin:  # type: ignore[arg-type]
+        live = list(skin)
+    with Skin.open(str(path)) as skin:
+        assert (skin.design, skin.cell) == (other, what.cell)
+        again = list(skin)
+        assert skin._converter.contacts._tracker.pitch_m == 0.0031
+    assert all(map(same, live, again))
+
+
+@pytest.mark.parametrize("share", [0.3, 0.7, 0.999])
+def test_a_recording_that_was_cut_off_can_be_read_up_to_there(tmp_path: Path, share: float) -> None:
+    path = tmp_path / "cut.mcap"
+    with Skin(Wire(Board(scene())), delivery="lossless", record=path) as skin:
+        live = []
+        assert skin.recorder is not None
+        for frame in islice(skin, 300):
+            live.append(frame)
+            if len(live) % 20 == 0:
+                skin.recorder._flush_at = 0.0  # as if a second had passed
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    again = replayed(path)
+    assert len(again) > 0.5 * share * len(live)
+    assert all(same(one, other) for one, other in zip(live, again, strict=False))
+
+
+def test_a_recorder_that_is_killed_leaves_all_but_its_last_second(tmp_path: Path) -> None:
+    path = tmp_path / "killed.mcap"
+    port = PtyPort()
+    with running(scene(board={"frame_rate": 200.0}), port):
+        process = subprocess.Popen([sys.executable, "-m", "ohmskin", "record", port.name, "-o", str(path)])
+        try:
+            deadline = time.monotonic() + 60
+            while not path.exists() or path.stat().st_size < 5000:
+                assert time.monotonic() < deadline
+                time.sleep(0.1)
+        finally:
+            process.kill()
+            process.wait()
+    assert len(replayed(path)) > 10
+
+
+def test_viewers_find_images_and_numbers(tmp_path: Path) -> None:
+    """Read with mcap itself, as Foxglove would."""
+    from mcap.reader import make_reader
+
+    path = tmp_path / "seen.mcap"
+    with Skin(Script(*pieces(range(3))), delivery="every", record=path) as skin:
+        live = [next(skin) for _ in range(3)]
+    with path.open("rb") as file:
+        found = list(make_reader(file).iter_messages(topics=["/ohmskin/pressure", "/ohmskin/frame"]))
+    images = [json.loads(message.data) for schema, _, message in found if schema and schema.name == "foxglove.RawImage"]
+    numbers = [json.loads(message.data) for schema, _, message in found if schema and schema.name == "ohmskin.Frame"]
+    assert len(images) == len(numbers) == 3
+    for frame, image, values in zip(live, images, numbers, strict=True):
+        data = base64.b64decode(image["data"])
+        assert (image["encoding"], image["step"]) == ("32FC1", 4 * image["width"])
+        pressure = np.frombuffer(data, dtype="<f4").reshape(image["height"], image["width"])
+        np.testing.assert_array_equal(pressure, frame.pressure.astype("<f4"))
+        assert values["sequence"] == frame.sequence
+        assert values["host_time"] == frame.host_time
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_skin() -> None:
+    with pytest.raises(InputError, match=r"/dev/full: cannot be written: No space left on device"):  # noqa: SIM117
+        with Skin(Script(*pieces(range(5))), delivery="lossless", record="/dev/full") as skin:
+            assert [next(skin).sequence for _ in range(5)] == list(range(5))
+
+
+def test_a_replay_at_a_speed_takes_its_time(tmp_path: Path) -> None:
+    path = tmp_path / "paced.mcap"
+    port = Script(*pieces(range(1)))
+    with Skin(port, delivery="lossless", record=path) as skin:
+        next(skin)
+        time.sleep(0.6)
+        port.say(*pieces(range(600, 601))[2:])
+        next(skin)
+    began = time.monotonic()
+    with Skin.open(str(path), speed=2.0) as skin:
+        frames = [next(skin), next(skin)]
+        assert 0 <= frames[-1].age < 5  # on the recording's clock
+    assert time.monotonic() - began > 0.25
+    with pytest.raises(InputError, match=r"speed 0\.0; expected a positive number"):
+        ReplayPort(path, 0.0)
+
+
+@pytest.mark.parametrize("content", [b"", b"time,pressure\n1,2\n", b"\x89MCAP0\r\n"])
+def test_what_is_no_recording_is_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "no.mcap"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"no\.mcap: is no ") as caught:
+        Skin.open(str(path))
+    assert "\n" not in str(caught.value)
+    with pytest.raises(InputError, match="cannot be read: No such file"):
+        Skin.open(str(tmp_path / "nowhere.mcap"))
+
+
+def test_the_commands_record_replay_and_export(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
+    port = PtyPort()
+    with running(scene(), port, clock="fast", duration_s=4.0):
+        assert run(["record", port.name, "-o", str(first)]) == 0
+    _, message = capfd.readouterr()
+    assert ": 200 frames, 0 lost, 0 reconnects" in message
+
+    link = tmp_path / "skin"
+    player = subprocess.Popen(
+        [sys.executable, "-m", "ohmskin", "replay", str(first), "--link", str(link), "--speed", "100"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert player.stdout is not None
+        assert player.stdout.readline().strip() == str(link)
+        assert run(["record", str(link), "-o", str(second)]) == 0
+        assert player.wait(30) == 0
+    finally:
+        player.kill()
+        player.communicate()
+
+    for name in ("first", "second"):
+        assert run(["export", str(tmp_path / f"{name}.mcap"), "-o", str(tmp_path / f"{name}.npz")]) == 0
+    with np.load(tmp_path / "first.npz") as one, np.load(tmp_path / "second.npz") as other:
+        assert set(one.files) == {*ARRAYS, *NUMBERS, "time"} - {"monotonic_time", "estimator_restarted"}
+        np.testing.assert_array_equal(one["sequence"], np.arange(200))
+        for field in ("sequence", "device_time", "counts", "pressure"):
+            np.testing.assert_array_equal(one[field], other[field])
+        pressure = one["pressure"]
+
+    assert run(["export", str(first), "-o", str(tmp_path / "first.csv")]) == 0
+    with (tmp_path / "first.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [float(row["pressure_kpa_1_1"]) for row in rows] == pressure[:, 1, 1].tolist()
+    parquet = pytest.importorskip("pyarrow.parquet")
+    assert run(["export", str(first), "-o", str(tmp_path / "first.parquet")]) == 0
+    assert parquet.read_table(tmp_path / "first.parquet")["pressure_kpa_1_1"].to_pylist() == pressure[:, 1, 1].tolist()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["record", "/dev/nothing-here", "-o", "{tmp}/x.mcap"], "/dev/nothing-here: no such port"),
+        (["record", "/dev/nothing-here", "-o", "{tmp}/x.csv"], "x.csv: is no name of a recording; expected FILE.mcap"),
+        (["export", "{tmp}/nowhere.mcap", "-o", "{tmp}/x.npz"], "nowhere.mcap: cannot be read: No such file"),
+        (["export", "{tmp}/nowhere.mcap", "-o", "{tmp}/x.txt"], "expected a name that ends in .npz, .csv, .parquet"),
+        (["export", "{tmp}/nowhere.csv", "-o", "{tmp}/x.npz"], "nowhere.csv: is no name of a recording"),
+        (["replay", "{tmp}/nowhere.mcap"], "nowhere.mcap: cannot be read: No such file"),
+    ],
+)
+def test_bad_input_is_one_line_and_leaves_nothing(
+    arguments: list[str], message: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert run([argument.format(tmp=tmp_path) for argument in arguments]) == 2
+    _, errors = capfd.readouterr()
+    assert message in errors
+    assert errors.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
