@@ -20,8 +20,9 @@ from ._requirement import Requirement
 from ._spread import Spread, Spreadable
 from .readouts import CIRCUITS
 
-LEAST_DRIVE_V = 1e-12
-"""far below the thermal noise of any cell; the ratio of an offset to the drive must stay a sensible number"""
+LEAST_DRIVE_V, MOST_V, LEAST_REFERENCE_OHM = 1e-6, 1e4, 1e-6
+"""Limits far beyond any board. Within them an offset is at most 1e16 times what the drive makes of 1 ohm, so that the
+solvers do not take a finite output for that of a short."""
 
 
 def _known_circuit(name: str) -> str:
@@ -47,11 +48,15 @@ def _per_line(expected: str, allowed: Callable[[float], bool]) -> PlainValidator
     return PlainValidator(check)
 
 
+Volts = Annotated[float, Field(ge=-MOST_V, le=MOST_V, allow_inf_nan=False)]
 PerLine = float | tuple[float, ...]
 Ohms = Annotated[PerLine, _per_line("a number of ohm >= 0", lambda x: 0 <= x <= MOST)]
-PositiveOhms = Annotated[PerLine, _per_line("a number of ohm > 0", lambda x: LEAST <= x <= MOST)]
+PositiveOhms = Annotated[
+    PerLine,
+    _per_line(f"a number of ohm > 0, at least {LEAST_REFERENCE_OHM:g}", lambda x: LEAST_REFERENCE_OHM <= x <= MOST),
+]
 Gains = Annotated[PerLine, _per_line("a number >= 1 (or inf)", lambda x: 1 <= x <= MOST or x == inf)]
-Numbers = Annotated[PerLine, _per_line("a finite number", lambda x: abs(x) <= MOST)]
+Numbers = Annotated[PerLine, _per_line(f"a finite number of at most {MOST_V:g} V or A", lambda x: abs(x) <= MOST_V)]
 
 
 class Array(Spreadable):
@@ -106,7 +111,7 @@ class Drive(Spreadable):
 
     PARTS: ClassVar[tuple[str, ...]] = ("voltage",)
 
-    voltage: Finite
+    voltage: Volts
     """V, selected row against the reference"""
     idle_rows: Literal["ground", "float"] = "ground"
     """driven lines that are not selected: at the reference, or open; "voltage-feedback" drives them itself"""
@@ -144,7 +149,7 @@ class Readout(Spreadable):
     circuit: Circuit
     reference_resistance: PositiveOhms
     """ohm: Rref, or the divider's load"""
-    reference_voltage: Finite = 0.0
+    reference_voltage: Volts = 0.0
     """V: non-inverting input and idle rows (single-supply boards)"""
     open_loop_gain: Gains = inf
     gain_bandwidth: Annotated[float, Field(ge=LEAST)] = inf

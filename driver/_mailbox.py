@@ -33,11 +33,14 @@ class Place:
 class Mailbox:
     """The newest frames that came. Takers keep their own place, so that they do not disturb each other.
 
-    All attributes are read and written with ``condition`` held.
+    All attributes are read and written with ``lock`` held.
     """
 
     def __init__(self, capacity: int, *, drops_oldest: bool = True) -> None:
-        self.condition = threading.Condition()
+        # `with lock` cannot be cut in two by Ctrl-C, since the lock is C code. `with condition` is Python code and can:
+        # the lock would stay taken, and the reader thread would wait for it for ever.
+        self.lock = threading.RLock()
+        self.condition = threading.Condition(self.lock)
         self.capacity = capacity
         self.newest: RawFrame | None = None
         self.fault = Fault(0, LinkError("none"), 0)
@@ -54,7 +57,7 @@ class Mailbox:
 
     def put(self, frame: RawFrame) -> None:
         """Let ``frame`` be the newest; the oldest is dropped where the queue is full. :meth:`tell` makes it known."""
-        with self.condition:
+        with self.lock:
             if self._closed:
                 return
             self.newest = frame
@@ -64,31 +67,31 @@ class Mailbox:
 
     def tell(self) -> None:
         """Wake those who wait for frames: once for all frames that came together, since each wake-up costs time."""
-        with self.condition:
+        with self.lock:
             self._tell()
 
     def report(self, error: OhmskinError) -> None:
         """Let every taker know of a fault after which frames go on."""
-        with self.condition:
+        with self.lock:
             after = 0 if self.newest is None else self.newest.index
             self.fault = Fault(self.fault.number + 1, error, after)
             self._tell()
 
     def set_away(self, reason: str | None) -> None:
         """Let takers know that the port is gone and may come back, or is back (None)."""
-        with self.condition:
+        with self.lock:
             self.away = reason
             self._tell()
 
     def finish(self, error: OhmskinError) -> None:
         """Let takers know that no frame will come any more. The first reason counts."""
-        with self.condition:
+        with self.lock:
             self.end = self.end or error
             self._tell()
 
     def close(self, error: OhmskinError) -> None:
         """Drop what is queued, and let takers know that they get no more."""
-        with self.condition:
+        with self.lock:
             self._closed = True
             self._frames.clear()
             self.newest = None
@@ -103,32 +106,32 @@ class Mailbox:
 
     def between(self, index: int, end: int) -> list[RawFrame]:
         """The frames beyond ``index`` and before ``end``, in order."""
-        with self.condition:
+        with self.lock:
             return [frame for frame in self._frames if index < frame.index < end]
 
     def join(self, index: int) -> Place:
         """A place for a new taker, who has no use for frames up to ``index``."""
-        with self.condition:
+        with self.lock:
             place = Place(index)
             self._places.append(place)
             return place
 
     def leave(self, place: Place) -> None:
         """Forget a taker."""
-        with self.condition:
+        with self.lock:
             if place in self._places:
                 self._places.remove(place)
             self._drop_passed()
 
     def move(self, place: Place, index: int) -> None:
         """Note that a taker has passed frame ``index``. Frames that all takers have passed are dropped."""
-        with self.condition:
+        with self.lock:
             place.index = max(place.index, index)
             self._drop_passed()
 
     def passed(self) -> int:
         """Number of the last frame that all takers have passed; 0 where there are none."""
-        with self.condition:
+        with self.lock:
             return min((place.index for place in self._places), default=0)
 
     def _drop_passed(self) -> None:
@@ -140,12 +143,12 @@ class Mailbox:
 
     def is_full(self) -> bool:
         """Whether the queue has no room."""
-        with self.condition:
+        with self.lock:
             return len(self._frames) >= self.capacity
 
     def wait_for_room(self, timeout_s: float) -> None:
         """Wait until half of the queue is free, for at most ``timeout_s``."""
-        with self.condition:
+        with self.lock:
             self._room_wanted = True
             self.condition.wait_for(lambda: self._has_room() or self.end is not None, timeout_s)
             self._room_wanted = False
@@ -156,12 +159,12 @@ class Mailbox:
 
     def add_waker(self, waker: Callable[[], None]) -> None:
         """Let ``waker`` be called, from the reader thread, whenever something is new."""
-        with self.condition:
+        with self.lock:
             self._wakers.append(waker)
 
     def remove_waker(self, waker: Callable[[], None]) -> None:
         """End what :meth:`add_waker` began."""
-        with self.condition:
+        with self.lock:
             self._wakers.remove(waker)
 
     def _tell(self) -> None:

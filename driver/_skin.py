@@ -372,7 +372,7 @@ class Skin:
 
     def stats(self) -> LinkStatistics:
         """What came, what was lost, and how old frames were."""
-        with self._mailbox.condition:
+        with self._mailbox.lock:
             newest = self._mailbox.newest
             pending = 0 if newest is None else newest.index - min(self._taker.index, newest.index)
         clock = self._reader.stream.clock

@@ -46,7 +46,7 @@ class FrameTaker:
         """Begin with the frames that come from now on, or with the first one that ever came."""
         self._source = source
         mailbox = source.mailbox
-        with mailbox.condition:
+        with mailbox.lock:
             last = None if from_start else mailbox.newest
             self._place: Place = mailbox.join(0 if last is None else last.index)
             self._faults = 0 if from_start else mailbox.fault.number
@@ -74,7 +74,15 @@ class FrameTaker:
             ProtocolError: what came breaks the format, or does not fit the design.
 
         """
-        deadline = time.monotonic() + timeout_s
+        before = self._before
+        try:
+            return self._await(time.monotonic() + timeout_s, timeout_s, while_away)
+        except KeyboardInterrupt:
+            # A frame in hand does not reach the caller; the next one counts it as skipped.
+            self._before = before
+            raise
+
+    def _await(self, deadline: float, timeout_s: float, while_away: bool) -> Frame:
         while True:
             frame = self.try_take()
             if frame is not None:
@@ -120,7 +128,7 @@ class FrameTaker:
         while True:
             if source.newest_only or self._place.index >= source.mailbox.fault.after:
                 self._check_fault()
-            with source.mailbox.condition:
+            with source.mailbox.lock:
                 newest = source.mailbox.newest
                 frame = newest if source.newest_only else source.mailbox.after(self._place.index)
             if frame is None or frame.index <= self._place.index:
@@ -132,7 +140,7 @@ class FrameTaker:
 
     def pass_to_newest(self) -> None:
         """Pass the frames that have come; they count as skipped."""
-        with self._lock, self._source.mailbox.condition:
+        with self._lock, self._source.mailbox.lock:
             newest = self._source.mailbox.newest
             if newest is not None:
                 self._source.mailbox.move(self._place, newest.index)
@@ -170,6 +178,8 @@ class FrameTaker:
             raise
         with self._lock:
             if measurement is None or raw.index <= self._before.index:
+                # After an interrupt between the two steps below, too: the frame must not be offered again for ever.
+                source.mailbox.move(self._place, raw.index)
                 return None
             frame = self._deliver(raw, measurement)
             self._frame = frame
@@ -208,7 +218,7 @@ class FrameTaker:
                 or mailbox.fault.number > self._faults
             )
 
-        with mailbox.condition:
+        with mailbox.lock:
             mailbox.condition.wait_for(new, timeout_s)
 
 

@@ -14,7 +14,7 @@ from ohmskin.cli import run
 from ohmskin.emulator import Scene, plan
 
 EXAMPLES = sorted(
-    path for path in (Path(__file__).parents[1] / "examples").glob("*.toml") if "\n[array]\n" not in path.read_text()
+    path for path in (Path(__file__).parents[1] / "examples").glob("*.toml") if "\n[skin" in path.read_text()
 )
 
 

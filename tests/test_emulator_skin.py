@@ -13,8 +13,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.circuits import Design, scan
-from ohmskin.emulator import Bump, Contact, Disc, EmulatedSkin, FrameBlock, Image, Point, Rectangle, Scene, spread
+from ohmskin.emulator import (
+    Board,
+    Bump,
+    Contact,
+    Disc,
+    EmulatedSkin,
+    FrameBlock,
+    Image,
+    Point,
+    Rectangle,
+    Scene,
+    spread,
+)
 from ohmskin.errors import InputError, SolverError
+from ohmskin.wire import Command, Order, encode
 
 BIG: dict[str, Any] = {
     **DESIGN,
@@ -379,3 +392,15 @@ def test_what_fails_in_the_physics_is_raised_where_frames_are_read(
 
     with pytest.raises(SolverError, match="no solution"):
         read_on()
+
+
+def test_the_same_seed_gives_the_same_bytes_with_and_without_a_thread() -> None:
+    what = sliding(board={"frame_rate": 500.0, "noise": 1e-3})
+    boards = [Board(what, seed=5, boot_id=9, ahead=ahead) for ahead in (False, True)]
+    for tick in range(400):
+        if tick in {50, 90}:  # a host that changes the rate, stops and starts
+            for board in boards:
+                board.receive(encode(Command(Order.RATE, period_us=1500)))
+                board.receive(encode(Command(Order.STOP if tick == 50 else Order.START)))
+        first, second = (b"".join(board.tick()) for board in boards)
+        assert first == second

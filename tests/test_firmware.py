@@ -10,7 +10,7 @@ import os
 import shutil
 import subprocess
 import sys
-from itertools import pairwise
+from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +20,9 @@ from boards import MemoryPort, lossless
 from needs import need
 
 from ohmskin.cell import Cell
-from ohmskin.circuits import Design, Settling, scan
-from ohmskin.emulator import Sample, Scene
+from ohmskin.circuits import Design, Settling, adc_codes, scan
+from ohmskin.driver import Skin
+from ohmskin.emulator import PtyPort, Sample, Scene
 from ohmskin.emulator.firmware import (
     AVR8JS,
     CLOCK_HZ,
@@ -31,8 +32,12 @@ from ohmskin.emulator.firmware import (
     Processor,
     check_scene,
     missing_for,
+    running_firmware,
 )
 from ohmskin.errors import InputError, LinkError, MissingExtra
+from ohmskin.verification import _firmware as verification_firmware
+from ohmskin.verification._outcome import Outcome
+from ohmskin.verification._subject import Subject
 from ohmskin.wire import (
     Corrupt,
     Description,
@@ -274,6 +279,43 @@ def test_the_self_test_of_the_large_board_sees_its_reference_resistors() -> None
 
 
 # ---- what goes wrong
+
+
+def test_faults_of_the_line_are_counted_and_survived(tmp_path: Path) -> None:
+    """Over a pseudo-terminal: flipped, dropped, inserted and doubled bytes, lost packets, and a stall."""
+    kinds = ["flipped-bits", "dropped-bytes", "inserted-bytes", "duplicated-bytes", "dropped-packets"]
+    faults = [{"kind": kind, "at_s": 0.6 + 0.3 * number} for number, kind in enumerate(kinds)]
+    stall = {"kind": "stall", "at_s": 2.2, "duration_s": 0.3}
+    faulty = scene(link_fault=[*faults, stall])
+    truth = tmp_path / "truth.npz"
+    with (
+        PtyPort() as port,
+        running_firmware(faulty, port, clock="fast", duration_s=3.0, truth=truth),
+        Skin.open(port.name, delivery="lossless", timeout=60.0) as skin,
+    ):
+        frames = list(islice(skin, 135))
+    with np.load(truth) as arrays:
+        codes = adc_codes(faulty.skin.design, arrays["volts"])
+        place = {number: k for k, number in enumerate(arrays["sequence"].tolist())}
+    assert 4 <= sum(frame.lost_before or 0 for frame in frames) <= 8
+    for frame in frames:
+        np.testing.assert_array_equal(frame.counts, codes[place[frame.sequence]])
+
+
+def test_the_report_on_the_firmware_passes_and_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The experiment of `ohmskin verify --target firmware`, with few of its points."""
+    for name, few in (("FRAMES", 60), ("DWELLS_US", (60,)), ("PRESCALERS_LOG2", (7,)), ("BAUD_RATES", (115_200,))):
+        monkeypatch.setattr(verification_firmware, name, few)
+    subject = Subject(scene().skin.design, target="firmware")
+    finding = verification_firmware.firmware_in_the_loop(subject)
+    assert {check.outcome for check in finding.checks} == {Outcome.PASS}
+    ((_, arriving, dropped),) = finding.tables[1].rows
+    assert 170 < float(arriving) < 190  # 62 bytes of ten bits at 115 200 baud
+    assert float(dropped) > 100
+    other = Subject(scene(replace={"adc": {"bits": 12}}).skin.design, target="firmware")
+    (check,) = verification_firmware.firmware_in_the_loop(other).checks
+    assert check.outcome == Outcome.NOT_RUN
+    assert "converts 10 bits" in check.reason
 
 
 def test_a_host_that_takes_no_bytes_costs_whole_frames_and_is_told() -> None:

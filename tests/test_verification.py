@@ -81,14 +81,14 @@ def test_every_claim_of_the_paper_has_a_row() -> None:
     assert [statement.id for statement in APPENDICES] == ["S1", "S2"]
 
 
-QUICK = ("P3", "P10", "P11", "P12", "P13")
+QUICK = ("P3", "P10", "P11", "P12", "P13", "P14")
 
 
 @pytest.fixture(scope="session")
 def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A report of the shipped prototype: all of its requirements, and the claims that take little time."""
     folder = tmp_path_factory.mktemp("report")
-    asked = [f"D{k}" for k in range(1, 19)]
+    asked = [f"D{k}" for k in range(1, 20)]
     only = [word for id in (*asked, *QUICK) for word in ("--only", id)]
     assert run(["verify", "-o", str(folder), "--samples", "400", *only]) in (0, 3)
     return folder
@@ -101,7 +101,7 @@ def record(written: Path) -> dict[str, Any]:
 
 
 def test_the_prototype_keeps_every_requirement(record: dict[str, Any]) -> None:
-    assert [item["id"] for item in record["requirements"]] == [f"D{k}" for k in range(1, 19)]
+    assert [item["id"] for item in record["requirements"]] == [f"D{k}" for k in range(1, 20)]
     assert {item["outcome"] for item in record["requirements"]} == {"pass"}
     assert [claim["id"] for claim in record["claims"]] == list(QUICK)
     for claim in record["claims"]:
@@ -110,6 +110,12 @@ def test_the_prototype_keeps_every_requirement(record: dict[str, Any]) -> None:
             assert (check["measured"] is None) == (check["outcome"] == "not run")
             assert check["reason"] or check["outcome"] != "not run"
         assert claim["outcome"] == "pass" or spice.available(), claim
+
+
+def test_no_claim_is_judged_by_the_speed_of_this_machine(record: dict[str, Any]) -> None:
+    names = [check["name"] for check in record["claims"][-1]["checks"]]
+    assert "counts that differ from what the board sent" in names
+    assert not any("real time" in name or "speed" in name for name in names)
 
 
 def test_every_number_comes_with_its_place_and_its_certainty(record: dict[str, Any]) -> None:

@@ -4,20 +4,29 @@
 """
 
 from ._catalogue import CATALOGUE, Quantity
+from ._explore import Remedy, Variation, explore, remedies
+from ._explore import picture as explore_picture
 from ._record import ReportRecord, load_record, schema
 from ._report import Report
 from ._requirements import default_requirements, load_requirements
 from ._run import prototype, verify
+from ._subject import Subject
 
 __all__ = [
     "CATALOGUE",
     "Quantity",
+    "Remedy",
     "Report",
     "ReportRecord",
+    "Subject",
+    "Variation",
     "default_requirements",
+    "explore",
+    "explore_picture",
     "load_record",
     "load_requirements",
     "prototype",
+    "remedies",
     "schema",
     "verify",
 ]

@@ -18,6 +18,8 @@ IDEAL: dict[str, dict[str, Any]] = {
     "array": {"row_lead": 0.0, "column_lead": 0.0, "row_segment": 0.0, "column_segment": 0.0},
     "readout": {"open_loop_gain": inf, "offset_voltage": 0.0, "bias_current": 0.0, "supply": (-inf, inf)},
 }
+MOST_CELLS = 16 * 16
+"""Of larger arrays the budget is left out: it takes a search per part, and the tornado says nearly the same."""
 ALONE: dict[str, tuple[tuple[str, str], ...]] = {
     "row leads and switches": (("array", "row_lead"),),
     "column leads": (("array", "column_lead"),),
@@ -38,6 +40,8 @@ def error_budget(subject: Subject) -> Table | None:
     if "budget" in subject.memo:
         known: Table | None = subject.memo["budget"]
         return known
+    if subject.design.array.rows * subject.design.array.columns > MOST_CELLS:
+        return None
     rows = []
     try:
         for name, keys in [*ALONE.items(), ("all together", ())]:

@@ -16,6 +16,7 @@ from . import _selftest as selftest
 from . import _static as static
 from . import _stress as stress
 from ._outcome import Measurement
+from ._spice_check import spice_agreement
 from ._subject import Subject
 
 Compute = Callable[[Subject, Requirement, str], Measurement]
@@ -72,6 +73,7 @@ CATALOGUE: dict[str, Quantity] = {
         Quantity("pressure_rmse", "RMS error of the pressure", "% of full scale", chain.pressure_rmse),
         Quantity("pressure_peak_error", "Peak error of the pressure", "% of full scale", chain.pressure_peak_error),
         Quantity("lost_readings", "Readings lost to a limit", "%", chain.lost_readings),
+        Quantity("spice_agreement", "Agreement with ngspice", "%", spice_agreement, (NOMINAL,)),
         Quantity("latency", "Latency", "s", link.latency),
         Quantity("lost_frames", "Frames lost on the line", "%", link.lost_frames),
     )

@@ -11,6 +11,8 @@ So the worst case is looked for at the corners of the box (vertex method):
    estimate ranks highest.
 3. From the worst ones the derivatives are taken again, at the corner itself, until no sign changes any more. Then the
    corner is stationary: changing any single part or cell makes the value smaller to first order.
+4. On arrays of up to some 16 x 16 cells every neighbouring corner, which differs in one part or one cell, is solved as
+   well, and the search goes on from a better one.
 
 A target that is linear in its axes is thereby searched exhaustively.
 """
@@ -29,8 +31,10 @@ from ._parameters import SECTION, Factors, Population
 
 MOST_SOLVED = 64
 """cells whose corners are solved, per sign and state"""
-_REFINED = 2  # cells per sign whose corners are improved
+_REFINED = 2  # corners per sign that are improved
+_FEW_CELLS, _REFINED_OF_FEW = 64, 16  # the same for small arrays, where it costs little
 _ROUNDS = 5  # of improvement, at most
+_MOST_FLIPS = 200_000  # cells of all neighbouring corners together, up to which they are solved
 
 
 @dataclass(frozen=True)
@@ -244,7 +248,7 @@ class WorstCase:
     def search(self) -> str:
         """What was searched, for the report."""
         extent = "every cell" if self.all_cells else f"the {MOST_SOLVED} cells ranked highest by first order"
-        state = "no sign changes at the corner itself" if self.stationary else "signs still changed at the corner"
+        state = "no neighbouring corner is worse" if self.stationary else "a neighbouring corner may still be worse"
         if np.isinf(self.value):
             return f"{self.solved} corners solved, for {extent}; the first one beyond a limit ends the search"
         agreement = f"plain scans of the corner agree to {self.checked:.0e}"
@@ -289,7 +293,7 @@ def worst_case(target: Target, box: Box) -> WorstCase:
     solved, best, best_value, stationary = len(values), known.some(np.array([0])), -np.inf, False
     for sign in (1.0, -1.0):
         order = np.argsort(-np.where(known.sign == sign, sign * values, -np.inf), kind="stable")
-        for index in order[:_REFINED]:
+        for index in order[: _REFINED_OF_FEW if by_cell.size <= _FEW_CELLS else _REFINED]:
             corner, value = known.some(np.array([index])), float(sign * values[index])
             settled = False
             for _ in range(_ROUNDS):
@@ -307,6 +311,18 @@ def worst_case(target: Target, box: Box) -> WorstCase:
                 if not further > value:
                     break
                 corner, value = moved, further
+            for _ in range(_ROUNDS):
+                neighbours = _neighbours(target, box, corner)
+                if neighbours is None or not np.isfinite(value):
+                    break
+                values_there = sign * evaluate(target, box, neighbours)
+                solved += len(values_there)
+                index_there = int(np.argmax(values_there))
+                settled = not values_there[index_there] > value * (1.0 + 1e-12)
+                if settled:
+                    break
+                corner = neighbours.some(np.array([index_there]))
+                value = float(values_there[index_there])
             if value > best_value or np.isnan(value):
                 best, best_value, stationary = corner, value, settled
     signed = best_value * float(best.sign[0])
@@ -521,6 +537,29 @@ def _improved(target: Target, box: Box, corner: Corners) -> Corners:
         factors=np.where(found.factors == 0, corner.factors, found.factors),
         scale=np.where(found.scale == 0, corner.scale, found.scale),
     )
+
+
+def _neighbours(target: Target, box: Box, corner: Corners) -> Corners | None:
+    """The corners that differ in one part, in the press or the spread of one cell; None where there are too many."""
+    rows, columns = box.design.array.shape
+    row, column = int(corner.row[0]), int(corner.column[0])
+    cells = rows * columns
+    count = len(box.factors) + cells + (cells if box.cell_spread else 0)
+    if count * cells * target.frames > _MOST_FLIPS:
+        return None
+    factors, pattern, scale = (
+        np.repeat(getattr(corner, name), count, axis=0) for name in ("factors", "pattern", "scale")
+    )
+    parts = np.arange(len(box.factors))
+    factors[parts, parts] = np.where(factors[parts, parts] > 0, -1.0, 1.0)
+    each, places = np.arange(cells), np.indices((rows, columns)).reshape(2, -1)
+    first = len(parts)
+    pattern[first + each, places[0], places[1]] = 1.0 - pattern[first + each, places[0], places[1]]
+    if box.cell_spread:
+        first += cells
+        flipped = np.where(scale[first + each, places[0], places[1]] > 0, -1.0, 1.0)
+        scale[first + each, places[0], places[1]] = flipped
+    return Corners(np.full(count, row), np.full(count, column), np.full(count, corner.sign[0]), factors, pattern, scale)
 
 
 def _checked(target: Target, box: Box, corner: Corners, value: float) -> float:

@@ -1,12 +1,213 @@
-"""Quantities measured on a board: an emulated one, the firmware, or one behind a port."""
+"""Quantities measured on a board (emulated, firmware, or behind a port), beside what the simulation says of the same.
+
+The board is untouched, or carries a jig of known resistors (``--jig CELLS.csv``). Readings are taken as counts and made
+into resistances by the law of the ideal circuit, as the simulated quantities are.
+"""
 
 from __future__ import annotations
 
-from ..circuits import Requirement
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..circuits import Requirement, adc_codes, apparent_resistance, clipped, scan, volts_of_codes
+from ..driver import Frame, Skin
+from ..emulator import PtyPort, Scene, Stop, emulate
+from ..emulator._scene import BoardSettings, SkinSettings
+from ..emulator.firmware import AVR8JS, check_scene, emulate_firmware
+from ..errors import LinkError, MissingExtra, ProtocolError
+from ._dynamic import reading_noise
 from ._outcome import Measurement, NotRun
 from ._subject import Subject
+from ._units import engineering
+
+FRAMES = 200
+PATIENCE_S = 30.0
+"""for one frame: a slow machine is no failure"""
+MEASURABLE = ("reading_error", "noise", "adc_headroom", "lost_readings", "lost_frames", "fastest_scan")
+BOARD_SUFFIX = "-board"
+"""of the id of a requirement that is measured beside its simulation"""
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Frames of an unchanging skin."""
+
+    volts: FloatArray
+    """(frames, rows, columns)"""
+    clipped: FloatArray
+    """(frames, rows, columns) 1 where a code is the first or the last"""
+    lost: int
+    device_seconds: float | None
+    """from the first frame to the last, by the board's clock"""
+
+
+def twins(subject: Subject, requirements: tuple[Requirement, ...]) -> tuple[Requirement, ...]:
+    """The requirements and, after each that a board can show, the same to be measured on the target."""
+    if subject.target == "emulated":
+        return requirements
+    both = []
+    for requirement in requirements:
+        both.append(requirement)
+        if requirement.quantity in MEASURABLE and requirement.method != "hardware":
+            both.append(requirement.replace(id=f"{requirement.id}{BOARD_SUFFIX}", method="hardware"))
+    return tuple(both)
 
 
 def measured_on_board(subject: Subject, requirement: Requirement) -> Measurement:
-    """One quantity of the catalogue, measured on the target of this run."""
-    raise NotRun("no board: --target PORT names one")
+    """One quantity of the catalogue, measured on the target of this run.
+
+    Raises:
+        NotRun: the quantity cannot be measured, there is no board, or no jig where the true resistances matter.
+    """
+    quantity = requirement.quantity
+    if quantity not in MEASURABLE:
+        raise NotRun(f"'{quantity}' cannot be measured on a board; expected one of {', '.join(MEASURABLE)}")
+    if subject.design.adc is None:
+        raise NotRun("missing: adc.bits, adc.range")
+    if quantity == "reading_error" and subject.jig is None:
+        raise NotRun("no known resistors on the board: --jig CELLS.csv says what they are")
+    readings = _readings(subject)
+    found = _MEASURE[quantity](subject, readings)
+    source = f"{len(readings.volts)} frames of the board at {subject.target}"
+    return Measurement(found.value, found.unit, found.where, source, found.text)
+
+
+def _reading_error(subject: Subject, readings: Readings) -> Measurement:
+    jig = subject.jig
+    assert jig is not None
+    ohms = apparent_resistance(subject.design, readings.volts.mean(axis=0))
+    error = np.abs(ohms / jig - 1.0)
+    nominal = apparent_resistance(subject.design, scan(subject.design, jig).volts)
+    place = np.unravel_index(int(np.argmax(error)), error.shape)
+    simulated = 100 * float(np.abs(nominal / jig - 1.0)[place])
+    return Measurement(
+        100 * float(error[place]),
+        "%",
+        where=f"cell {tuple(map(int, place))}: {engineering(float(ohms[place]), 'ohm')} read",
+        text=[f"Simulated with nominal parts: {engineering(simulated, '%')} at that cell."],
+    )
+
+
+def _noise(subject: Subject, readings: Readings) -> Measurement:
+    scatter = readings.volts.std(axis=0, ddof=1)
+    place = np.unravel_index(int(np.argmax(scatter)), scatter.shape)
+    try:
+        asked = Requirement(id="noise", quantity="noise")
+        simulated = [f"Simulated: {engineering(reading_noise(subject, asked, 'nominal').value, 'V')}."]
+    except NotRun as missing:
+        simulated = [f"Not simulated: {missing}."]
+    return Measurement(float(scatter[place]), "V", where=f"cell {tuple(map(int, place))}", text=simulated)
+
+
+def _adc_headroom(subject: Subject, readings: Readings) -> Measurement:
+    adc = subject.design.adc
+    assert adc is not None
+    below, above = readings.volts.min() - adc.range[0] - adc.step, adc.range[1] - adc.step - readings.volts.max()
+    nominal = scan(subject.design, _true_cells(subject)).volts
+    simulated = min(nominal.min() - adc.range[0] - adc.step, adc.range[1] - adc.step - nominal.max())
+    return Measurement(
+        float(min(below, above)),
+        "V",
+        where=f"readings from {engineering(float(readings.volts.min()), 'V')} "
+        f"to {engineering(float(readings.volts.max()), 'V')}",
+        text=[f"Simulated with nominal parts: {engineering(float(simulated), 'V')}."],
+    )
+
+
+def _lost_readings(subject: Subject, readings: Readings) -> Measurement:
+    nominal = clipped(subject.design, adc_codes(subject.design, scan(subject.design, _true_cells(subject)).volts))
+    return Measurement(
+        100 * float(readings.clipped.mean()),
+        "%",
+        where=f"{int(readings.clipped.any(axis=0).sum())} cells",
+        text=[f"Simulated with nominal parts: {engineering(100 * float(nominal.mean()), '%')}."],
+    )
+
+
+def _lost_frames(subject: Subject, readings: Readings) -> Measurement:
+    sent = len(readings.volts) + readings.lost
+    return Measurement(100 * readings.lost / sent, "%", where=f"{readings.lost} of {sent} frames")
+
+
+def _frame_rate(subject: Subject, readings: Readings) -> Measurement:
+    if not readings.device_seconds:
+        raise NotRun("the board tells no time")
+    rate = (len(readings.volts) + readings.lost - 1) / readings.device_seconds
+    return Measurement(rate, "Hz", where="by the board's clock", text=["The rate at which this board scans."])
+
+
+_MEASURE = {
+    "reading_error": _reading_error,
+    "noise": _noise,
+    "adc_headroom": _adc_headroom,
+    "lost_readings": _lost_readings,
+    "lost_frames": _lost_frames,
+    "fastest_scan": _frame_rate,
+}
+
+
+def _true_cells(subject: Subject) -> FloatArray:
+    return np.full(subject.design.array.shape, subject.rest) if subject.jig is None else subject.jig
+
+
+def _readings(subject: Subject) -> Readings:
+    if "readings" not in subject.memo:
+        try:
+            with _board(subject) as port, Skin.open(port, delivery="every", timeout=PATIENCE_S) as skin:
+                if skin.design.array.shape != subject.design.array.shape:
+                    raise NotRun(
+                        f"the board has {skin.design.array.shape} cells, the design {subject.design.array.shape}"
+                    )
+                frames: list[Frame] = list(islice(skin, FRAMES))
+        except (LinkError, ProtocolError, MissingExtra) as error:
+            raise NotRun(f"no board: {error}") from error
+        subject.memo["readings"] = _taken(subject, frames)
+    found: Readings = subject.memo["readings"]
+    return found
+
+
+def _taken(subject: Subject, frames: list[Frame]) -> Readings:
+    counts = np.array([frame.counts for frame in frames])
+    times = [frame.device_time for frame in frames if frame.device_time is not None]
+    return Readings(
+        volts=volts_of_codes(subject.design, counts),
+        clipped=clipped(subject.design, counts).astype(np.float64),
+        lost=sum(frame.lost_before or 0 for frame in frames[1:]),
+        device_seconds=times[-1] - times[0] if len(times) > 1 else None,
+    )
+
+
+@contextmanager
+def _board(subject: Subject) -> Iterator[str]:
+    """The name of a port with the target behind it."""
+    if subject.target not in ("emulated", "firmware"):
+        yield subject.target
+        return
+    rate = subject.design.operation.frame_rate or 50.0
+    cell = subject.cell if subject.jig is None else subject.cell.replace(rest_resistance_ohm=float(subject.jig.mean()))
+    if subject.jig is not None and (subject.jig != subject.jig.flat[0]).any():
+        raise NotRun("an emulated board has cells of one resistance at rest; expected a jig of equal resistors")
+    step = subject.design.adc.step if subject.design.adc else 0.0
+    scene = Scene(
+        skin=SkinSettings(design=subject.design, cell=cell), board=BoardSettings(frame_rate=rate, noise=step / 4)
+    )
+    if subject.target == "firmware":
+        check_scene(scene)
+        AVR8JS.require()
+    stop = Stop()
+    run = emulate_firmware if subject.target == "firmware" else emulate
+    with PtyPort() as port:
+        thread = threading.Thread(target=run, args=(scene, port), kwargs={"stop": stop}, daemon=True)
+        thread.start()
+        try:
+            yield port.name
+        finally:
+            stop.set()
+            thread.join()
+            stop.close()

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__, plots
-from ..circuits import Design
+from ..circuits import Design, spice
 from ..errors import MissingExtra, OhmskinError
 from ..files import make_folder, write_together
 from ..text import printable
@@ -40,7 +40,6 @@ from ._record import (
     number,
 )
 from ._schematic import schematic
-from ._spice_deck import dynamic_netlist
 from ._subject import Subject
 from ._units import PREFIXED, engineering
 
@@ -200,12 +199,14 @@ class Report:
 
     @cached_property
     def netlist(self) -> str:
-        """The circuit with its dynamic parts as a SPICE deck; empty where a design has none."""
-        try:
-            cells = np.full(self.design.array.shape, self.subject.rest)
-            return dynamic_netlist(self.design, cells, row=0)
-        except OhmskinError:
-            return ""
+        """One scan step as a SPICE deck, in time where the design has dynamic parts; empty where it has no netlist."""
+        cells = np.full(self.design.array.shape, self.subject.rest)
+        for write in (spice.dynamic_netlist, spice.netlist):
+            try:
+                return write(self.design, cells, 0)
+            except OhmskinError:
+                continue
+        return ""
 
     def html(self) -> str:
         """A self-contained page."""

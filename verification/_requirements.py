@@ -15,6 +15,7 @@ from ..circuits import Design, Requirement
 from ..config import Section, load
 from ..errors import InputError, OhmskinError
 from ._catalogue import CATALOGUE, HARDWARE, SAMPLED, quantity_of
+from ._hardware import measured_on_board
 from ._outcome import DoesNotApply, Measurement, NotRun, Result
 from ._subject import Subject
 from ._units import conversion
@@ -62,6 +63,7 @@ def default_requirements(design: Design) -> tuple[Requirement, ...]:
         ask(
             18, "reading_error", "99 % of all boards keep the error.", max=limits.reading_error_percent, method=SAMPLED
         ),
+        ask(19, "spice_agreement", "An independent simulator finds the same.", max=1.0),
     )
 
 
@@ -112,8 +114,6 @@ def evaluate(subject: Subject, requirement: Requirement, folder: Path) -> Result
     found: dict[str, Any] = {}
     try:
         if method == HARDWARE:
-            from ._hardware import measured_on_board
-
             found["measurement"] = measured_on_board(subject, scaled)
         elif quantity is None:
             found["measurement"] = _own(subject, requirement, folder)

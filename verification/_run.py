@@ -23,6 +23,7 @@ import numpy as np
 from pydantic import BaseModel, TypeAdapter
 
 from .. import __version__
+from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design, Requirement
 from ..driver import Skin
@@ -33,6 +34,7 @@ from ..tables import write_text
 from ..workers import in_processes
 from ._catalogue import SAMPLED
 from ._claims import APPENDICES, STATEMENTS, Statement
+from ._hardware import twins
 from ._montecarlo import BLOCK, Samples, blocks, sample_block
 from ._outcome import Claim, Finding, Result, not_run
 from ._report import Report
@@ -84,6 +86,7 @@ def verify(
     only: Iterable[str] = (),
     title: str | None = None,
     target: str = "emulated",
+    jig: FloatArray | None = None,
     samples: int = SAMPLES,
     seed: int = SEED,
     jobs: int = 1,
@@ -105,6 +108,7 @@ def verify(
         only: ids of requirements and claims; empty: all.
         title: what the report calls the design.
         target: the board that is measured: "emulated", "firmware", or a serial port.
+        jig: (rows, columns) ohm of known resistors on the board; None: the skin is untouched.
         samples: boards of the Monte Carlo analysis.
         seed: of all random numbers.
         jobs: processes side by side.
@@ -125,11 +129,12 @@ def verify(
         with Skin.open(target) as skin:
             next(skin)
     start = time.perf_counter()
-    subject = Subject(prototype() if design is None else design, cell, target, seed, samples)
+    subject = Subject(prototype() if design is None else design, cell, target, seed, samples, jig)
     wanted = tuple(requirements if requirements is not None else subject.design.requirement)
     wanted = wanted or default_requirements(subject.design)
     here = folder or Path()
     check_requirements(wanted, here)
+    wanted = twins(subject, wanted)
     with_paper = design is None if paper is None else paper
     statements = [*(STATEMENTS if with_paper else ()), *(APPENDICES if speed else ())]
     wanted, statements = _chosen(wanted, statements, tuple(only))
@@ -281,6 +286,7 @@ def _fingerprint(work: Work) -> str:
         "cell": subject.cell.model_dump(mode="python"),
         "requirements": [requirement.model_dump(mode="python") for requirement in work.requirements],
         "target": subject.target,
+        "jig": None if subject.jig is None else subject.jig.tolist(),
         "seed": subject.seed,
         "samples": subject.samples,
     }

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..arrays import FloatArray
 from ..bench._estimators import noisy
 from ..cell import Cell, ContactModel, PaperModel, calibrate, checked_recording, protocol_load, sensitivity
 from ..circuits import Design
@@ -28,6 +29,8 @@ class Subject:
     seed: int = SEED
     samples: int = SAMPLES
     """boards of the Monte Carlo analysis"""
+    jig: FloatArray | None = field(default=None, compare=False)
+    """(rows, columns) ohm of known resistors on the board, if there are any"""
     memo: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
     """intermediate results that several requirements share"""
 
@@ -61,7 +64,7 @@ class Subject:
         if self.design.operation.frame_rate is not None:
             return self
         stated = self.design.replace(operation={"frame_rate": frame_rate})
-        return Subject(stated, self.given_cell, self.target, self.seed, self.samples)
+        return Subject(stated, self.given_cell, self.target, self.seed, self.samples, self.jig)
 
     @property
     def cell_source(self) -> str:

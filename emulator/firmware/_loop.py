@@ -3,7 +3,8 @@
 ``real``
     Board time is the machine's. When the machine cannot keep up, board time falls behind.
 ``fast``
-    Board time passes as fast as the host reads, and stands still while no host is there.
+    Board time passes as fast as the host reads, and stands still while no host is there. It begins with the first byte
+    of a host, or one second after a silent one has come: serial programs discard what came before they were ready.
 
 Between board and port there is a USB converter with a small buffer and a handshake line: while the buffer is full the
 board may not send, and drops whole frames.
@@ -38,6 +39,8 @@ MOST_BEHIND_S = 0.5
 """real clock: how late a slice may be before board time is let go"""
 DRAIN_S = 5.0
 """at the end: how long to wait for a host that has stopped reading"""
+LISTENER_S = 1.0
+"""fast clock: how long a host may say nothing before it is taken for a mere listener"""
 HOST_POLL_S = 0.01
 """how often to look whether a host has come"""
 
@@ -164,14 +167,17 @@ class _Converter:
         self._line = Line(board.scene.line, seed, board.scene.link_fault)
         self._schedule = Schedule(board.scene.link_fault)
         self._present = False
+        self._ready_at = 0.0
+        """monotonic time from which on the host is taken to listen"""
         self._buffer = bytearray()
         self._packet = b""
         """the beginning of a packet whose end has not left the board"""
 
     @property
     def hungry(self) -> bool:
-        """Whether a host is there and has taken nearly all that was sent."""
-        return self._present and len(self._buffer) < CONVERTER_BYTES // 2
+        """Whether a host is there, is ready, and has taken nearly all that was sent."""
+        ready = self._present and time.monotonic() >= self._ready_at
+        return ready and len(self._buffer) < CONVERTER_BYTES // 2
 
     def exchange(self) -> None:
         """Bytes from the port to the board, and from the buffer to the port."""
@@ -180,13 +186,15 @@ class _Converter:
             self._buffer.clear()
         if self._present and not was_present:
             self._buffer += b"\0"  # ends what may have been cut off for the last host
+            self._ready_at = time.monotonic() + LISTENER_S
         if self._present:
             data = self._port.read()
             if data is None:
                 self._present = False
                 self._buffer.clear()
-            else:
+            elif data:
                 self._board.send(data)
+                self._ready_at = 0.0
         stalled = self._schedule.active("stall", self._board.time_s) is not None
         if self._present and self._buffer and not stalled:
             del self._buffer[: self._port.write(bytes(self._buffer))]

@@ -26,7 +26,6 @@
 #define ROW_OVERHEAD_US 12        /* from the last conversion of a row to the selection of the next row */
 #define FRAME_OVERHEAD_US 450     /* from the last row of a frame to the first of the next, its header included */
 
-
 bool streaming = true;
 uint32_t next_sequence;
 

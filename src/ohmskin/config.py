@@ -23,6 +23,8 @@ from .text import printable, shortened
 MOST, LEAST = 1e30, 1e-30
 """Quantities in SI units lie far within these limits, and products of a few of them neither overflow nor vanish."""
 
+MOST_LEVELS = 64
+"""of tables and lists in each other"""
 LONGEST_KEY = 200
 """characters of a dotted key that a message repeats"""
 
@@ -83,11 +85,29 @@ def read_toml(path: str | Path) -> dict[str, Any]:
     if not text.strip():
         raise InputError(f"{path}: the file is empty; expected TOML tables")
     try:
-        return tomllib.loads(text)
+        tables = tomllib.loads(text)
     except RecursionError as error:
         raise InputError(f"{path}: not valid TOML: arrays or tables are nested too deeply") from error
     except ValueError as error:  # TOMLDecodeError, and integers of more digits than Python converts
         raise InputError(f"{path}: not valid TOML: {shortened(str(error), 200)}") from error
+    if _depth_exceeds(tables, MOST_LEVELS):
+        raise InputError(f"{path}: tables are nested too deeply; expected at most {MOST_LEVELS} levels")
+    return tables
+
+
+def _depth_exceeds(value: Any, most: int) -> bool:
+    """Whether tables and lists are nested in more than ``most`` levels. Dotted keys nest without recursion in TOML."""
+    level = [value]
+    for _ in range(most + 1):
+        level = [
+            item
+            for outer in level
+            if isinstance(outer, dict | list)
+            for item in (outer.values() if isinstance(outer, dict) else outer)
+        ]
+        if not level:
+            return False
+    return True
 
 
 def write_toml(path: str | Path, tables: Mapping[str, Any], *, comment: str = "") -> None:

@@ -38,6 +38,7 @@ COMMANDS = {
     "scan": "Read one frame of cells through a readout design.",
     "netlist": "Write one scan step as a SPICE netlist.",
     "verify": "Verify a readout design: report.html, report.json, junit.xml.",
+    "explore": "Vary a design: the Pareto front, and what must change.",
     "emulate": "Run a virtual scan board on a pty or TCP port.",
     "record": "Record a skin: every byte, and frames for viewers.",
     "replay": "Play a recording on a port that any program can open.",

@@ -14,6 +14,7 @@ from ..cell import Cell
 from ..circuits import Design
 from ..errors import InputError, MissingExtra
 from ..files import check_writable, make_folder
+from ..tables import read_cells
 from ..text import printable
 from ..verification import CATALOGUE, Report, load_record, load_requirements, schema, verify
 from . import arguments
@@ -40,6 +41,7 @@ EXPORTS = (".parquet", ".nc", ".csv")
     metavar="emulated|firmware|PORT",
     help="The board that is measured.",
 )
+@click.option("--jig", metavar="CELLS.csv", help="Known resistors on the board of --target, in ohm.")
 @click.option("--only", multiple=True, metavar="ID", help="Run only this requirement or claim; may be repeated.")
 @click.option("--require-all", is_flag=True, help="What could not be run fails the verification (for CI).")
 @click.option("--against", metavar="OLD.json", help="Say what is better, worse, new or gone since that report.")
@@ -58,6 +60,7 @@ def command(
     speed: bool,
     output: str,
     target: str,
+    jig: str | None,
     only: tuple[str, ...],
     require_all: bool,
     against: str | None,
@@ -100,6 +103,7 @@ def command(
             only=only,
             title=None if design_file is None else design_file,
             target=target,
+            jig=None if jig is None or design is None else read_cells(jig, design.array.shape),
             samples=samples,
             seed=seed,
             jobs=jobs,
@@ -169,7 +173,7 @@ def _executor(address: str | None) -> Iterator[Executor | None]:
     except ImportError as error:
         raise MissingExtra("--dask needs Dask: pip install 'ohmskin[dask]'") from error
     try:
-        client: Any = Client(address, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]  # untyped
+        client: Any = Client(address, timeout="10s", set_as_default=False)
     except (OSError, ValueError) as error:
         raise InputError(f"--dask {address}: no scheduler answers there: {error}") from error
     with client:

@@ -1,0 +1,63 @@
+"""``ohmskin explore``: variations of a design, their Pareto front, and what must change."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+
+import click
+
+from ..cell import Cell
+from ..circuits import Design
+from ..errors import MissingExtra
+from ..files import check_writable, make_folder, write_together
+from ..verification import Subject, Variation, default_requirements, explore, explore_picture, remedies
+from . import arguments
+from ._bar import progress_bar
+
+
+@click.command(epilog=arguments.example("ohmskin explore design.toml -o variations"))
+@arguments.design_file
+@click.option("--cell", "cell_file", metavar="CELL.toml", help="What the skin is made of.")
+@click.option("-o", "--output", metavar="DIR", help="Write explore.csv and explore.svg here.")
+@click.option("--points", type=click.IntRange(min=1), default=60, show_default=True, help="Variations in all.")
+@click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the random combinations.")
+def command(design_file: Path, cell_file: str | None, output: str | None, points: int, seed: int) -> None:
+    """Vary a design: what each change buys, and what must change to keep its requirements."""
+    design = Design.load(design_file)
+    subject = Subject(design, None if cell_file is None else Cell.load(cell_file), seed=seed)
+    folder = None if output is None else make_folder(output)
+    if folder is not None:
+        check_writable(folder / "explore.csv", folder / "explore.svg")
+    with progress_bar("exploring") as progress:
+        variations = explore(subject, points=points, progress=progress)
+    click.echo(f"{'reading error':>14} {'crosstalk':>10} {'resolution':>13}  the Pareto front")
+    for variation in sorted(variations, key=lambda v: v.reading_error_percent):
+        if variation.front or not variation.changes:
+            click.echo(_line(variation))
+    for remedy in remedies(subject, design.requirement or default_requirements(design)):
+        click.echo(remedy.line)
+    if folder is None:
+        return
+    contents: dict[str | Path, bytes | None] = {folder / "explore.csv": _table(variations).encode()}
+    try:
+        contents[folder / "explore.svg"] = explore_picture(variations).encode()
+    except MissingExtra as error:
+        click.echo(f"ohmskin: explore.svg not written: {error}", err=True)
+    write_together(contents)
+
+
+def _line(v: Variation) -> str:
+    mark = "*" if v.front else " "
+    figures = f"{v.reading_error_percent:12.3g} % {v.crosstalk_percent:8.3g} % {v.resolution_kpa:9.3g} kPa"
+    return f"{figures} {mark} {v.name}"
+
+
+def _table(variations: list[Variation]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["variation", "reading_error_percent", "crosstalk_percent", "resolution_kpa", "pareto_front"])
+    for v in variations:
+        writer.writerow([v.name, *(repr(float(value)) for value in v.figures), int(v.front)])
+    return text.getvalue()

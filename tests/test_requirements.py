@@ -1,0 +1,225 @@
+"""Designs that must not pass, and requirements of a user's own."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from designs import amplifier
+from verified import AMPLIFIED, complete, outcomes_of
+
+from ohmskin.cell import Cell
+from ohmskin.circuits import Adc, Array, Design, Requirement, apparent_resistance, scan
+from ohmskin.cli import run
+from ohmskin.config import parse, read_toml
+from ohmskin.errors import InputError
+from ohmskin.verification import default_requirements, load_requirements, verify
+from ohmskin.verification._outcome import Outcome
+
+
+def _design(tmp_path: Path, text: str) -> Design:
+    file = tmp_path / "design.toml"
+    file.write_text(text)
+    return Design.load(file)
+
+
+def _asked(*quantities: str, **keys: object) -> list[Requirement]:
+    limits = {"max": 1e9} | keys
+    return [Requirement.model_validate({"id": f"R-{name}", "quantity": name} | limits) for name in quantities]
+
+
+def test_one_amplifier_of_the_other_sign_counts_over_floating_rows() -> None:
+    """All offsets of one sign shift all columns alike; one that differs drives currents through the floating rows."""
+    design = amplifier(8, 8, offset_voltage=4.5e-3, open_loop_gain=1e5).replace(drive={"idle_rows": "float"})
+    rest = np.full((8, 8), 10e3)
+    pressed = np.full((8, 8), 17.75e3)
+    pressed[:, 0] = 10e3
+    turned = design.replace(readout={"offset_voltage": (-4.5e-3, *[4.5e-3] * 7)})
+    ohms = [
+        apparent_resistance(design, scan(board, cells).volts) for board in (design, turned) for cells in (rest, pressed)
+    ]
+    alike, one_turned = (100 * np.abs(after / before - 1)[:, 0].max() for before, after in (ohms[:2], ohms[2:]))
+    assert one_turned > 5 * alike
+    report = verify(design, requirements=_asked("crosstalk", "reading_error", max=2.0))
+    crosstalk, error = (result.measurement for result in report.results)
+    assert crosstalk is not None
+    assert crosstalk.value >= one_turned
+    assert error is not None
+    assert error.value >= 100 * np.abs(ohms[2] / rest - 1).max()
+    assert report.outcome is Outcome.FAIL
+
+
+def test_cells_within_their_tolerance_must_not_saturate_an_output(tmp_path: Path) -> None:
+    """32.4 kohm on a 3.3 V rail: 3.17 V at rest, but cells of -10 % ask for 3.6 V."""
+    text = complete(AMPLIFIED.replace("20000.0", "32400.0"))
+    wanted = _asked("output_headroom", "adc_headroom", max=None, min=0.0) + _asked("lost_readings", max=0.0)
+    nominal = verify(_design(tmp_path, text), requirements=_asked("output_headroom", max=None, min=0.0))
+    assert nominal.outcome is Outcome.PASS
+    cells = "\n[cells]\nrest_resistance = { nominal = 10e3, tolerance = 0.1 }\n"
+    cells += "full_scale_resistance = 17750.0\nfull_scale_kpa = 15.5\n"
+    report = verify(_design(tmp_path, text + cells), requirements=wanted)
+    assert outcomes_of(report) == {"output_headroom": "fail", "adc_headroom": "fail", "lost_readings": "fail"}
+
+
+def test_a_board_for_other_cells_is_judged_with_those(tmp_path: Path) -> None:
+    design = _design(tmp_path, complete(AMPLIFIED.replace("20000.0", "200000.0")))
+    large = Cell.example().replace(rest_resistance_ohm=100e3)
+    wanted = _asked("output_headroom", max=None, min=0.0) + _asked("reading_error", max=10.0)
+    assert verify(design, requirements=wanted).outcome is Outcome.FAIL
+    assert verify(design, cell=large, requirements=wanted).outcome is Outcome.PASS
+
+
+def test_a_converter_range_that_the_presses_leave_fails(tmp_path: Path) -> None:
+    """[1.2, 3.3] V: pressed readings fall to 1.13 V."""
+    design = _design(tmp_path, complete(AMPLIFIED, adc="bits = 12\nrange = [1.2, 3.3]"))
+    wanted = [*_asked("adc_headroom", max=None, min=0.0), *_asked("lost_readings", "reading_error", max=10.0)]
+    report = verify(design, requirements=wanted)
+    assert outcomes_of(report) == {"adc_headroom": "fail", "lost_readings": "fail", "reading_error": "fail"}
+
+
+def test_what_the_design_does_not_name_is_not_run_and_named(tmp_path: Path) -> None:
+    text = "\n".join(
+        line
+        for line in complete(AMPLIFIED, operation="").splitlines()
+        if not any(word in line for word in ("bandwidth", "capacitance", "noise", "temperature", "baudrate"))
+    )
+    design = _design(tmp_path, text)
+    report = verify(design)
+    reasons = {r.requirement.quantity: r.reason for r in report.results if r.outcome is Outcome.NOT_RUN}
+    assert reasons["phase_margin"] == "missing: readout.gain_bandwidth, readout.column_capacitance"
+    assert reasons["settling_error"] == "missing: operation.frame_rate"
+    assert "readout.voltage_noise" in reasons["pressure_resolution"]
+    assert reasons["latency"] == "missing: operation.frame_rate"
+    assert "operation.frame_rate" in reasons["fastest_scan"]
+    assert report.exit_code == 3
+    assert report.count("not run") == len(reasons)
+    assert {id for id, _, why in report.left_out if "not run" in why} == {
+        r.requirement.id for r in report.results if r.outcome is Outcome.NOT_RUN
+    }
+    assert verify(design, require_all=True).exit_code == 1
+
+
+def test_an_ideal_board_still_gets_a_number_where_one_exists() -> None:
+    report = verify(amplifier(3, 3), requirements=_asked("crosstalk", "reading_error"))
+    assert {result.outcome for result in report.results} == {Outcome.PASS}
+
+
+@pytest.fixture(scope="module")
+def sound() -> dict[str, float]:
+    """Errors of the pressure of the complete design, by quantity."""
+    design = parse(tomllib.loads(complete(AMPLIFIED)), Design, source="complete")
+    report = verify(design, requirements=_asked("pressure_rmse", "pressure_peak_error"))
+    return {r.requirement.quantity: r.measurement.value for r in report.results if r.measurement}
+
+
+@pytest.mark.parametrize(
+    ("worse", "quantity"),
+    [
+        ({"readout": {"voltage_noise": 4e-5}}, "pressure_rmse"),
+        ({"readout": {"offset_voltage": 40e-3}}, "pressure_peak_error"),
+        ({"operation": {"frame_rate": 90e3}}, "pressure_rmse"),
+    ],
+)
+def test_the_pressure_suffers_from_noise_offsets_and_haste(
+    worse: dict[str, dict[str, object]], quantity: str, sound: dict[str, float]
+) -> None:
+    design = parse(tomllib.loads(complete(AMPLIFIED)), Design, source="complete").replace(**worse)
+    found = verify(design, requirements=_asked(quantity)).results[0].measurement
+    assert found is not None
+    assert found.value > 1.2 * sound[quantity]
+
+
+def test_a_saturating_board_fails_at_once(tmp_path: Path) -> None:
+    design = _design(tmp_path, complete(AMPLIFIED.replace("20000.0", "60000.0")))
+    failing = ("D2", "D4", "D5", "D13", "D14", "D15", "D18")
+    report = verify(design, samples=100, only=failing)
+    assert {r.requirement.id: str(r.outcome) for r in report.results} == dict.fromkeys(failing, "fail")
+    assert not any("gone" in r.reason for r in report.results)
+
+
+def test_requirements_come_from_the_design_or_from_a_file_beside_it(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("def cells(design, cell):\n    return design.array.rows * 3.0, 'everywhere'\n")
+    (tmp_path / "beside.toml").write_text(
+        '[[requirement]]\nid = "X1"\nquantity = "own.py:cells"\nunit = "cells"\nmax = 8.0\n'
+        '[[requirement]]\nid = "X2"\nquantity = "cell_voltage"\nmax = 1100.0\nunit = "mV"\n'
+    )
+    text = (
+        complete(AMPLIFIED) + '[[requirement]]\nid = "R1"\nquantity = "phase_margin"\nmin = 45.0\nsource = "spec 7"\n'
+    )
+    (tmp_path / "design.toml").write_text(text)
+    out = tmp_path / "out"
+    arguments = ["verify", str(tmp_path / "design.toml"), "-o", str(out)]
+    assert run(arguments) == 0
+    assert run([*arguments, "--requirements", str(tmp_path / "beside.toml")]) == 1
+    found = {item["id"]: item for item in json.loads((out / "report.json").read_text())["requirements"]}
+    assert list(found) == ["R1", "X1", "X2"]
+    assert found["X1"]["measured"] == 9.0
+    assert found["X1"]["where"] == "everywhere"
+    assert found["X2"]["max"] == pytest.approx(1.1)
+    assert found["X2"]["outcome"] == "pass"
+    assert found["R1"]["source"] == "spec 7"
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        ('id = "A"\nquantity = "crostalk"\nmax = 1.0', "no quantity 'crostalk'; the nearest is 'crosstalk'"),
+        ('id = "A"\nquantity = "crosstalk"\nmax = 1.0\nunit = "V"', "unit 'V' does not fit; expected '%'"),
+        ('id = "A"\nquantity = "latency"\nmax = 1.0\nmethod = "monte-carlo"', "'latency' is not verified by"),
+        ('id = "A"\nquantity = "nowhere.py:f"\nmax = 1.0', "there is no such file"),
+        ('id = "A B"\nquantity = "latency"', "requirement[0].id"),
+        ('id = "A"\nquantity = "latency"\nmin = 2.0\nmax = 1.0', "no value could keep both"),
+        ('id = "A"\nquantity = "latency"\nmax = nan', "expected a finite limit"),
+        ('id = "A"\nquantity = "latency"\nmaximum = 1.0', "the nearest known key is 'max'"),
+    ],
+)
+def test_bad_requirements_are_one_line_of_bad_input(
+    table: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "requirements.toml"
+    file.write_text(f"[[requirement]]\n{table}\n")
+    assert run(["verify", "-o", str(tmp_path / "out"), "--requirements", str(file)]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
+
+
+def test_an_id_is_given_once() -> None:
+    with pytest.raises(InputError, match="requirement R-latency: the id is given twice"):
+        verify(requirements=_asked("latency", "latency"))
+
+
+def test_a_quantity_of_ones_own_that_fails_is_not_run(tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text("def f(design, cell):\n    raise RuntimeError('no')\n")
+    report = verify(requirements=_asked("own.py:f"), folder=tmp_path)
+    assert report.results[0].outcome is Outcome.NOT_RUN
+    assert "RuntimeError: no" in report.results[0].reason
+
+
+def test_hardware_that_is_missing_is_not_run() -> None:
+    (result,) = verify(requirements=_asked("noise", method="hardware")).results
+    assert result.outcome is Outcome.NOT_RUN
+    assert "no board" in result.reason
+
+
+def test_every_default_requirement_has_a_limit_and_a_sentence() -> None:
+    design = Design(
+        array=Array(rows=2, columns=2),
+        drive={"voltage": 1.0},  # type: ignore[arg-type]  # as from a file
+        readout={"circuit": "voltage-divider", "reference_resistance": 1e3},  # type: ignore[arg-type]
+        adc=Adc(bits=8, range=(0.0, 1.0)),
+        operation={"frame_rate": 10.0},  # type: ignore[arg-type]
+    )
+    for requirement in default_requirements(design):
+        assert requirement.min is not None or requirement.max is not None
+        assert requirement.text.endswith(".")
+
+
+def test_example_requirements_are_valid() -> None:
+    folder = Path(__file__).parent.parent / "examples"
+    (file,) = folder.glob("requirements*.toml")
+    assert load_requirements(file)
+    parse(read_toml(folder / "toleranced.toml"), Design, source="example")

@@ -1,0 +1,66 @@
+"""The netlist in time: ngspice's settling and noise against the project's own, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from needs import need
+
+from ohmskin.circuits import Design, Settling, noise, spice
+from ohmskin.errors import InputError
+from ohmskin.verification import prototype
+
+CELLS = np.array([[17e3, 10e3, 12e3, 9e3]] * 2 + [[10e3, 17e3, 10e3, 14e3]] * 2)
+
+
+def _linear(**readout: object) -> Design:
+    return prototype().replace(readout={"offset_voltage": 0.0, "bias_current": 0.0, "supply": (-5.0, 5.0)} | readout)
+
+
+@pytest.mark.parametrize(
+    "design",
+    [
+        _linear(),
+        _linear(reference_voltage=1.65, feedback_capacitance=0.0),
+        _linear(open_loop_gain=float("inf"), reference_resistance=(15e3, 18e3, 20e3, 22e3)),
+    ],
+    ids=["prototype", "mid-supply", "unequal"],
+)
+def test_settling_and_noise_agree(design: Design) -> None:
+    need(spice.command_available())
+    settling = Settling(design, CELLS)
+    period = 0.3 * settling.shortest_period(0.01)
+    found = spice.dynamic_reading(design, CELLS, 2, column=1, period=period)
+    scale = np.abs(settling.settled[2] - design.readout.reference_voltage).max()
+    ours = settling.sampled_from_rest(period)[2]
+    assert np.abs(ours - settling.settled[2]).max() > 0.01 * scale  # still on its way
+    np.testing.assert_allclose(found.sampled, ours, atol=2e-4 * scale)
+    np.testing.assert_allclose(found.settled, settling.settled[2], atol=2e-5 * scale)
+    assert found.noise == pytest.approx(noise(design, CELLS).before_adc[2, 1], rel=2e-3)
+
+
+def test_a_swing_limits_the_output() -> None:
+    need(spice.command_available())
+    design = _linear(supply=(-5.0, 1.5))
+    found = spice.dynamic_reading(design, CELLS, 2)
+    assert found.settled.max() == pytest.approx(1.5, abs=1e-3)
+
+
+def test_other_simulators_take_the_commands_for_comments() -> None:
+    text = spice.dynamic_netlist(prototype(), CELLS, 0)
+    cards = [line for line in text.splitlines()[1:] if not line.startswith("*")]
+    assert not any("control" in card for card in cards)
+    assert sum(card.split()[0] in (".op", ".tran", ".noise") for card in cards) == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"readout": {"gain_bandwidth": float("inf")}}, "nothing takes time"),
+        ({"array": {"sheet": "continuous"}}, "sliced sheet"),
+        ({"readout": {"circuit": "voltage-divider"}}, "inverting-amplifier"),
+    ],
+)
+def test_what_has_no_dynamics_is_refused(change: dict[str, dict[str, object]], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        spice.dynamic_netlist(prototype().replace(**change), CELLS, 0)
