@@ -12,23 +12,22 @@ from ..errors import InputError
 from ..progress import Progress, silent
 from . import _simulate as simulate
 from . import _training as training
-from ._cell import ESTIMATORS, Calibrated, Cell, EstimatorName
+from ._cell import Calibrated, Cell, EstimatorName
 from ._estimator import Estimator
-from ._identify import HELD_OUT, Fit, fits
+from ._identify import Fit, Fold, fits, folds
 from ._inverse import margin
 from ._learned import DRIFT, Learned, Seen
 from ._models import AsymmetricModel, ContactModel, M10Model
 from ._recording import Recording
 
-MOST = 10000
+MOST = 6000
 """samples that are learned from; a longer recording is thinned"""
-STATIC_WORTH = 0.5
-"""the static curve is chosen if its held-out error is below this share of the distilled estimator's: the held-out third
-has the loads of the rest, and flatters whatever has a memory of them"""
-LEAST = 0.1
-"""share of the readings that must lie before the last third of a recording's time, and in it"""
-STEPS = 6
-"""of a calibration, for progress: three kinds of model, two times learning, one time judging"""
+FOLD_CELLS = 32
+"""simulated for learning before each fold; a third of those for the final estimators"""
+TEACHES_WORSE = 0.7
+"""share of the richer kind's error below which a simpler one teaches"""
+STEPS = 7
+"""of a calibration, for progress: three kinds of model, three folds, and learning from all"""
 EXACT = 0.005
 """held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
 
@@ -55,8 +54,9 @@ def calibrate(
 ) -> CalibrationResult:
     """Identify the cell of a recording and calibrate its estimators.
 
-    The kind of model is chosen by its error on the last third of the recording when fitted to the first two; so
-    is the estimator. What is kept is then fitted and learned from the whole of it. Deterministic.
+    Kinds of models and estimators are compared by rolling-origin evaluation. The recording is cut into folds that each
+    contain presses. What comes before a fold is fitted and learned from, and the worst fold counts. What is kept is
+    then fitted and learned from the whole. Deterministic.
 
     Args:
         recording: presses and releases of one cell.
@@ -70,13 +70,6 @@ def calibrate(
     thin = Recording(
         recording.time_s[::every], recording.pressure_kpa[::every], recording.resistance_ohm[::every], recording.name
     )
-    cut = thin.time_s[0] + HELD_OUT * (thin.time_s[-1] - thin.time_s[0])
-    before = int(np.count_nonzero(thin.time_s < cut))
-    if not LEAST * len(thin.time_s) <= before <= (1 - LEAST) * len(thin.time_s):
-        raise InputError(
-            f"{recording.name}: {before} of {len(thin.time_s)} readings lie in the first two thirds of its time; "
-            "expected readings without a gap that takes up most of it"
-        )
     full = float(np.quantile(thin.pressure_kpa, 0.999)) if full_scale_kpa is None else full_scale_kpa
     if not 0 < full < np.inf:
         raise InputError(f"full scale is {full} kPa; expected more than 0")
@@ -93,6 +86,7 @@ def calibrate(
     if isinstance(model, ContactModel):
         return CalibrationResult(_calibrated_contact(cell, thin), recording, found, inverse)
 
+    parts = folds(thin, full)
     teacher = _teacher(found)
     whole = training.NormalisedRecording(
         time_s=thin.time_s,
@@ -102,25 +96,42 @@ def calibrate(
         simulation=teacher.simulate,
         unexplained=teacher.error * float(np.ptp(thin.resistance_ohm)) / rest,
     )
-    first = replace(whole, simulation=teacher.simulate_partial).until(cut)
     seen = _seen(thin)
-    trial = cell.replace(estimators=_learned(first, full).replace(seen=seen))
-    tell("learned from two thirds")
-    judged = _judge(trial, thin, cut)
-    tell("judged on the last third")
-    percent = {name: float(100 * np.sqrt(np.mean(error**2)) / full) for name, (error, _) in judged.items()}
-    noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
-    default, reason = _choose(percent, float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0))))
-    final = _learned(whole, full)
-    tell("learned from all")
-    calibrated = {
-        name: training.calibrated(learned, *(value / full for value in judged[name]), most=final.static.std_kpa / full)
-        for name in ("play", "distilled")
-        if isinstance(learned := getattr(final, name), Learned) and name in judged
+    judged: dict[EstimatorName, list[Judged]] = {}
+    for fold, simulation in zip(parts, teacher.simulate_folds, strict=True):
+        first = replace(whole, simulation=simulation).until(fold.start_s)
+        trial = cell.replace(estimators=_learned(first, full, cells=FOLD_CELLS).replace(seen=seen))
+        for name in LEARNED:
+            judged.setdefault(name, []).append(_judge(trial, name, thin, fold))
+        tell("learned before a fold, and judged on it")
+    for name, pairs in _judge_models(cell.replace(estimators=None), thin, parts).items():
+        judged[name] = pairs
+    by_fold = {
+        name: tuple(float(100 * np.sqrt(np.mean(error**2)) / full) for error, _ in pairs)
+        for name, pairs in judged.items()
     }
-    static = final.static.replace(std_kpa=max(final.static.std_kpa, DRIFT * percent["static"] / 100 * full))
+    noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
+    default, reason = _choose(by_fold, float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0))))
+    worst = {name: max(percent) for name, percent in by_fold.items()}
+    final = _learned(whole, full, cells=training.CELLS)
+    tell("learned from all")
+    together = {name: tuple(map(np.concatenate, zip(*pairs, strict=True))) for name, pairs in judged.items()}
+    calibrated = {
+        name: training.calibrated(
+            learned, *(value / full for value in together[name]), most=final.static.std_kpa / full
+        )
+        for name in ("play", "distilled")
+        if isinstance(learned := getattr(final, name), Learned) and name in together
+    }
+    static = final.static.replace(std_kpa=max(final.static.std_kpa, DRIFT * worst["static"] / 100 * full))
     estimators = Calibrated(
-        default=default, reason=reason, held_out_percent=percent, seen=seen, static=static, **calibrated
+        default=default,
+        reason=reason,
+        held_out_percent=worst,
+        fold_percent=by_fold,
+        seen=seen,
+        static=static,
+        **calibrated,
     )
     return CalibrationResult(cell.replace(estimators=estimators), recording, found, inverse)
 
@@ -146,20 +157,24 @@ def estimate_recording(
 
 
 def _teacher(found: tuple[Fit, ...]) -> Fit:
-    """The fit that is varied for learning: the richest with one set of states, unless the paper's is far better.
+    """The fit that is varied for learning: the richest with one set of states, unless it explains clearly less.
 
     Which of two kinds predicts better is a close call on a short recording, and the poorer one, taught, misleads
-    more than the richer one's spare parameters do. The paper's two models hand over at every change of direction,
-    which a learned map of memories follows badly.
+    more than the richer one's spare parameters do. But what leaves much more of its worst fold unexplained than another
+    kind does teaches its own mistakes. The paper's two models hand over at every change of direction, which a learned
+    map of memories follows badly: it teaches only where it is far better.
     """
     smooth = next(fit for fit in found if isinstance(fit.model, M10Model))
+    plain = next(fit for fit in found if isinstance(fit.model, AsymmetricModel))
+    if plain.held_out_error < TEACHES_WORSE * smooth.held_out_error:
+        smooth = plain
     best = min(found, key=lambda fit: fit.held_out_error)
     return best if best.held_out_error < 0.5 * smooth.held_out_error else smooth
 
 
-def _learned(calibration: training.NormalisedRecording, full_scale_kpa: float) -> Calibrated:
+def _learned(calibration: training.NormalisedRecording, full_scale_kpa: float, *, cells: int) -> Calibrated:
     """All learned estimators, not judged yet."""
-    simulated = training.variations(calibration, np.random.default_rng(0))
+    simulated = training.variations(calibration, np.random.default_rng(0), cells)
     return Calibrated(
         default="distilled",
         reason="",
@@ -181,34 +196,61 @@ def _seen(recording: Recording) -> Seen:
     )
 
 
-def _judge(cell: Cell, recording: Recording, after_s: float) -> dict[EstimatorName, tuple[FloatArray, FloatArray]]:
-    """Errors and standard deviations in kPa after ``after_s``, of every estimator that this cell can have."""
-    judged: dict[EstimatorName, tuple[FloatArray, FloatArray]] = {}
-    part = recording.time_s >= after_s
-    for name in ESTIMATORS:
+LEARNED: tuple[EstimatorName, ...] = ("static", "play", "distilled")
+FROM_MODEL: tuple[EstimatorName, ...] = ("paper", "inverse")
+Judged = tuple[FloatArray, FloatArray]
+"""errors and standard deviations in kPa within a fold"""
+
+
+def _judge(cell: Cell, name: EstimatorName, recording: Recording, fold: Fold) -> Judged:
+    """Of an estimator that was learned before the fold."""
+    until = int(np.searchsorted(recording.time_s, fold.end_s))
+    part = slice(int(np.searchsorted(recording.time_s, fold.start_s)), until)
+    learned = cell.estimators
+    if name == "static" and learned is not None:
+        curve = learned.static
+        load = curve.load(recording.resistance_ohm[part] / cell.rest_resistance_ohm - 1)
+        load = np.clip(load, curve.limits.lowest, curve.limits.highest)
+        error = load * cell.full_scale_kpa - recording.pressure_kpa[part]
+        return error, np.full(error.shape, curve.std_kpa)
+    estimator = cell.estimator((), name)
+    pressure, std = estimate_recording(estimator, recording.time_s[:until], recording.resistance_ohm[:until])
+    error = (pressure - recording.pressure_kpa[:until])[part]
+    return error, np.full(error.shape, np.inf) if std is None else std[part]
+
+
+def _judge_models(cell: Cell, recording: Recording, parts: tuple[Fold, ...]) -> dict[EstimatorName, list[Judged]]:
+    """Of the estimators that follow from the model alone, as far as this cell can have them."""
+    judged: dict[EstimatorName, list[Judged]] = {}
+    for name in FROM_MODEL:
         try:
             estimator = cell.estimator((), name)
         except InputError:
             continue  # not for this kind of cell
         pressure, std = estimate_recording(estimator, recording.time_s, recording.resistance_ohm)
-        error = (pressure - recording.pressure_kpa)[part]
-        judged[name] = error, np.full(error.shape, np.inf) if std is None else std[part]
+        error = pressure - recording.pressure_kpa
+        deviation = np.full(error.shape, np.inf) if std is None else std
+        edges = [slice(*np.searchsorted(recording.time_s, [part.start_s, part.end_s])) for part in parts]
+        judged[name] = [(error[edge], deviation[edge]) for edge in edges]
     return judged
 
 
-def _choose(percent: dict[EstimatorName, float], unexplained: float) -> tuple[EstimatorName, str]:
-    """The exact inverse, distilled or static, and why.
+def _choose(by_fold: dict[EstimatorName, tuple[float, ...]], unexplained: float) -> tuple[EstimatorName, str]:
+    """The estimator whose worst fold is best, and why; the paper's is never chosen.
 
     Where the model explains all there is, its inverse carries over to loads that nobody applied: it comes first, unless
-    clearly worse on those held out.
+    clearly worse. What follows no better than the static curve is not worth its memory: a tenth is left to chance.
     """
-    chosen: EstimatorName = "static" if percent["static"] < STATIC_WORTH * percent["distilled"] else "distilled"
+    worst = {name: max(percent) for name, percent in by_fold.items()}
+    chosen: EstimatorName = "distilled" if worst["distilled"] <= 1.1 * worst["play"] else "play"
+    if worst[chosen] > worst["static"]:
+        chosen = "static"
     why = ""
-    if unexplained < EXACT and percent.get("inverse", np.inf) < 1.25 * percent[chosen] + 0.25:
+    if unexplained < EXACT and worst.get("inverse", np.inf) < 1.25 * worst[chosen] + 0.25:
         chosen = "inverse"
         why = f"the model explains the resistance but for {100 * unexplained:.1f} % of its range and noise; "
-    others = ", ".join(f"{name} {value:.1f} %" for name, value in percent.items() if name != chosen)
-    return chosen, f"{why}{percent[chosen]:.1f} % of full scale on the held-out third of the recording ({others})"
+    others = ", ".join(f"{name} {value:.1f} %" for name, value in worst.items() if name != chosen)
+    return chosen, f"{why}{worst[chosen]:.1f} % of full scale on the worst of {len(by_fold[chosen])} folds ({others})"
 
 
 def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
@@ -219,17 +261,20 @@ def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
         raise AssertionError("the static curve is not learned from simulations")
 
     whole = training.NormalisedRecording(recording.time_s, r, load, cell.rest_resistance_ohm, unused, 0.0)
-    cut = recording.time_s[0] + HELD_OUT * (recording.time_s[-1] - recording.time_s[0])
-    first = training.static_curve(whole.until(cut), cell.full_scale_kpa, logarithmic=True)
-    part = recording.time_s >= cut
-    error = np.clip(first.load(r[part]), first.limits.lowest, first.limits.highest) - load[part]
-    percent = float(100 * np.sqrt(np.mean(error**2)))
+    errors = []
+    for fold in folds(recording, cell.full_scale_kpa):
+        first = training.static_curve(whole.until(fold.start_s), cell.full_scale_kpa, logarithmic=True)
+        part = (recording.time_s >= fold.start_s) & (recording.time_s < fold.end_s)
+        error = np.clip(first.load(r[part]), first.limits.lowest, first.limits.highest) - load[part]
+        errors.append(float(100 * np.sqrt(np.mean(error**2))))
+    percent = max(errors)
     curve = training.static_curve(whole, cell.full_scale_kpa, logarithmic=True)
     std = max(curve.std_kpa, percent / 100 * cell.full_scale_kpa)
     estimators = Calibrated(
         default="static",
-        reason=f"a contact without memory; {percent:.1f} % of full scale on the held-out third of the recording",
+        reason=f"a contact without memory; {percent:.1f} % of full scale on the worst of {len(errors)} folds",
         held_out_percent={"static": percent},
+        fold_percent={"static": tuple(errors)},
         seen=_seen(recording),
         static=curve.replace(std_kpa=std),
     )

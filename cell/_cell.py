@@ -8,6 +8,7 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import Field
 
 from ..arrays import FloatArray
 from ..config import Positive, Section, load, write_toml
@@ -15,7 +16,7 @@ from ..errors import InputError
 from ._estimator import Conditions, Estimator
 from ._forward import Forward, make_forward
 from ._inverse import InverseEstimator, margin
-from ._learned import DRIFT, Learned, LearnedEstimator, Seen, StaticCurve
+from ._learned import DRIFT, Learned, LearnedEstimator, Numbers, Seen, StaticCurve
 from ._models import AsymmetricModel, M10Model, Model, PaperModel
 from ._paper import PaperEstimator, TurningEstimator
 from ._static import EquilibriumEstimator, StaticCurveEstimator, equilibrium_gain
@@ -35,7 +36,9 @@ class Calibrated(Section):
     reason: str
     """why that one"""
     held_out_percent: dict[EstimatorName, float]
-    """rms error on the last third of the recording after learning from the rest, % of full scale"""
+    """rms error on the worst fold of the recording after learning from what comes before it, % of full scale"""
+    fold_percent: dict[EstimatorName, Numbers] = Field(default_factory=dict)
+    """the same on each fold"""
     seen: Seen = Seen()
     static: StaticCurve
     play: Learned | None = None

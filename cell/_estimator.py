@@ -138,7 +138,7 @@ class Estimator(ABC):
         low, high = self._credible
         readable = r > low
         readable &= r < high
-        known = None if readable.all() else readable
+        known = None if np.count_nonzero(readable) == readable.size else readable
         if known is not None:
             r = np.where(known, r, self._mean)
         if not self._exact:
@@ -217,7 +217,7 @@ class Estimator(ABC):
         noise *= np.sqrt(share / (2 - share))
         left |= np.abs(self._mean) > noise + self._band
         left &= ~self._awake
-        if left.any():
+        if np.count_nonzero(left):
             woken = np.flatnonzero(left & (self._readings > 0))
             self._memory[:, woken] = self._begin(np.zeros(woken.size))
             self._line[:, woken] = smoothing.begin(np.zeros(woken.size), 1.0)
@@ -237,7 +237,7 @@ class Estimator(ABC):
             self._put_back(cells, line, memory, dt, r)
         was = line.copy()
         smooth = smoothing.advance(line, dt, self._window(dt), r, noise)
-        if smooth.jumped.any():
+        if np.count_nonzero(smooth.jumped):
             self._remember(cells, smooth.jumped, memory, was, r, noise)
         memory = self._advance(memory, dt, smooth.level, smooth.std)
         deviation = self._deviation(memory, smooth.std, noise)

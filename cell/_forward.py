@@ -45,9 +45,17 @@ class Forward(ABC):
             raise InputError(f"pressure has shape {np.shape(pressure_kpa)}, expected {self.shape}") from error
         if not np.isfinite(pressure).all():
             raise InputError("pressure is not finite everywhere; expected kPa")
+        self._check_pull(pressure)
         resistance = self._step(dt_s, pressure)
         self._pressure = pressure.copy()
         return resistance
+
+    def _check_pull(self, pressure_kpa: FloatArray) -> None:
+        """InputError where a pull would leave no resistance."""
+        lowest = self._lowest_kpa()
+        if pressure_kpa.size and pressure_kpa.min() < lowest:
+            strongest = f"pressure is {pressure_kpa.min():g} kPa"
+            raise InputError(f"{strongest}; a pull below {lowest:.3g} kPa leaves no resistance")
 
     def run(self, dt_s: ArrayLike, pressure_kpa: ArrayLike, cells: IntArray | None = None) -> FloatArray:
         """Take several steps at once: the same as one call of :meth:`step` per frame, up to rounding.
@@ -74,6 +82,7 @@ class Forward(ABC):
             raise InputError("time steps must be finite numbers of seconds >= 0")
         if not np.isfinite(pressure).all():
             raise InputError("pressure is not finite everywhere; expected kPa")
+        self._check_pull(pressure)
         if not len(dt):
             return np.empty(pressure.shape)
         if cells is None:
@@ -126,6 +135,10 @@ class Forward(ABC):
     def _remembered(self) -> FloatArray:
         """Largest \\|R/R0 - 1\\| that each cell would still show, were its load taken away now."""
         return np.zeros(self.shape)
+
+    @abstractmethod
+    def _lowest_kpa(self) -> float:
+        """The strongest pull (negative) that leaves a positive resistance whatever went before."""
 
     @abstractmethod
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
@@ -207,6 +220,9 @@ class PaperForward(Forward):
         resistance: FloatArray = self.rest_resistance_ohm * (1 + r)
         return resistance
 
+    def _lowest_kpa(self) -> float:
+        return -0.99 / (1 / self.model.eu1_kpa + 1 / self.model.etau2_kpa)
+
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         m, before = self.model, self._pressure
         starts = (pressure > before) & ~self._rising
@@ -244,6 +260,13 @@ class M10Forward(Forward):
 
     def _remembered(self) -> FloatArray:
         return np.abs(self._x1) + np.abs(self._x2) + np.abs(self._broken)
+
+    def _lowest_kpa(self) -> float:
+        m = self.model
+        gain, bend = max(m.a, 0.0) + m.alpha1 + m.alpha2, max(-m.b, 0.0)
+        # The root of bend s^2 + gain s = 0.99, in the form that stands bend = 0.
+        root = 2 * 0.99 / (gain + np.sqrt(gain**2 + 4 * bend * 0.99)) if gain or bend else np.inf
+        return -float(root) * self.full_scale_kpa
 
     def _run(self, dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
         """All steps of a block: both branches together, with what depends on time alone worked out before.
@@ -310,6 +333,9 @@ class ContactForward(Forward):
 
     def _run(self, dt_s: FloatArray, pressure: FloatArray) -> FloatArray:
         return self._step(0.0, pressure)
+
+    def _lowest_kpa(self) -> float:
+        return -np.inf
 
     def _step(self, dt_s: float, pressure: FloatArray) -> FloatArray:
         load = np.maximum(pressure, 0) / self.full_scale_kpa

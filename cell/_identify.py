@@ -19,12 +19,20 @@ from ._recording import Recording
 
 Simulation = Callable[[np.random.Generator, FloatArray, float], FloatArray]
 """Cells like the identified one, jittered, under loads (n, m) at a time step: resistance (n, m) in ohm"""
-POINTS = 2500
-"""samples that enter the least squares; a longer recording is thinned"""
-HELD_OUT = 2 / 3
-"""share of the recording that is fitted when kinds are compared; the rest judges"""
+POINTS, POINTS_BEFORE_FOLDS = 2000, 1000
+"""samples that enter the least squares, of the whole and of a fold with what comes before it; more are thinned"""
+ORIGINS = (0.45, 0.65, 0.825)
+"""shares of all pressing after which the folds begin: what comes before is fitted, the fold judges"""
+PRESSED = 0.05
+"""of full scale: half width of the play whose movement counts as pressing"""
+FEWEST = 30
+"""readings before a fold that are enough to fit"""
+STARTS = 2
+"""of the starts, those that are nearest to the recording, are followed to the end"""
+EXPLAINS = 0.7
+"""share of the standard deviation of the resistance that some model must fit better than"""
 SIMPLER = 1.05
-"""a simpler kind wins when its held-out error is within this factor of the best"""
+"""a simpler kind wins when the error of its worst fold is within this factor of the best"""
 PRIOR = 0.02
 """residual, over the range of r, that a parameter one width from its usual value counts as: what the recording does not
 tell stays usual"""
@@ -33,6 +41,8 @@ PRIOR_LOG, PRIOR_PLAIN, PRIOR_REST = 1.5, 0.5, 0.1
 SEEN_AT_REST, NEVER_AT_REST = 0.15, 0.7
 """share by which the true R0 may be below what was read before the first press, or below the least reading"""
 INSTANT_S = 0.05
+FLATTEST = 0.1
+"""of the range of r: slope over full scale that the equilibrium curve of m10 should have everywhere"""
 
 
 @dataclass(frozen=True)
@@ -56,12 +66,25 @@ class Fit:
     parameters: tuple[Parameter, ...]
     error: float
     """rms of the resistance it leaves, over the range of the resistance, on what was fitted"""
-    held_out_error: float
-    """the same on the last third, fitted on the first two"""
+    fold_errors: tuple[float, ...]
+    """the same on each fold, fitted on what comes before it"""
     simulate: Simulation
     """jittered cells like it"""
-    simulate_partial: Simulation
-    """the same as fitted on the first two thirds only"""
+    simulate_folds: tuple[Simulation, ...]
+    """the same as fitted before each fold"""
+
+    @property
+    def held_out_error(self) -> float:
+        """That of the worst fold."""
+        return max(self.fold_errors)
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A part of a recording, in seconds of its time: rolling-origin evaluation fits what comes before it."""
+
+    start_s: float
+    end_s: float
 
 
 @dataclass(frozen=True)
@@ -84,6 +107,9 @@ class _Kind:
     low: tuple[float, ...]
     high: tuple[float, ...]
     starts: tuple[tuple[float, ...], ...]
+    """the first is what is usual for a recording of that range of r, and what the prior holds to"""
+    size: float
+    """range of r in the recording"""
     run: Callable[[FloatArray, FloatArray, float], FloatArray]
     """parameters (p, m), load (n,), dt -> r (n, m), without the offset of R0"""
 
@@ -101,6 +127,35 @@ def rest_resistance(recording: Recording, full_scale_kpa: float) -> tuple[float,
         return float(np.median(recording.resistance_ohm[:first])), SEEN_AT_REST
     light = pressure <= max(0.05 * full_scale_kpa, float(np.quantile(pressure, 0.02)))
     return float(np.min(recording.resistance_ohm[light])), NEVER_AT_REST
+
+
+def folds(recording: Recording, full_scale_kpa: float) -> tuple[Fold, ...]:
+    """Consecutive folds that each have a share of all pressing, however long the rests between.
+
+    Pressing is measured by the path length of the load behind a play (Prandtl's), which noise does not add to.
+
+    Raises:
+        InputError: a fold, or what comes before the first, has hardly any readings: most of the time is a gap.
+    """
+    load = recording.quiet.pressure_kpa[:, None] / full_scale_kpa
+    moved = np.cumsum(np.abs(np.diff(play_follow(load, PRESSED)[:, 0], prepend=load[0, 0])))
+    moved += 1e-9 * np.arange(len(moved))
+    at = np.searchsorted(moved, np.array(ORIGINS) * moved[-1]).clip(1, len(moved) - 1)
+    time = recording.time_s
+    step = recording.step_s
+    starts = time[at]
+    ends = np.append(starts[1:], time[-1] + step)
+    found = tuple(Fold(float(a), float(b)) for a, b in zip(starts, ends, strict=True) if b > a)
+    expected = (time[-1] - time[0]) / step
+    before = int(np.count_nonzero(time < found[0].start_s))
+    longest = float(np.diff(time).max())
+    if before < FEWEST or longest > 0.5 * (time[-1] - time[0]) or len(time) < 0.1 * expected:
+        raise InputError(
+            f"{recording.name}: {before} of {len(time)} readings come before the last half of its presses, and the "
+            f"longest gap is {longest:.3g} s of {time[-1] - time[0]:.3g} s; expected presses throughout the recording, "
+            "without a gap that takes up most of it"
+        )
+    return found
 
 
 def recovery_branches(
@@ -163,62 +218,110 @@ def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None
         found = [_fit_contact(recording, full_scale_kpa, rest)]
     else:
         start = _start(recording, full_scale_kpa, rest)
-        kinds = [_asymmetric_kind(start), _paper_kind(start), _m10_kind(start)]
-        found = []
-        for kind in kinds:
-            found.append(_fit(kind, recording, full_scale_kpa, rest, lower))
-            told(f"fitted {kind.kind}")
+        size = float(np.ptp(np.percentile(recording.resistance_ohm, [0.5, 99.5])) / rest)
+        task = _Task(recording, full_scale_kpa, rest, lower, folds(recording, full_scale_kpa))
+        asymmetric, solutions = _fit(_asymmetric_kind(start, size), task, [])
+        told("fitted asymmetric")
+        # What contains another kind is started from where that one ended too, so that it never fits worse.
+        paper, _ = _fit(
+            _paper_kind(start, size), task, [(*solution[:-1], 0.2, 5.0, solution[-1]) for solution in solutions]
+        )
+        told("fitted paper")
+        m10, _ = _fit(_m10_kind(start, size), task, [_asymmetric_as_m10(solution, size) for solution in solutions])
+        told("fitted m10")
+        found = [asymmetric, paper, m10]
     least = min(fit.held_out_error for fit in found)
     blind = float(np.std(recording.resistance_ohm) / np.ptp(recording.resistance_ohm))
-    if not least < 0.9 * blind:
+    left = min(fit.error for fit in found)
+    if not left < EXPLAINS * blind:
         raise InputError(
             f"{recording.name}: the resistance does not follow the pressure: the best model leaves "
-            f"{100 * least:.0f} % of its range, knowing nothing {100 * blind:.0f} %; are the columns right?"
+            f"{100 * left:.0f} % of its range, knowing nothing {100 * blind:.0f} %; are the columns right?"
         )
     best = next(fit for fit in found if fit.held_out_error <= SIMPLER * least)
     return [best, *sorted((fit for fit in found if fit is not best), key=lambda fit: fit.held_out_error)]
 
 
-def _grid(recording: Recording, full_scale_kpa: float, rest: float, share: float) -> _Grid:
-    """``share`` of the recording counts as fitted."""
-    time = recording.time_s
-    dt = max(recording.step_s, (time[-1] - time[0]) / POINTS)
-    at = np.arange(time[0], time[-1], dt)
-    quiet = recording.quiet
-    load, r = quiet.pressure_kpa / full_scale_kpa, quiet.resistance_ohm / rest - 1
-    return _Grid(dt, np.interp(at, time, load), np.interp(at, time, r), max(2, int(len(at) * share)))
+@dataclass(frozen=True)
+class _Task:
+    """What every kind is fitted to."""
+
+    recording: Recording
+    full_scale_kpa: float
+    rest_ohm: float
+    lower: float
+    """share by which R0 may be below ``rest_ohm``"""
+    folds: tuple[Fold, ...]
+
+    def grid(self, until_s: float, end_s: float) -> _Grid:
+        """The recording before ``end_s``, of which the part before ``until_s`` counts as fitted."""
+        recording = self.recording
+        time = recording.time_s
+        last = min(end_s, float(time[-1]))
+        points = POINTS if until_s >= time[-1] else POINTS_BEFORE_FOLDS
+        dt = max(recording.step_s, (last - time[0]) / points)
+        at = np.arange(time[0], last + 1e-9 * dt, dt)
+        quiet = recording.quiet
+        load, r = quiet.pressure_kpa / self.full_scale_kpa, quiet.resistance_ohm / self.rest_ohm - 1
+        fitted = int(np.searchsorted(at, until_s))
+        return _Grid(dt, np.interp(at, time, load), np.interp(at, time, r), max(2, min(fitted, len(at))))
 
 
-def _fit(kind: _Kind, recording: Recording, full_scale_kpa: float, rest: float, lower: float) -> Fit:
-    part = _grid(recording, full_scale_kpa, rest, HELD_OUT)
-    partial, _ = _solve(kind, part, kind.starts, lower)
-    spread = np.ptp(part.r)
-    left = _predict(kind, partial, part) - part.r
-    held_out = float(np.sqrt(np.mean(left[part.fitted :] ** 2)) / spread)
+def _fit(kind: _Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit, list[tuple[float, ...]]]:
+    """Fit what comes before each fold, then the whole; each from its own starts, the last solution, and ``nested``.
 
-    whole = _grid(recording, full_scale_kpa, rest, 1.0)
-    found, covariance = _solve(kind, whole, (tuple(partial), *kind.starts[:1]), lower)
+    Args:
+        kind: how.
+        task: what.
+        nested: solutions of a kind that this one contains: before each fold, and of the whole.
+
+    Returns:
+        The fit, and the solutions before each fold and of the whole.
+    """
+    recording, rest = task.recording, task.rest_ohm
+    spread = float(np.ptp(recording.quiet.resistance_ohm)) / rest
+    solutions: list[FloatArray] = []
+    errors = []
+    for number, fold in enumerate(task.folds):
+        grid = task.grid(fold.start_s, fold.end_s)
+        starts = [*kind.starts, *map(tuple, solutions[-1:]), *nested[number : number + 1]]
+        solution, _ = _solve(kind, grid, starts, task.lower)
+        solutions.append(solution)
+        left = (_predict(kind, solution, grid) - grid.r)[grid.fitted :]
+        errors.append(float(np.sqrt(np.mean(left**2)) / spread) if left.size else np.inf)
+
+    whole = task.grid(np.inf, np.inf)
+    found, covariance = _solve(kind, whole, [kind.starts[0], tuple(solutions[-1]), *nested[-1:]], task.lower)
     error = float(np.sqrt(np.mean((_predict(kind, found, whole) - whole.r) ** 2)) / spread)
-    offset = found[-1]
-    model = _model(kind.kind, found, full_scale_kpa)
+    offset = float(found[-1])
+    model = _model(kind.kind, found, task.full_scale_kpa)
     duration = recording.time_s[-1] - recording.time_s[0]
-    *errors, rest_error = np.sqrt(np.diag(covariance)).tolist()
+    *deviations, rest_error = np.sqrt(np.diag(covariance)).tolist()
     parameters = [
         Parameter(name, float(value), std, std < 0.5 * abs(value) and not _too_slow(name, value, duration))
-        for name, value, std in zip(kind.names, found, errors, strict=False)
+        for name, value, std in zip(kind.names, found, deviations, strict=False)
     ]
     corrected = rest * (1 + offset)
-    seen = lower == SEEN_AT_REST and rest_error < 0.05
+    # The model's R0 and what was read at rest are two answers to one question: they are known no better than that.
+    rest_error = float(np.hypot(rest_error, offset))
+    seen = task.lower == SEEN_AT_REST and rest_error < 0.05
     parameters.append(Parameter("rest_resistance_ohm", float(corrected), rest * rest_error, seen))
-    return Fit(
+    fit = Fit(
         model=model,
         rest_resistance_ohm=corrected,
         parameters=tuple(parameters),
         error=error,
-        held_out_error=held_out,
+        fold_errors=tuple(errors),
         simulate=_simulation(kind, found, rest),
-        simulate_partial=_simulation(kind, partial, rest),
+        simulate_folds=tuple(_simulation(kind, solution, rest) for solution in solutions),
     )
+    return fit, [tuple(map(float, solution)) for solution in (*solutions, found)]
+
+
+def _asymmetric_as_m10(solution: tuple[float, ...], size: float) -> tuple[float, ...]:
+    """The same cell in the richer model: nothing is curved, and hardly a chain breaks."""
+    a, alpha1, fall1, alpha2, fall2, offset = solution
+    return a, 0.0, alpha1, INSTANT_S, fall1, alpha2, fall2, 1e-3 * size, 30.0, offset
 
 
 def _too_slow(name: str, value: float, duration_s: float) -> bool:
@@ -230,9 +333,7 @@ def _predict(kind: _Kind, parameters: FloatArray, grid: _Grid) -> FloatArray:
     return predicted
 
 
-def _solve(
-    kind: _Kind, grid: _Grid, starts: tuple[tuple[float, ...], ...], lower: float
-) -> tuple[FloatArray, FloatArray]:
+def _solve(kind: _Kind, grid: _Grid, starts: list[tuple[float, ...]], lower: float) -> tuple[FloatArray, FloatArray]:
     """Least squares from every start; the best parameters (the offset last) and their covariance."""
     low, high = np.array([*kind.low, -lower]), np.array([*kind.high, 0.15])
     positive = low > 0
@@ -264,14 +365,18 @@ def _solve(
 
     bounds = free(low), free(high)
     spread = float(np.ptp(grid.r[fitted]))
-    centre = free(np.clip(np.array([*starts[-1], 0.0]), low, high))
+    centre = free(np.clip(np.array([*kind.starts[0], 0.0]), low, high))
     width = np.where(positive, PRIOR_LOG, PRIOR_PLAIN * np.abs(high))
     width[-1] = PRIOR_REST
     best: Any = None
+    begins = []
     for start in starts:
         first = np.array([*start, 0.0]) if len(start) == len(kind.names) else np.array(start)
-        first = np.clip(free(np.clip(first, low, high)), bounds[0] + 1e-6, bounds[1] - 1e-6)
-        found = least_squares(residual, first, jacobian, bounds=bounds, x_scale="jac", max_nfev=40)
+        begins.append(np.clip(free(np.clip(first, low, high)), bounds[0] + 1e-6, bounds[1] - 1e-6))
+    errors = ((responses(np.column_stack(begins)) - target[:, None]) ** 2).sum(axis=0)
+    for place in np.argsort(errors)[:STARTS]:
+        first = begins[place]
+        found = least_squares(residual, first, jacobian, bounds=bounds, x_scale="jac", max_nfev=30)
         if best is None or found.cost < best.cost:
             best = found
     j = best.jac
@@ -299,7 +404,7 @@ def _falling(kind: _Kind, p: FloatArray) -> FloatArray:
     names = dict(zip(kind.names, p, strict=False))
     load = np.linspace(0, 1, 9)[:, None]
     slope = names["a"] + 2 * names["b"] * load + names["alpha1"] + names["alpha2"]
-    shortfall: FloatArray = np.minimum(slope - 0.1, 0.0)
+    shortfall: FloatArray = np.minimum(slope - FLATTEST * kind.size, 0.0)
     return shortfall
 
 
@@ -319,7 +424,7 @@ def _start(recording: Recording, full_scale_kpa: float, rest: float) -> tuple[fl
     return 0.5 * gain, 0.4 * gain, 0.1 * gain, 5.0, 100.0
 
 
-def _m10_kind(start: tuple[float, ...]) -> _Kind:
+def _m10_kind(start: tuple[float, ...], size: float) -> _Kind:
     g1, g2, g3, t2, t3 = start
     fixed = simulate.M10_PARAMETERS.index("rise2_s")
     names = tuple(name for name in simulate.M10_PARAMETERS if name != "rise2_s")
@@ -328,7 +433,6 @@ def _m10_kind(start: tuple[float, ...]) -> _Kind:
         full = np.insert(parameters, fixed, INSTANT_S, axis=0)
         return simulate.m10(full, _columns(load), dt)
 
-    size = max(g1 + g2 + g3, 1e-3)
     return _Kind(
         kind="m10",
         names=names,
@@ -338,11 +442,12 @@ def _m10_kind(start: tuple[float, ...]) -> _Kind:
             (0.35 * size, -0.6 * size, size, 0.4, 5.0, 0.2 * size, 100.0, 0.2 * size, 30.0),
             (g1, -0.05 * size, g2, 0.1, t2, g3, t3, 0.1 * size, 5.0),
         ),
+        size=size,
         run=run,
     )
 
 
-def _asymmetric_kind(start: tuple[float, ...]) -> _Kind:
+def _asymmetric_kind(start: tuple[float, ...], size: float) -> _Kind:
     g1, g2, g3, t2, t3 = start
 
     def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
@@ -354,14 +459,15 @@ def _asymmetric_kind(start: tuple[float, ...]) -> _Kind:
     return _Kind(
         kind="asymmetric",
         names=("gain1", "gain2", "fall2_s", "gain3", "fall3_s"),
-        low=(1e-4, 1e-4, 0.2, 1e-4, 3.0),
-        high=(20.0, 20.0, 100.0, 20.0, 3000.0),
-        starts=((g1, g2, t2, g3, t3), (0.5 * (g1 + g2 + g3), 0.4 * g1, 5.0, 0.1 * g1, 100.0)),
+        low=(1e-4 * size, 1e-4 * size, 0.2, 1e-4 * size, 3.0),
+        high=(5 * size, 5 * size, 100.0, 5 * size, 3000.0),
+        starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0), (g1, g2, t2, g3, t3)),
+        size=size,
         run=run,
     )
 
 
-def _paper_kind(start: tuple[float, ...]) -> _Kind:
+def _paper_kind(start: tuple[float, ...], size: float) -> _Kind:
     g1, g2, g3, t2, t3 = start
 
     def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
@@ -372,9 +478,10 @@ def _paper_kind(start: tuple[float, ...]) -> _Kind:
     return _Kind(
         kind="paper",
         names=simulate.PAPER_PARAMETERS,
-        low=(1e-4, 1e-4, 0.2, 1e-4, 3.0, 1e-3, 0.1),
-        high=(20.0, 20.0, 100.0, 20.0, 3000.0, 3.0, 300.0),
-        starts=((g1, g2, t2, g3, t3, 0.2, 5.0),),
+        low=(1e-4 * size, 1e-4 * size, 0.2, 1e-4 * size, 3.0, 1e-3, 0.1),
+        high=(5 * size, 5 * size, 100.0, 5 * size, 3000.0, 3.0, 300.0),
+        starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0, 0.2, 5.0), (g1, g2, t2, g3, t3, 0.2, 5.0)),
+        size=size,
         run=run,
     )
 
@@ -435,18 +542,19 @@ def _fit_contact(recording: Recording, full_scale_kpa: float, rest: float) -> Fi
         (n, log_g), covariance = np.polyfit(np.log(load[where]), np.log(conductance[where]), 1, cov=True)
         return np.array([n, np.exp(-log_g)]), covariance
 
-    def left(parameters: FloatArray, where: slice) -> float:
+    def left(parameters: FloatArray, where: BoolArray) -> float:
         n, full = parameters
         predicted = -np.log(1 / rest + np.maximum(load, 0) ** n / full)
         target = np.log(recording.resistance_ohm)
         return float(np.sqrt(np.mean((predicted - target)[where] ** 2)) / np.ptp(target))
 
-    cut = int(len(load) * HELD_OUT)
-    part = felt.copy()
-    part[cut:] = False
-    if np.count_nonzero(part) < 10:
-        raise InputError(f"{recording.name}: too little of it is pressed to read a contact's power law from")
-    partial, _ = line(part)
+    errors = []
+    for fold in folds(recording, full_scale_kpa):
+        before = felt & (recording.time_s < fold.start_s)
+        if np.count_nonzero(before) < 10:
+            raise InputError(f"{recording.name}: too little of it is pressed to read a contact's power law from")
+        judged = (recording.time_s >= fold.start_s) & (recording.time_s < fold.end_s)
+        errors.append(left(line(before)[0], judged))
     found, covariance = line(felt)
     try:
         model = ContactModel(exponent=float(found[0]), full_scale_resistance_ohm=float(found[1]))
@@ -467,8 +575,8 @@ def _fit_contact(recording: Recording, full_scale_kpa: float, rest: float) -> Fi
             Parameter(name, float(value), float(error), bool(error < 0.5 * abs(value)))
             for name, value, error in zip(("exponent", "full_scale_resistance_ohm"), found, std, strict=True)
         ),
-        error=left(found, slice(None)),
-        held_out_error=left(partial, slice(cut, None)),
+        error=left(found, np.ones_like(felt)),
+        fold_errors=tuple(errors),
         simulate=simulation,
-        simulate_partial=simulation,
+        simulate_folds=(simulation,) * len(errors),
     )

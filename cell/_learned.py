@@ -14,9 +14,9 @@ from ..config import Finite, NotNegative, Positive, Section
 from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
 from ._features import Bank
 
-Numbers = Annotated[tuple[Finite, ...], Field(strict=False)]
-"""a list in TOML"""
-Positives = Annotated[tuple[Positive, ...], Field(strict=False)]
+Numbers = Annotated[tuple[Finite, ...], Field(strict=False, min_length=1, max_length=4000)]
+"""a list in TOML, not empty"""
+Positives = Annotated[tuple[Positive, ...], Field(strict=False, max_length=64)]
 
 CLIP = 3.5
 """standard deviations to which a feature is limited: beyond, nothing was learned"""
@@ -74,7 +74,7 @@ class Learned(Section):
     mean: Numbers
     scale: Positives
     seed: Annotated[int, Field(ge=0)] = 0
-    directions: Annotated[int, Field(ge=0, le=20000)] = 0
+    directions: Annotated[int, Field(ge=0, le=3000)] = 0
     weights: Numbers
     """1, features, square and cube of the first feature, cosines -> normalised load"""
     error_weights: Numbers

@@ -8,7 +8,7 @@ the material's own time. What is hard is to know which model holds.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -51,7 +51,6 @@ class StepWeights(NamedTuple):
     """(2,) share of a variance of the memory that is left after the step"""
 
 
-@lru_cache(maxsize=4096)
 def step_weights(model: PaperModel, dt_s: float) -> StepWeights:
     """The weights for steps of ``dt_s``."""
     m = model
@@ -171,6 +170,7 @@ class TurningEstimator(Estimator):
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, LOADS[1] * steepest)
         full_r = model.gain_per_kpa * full_scale_kpa
+        self._weights_of = lru_cache(maxsize=1024)(partial(step_weights, model))
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
 
@@ -185,7 +185,7 @@ class TurningEstimator(Estimator):
         return memory
 
     def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
-        m, w = self.model, step_weights(self.model, dt_s)
+        m, w = self.model, self._weights_of(dt_s)
         cells = r.size
         rising = memory[SIGN] > 0
         # Both hypotheses side by side: (4, 2 m), the one in force first.
@@ -211,11 +211,11 @@ class TurningEstimator(Estimator):
         threshold = SURE * unsure + TURN * self.full_scale_kpa
         turned = gone_back > threshold
         unconfirmed = memory[UNCONFIRMED] > 0
-        if unconfirmed.any():
+        if np.count_nonzero(unconfirmed):
             # Back at the extreme that was left: the turn was noise.
             back = -sign * pressure[1] > memory[LEFT] - std * np.where(rising, w.gain[1], w.gain[0])
             turned |= back & unconfirmed
-        if turned.any():
+        if np.count_nonzero(turned):
             self._turn(memory, turned, pressure, state, std, w)
             rising, sign = memory[SIGN] > 0, memory[SIGN]
             ahead = sign * np.maximum(pressure[0], least)
@@ -226,9 +226,9 @@ class TurningEstimator(Estimator):
 
         # The other hypothesis begins anew as long as the pressure is near its extreme.
         below_peak = memory[PEAK] - ahead
-        again = np.where(below_peak < AGAIN_SIGMAS * unsure, AGAIN, 0.0)
-        again[below_peak <= EXACTLY * self.full_scale_kpa] = 1.0
-        again[unconfirmed] = 0.0
+        again = AGAIN * (below_peak < AGAIN_SIGMAS * unsure)
+        np.copyto(again, 1.0, where=below_peak <= EXACTLY * self.full_scale_kpa)
+        np.copyto(again, 0.0, where=unconfirmed)
         p, x3 = pressure[0], state[2, 0]
         np.maximum(memory[PEAK], ahead - AGAIN_SIGMAS * unsure, out=memory[PEAK])
         np.maximum(memory[EXTREME], ahead - SURE * unsure, out=memory[EXTREME])
@@ -237,7 +237,11 @@ class TurningEstimator(Estimator):
         settled = p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r
         x2 = r - p / m.e1_kpa - x3
         other[0], other[1:] = pressure[1], state[:, 1]
-        other += again * (np.stack([p, settled, x2, x3]) - other)
+        anew = np.empty((4, cells))
+        anew[0], anew[1], anew[2], anew[3] = p, settled, x2, x3
+        anew -= other
+        anew *= again
+        other += anew
         memory[GAIN] = np.where(rising, w.gain[0], w.gain[1])
         variance = memory[TURNED]
         variance *= np.where(rising, w.fade[0], w.fade[1])
@@ -283,7 +287,7 @@ class TurningEstimator(Estimator):
         m = self.model
         allowed = -weights.gain[1] * std - NEAR * self.full_scale_kpa
         pulled = pressure[0] < allowed
-        if self._exact or not pulled.any():
+        if self._exact or not np.count_nonzero(pulled):
             return
         p = np.broadcast_to(allowed, pulled.shape)[pulled]
         pressure[0, pulled] = p

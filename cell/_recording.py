@@ -14,6 +14,10 @@ from ._simulate import smoothed, smoothing_s
 
 COLUMNS = ("time_s", "pressure_kpa", "resistance_ohm")
 SHORTEST_S, FEWEST = 20.0, 100
+LONGEST_PRESS_S = 3600.0
+"""median length of a press beyond which time is hardly in seconds"""
+PRESSURES_KPA, RESISTANCES_OHM = (0.01, 1e4), (0.1, 1e10)
+"""between which a largest pressure and a median resistance of a cell are hardly in another unit"""
 
 
 @dataclass(frozen=True)
@@ -26,14 +30,14 @@ class Recording:
     name: str = "recording"
 
     @classmethod
-    def load(cls, path: str | Path) -> Recording:
+    def load(cls, path: str | Path, *, trust_units: bool = False) -> Recording:
         """Read ``time_s,pressure_kpa,resistance_ohm``; rows without a reading (NaN, open) are passed over.
 
         Raises:
             InputError: the file cannot be read, or what :func:`checked_recording` refuses.
         """
         columns = read_columns(path, COLUMNS)
-        return checked_recording(*(columns[name] for name in COLUMNS), name=str(path))
+        return checked_recording(*(columns[name] for name in COLUMNS), name=str(path), trust_units=trust_units)
 
     @property
     def step_s(self) -> float:
@@ -63,13 +67,25 @@ def check_times(time_s: FloatArray, name: str) -> None:
 
 
 def checked_recording(
-    time_s: FloatArray, pressure_kpa: FloatArray, resistance_ohm: FloatArray, *, name: str = "recording"
+    time_s: FloatArray,
+    pressure_kpa: FloatArray,
+    resistance_ohm: FloatArray,
+    *,
+    name: str = "recording",
+    trust_units: bool = False,
 ) -> Recording:
     """A recording that a cell can be identified from.
 
+    Args:
+        time_s: (n,) seconds.
+        pressure_kpa: (n,) applied.
+        resistance_ohm: (n,); entries that are NaN or infinite are passed over.
+        name: of the recording, for messages.
+        trust_units: take the numbers even if they look as if they were in other units.
+
     Raises:
         InputError: time does not increase, resistance is not positive, the columns look exchanged, too few samples,
-            too short, or a pressure that does not change or is never released.
+            too short, a pressure that does not change or is never released, or numbers that look like other units.
     """
     check_times(time_s, name)
     if not np.isfinite(pressure_kpa).all():
@@ -99,7 +115,30 @@ def checked_recording(
             f"{name}: pressure_kpa goes from {low:g} to {high:g} and is never released; expected a recording that "
             "includes the unloaded cell, or are the columns exchanged?"
         )
+    if not trust_units:
+        _check_units(found, high)
     resistance = found.resistance_ohm
     if np.ptp(resistance) < 1e-9 * resistance.max():
         raise InputError(f"{name}: resistance_ohm stays at {resistance[0]:g}; expected it to follow the pressure")
     return found
+
+
+def _check_units(recording: Recording, highest_kpa: float) -> None:
+    """InputError that asks about a column whose numbers are hardly in the unit that its name says."""
+    median_ohm = float(np.median(recording.resistance_ohm))
+    pressed = recording.pressure_kpa > 0.5 * highest_kpa
+    edges = np.flatnonzero(np.diff(pressed.astype(int), prepend=0, append=0))
+    time = np.append(recording.time_s, recording.time_s[-1])
+    press_s = float(np.median(time[edges[1::2]] - time[edges[::2]]))
+    doubts = (
+        (press_s > LONGEST_PRESS_S, f"time_s: a press lasts {press_s:.3g} s; is it in milliseconds or microseconds?"),
+        (highest_kpa < PRESSURES_KPA[0], f"pressure_kpa reaches {highest_kpa:.3g}; is it in MPa or bar?"),
+        (highest_kpa > PRESSURES_KPA[1], f"pressure_kpa reaches {highest_kpa:.3g}; is it in Pa?"),
+        (median_ohm < RESISTANCES_OHM[0], f"resistance_ohm is about {median_ohm:.3g}; is it in kohm or Mohm?"),
+        (median_ohm > RESISTANCES_OHM[1], f"resistance_ohm is about {median_ohm:.3g}; is it in mohm?"),
+    )
+    for doubtful, question in doubts:
+        if doubtful:
+            raise InputError(
+                f"{recording.name}: {question} Expected seconds, kPa and ohm (--trust-units takes them as they are)"
+            )

@@ -19,9 +19,9 @@ def calibration_text(calibration: CalibrationResult) -> str:
     lines = [
         f"cell of kind {cell.model.kind}, R0 = {cell.rest_resistance_ohm:.6g} ohm, "
         f"full scale {cell.full_scale_kpa:.4g} kPa",
-        "error of r, % of its range, on what was fitted / on the held-out third of the recording:",
+        "error of r, % of its range, on what was fitted / on each fold after fitting what comes before it:",
         *(
-            f"  {other.model.kind:<11} {100 * other.error:5.1f} / {100 * other.held_out_error:5.1f}"
+            f"  {other.model.kind:<11} {100 * other.error:5.1f} / {_percents(other.fold_errors, 100)}"
             + ("  <- chosen" if other is fit else "")
             for other in calibration.fits
         ),
@@ -44,8 +44,14 @@ def calibration_text(calibration: CalibrationResult) -> str:
             f"exact inverse: {'safe' if safe else 'not safe, two loads can give one resistance'} "
             f"(least slope of a fast step {calibration.inverse_margin:.2g} of that at equilibrium)"
         )
+    lines.append("error of the estimators on the same folds, % of full scale:")
+    lines += [f"  {name:<11} {_percents(values)}" for name, values in cell.estimators.fold_percent.items()]
     lines.append(f"estimator: {cell.estimators.default}, because of {cell.estimators.reason}")
     return "\n".join(lines)
+
+
+def _percents(values: tuple[float, ...], unit: float = 1.0) -> str:
+    return " ".join(f"{unit * value:5.1f}" for value in values)
 
 
 def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
@@ -61,7 +67,12 @@ def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
         "rest_resistance_ohm": cell.rest_resistance_ohm,
         "full_scale_kpa": cell.full_scale_kpa,
         "fits": [
-            {"kind": fit.model.kind, "error": fit.error, "held_out_error": fit.held_out_error}
+            {
+                "kind": fit.model.kind,
+                "error": fit.error,
+                "held_out_error": fit.held_out_error,
+                "folds": list(fit.fold_errors),
+            }
             for fit in calibration.fits
         ],
         "parameters": [
@@ -77,6 +88,7 @@ def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
         "estimator": cell.estimators.default,
         "reason": cell.estimators.reason,
         "held_out_percent": dict(cell.estimators.held_out_percent),
+        "fold_percent": {name: list(values) for name, values in cell.estimators.fold_percent.items()},
     }
 
 

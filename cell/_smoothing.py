@@ -10,6 +10,7 @@ of readings since the line began, and are tabulated.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -50,12 +51,11 @@ class Gains(NamedTuple):
     level: FloatArray
     slope: FloatArray
     """per second"""
-    kept: FloatArray
-    """share of the slope that is kept: none at the first reading"""
     std: FloatArray
     """standard deviation of the level over that of a reading"""
 
 
+@lru_cache(maxsize=1024)
 def window_s(noise: float, dt_s: float) -> float:
     """The time in which the weight of a reading should fall to 1/e, for noise relative to the range of readings.
 
@@ -63,7 +63,7 @@ def window_s(noise: float, dt_s: float) -> float:
     best window is proportional to (noise^2 dt)^(1/5). The factor is the project's own, from taps and presses.
     """
     best = 10.0 * (noise**2 * dt_s) ** 0.2
-    steps = np.round(2 * np.log2(np.clip(best, SHORTEST_S, LONGEST_S)))  # few different tables
+    steps = round(2 * math.log2(min(max(best, SHORTEST_S), LONGEST_S)))  # few different tables
     return float(2.0 ** (steps / 2))
 
 
@@ -84,9 +84,7 @@ def gains(steps: float) -> Gains:
         slope.append(b / total)
         a, b, c = a / total, b / total, c - b * b / total
         std.append(np.sqrt(a))
-    kept = np.ones(len(level))
-    kept[0] = 0.0
-    return Gains(np.array(level), np.array(slope), kept, np.array(std))
+    return Gains(np.array(level), np.array(slope), np.array(std))
 
 
 def begin(level: FloatArray, readings: float = 0.0) -> FloatArray:
@@ -103,7 +101,7 @@ def interrupt(line: FloatArray) -> None:
 
 def advance(line: FloatArray, dt_s: float, window: float, r: FloatArray, noise: FloatArray) -> Smoothed:
     """Take readings ``r`` (m,) with standard deviation ``noise`` (m,); changes ``line`` (ROWS, m)."""
-    table = gains(_rounded(max(window / max(dt_s, 1e-9), 0.5)))
+    table = _table(window, dt_s)
     expected = line[SLOPE] * dt_s
     expected += line[LEVEL]
     off = r - expected
@@ -118,13 +116,12 @@ def advance(line: FloatArray, dt_s: float, window: float, r: FloatArray, noise: 
     runs *= sums > 0
     count += 1.0
     np.minimum(count, len(table.level) - 1, out=count)
-    left = (sums > SUM).any(axis=0)
+    left = np.maximum(sums[0], sums[1]) > SUM
     left |= jumped
     n: IntArray = count.astype(np.intp)
     level = expected + table.level.take(n) * off
-    line[SLOPE] *= table.kept.take(n)
-    line[SLOPE] += table.slope.take(n) * off / dt_s
-    if left.any():
+    line[SLOPE] += table.slope.take(n) * (off / dt_s)
+    if np.count_nonzero(left):
         _begin_again(line, np.flatnonzero(left), expected, r, noise, jumped, level)
         n = count.astype(np.intp)
     line[LEVEL] = level
@@ -158,6 +155,8 @@ def _begin_again(
     line[RUNS, cells] = 0.0
 
 
-def _rounded(steps: float) -> float:
-    """``steps`` to a grid of 10 %, so that time stamps that jitter share a table."""
-    return float(1.1 ** round(np.log(steps) / np.log(1.1)))
+@lru_cache(maxsize=1024)
+def _table(window: float, dt_s: float) -> Gains:
+    """Gains for a window on a grid of 10 %, so that time stamps that jitter share a table."""
+    steps = max(window / max(dt_s, 1e-9), 0.5)
+    return gains(float(1.1 ** round(math.log(steps) / math.log(1.1))))

@@ -23,6 +23,8 @@ LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
 SMOOTHING_S = 0.1
 DIRECTIONS = 600
 CELLS, SECONDS = 96, 400.0
+MOST_STEPS, FEWEST_SAMPLES = 50000, 500
+"""time steps that a recording may have on the grid of the simulations, and samples that a simulated cell has"""
 R0_ERROR = 0.03
 """standard deviation of R0, relative: an estimator must live with a rest value that is a little off"""
 CREEP = 0.08
@@ -97,15 +99,17 @@ def static_curve(calibration: NormalisedRecording, full_scale_kpa: float, *, log
     return curve.replace(std_kpa=std)
 
 
-def variations(calibration: NormalisedRecording, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, float]:
+def variations(
+    calibration: NormalisedRecording, rng: np.random.Generator, cells: int = CELLS
+) -> tuple[FloatArray, FloatArray, float]:
     """Loads and readings (n, m) of simulated cells, and their time step."""
     step = float(np.median(np.diff(calibration.time_s)))
-    dt = float(np.clip(step, 0.1, 0.2))
-    samples, half = round(SECONDS / dt), CELLS // 2
+    dt = max(float(np.clip(step, 0.1, 0.2)), calibration.seconds / MOST_STEPS)
+    samples, half = max(round(SECONDS / dt), FEWEST_SAMPLES), cells // 2
     recorded = simulate.smoothed(calibration.load, step, simulate.smoothing_s(calibration.load, step))
     load = np.concatenate(
         [
-            simulate.random_loads(rng, samples, CELLS - half, dt),
+            simulate.random_loads(rng, samples, cells - half, dt),
             simulate.varied_loads(rng, samples, half, dt, recorded, step),
         ],
         axis=1,
@@ -113,13 +117,13 @@ def variations(calibration: NormalisedRecording, rng: np.random.Generator) -> tu
     r = calibration.simulation(rng, load, dt) / calibration.rest_resistance_ohm - 1
     unexplained = max(calibration.unexplained, 0.005 * calibration.spread)
     for seconds, share in UNEXPLAINED:
-        r = r + simulate.wandering(rng, samples, CELLS, dt, seconds, share * unexplained)
+        r = r + simulate.wandering(rng, samples, cells, dt, seconds, share * unexplained)
     r = r + simulate.white_noise(calibration.r) * rng.standard_normal(r.shape)
-    creep = CREEP * calibration.spread * np.abs(rng.standard_normal(CELLS))
+    creep = CREEP * calibration.spread * np.abs(rng.standard_normal(cells))
     shortest, longest = calibration.seconds * np.array(CREEP_LENGTH)
-    seconds_of = np.exp(rng.uniform(np.log(shortest), np.log(longest), CELLS))
-    r = r + creep * simulate.lagging(load, dt, seconds_of, rng.uniform(0, 0.6, CELLS))
-    return load, (1 + r) * (1 + R0_ERROR * rng.standard_normal(CELLS)) - 1, dt
+    seconds_of = np.exp(rng.uniform(np.log(shortest), np.log(longest), cells))
+    r = r + creep * simulate.lagging(load, dt, seconds_of, rng.uniform(0, 0.6, cells))
+    return load, (1 + r) * (1 + R0_ERROR * rng.standard_normal(cells)) - 1, dt
 
 
 def rows(calibration: NormalisedRecording, bank: Bank, simulated: tuple[FloatArray, FloatArray, float]) -> Rows:

@@ -190,7 +190,8 @@ class Reader:
             now = time.monotonic()
             if now > self._proof_until:
                 raise LinkError(f"{port.name}: the board there does not show that it is the one from before")
-            if self._heard and self._proof_until == float("inf"):
+            known = self.introduced.is_set() and self._proof_until == float("inf")
+            if self._heard and known:
                 ask_at, self._heard = now + ASK_AGAIN_S, False
             elif now >= ask_at:
                 self._ask()

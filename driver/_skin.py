@@ -311,7 +311,9 @@ class Skin:
 
     def frames(self) -> Iterator[Frame]:
         """An iterator with a place of its own: the frames that come from now on, whoever else takes them."""
-        taker = FrameTaker(self._source)
+        return self._follow(FrameTaker(self._source))
+
+    def _follow(self, taker: FrameTaker) -> Iterator[Frame]:
         try:
             while True:
                 try:

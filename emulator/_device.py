@@ -21,6 +21,8 @@ from ._skin import Sample
 
 ANSWER_ROOM = 4096
 """bytes of room in the transmit buffer with which commands are answered; with less their answers wait"""
+BAUD_TOLERANCE = 0.04
+"""relative error of the baud rate that a UART of 10 bits a byte stands: half a bit in ten, less its sampling error"""
 LONGEST_SPLIT = 7
 """bytes that a line with the fault split-bytes delivers at a time, at most"""
 
@@ -74,7 +76,9 @@ class Device:
         self._line = Line(scene.line, seed, scene.link_fault)
         self._schedule = Schedule(scene.link_fault)
         self._clock = scene.clock
+        self._baud_rate = scene.line.baud_rate
         self._random = np.random.default_rng([seed, 2])
+        self._noise = np.random.default_rng([seed, 3])
         self._line_us = 0.0
         """latest line time at which something was sent"""
         self._behind_us = 0.0
@@ -130,6 +134,16 @@ class Device:
         if waiting and self._schedule.active("split-bytes", self.time_s) is not None:
             return waiting[: int(self._random.integers(1, LONGEST_SPLIT + 1))]
         return waiting
+
+    def as_sampled(self, data: bytes, baud_rate: int | None) -> bytes:
+        """What a host that samples the UART at ``baud_rate`` makes of bytes; None: at the right one.
+
+        A receiver whose rate is off by more than a few percent samples bits of its neighbours: noise.
+        """
+        right = self._baud_rate
+        if right is None or baud_rate is None or abs(baud_rate / right - 1.0) < BAUD_TOLERANCE:
+            return data
+        return self._noise.bytes(len(data))
 
     def steal(self) -> None:
         """A second program on the same port reads now and then: what it gets, the first one never sees."""

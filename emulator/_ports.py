@@ -80,6 +80,10 @@ class Port(ABC):
         """Whether the host has raised the control line DTR since the last call."""
         return False
 
+    def baud_rate(self) -> int | None:
+        """Bit/s that the host has set; None where the port cannot tell."""
+        return None
+
     def __enter__(self) -> Self:
         return self
 
@@ -386,6 +390,9 @@ class Rfc2217Port(TcpPort):
             return False
         raised, self.control.raised = self.control.raised, False
         return raised
+
+    def baud_rate(self) -> int | None:
+        return None if self._host is None else self.control.baudrate
 
     def _flush(self) -> bool:
         """Send what waits; whether everything has gone."""

@@ -352,7 +352,8 @@ class _Session:
         self._device.steal()
         arrived = self._device.arrived()
         if arrived:
-            self._device.transmission.taken(self._port.write(arrived))
+            sampled = self._device.as_sampled(arrived, self._port.baud_rate())
+            self._device.transmission.taken(self._port.write(sampled))
 
 
 class _Pace(ABC):

@@ -163,3 +163,20 @@ def test_bad_steps_are_refused() -> None:
         EXAMPLE.forward((2, 2), rest_resistance_ohm=np.ones(3))
     with pytest.raises(InputError, match="must be positive"):
         EXAMPLE.forward((2, 2), rest_resistance_ohm=-1.0)
+
+
+@pytest.mark.parametrize(
+    "cell",
+    [
+        Cell.example(),
+        Cell.example().replace(
+            model=AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=505, eta3_kpa_s=48000)
+        ),
+    ],
+)
+def test_a_pull_that_leaves_no_resistance_is_refused(cell: Cell) -> None:
+    forward = cell.forward((2,))
+    assert (forward.step(0.1, -5.0) > 0).all()
+    with pytest.raises(InputError, match="leaves no resistance"):
+        forward.step(0.1, -40.0)
+    assert (forward.step(0.1, 0.0) > 0).all()

@@ -22,7 +22,7 @@ from ohmskin.cell import (
 )
 from ohmskin.cell import _protocol as protocol
 from ohmskin.cell import _simulate as simulate
-from ohmskin.cell._identify import fits, recovery_branches
+from ohmskin.cell._identify import fits, folds, recovery_branches
 from ohmskin.cell._inverse import margin
 from ohmskin.errors import InputError
 
@@ -244,3 +244,41 @@ def test_a_recording_of_just_what_is_printed_shows_the_cell_at_rest() -> None:
     printed = sum(step.seconds for step in (*protocol.CONDITIONING, *protocol.PROTOCOL))
     assert f"{printed:.0f} s" in protocol.protocol_text()
     assert 0 < time[-1] - printed < 10  # what the changes take
+
+
+@pytest.mark.parametrize(
+    ("time", "pressure", "resistance", "message"),
+    [
+        (1e3, 1.0, 1.0, "is it in milliseconds"),
+        (1e6, 1.0, 1.0, "is it in milliseconds or microseconds"),
+        (1.0, 1e300, 1.0, "is it in Pa"),
+        (1.0, 1e-300, 1.0, "is it in MPa"),
+        (1.0, 1.0, 1e-6, "is it in kohm"),
+        (1.0, 1.0, 1e9, "is it in mohm"),
+    ],
+)
+def test_units_that_look_wrong_are_asked_about(time: float, pressure: float, resistance: float, message: str) -> None:
+    columns = TIME * time, PRESS * pressure, READ * resistance
+    with pytest.raises(InputError, match=message):
+        checked_recording(*columns)
+    if time > 1:
+        checked_recording(*columns, trust_units=True)
+
+
+def test_folds_each_contain_presses() -> None:
+    """However the rests lie: here almost all presses come in the first tenth."""
+    time = np.arange(0, 600, DT)
+    load = np.where(time < 60, 0.5 * (1 - np.cos(time)), 0.0)
+    load[5500:5600] = 0.5
+    parts = folds(checked_recording(time, FULL * load, sense(EXAMPLE, load)), FULL)
+    assert len(parts) == 3
+    for part in parts:
+        inside = load[(time >= part.start_s) & (time < part.end_s)]
+        assert np.ptp(inside) > 0.3
+
+
+def test_a_shuffled_resistance_is_refused() -> None:
+    recording = protocol_recording(EXAMPLE, 0.001)
+    shuffled = np.random.default_rng(5).permutation(recording.resistance_ohm)
+    with pytest.raises(InputError, match="does not follow the pressure"):
+        calibrate(checked_recording(recording.time_s, recording.pressure_kpa, shuffled))

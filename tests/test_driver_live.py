@@ -129,11 +129,9 @@ class TestDelivery:
             first = threading.Thread(target=lambda: mine.extend(islice(own, 50)))
             mine: list[Frame] = []
             first.start()
-            time.sleep(0.05)  # a generator takes its place when it is first asked
             second = threading.Thread(target=lambda: theirs.extend(islice(other, 50)))
             theirs: list[Frame] = []
             second.start()
-            time.sleep(0.05)
             began.start()
             for thread in (began, first, second):
                 thread.join(20)
@@ -388,6 +386,25 @@ class Bench:
         if not self.ports:
             raise LinkError("script: no such port")
         return self.ports.pop(0)
+
+
+def test_a_description_that_was_lost_is_asked_for_again_while_frames_come() -> None:
+    numbers = itertools.count()
+    port = Script(identity(), last=lambda: frame(next(numbers)))
+    asked = 0
+
+    def lose_the_first(data: bytes) -> None:
+        nonlocal asked
+        if describe in data:
+            asked += 1
+            if asked == 2:
+                port.say(sheet())
+
+    describe = host_protocol("ohmskin").request(Order.DESCRIBE)[1:4]
+    port.write = lose_the_first  # type: ignore[method-assign]
+    with Skin(port, timeout=30.0) as skin:
+        assert next(skin).sequence is not None
+    assert asked >= 2
 
 
 class TestReconnection:

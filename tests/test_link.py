@@ -355,3 +355,14 @@ def test_the_driver_example_runs_as_it_is(scene_file: Path, tmp_path: Path) -> N
         )
     assert done.stdout.count("kPa") > 2
     assert (done.returncode, done.stderr) == (0, "")  # the board's time is over: an end, no failure
+
+
+def test_the_latency_example_runs_as_it_is() -> None:
+    example = Path(__file__).parents[1] / "examples" / "link_latency.py"
+    port = PtyPort()
+    with running(scene(board={"frame_rate": 200.0}), port):
+        arguments = [sys.executable, str(example), port.name, "5", "0.5"]
+        done = subprocess.run(arguments, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert re.search(r"^age    / ms 50 %: \d+\.\d+  95 %: ", done.stdout)
+    assert re.search(r"\d+ frames/s came, \d+ lost, \d+ skipped; CPU \d+ %", done.stdout)

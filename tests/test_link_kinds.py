@@ -20,7 +20,7 @@ from boards import DESIGN, PRESS, scene
 from ohmskin.driver import Skin
 from ohmskin.emulator import Device, PtyPort, Rfc2217Port, Scene, TcpPort, running, soak
 from ohmskin.emulator import _ports as ports
-from ohmskin.wire import Command, FramePacket, Identity, Order, encode, host_protocol
+from ohmskin.wire import Command, Corrupt, Event, FramePacket, Identity, Order, encode, host_protocol
 
 
 def read_until(line: serial.SerialBase | socket.socket, wanted: type, count: int = 1, timeout_s: float = 20.0) -> list:  # type: ignore[type-arg]
@@ -56,6 +56,19 @@ def test_an_rfc2217_host_sets_the_baud_rate_and_the_control_lines() -> None:
         while (port.control.dtr, port.control.rts, port.control.baudrate) != (False, False, 115_200):
             assert time.monotonic() < deadline
             line.read(100)
+
+
+def test_a_host_at_another_baud_rate_than_the_board_hears_noise() -> None:
+    """Where the scene's line has a baud rate, and the port shows that of the host."""
+    port = Rfc2217Port.at(":0")
+    what = scene(line={"baud_rate": 250_000})
+    with running(what, port), serial.serial_for_url(port.name, 115_200, timeout=0.2) as line:
+        host, events = host_protocol("ohmskin"), list[Event]()
+        while len(events) < 20:
+            events += host.feed(line.read(200), 0.0)
+        assert all(isinstance(event, Corrupt) for event in events)
+        line.baudrate = 250_000
+        assert read_until(line, FramePacket, 3)
 
 
 def test_bytes_of_255_come_through_telnet(tmp_path: Path) -> None:

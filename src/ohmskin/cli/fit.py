@@ -28,6 +28,7 @@ from ._bar import progress_bar
     "--full-scale", metavar="KPA", type=float, help="Full scale of the cell [the recording's largest pressure]."
 )
 @click.option("--protocol", is_flag=True, help="Print the presses to apply; with STEPS.csv, check that it has them.")
+@click.option("--trust-units", is_flag=True, help="Take numbers that look like other units than s, kPa and ohm.")
 @click.option("--plot", metavar="FILE.png", type=click.Path(path_type=Path), help="Model, residuals and estimate.")
 @arguments.as_json("what was found")
 def command(
@@ -35,6 +36,7 @@ def command(
     output: Path | None,
     full_scale: float | None,
     protocol: bool,
+    trust_units: bool,
     plot: Path | None,
     as_json: bool,
 ) -> None:
@@ -48,7 +50,7 @@ def command(
         click.echo(protocol_text())
         return
     check_writable(*(path for path in (output, plot) if path is not None))
-    recording = Recording.load(steps)
+    recording = Recording.load(steps, trust_units=trust_units)
     if protocol:
         for line in check_protocol(recording, full_scale):
             click.echo(line, err=as_json)

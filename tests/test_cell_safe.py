@@ -1,0 +1,162 @@
+"""The default estimator on what robots do: taps, noise, sparks, lost frames, cells that open, a cell of one's own."""
+
+from __future__ import annotations
+
+import cells
+import numpy as np
+import pytest
+from cells import EXAMPLE
+
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
+
+DT = 0.02
+COUNT = 8
+OWN = Cell(
+    rest_resistance_ohm=2200.0,
+    full_scale_kpa=60.0,
+    model=PaperModel(
+        eu1_kpa=100.0,
+        etau2_kpa=500.0,
+        eu2_kpa_per_s=250.0,
+        e1_kpa=150.0,
+        e2_kpa=400.0,
+        e3_kpa=1200.0,
+        eta2_kpa_s=2000.0,
+        eta3_kpa_s=50000.0,
+    ),
+)
+SAFE_M10 = M10Model(a=0.5, b=-0.1, alpha1=0.3, rise1_s=0.3, fall1_s=4, alpha2=0.1, fall2_s=90, k=0.1, tau_s=20)
+ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
+CELLS = pytest.mark.parametrize(
+    "cell",
+    [EXAMPLE, OWN, EXAMPLE.replace(model=ASYMMETRIC), EXAMPLE.replace(model=SAFE_M10)],
+    ids=["example", "own", "asymmetric", "m10"],
+)
+
+
+def taps(time: np.ndarray, kpa: float) -> np.ndarray:
+    """Twelve taps, one a second from 1 s on, pressed for half of it; edges of 30 ms."""
+    phase = (time - 1) % 1
+    shape = np.interp(phase, [0, 0.03, 0.5, 0.53], [0, 1, 1, 0])
+    return kpa * shape * ((time >= 1) & (time < 13))
+
+
+def read_by_a_board(cell: Cell, load: np.ndarray, volts_rms: float, seed: int = 0) -> np.ndarray:
+    """Ohm (n, COUNT): every second cell is pressed; noise and 12 bit of 3.3 V at an amplifier with 2 V at rest."""
+    rng = np.random.default_rng(seed)
+    pressed = np.arange(COUNT) % 2 == 0
+    forward = cell.forward((COUNT,))
+    ohm = np.stack([forward.step(DT, kpa * pressed) for kpa in load.tolist()])
+    unit = 2.0 * cell.rest_resistance_ohm
+    volts = unit / ohm + volts_rms * rng.standard_normal(ohm.shape)
+    step = 3.3 / 4096
+    return np.asarray(unit / (np.round(volts / step) * step))
+
+
+def estimated(cell: Cell, read: np.ndarray, name: str | None = None, dt: float = DT) -> tuple[np.ndarray, np.ndarray]:
+    estimator = cell.estimator(read.shape[1:], name)
+    pressure, std = np.empty((2, *read.shape))
+    for n, frame in enumerate(read):
+        pressure[n] = estimator.step(dt, frame)
+        std[n] = estimator.std_kpa
+    return pressure, std
+
+
+def truth(load: np.ndarray) -> np.ndarray:
+    return load[:, None] * (np.arange(COUNT) % 2 == 0)
+
+
+@CELLS
+def test_taps_leave_no_load_behind(cell: Cell) -> None:
+    """Rest shown before the last of twelve taps of 0.6 full scale: within 3 % of it, and nothing fades on."""
+    time = np.arange(0, 30, DT)
+    load = taps(time, 0.58 * cell.full_scale_kpa)
+    pressure, _ = estimated(cell, read_by_a_board(cell, load, 1e-4))
+    full = cell.full_scale_kpa
+    before_last = (time > 11.7) & (time < 12)
+    assert np.abs(pressure[before_last]).max() < 0.03 * full
+    assert np.abs(pressure[time > 25]).max() < 0.02 * full
+
+
+@CELLS
+@pytest.mark.parametrize("volts", [1e-4, 1e-3, 1e-2])
+def test_noise_is_within_the_stated_deviation(cell: Cell, volts: float) -> None:
+    time = np.arange(0, 25, DT)
+    load = np.interp(time, [0, 2, 4, 9, 12, 20], np.array([0, 0, 0.7, 0.7, 0, 0]) * cell.full_scale_kpa)
+    pressure, std = estimated(cell, read_by_a_board(cell, load, volts))
+    z = np.abs(pressure - truth(load)) / std
+    assert np.mean(z[25:] < 2) > 0.95
+    assert np.quantile(z[25:], 0.999) < 4
+    assert np.median(std[25:]) < 0.15 * cell.full_scale_kpa
+
+
+@pytest.mark.parametrize("volts", [1e-4, 1e-3, 1e-2])
+def test_deviations_grow_with_noise_and_where_the_cell_is_pressed(volts: float) -> None:
+    load = np.full(600, 8.0)
+    load[:100] = 0.0
+    std = [estimated(EXAMPLE, read_by_a_board(EXAMPLE, load, v))[1][-50:] for v in (volts, 3 * volts)]
+    assert std[1].mean() > std[0].mean()
+    assert std[0][:, ::2].mean() > std[0][:, 1::2].mean()
+
+
+@CELLS
+@pytest.mark.parametrize("factor", [0.02, 1.6, 2.5, np.inf, np.nan])
+def test_a_spark_is_over_when_it_is_over(cell: Cell, factor: float) -> None:
+    """A bad contact for 60 ms: in the next frames the estimate is as if it had not been, and the deviation said so."""
+    time = np.arange(0, 12, DT)
+    load = 0.6 * cell.full_scale_kpa * ((time > 1) & (time < 9))
+    read = read_by_a_board(cell, load, 2e-4)
+    clean, _ = estimated(cell, read)
+    sparked = read.copy()
+    for start in (4.0, 6.0, 11.0):
+        sparked[round(start / DT) : round(start / DT) + 3] *= factor
+    pressure, std = estimated(cell, sparked)
+    off = np.abs(pressure - clean)
+    during = np.zeros(len(time), dtype=bool)
+    for start in (4.0, 6.0, 11.0):
+        during[round(start / DT) : round(start / DT) + 3] = True
+    assert off[~during].max() < 0.03 * cell.full_scale_kpa
+    assert (off[during] < 3 * std[during] + 0.01 * cell.full_scale_kpa).all()
+
+
+@CELLS
+def test_a_hold_does_not_fade_and_a_release_comes_back(cell: Cell) -> None:
+    time = np.arange(0, 60, 5 * DT)
+    load = 0.5 * cell.full_scale_kpa * ((time > 1) & (time < 50))
+    forward = cell.forward(())
+    ohm = np.array([float(forward.step(5 * DT, p)) for p in load])
+    ohm = ohm * (1 + 5e-4 * np.random.default_rng(1).standard_normal(len(ohm)))
+    pressure, _ = estimated(cell, ohm, dt=5 * DT)
+    held = (time > 2) & (time < 49.5)
+    assert np.abs(pressure[held] - load[held]).max() < 0.04 * cell.full_scale_kpa
+    assert np.abs(pressure[time > 50.5]).max() < 0.04 * cell.full_scale_kpa
+
+
+def test_lost_frames_and_open_cells_widen_the_deviation_until_they_are_back() -> None:
+    time = np.arange(0, 10, DT)
+    load = 8.0 * (time > 2)
+    read = read_by_a_board(EXAMPLE, load, 2e-4)
+    read[(time > 5) & (time < 6), 0] = np.nan
+    pressure, std = estimated(EXAMPLE, read)
+    assert pressure[(time > 5) & (time < 6), 0] == pytest.approx(8.0, abs=0.3)
+    assert std[round(5.9 / DT), 0] > 10 * std[round(4.9 / DT), 0]
+    assert std[round(5.9 / DT), 2] < 2 * std[round(4.9 / DT), 2]
+    assert pressure[-1, 0] == pytest.approx(8.0, abs=0.3)
+
+
+def test_the_default_of_no_cell_is_the_papers_switch() -> None:
+    contact = EXAMPLE.replace(model=ContactModel(full_scale_resistance_ohm=3000.0))
+    for cell in (EXAMPLE, OWN, contact, cells.EXAMPLE.replace(model=SAFE_M10)):
+        assert cell.default_estimator != "paper"
+
+
+def test_a_skin_at_rest_sleeps_and_wakes() -> None:
+    rng = np.random.default_rng(2)
+    estimator = EXAMPLE.estimator((30,))
+    for _ in range(300):
+        estimator.step(0.01, 1e4 * (1 + 1e-3 * rng.standard_normal(30)))
+    assert not estimator._awake.any()
+    pressed = 1e4 * (1 + 1e-3 * rng.standard_normal(30))
+    pressed[4] *= 1.3
+    found = estimator.step(0.01, pressed)
+    assert np.flatnonzero(found > 1.0).tolist() == [4]
