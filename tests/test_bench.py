@@ -15,6 +15,7 @@ from ohmskin import bench
 from ohmskin.bench import _estimators as benchmark
 from ohmskin.bench import _memory as memory
 from ohmskin.bench import _peers as peers
+from ohmskin.bench._hard_cases import hard_cases, hard_table
 from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import METHODS
 from ohmskin.cli import run
@@ -118,3 +119,12 @@ def test_the_estimators_have_a_table_of_their_own(
     assert "12.50" in capsys.readouterr().out
     assert run(["bench", "--estimators", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == [asdict(row)]
+
+
+def test_the_default_stands_taps_in_the_table_of_hard_cases() -> None:
+    rows = hard_cases()
+    default = {row.case: row for row in rows if row.is_default}
+    assert set(default) == {row.case for row in rows}
+    assert default["0.1 mV of noise"].rest_kpa < 0.5
+    assert all(row.within_two_std > 0.95 for row in default.values())
+    assert hard_table(rows).count("default") == len(default)

@@ -11,6 +11,7 @@ import click
 from .. import bench, tables
 from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
+from ..bench import _hard_cases as of_taps
 from . import arguments
 from ._bar import progress_bar
 
@@ -64,6 +65,8 @@ def command(
     if estimators:
         judged = of_cells.estimators()
         click.echo(json.dumps([asdict(row) for row in judged], indent=1) if as_json else of_cells.table(judged))
+        if not as_json:
+            click.echo("\n" + of_taps.hard_table(of_taps.hard_cases()))
         return
     if of_emulator:
         boards = list(of_boards.emulator(sizes))
