@@ -32,7 +32,7 @@ from ._parameters import SECTION, Factors, Population
 MOST_SOLVED = 64
 """cells whose corners are solved, per sign and state"""
 _REFINED = 2  # corners per sign that are improved
-_FEW_CELLS, _REFINED_OF_FEW = 64, 16  # the same for small arrays, where it costs little
+_FEW_CELLS, _REFINED_OF_FEW = 16, 16  # the same for small arrays, where it costs little
 _ROUNDS = 5  # of improvement, at most
 _MOST_FLIPS = 200_000  # cells of all neighbouring corners together, up to which they are solved
 

@@ -11,7 +11,7 @@ from ._units import engineering
 
 _STROKE = 'fill="none" stroke="currentColor" stroke-width="1.4"'
 PITCH_X, PITCH_Y = 190.0, 120.0
-LEFT, TOP = 210.0, 60.0
+LEFT, TOP = 270.0, 60.0
 
 
 class _Drawing:
@@ -113,18 +113,18 @@ def schematic(design: Design) -> str:
 
 def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
     y = TOP + row * PITCH_Y
-    drawing.line((80, y), (right + 20, y))
+    drawing.line((140, y), (right + 20, y))
     drive = engineering(design.drive.voltage, "V")
     idle = {"ground": "at the reference", "float": "open"}[design.drive.idle_rows]
     if design.readout.circuit == "voltage-feedback":
         idle = "at the follower"
-    drawing.text(72, y - 3, f"row {row}", anchor="end")
+    drawing.text(132, y - 3, f"row {row}", anchor="end")
     words = f"selected: {drive}" if row == 0 else f"idle: {idle}"
-    drawing.text(72, y + 12, words, anchor="end", size=10.5)
+    drawing.text(132, y + 12, words, anchor="end", size=10.5)
     if _some(design.array.row_lead):
-        drawing.resistor(130, y)
+        drawing.resistor(190, y)
         if row == 0:
-            drawing.text(130, y - 12, f"lead {_value(design.array.row_lead, 'ohm')}", size=11)
+            drawing.text(190, y - 12, f"lead {_value(design.array.row_lead, 'ohm')}", size=11)
     if right > LEFT and _some(design.array.row_segment):
         drawing.resistor(LEFT + PITCH_X / 2 + 25, y, length=28)
         if row == 0:
