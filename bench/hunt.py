@@ -17,6 +17,7 @@ An *empty bound* (above 1e-6 of the largest output) is counted and no error.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -228,7 +229,7 @@ def check(family: str, number: int, tally: Tally) -> None:
     else:
         tally.bound = max(tally.bound, result.error_bound)
     if largest == 0.0:
-        if off > _NOTHING:
+        if off > _NOTHING and result.error_bound < inf:
             found(f"{off} V, and is 0")
         return
     tally.error = max(tally.error, off / largest if method in (None, "exact") else 0.0)
@@ -245,19 +246,22 @@ def _answer(design: Design, cells: FloatArray) -> FloatArray | None:
         return None
 
 
-def search(families: list[str], seed: int, seconds: float) -> Iterator[dict[str, Tally]]:
-    """Check design after design, one of each family in turn, until the time is up; yields the tallies at times."""
-    tallies = {family: Tally() for family in families}
+def search(tallies: dict[str, Tally], seed: int, seconds: float) -> Iterator[str]:
+    """Check design after design, one of each family in turn, until the time is up.
+
+    Yields findings as they are made, and the tallies every ten minutes.
+    """
     start = said = time.monotonic()
     number = seed * 10_000_000
     while time.monotonic() - start < seconds:
-        for family in families:
-            check(family, number, tallies[family])
+        for family, tally in tallies.items():
+            known = len(tally.findings)
+            check(family, number, tally)
+            yield from tally.findings[known:]
         number += 1
-        if time.monotonic() - said > 60.0:
+        if time.monotonic() - said > 600.0:
             said = time.monotonic()
-            yield tallies
-    yield tallies
+            yield table(tallies)
 
 
 def table(tallies: dict[str, Tally]) -> str:
@@ -285,13 +289,12 @@ def main(seconds: float, seed: int, family: tuple[str, ...], show: str | None) -
         click.echo(json.dumps(design.model_dump(exclude_defaults=True, warnings=False)))
         click.echo(f"cells = {cells.tolist()}")
         return
-    tallies: dict[str, Tally] = {}
-    for tallies in search(list(family or FAMILIES), seed, seconds):
-        click.echo(table(tallies) + "\n")
-    findings = [finding for tally in tallies.values() for finding in tally.findings]
-    for finding in findings:
-        click.echo(finding)
-    raise SystemExit(1 if findings else 0)
+    tallies = {name: Tally() for name in family or FAMILIES}
+    with contextlib.suppress(KeyboardInterrupt):  # the search may be ended at any time
+        for finding in search(tallies, seed, seconds):
+            click.echo(finding)
+    click.echo(table(tallies))
+    raise SystemExit(1 if any(tally.findings for tally in tallies.values()) else 0)
 
 
 if __name__ == "__main__":

@@ -49,6 +49,16 @@ def test_a_room_imports_only_what_is_below_it(room: str) -> None:
         assert not forbidden, f"{file.relative_to(ROOT)} imports {forbidden}"
 
 
+def test_solvers_know_conductances_and_lines_only() -> None:
+    """Nothing of circuits but themselves: no Design, no Board, no readout."""
+    files = sorted((ROOT / "circuits/solvers").glob("*.py"))
+    assert len(files) > 5
+    for file in files:
+        inner = {name for name in _imports(file) if name.startswith("ohmskin.")}
+        allowed = ("ohmskin.arrays", "ohmskin.errors", "ohmskin.circuits.solvers")
+        assert all(name.startswith(allowed) for name in inner), f"{file.name} imports {inner}"
+
+
 def test_only_one_module_imports_pyspice() -> None:
     users = {
         str(file.relative_to(ROOT))

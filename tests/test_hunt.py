@@ -126,6 +126,14 @@ def test_what_an_idle_driver_leaves_open_has_no_bound() -> None:
         assert frames.error_bound[1] < 1e-12
 
 
+def test_nearly_equal_sources_that_are_joined_keep_their_bound() -> None:
+    """Their difference has lost digits before it meets any conductance (a finding in the family of faults)."""
+    tally = hunt.Tally()
+    for number in (210000141, 210000478, 210000541):
+        hunt.check("faults", number, tally)
+    assert not tally.findings
+
+
 def test_the_search_notices_wrong_readings(monkeypatch: pytest.MonkeyPatch) -> None:
     def wrong(design: Design, cells: object, **options: object) -> object:
         result = scan(design, cells)

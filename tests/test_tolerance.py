@@ -143,6 +143,18 @@ def test_the_exact_bound_covers_what_rounding_did() -> None:
         np.testing.assert_allclose(exact.volts, series.volts, rtol=1e-11)  # cell by cell
 
 
+@pytest.mark.parametrize(("row", "column", "most"), [(1.0, 1.0, 2e-10), (5e4, 5e4, 2e-10), (5e4, 1e-6, 1e-8)])
+@pytest.mark.parametrize("lead", [0.0, 1.0, 5e4])
+def test_bounds_stay_small_on_lines_and_cells_of_any_weight(
+    row: float, column: float, most: float, lead: float
+) -> None:
+    """As docs/solvers.md says of 64 x 64."""
+    rng = np.random.default_rng(5)
+    design = amplifier(64, 64, lead=lead).replace(array={"row_segment": row, "column_segment": column})
+    for cells in (10 ** rng.uniform(0, 12, (64, 64)), rng.choice([1.0, 1e12], (64, 64))):
+        assert 1e-15 < scan(design, cells, method="exact").error_bound < 1e-8
+
+
 @pytest.mark.parametrize("method", [None, "attenuation"])
 @pytest.mark.parametrize("parts", [{}, {"row_lead": 3.0}, {"row_lead": 3.0, "row_segment": 0.1, "column_lead": 1.0}])
 @pytest.mark.parametrize("offset", [0.0, (0.0, 1e-12)], ids=["equal", "unequal"])

@@ -111,6 +111,7 @@ def test_make_restores_the_links(built: Path, tmp_path: Path) -> None:
         assert (source / "src" / "ohmskin" / room).samefile(source / room)
 
 
+@pytest.mark.timeout(1200)
 def test_the_command_line_works_with_the_lowest_versions_that_the_metadata_allows(wheel: Path, tmp_path: Path) -> None:
     if sys.version_info[:2] != LOWEST_PYTHON:
         pytest.skip("the lowest versions are made for Python {}.{}".format(*LOWEST_PYTHON))

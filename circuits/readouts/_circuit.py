@@ -34,6 +34,8 @@ class Reading(NamedTuple):
     magnitude: FloatArray
     """(..., N, M) V: the sum of the sizes of all that an output is the sum of, each in proportion to port
     conductances; what does not depend on the grid is left out"""
+    cancelled: FloatArray
+    """(..., N, M) V: the same for differences of sources, before one was subtracted from the other"""
     relative: float = 0.0
     """bound on the rounding errors of the eliminations behind it, relative to the conductances they leave"""
 

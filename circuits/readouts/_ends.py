@@ -63,6 +63,8 @@ class Currents(NamedTuple):
     """(..., N, M) A"""
     magnitude: FloatArray
     """(..., N, M) A: the sum of the sizes of all that the current is the sum of"""
+    cancelled: FloatArray
+    """(..., N, M) A: the same for differences of sources, before one was subtracted from the other"""
     relative: FloatArray
     """(...,) of the network's conductances and of the eliminations that followed"""
 
@@ -79,6 +81,7 @@ def column_currents(board: Board, terminated: Rounded, source: FloatArray) -> Cu
     network, relative = terminated
     rows, columns = board.shape
     difference = source - source[:, None]  # of equal sources exactly zero, so that nothing large has to cancel
+    before = np.where(difference != 0, np.abs(source) + np.abs(source)[:, None], 0.0)
     if not board.floating:
         transfer = network[..., :rows, rows:]
         idle = (network[..., rows:, rows:] * difference).sum(axis=-1) - transfer.sum(axis=-2) * source
@@ -87,9 +90,10 @@ def column_currents(board: Board, terminated: Rounded, source: FloatArray) -> Cu
         return Currents(
             value=board.drive * transfer + idle[..., None, :],
             magnitude=abs(board.drive) * transfer + idle_size[..., None, :],
+            cancelled=(network[..., rows:, rows:] * before).sum(axis=-1)[..., None, :] + np.zeros_like(transfer),
             relative=relative,
         )
-    currents, sizes = np.empty((2, *network.shape[:-2], rows, columns))
+    currents, sizes, cancelled = np.empty((3, *network.shape[:-2], rows, columns))
     worst = np.zeros(relative.shape)  # each step is solved on its own
     for row in range(rows):
         order = np.r_[np.delete(np.arange(rows), row), row, rows : rows + columns]
@@ -98,7 +102,9 @@ def column_currents(board: Board, terminated: Rounded, source: FloatArray) -> Cu
         driven = alone[..., 0, 1:] * (board.drive - source)
         currents[..., row, :] = driven + (alone[..., 1:, 1:] * difference).sum(axis=-1)
         sizes[..., row, :] = np.abs(driven) + (alone[..., 1:, 1:] * np.abs(difference)).sum(axis=-1)
-    return Currents(currents, sizes, relative + worst)
+        cancelled[..., row, :] = (alone[..., 1:, 1:] * before).sum(axis=-1)
+        cancelled[..., row, :] += alone[..., 0, 1:] * (abs(board.drive) + np.abs(source))
+    return Currents(currents, sizes, cancelled, relative + worst)
 
 
 def sum_of_others(values: FloatArray) -> FloatArray:

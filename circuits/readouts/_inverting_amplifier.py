@@ -46,17 +46,19 @@ class InvertingAmplifier(ReadoutCircuit):
         network = terminate(ports, rows, ends.resistance + board.column_lead)
         currents = column_currents(board, network, ends.source)
         volts, relative = ends.output + ends.slope * currents.value, float(currents.relative.max(initial=0.0))
-        magnitude = np.abs(ends.slope) * currents.magnitude
+        magnitude, cancelled = (np.abs(ends.slope) * part for part in (currents.magnitude, currents.cancelled))
         low, high = board.supply
         saturated = (volts < low) | (volts > high)
         if saturated.any():
             frames = ports.reshape(-1, *ports.shape[-2:])
-            stacked, flags, sizes = (part.reshape(-1, rows, columns) for part in (volts, saturated, magnitude))
-            for frame in np.flatnonzero(flags.any(axis=(1, 2))):
-                one = _read_saturated(board, frames[frame], stacked[frame], sizes[frame])
-                stacked[frame], flags[frame], sizes[frame] = one.volts, one.saturated, one.magnitude
-                relative = max(relative, one.relative)
-        return Reading(volts, saturated, magnitude, relative)
+            parts = [part.reshape(-1, rows, columns) for part in (volts, saturated, magnitude, cancelled)]
+            for frame in np.flatnonzero(parts[1].any(axis=(1, 2))):
+                of_frame = Reading(*(part[frame] for part in parts))
+                *limited, own = _read_saturated(board, frames[frame], of_frame)
+                for part, instead in zip(parts, limited, strict=True):
+                    part[frame] = instead
+                relative = max(relative, own)
+        return Reading(volts, saturated, magnitude, cancelled, relative)
 
     def end_resistance(self, board: Board) -> FloatArray:
         return amplifier_ends(board).resistance
@@ -268,7 +270,7 @@ def amplifier_ends(board: Board, state: SignArray | None = None) -> Ends:
     )
 
 
-def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray, magnitude: FloatArray) -> Reading:
+def _read_saturated(board: Board, ports: FloatArray, unlimited: Reading) -> Reading:
     """One frame in which some output hits its limit: find for each step which columns do, by principal pivoting."""
     rows, columns = board.shape
     low, high = board.supply
@@ -276,8 +278,8 @@ def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray, magnitud
     at_low, at_high = (
         np.where(np.isinf(board.gain), 0.0, end / board.gain) if isfinite(end) else 0.0 for end in (low, high)
     )
+    volts, magnitude, cancelled = (part.copy() for part in (unlimited.volts, unlimited.magnitude, unlimited.cancelled))
     state = (volts > high).astype(np.int8) - (volts < low).astype(np.int8)
-    volts, magnitude = volts.copy(), magnitude.copy()
     pending: BoolArray = np.atleast_1d(state.any(axis=1))
     relative = 0.0
     for attempt in range(_MURTY_AFTER + 4 * columns):
@@ -291,6 +293,7 @@ def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray, magnitud
             every = column_currents(board, network, ends.source)
             currents, relative = every.value[steps], max(relative, float(every.relative))
             magnitude[steps] = np.abs(ends.slope) * every.magnitude[steps]
+            cancelled[steps] = np.abs(ends.slope) * every.cancelled[steps]
             volts[steps] = ends.output + ends.slope * currents
             wanted = (volts[steps] > high).astype(np.int8) - (volts[steps] < low).astype(np.int8)
             # A clamped output stays so while the amplifier's input still drives it outwards.
@@ -303,7 +306,7 @@ def _read_saturated(board: Board, ports: FloatArray, volts: FloatArray, magnitud
             pending[steps] = (wanted != pattern).any(axis=1)
             state[steps] = wanted
         if not pending.any():
-            return Reading(volts, state != 0, magnitude, relative)
+            return Reading(volts, state != 0, magnitude, cancelled, relative)
     raise SolverError("no consistent set of saturated outputs was found; check supply and reference_voltage")
 
 

@@ -51,6 +51,7 @@ class VoltageDivider(ReadoutCircuit):
             volts=board.level + signal,
             saturated=np.zeros(signal.shape, dtype=np.bool_),
             magnitude=np.abs(signal),  # a quotient of sums of one sign
+            cancelled=np.zeros_like(signal),
             relative=float(relative.max(initial=0.0)),
         )
 

@@ -81,7 +81,8 @@ class VoltageFeedback(VoltageDivider):
         from_row = balance.driven * (np.abs(board.drive - column) + ULP * np.abs(column))
         from_idle = balance.idle * (follower + board.inverse_gain * np.abs(column))
         magnitude = board.loop_share * (from_row + from_idle) / balance.slope
-        return Reading(np.clip(volts, low, high), saturated, magnitude, balance.relative)
+        lifted = board.loop_share * balance.idle * follower / balance.slope
+        return Reading(np.clip(volts, low, high), saturated, magnitude, lifted, balance.relative)
 
     def energy_bound(self, board: Board, ports: FloatArray, relative: float) -> FloatArray:
         """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.
@@ -97,9 +98,7 @@ class VoltageFeedback(VoltageDivider):
         with np.errstate(invalid="ignore"):  # no volts across an infinite conductance
             field = row * np.abs(board.drive - column + above_idle) + own * np.abs(above_idle)
             error: FloatArray = board.loop_share * relative * own * field / balance.slope
-        follower = np.abs(board.loop_share * board.offset) + np.abs(board.inverse_gain * board.level)
-        lifted: FloatArray = board.loop_share * balance.idle * follower / balance.slope
-        return error + 4.0 * ULP * lifted
+        return error
 
     def ideal_inputs(self, board: Board) -> BoolArray:
         """The follower holds every idle column."""

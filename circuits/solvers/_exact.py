@@ -59,20 +59,34 @@ def entrywise(relative: FloatArray, eliminated: int) -> FloatArray:
 def port_roots(conductance: FloatArray, grid: Lines) -> tuple[FloatArray, FloatArray]:
     """Bounds on sqrt(Y_ii) of each row terminal (..., N) and each column terminal (..., M), in sqrt(S).
 
-    Y_ii is the conductance of a port with all others at ground. By Rayleigh's monotonicity law Y_ii grows when the
-    lines that cross port i's line are grounded all along. What is left then is a chain of cells to ground.
+    Y_ii is the conductance of a port with all others at ground. By Rayleigh's monotonicity law Y_ii grows when nodes
+    are grounded. We ground the lines that cross port i's line, all along or, where cells are stiffer than wires,
+    everywhere but at port i's line. What is left then is a chain of cells to ground, in the second case each behind the
+    crossing line's wires to its next crosspoints.
     """
     exits = np.full(conductance.shape[-1], inf) if grid.exit is None else grid.exit
-    column = np.concatenate([exits[None], grid.column[:0:-1]])
-    turned = np.swapaxes(conductance, -1, -2)[..., ::-1]
-    return np.sqrt(_chain(conductance, grid.row)), np.sqrt(_chain(turned, column.T))
+    into_row = into_column = conductance
+    below = np.concatenate([grid.column[1:], exits[None]])
+    stiff = conductance.max(initial=0.0) > min(below.min(initial=inf), grid.row.min(initial=inf))
+    if stiff:
+        along_column, along_row = below.copy(), grid.row.copy()
+        along_column[1:] += below[:-1]
+        along_row[:, :-1] += grid.row[:, 1:]
+        into_row = series_conductance(conductance, along_column)
+        into_column = series_conductance(conductance, along_row)
+    turned = np.swapaxes(into_column, -1, -2)[..., ::-1]
+    return np.sqrt(_chain(into_row, grid.row, stiff)), np.sqrt(_chain(turned, below[::-1].T, stiff))
 
 
-def _chain(shunt: FloatArray, series: FloatArray) -> FloatArray:
-    """S into chains (..., lines, places) of cells to ground, ``series`` ahead of each cell."""
-    lumped = series_conductance(series[:, 0], shunt.sum(axis=-1))  # all other wires ideal: more, and cheaper
-    if np.isfinite(lumped).all():
-        return lumped
+def _chain(shunt: FloatArray, series: FloatArray, stiff: bool) -> FloatArray:
+    """S into chains (..., lines, places) of cells to ground, ``series`` ahead of each cell.
+
+    Unless some cells are ``stiff`` against the wires, all wires but the first are taken as ideal: more, and cheaper.
+    """
+    if not stiff:
+        lumped = series_conductance(series[:, 0], shunt.sum(axis=-1))
+        if np.isfinite(lumped).all():
+            return lumped
     admittance = np.zeros(shunt.shape[:-1])
     for place in reversed(range(shunt.shape[-1])):
         admittance = series_conductance(series[:, place], admittance + shunt[..., place])

@@ -14,8 +14,8 @@ CELLS_PERIOD_S = 1e-3
 """s between two looks at what presses on the skin; a frame takes one or more of them"""
 _SAME_RESISTANCE = 1e-6
 """relative change of all cells below which the circuit is not solved again: far below a step of the ADC"""
-_NO_DRIVE = 1e-9
-"""V: stands for a drive of zero, which a design cannot have"""
+_NO_DRIVE = 1e-6
+"""V: stands for a drive of zero; it is the smallest that a design may have, and moves outputs by microvolts"""
 REFERENCE_RESISTORS_OHM = (10e3, 15e3)
 """on even and on odd columns, as ``firmware/describe.py`` tells the firmware"""
 

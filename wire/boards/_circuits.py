@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
-DIVIDER_OHM = 10e3
-"""load of the dividers, the project's own choice: the rest resistance of the example cell"""
+DIVIDER_OHM = 1e3
+"""load of the dividers, the project's own choice: a tenth of the example cell at rest. With a larger load the cells of
+a column share its voltage so evenly that eight bits cannot tell them apart."""
 
 
 def divider(rows: int, columns: int, adc_bits: int, supply: float) -> dict[str, Any]:
