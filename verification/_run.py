@@ -103,7 +103,7 @@ def verify(
         design: None takes :func:`prototype`.
         cell: what the skin is made of; None: the design's [cells], else the shipped example cell.
         requirements: None takes those of the design, else :func:`default_requirements`.
-        paper: whether the paper's claims P1 to P14 are run too; None: only for the prototype.
+        paper: whether the paper's claims P1 to P14 are run too; None: for the prototype and its own requirements.
         speed: whether S1 and S2 are run: what a digit costs, of solvers and of estimators. They take a minute.
         only: ids of requirements and claims; empty: all.
         title: what the report calls the design.
@@ -135,7 +135,7 @@ def verify(
     here = folder or Path()
     check_requirements(wanted, here)
     wanted = twins(subject, wanted)
-    with_paper = design is None if paper is None else paper
+    with_paper = design is None and requirements is None if paper is None else paper
     statements = [*(STATEMENTS if with_paper else ()), *(APPENDICES if speed else ())]
     wanted, statements = _chosen(wanted, statements, tuple(only))
     work = Work(subject, wanted, here)
