@@ -51,7 +51,7 @@ def dynamic_netlist(
         InputError: another circuit, a continuous sheet, faults, an infinite gain-bandwidth, or no such row.
 
     """
-    if design.readout.circuit != "inverting-amplifier":
+    if not (design.board.circuit.virtual_ground and design.board.circuit.senses == "columns"):
         raise InputError(f'readout.circuit = "{design.readout.circuit}": dynamics are those of "inverting-amplifier"')
     if design.array.sheet != "sliced" or design.fault:
         raise InputError("a netlist in time is for a sliced sheet without faults")
