@@ -108,3 +108,18 @@ def test_cells_beside_a_complete_short_at_an_ideal_driver_are_not_open(circuit: 
     assert not np.isin(found.status[:, 0], (Status.READ, Status.OPEN)).any()
     assert (found.status[:, 1:] == Status.READ).all()
     np.testing.assert_allclose(found.resistance[:, 1:], cells[:, 1:], rtol=1e-4)
+
+
+def test_a_short_on_ideal_lines_without_a_supply_limit_is_read_and_hides_its_column() -> None:
+    board = Design.model_validate(
+        {
+            "array": {"rows": 2, "columns": 2},
+            "drive": {"voltage": -1.0},
+            "readout": {"circuit": "inverting-amplifier", "reference_resistance": 1e3, "open_loop_gain": 1e5},
+        }
+    )
+    cells = np.array([[0.0, 2e3], [3e3, 4e3]])
+    found = recover(board, reference_volts(board, cells))
+    np.testing.assert_array_equal(found.status, [[Status.READ, Status.READ], [Status.HIDDEN, Status.READ]])
+    np.testing.assert_allclose(found.resistance[:, 1], cells[:, 1], rtol=1e-9)
+    assert found.resistance[0, 0] == 0

@@ -222,6 +222,10 @@ class Recoverer:
         found = self._inverter(measured) if columns is None else columns.found(limits.any)
         lost = np.isnan(found.conductance)
         found.conductance[lost] = 0.0
+        # A cell that takes its column to the drive is a short, and it hides the column's other cells.
+        shorted = np.zeros_like(lost)
+        if columns is not None:
+            shorted = lost & (np.abs(columns.potential - board.drive) <= 1e-6 * abs(board.drive))
         # At a limit without any signal stands the output of an open cell, on a board that reads down to its reference.
         signal = np.abs(measured - board.level) > 1e-9 * abs(board.drive)
         conducting = signal | (found.conductance > 0)
@@ -244,7 +248,8 @@ class Recoverer:
                 else columns.spread(found, unknown, self._most(found.conductance))
             )
             low, high = np.maximum(low - _MARGIN * down, 0.0), high + _MARGIN * up
-        return self._result(found, low, high, lost | limited.any)
+        behind_short = lost & shorted.any(axis=0) & ~shorted & ~limited.any
+        return self._result(found, low, high, lost | limited.any, shorted & ~limited.any, behind_short)
 
     def _most(self, conductance: FloatArray) -> FloatArray:
         """S (N, M) of the cells where they are not known, but to be at least ``conductance``."""
@@ -320,7 +325,15 @@ class Recoverer:
             visited += [np.where(off, inf, onwards), np.where(off, 0.0, onwards)]
         return visited
 
-    def _result(self, found: Found, low: FloatArray, high: FloatArray, lost: BoolArray) -> Recovery:
+    def _result(
+        self,
+        found: Found,
+        low: FloatArray,
+        high: FloatArray,
+        lost: BoolArray,
+        shorted: BoolArray,
+        behind_short: BoolArray,
+    ) -> Recovery:
         """``low``, ``high``: S (N, M) between which conductances lie; ``lost``: readings that do not tell theirs."""
         shunt = np.zeros_like(low)
         for fault in self._shunts:
@@ -338,8 +351,10 @@ class Recoverer:
         hidden |= (shunt > 0) & (found.conductance - shunt < _LEAST_SHARE * found.conductance)
         status[hidden] = Status.HIDDEN
         status[lost] = Status.SATURATED
+        status[behind_short] = Status.HIDDEN
         gone = hidden | lost
         resistance[gone], uncertainty[gone] = np.nan, inf
+        status[shorted], resistance[shorted], uncertainty[shorted] = Status.READ, 0.0, 0.0
         turn = self._board.turn
         return Recovery(
             resistance=turn(resistance),
