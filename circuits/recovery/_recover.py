@@ -37,7 +37,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...arrays import BoolArray, FloatArray
-from ...errors import InputError
+from ...errors import InputError, SolverError
 from .._board import Board, broken_off
 from .._design import Design
 from .._sensitivity import LARGEST, board_sensitivity
@@ -54,6 +54,7 @@ _ONWARDS = 4.0  # times as far the others may go there
 _RUNAWAY = 1e-3  # relative change beyond which a cell may be anything where the far end was not reached
 _MOVED = 1e-7  # the same where the path ended because a cell would have to conduct less than nothing
 _AROUND = 0.25  # share of the product of what its two lines have moved by that a cell may move besides
+LARGEST_MATRIX = 1024  # cells of which all readings' derivatives are worth a singular value decomposition
 _ORDINARY = 1e-4  # S of all cells, to find out which of them their own readings tell of
 _INSENSITIVE = 1e-6  # of what an ideal readout would make of a cell's change: less is rounding
 _NOISE = 1e-3  # of an apparent conductance: cells below may come and go with the noise of their readings
@@ -204,6 +205,7 @@ class Recoverer:
         if any(fault.ohms == 0 for fault in board.shorts + board.bridges):
             # Not perfectly: a cell at the end of a long divider may move its own reading very little.
             self._cut_off |= _insensitive(board, np.full(board.shape, _ORDINARY))
+        self._undetermined = any(fault.ohms == 0 for fault in board.bridges) and _is_singular(board, ~self._cut_off)
         self._unread = self._cut_off.copy()
         for fault in board.shorts:
             self._unread[fault.place] |= fault.ohms == 0
@@ -215,6 +217,8 @@ class Recoverer:
 
     def __call__(self, volts: ArrayLike, *, clipped: ArrayLike | None = None) -> Recovery:
         """As :func:`recover`."""
+        if self._undetermined:
+            raise SolverError("the readings do not determine the cells: lines joined by 0 ohm read as one")
         board = self._board
         measured = board.turn(_checked(self._design, volts))
         limits = self._limits(measured, None if clipped is None else board.turn(np.asarray(clipped, dtype=np.bool_)))
@@ -386,6 +390,17 @@ def _insensitive(board: Board, conductance: FloatArray) -> BoolArray:
     own = np.einsum("ijij->ij", found.cell_conductance)
     ideal = np.abs(board.circuit.conductance_slope(board, found.volts - board.level))
     return np.asarray(np.abs(own) * ideal < _INSENSITIVE)
+
+
+def _is_singular(board: Board, live: BoolArray) -> bool:
+    """Whether the readings of cells ``live`` (N, M) leave it open what these cells are, with all of them alike."""
+    if board.continuous or live.size > LARGEST_MATRIX:
+        return False
+    found = board_sensitivity(board, np.full(board.shape, 1.0 / _ORDINARY))
+    some = live.ravel()
+    jacobian = found.cell_conductance.reshape(live.size, live.size)[np.ix_(some, some)]
+    values = np.linalg.svd(jacobian, compute_uv=False)
+    return bool(len(values) and values[-1] <= _INSENSITIVE * values[0])
 
 
 def _short(board: Board) -> float:
