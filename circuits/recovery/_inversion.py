@@ -17,6 +17,7 @@ or, where there are none, the slowest error is looked for by power iteration.
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
@@ -40,6 +41,7 @@ _NOTHING = 1e-13  # of the largest apparent conductance: smaller ones are roundi
 _ROUNDING = 1e-8  # residual below which progress may end by rounding alone, not by a bad direction
 _LEAST_STRIDE = 1e-3  # along a path of readings
 _LEAST = 1e-300  # S
+_LEAST_CHANGE = 1e-6  # relative, of a correction that may still be halved
 _PROBES = 6  # evaluations for the slowest error
 _PROBE = 1e-4  # relative size of a probe
 _SIGNS = 16  # vectors of random signs
@@ -208,6 +210,72 @@ class _Solution(NamedTuple):
     factored: int
 
 
+class _Comparison(NamedTuple):
+    """The model's readings beside the measured ones, as apparent conductances. Arrays are (N, M)."""
+
+    conductance: FloatArray
+    """S, of the cells in the model"""
+    signal: FloatArray
+    """V that the drive makes"""
+    rest: FloatArray | float
+    """V that is there without it"""
+    reading: FloatArray
+    """S, what the model reads"""
+    target: FloatArray
+    """S, what was measured"""
+    error: float
+    """largest relative difference of readings that tell of their cells"""
+
+    @property
+    def missing(self) -> FloatArray:
+        """S that each reading lacks."""
+        return self.target - self.reading
+
+    @property
+    def live(self) -> BoolArray:
+        """Cells that conduct and are read."""
+        return np.asarray((self.conductance > 0) & (self.reading > 0))
+
+
+class _Correction(NamedTuple):
+    """Conductances and the relative change that each is to have. Arrays are (N, M)."""
+
+    base: FloatArray
+    """S"""
+    change: FloatArray
+
+    def halved(self) -> _Correction:
+        return _Correction(self.base, self.change / 2)
+
+    def result(self) -> FloatArray:
+        """S (N, M)"""
+        return self.base * (1.0 + self.change)
+
+
+@dataclass
+class _Progress:
+    """How the error of an iteration goes down."""
+
+    last: float = inf
+    """error from which the last full correction was made"""
+    best: float = inf
+    rate: float = 0.0
+    """largest ratio of an error to the one before, since the derivatives were factored"""
+    _without_gain: int = 0
+
+    def see(self, error: float, *, after_new_factor: bool) -> None:
+        """Take the next error."""
+        self._without_gain = self._without_gain + 1 if error > 0.95 * self.best else 0
+        if self.last < inf and not after_new_factor and not (error > 0.5 * self.last and error <= _ROUNDING):
+            self.rate = max(self.rate, error / self.last)
+        self.best = min(self.best, error)
+
+    @property
+    def stalled(self) -> bool:
+        """Whether more than three corrections gained nothing."""
+        return self._without_gain > 3
+
+
 class Inverter:
     """Readings to conductances, frame after frame: starts from the frame before and keeps its factorisation."""
 
@@ -304,64 +372,95 @@ class Inverter:
     def _follow(
         self, measured: FloatArray, conductance: FloatArray, accuracy: float, most: int, held: Held | None = None
     ) -> _Solution | None:
-        """Correct ``conductance`` until its readings are the measured ones; None if it does not come to that."""
-        model, kept = self._model, self._factor
+        """Correct ``conductance`` until its readings are the measured ones; None if it does not come to that.
+
+        A correction takes what each cell's own reading lacks or, where that gains too little, Newton's step with the
+        factored derivatives. A full Newton step that makes things worse is halved until it does not.
+        """
+        model, factor = self._model, self._factor
         slow = self._slow if held is None or conductance.size <= _PATIENCE[0][0] else inf
         at_once = model.couples and slow < inf
         blind = self._unread if held is None else self._unread | held.cells
-        base, change = conductance, np.zeros_like(conductance)
-        factored, last, best, stalled, fresh, rate = 0, inf, inf, 0, False, 0.0
+        progress, factored, is_new = _Progress(), 0, False
+        correction = _Correction(conductance, np.zeros_like(conductance))
         for iteration in range(1, most + 1):
-            signal, rest = model.split(conductance)
-            if held is not None:
-                signal = model.limited(conductance, signal + rest) - rest
-            reading, target = model.apparent(signal), model.apparent(measured - rest)
-            reading[blind] = target[blind] = 0.0  # whatever these are, it does not tell of a cell
-            largest = np.maximum(target, reading)
-            missing = target - reading
-            # What is below rounding of the largest reading tells nothing, and an open cell cannot give less than none:
-            # beside held cells less than what others bring into its reading.
-            more = target > 0 if held is None else missing > 0
-            telling = (largest > _NOTHING * largest.max(initial=0.0)) & (more | (conductance > 0))
-            off = np.divide(np.abs(missing), largest, out=np.zeros_like(missing), where=telling)
-            error = float(off.max(initial=0.0))
-            stalled = stalled + 1 if error > 0.95 * best else 0
-            if last < inf and not fresh and not (error > 0.5 * last and error <= _ROUNDING):
-                rate = max(rate, error / last)
-            best = min(best, error)
-            if error <= accuracy or (stalled > 3 and error <= _ROUNDING):
-                if kept is not self._factor:
-                    self._factor, self._amplified, self._rate, self._singular = kept, None, 0.0, False
-                self._rate = max(self._rate, min(rate, 0.999))
-                contradicted = np.where(
-                    (conductance == 0) & ~blind, model.slope(signal) * (measured - rest - signal), 0.0
-                )
-                below, clamped = float(np.abs(contradicted).max()), contradicted != 0
-                rounded = np.abs(measured) + np.abs(rest)
-                return _Solution(conductance, target, signal, rounded, error, clamped, below, iteration, factored)
-            if error > last and fresh and np.abs(change).max() > 1e-6:
-                change = change / 2  # a full step of Newton's method went too far
-                conductance = base * (1.0 + change)
-                conductance = conductance if held is None else held.put_into(conductance)
-                continue
-            fresh = False
-            live = (conductance > 0) & (reading > 0)
-            if (error > slow * last and error > _ROUNDING) or (iteration == 1 and kept is None and at_once):
-                board = model.board if held is None else model.limited_board
-                kept = Factor(board, conductance, conductance, model.log_slope(signal), live)
-                factored, fresh, rate = factored + 1, True, 0.0
-            if kept is None:
-                change = np.divide(missing, np.minimum(conductance, reading), out=np.zeros_like(missing), where=live)
+            at = self._compare(measured, conductance, blind, held)
+            progress.see(at.error, after_new_factor=is_new)
+            if at.error <= accuracy or (progress.stalled and at.error <= _ROUNDING):
+                self._keep(factor, progress.rate)
+                return self._solution(measured, at, blind, iteration, factored)
+            if is_new and at.error > progress.last and np.abs(correction.change).max() > _LEAST_CHANGE:
+                correction = correction.halved()
             else:
-                change = kept.solve(np.divide(missing, reading, out=np.zeros_like(missing), where=live), live)
-            change = np.clip(change, -0.9, 6.0)
-            # Cells that give no current so far get what is missing; those that should give less than none, none.
-            base = np.where(live, conductance, np.where(held is None, 0.0, 2 * conductance) + np.maximum(missing, 0.0))
-            base[(change <= -0.9) & (conductance < 1e-3 * target)] = 0.0
-            base[target == 0] = 0.0
-            conductance, last = base * (1.0 + change), error
+                is_new = (at.error > slow * progress.last and at.error > _ROUNDING) or (
+                    iteration == 1 and factor is None and at_once
+                )
+                if is_new:
+                    board = model.board if held is None else model.limited_board
+                    factor = Factor(board, conductance, conductance, model.log_slope(at.signal), at.live)
+                    factored, progress.rate = factored + 1, 0.0
+                correction = self._correction(at, factor, beside_held=held is not None)
+                progress.last = at.error
+            conductance = correction.result()
             conductance = conductance if held is None else held.put_into(conductance)
         return None
+
+    def _compare(
+        self, measured: FloatArray, conductance: FloatArray, blind: BoolArray, held: Held | None
+    ) -> _Comparison:
+        """The model's readings beside the measured ones; ``blind`` (N, M): readings that tell nothing of their cell."""
+        model = self._model
+        signal, rest = model.split(conductance)
+        if held is not None:
+            signal = model.limited(conductance, signal + rest) - rest
+        reading, target = model.apparent(signal), model.apparent(measured - rest)
+        reading[blind] = target[blind] = 0.0
+        largest = np.maximum(target, reading)
+        missing = target - reading
+        # What is below rounding of the largest reading tells nothing, and an open cell cannot give less than none:
+        # beside held cells less than what others bring into its reading.
+        more = target > 0 if held is None else missing > 0
+        telling = (largest > _NOTHING * largest.max(initial=0.0)) & (more | (conductance > 0))
+        off = np.divide(np.abs(missing), largest, out=np.zeros_like(missing), where=telling)
+        return _Comparison(conductance, signal, rest, reading, target, float(off.max(initial=0.0)))
+
+    def _correction(self, at: _Comparison, factor: Factor | None, *, beside_held: bool) -> _Correction:
+        """By the derivatives or, without them, by what each cell's own reading lacks."""
+        missing, reading, live = at.missing, at.reading, at.live
+        if factor is None:
+            change = np.divide(missing, np.minimum(at.conductance, reading), out=np.zeros_like(missing), where=live)
+        else:
+            change = factor.solve(np.divide(missing, reading, out=np.zeros_like(missing), where=live), live)
+        change = np.clip(change, -0.9, 6.0)
+        # Cells that give no current so far get what is missing; those that should give less than none, none.
+        before = 2.0 * at.conductance if beside_held else 0.0
+        base = np.where(live, at.conductance, before + np.maximum(missing, 0.0))
+        base[(change <= -0.9) & (at.conductance < 1e-3 * at.target)] = 0.0
+        base[at.target == 0] = 0.0
+        return _Correction(base, change)
+
+    def _keep(self, factor: Factor | None, rate: float) -> None:
+        """Remember a factorisation for the frames that follow, and the worst rate of convergence seen with it."""
+        if factor is not self._factor:
+            self._factor, self._amplified, self._rate, self._singular = factor, None, 0.0, False
+        self._rate = max(self._rate, min(rate, 0.999))
+
+    def _solution(
+        self, measured: FloatArray, at: _Comparison, blind: BoolArray, iterations: int, factored: int
+    ) -> _Solution:
+        lacking = self._model.slope(at.signal) * (measured - at.rest - at.signal)
+        contradicted = np.where((at.conductance == 0) & ~blind, lacking, 0.0)
+        return _Solution(
+            conductance=at.conductance,
+            target=at.target,
+            signal=at.signal,
+            rounded=np.abs(measured) + np.abs(at.rest),
+            residual=at.error,
+            clamped=contradicted != 0,
+            below=float(np.abs(contradicted).max()),
+            iterations=iterations,
+            factored=factored,
+        )
 
     def _error(self, found: _Solution) -> FloatArray:
         """:attr:`Found.error`, by what this inverter remembers."""
