@@ -100,7 +100,8 @@ def test_every_analysis_is_that_of_the_board_turned_by_hand(seed: int) -> None:
         np.testing.assert_array_equal(getattr(noise(design, cells), kind), turn(getattr(noise(other, its_cells), kind)))
     np.testing.assert_array_equal(stability(design, cells).phase_margin, turn(stability(other, its_cells).phase_margin))
     settling, its_settling = Settling(design, cells), Settling(other, its_cells)
-    np.testing.assert_array_equal(settling.sampled(2e-5), turn(its_settling.sampled(2e-5)))
+    # Lines are scanned by their own numbers, the turned board's in the other order; from rest the order does not count.
+    np.testing.assert_array_equal(settling.sampled_from_rest(2e-5), turn(its_settling.sampled_from_rest(2e-5)))
     np.testing.assert_array_equal(settling.settled, one.volts)
     mine, theirs = sensitivity(design, cells), sensitivity(other, its_cells)
     for i, j in np.ndindex(cells.shape):
