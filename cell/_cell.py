@@ -131,7 +131,12 @@ class Cell(Section):
                 if not isinstance(model, AsymmetricModel | M10Model):
                     raise self._other_kind(name, "paper', 'asymmetric' or 'm10")
                 return InverseEstimator(model, full, shape, rest, conditions)
-        found = None if learned is None else learned.play if name == "play" else learned.distilled
+            case "play":
+                found = None if learned is None else learned.play
+            case "distilled":
+                found = None if learned is None else learned.distilled
+            case _:
+                raise InputError(f"the estimator '{name}' has no case in Cell.estimator")
         if found is None:
             raise InputError(
                 f"the estimator '{name}' is learned from a recording, and this cell has none: run ohmskin fit"

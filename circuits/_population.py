@@ -57,15 +57,16 @@ class Boards:
         """One board with the nominal values of the design."""
         array, drive, readout = design.array, design.drive, design.readout
         rows, columns = array.shape
+        sensed = design.board.shape[1]
         return cls(
             row_lead=_each(array.row_lead, rows),
             row_segment=_each(array.row_segment, rows),
             column_lead=_each(array.column_lead, columns),
             column_segment=_each(array.column_segment, columns),
-            reference_resistance=_each(readout.reference_resistance, columns),
-            open_loop_gain=_each(readout.open_loop_gain, columns),
-            offset_voltage=_each(readout.offset_voltage, columns),
-            bias_current=_each(readout.bias_current, columns),
+            reference_resistance=_each(readout.reference_resistance, sensed),
+            open_loop_gain=_each(readout.open_loop_gain, sensed),
+            offset_voltage=_each(readout.offset_voltage, sensed),
+            bias_current=_each(readout.bias_current, sensed),
             voltage=_each(drive.voltage, 1),
             reference_voltage=_each(readout.reference_voltage, 1),
         )
@@ -152,9 +153,7 @@ def scan_population(
 
 def _covered(design: Design) -> bool:
     """Whether the elimination knows this kind of design."""
-    circuit = design.board.circuit
-    known = (circuit.virtual_ground or circuit.mixes_cells) and circuit.senses == "columns"
-    return known and design.array.sheet == "sliced" and not design.fault
+    return design.board.circuit.in_populations and design.array.sheet == "sliced" and not design.fault
 
 
 def _chunks(count: int, size: int) -> Iterator[slice]:

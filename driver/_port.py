@@ -270,6 +270,8 @@ class UrlPort(_RealTimePort):
         try:
             self._device.timeout = timeout_s
             return bytes(self._device.read(size))
+        except BlockingIOError:  # another thread has taken the bytes that were there
+            return b""
         except (serial.SerialException, OSError, TypeError, AttributeError) as error:
             # pyserial's own errors for a port that another thread closes are TypeError and AttributeError.
             raise self._gone(error) from error

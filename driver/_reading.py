@@ -15,6 +15,7 @@ TOLERANCE = 0.02
 """relative uncertainty of a conductance up to which a cell is valid in any case; the project's own choice"""
 STEPS = 2.0
 """ADC steps of its own reading that a valid cell may be uncertain by, where that is more"""
+_MOST = 0.6  # relative uncertainty from which on a cell is not valid, however coarse its own steps are
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
 _LARGEST_NOISE = 8  # ADC steps between frames that may be noise; more is a press
 _MEAN_CHANGE = 2.0 / np.sqrt(np.pi)  # mean change between two readings of a normal distribution, in its deviations
@@ -131,7 +132,7 @@ class CountReader:
             status = np.full(counts.shape, Status.DISTURBED, dtype=np.int8)
             return Reading(nothing, np.full(counts.shape, np.inf), counts < 0, status, solved=False)
         valid = found.uncertainty <= np.maximum(2.0 * STEPS * found.own_step, TOLERANCE)
-        valid &= found.status != Status.OPEN
+        valid &= (found.status == Status.READ) & (found.uncertainty < _MOST)
         if faint is not None:
             valid &= ~faint
         resistance = found.resistance if valid.all() else np.where(valid, found.resistance, np.nan)

@@ -2,7 +2,7 @@
 
 A circuit is an object without state. Each method takes the :class:`.._board.Board` that it is asked about, whose arrays
 are in line coordinates: N rows are driven, M columns are sensed. To add a circuit, write one module with a subclass and
-name it in the table in ``readouts/__init__.py``; no other module knows the circuits apart.
+name it in the table in ``readouts/__init__.py``; docs/design.md lists what else knows the circuits apart.
 """
 
 from __future__ import annotations
@@ -53,6 +53,8 @@ class ReadoutCircuit(ABC):
     """whether amplifiers hold all columns at the reference at once, so that each output is its own column's current"""
     mixes_cells: ClassVar[bool] = False
     """whether other cells change a reading even if all parts are ideal"""
+    in_populations: ClassVar[bool] = False
+    """whether :mod:`.._population` has the circuit's law, for many boards at once; else each is scanned on its own"""
     drives_idle_lines: ClassVar[bool] = False
     """whether an amplifier drives the idle lines, so that ``drive.idle_rows`` does not count"""
 

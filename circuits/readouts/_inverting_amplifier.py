@@ -39,6 +39,7 @@ class InvertingAmplifier(ReadoutCircuit):
 
     name = "inverting-amplifier"
     virtual_ground = True
+    in_populations = True
 
     def read(self, board: Board, ports: FloatArray) -> Reading:
         rows, columns = board.shape

@@ -15,3 +15,4 @@ class RowAmplifier(InvertingAmplifier):
 
     name = "row-amplifier"
     senses = "rows"
+    in_populations = False

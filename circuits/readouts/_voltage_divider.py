@@ -32,6 +32,7 @@ class VoltageDivider(ReadoutCircuit):
     name = "voltage-divider"
     has_amplifiers = False
     mixes_cells = True
+    in_populations = True
 
     def read(self, board: Board, ports: FloatArray) -> Reading:
         rows, columns = board.shape

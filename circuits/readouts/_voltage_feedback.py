@@ -60,6 +60,7 @@ class VoltageFeedback(VoltageDivider):
     name = "voltage-feedback"
     has_amplifiers = True
     mixes_cells = False
+    in_populations = False
     drives_idle_lines = True
 
     def read(self, board: Board, ports: FloatArray) -> Reading:

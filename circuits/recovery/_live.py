@@ -33,7 +33,7 @@ from .._board import Board, broken_off
 from .._design import Design
 from .._exact import read_exactly
 from .._sensitivity import board_sensitivity
-from ..solvers import Lines, Wires, attenuate, exact_transfer, siemens
+from ..solvers import Attenuated, Lines, Wires, attenuate, exact_transfer, siemens
 from ._recover import Recoverer, Status
 
 LARGEST_COUPLED = 1024  # cells; beyond, a matrix of all readings by all cells no longer serves a frame's time
@@ -41,16 +41,16 @@ _EVALUATIONS = 4  # of the circuit model in one frame, at most
 _SHARE_OF_STEP = 0.25  # of an ADC step that the model may leave as its own error
 _MARGIN = 2.0  # by which intervals from first-order bounds on unknown cells are widened
 _PRIOR = 3.0  # standard deviation of the logarithm of a conductance before anything is read: a factor of 20
-_UNKNOWN = 8.0  # the same for a cell whose reading is at a limit: from what reaches the limit up to a short
+_UNKNOWN = 8.0  # the same for a cell that a fault hides
 _SETTLED = 0.3  # posterior standard deviations that a further step would change a cell by
 _UNSETTLED = 3.0  # half steps between readings and model beyond which a fit says nothing yet
 _MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
 _LEAST_SHARE = 1e-9  # of the largest conductance: an open cell's stand-in, so that every ratio is defined
-_FAR = 0.1  # relative change by a further step at which the derivatives no longer serve
+_FAR = 0.1  # relative change since the derivatives were made from which on they no longer serve
+_FIRST_EFFORT = 40, 8  # evaluations and derivatives that the first frame of all may take
 _SIGMAS = 4.0  # posterior standard deviations that an uncertainty covers
 _BOUNDLESS = 1e6  # relative change of a conductance that counts for any larger one
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
-_NO_STEP = 1e-3  # relative change by a further step that is none
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
@@ -111,8 +111,10 @@ class _Base(NamedTuple):
 
     conductance: FloatArray
     """S"""
+    transfer: FloatArray
+    """S, transfer conductances by the circuit model"""
     gain: FloatArray
-    """conductance over transfer conductance: what the lines take"""
+    """change of a conductance per change of its transfer conductance: what the lines take of the cell's own current"""
 
 
 class _Anchor(NamedTuple):
@@ -178,14 +180,15 @@ class _AmplifiedLive:
 
     def _read(self, volts: FloatArray, limited: BoolArray) -> LiveReading:
         transfer = np.maximum(self._transfer(volts), 0.0)
-        conductance, unsettled = self._settle(transfer)
-        known = np.maximum(transfer, self._half_step)
-        own_step = self._half_step / known
-        uncertainty = self._by_lines(own_step * conductance)
-        uncertainty += own_step + self._tolerance / known
-        status = (transfer == 0).astype(np.int8)  # open, else read
+        conductance, gain, unsettled = self._settle(transfer)
+        half_step = self._half_step * gain  # S of the cell; of T, a part may be other cells' current
+        known = np.maximum(conductance, half_step)
+        own_step = half_step / known
+        uncertainty = self._by_lines(half_step)
+        uncertainty += own_step + self._tolerance * gain / known
+        status = (conductance == 0).astype(np.int8)  # open, else read
         if unsettled is not None:
-            uncertainty += unsettled / known
+            uncertainty += unsettled * gain / known
             status[unsettled > self._tolerance] = _DISTURBED
         if limited.any():
             uncertainty += self._by_unknown(conductance, volts, limited)
@@ -208,7 +211,7 @@ class _AmplifiedLive:
             return current
         rows, between = len(volts), np.zeros_like(source)
         if not self._alike and self._base is not None:
-            known = self._base.conductance / self._base.gain
+            known = self._base.transfer
             lead = self._to_driver[:, 0]
             lifted = lead * (known @ source)  # V of each row per V of the sources, to first order
             between = lifted @ known - source * ((lead * known.sum(axis=1)) @ known)
@@ -216,21 +219,30 @@ class _AmplifiedLive:
         result: FloatArray = (current + source * total - between) / board.drive
         return result
 
-    def _settle(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray | None]:
-        """Conductances (N, M) in S and, where the frame's budget did not suffice, the S by which T may be off."""
+    def _settle(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray | None]:
+        """Conductances (N, M) in S, and their change per change of T.
+
+        Where the frame's budget did not suffice, also the S by which T may be off.
+        """
         if self._ideal:  # columns are independent: T = G / (1 + R sum G), R the resistance of a column's end
-            share = 1.0 - self._to_amplifier[0] * transfer.sum(axis=0)
-            return transfer / np.maximum(share, _LEAST_SHARE), None
+            gain = 1.0 / np.maximum(1.0 - self._to_amplifier[0] * transfer.sum(axis=0), _LEAST_SHARE)
+            return transfer * gain, np.broadcast_to(gain, transfer.shape), None
         if self._base is None:
             self._base = self._based_on(transfer)
         for _ in range(_EVALUATIONS):
-            conductance = transfer * self._base.gain
-            off = self._moved(transfer, np.abs(conductance - self._base.conductance))
+            conductance, off = self._from_base(transfer)
             if (off <= self._tolerance).all():
-                return conductance, None
+                return conductance, self._base.gain, None
             self._base = self._based_on(conductance)
-        conductance = transfer * self._base.gain
-        return conductance, self._moved(transfer, np.abs(conductance - self._base.conductance))
+        conductance, off = self._from_base(transfer)
+        return conductance, self._base.gain, off
+
+    def _from_base(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Conductances (N, M) in S, and the S by which T may be off for them."""
+        assert self._base is not None
+        change = (transfer - self._base.transfer) * self._base.gain
+        conductance = np.maximum(self._base.conductance + change, 0.0)
+        return conductance, self._moved(transfer, np.abs(change))
 
     def _moved(self, transfer: FloatArray, change: FloatArray) -> FloatArray:
         """S (N, M) by which T may be off after such a change (N, M) of the conductances in S."""
@@ -246,11 +258,13 @@ class _AmplifiedLive:
         """One evaluation of the circuit model: attenuation, with what it misses taken from an exact solution nearby."""
         floor = _LEAST_SHARE * max(float(conductance.max()), 1e-12)
         conductance = np.maximum(conductance, floor)
-        transfer = self._by_model(conductance)
-        return _Base(conductance, conductance / np.maximum(transfer, 1e-300))
+        known = None if self._wires is None else attenuate(conductance, self._wires)
+        transfer = self._by_model(conductance, known)
+        own = transfer if known is None else known.transfer  # without the current of other cells
+        return _Base(conductance, transfer, conductance / np.maximum(own, 1e-300))
 
-    def _by_model(self, conductance: FloatArray) -> FloatArray:
-        known = attenuate(conductance, self._wires) if self._wires is not None else None
+    def _by_model(self, conductance: FloatArray, known: Attenuated | None) -> FloatArray:
+        """S (N, M): transfer conductances, by attenuation ``known`` where its error is small or was found before."""
         if known is None:
             return exact_transfer(conductance, self._lines)[0]
         bound = known.error
@@ -295,15 +309,17 @@ class _AmplifiedLive:
         with np.errstate(divide="ignore", invalid="ignore"):
             along = np.where(unknown, np.nan_to_num(self._to_driver / self._to_amplifier, nan=0.0, posinf=inf), 0.0)
             down = np.where(unknown, np.nan_to_num(self._to_amplifier / self._to_driver, nan=0.0, posinf=inf), 0.0)
-        held = np.where(saturated, np.minimum(along, self._to_driver * self._most_per_ohm), 0.0)
         own = np.where(saturated, 0.0, along).sum(axis=1)[:, None] + down.sum(axis=0)
-        lifts = conductance @ np.where(unknown, self._to_amplifier, 0.0).T
-        takes = unknown @ (self._to_driver * conductance).T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            short = np.where(unknown, 1.0 / (self._to_driver + self._to_amplifier), 0.0)
+            held = np.where(saturated, np.fmin(along, self._to_driver * self._most_per_ohm), 0.0)
+        most = np.where(unknown, np.minimum(short, _BOUNDLESS), conductance)
+        lifts = most @ np.where(unknown, self._to_amplifier, 0.0).T
+        takes = unknown @ (self._to_driver * most).T
         np.fill_diagonal(lifts, 0.0)
         np.fill_diagonal(takes, 0.0)
         added = (lifts + takes) @ np.where(unknown, 0.0, conductance)
         with np.errstate(divide="ignore", invalid="ignore"):
-            short = np.where(unknown, 1.0 / (self._to_driver + self._to_amplifier), 0.0)
             offset = np.abs(self._source / board.drive)
             added += np.nan_to_num(offset * short.sum(axis=0), nan=0.0, posinf=inf)
         added += offset * (unknown.any(axis=1) @ conductance)
@@ -332,9 +348,7 @@ class _CoupledBase(NamedTuple):
     std: FloatArray
     """(n,) posterior standard deviation of ``log``"""
     others: FloatArray
-    """(n,) change of ``log`` if all cells whose reading is at a limit change by _UNKNOWN"""
-    limited: BoolArray
-    """(n,) readings at a limit"""
+    """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
 
 
 class _CoupledLive:
@@ -356,7 +370,9 @@ class _CoupledLive:
         self._mixes = board.circuit.mixes_cells or board.floating
         self._hidden = (broken_off(board) | np.isinf(board.series_ohms)).ravel()
         self._base: _CoupledBase | None = None
-        self._x: FloatArray | None = None
+        self._x: FloatArray | None = None  # where the last frame ended
+        self._begun = False
+        self._from_fresh_start = False  # and not come to a fit since
 
     def __call__(self, volts: FloatArray, limited: BoolArray) -> LiveReading:
         turn = self._board.turn
@@ -364,22 +380,26 @@ class _CoupledLive:
         return LiveReading(turn(found.resistance), turn(found.uncertainty), turn(found.own_step), turn(found.status))
 
     def _read(self, volts: FloatArray, limited: BoolArray) -> LiveReading:
-        if self._mixes and limited.any():
+        if limited.any() or (self._mixes and self._hidden.any()):
             # A cell beyond its limit may be a short, and what that does to all others no derivative at the limit tells.
-            nothing, status = np.full(self._shape, np.nan), np.full(self._shape, _DISTURBED, dtype=np.int8)
-            status[limited] = _SATURATED
-            return LiveReading(nothing, np.full(self._shape, inf), np.ones(self._shape), status)
-        measured, at_limit = volts.ravel(), limited.ravel()
-        first = self._base is None
-        if self._base is None or (self._base.limited != at_limit).any():
-            start = self._start(volts) if self._x is None else self._x
-            self._base = self._based_on(start, at_limit)
-        x, left, misfit, stalled = self._solve(measured, 40 if first else _EVALUATIONS)
-        self._x = x
-        base = self._base
-        if misfit > _MISFIT and stalled:
-            self._base = self._x = None
-            raise SolverError("no cell resistances give these readings; check that the design is that of the board")
+            return self._nothing(limited)
+        measured = volts.ravel()
+        start = self._x
+        if start is None:
+            start = self._start(volts)
+            self._from_fresh_start = True
+        if self._base is None or self._x is None:
+            self._base = self._based_on(start)
+        effort = (_EVALUATIONS, 1) if self._begun else _FIRST_EFFORT
+        self._begun = True
+        x, left, misfit, stalled = self._solve(measured, start, *effort)
+        self._x, base = x, self._base
+        if misfit <= _UNSETTLED:
+            self._from_fresh_start = False
+        elif misfit > _MISFIT and stalled:
+            self._x = None  # the next frame starts anew
+            if self._from_fresh_start:
+                raise SolverError("no cell resistances give these readings; check that the design is that of the board")
         conductance = np.exp(x)
         signal = np.abs(measured - self._board.level)
         slope = self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)
@@ -391,8 +411,8 @@ class _CoupledLive:
         status = np.where(open_cells, _OPEN, _READ).astype(np.int8)
         if misfit > _UNSETTLED:  # the frame's budget did not suffice, or no cells give quite these readings
             status[:], uncertainty[:] = _DISTURBED, inf
-        status[at_limit], status[self._hidden] = _SATURATED, _HIDDEN
-        gone = at_limit | self._hidden
+        gone = self._hidden
+        status[gone] = _HIDDEN
         uncertainty[gone | (uncertainty > 1.0)] = inf
         with np.errstate(divide="ignore"):
             resistance = 1.0 / conductance
@@ -403,37 +423,48 @@ class _CoupledLive:
             resistance.reshape(shape), uncertainty.reshape(shape), own_step.reshape(shape), status.reshape(shape)
         )
 
-    def _solve(self, measured: FloatArray, evaluations: int) -> tuple[FloatArray, FloatArray, float, bool]:
+    def _solve(
+        self, measured: FloatArray, x: FloatArray, evaluations: int, renewals: int
+    ) -> tuple[FloatArray, FloatArray, float, bool]:
         """Logarithms (n,) of the conductances, the change that a further step would make, the misfit, and whether the
         last step has hardly changed it.
 
-        The misfit is in half steps: the root mean square over all readings, or half of the largest if that is more.
+        Args:
+            measured: (n,) V.
+            x: (n,) where to start.
+            evaluations: of the circuit model, at most.
+            renewals: of the derivatives, which cost many evaluations, at most.
+
         """
         assert self._base is not None
-        x = self._base.log + self._step(measured - self._base.volts)
         misfit, stalled = inf, False
-        renewals = 1 if evaluations == _EVALUATIONS else evaluations  # the derivatives cost many evaluations
         for count in range(evaluations):
             volts = self._model(x)
             left = self._step(measured - volts)
-            off = float(np.abs(left).max())
             last, misfit = misfit, self._misfit(measured - volts)
             stalled = abs(misfit - last) <= _SAME * misfit
-            if off <= _NO_STEP or (misfit <= _FITS and self._serves(left)):
+            far = float(np.abs(x - self._base.log).max()) > _FAR
+            if misfit <= _FITS and self._serves(left) and not far:
                 break
             if count < evaluations - 1:
-                x = x + left
-                if off > _FAR and renewals:
+                if renewals and (far or misfit > _FITS):
                     renewals -= 1
-                    self._base = self._based_on(x, self._base.limited)
-                    x = x + self._step(measured - self._base.volts)
+                    self._base = self._based_on(x)
+                    left = self._step(measured - volts)
+                x = x + left
         return x, left, misfit, stalled
+
+    def _nothing(self, limited: BoolArray) -> LiveReading:
+        """A frame that tells of no cell."""
+        status = np.where(limited, _SATURATED, _DISTURBED).astype(np.int8)
+        status[self._hidden.reshape(self._shape)] = _HIDDEN
+        unknown = np.full(self._shape, inf)
+        return LiveReading(np.full(self._shape, np.nan), unknown, np.ones(self._shape), status)
 
     def _misfit(self, apart: FloatArray) -> float:
         """Half steps between readings and model (n,): root mean square, or half of the largest if that is more."""
-        assert self._base is not None
-        known = np.abs(apart)[~self._base.limited] / self._half_step
-        return max(float(np.sqrt(np.mean(known**2))), 0.5 * float(known.max())) if len(known) else 0.0
+        steps = np.abs(apart) / self._half_step
+        return max(float(np.sqrt(np.mean(steps**2))), 0.5 * float(steps.max()))
 
     def _serves(self, left: FloatArray) -> bool:
         """Whether a further step would move no cell that the readings determine by more than its own uncertainty."""
@@ -458,13 +489,12 @@ class _CoupledLive:
         """V (n,) of the readings."""
         return read_exactly(self._board, np.exp(-x).reshape(self._shape))[0].volts.ravel()
 
-    def _based_on(self, x: FloatArray, limited: BoolArray) -> _CoupledBase:
-        """Derivatives and their regularised inverse at x; readings ``limited`` (n,) tell nothing."""
+    def _based_on(self, x: FloatArray) -> _CoupledBase:
+        """Derivatives and their regularised inverse at x (n,)."""
         found = board_sensitivity(self._board, np.exp(-x).reshape(self._shape))
         in_series = 1.0 / (np.exp(-x) + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
         jacobian = found.cell_conductance.reshape(len(x), len(x)) * (in_series**2 * np.exp(-x) / self._noise)
-        jacobian[limited] = 0.0
-        prior = np.where(limited | self._hidden, _UNKNOWN, _PRIOR)
+        prior = np.where(self._hidden, _UNKNOWN, _PRIOR)
         normal = jacobian.T @ jacobian
         normal[np.diag_indices_from(normal)] += prior**-2.0
         try:
@@ -472,10 +502,10 @@ class _CoupledLive:
         except LinAlgError as error:
             raise SolverError("the readings do not determine the cells at all") from error
         std = np.sqrt(np.maximum(np.diagonal(inverse), 0.0))
-        loose = limited | self._hidden
-        # Of the covariance with the unknown cells: how far each cell follows when all of them go to their ends.
+        loose = self._hidden
+        # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
         others = np.abs(inverse[:, loose] / std[loose] ** 2).sum(axis=1) * _UNKNOWN if loose.any() else np.zeros(len(x))
-        return _CoupledBase(x, found.volts.ravel(), inverse @ jacobian.T, std, others, limited)
+        return _CoupledBase(x, found.volts.ravel(), inverse @ jacobian.T, std, others)
 
 
 class _ThoroughLive:
