@@ -105,7 +105,7 @@ def test_the_closed_form_is_what_ladders_give_within_what_it_says(
     lines.exit[:] *= np.linspace(unequal, 1.0, len(lines.exit))
     wires = Wires.of(lines)
     assert wires is not None
-    assert wires.alike is not None
+    assert wires.uniform is not None
     known, ladders = attenuate(cells, wires), by_ladders(cells[None], wires)
     assert known is not None
     off = np.abs(known.transfer - ladders.transfer[0])
