@@ -102,7 +102,7 @@ class Plan(NamedTuple):
 
 @lru_cache(maxsize=64)
 def plan(rows: int, columns: int) -> Plan:
-    """Plan the dissection of a grid: two blocks meet along the side on which they share fewer nodes."""
+    """Plan the dissection of a grid. Merges double the shorter extent of the blocks, which keeps them nearly square."""
     (height, down), (width, along) = _leaves(rows), _leaves(columns)
     block = Block(height, width, bottom=True, right=True)
     result = Plan(block, down, along, ())
@@ -516,8 +516,8 @@ def _far_rims(work: Plan, rows: int, columns: int, some: BoolArray) -> list[tupl
         some: (frames, down, along) the leaves in question; their indices count these leaves only.
 
     Returns:
-        Slices of ports, each with indices of leaves. There are none along an axis with padded leaves, whose ports at the
-        far rim have zero conductances already.
+        Slices of ports, each with indices of leaves. There are none along an axis with padded leaves, because the ports
+        at their far rim have zero conductances already.
 
     """
     block, rims = work.leaf, []
@@ -568,7 +568,7 @@ def dissect(
 
 
 def _without_padding(work: Plan, root: FloatArray, shape: tuple[int, ...], transfer_only: bool) -> FloatArray:
-    """Remove the rows and columns that pad the leaves from the conductances of the whole grid."""
+    """Conductances of the whole grid without the rows and columns that pad the leaves."""
     rows, columns = shape
     width = work.leaf.columns * work.along
     if not transfer_only:
