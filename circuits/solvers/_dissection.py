@@ -168,13 +168,13 @@ class Step(NamedTuple):
 
     arms: IntArray
     """(arms, nodes) indices of the branches to the neighbours"""
-    one: IntArray
+    first_arm: IntArray
     """(pairs,) first arm of each pair, as an index into ``arms`` flattened"""
-    other: IntArray
+    second_arm: IntArray
     """(pairs,) second arm of each pair, likewise"""
-    fresh: slice
+    created: slice
     """new branches, made by the first pairs"""
-    old: IntArray
+    increased: IntArray
     """existing branches, to which the remaining pairs add"""
 
 
@@ -190,7 +190,7 @@ class Leaf(NamedTuple):
     steps: tuple[Step, ...]
     result: IntArray
     """(ports * ports,) index of the branch between each two ports"""
-    most: int
+    widest: int
     """largest number of branches or pairs in one operation"""
     relative: float
     """bound on the relative rounding error of any branch"""
@@ -240,7 +240,7 @@ def leaf(block: Block) -> Leaf:
                 around[arm].remove(node)
                 around[arm].update(neighbours - {arm})
     result = _index_array([number.get(frozenset((a, b)), len(number)) for a in ports for b in ports])
-    most = max(len(result), *(max(len(step.one), step.arms.size) for step in steps), 1)
+    most = max(len(result), *(max(len(step.first_arm), step.arms.size) for step in steps), 1)
     return Leaf(len(number), tuple(steps), result, most, ULP * operations)
 
 
@@ -278,7 +278,7 @@ def _reduce_leaves(
     program = leaf(block)
     ports = out.shape[-1]
     chunk = _leaf_chunk(program, given.shape[1])
-    size = program.most * chunk
+    size = program.widest * chunk
     one_work, other_work, third_work, value_work = (scratch[k * size :] for k in range(4))
     for start in range(0, given.shape[1], chunk):
         some = given[:, start : start + chunk]
@@ -290,20 +290,20 @@ def _reduce_leaves(
         value = view(value_work, program.branches + 1)
         value[: len(some)] = some
         value[-1] = 0.0
-        for arms, one, other, fresh, old in program.steps:
+        for arms, first_arm, second_arm, created, increased in program.steps:
             arm = np.take(value, arms.ravel(), axis=0, out=view(one_work, arms.size), mode="clip")
             share = arm.reshape(*arms.shape, leaves)
-            first = np.take(arm, one, axis=0, out=view(other_work, len(one)), mode="clip")
+            first = np.take(arm, first_arm, axis=0, out=view(other_work, len(first_arm)), mode="clip")
             total = share.sum(axis=0)
             if not total.all():
                 total[total == 0] = 1.0
             share /= total
-            gain = np.take(arm, other, axis=0, out=view(third_work, len(one)), mode="clip")
+            gain = np.take(arm, second_arm, axis=0, out=view(third_work, len(first_arm)), mode="clip")
             gain *= first
-            new = fresh.stop - fresh.start
-            value[fresh] = gain[:new]
-            if len(old):
-                value[old] += gain[new:]
+            new = created.stop - created.start
+            value[created] = gain[:new]
+            if len(increased):
+                value[increased] += gain[new:]
         result = np.take(value, program.result, axis=0, out=view(one_work, ports * ports), mode="clip")
         out[start : start + leaves].reshape(leaves, -1)[...] = result.T
     relative = np.full(len(out), program.relative)
@@ -321,7 +321,7 @@ def _leaf_chunk(program: Leaf, leaves: int) -> int:
 def _leaf_scratch(block: Block, leaves: int) -> int:
     """Size of the working memory for so many leaves."""
     program = leaf(block)
-    return (3 * program.most + program.branches + 1) * _leaf_chunk(program, leaves)
+    return (3 * program.widest + program.branches + 1) * _leaf_chunk(program, leaves)
 
 
 def _eliminate_ports(blocks: FloatArray, gone: slice) -> FloatArray:
@@ -389,7 +389,7 @@ class _Join:
                         self._copied.append((self._across[..., a.pair, b.pair], part))
                     elif not b.eliminated and not transfer_only:
                         self._staying.append((out[..., a.pair, b.pair], part))
-        if transfer_only:  # the second half has only its rows or its columns left
+        if transfer_only:  # only the first half has both rows and columns that remain
             rows, columns = (side // (1 + (axis == merge.axis)) for axis, side in enumerate(whole[:2]))
             part = first[..., columns : columns + rows, :columns]
             self._staying.append((out[..., :rows, whole.columns - columns :], part))
@@ -427,9 +427,8 @@ class Dissection:
         if transfer_only and work.merges:
             shapes[-1] = (frames, 1, 1, *work.merges[-1].whole[:2])
         sizes = [math.prod(shape) for shape in shapes]
-        turns = [
-            np.empty(max(sizes[turn::2], default=0)) for turn in range(2)
-        ]  # odd and even levels share one buffer each
+        # Odd and even levels share one buffer each: a merge reads one buffer and writes the other.
+        turns = [np.empty(max(sizes[turn::2], default=0)) for turn in range(2)]
         stacks = [turns[k % 2][:size].reshape(shape) for k, (size, shape) in enumerate(zip(sizes, shapes, strict=True))]
         self._scratch = np.empty(_scratch(work, frames))
         self._given = np.zeros((3 * work.leaf.rows * work.leaf.columns, frames, work.down, work.along))
