@@ -217,6 +217,7 @@ def _closed_form(cells: FloatArray, wires: UniformWires) -> tuple[Attenuated, Fl
     """
     *frames, rows, columns = cells.shape
     sums = np.empty((4, *frames, rows + columns), np.float32)  # rows and columns together: call overhead dominates
+    # Per line: K G D at the far end, sum(G D), D at the far end, and sum(G). Then b = far / end and a = near / total.
     far, near, end, total = sums
     rough = cells.astype(np.float32)
     row, column = rough @ wires.row, wires.column @ rough  # D
@@ -240,7 +241,7 @@ def _closed_form(cells: FloatArray, wires: UniformWires) -> tuple[Attenuated, Fl
         far *= segment
         far += lead * near
     sums[2:] += _TINY
-    sums[:2] /= sums[2:]  # b and a
+    sums[:2] /= sums[2:]  # from here on, far is b and near is a
     middle = 2.0 / (2.0 + far + near)  # within 0.56 (b - a) of both limits while b < 1/4
     np.subtract(far, near, out=near)
     np.multiply(near, end, out=total)
