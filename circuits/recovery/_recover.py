@@ -329,7 +329,9 @@ class Recoverer:
         # column that are at the lower limit have therefore no upper bound.
         return _Unknown(top | (bottom & top.any(axis=0)), bottom)
 
-    def _envelope_distance(self, measured: FloatArray, found: Found, unknown: _Unknown) -> tuple[FloatArray, FloatArray]:
+    def _envelope_distance(
+        self, measured: FloatArray, found: Found, unknown: _Unknown
+    ) -> tuple[FloatArray, FloatArray]:
         """Distances in S (N, M) from ``found`` to the lower and upper envelope, see the module docstring."""
         known, groups = found.conductance, unknown.groups()
         down, up = [], []
@@ -370,7 +372,10 @@ class Recoverer:
         # next frame, we assume the same end.
         cells, end = self._path_ends.get(number, (None, inf))
         ended = cells is not None and bool((cells == unknown.any).all())
-        pending, retries = [times for times in _CONTINUATION_FACTORS if not ended or times < end], 0 if ended else _RETRIES
+        pending, retries = (
+            [times for times in _CONTINUATION_FACTORS if not ended or times < end],
+            0 if ended else _RETRIES,
+        )
         runaway = _UNBOUNDED_CHANGE
         while pending:
             times = pending[0]
