@@ -478,7 +478,7 @@ class Inverter:
     def _compare(
         self, measured: FloatArray, conductance: FloatArray, ignored: BoolArray, held: Held | None
     ) -> _Comparison:
-        """Compare modelled and measured readings; ``ignored`` (N, M) marks readings that do not determine their cell."""
+        """Compare modelled and measured readings, except at cells ``ignored`` (N, M)."""
         model = self._model
         signal, rest = model.split(conductance)
         if held is not None:
