@@ -32,7 +32,7 @@ from ._design import Adc, Design
 from ._grid import exact_ports
 from ._sensitivity import board_sensitivity
 
-Estimator = Callable[[str, object], float | None]
+EffectSize = Callable[[str, object], float | None]
 """Function of a design key and its value; returns the largest relative change of a signal, or None if unknown."""
 
 ORDINARY = {
@@ -88,7 +88,7 @@ def _effects(board: Board, cells: FloatArray) -> Iterator[Effect]:
     Line coordinates call the driven lines rows. The keys are those of the design, so on a board that drives columns the
     key of a row part is looked up under columns.
     """
-    design, estimate = board.design, _estimator(board, cells)
+    design, estimate = board.design, _effect_size(board, cells)
     of_row, of_column = board.line_kinds
     for table, key, part_key, ideal in (
         (design.array, f"{of_row}_lead", "row_lead", 0.0),
@@ -173,7 +173,7 @@ class _DerivativeEstimates:
         return _largest_relative(np.abs((by_line * part).sum(axis=-1)), self.signal, self.live)
 
 
-def _estimator(board: Board, cells: FloatArray) -> Estimator:
+def _effect_size(board: Board, cells: FloatArray) -> EffectSize:
     """The estimate that suits the board, or one that always returns None."""
     if board.circuit.virtual_ground and not board.floating:
         return _ClosedFormulas(board, cells)
