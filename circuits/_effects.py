@@ -1,16 +1,19 @@
-"""What a scan models, what it leaves out, and how large each effect is.
+"""First-order error budget of a scan: which effects are modelled, which are not, and how large each one is.
 
-An effect is off, and costs nothing, until the design names its part. Its size is estimated to first order, with the
-design's own part or, where it names none, with an ordinary one (:data:`ORDINARY`); nothing of this is computed by
-:func:`.scan` itself.
+An effect is absent, and costs no computing time, until the design gives its part a value. The size of each effect is a
+first-order estimate. The estimate uses the value in the design or, without one, an assumed value (:data:`ORDINARY`).
+:func:`.scan` itself computes none of these estimates.
 
-For amplifiers over grounded idle rows the laws are closed (G in S, sums over a row or a column):
+Virtual-ground amplifiers with grounded idle rows have closed formulas for the relative change of a signal (G in S; the
+sums run over a row i or a column j):
 
-* leads and segments: ``R_row sum_k G_ik + R_col sum_k G_kj``, a segment counting with the cells beyond it;
-* gain: ``(1 + Rref sum_k G_kj) abs(Vout / (Vout - Vref)) / A``;
-* offset: ``Vos (1 + Rref sum_k G_kj) / (Vin Rref G_ij)``; bias current: ``Ib R_ij / Vin``.
+* leads and segments: ``R_row sum_k G_ik + R_col sum_k G_kj``; a segment counts with the cells beyond it only;
+* finite gain A: ``(1 + Rref sum_k G_kj) abs(Vout / (Vout - Vref)) / A``;
+* offset voltage: ``Vos (1 + Rref sum_k G_kj) / (Vin Rref G_ij)``;
+* bias current: ``Ib R_ij / Vin``.
 
-Other circuits have no such laws; theirs come from :func:`.sensitivity`, up to 32 x 32 cells.
+Other circuits have no closed formulas. Their estimates come from the derivatives of :func:`.sensitivity`, for at most
+32 x 32 cells.
 """
 
 from __future__ import annotations
@@ -29,8 +32,8 @@ from ._design import Adc, Design
 from ._grid import exact_ports
 from ._sensitivity import board_sensitivity
 
-Law = Callable[[str, object], float | None]
-"""From a design key and its value to the largest relative change of a signal"""
+EffectSize = Callable[[str, object], float | None]
+"""Function of a design key and its value; returns the largest relative change of a signal, or None if unknown."""
 
 ORDINARY = {
     "row_lead": 10.0,  # ohm: an analog switch and some wire
@@ -44,11 +47,11 @@ ORDINARY = {
     "voltage_noise": 20e-9,  # V/sqrt(Hz)
     "period": 100e-6,  # s per row
 }
-"""Parts that are assumed where a design names none; the project's own choice"""
+"""Values assumed for parts that the design does not name; the project's own choice."""
 SWING = 3.3
-"""V on each side of the reference, where no supply is named"""
+"""V on each side of the reference: assumed supply if the design names none."""
 _ORDINARY_ADC = Adc(bits=12, range=(0.0, 3.3))
-_MOST_CELLS = 32 * 32  # beyond, sensitivities cost more than an estimate is worth
+_MOST_CELLS = 32 * 32  # larger arrays: the derivatives take too long for an estimate
 
 
 @dataclass(frozen=True)
@@ -57,19 +60,19 @@ class Effect:
 
     name: str
     modelled: bool
-    """whether it is in the volts of a scan"""
+    """whether the volts of a scan include the effect"""
     estimate: float | None
-    """largest relative change of a cell's signal; None where there is no simple law"""
+    """largest relative change of a cell's signal; None if there is no simple formula"""
     basis: str
-    """the part that the estimate is for"""
+    """the value of the part on which the estimate is based"""
 
 
 def effects(design: Design, resistance: ArrayLike) -> tuple[Effect, ...]:
-    """Every effect this package knows, modelled or not.
+    """List every effect that this package knows, modelled or not, with its size.
 
     Args:
         design: any.
-        resistance: (rows, columns) ohm; open and shorted cells do not count in the estimates.
+        resistance: (rows, columns) ohm; the estimates leave out open and shorted cells.
 
     Raises:
         InputError: the cells do not fit the design.
@@ -80,10 +83,14 @@ def effects(design: Design, resistance: ArrayLike) -> tuple[Effect, ...]:
 
 
 def _effects(board: Board, cells: FloatArray) -> Iterator[Effect]:
-    """Cells (N, M) in line coordinates. Keys are the design's, so a turned board has its rows' keys under columns."""
-    design, law = board.design, _law(board, cells)
+    """Yield the effects for cells (N, M) in ohm, in line coordinates.
+
+    Line coordinates call the driven lines rows. The keys are those of the design, so on a board that drives columns the
+    key of a row part is looked up under columns.
+    """
+    design, estimate = board.design, _effect_size(board, cells)
     of_row, of_column = board.line_kinds
-    for table, key, law_key, ideal in (
+    for table, key, part_key, ideal in (
         (design.array, f"{of_row}_lead", "row_lead", 0.0),
         (design.array, f"{of_column}_lead", "column_lead", 0.0),
         (design.array, f"{of_row}_segment", "row_segment", 0.0),
@@ -98,22 +105,22 @@ def _effects(board: Board, cells: FloatArray) -> Iterator[Effect]:
         modelled = bool(np.any(np.asarray(value) != ideal))
         used = value if modelled else ORDINARY[key]
         by_line = used[::-1] if board.turned and isinstance(used, tuple) else used
-        yield Effect(key, modelled, law(law_key, by_line), _basis(key, used, named=modelled))
+        yield Effect(key, modelled, estimate(part_key, by_line), _basis(key, used, named=modelled))
     yield from _limits(board, cells)
-    yield from _time(board, cells)
+    yield from _dynamic_effects(board, cells)
     if design.fault:
-        change = _change(board, design.replace(fault=()).board, cells)
+        change = _change_against(board, design.replace(fault=()).board, cells)
         yield Effect("fault", True, change, f"{len(design.fault)} named, against the same scan without")
     if board.continuous:
         sliced = design.replace(array={"sheet": "sliced"}).board
-        yield Effect("sheet", True, _change(board, sliced, cells), "against the same scan, sliced")
+        yield Effect("sheet", True, _change_against(board, sliced, cells), "against the same scan, sliced")
 
 
-class _ClosedLaw:
-    """First order, for amplifiers over grounded idle rows."""
+class _ClosedFormulas:
+    """Closed formulas for virtual-ground amplifiers with grounded idle rows."""
 
     def __init__(self, board: Board, cells: FloatArray) -> None:
-        self.live = _live(cells)
+        self.live = _ordinary_cells(cells)
         with np.errstate(divide="ignore"):
             self.conductance = np.where(self.live, 1.0 / cells, 0.0)
         self.board, self.drive, self.sign = board, abs(board.drive), np.sign(board.drive)
@@ -135,7 +142,7 @@ class _ClosedLaw:
             case "column_segment":
                 change = part * (down[::-1].cumsum(axis=0)[::-1] - down[-1])
             case "open_loop_gain":
-                # The input is off by the whole output over A, the reference voltage included.
+                # The error at the input is Vout / A, where Vout includes the reference voltage.
                 output = np.divide(self.board.level, -self.sign * signal, out=np.zeros_like(signal), where=self.live)
                 change = noise_gain / part * np.abs(1.0 + output)
             case _:
@@ -144,13 +151,13 @@ class _ClosedLaw:
         return float(np.max(change, where=self.live, initial=0.0))
 
 
-class _LawByDerivatives:
-    """First order, from the derivatives of the readings by the parts."""
+class _DerivativeEstimates:
+    """First-order estimates from the derivatives of the readings by the parts (adjoint method)."""
 
     def __init__(self, board: Board, cells: FloatArray) -> None:
         self.found = board_sensitivity(board, cells)
         self.signal = np.abs(self.found.volts - board.level)
-        self.live = _live(cells) & (self.signal > 0)
+        self.live = _ordinary_cells(cells) & (self.signal > 0)
 
     def __call__(self, key: str, value: object) -> float:
         found, part = self.found, np.asarray(value, dtype=np.float64)
@@ -163,20 +170,21 @@ class _LawByDerivatives:
                 by_line, part = found.inverse_gain, 1.0 / part
             case _:
                 by_line = getattr(found, key)
-        return _largest(np.abs((by_line * part).sum(axis=-1)), self.signal, self.live)
+        return _largest_relative(np.abs((by_line * part).sum(axis=-1)), self.signal, self.live)
 
 
-def _law(board: Board, cells: FloatArray) -> Law:
+def _effect_size(board: Board, cells: FloatArray) -> EffectSize:
+    """The estimate that suits the board, or one that always returns None."""
     if board.circuit.virtual_ground and not board.floating:
-        return _ClosedLaw(board, cells)
+        return _ClosedFormulas(board, cells)
     if not board.continuous and cells.size <= _MOST_CELLS:
-        return _LawByDerivatives(board, cells)
+        return _DerivativeEstimates(board, cells)
     return lambda key, value: None
 
 
 def _limits(board: Board, cells: FloatArray) -> Iterator[Effect]:
-    """What stands behind the signal: the amplifiers' supply and the converter."""
-    live, level = _live(cells), board.level
+    """Limits of the signal chain: the amplifiers' supply and the converter."""
+    live, level = _ordinary_cells(cells), board.level
     volts = board.circuit.ideal_volts(board, np.where(live, cells, inf))
     signal = np.abs(volts - level)
     if board.circuit.has_amplifiers:
@@ -185,16 +193,18 @@ def _limits(board: Board, cells: FloatArray) -> Iterator[Effect]:
         if not named:
             low, high = level - SWING, level + SWING
         beyond = np.maximum(np.maximum(volts - high, low - volts), 0.0)
-        yield Effect("supply", named, _largest(beyond, signal, live), _basis("supply", [low, high], named=named))
+        yield Effect(
+            "supply", named, _largest_relative(beyond, signal, live), _basis("supply", [low, high], named=named)
+        )
     adc = board.design.adc or _ORDINARY_ADC
     error = np.full_like(signal, adc_error(board.design.replace(adc=adc)))
     basis = f"{adc.bits} bits over {list(adc.range)} V, " + ("by adc_codes()" if board.design.adc else "assumed")
-    yield Effect("converter", False, _largest(error, signal, live), basis)
+    yield Effect("converter", False, _largest_relative(error, signal, live), basis)
 
 
-def _time(board: Board, cells: FloatArray) -> Iterator[Effect]:
-    """A scan gives settled outputs without noise; both are modelled elsewhere."""
-    part, live = board.design.readout, _live(cells)
+def _dynamic_effects(board: Board, cells: FloatArray) -> Iterator[Effect]:
+    """Effects of time: noise and settling. A scan has neither; :mod:`.timing` models both."""
+    part, live = board.design.readout, _ordinary_cells(cells)
     if not board.circuit.virtual_ground:
         yield Effect("noise", False, None, "no simple law")
         yield Effect("settling", False, None, "no simple law")
@@ -209,26 +219,29 @@ def _time(board: Board, cells: FloatArray) -> Iterator[Effect]:
     density = part.voltage_noise or ORDINARY["voltage_noise"]
     scatter = density * noise_gain * np.sqrt(pi / 2 * bandwidth) + np.zeros_like(signal)
     basis = "amplifier voltage, by noise(); " + _basis("voltage_noise", density, named=part.voltage_noise > 0)
-    yield Effect("noise", False, _largest(scatter, signal, live), basis)
+    yield Effect("noise", False, _largest_relative(scatter, signal, live), basis)
     left = np.exp(-2 * pi * bandwidth * ORDINARY["period"]) * signal.max(axis=0) + np.zeros_like(signal)
     basis = f"{ORDINARY['period']} s per row, by Settling; " + _basis("gain_bandwidth", product, named=fast)
-    yield Effect("settling", False, _largest(left, signal, live), basis)
+    yield Effect("settling", False, _largest_relative(left, signal, live), basis)
 
 
-def _change(board: Board, without: Board, cells: FloatArray) -> float:
-    """Largest relative change of a signal, by two scans."""
+def _change_against(board: Board, without: Board, cells: FloatArray) -> float:
+    """Largest relative change of a signal between scans of two boards."""
     with_it, bare = (each.circuit.read(each, exact_ports(each, cells).value).volts for each in (board, without))
-    return _largest(np.abs(with_it - bare), np.abs(bare - board.level), _live(cells))
+    return _largest_relative(np.abs(with_it - bare), np.abs(bare - board.level), _ordinary_cells(cells))
 
 
-def _live(cells: FloatArray) -> BoolArray:
+def _ordinary_cells(cells: FloatArray) -> BoolArray:
+    """Cells that are neither open nor shorted."""
     return np.logical_and(np.isfinite(cells), cells > 0)
 
 
-def _largest(change: FloatArray, signal: FloatArray, live: BoolArray) -> float:
+def _largest_relative(change: FloatArray, signal: FloatArray, live: BoolArray) -> float:
+    """Largest ratio of ``change`` to ``signal``, among live cells with a signal."""
     relative = np.divide(change, signal, out=np.zeros_like(signal), where=live & (signal > 0))
     return float(relative.max(initial=0.0))
 
 
 def _basis(key: str, value: object, *, named: bool) -> str:
+    """Text for :attr:`Effect.basis`."""
     return f"{key} = {value}" + ("" if named else " assumed")

@@ -14,7 +14,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ._board import Board
 from ._grid import exact_ports, refuse_contradictions
-from .readouts import LinearReadout, few_ulp
+from .readouts import LinearReadout, output_rounding
 from .solvers import entrywise, exact_transfer
 
 
@@ -63,7 +63,7 @@ def _read_ports(board: Board, cells: FloatArray) -> tuple[Outputs, FloatArray]:
     """By the whole network between the ports, for any circuit."""
     ports, relative = exact_ports(board, cells)
     reading = board.circuit.read(board, ports)
-    few = few_ulp(reading.volts.shape)
+    few = output_rounding(reading.volts.shape)
     without_current = abs(board.level) + np.abs(board.offset) + np.abs(board.lift)
     moved = float(relative.max(initial=0.0)) + reading.relative + few
     # Two bounds hold; the second is coarse, but finite where a port has an infinite conductance to the others.

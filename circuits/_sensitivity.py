@@ -1,11 +1,20 @@
-"""d(reading)/d(every part) by the adjoint: no re-solve per part.
+"""Adjoint method: the derivatives of all readings by all parts of the board.
 
-In a resistive network a part's drop in the *forward* field (the scan step as it is) times its drop in the *adjoint*
-field (the step's sources off, a unit source where the reading is taken) is, up to sign, the derivative of the reading
-by the part's conductance (Tellegen; Director and Rohrer 1969). Forward and adjoint fields of all readings are
-combinations of N + M fields, one for each port of the grid at 1 V; those are solved for once, by one sparse
-factorisation. Parts in series with a line go by their current instead, which the cells' currents add up to, so that
-a line without resistance has its sensitivities too.
+Principle
+---------
+Two fields belong to a reading. The forward field has the sources of its scan step. The adjoint field has these sources
+off and a unit source at the output where the reading is taken. The derivative of the reading by the conductance of a
+part is, up to its sign, the voltage across the part in the forward field times the voltage across the part in the
+adjoint field (Tellegen's theorem; Director and Rohrer, "The generalized adjoint network and network sensitivities",
+1969). No part needs a solution of its own.
+
+Implementation
+--------------
+The forward and adjoint fields of all readings are linear combinations of N + M basis fields. In a basis field one port
+of the grid is at 1 V and all other ports are at 0 V. One sparse LU factorisation gives all basis fields.
+
+Parts in series with a line use the product of their currents instead of their voltages. The current of a line follows
+from the sum of its cells' currents. The derivatives thus exist for lines of zero resistance as well.
 """
 
 from __future__ import annotations
@@ -28,18 +37,21 @@ from .readouts import SensitivityGroup
 from .solvers import Network, reduce, siemens
 
 LARGEST = 64 * 64
-"""cells for which all readings' derivatives by all parts fit into memory (0.13 GB per kind of part)"""
-_SHORT = 1e8  # conductance of a shorted cell, relative to the largest other one
+"""Largest number of cells: the derivatives then need 0.13 GB of memory per kind of part."""
+_SHORT = 1e8  # conductance that stands for a short, over the largest other conductance
 
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """Derivatives of the output volts. The first two axes are the reading's (N, M), the last ones the part's."""
+    """Derivatives of the output volts.
+
+    The first two axes (N, M) are those of the reading, and the remaining axes are those of the part.
+    """
 
     volts: FloatArray
     """the readings themselves, (N, M) V"""
     conductance: FloatArray
-    """(N, M) S of the cells, without what a fault puts across them; shorted ones stand for very small resistances"""
+    """(N, M) S of the cells without faults in parallel; a shorted cell has a very large finite conductance"""
     cell_conductance: FloatArray
     """(N, M, N, M) V/S"""
     row_lead: FloatArray
@@ -51,7 +63,7 @@ class Sensitivity:
     column_segment: FloatArray
     """(N, M, N - 1, M) V/ohm; [..., i, j] lies between crosspoints i and i + 1 of column j"""
     reference_resistance: FloatArray
-    """(N, M, M) V/ohm; here and below the last axis counts the sensed lines: columns, or rows where those are sensed"""
+    """(N, M, M) V/ohm; the last axis, here and below, counts the sensed lines, which are the columns or the rows"""
     inverse_gain: FloatArray
     """(N, M, M) V per unit of 1 / open_loop_gain, which is 0 for an ideal amplifier"""
     offset_voltage: FloatArray
@@ -61,14 +73,15 @@ class Sensitivity:
 
     @property
     def cells(self) -> FloatArray:
-        """(N, M, N, M) V/ohm of the cells."""
+        """(N, M, N, M) V/ohm: derivatives by the resistances of the cells."""
         return -self.cell_conductance * self.conductance**2
 
 
 def sensitivity(design: Design, resistance: ArrayLike) -> Sensitivity:
     """Derivatives of all readings of a frame by all parts.
 
-    An output at a supply limit does not move, and the others' derivatives hold while it stays there.
+    An output at a supply limit has zero derivatives. The derivatives of the other outputs hold while this output stays
+    at its limit.
 
     Args:
         design: with a sliced sheet, of at most 64 x 64 cells.
@@ -76,7 +89,7 @@ def sensitivity(design: Design, resistance: ArrayLike) -> Sensitivity:
 
     Raises:
         InputError: the cells do not fit, the sheet is continuous or the array too large.
-        SolverError: parts of so many decades that the factorisation breaks down.
+        SolverError: the values of the parts span so many decades that the factorisation breaks down.
 
     """
     board = design.board
@@ -97,17 +110,17 @@ def board_sensitivity(board: Board, cells: FloatArray) -> Sensitivity:
     if shorts.any():
         joined = _joins_ports(network, shorts)
         network = _with_small_resistances(board, network, shorts)
-        if joined:  # the current through the short is the difference of two ports' potentials, which must not vanish
+        if joined:  # without a voltage across the short its current would be lost
             ports = reduce(network).value
-    fields = _Fields.of(board, cells, network)
+    fields = _BasisFields.of(board, cells, network)
     result = _empty(reading.volts, fields.conductance)
     for group in board.circuit.sensitivity_groups(board, ports, reading):
-        _collect(result, fields, group)
+        _write_derivatives(result, fields, group)
     return result
 
 
 def _turned_back(found: Sensitivity) -> Sensitivity:
-    """From the line coordinates of a board that senses rows to the array's rows and columns."""
+    """Convert line coordinates to rows and columns of the array, on a board that senses rows."""
 
     def by_reading(values: FloatArray) -> FloatArray:
         return values.swapaxes(0, 1)[::-1, ::-1]
@@ -143,10 +156,10 @@ def _joins_ports(network: Network, shorts: BoolArray) -> bool:
 
 
 def _with_small_resistances(board: Board, network: Network, shorts: BoolArray) -> Network:
-    """The network with very small resistances in place of ``shorts`` (branches,), which are no ideal lines.
+    """Replace the branches ``shorts`` (branches,) by very small resistances; ideal lines stay ideal.
 
-    The current through a short is the drop across it times its conductance. A short of 1e8 times the largest other
-    conductance moves a reading by 1e-8 or so, and leaves enough digits of its drop for four of a derivative.
+    The current through a short is then the voltage across it times its conductance. With 1e8 times the largest other
+    conductance the readings change by about 1e-8, and the derivatives keep four digits in double precision.
     """
     behind = siemens(board.column_lead + board.circuit.end_resistance(board))
     others = np.concatenate([network.conductance, behind])
@@ -154,25 +167,25 @@ def _with_small_resistances(board: Board, network: Network, shorts: BoolArray) -
     return replace(network, conductance=np.where(shorts, short, network.conductance))
 
 
-class _Fields(NamedTuple):
-    """What a unit potential of each port, the others at 0, does inside."""
+class _BasisFields(NamedTuple):
+    """Basis fields: one port of the grid at 1 V and all other ports at 0 V."""
 
     drops: FloatArray
-    """(N + M, N, M) V across the cells, from row to column"""
+    """(N + M, N, M) V: voltage across each cell, from row to column"""
     conductance: FloatArray
     """(N, M) S"""
     leaving_row: FloatArray
-    """(N + M, N, M) A that leaves each crosspoint of a row line, other than along it: by the cell and by bridges"""
+    """(N + M, N, M) A: current out of each crosspoint of a row line into its cell and bridges"""
     entering_column: FloatArray
-    """(N + M, N, M) A that comes to each crosspoint of a column line"""
+    """(N + M, N, M) A: current into each crosspoint of a column line from its cell and bridges"""
 
     @classmethod
-    def of(cls, board: Board, cells: FloatArray, network: Network) -> _Fields:
-        """``network`` is the board's with these cells, and without shorts."""
+    def of(cls, board: Board, cells: FloatArray, network: Network) -> _BasisFields:
+        """Solve for the basis fields of ``network``, which is the board's grid with these cells and no shorts."""
         rows, columns = cells.shape
         cell_at = rows * columns + (rows - 1) * columns
         conductance = network.conductance
-        # Ends of ideal wires are one node.
+        # The ends of an ideal wire are the same node.
         wired = np.isinf(conductance)
         count = len(network.place)
         a, b = network.ends[wired].T
@@ -183,12 +196,13 @@ class _Fields(NamedTuple):
         size = int(node.max()) + 1
         graph = coo_array((value, (a, b)), shape=(size, size)).tocsr()
         graph = graph + graph.T
-        graph.eliminate_zeros()  # they would count as connections
+        graph.eliminate_zeros()  # zero entries would count as connections
         inner = np.setdiff1d(np.arange(size), port)
         potential = np.zeros((size, rows + columns))
         potential[port, np.arange(rows + columns)] = 1.0
         if len(inner):
-            # An island without a port stands at any potential, and a tie of one of its nodes says which.
+            # The potential of an island without a port is undetermined and would make the matrix singular. We tie
+            # one of its nodes to ground by 1 S, which sets the potential to 0.
             _, island = connected_components(graph, directed=False)
             adrift = ~np.isin(island, island[port])
             loose = np.zeros(size)
@@ -202,7 +216,7 @@ class _Fields(NamedTuple):
                     diag_pivot_thresh=0.0,
                     options={"SymmetricMode": True},
                 )
-            except RuntimeError as error:  # SuperLU's word for a singular matrix
+            except RuntimeError as error:  # SuperLU reports a singular matrix like this
                 raise SolverError(
                     "the grid's parts span too many decades for sensitivities; give the smallest resistances as 0, or "
                     "the largest as inf"
@@ -223,11 +237,12 @@ class _Fields(NamedTuple):
                 entering[:, *here] -= current[:, bridge]
                 entering[:, *there] += current[:, bridge]
         across = siemens_at[ours].reshape(rows, columns)
-        own = np.minimum(siemens(cells + board.series_ohms), across)  # a fault across a cell is no part of it
+        own = np.minimum(siemens(cells + board.series_ohms), across)  # without faults in parallel
         return cls(drops[:, ours].reshape(-1, rows, columns), own, leaving, entering)
 
 
 def _empty(volts: FloatArray, conductance: FloatArray) -> Sensitivity:
+    """All derivatives 0, for :func:`_write_derivatives` to fill."""
     rows, columns = volts.shape
     return Sensitivity(
         volts=volts,
@@ -244,12 +259,14 @@ def _empty(volts: FloatArray, conductance: FloatArray) -> Sensitivity:
     )
 
 
-def _collect(result: Sensitivity, fields: _Fields, group: SensitivityGroup) -> None:
+def _write_derivatives(result: Sensitivity, fields: _BasisFields, group: SensitivityGroup) -> None:
+    """Write the derivatives of one group of readings into ``result``."""
     at = np.ix_(group.rows, group.columns)
     forward = np.tensordot(group.forward, fields.drops, axes=1)
     adjoint = np.tensordot(group.adjoint, fields.drops, axes=1)
     result.cell_conductance[at] = -forward * adjoint
-    # A line carries what leaves it beyond (rows), or has come to it so far (columns).
+    # Kirchhoff's current law: a row segment carries the currents that leave the row beyond it, and a column segment
+    # carries the currents that have entered the column before it.
     along, down = [], []
     for field in (group.forward, group.adjoint):
         leaving = np.tensordot(field, fields.leaving_row, axes=1)

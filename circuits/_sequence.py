@@ -12,7 +12,7 @@ from ..errors import InputError
 from ._batch import BatchResult, checked_frames, scan_batch
 from ._board import Board
 from ._design import Design
-from .readouts import few_ulp
+from .readouts import output_rounding
 from .solvers import SequenceTransfer, exact_transfer, sequence_transfer
 
 
@@ -86,13 +86,13 @@ def _interpolated(
     if not np.isfinite(conductance.max()):
         return None
     lines = linear.lines
-    volts_per_siemens = linear.most_volts_per_siemens(board.shape[0])
+    volts_per_siemens = linear.largest_volts_per_siemens(board.shape[0])
     known: SequenceTransfer = sequence_transfer(
         conductance, linear.wires, lambda frames: exact_transfer(frames, lines), error_volts / volts_per_siemens
     )
     volts = linear.volts(known.transfer)
     largest = np.abs(volts).max(axis=(1, 2))
-    error = volts_per_siemens * known.error + few_ulp(volts.shape) * largest
+    error = volts_per_siemens * known.error + output_rounding(volts.shape) * largest
     inside = linear.within_supply(volts, error[:, None, None])
     for frame in np.flatnonzero(~inside):
         inside[frame] = linear.cannot_saturate(known.transfer[frame], float(known.error[frame]))

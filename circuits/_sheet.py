@@ -1,19 +1,28 @@
-"""The continuous (unsliced) sheet: conduction through the material between the cells (paper, VI and figure 12).
+"""3-D resistor network of the continuous (unsliced) sheet by finite volumes (paper, section VI and figure 12).
 
-A small three-dimensional resistor model. The sheet is cut into boxes, ``divisions`` along each side of a cell and
-``layers`` through its thickness; a box is joined to its six neighbours by its resistivity (half a box each, in
-series). Row strips lie on its top, column strips on its bottom, both of ``electrode_width``, and touch the boxes
-that they cover; where a strip is, its crosspoint's node is.
+Discretisation
+--------------
+The sheet is cut into boxes: ``divisions`` along each side of a cell, and ``layers`` through the thickness. Each box has
+one node at its centre. Neighbouring boxes are joined through their common face by the resistance of two half boxes in
+series. Row strips lie on the top of the sheet and column strips on its bottom. Both have the width
+``electrode_width``. A strip is joined to the boxes that it covers, and it is the node of its crosspoint.
 
-Modelled: lateral conduction in the material, also from strip to strip on one face, and fringes beside the strips.
-Not modelled: contact resistance between strip and material, current along the strip inside one cell (strips have
-their segments between the cells), a resistivity that varies inside a cell or with direction.
+Modelled: lateral conduction in the material, also between strips on the same face, and fringing fields beside the
+strips.
 
-A cell's resistance means the same as in the sliced sheet: its own piece, cut free on all four sides. The resistivity
-of its part of the sheet follows from that, so that slicing is the only difference between the two.
+Not modelled: contact resistance between strip and material, current along a strip inside a cell (strips have their
+segments between the cells), and a resistivity that varies inside a cell or with direction.
 
-All cells are the same piece of material but for its resistivity. So one piece is reduced, once and for good, to its two
-strips and to the boxes' faces on its sides; a frame then only joins such pieces, each divided by its resistivity.
+Meaning of a cell's resistance
+------------------------------
+The resistance of a cell is that of its own piece of sheet, cut free on all four sides, as in the sliced sheet. The
+resistivity of the piece follows from this resistance. Slicing is thus the only difference between the two sheets.
+
+Substructuring
+--------------
+All cells have the same geometry and differ only in resistivity. The network of one piece is therefore reduced once to
+its ports (static condensation, Kron reduction). The ports are the two strips and the faces towards neighbours. A frame
+then joins these reduced pieces, each scaled by the inverse of its resistivity.
 """
 
 from __future__ import annotations
@@ -31,7 +40,7 @@ if TYPE_CHECKING:
 
 
 class Sides(NamedTuple):
-    """Which sides of a cell go on into a neighbour."""
+    """True for each side of a cell that borders on another cell."""
 
     left: bool = False
     right: bool = False
@@ -42,22 +51,27 @@ class Sides(NamedTuple):
 def pieces(
     sheet: Sheet, resistance: FloatArray, row_node: IntArray, column_node: IntArray, first_face: int
 ) -> tuple[FloatArray, tuple[Element, ...]]:
-    """The material as elements: places of the faces between cells (faces, 2), and one element per cell.
+    """The material as one network element per cell.
 
     Args:
         sheet: the geometry.
-        resistance: (..., rows, columns) ohm of the cells, each cut free; inf is void, 0 metal.
+        resistance: (..., rows, columns) ohm of the cells, each cut free; inf is an insulator, 0 a perfect conductor.
         row_node: (rows, columns) nodes of the crosspoints.
-        column_node: the same of the column lines.
-        first_face: number of the first face's node; the others follow.
+        column_node: (rows, columns) nodes of the crosspoints on the column lines.
+        first_face: number of the first face's node; the nodes of the other faces follow.
+
+    Returns:
+        Places (faces, 2) of the faces between cells, as row and column; and the elements.
 
     """
     *_, rows, columns = resistance.shape
     each = sheet.divisions * sheet.layers
     beside = first_face + np.arange(rows * (columns - 1) * each).reshape(rows, columns - 1, each)
     below = first_face + beside.size + np.arange((rows - 1) * columns * each).reshape(rows - 1, columns, each)
-    place = np.concatenate([_middles(rows, columns - 1, each, 0.0, 0.5), _middles(rows - 1, columns, each, 0.5, 0.0)])
-    scale, free = siemens(resistance / unit_resistance(sheet)), _unit(sheet, Sides())
+    place = np.concatenate(
+        [_face_places(rows, columns - 1, each, 0.0, 0.5), _face_places(rows - 1, columns, each, 0.5, 0.0)]
+    )
+    scale, free = siemens(resistance / unit_resistance(sheet)), _reduced_piece(sheet, Sides())
     elements = []
     for row in range(rows):
         for column in range(columns):
@@ -67,7 +81,7 @@ def pieces(
             nodes += [beside[row, column]] if sides.right else []
             nodes += [below[row - 1, column]] if sides.up else []
             nodes += [below[row, column]] if sides.down else []
-            (unit, rounded), here = _unit(sheet, sides), scale[..., row, column, None, None]
+            (unit, rounded), here = _reduced_piece(sheet, sides), scale[..., row, column, None, None]
             with np.errstate(invalid="ignore"):
                 between = np.where(unit > 0, unit * here, 0.0)
             elements.append(Element(np.concatenate(nodes), between, float(rounded + free.relative)))
@@ -76,26 +90,30 @@ def pieces(
 
 @lru_cache(maxsize=16)
 def unit_resistance(sheet: Sheet) -> float:
-    """Ohm of one free cell of 1 ohm m."""
-    return float(1.0 / _unit(sheet, Sides()).value[0, 1])
+    """Resistance in ohm of one free cell whose material has 1 ohm m."""
+    return float(1.0 / _reduced_piece(sheet, Sides()).value[0, 1])
 
 
-def _middles(rows: int, columns: int, each: int, down: float, along: float) -> FloatArray:
+def _face_places(rows: int, columns: int, each: int, down: float, along: float) -> FloatArray:
+    """Places (faces, 2) of the faces: ``each`` times the cell's row + ``down`` and column + ``along``."""
     row_at, column_at = np.indices((rows, columns)).reshape(2, -1)
     return np.repeat(np.column_stack([row_at + down, column_at + along]), each, axis=0)
 
 
 @lru_cache(maxsize=64)
-def _unit(sheet: Sheet, sides: Sides) -> Rounded:
-    """S between the strips of row and column and the open faces, side by side, of one cell of 1 ohm m."""
+def _reduced_piece(sheet: Sheet, sides: Sides) -> Rounded:
+    """Conductance matrix in S of one cell of 1 ohm m, reduced to its ports.
+
+    The ports are the row strip, the column strip, and the faces of each side in ``sides``, in this order.
+    """
     cut, layers = sheet.divisions, sheet.layers
     side, height = sheet.pitch / cut, sheet.thickness / layers
     box = 2 + np.arange(layers * cut * cut).reshape(layers, cut, cut)
     row, column = np.zeros((cut, cut), dtype=np.intp), np.ones((cut, cut), dtype=np.intp)
-    share = np.broadcast_to(_covered(sheet), (cut, cut))
+    share = np.broadcast_to(_covered_fraction(sheet), (cut, cut))
     joined: list[tuple[IntArray, IntArray, FloatArray | float]] = [
         (box[:-1], box[1:], side * side / height),
-        (box[:, :-1], box[:, 1:], height),  # a face of side x height, over one side
+        (box[:, :-1], box[:, 1:], height),  # area side x height, distance side
         (box[..., :-1], box[..., 1:], height),
         (row, box[0], share.T * 2 * side * side / height),
         (column, box[-1], share * 2 * side * side / height),
@@ -128,8 +146,8 @@ def _unit(sheet: Sheet, sides: Sides) -> Rounded:
     return unit
 
 
-def _covered(sheet: Sheet) -> FloatArray:
-    """Which share of each division along a cell's side lies under a strip."""
+def _covered_fraction(sheet: Sheet) -> FloatArray:
+    """Fraction (divisions,) of each division along a cell's side that a strip covers."""
     edges = np.linspace(-0.5, 0.5, sheet.divisions + 1) * sheet.pitch
     half = sheet.electrode_width / 2
     overlap = np.minimum(edges[1:], half) - np.maximum(edges[:-1], -half)

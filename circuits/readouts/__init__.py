@@ -16,7 +16,7 @@ from ._adjoint import SensitivityGroup
 from ._circuit import Reading, ReadoutCircuit
 from ._ends import sum_of_others
 from ._inverting_amplifier import InvertingAmplifier
-from ._linear import LinearReadout, few_ulp
+from ._linear import LinearReadout, output_rounding
 from ._row_amplifier import RowAmplifier
 from ._voltage_divider import VoltageDivider
 from ._voltage_feedback import VoltageFeedback
@@ -32,6 +32,6 @@ __all__ = [
     "Reading",
     "ReadoutCircuit",
     "SensitivityGroup",
-    "few_ulp",
+    "output_rounding",
     "sum_of_others",
 ]

@@ -1,9 +1,12 @@
-"""Outputs as a linear function of the grid's transfer conductances.
+"""Linear readout: amplifier outputs as a linear function of the grid's transfer conductances, with error bounds.
 
-With grounded idle rows and amplifiers that all hold their inputs at one potential, a scan step is linear in the N x M
-*transfer conductances* of the grid with the columns' ends attached: the current into each column for each row's volts.
-Most frames are of this kind, and the fast solvers compute nothing else. All other frames go through the port network
-(:meth:`._circuit.ReadoutCircuit.read`): dividers, floating rows, unequal offsets, and outputs that saturate.
+The N x M *transfer conductances* are the currents into each column for 1 V at each row, with all other terminals at
+ground and the resistances at the columns' ends included. A readout is linear in the transfer conductances if idle rows
+are grounded and all amplifiers hold their inputs at one potential. Most frames are of this kind, and the fast solvers
+compute the transfer conductances only.
+
+All other frames need the full port network (:meth:`._circuit.ReadoutCircuit.read`): voltage dividers, floating rows,
+unequal offsets, and outputs that saturate.
 """
 
 from __future__ import annotations
@@ -20,24 +23,28 @@ from ..solvers import ULP, Attenuated, Lines, Wires
 
 @dataclass(frozen=True)
 class LinearReadout:
-    """Outputs as a linear function of the transfer conductances (..., N, M)."""
+    """Outputs V = output + slope * (drive * T - source * sum of T over all rows), with transfer conductances T in S.
+
+    T has the shape (..., N, M): one frame of N scan steps and M outputs, or a batch of frames.
+    """
 
     output: FloatArray
-    """V (M,) without current"""
+    """V (M,) of the outputs without input current"""
     slope: FloatArray
-    """V/A (M,)"""
+    """V/A (M,) of each output by the current into its column"""
     drive: float
     """V of the selected row"""
     source: float
-    """V behind the columns' ends, against the reference"""
+    """V at the columns' ends, relative to the potential of the idle rows"""
     supply: tuple[float, float]
+    """V; lowest and highest output"""
     lines: Lines
-    """of the grid, the columns' ends attached"""
+    """wires of the grid, the resistances at the columns' ends included"""
     wires: Wires | None
-    """the same for line attenuation; None where a line is broken"""
+    """resistances of the same wires, for line attenuation; None if a line is broken"""
 
     def volts(self, transfer: FloatArray) -> FloatArray:
-        """(..., N, M) V, had the amplifiers no limits."""
+        """Outputs (..., N, M) in V of amplifiers that never saturate."""
         volts = self.slope * self.drive * transfer
         if self.source:
             volts -= self.source / self.drive * volts.sum(axis=-2, keepdims=True)
@@ -45,46 +52,61 @@ class LinearReadout:
         return volts
 
     def error(self, transfer_error: FloatArray, transfer: FloatArray) -> FloatArray:
-        """How much the outputs (..., N, M) can be wrong, in V, for such errors of the transfer conductances.
+        """Bound (..., N, M) in V on the errors of the outputs.
 
-        Rounding counts for what an output is the sum of, since its parts may cancel.
+        The terms of an output may cancel. Rounding errors are therefore relative to the terms, not to the output.
+
+        Args:
+            transfer_error: (..., N, M) S, bound on the errors of the transfer conductances.
+            transfer: (..., N, M) S, the transfer conductances.
+
         """
-        few = few_ulp(transfer.shape)
+        few = output_rounding(transfer.shape)
         error = self._gain[1] * (transfer_error + few * transfer)
         if self.source:
             error += abs(self.source / self.drive) * error.sum(axis=-2, keepdims=True)
         error += few * np.abs(self.output)
         return error
 
-    def most_volts_per_siemens(self, rows: int) -> float:
-        """V that no output is off by more than, per S that the transfer conductances of ``rows`` rows are off by."""
+    def largest_volts_per_siemens(self, rows: int) -> float:
+        """Largest error of any output in V per S of error of the transfer conductances, for a grid of ``rows`` rows."""
         return float(self._gain[1].max()) * (1.0 + abs(self.source / self.drive) * rows)
 
     def cannot_saturate(self, transfer: FloatArray, error: float) -> bool:
-        """Whether one frame (N, M) in S, off by at most ``error``, stays within the supply.
+        """Whether all outputs of one frame certainly stay within the supply.
 
-        Transfer conductances are never negative. So an output without signal, which stands at a limit of the supply on
-        many boards, is known to be on its right side.
+        Transfer conductances are never negative. We use this because on many boards an output without signal is equal
+        to a limit of the supply, so that an error of either sign would seem to allow saturation.
+
+        Args:
+            transfer: (N, M) S.
+            error: S, bound on the error of each transfer conductance.
+
         """
         bounds = np.stack([np.maximum(transfer - error, 0.0), transfer + error])
         signals = self._gain[0] * bounds
         low, high = signals.min(axis=0), signals.max(axis=0)
         others = -self.source / self.drive * signals.sum(axis=1)
-        rounded = few_ulp(transfer.shape) * (high - low).max(initial=0.0)
+        rounded = output_rounding(transfer.shape) * (high - low).max(initial=0.0)
         low = low + others.min(axis=0) + self.output - rounded
         high = high + others.max(axis=0) + self.output + rounded
         return bool((low >= self.supply[0]).all() and (high <= self.supply[1]).all())
 
     def read(self, known: Attenuated) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """:meth:`volts`; what none of a frame's (...,) is off by more than; and what its largest is no less than; V.
+        """Outputs of frames by line attenuation, with bounds for each whole frame.
 
-        The second is little more than the largest :meth:`error`, but without one for every output. The third follows
-        from the transfer conductances being too low, if anything, where no output has another part.
+        Returns:
+            Outputs (..., N, M) in V; an upper bound (...,) in V on the errors of each frame; a lower bound (...,) in V
+            on the largest magnitude among the exact outputs of each frame. The upper bound is slightly larger than the
+            maximum of :meth:`error`, but does not need an array of one error for each output. Where outputs are
+            proportional to the transfer conductances, the lower bound uses that line attenuation never overestimates
+            these beyond ``rounded``.
+
         """
         gain, size, shift = self._gain
         volts = gain * known.transfer
         lifted = np.maximum.reduce(size * known.column, axis=-1)
-        few = few_ulp(volts.shape)
+        few = output_rounding(volts.shape)
         relative = known.rounded + few
         signal = np.abs(volts)
         largest = np.maximum.reduce(signal, axis=(-2, -1))
@@ -103,18 +125,22 @@ class LinearReadout:
 
     @cached_property
     def _gain(self) -> tuple[FloatArray, FloatArray, float]:
-        """V/S (M,) of what the selected row brings, its size, and the largest output in V without any current."""
+        """V/S (M,) of output by transfer conductance, its magnitude, and the largest magnitude of ``output`` in V."""
         gain = self.slope * self.drive
         return gain, np.abs(gain), float(np.abs(self.output).max())
 
     def within_supply(self, volts: FloatArray, error: FloatArray | float = 0.0) -> BoolArray:
-        """(...,) whether no output of a frame can have reached a limit."""
+        """Whether no output of each frame (...,) can have reached a limit, for volts and errors (..., N, M) in V."""
         low, high = self.supply
         if low == -inf and high == inf:
             return np.ones(volts.shape[:-2], dtype=np.bool_)
         return np.asarray(((volts - error >= low) & (volts + error <= high)).all(axis=(-2, -1)))
 
 
-def few_ulp(shape: tuple[int, ...]) -> float:
-    """Relative: the conversion of resistances (..., N, M), and the last steps from conductances to volts."""
+def output_rounding(shape: tuple[int, ...]) -> float:
+    """Bound on the relative rounding error of an output's terms, apart from that of the solver.
+
+    The bound covers the conversion of resistances (..., N, M) to conductances, and the steps from transfer conductances
+    to volts, which include a sum over the rows.
+    """
     return (20.0 + sum(shape[-2:])) * ULP

@@ -1,17 +1,38 @@
-"""The numerics of :mod:`._recover`: conductances that give the readings, and how far off they can be.
+"""Fixed-point iteration and Newton's method with a frozen Jacobian: conductances from readings, with error bounds.
 
-What is compared is the conductance that equation (10) makes of a reading, after the model's own offsets are taken
-out of it. On a good board that is the cell's own but for a small crosstalk, so that correcting each cell by what its
-own reading still lacks gains a digit or more each time and needs no derivatives. Where it gains less, the derivatives
-of all readings by all cells (:mod:`._sensitivity`) are factored once, and kept as long as they serve: over the
-iterations of a frame, and over the frames of a stream.
+This module is the numerical part of :mod:`._recover`.
 
-How far the cells can be off is what the readings are off, amplified. Of a factorisation at hand the amplification of
-each cell is estimated from its answers to random signs: their mean square is the sum of the squares of the cell's row
-of the inverse, and 16 of them tell it to a quarter. Where nothing was factored, corrections shrank by a factor rho in
-each iteration, so that they add up to 1 / (1 - rho) of what a cell's own reading asks for. On boards whose readings may
-be far from their own cells a fast start says little of the slowest error: there the derivatives are factored at once
-or, where there are none, the slowest error is looked for by power iteration.
+Unknowns and equations
+----------------------
+Readings are compared as apparent conductances. The apparent conductance of a reading is the one from equation (10) of
+the paper, after the offsets of the model are subtracted from the reading. On a good board the apparent conductance of
+a cell equals its true conductance except for a small crosstalk.
+
+Iteration
+---------
+1. Fixed-point iteration: each cell is corrected by the difference between its own measured and modelled apparent
+   conductance. With small crosstalk each iteration gains at least one digit, and no derivatives are needed.
+2. Newton's method with a frozen Jacobian (the chord or simplified Newton method; Kelley, "Iterative Methods for Linear
+   and Nonlinear Equations", 1995, chapter 5): used where the fixed-point iteration converges too slowly. The
+   derivatives of all readings by all cells come from the adjoint method (:mod:`.._sensitivity`). Their LU
+   factorisation is kept while it converges fast enough, also over the following frames of a stream.
+3. Homotopy (continuation in the readings): used where both methods fail. The readings move in steps from a solved
+   frame to the measured one.
+
+Error bounds
+------------
+The error of the cells is the error of the readings times an amplification.
+
+With a factored Jacobian J, the amplification of a cell is the norm of its row of the inverse of J. We estimate this
+norm from solutions whose right-hand sides are random vectors of +1 and -1, as in Hutchinson's trace estimator (1990).
+The mean square of a cell's solutions has the square of the norm as its expectation. 16 vectors give the norm to about
+a quarter.
+
+Without a Jacobian, let rho be the ratio of successive corrections. The remaining corrections then sum to at most
+1 / (1 - rho) times the present one (geometric series).
+
+On strongly coupled boards early convergence can hide one slow mode. We therefore factor the Jacobian at once. Where no
+derivatives are available, we estimate the rate of the slow mode by power iteration.
 """
 
 from __future__ import annotations
@@ -32,54 +53,58 @@ from .._exact import read_exactly
 from .._sensitivity import LARGEST, board_sensitivity
 from ..solvers import ULP
 
-# By number of cells: error that may be left of each iteration's before the derivatives are factored (anew), and most
-# iterations. A factorisation costs as much as 5 evaluations of an 8 x 8, 30 of a 32 x 32 and 300 of a 64 x 64.
-_PATIENCE = ((16 * 16, 0.03, 40), (32 * 32, 0.5, 60), (LARGEST, 0.9, 200))
-_MOST = 200  # iterations without derivatives
-_FEW = 15  # iterations from one frame to a similar one
-_NOTHING = 1e-13  # of the largest apparent conductance: smaller ones are rounding
-_ROUNDING = 1e-8  # residual below which progress may end by rounding alone, not by a bad direction
-_LEAST_STRIDE = 1e-3  # along a path of readings
-_LEAST = 1e-300  # S
-_LEAST_CHANGE = 1e-6  # relative, of a correction that may still be halved
-_PROBES = 6  # evaluations for the slowest error
-_PROBE = 1e-4  # relative size of a probe
-_SIGNS = 16  # vectors of random signs
-_DOUBT = 1e-3  # relative error of cells that are not to be called read for a reason that has no number
-_TOO_FAR = 0.1  # relative error over which the derivatives may have changed
-_TRIFLE = 1e-6  # relative error that derivatives are good for, whatever happens elsewhere
-_SINGULAR = 1e7  # amplification that derivatives in doubles may as well have from their rounding
-_CAUTION = 4.0  # by which an estimated amplification is multiplied: errors need not be independent
+# Each entry: largest number of cells, slowest accepted ratio of successive errors, largest number of iterations. Slower
+# convergence leads to a new Jacobian. The ratio grows with the array, because a factorisation costs as much as 5 model
+# evaluations of an 8 x 8 array, 30 of a 32 x 32 array and 300 of a 64 x 64 array.
+_PATIENCE_BY_SIZE = ((16 * 16, 0.03, 40), (32 * 32, 0.5, 60), (LARGEST, 0.9, 200))
+_MOST_FIXED_POINT = 200  # iterations where no derivatives are available
+_MOST_BESIDE = 15  # iterations from one solution to a similar one
+_ROUNDING_SHARE = 1e-13  # share of the largest apparent conductance below which a reading is rounding
+_ROUNDING_RESIDUAL = 1e-8  # relative residual below which a stall counts as rounding, not as a bad direction
+_LEAST_STRIDE = 1e-3  # smallest step of the homotopy, as a share of the whole path
+_LEAST_CONDUCTANCE = 1e-300  # S: avoids a division by zero
+_LEAST_CHANGE = 1e-6  # relative size below which a correction is not halved again
+_PROBES = 6  # power iterations for the slowest mode
+_PROBE = 1e-4  # relative change of the cells in a power iteration
+_SIGNS = 16  # random sign vectors for the amplification
+_DOUBT = 1e-3  # relative error assigned to cells of unreliable solutions; too large for the status READ
+_LINEAR_RANGE = 0.1  # relative error above which the linearisation is not trusted
+_SURELY_LINEAR = 1e-6  # relative error below which the linearisation is always trusted
+_SINGULAR = 1e7  # amplification above which rounding in double precision may hide a singular Jacobian
+_CAUTION = 4.0  # safety factor on an estimated amplification, because errors need not be independent
 
 
 class Found(NamedTuple):
-    """Conductances that give the readings. Arrays are (N, M)."""
+    """Conductances that reproduce the readings, with error bounds. Arrays are (N, M)."""
 
     conductance: FloatArray
     """S"""
     target: FloatArray
-    """S: apparent conductances, the model's offsets taken out"""
+    """S: measured apparent conductances, after subtraction of the model's offsets"""
     error: FloatArray
-    """S by which the residual and the rounding of the readings can move them; inf where they say nothing"""
+    """S: error bound from the residual and the rounding of the readings; inf where there is no bound"""
     clamped: BoolArray
-    """open cells whose reading no conductance gives"""
+    """cells set to zero although their reading asks for a negative conductance"""
     residual: float
     iterations: int
     factored: int
 
 
 class Model:
-    """Readings as a function of conductances: the part that the drive makes, and the rest (reference, offsets)."""
+    """Forward model: readings as a function of conductances.
+
+    A reading is the sum of a signal, which is proportional to the drive, and a rest from the reference and the offsets.
+    """
 
     def __init__(self, design: Design) -> None:
-        """``design``: outputs at its supply limits are for :meth:`limited` only."""
+        """Prepare the model of ``design``. Only :meth:`limited` applies its supply limits."""
         self.limited_board = design.board
         unlimited = design.replace(readout={"supply": (-inf, inf)})
         self.board = board = unlimited.board
         self.circuit = board.circuit
         self.has_derivatives = not board.continuous and board.shape[0] * board.shape[1] <= LARGEST
         self.couples = board.circuit.mixes_cells or board.floating or not board.plain or bool(board.shorts)
-        """whether readings may be far from their own cells, however light the lines are"""
+        """whether crosstalk may be large even if the line resistances are small"""
         self.level, self.drive = board.level, board.drive
         ends = None if board.floating else board.circuit.ends(board)
         self._ends = ends if ends is not None and np.ptp(ends.source) == 0 else None
@@ -89,7 +114,7 @@ class Model:
         )
 
     def split(self, conductance: FloatArray) -> tuple[FloatArray, FloatArray | float]:
-        """V that the drive makes, and what is there without it; no output has a limit."""
+        """Signal (N, M) in V, and rest (N, M) or a number in V, without supply limits."""
         with np.errstate(divide="ignore"):
             cells = 1.0 / conductance
         volts = read_exactly(self.board, cells)[0].volts
@@ -98,13 +123,14 @@ class Model:
         if self._ends is None:
             other = read_exactly(self._turned_drive, cells)[0].volts
             return (volts - other) / 2, (volts + other) / 2
-        # In its own step a cell gets the drive, and in every step all cells of a column get the same source.
+        # Superposition: a cell is driven in the step of its own row only, while the sources of its column act in every
+        # step. The sum over the rows gives the part of these sources.
         above, source = volts - self._ends.output, float(self._ends.source[0])
         signal = above + source * (above.sum(axis=0) / (self.drive - len(volts) * source))
         return signal, volts - signal
 
     def limited(self, conductance: FloatArray, volts: FloatArray) -> FloatArray:
-        """V of the outputs within their supply, given those that have no limit."""
+        """Output volts (N, M) with supply limits, given the ``volts`` (N, M) without limits."""
         low, high = self.limited_board.supply
         if (volts >= low).all() and (volts <= high).all():
             return volts
@@ -112,7 +138,7 @@ class Model:
             return read_exactly(self.limited_board, 1.0 / conductance)[0].volts
 
     def apparent(self, signal: FloatArray) -> FloatArray:
-        """Conductance in S that the ideal circuit would need for a signal (N, M) in V; 0 where there is none."""
+        """Conductances in S (N, M) with which an ideal circuit has this signal (N, M) in V; 0 where the signal is 0."""
         return self.circuit.apparent_conductance(self.board, signal)
 
     def slope(self, signal: FloatArray) -> FloatArray:
@@ -125,19 +151,19 @@ class Model:
 
 
 class Factor:
-    """Derivatives of all readings by all cells, each in units of its own, factored; cells may be kept out of it."""
+    """LU factorisation of the Jacobian of all readings by all cells, in scaled units. Cells may be left out."""
 
     def __init__(
         self, board: Board, conductance: FloatArray, unit: FloatArray, per_volt: FloatArray, live: BoolArray
     ) -> None:
-        """Work them out; all arrays are (N, M).
+        """Compute the Jacobian and factor it. All arrays are (N, M).
 
         Args:
-            board: without limits, or standing at them.
-            conductance: S.
-            unit: S of each cell.
-            per_volt: units of each reading.
-            live: cells that take part.
+            board: the board, without supply limits or with outputs at them.
+            conductance: S, where the derivatives are taken.
+            unit: S, the unit of each cell's change.
+            per_volt: units of each reading per volt.
+            live: True for the cells of the Jacobian.
 
         """
         with np.errstate(divide="ignore"):
@@ -149,45 +175,58 @@ class Factor:
         jacobian[:, ~used] = 0.0
         jacobian[~used, ~used] = 1.0
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LinAlgWarning)  # singular: solve() finds out
+            warnings.simplefilter("ignore", LinAlgWarning)  # solve() recognises a singular matrix
             self._lu = lu_factor(jacobian, overwrite_a=True, check_finite=False)
 
     def solve(self, off: FloatArray, live: BoolArray) -> FloatArray:
-        """Change (N, M) of the live cells for differences ``off`` of the readings."""
-        step = self._answers(off.ravel()).reshape(off.shape)
+        """Changes (N, M) of the live cells for the differences ``off`` (N, M) of the readings.
+
+        Raises:
+            SolverError: the Jacobian is singular.
+
+        """
+        step = self._back_substitute(off.ravel()).reshape(off.shape)
         if not np.isfinite(step).all():
             raise SolverError("the readings do not determine the cells: other resistances would give the same ones")
         return np.where(live, step, 0.0)
 
     def inverse(self) -> FloatArray:
-        """(NM, NM); inf where there is none."""
-        inverse = self._answers(np.eye(len(self._lu[0])))
+        """Inverse Jacobian (NM, NM); inf where the matrix is singular."""
+        inverse = self._back_substitute(np.eye(len(self._lu[0])))
         return np.where(np.isfinite(inverse), inverse, inf)
 
     def spread(self, errors: FloatArray) -> FloatArray:
-        """(K, N, M): about what independent errors of the readings make of the cells, for each of K kinds (K, N, M) of
-        them, see the top of this module.
+        """Estimate the standard deviations of the cells for independent errors of the readings.
+
+        The estimate uses random sign vectors, see the module docstring.
+
+        Args:
+            errors: (K, N, M), standard deviations of the readings for each of K kinds of error.
+
+        Returns:
+            (K, N, M); inf where the Jacobian is singular.
+
         """
         signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(errors), _SIGNS, len(self._lu[0])))
         right = (signs * errors.reshape(len(errors), 1, -1)).reshape(-1, len(self._lu[0])).T
-        size: FloatArray = np.sqrt((self._answers(right).reshape(-1, len(errors), _SIGNS) ** 2).mean(axis=-1))
+        size: FloatArray = np.sqrt((self._back_substitute(right).reshape(-1, len(errors), _SIGNS) ** 2).mean(axis=-1))
         return np.where(np.isfinite(size), size, inf).T.reshape(errors.shape)
 
-    def _answers(self, right: FloatArray) -> FloatArray:
+    def _back_substitute(self, right: FloatArray) -> FloatArray:
         with np.errstate(all="ignore"):
             answers: FloatArray = lu_solve(self._lu, right, check_finite=False)
         return answers
 
 
 class Held(NamedTuple):
-    """Cells whose conductance is given instead of their reading. Arrays are (N, M)."""
+    """Cells with a prescribed conductance, whose readings are ignored. Arrays are (N, M)."""
 
     cells: BoolArray
     conductance: FloatArray
-    """S; of the others of no meaning"""
+    """S; only the values of the held cells are used"""
 
     def put_into(self, conductance: FloatArray) -> FloatArray:
-        """``conductance`` with these cells at theirs."""
+        """``conductance`` (N, M) in S with the prescribed values of the held cells."""
         return np.where(self.cells, self.conductance, conductance)
 
 
@@ -195,50 +234,50 @@ class _Solution(NamedTuple):
     conductance: FloatArray
     """S (N, M)"""
     target: FloatArray
-    """S (N, M): what the readings say"""
+    """S (N, M): measured apparent conductance"""
     signal: FloatArray
-    """V (N, M): what the model says"""
+    """V (N, M): modelled signal"""
     rounded: FloatArray
-    """V (N, M) that carry the rounding of the readings"""
+    """V (N, M): sum of magnitudes that scales the rounding error of each reading"""
     residual: float
-    """relative, of readings that tell of their cells"""
+    """largest relative difference of the readings that determine their cells"""
     clamped: BoolArray
-    """(N, M) open cells whose reading no conductance gives"""
-    below: float
-    """S by which it is off at most"""
+    """(N, M) cells at zero whose measured and modelled readings differ"""
+    contradiction: float
+    """S: largest such difference, as an apparent conductance"""
     iterations: int
     factored: int
 
 
 class _Comparison(NamedTuple):
-    """The model's readings beside the measured ones, as apparent conductances. Arrays are (N, M)."""
+    """Modelled and measured readings as apparent conductances. Arrays are (N, M)."""
 
     conductance: FloatArray
-    """S, of the cells in the model"""
+    """S of the cells in the model"""
     signal: FloatArray
-    """V that the drive makes"""
+    """V: modelled part that is proportional to the drive"""
     rest: FloatArray | float
-    """V that is there without it"""
+    """V: modelled part without the drive"""
     reading: FloatArray
-    """S, what the model reads"""
+    """S: modelled apparent conductance"""
     target: FloatArray
-    """S, what was measured"""
+    """S: measured apparent conductance"""
     error: float
-    """largest relative difference of readings that tell of their cells"""
+    """largest relative difference of the readings that determine their cells"""
 
     @property
     def missing(self) -> FloatArray:
-        """S that each reading lacks."""
+        """Measured minus modelled apparent conductance in S."""
         return self.target - self.reading
 
     @property
     def live(self) -> BoolArray:
-        """Cells that conduct and are read."""
+        """Cells that conduct and whose modelled reading is positive."""
         return np.asarray((self.conductance > 0) & (self.reading > 0))
 
 
 class _Correction(NamedTuple):
-    """Conductances and the relative change that each is to have. Arrays are (N, M)."""
+    """A step of the iteration: conductances and their relative changes. Arrays are (N, M)."""
 
     base: FloatArray
     """S"""
@@ -248,68 +287,79 @@ class _Correction(NamedTuple):
         return _Correction(self.base, self.change / 2)
 
     def result(self) -> FloatArray:
-        """S (N, M)"""
+        """Conductances in S (N, M) after the step."""
         return self.base * (1.0 + self.change)
 
 
 @dataclass
 class _Progress:
-    """How the error of an iteration goes down."""
+    """Convergence history of an iteration."""
 
     last: float = inf
-    """error from which the last full correction was made"""
+    """error before the last full correction"""
     best: float = inf
+    """smallest error so far"""
     rate: float = 0.0
-    """largest ratio of an error to the one before, since the derivatives were factored"""
+    """largest ratio of successive errors since the Jacobian was factored"""
     _without_gain: int = 0
 
     def see(self, error: float, *, after_new_factor: bool) -> None:
-        """Take the next error."""
+        """Record the next error."""
         self._without_gain = self._without_gain + 1 if error > 0.95 * self.best else 0
-        if self.last < inf and not after_new_factor and not (error > 0.5 * self.last and error <= _ROUNDING):
+        if self.last < inf and not after_new_factor and not (error > 0.5 * self.last and error <= _ROUNDING_RESIDUAL):
             self.rate = max(self.rate, error / self.last)
         self.best = min(self.best, error)
 
     @property
     def stalled(self) -> bool:
-        """Whether more than three corrections gained nothing."""
+        """Whether more than three successive corrections reduced the best error by less than 5 %."""
         return self._without_gain > 3
 
 
 class Inverter:
-    """Readings to conductances, frame after frame: starts from the frame before and keeps its factorisation."""
+    """Solver for a stream of frames: starts from the previous solution and reuses its factored Jacobian."""
 
     def __init__(self, model: Model, unread: BoolArray, accuracy: float) -> None:
-        """``unread`` (N, M): cells that no reading tells of."""
+        """Prepare the solver.
+
+        Args:
+            model: the forward model.
+            unread: (N, M), cells that no reading depends on.
+            accuracy: relative residual at which the iteration stops.
+
+        """
         self._model, self._unread, self._accuracy = model, unread, accuracy
-        patience = (limits[1:] for limits in _PATIENCE if unread.size <= limits[0] and model.has_derivatives)
-        self._slow, self._most = next(patience, (inf, _MOST))
+        patience = (limits[1:] for limits in _PATIENCE_BY_SIZE if unread.size <= limits[0] and model.has_derivatives)
+        self._slowest_rate, self._most_iterations = next(patience, (inf, _MOST_FIXED_POINT))
         self._start: FloatArray | None = None
-        self._held: BoolArray | None = None  # the cells that were held then
+        self._held: BoolArray | None = None  # held cells of that solution
         self._factor: Factor | None = None
-        self._tried = False  # whether a path of readings has been gone in vain
-        self._rate = 0.0  # at which errors shrink with it, at worst
+        self._homotopy_tried = False  # whether the homotopy was tried before
+        self._rate = 0.0  # largest ratio of successive errors with this factor
         self._singular = self._probed = False
-        self._amplified: FloatArray | None = None  # S (3, N, M): what errors of the readings of size 1 become
+        self._amplified: FloatArray | None = None  # S (3, N, M) per unit error of the readings, see _error()
 
     def __call__(self, measured: FloatArray) -> Found:
-        """Directly or, where that leads nowhere, along a path of readings from a known frame to the measured one.
+        """Solve for the conductances of one frame, by homotopy if the direct iteration fails.
+
+        Args:
+            measured: V (N, M).
 
         Raises:
-            SolverError: nothing was found.
+            SolverError: no conductances were found that reproduce the readings.
 
         """
         model, start = self._model, self._start
         apparent = np.where(self._unread, 0.0, model.apparent(measured - model.level))
-        found = self._follow(measured, apparent if start is None else start, self._accuracy, self._most)
+        found = self._iterate(measured, apparent if start is None else start, self._accuracy, self._most_iterations)
         if found is None and start is not None:
             self._factor = None
-            found = self._follow(measured, apparent, self._accuracy, self._most)
-        clamped = found is not None and found.below > 1e3 * self._accuracy * found.target.max()
-        if found is None or (clamped and not self._tried):
-            self._tried = True
-            along = self._along_a_path(measured, apparent)
-            if along is not None and (found is None or along.below < found.below):
+            found = self._iterate(measured, apparent, self._accuracy, self._most_iterations)
+        clamped = found is not None and found.contradiction > 1e3 * self._accuracy * found.target.max()
+        if found is None or (clamped and not self._homotopy_tried):
+            self._homotopy_tried = True
+            along = self._by_homotopy(measured, apparent)
+            if along is not None and (found is None or along.contradiction < found.contradiction):
                 found = along
         if found is None:
             self._start = self._factor = None
@@ -318,20 +368,23 @@ class Inverter:
                 "and that its circuit determines the cells"
             )
         self._start = found.conductance
-        # What a cell adds to its own reading must stand out from what the model is uncertain by.
+        # A conductance below the uncertainty of its own apparent conductance is set to zero.
         seen = found.conductance > 10 * max(found.residual, self._accuracy) * found.target
         return Found(
             conductance=np.where(seen, found.conductance, 0.0),
             target=found.target,
             error=self._error(found),
-            clamped=found.clamped & (found.below > 1e3 * self._accuracy * found.target.max()),
+            clamped=found.clamped & (found.contradiction > 1e3 * self._accuracy * found.target.max()),
             residual=found.residual,
             iterations=found.iterations,
             factored=found.factored,
         )
 
-    def _along_a_path(self, measured: FloatArray, apparent: FloatArray) -> _Solution | None:
-        """From the readings that the conductances ``apparent`` would give, step by step."""
+    def _by_homotopy(self, measured: FloatArray, apparent: FloatArray) -> _Solution | None:
+        """Homotopy: the readings move in steps from those of the conductances ``apparent`` to ``measured``.
+
+        A step that fails is halved; the step after a success is 1.5 times as long.
+        """
         signal, rest = self._model.split(apparent)
         origin, here, done, stride, iterations, factored = signal + rest, apparent, 0.0, 0.25, 0, 0
         found: _Solution | None = None
@@ -339,7 +392,7 @@ class Inverter:
             goal = min(1.0, done + stride)
             last = goal == 1
             between = measured if last else origin + goal * (measured - origin)
-            found = self._follow(between, here, self._accuracy if last else 1e-4, 12)
+            found = self._iterate(between, here, self._accuracy if last else 1e-4, 12)
             if found is None:
                 stride /= 2
             else:
@@ -348,20 +401,23 @@ class Inverter:
         return found and found._replace(iterations=iterations, factored=factored)
 
     def beside(self, measured: FloatArray, held: Held, start: FloatArray) -> FloatArray | None:
-        """The conductances that give the readings of all cells but those ``held``; None if none were found.
+        """Solve for the cells other than those ``held``, from their own readings.
 
         Args:
             measured: (N, M) V.
-            held: outputs in their rows may stand at a supply limit.
-            start: (N, M) S where to look first, unless a frame before says better.
+            held: cells with prescribed conductance. Outputs may be at a supply limit.
+            start: (N, M) S, initial values. The previous solution with the same held cells is tried before.
+
+        Returns:
+            Conductances in S (N, M), or None if none were found.
 
         """
         if self._held is None or not np.array_equal(self._held, held.cells):
             self._held, self._start, self._factor = held.cells, None, None
         for first in (start,) if self._start is None else (self._start, start):
             try:
-                found = self._follow(measured, held.put_into(first), self._accuracy, _FEW, held)
-            except SolverError:  # singular on the way
+                found = self._iterate(measured, held.put_into(first), self._accuracy, _MOST_BESIDE, held)
+            except SolverError:  # singular Jacobian
                 found = None
             if found is not None:
                 self._start = found.conductance
@@ -369,30 +425,44 @@ class Inverter:
             self._start = self._factor = None
         return None
 
-    def _follow(
+    def _iterate(
         self, measured: FloatArray, conductance: FloatArray, accuracy: float, most: int, held: Held | None = None
     ) -> _Solution | None:
-        """Correct ``conductance`` until its readings are the measured ones; None if it does not come to that.
+        """Iterate from ``conductance`` until the modelled readings agree with the measured ones.
 
-        A correction takes what each cell's own reading lacks or, where that gains too little, Newton's step with the
-        factored derivatives. A full Newton step that makes things worse is halved until it does not.
+        Each iteration is a fixed-point correction or, if these converge too slowly, a Newton step with the factored
+        Jacobian. The first step with a new Jacobian is damped: it is halved until the error no longer grows.
+
+        Args:
+            measured: V (N, M).
+            conductance: S (N, M), initial values.
+            accuracy: relative residual at which the iteration stops.
+            most: largest number of iterations.
+            held: cells with prescribed conductance.
+
+        Returns:
+            The solution, or None if the iteration did not converge.
+
+        Raises:
+            SolverError: the Jacobian is singular.
+
         """
         model, factor = self._model, self._factor
-        slow = self._slow if held is None or conductance.size <= _PATIENCE[0][0] else inf
-        at_once = model.couples and slow < inf
-        blind = self._unread if held is None else self._unread | held.cells
+        slowest_rate = self._slowest_rate if held is None or conductance.size <= _PATIENCE_BY_SIZE[0][0] else inf
+        at_once = model.couples and slowest_rate < inf
+        ignored = self._unread if held is None else self._unread | held.cells
         progress, factored, is_new = _Progress(), 0, False
         correction = _Correction(conductance, np.zeros_like(conductance))
         for iteration in range(1, most + 1):
-            at = self._compare(measured, conductance, blind, held)
+            at = self._compare(measured, conductance, ignored, held)
             progress.see(at.error, after_new_factor=is_new)
-            if at.error <= accuracy or (progress.stalled and at.error <= _ROUNDING):
+            if at.error <= accuracy or (progress.stalled and at.error <= _ROUNDING_RESIDUAL):
                 self._keep(factor, progress.rate)
-                return self._solution(measured, at, blind, iteration, factored)
+                return self._solution(measured, at, ignored, iteration, factored)
             if is_new and at.error > progress.last and np.abs(correction.change).max() > _LEAST_CHANGE:
                 correction = correction.halved()
             else:
-                is_new = (at.error > slow * progress.last and at.error > _ROUNDING) or (
+                is_new = (at.error > slowest_rate * progress.last and at.error > _ROUNDING_RESIDUAL) or (
                     iteration == 1 and factor is None and at_once
                 )
                 if is_new:
@@ -406,33 +476,34 @@ class Inverter:
         return None
 
     def _compare(
-        self, measured: FloatArray, conductance: FloatArray, blind: BoolArray, held: Held | None
+        self, measured: FloatArray, conductance: FloatArray, ignored: BoolArray, held: Held | None
     ) -> _Comparison:
-        """The model's readings beside the measured ones; ``blind`` (N, M): readings that tell nothing of their cell."""
+        """Compare modelled and measured readings, except at cells ``ignored`` (N, M)."""
         model = self._model
         signal, rest = model.split(conductance)
         if held is not None:
             signal = model.limited(conductance, signal + rest) - rest
         reading, target = model.apparent(signal), model.apparent(measured - rest)
-        reading[blind] = target[blind] = 0.0
+        reading[ignored] = target[ignored] = 0.0
         largest = np.maximum(target, reading)
         missing = target - reading
-        # What is below rounding of the largest reading tells nothing, and an open cell cannot give less than none:
-        # beside held cells less than what others bring into its reading.
+        # Two kinds of readings do not count in the error: those that are rounding compared with the largest one, and
+        # those of open cells that ask for a negative conductance. With held cells, an open cell may have a reading from
+        # crosstalk alone, so the difference decides instead of the measured value.
         more = target > 0 if held is None else missing > 0
-        telling = (largest > _NOTHING * largest.max(initial=0.0)) & (more | (conductance > 0))
+        telling = (largest > _ROUNDING_SHARE * largest.max(initial=0.0)) & (more | (conductance > 0))
         off = np.divide(np.abs(missing), largest, out=np.zeros_like(missing), where=telling)
         return _Comparison(conductance, signal, rest, reading, target, float(off.max(initial=0.0)))
 
     def _correction(self, at: _Comparison, factor: Factor | None, *, beside_held: bool) -> _Correction:
-        """By the derivatives or, without them, by what each cell's own reading lacks."""
+        """Newton step with ``factor``, or a fixed-point correction if ``factor`` is None."""
         missing, reading, live = at.missing, at.reading, at.live
         if factor is None:
             change = np.divide(missing, np.minimum(at.conductance, reading), out=np.zeros_like(missing), where=live)
         else:
             change = factor.solve(np.divide(missing, reading, out=np.zeros_like(missing), where=live), live)
         change = np.clip(change, -0.9, 6.0)
-        # Cells that give no current so far get what is missing; those that should give less than none, none.
+        # Cells without a modelled reading start at the missing conductance. Cells that would become negative get zero.
         before = 2.0 * at.conductance if beside_held else 0.0
         base = np.where(live, at.conductance, before + np.maximum(missing, 0.0))
         base[(change <= -0.9) & (at.conductance < 1e-3 * at.target)] = 0.0
@@ -440,16 +511,16 @@ class Inverter:
         return _Correction(base, change)
 
     def _keep(self, factor: Factor | None, rate: float) -> None:
-        """Remember a factorisation for the frames that follow, and the worst rate of convergence seen with it."""
+        """Keep the factorisation for the following frames, with its slowest rate of convergence."""
         if factor is not self._factor:
             self._factor, self._amplified, self._rate, self._singular = factor, None, 0.0, False
         self._rate = max(self._rate, min(rate, 0.999))
 
     def _solution(
-        self, measured: FloatArray, at: _Comparison, blind: BoolArray, iterations: int, factored: int
+        self, measured: FloatArray, at: _Comparison, ignored: BoolArray, iterations: int, factored: int
     ) -> _Solution:
         lacking = self._model.slope(at.signal) * (measured - at.rest - at.signal)
-        contradicted = np.where((at.conductance == 0) & ~blind, lacking, 0.0)
+        contradicted = np.where((at.conductance == 0) & ~ignored, lacking, 0.0)
         return _Solution(
             conductance=at.conductance,
             target=at.target,
@@ -457,21 +528,21 @@ class Inverter:
             rounded=np.abs(measured) + np.abs(at.rest),
             residual=at.error,
             clamped=contradicted != 0,
-            below=float(np.abs(contradicted).max()),
+            contradiction=float(np.abs(contradicted).max()),
             iterations=iterations,
             factored=factored,
         )
 
     def _error(self, found: _Solution) -> FloatArray:
-        """:attr:`Found.error`, by what this inverter remembers."""
-        model, conductance, below = self._model, found.conductance, found.below
+        """Error bounds in S (N, M) for :attr:`Found.error`, see the module docstring."""
+        model, conductance, contradiction = self._model, found.conductance, found.contradiction
         reading, slope = model.apparent(found.signal), model.slope(found.signal)
         rounded, largest = found.rounded * np.abs(slope), float(reading.max(initial=0.0)) or 1.0
         if self._factor is None:
             if model.couples and not self._probed:
-                self._probed, self._rate = True, max(self._rate, self._probe(conductance, found.signal))
-            off = np.maximum(found.residual * reading, 8 * ULP * rounded) + below * self._rate
-            error = off * np.maximum(conductance / np.maximum(reading, _LEAST), 1.0)
+                self._probed, self._rate = True, max(self._rate, self._slowest_mode_rate(conductance, found.signal))
+            off = np.maximum(found.residual * reading, 8 * ULP * rounded) + contradiction * self._rate
+            error = off * np.maximum(conductance / np.maximum(reading, _LEAST_CONDUCTANCE), 1.0)
         else:
             if self._amplified is None:
                 unit = np.where(conductance > 0, conductance, np.maximum(reading, 1e-9 * largest))
@@ -479,26 +550,30 @@ class Inverter:
                 kinds = np.array([reading, rounded, conductance == 0])
                 spread = factor.spread(kinds / unit)
                 self._amplified, self._singular = _CAUTION * unit * spread, bool(spread[0].max() > _SINGULAR)
-            sizes = np.array([found.residual, 8 * ULP, below])
+            sizes = np.array([found.residual, 8 * ULP, contradiction])
             with np.errstate(invalid="ignore"):
                 error = np.nan_to_num(sizes[:, None, None] * self._amplified, posinf=inf).sum(axis=0)
         error = error / (1.0 - self._rate)
-        # Readings that contradict each other may be of quite other cells, for all that was found. Noise does that, too.
-        doubt = min(_CAUTION * below / largest, _DOUBT)
-        if not model.has_derivatives and model.board.faults:  # which make couplings that no probe is sure to find
+        # Readings that contradict each other may belong to a different solution. Noise can also cause a contradiction.
+        doubt = min(_CAUTION * contradiction / largest, _DOUBT)
+        if (
+            not model.has_derivatives and model.board.faults
+        ):  # faults can couple cells in ways that the power iteration may miss
             doubt = _DOUBT
         error = error + doubt * conductance
         own = np.where(conductance > 0, conductance, largest)
         relative = error / own
-        if self._singular:  # for all that doubles tell, some cells may be anything: what else would that move?
+        if self._singular:  # a null vector within rounding: scale the errors so that the largest is 1
             relative = np.maximum(relative / (min(float(relative.max()), 1.0) or 1.0), _DOUBT)
-        # Where the derivatives themselves do not hold over such an error, nothing is known of what it moves.
-        void = (relative > _TRIFLE) & ((relative > _TOO_FAR).any() | (conductance == 0))
+        # The bounds are linear. If some error exceeds the range of the linearisation, only tiny bounds are kept.
+        void = (relative > _SURELY_LINEAR) & ((relative > _LINEAR_RANGE).any() | (conductance == 0))
         return np.where(void, inf, relative * own)
 
-    def _probe(self, conductance: FloatArray, signal: FloatArray) -> float:
-        """At what rate errors of any kind shrink, by power iteration: those that the readings hardly show are not among
-        what a solution has left, and where there are no derivatives nothing else tells of them.
+    def _slowest_mode_rate(self, conductance: FloatArray, signal: FloatArray) -> float:
+        """Convergence rate of the slowest mode of the fixed-point iteration, by power iteration.
+
+        Readings hardly show the slowest mode, so the residual of a solution can be small while this mode is not. Where
+        no derivatives are available, power iteration is the only way to find the mode.
         """
         model = self._model
         reading = model.apparent(signal)

@@ -1,29 +1,49 @@
-"""Turning the scan round: the cells' true resistances from the readings, by inverting the whole circuit model.
+"""Inverse problem of a scan: cell resistances from the readings, with an interval for each cell.
 
-Strategy
---------
-Without resistance in the row lines the columns are independent of each other and there is a closed form: of a column
-whose outputs are known, so are the potentials at its cells, and what is left is linear. All other boards are for the
-iteration in :mod:`._inversion`. Either way each cell comes with how far it can be off, and none is called read that
-may be off by more than 10,000 times the accuracy asked for.
+Methods
+-------
+Independent columns have a closed-form solution (:class:`_Columns`). Columns are independent if the row lines have no
+resistance and the column lines have none between their cells. An output then fixes the potential at the cells of its
+column, and the remaining equations are linear.
 
-Cells that are not known
-------------------------
-A reading at a limit says that a cell's conductance lies beyond something, not what it is; a cell behind a complete
-break conducts as well, and no reading is its own. Such cells are marked and NaN, and what the others are depends on
-what those may be: from the conductance that just reaches the limit up to a short, or down to nothing; behind a break
-from nothing to a short. So the others are recovered again while the unknown cells go to the far end of their range,
-outputs at their supply limits as the circuit has them, and what they pass through on the way is what is known of them.
+All other boards are solved by fixed-point iteration and Newton's method (:mod:`._inversion`).
 
-In the closed form that is exact: an unknown cell counts with its column's sum alone, and all others are linear in it.
-Else it is an enclosure by argument and test, not by proof. Were the others fixed, every potential would be a Moebius
-function of one unknown conductance and so monotone in it, and the two ends would do. But they move along to keep
-their own readings, an effect of second order and of either sign; so two places between the ends are looked at as well
-(:data:`_STAGES`), the product of what a cell's two lines move by is added (:data:`_AROUND`), and all is widened
-(:data:`_MARGIN`). Several unknown cells can make up for each other; so they go to the far end together, then line by
-line, and what that does to a cell is added up with equal signs. Where no cells give the readings before the far end is
-reached, those that had moved by then may be anything. Tests draw the unknown cells at random and look whether the
-others lie within their intervals.
+Both methods bound the error of every cell. A cell counts as read if its relative error is at most 10,000 times the
+requested accuracy.
+
+Unknown cells
+-------------
+Two kinds of cells are unknown:
+
+* A cell whose reading is at a limit. The reading bounds the conductance on one side only. The conductance lies between
+  the value that just reaches the limit and a short, or between that value and zero.
+* A cell behind a complete break of its line. No reading depends on this cell alone. Its conductance lies between zero
+  and a short.
+
+Unknown cells get a status and the resistance NaN. They also disturb the other cells: the solution for the known cells
+depends on the conductances of the unknown ones. We solve for the known cells at several values of the unknown
+conductances; the interval of each known cell is the envelope of those solutions. Outputs stay within their supply
+limits in all of these solutions.
+
+For independent columns the envelope is exact. An unknown cell enters only through the sum of its column, and all other
+cells are linear in that sum.
+
+For other boards the envelope comes from numerical continuation: the unknown conductances move in steps from their
+recovered values to the far end of their range. This envelope is supported by an argument and by tests, not by a proof.
+If all known cells were fixed, every potential would be a Moebius function of one unknown conductance. A Moebius
+function is monotone between its poles, so the two ends of the range would suffice. The known cells are not fixed,
+because they have to keep reproducing their own readings. Their motion is a second-order effect of either sign. Four
+measures allow for this effect:
+
+1. Two intermediate points are solved as well (:data:`_CONTINUATION_FACTORS`).
+2. A share of the product of the largest changes on a cell's two lines is added (:data:`_COUPLING_SHARE`).
+3. All intervals are widened by a safety factor (:data:`_MARGIN`).
+4. Several unknown cells can compensate each other. They therefore move together first, then one group of lines at a
+   time. The changes from the groups are added with equal signs.
+
+Sometimes no conductances of the known cells reproduce the readings at the far end. Cells that have moved before this
+point then get an unbounded interval. The tests draw unknown cells at random and check that the known cells lie within
+their intervals.
 """
 
 from __future__ import annotations
@@ -44,36 +64,37 @@ from .._sensitivity import LARGEST, board_sensitivity
 from ..solvers import ULP, siemens
 from ._inversion import Factor, Found, Held, Inverter, Model
 
-_LEAST_SHARE = 1e-9  # of a place's current that a cell beside a known short must carry
-_SHORT = 1e-3  # ohm, or a hundredth of the smallest part of a line: less makes no difference to any reading
-_NOTHING = 1e-15  # ohm of a short between ideal lines
-_MARGIN = 2.0  # by which an interval is widened where cells are unknown
-_STAGES = (6.0, 40.0, inf)  # times the conductance recovered, at which the others are looked at
-_RETRIES = 1  # in smaller steps
-_ONWARDS = 4.0  # times as far the others may go there
-_RUNAWAY = 1e-3  # relative change beyond which a cell may be anything where the far end was not reached
-_MOVED = 1e-7  # the same where the path ended because a cell would have to conduct less than nothing
-_AROUND = 0.25  # share of the product of what its two lines have moved by that a cell may move besides
-LARGEST_MATRIX = 1024  # cells of which all readings' derivatives are worth a singular value decomposition
-_ORDINARY = 1e-4  # S of all cells, to find out which of them their own readings tell of
-_INSENSITIVE = 1e-6  # of what an ideal readout would make of a cell's change: less is rounding
-_NOISE = 1e-3  # of an apparent conductance: cells below may come and go with the noise of their readings
-_GROUPS = 3  # into which unknown cells are put at most
-_DIGITS_LOST = 1e4  # relative error of a cell that counts as read, in units of the accuracy asked for
+_LEAST_SHARE = 1e-9  # smallest share of the current at a crosspoint that a cell in parallel with a short must carry
+_SHORT = 1e-3  # ohm: upper limit of the resistance that stands for a short, see _short()
+_IDEAL_LINES_SHORT = 1e-15  # ohm that stands for a short between ideal lines
+_MARGIN = 2.0  # safety factor on the interval of a known cell if other cells are unknown
+_CONTINUATION_FACTORS = (6.0, 40.0, inf)  # unknown over recovered conductance at the points of the continuation
+_RETRIES = 1  # smaller steps to try after a continuation step that failed
+_EXTRAPOLATION = 4.0  # factor on the changes of the known cells if the continuation ends early
+# Relative change above which a cell gets an unbounded interval if the continuation ends early:
+_UNBOUNDED_CHANGE = 1e-3  # because the iteration did not converge
+_UNBOUNDED_CHANGE_NEGATIVE = 1e-7  # because a cell would need a negative conductance
+_COUPLING_SHARE = 0.25  # second-order change of a cell over the product of the largest changes on its two lines
+LARGEST_MATRIX = 1024  # cells: above this size a singular value decomposition of the Jacobian takes too long
+_TYPICAL_CONDUCTANCE = 1e-4  # S of every cell when the design alone is tested for determined cells
+_INSENSITIVE = 1e-6  # sensitivity of a reading to its own cell over the ideal one, below which it is rounding
+_NOISE = 1e-3  # cell over apparent conductance: smaller cells may appear and vanish with the noise of readings
+_MOST_GROUPS = 3  # groups of unknown cells that move one after another
+_READ_TOLERANCE = 1e4  # largest relative error of a cell that counts as read, over the requested accuracy
 
 
 class Status(IntEnum):
-    """What a recovered cell is."""
+    """How well a recovered cell is known."""
 
     READ = 0
     OPEN = 1
-    """no current; the resistance is given as inf"""
+    """The cell carries no current; its resistance is inf."""
     SATURATED = 2
-    """the output or the converter is at a limit, so the resistance is not known: NaN"""
+    """The output or the converter is at a limit; the resistance is unknown and NaN."""
     DISTURBED = 3
-    """known no better than :attr:`Recovery.uncertainty` says, which is more than the accuracy asked for"""
+    """The error bound :attr:`Recovery.uncertainty` exceeds 10,000 times the requested accuracy."""
     HIDDEN = 4
-    """behind a fault of the design, so that no reading tells of it: NaN"""
+    """A fault of the design hides the cell from all readings; the resistance is NaN."""
 
 
 @dataclass(frozen=True)
@@ -83,39 +104,48 @@ class Recovery:
     resistance: FloatArray
     """ohm"""
     status: NDArray[np.int8]
-    """a :class:`Status` each"""
+    """:class:`Status` of each cell"""
     uncertainty: FloatArray
-    """relative half-width of the interval that a cell's conductance lies in, ``resistance`` being that of its middle: 1
-    where the cell may as well be open, inf where nothing is known"""
+    """Relative half-width of the interval of each cell's conductance.
+
+    ``resistance`` belongs to the middle of this interval. A value of 1 means that the cell may be open, and inf means
+    that nothing is known about the cell.
+    """
     residual: float
-    """largest relative difference that is left between a reading and the model's, in apparent conductance"""
+    """largest relative difference between measured and modelled readings, as apparent conductances"""
     iterations: int
-    """evaluations of the model on the way that led there; 0 for the closed form"""
+    """number of model evaluations that led to the solution; 0 for the closed form"""
     factored: int
-    """how often the derivatives were computed"""
+    """number of Jacobians that were computed and factored"""
 
 
 @dataclass(frozen=True)
 class Conditioning:
-    """How errors of the readings become errors of the recovered resistances."""
+    """Error propagation from the readings to the recovered resistances, to first order."""
 
     inverse: FloatArray
-    """(NM, NM): relative change of each cell's resistance per relative change of each reading's apparent one"""
+    """(NM, NM): relative change of each cell's resistance per relative change of each apparent resistance"""
     volts_to_relative: FloatArray
-    """(N, M) 1/V: relative change of an apparent resistance per volt of its reading, as a magnitude"""
+    """(N, M) 1/V: magnitude of the relative change of an apparent resistance per volt of its reading"""
     resistance: FloatArray
-    """(N, M) ohm at which this holds; NaN and inf are cells that were left out"""
+    """(N, M) ohm of the cells at which the derivatives hold; cells that are NaN or inf were left out"""
 
     @property
     def amplification(self) -> FloatArray:
-        """(N, M): relative error of a cell if all readings have independent errors of relative size 1. An ideal board
-        has 1 everywhere; left-out cells are NaN.
+        """(N, M): standard deviation of each cell if all readings have independent errors of relative size 1.
+
+        An ideal board has 1 everywhere. Cells that were left out are NaN.
         """
         total = np.sqrt((self.inverse**2).sum(axis=1)).reshape(self.resistance.shape)
         return np.where(np.isfinite(self.resistance), total, np.nan)
 
     def resistance_std(self, volts_std: ArrayLike) -> FloatArray:
-        """(N, M) ohm for independent errors of standard deviation ``volts_std`` (V, a number or (N, M))."""
+        """Standard deviation (N, M) of the resistances in ohm.
+
+        Args:
+            volts_std: standard deviation of the readings in V, a number or (N, M). Errors are independent.
+
+        """
         relative = self.volts_to_relative * np.asarray(volts_std, dtype=np.float64)
         variance = self.inverse**2 @ relative.ravel() ** 2
         std: FloatArray = self.resistance * np.sqrt(variance).reshape(self.resistance.shape)
@@ -130,28 +160,31 @@ def recover(
     clipped: ArrayLike | None = None,
     least_ohm: float = 0.0,
 ) -> Recovery:
-    """The cells that a design's readings come from. For a stream of frames use a :class:`Recoverer`.
+    """Recover the cell resistances of one frame from its readings.
+
+    For a stream of frames use a :class:`Recoverer`.
 
     Args:
-        design: with its lines, faults, gains, offsets and bias currents as they are.
-        volts: (rows, columns) V, as :func:`.scan` gives them.
-        accuracy: largest relative difference from the readings, in apparent conductance, to stop at. A cell counts as
-            read if it is known to 10,000 times that.
-        clipped: (rows, columns) True where the reading is at a limit of the converter: the one that it is nearer to, or
-            at either if the design has no [adc]. Outputs at a supply limit are found without.
-        least_ohm: what no cell can be less than. By default, one that is not known may be a short, and then little is
-            known of its column.
+        design: the board, with the lines, faults, gains, offsets and bias currents that it has.
+        volts: (rows, columns) V, as :func:`.scan` returns them.
+        accuracy: the iteration stops when measured and modelled apparent conductances differ by at most this relative
+            amount. A cell counts as read if its relative error is at most 10,000 times this accuracy.
+        clipped: (rows, columns) True where the reading is at a limit of the converter. The limit is the nearer end of
+            the range. Without an [adc] in the design, the reading may be at either limit. Outputs at a supply limit
+            are recognised without this argument.
+        least_ohm: lower bound in ohm of all cells. With the default of 0 an unknown cell may be a short, and then the
+            other cells of its column have wide intervals.
 
     Raises:
         InputError: wrong shape, or NaN.
-        SolverError: no cells give these readings, or the design does not determine them.
+        SolverError: no cell resistances reproduce these readings, or the design does not determine the cells.
 
     """
     return Recoverer(design, accuracy=accuracy, least_ohm=least_ohm)(volts, clipped=clipped)
 
 
 class _Unknown(NamedTuple):
-    """Cells (N, M) whose conductance is only known to be at least, or at most, the one recovered."""
+    """Masks (N, M) of cells whose recovered conductance is only a lower or only an upper bound."""
 
     at_least: BoolArray
     at_most: BoolArray
@@ -161,11 +194,14 @@ class _Unknown(NamedTuple):
         return self.at_least | self.at_most
 
     def groups(self) -> list[_Unknown]:
-        """Parts of it, each on some lines of its own."""
+        """Split the unknown cells by lines and by kind of bound.
+
+        The split is by rows or by columns, whichever of the two has fewer lines with unknown cells.
+        """
         rows, columns = (np.flatnonzero(self.any.any(axis=axis)) for axis in (1, 0))
         by_row = len(rows) <= len(columns)
         parts = []
-        for some in np.array_split(rows if by_row else columns, min(_GROUPS, len(rows), len(columns))):
+        for some in np.array_split(rows if by_row else columns, min(_MOST_GROUPS, len(rows), len(columns))):
             inside = np.zeros_like(self.at_least)
             inside[(some, slice(None)) if by_row else (slice(None), some)] = True
             parts += [one for one in (self._of(inside, True), self._of(inside, False)) if one.any.any()]
@@ -176,14 +212,24 @@ class _Unknown(NamedTuple):
         return _Unknown(self.at_least & inside if up else nowhere, nowhere if up else self.at_most & inside)
 
     def moved(self, conductance: FloatArray, times: float, most: FloatArray) -> FloatArray:
-        """S (N, M): these cells that much away from the conductance recovered, as far as they can be."""
+        """Conductances in S (N, M) with the unknown cells moved by the factor ``times``.
+
+        Args:
+            conductance: S (N, M), as recovered.
+            times: factor above a lower bound, and divisor below an upper bound.
+            most: S (N, M), largest conductance of each cell.
+
+        """
         ordinary = np.median(conductance[conductance > 0]) if (conductance > 0).any() else np.min(most)
         up = np.minimum(np.maximum(conductance, ordinary) * times, np.maximum(conductance, most))
         return np.where(self.at_least, up, np.where(self.at_most, conductance / times, conductance))
 
 
 class Recoverer:
-    """:func:`recover` for a stream of frames: starts from the frame before and keeps its factorisation."""
+    """:func:`recover` for a stream of frames.
+
+    Each frame starts from the solution of the previous frame and reuses its factored Jacobian.
+    """
 
     def __init__(self, design: Design, *, accuracy: float = 1e-11, least_ohm: float = 0.0) -> None:
         """As :func:`recover`."""
@@ -191,11 +237,12 @@ class Recoverer:
             raise InputError(f"least_ohm is {least_ohm}; expected ohm >= 0")
         self._design, self._accuracy = design, accuracy
         self._board = board = design.board
-        self._by_columns = _columns_are_independent(board)
-        self._least_ohm, self._short = least_ohm, _NOTHING if self._by_columns else _short(board)
+        self._independent_columns = _columns_are_independent(board)
+        self._least_ohm, self._short = least_ohm, _IDEAL_LINES_SHORT if self._independent_columns else _short(board)
         self._series, self._cut_off = board.series_ohms, broken_off(board)
-        # Faults of cells change what is sought, but for a complete short: there nothing is left to be sought.
-        # In a continuous sheet the current beside a short is not the cell's own.
+        # Faults in series or in parallel with a cell are left out of the model: we recover the combination and subtract
+        # the fault in _result(). Two cases stay in the model. A complete short hides its cell, and in a continuous
+        # sheet the current in parallel with a short is not the current of one cell.
         self._shunts = [fault for fault in board.shorts if fault.ohms > 0 and not board.continuous]
         kept = [
             fault
@@ -203,8 +250,9 @@ class Recoverer:
             if fault.kind != "open-cell" and (fault.kind != "shorted-cell" or fault.ohms == 0 or board.continuous)
         ]
         if any(fault.ohms == 0 for fault in board.shorts + board.bridges):
-            # Not perfectly: a cell at the end of a long divider may move its own reading very little.
-            self._cut_off |= _insensitive(board, np.full(board.shape, _ORDINARY))
+            # Parts of 0 ohm can hide further cells. The test has a threshold, because a cell at the end of a long
+            # divider may change its own reading very little without being hidden.
+            self._cut_off |= _insensitive(board, np.full(board.shape, _TYPICAL_CONDUCTANCE))
         self._undetermined = any(fault.ohms == 0 for fault in board.bridges) and _is_singular(board, ~self._cut_off)
         self._unread = self._cut_off.copy()
         for fault in board.shorts:
@@ -212,8 +260,8 @@ class Recoverer:
             self._cut_off[fault.place] &= fault.ohms > 0
         self._model = Model(design.replace(fault=tuple(kept)))
         self._inverter = Inverter(self._model, self._unread, accuracy)
-        self._far: dict[tuple[int, float], Inverter] = {}
-        self._ends: dict[int, tuple[BoolArray, float]] = {}
+        self._continuations: dict[tuple[int, float], Inverter] = {}
+        self._path_ends: dict[int, tuple[BoolArray, float]] = {}
 
     def __call__(self, volts: ArrayLike, *, clipped: ArrayLike | None = None) -> Recovery:
         """As :func:`recover`."""
@@ -222,24 +270,27 @@ class Recoverer:
         board = self._board
         measured = board.turn(_checked(self._design, volts))
         limits = self._limits(measured, None if clipped is None else board.turn(np.asarray(clipped, dtype=np.bool_)))
-        columns = _Columns.of(board, measured) if self._by_columns else None
+        columns = _Columns.of(board, measured) if self._independent_columns else None
         found = self._inverter(measured) if columns is None else columns.found(limits.any)
         lost = np.isnan(found.conductance)
         found.conductance[lost] = 0.0
-        # A cell that takes its column to the drive is a short, and it hides the column's other cells.
+        # A shorted cell pulls its column to the drive potential and hides the other cells of the column.
         shorted = np.zeros_like(lost)
         if columns is not None:
             shorted = lost & (np.abs(columns.potential - board.drive) <= 1e-6 * abs(board.drive))
-        # At a limit without any signal stands the output of an open cell, on a board that reads down to its reference.
+        # If the reference is a supply limit, the output of an open cell is at this limit with no signal at all. Such a
+        # cell is not limited.
         signal = np.abs(measured - board.level) > 1e-9 * abs(board.drive)
         conducting = signal | (found.conductance > 0)
         limited = _Unknown(limits.at_least & conducting, limits.at_most & conducting)
-        # Where an offset makes less than none of a reading, its gain is what other cells of the column make of it.
+        # An offset can leave a reading that would need a negative conductance. The gain of the offset depends on all
+        # cells of the column, so the cell is unknown if another cell of its column is.
         offset = found.clamped & (limited.any | self._cut_off).any(axis=0)
         unknown = _Unknown(limited.at_least | self._cut_off | offset, limited.at_most & (found.conductance > 0))
         low, high = np.maximum(found.conductance - found.error, 0.0), found.conductance + found.error
         if columns is None and found.conductance.max(initial=0.0) >= 1.0 / self._short:
-            # A shorted cell may hold its lines, so that their other cells read as nothing, whatever they are.
+            # A shorted cell can fix the potentials of its lines. The other cells of these lines then read as open,
+            # whatever their resistances.
             silent = (found.conductance == 0) & ~unknown.any
             if silent.any():
                 hidden = silent & _insensitive(board, found.conductance)
@@ -247,7 +298,7 @@ class Recoverer:
                 lost = lost | hidden
         if unknown.any.any():
             down, up = (
-                self._spread(measured, found, unknown)
+                self._envelope_distance(measured, found, unknown)
                 if columns is None
                 else columns.spread(found, unknown, self._most(found.conductance))
             )
@@ -256,13 +307,13 @@ class Recoverer:
         return self._result(found, low, high, lost | limited.any, shorted & ~limited.any, behind_short)
 
     def _most(self, conductance: FloatArray) -> FloatArray:
-        """S (N, M) of the cells where they are not known, but to be at least ``conductance``."""
+        """Largest conductance in S (N, M) of unknown cells that conduct at least ``conductance``."""
         if self._least_ohm:
             return np.maximum(conductance, 1.0 / self._least_ohm)
         return np.maximum(conductance / _SHORT, 1.0 / self._short)
 
     def _limits(self, measured: FloatArray, at_limit: BoolArray | None) -> _Unknown:
-        """Which readings are at a limit, and on which side of what they say the cell's conductance then is."""
+        """Readings at a limit, split by whether they give a lower or an upper bound of their conductance."""
         top = bottom = np.zeros(measured.shape, dtype=np.bool_)
         if at_limit is not None:
             adc = self._design.adc
@@ -274,47 +325,68 @@ class Recoverer:
             top, bottom = top | (measured >= high), bottom | (measured <= low)
         if (self._board.drive > 0) == self._board.circuit.inverts:
             top, bottom = bottom, top
-        # How far below a limit an offset takes an output depends on all cells of its column.
+        # A saturated cell loads its column and amplifies the offset there by an unknown gain. Other cells of this
+        # column that are at the lower limit have therefore no upper bound.
         return _Unknown(top | (bottom & top.any(axis=0)), bottom)
 
-    def _spread(self, measured: FloatArray, found: Found, unknown: _Unknown) -> tuple[FloatArray, FloatArray]:
-        """S (N, M) by which cells can be less, and more, than ``found``, see the top of this module."""
+    def _envelope_distance(
+        self, measured: FloatArray, found: Found, unknown: _Unknown
+    ) -> tuple[FloatArray, FloatArray]:
+        """Distances in S (N, M) from ``found`` to the lower and upper envelope, see the module docstring."""
         known, groups = found.conductance, unknown.groups()
         down, up = [], []
         sides = [bool(group.at_least.any()) for group in groups]
-        if max(sides.count(True), sides.count(False)) > 1:  # else one by one is also all together
+        if max(sides.count(True), sides.count(False)) > 1:  # otherwise one group of a kind is all of it
             groups.insert(0, unknown)
         for number, some in enumerate(groups):
-            visited = self._visit(measured, found, unknown, some, number)
+            visited = self._continue_to_far_end(measured, found, unknown, some, number)
             down.append(known - np.min(visited, axis=0))
             up.append(np.max(visited, axis=0) - known)
         less, more = (np.maximum(side[0], np.sum(side[1:], axis=0)) for side in (down, up))
-        # By way of an unknown cell and back by another line: as much as both lines are moved at most.
+        # Second-order coupling: through an unknown cell and back along another line. Its size is at most the product
+        # of the changes on the two lines.
         moved = np.divide(np.maximum(less, more), known, out=np.zeros_like(known), where=(known > 0) & ~unknown.any)
         moved = np.minimum(moved, 1.0)
-        around = _AROUND * known * moved.max(axis=1, keepdims=True) * moved.max(axis=0)
+        around = _COUPLING_SHARE * known * moved.max(axis=1, keepdims=True) * moved.max(axis=0)
         return less + around, more + around
 
-    def _visit(
-        self, measured: FloatArray, found: Found, unknown: _Unknown, some: _Unknown, number: int
+    def _continue_to_far_end(
+        self, measured: FloatArray, found: Found, unknown: _Unknown, moving: _Unknown, number: int
     ) -> list[FloatArray]:
-        """The conductances in S (N, M) while ``some`` of the unknown cells go to their far end."""
+        """Solve by continuation while the unknown cells ``moving`` go to the far end of their range.
+
+        Args:
+            measured: V (N, M).
+            found: the solution with all unknown cells at their recovered values.
+            unknown: all unknown cells; those that are not ``moving`` keep their recovered values.
+            moving: the cells that move.
+            number: identifies this group of cells from frame to frame.
+
+        Returns:
+            Conductances in S, each (N, M), at the points of the continuation, starting with ``found``.
+
+        """
         known = found.conductance
         visited, reached, most = [known], 1.0, self._most(known)
-        # Where one frame's path came to an end, so will the next one's: looking for it costs many frames' time.
-        cells, end = self._ends.get(number, (None, inf))
+        # The search for the end of a continuation takes the time of many frames. If the same cells are unknown in the
+        # next frame, we assume the same end.
+        cells, end = self._path_ends.get(number, (None, inf))
         ended = cells is not None and bool((cells == unknown.any).all())
-        pending, retries = [times for times in _STAGES if not ended or times < end], 0 if ended else _RETRIES
-        runaway = _RUNAWAY
+        pending, retries = (
+            [times for times in _CONTINUATION_FACTORS if not ended or times < end],
+            0 if ended else _RETRIES,
+        )
+        runaway = _UNBOUNDED_CHANGE
         while pending:
             times = pending[0]
-            if (number, times) not in self._far:
-                self._far[number, times] = Inverter(self._model, self._unread, 1e3 * self._accuracy)
-            held = Held(unknown.any, some.moved(known, times, most))
-            there = self._far[number, times].beside(measured, held, visited[-1])
-            # A cell that conducts now would have to conduct less than nothing: no cells give these readings.
+            if (number, times) not in self._continuations:
+                self._continuations[number, times] = Inverter(self._model, self._unread, 1e3 * self._accuracy)
+            held = Held(unknown.any, moving.moved(known, times, most))
+            there = self._continuations[number, times].beside(measured, held, visited[-1])
+            # A known cell that conducted has reached zero, so it would need a negative conductance: there is no
+            # physical solution at this point.
             if there is not None and ((known > _NOISE * found.target) & (there == 0) & ~unknown.any).any():
-                there, runaway = None, _MOVED
+                there, runaway = None, _UNBOUNDED_CHANGE_NEGATIVE
             if there is not None:
                 visited.append(there)
                 reached = pending.pop(0)
@@ -322,10 +394,10 @@ class Recoverer:
                 retries -= 1
                 pending.insert(0, reached * float(np.sqrt(min(times / reached, 100.0))))
             else:
-                self._ends[number], ended, pending = (unknown.any, times), True, []
-        if ended:  # no cells give the readings with these so far out, and some may be anything by then
-            off = (np.abs(visited[-1] - known) > runaway * known) | (known == 0) | (reached < _STAGES[0])
-            onwards = np.maximum(known + _ONWARDS * (visited[-1] - known), 0.0)
+                self._path_ends[number], ended, pending = (unknown.any, times), True, []
+        if ended:  # no solution at the far end: extrapolate, or give up the bounds of cells that moved
+            off = (np.abs(visited[-1] - known) > runaway * known) | (known == 0) | (reached < _CONTINUATION_FACTORS[0])
+            onwards = np.maximum(known + _EXTRAPOLATION * (visited[-1] - known), 0.0)
             visited += [np.where(off, inf, onwards), np.where(off, 0.0, onwards)]
         return visited
 
@@ -338,19 +410,29 @@ class Recoverer:
         shorted: BoolArray,
         behind_short: BoolArray,
     ) -> Recovery:
-        """``low``, ``high``: S (N, M) between which conductances lie; ``lost``: readings that do not tell theirs."""
+        """Remove the known faults, and decide the status of each cell.
+
+        Args:
+            found: the solution.
+            low: S (N, M), lower bound of the conductance.
+            high: S (N, M), upper bound.
+            lost: (N, M), readings that do not determine their cells.
+            shorted: (N, M), cells recognised as shorts.
+            behind_short: (N, M), cells that such a short hides.
+
+        """
         shunt = np.zeros_like(low)
         for fault in self._shunts:
             shunt[fault.place] += siemens(fault.ohms)
-        least, own, most = (self._own(value, shunt) for value in (low, found.conductance, high))
+        least, own, most = (self._cell_alone(value, shunt) for value in (low, found.conductance, high))
         middle = np.where(np.isfinite(most), (least + most) / 2, own)
-        worth = _DIGITS_LOST * self._accuracy
+        worth = _READ_TOLERANCE * self._accuracy
         none = (own == 0) & (most <= worth * np.maximum(found.target, 1e-6 * found.target.max(initial=0.0)))
         with np.errstate(divide="ignore", invalid="ignore"):
             resistance = np.where(none, inf, 1.0 / middle)
             uncertainty = np.where(none, 0.0, np.where(np.isfinite(most), (most - least) / (most + least), inf))
         status = np.where(uncertainty > worth, Status.DISTURBED, np.where(none, Status.OPEN, Status.READ))
-        # Beside a short that carries nearly all of the current, a cell is not to be seen.
+        # A cell is hidden if a known short in parallel carries nearly all of the current.
         hidden = np.isinf(self._series) | self._unread
         hidden |= (shunt > 0) & (found.conductance - shunt < _LEAST_SHARE * found.conductance)
         status[hidden] = Status.HIDDEN
@@ -369,8 +451,8 @@ class Recoverer:
             factored=found.factored,
         )
 
-    def _own(self, conductance: FloatArray, shunt: FloatArray) -> FloatArray:
-        """S of the cells without what known faults put beside and ahead of them."""
+    def _cell_alone(self, conductance: FloatArray, shunt: FloatArray) -> FloatArray:
+        """Conductance in S of the cells alone, without known faults in parallel (``shunt``) and in series."""
         own = np.maximum(conductance - shunt, 0.0)
         if not self._series.any():
             return own
@@ -379,9 +461,9 @@ class Recoverer:
 
 
 def _insensitive(board: Board, conductance: FloatArray) -> BoolArray:
-    """(N, M) cells whose own readings do not change with them, because parts of 0 ohm hold both of their lines.
+    """(N, M) cells that their own readings do not depend on, because parts of 0 ohm fix both of their lines.
 
-    Nowhere where there are no derivatives: continuous sheets, and more than 64 x 64 cells.
+    All False where no derivatives are available: continuous sheets, and more than 64 x 64 cells.
     """
     if board.continuous or conductance.size > LARGEST:
         return np.zeros(board.shape, dtype=np.bool_)
@@ -393,10 +475,13 @@ def _insensitive(board: Board, conductance: FloatArray) -> BoolArray:
 
 
 def _is_singular(board: Board, live: BoolArray) -> bool:
-    """Whether the readings of cells ``live`` (N, M) leave it open what these cells are, with all of them alike."""
+    """Whether the Jacobian of the readings by the cells ``live`` (N, M) is singular.
+
+    The Jacobian is taken at equal cells, and judged by its singular values. False where it is not available.
+    """
     if board.continuous or live.size > LARGEST_MATRIX:
         return False
-    found = board_sensitivity(board, np.full(board.shape, 1.0 / _ORDINARY))
+    found = board_sensitivity(board, np.full(board.shape, 1.0 / _TYPICAL_CONDUCTANCE))
     some = live.ravel()
     jacobian = found.cell_conductance.reshape(live.size, live.size)[np.ix_(some, some)]
     values = np.linalg.svd(jacobian, compute_uv=False)
@@ -404,13 +489,13 @@ def _is_singular(board: Board, live: BoolArray) -> bool:
 
 
 def _short(board: Board) -> float:
-    """Ohm below which a cell makes no difference to any reading."""
+    """Resistance in ohm that stands for a short: at most 1 percent of the smallest part of a line."""
     ohms = np.concatenate([board.row_ohms.ravel(), board.column_ohms.ravel()])
     return min(_SHORT, 0.01 * float(np.min(ohms, where=ohms > 0, initial=inf)))
 
 
 def conditioning(design: Design, resistance: ArrayLike) -> Conditioning:
-    """How much worse than the readings the recovered cells are.
+    """Error propagation from readings to recovered cells: the inverse of the Jacobian in relative units.
 
     Args:
         design: with a sliced sheet, of at most 64 x 64 cells.
@@ -441,7 +526,7 @@ def conditioning(design: Design, resistance: ArrayLike) -> Conditioning:
 
 
 def _columns_are_independent(board: Board) -> bool:
-    """Whether rows have no resistance of their own and columns none between their cells."""
+    """Whether the row lines have no resistance and the column lines have none between their cells."""
     if not board.circuit.virtual_ground or board.floating or not board.plain:
         return False
     if any(fault.ohms == 0 for fault in board.shorts):
@@ -450,10 +535,11 @@ def _columns_are_independent(board: Board) -> bool:
 
 
 class _Columns(NamedTuple):
-    """The closed form where columns are independent.
+    """Closed-form solution for independent columns.
 
-    An output gives its column's current i and the potential w that its cells end at. With the selected row at the
-    drive and the others at the reference, ``i = G drive - w sum(G)``; the sum follows from the sum over the rows.
+    An output determines the current i of its column and the potential w at the column end of its cells. The selected
+    row is at the drive and the other rows are at the reference, so ``i = G drive - w sum(G)`` for each cell G. The sum
+    of these equations over the rows gives sum(G), and each equation then gives its own G.
     """
 
     drive: float
@@ -462,11 +548,11 @@ class _Columns(NamedTuple):
     potential: FloatArray
     """(N, M) V against the reference"""
     uncertain: FloatArray
-    """(N, M) V by which rounding can have moved it"""
+    """(N, M) V: rounding error of ``potential``"""
     rounding: FloatArray
-    """(N, M) A"""
+    """(N, M) A: rounding error of ``current``"""
     broken: BoolArray
-    """(M,)"""
+    """(M,) True where the column's lead is broken"""
 
     @classmethod
     def of(cls, board: Board, measured: FloatArray) -> _Columns:
@@ -481,10 +567,12 @@ class _Columns(NamedTuple):
         return cls(board.drive, current, potential, uncertain, rounding, broken)
 
     def found(self, limited: BoolArray) -> Found:
-        """Conductances 0 where no current is left for a cell, NaN in columns whose readings do not determine them.
+        """Solve for all conductances.
 
-        ``limited`` (N, M): readings at a limit. Where such a cell would have to conduct less than nothing, its output
-        is beyond the limit, and its current not the one that it seems.
+        Cells without current get 0. Cells of columns whose readings do not determine them get NaN.
+
+        ``limited`` (N, M) marks readings at a limit. If such a cell would need a negative conductance, the true output
+        lies beyond the limit and the apparent current is wrong. Such cells are set to 0 and the others solved again.
         """
         conductance, lost = self._solve(np.zeros_like(limited))
         beyond = limited & (conductance < 0)
@@ -497,19 +585,21 @@ class _Columns(NamedTuple):
         return Found(conductance, np.abs(self.current) / abs(self.drive), error, beyond, 0.0, 0, 0)
 
     def _solve(self, without: BoolArray) -> tuple[FloatArray, FloatArray]:
-        """Conductances in S if those ``without`` conduct nothing, and by how many A rounding may have moved them."""
+        """Conductances in S with the cells ``without`` open, and the rounding errors in A of their currents."""
         potential = np.where(without, 0.0, self.potential)
         drive, along = abs(self.drive), np.abs(potential).sum(axis=0)
         left = self.drive - potential.sum(axis=0)
-        # A short holds its column at the drive: then nothing is left that would tell of the column's cells.
+        # A short holds its column at the drive potential. The equation for sum(G) is then singular.
         left[np.abs(left) <= 1e-9 * (drive + along)] = np.nan
         back = self.potential * (np.where(without, 0.0, self.current).sum(axis=0) / left)
         lost = self.rounding + 8 * ULP * np.abs(back) * (1.0 + (drive + along) / np.abs(left))
         return (self.current + back) / self.drive, lost
 
     def spread(self, found: Found, unknown: _Unknown, most: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """S (N, M) by which cells can be less, and more, than ``found``: what the unknown ones add to their column's
-        sum, each cell's reading adds again in proportion to its potential.
+        """Distances in S (N, M) from ``found`` to the lower and the upper end of each interval.
+
+        Unknown cells change the sum of conductances of their column. Each known cell of the column then changes in
+        proportion to its potential. ``most`` (N, M) in S is the largest conductance of the unknown cells.
         """
         left = 1.0 - np.sum(self.potential, axis=0, where=~unknown.any) / self.drive
         share = np.divide(1.0, left, out=np.full_like(left, inf), where=left > 0)
@@ -523,7 +613,7 @@ class _Columns(NamedTuple):
             )
         ]
         up, down = np.maximum(per_sum, 0.0) + either, np.maximum(-per_sum, 0.0) + either
-        with np.errstate(invalid="ignore"):  # no potential, no change, whatever the sum
+        with np.errstate(invalid="ignore"):  # 0 times inf: at zero potential the sum has no effect
             less, more = (
                 np.nan_to_num(a * change[0] + b * change[1], nan=0.0, posinf=inf) for a, b in ((down, up), (up, down))
             )

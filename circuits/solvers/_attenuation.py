@@ -1,33 +1,40 @@
-"""Line attenuation: every reading in O(N M) and two matrix products, with a proof of how far it can be off.
+"""Line attenuation: the zeroth term of a Neumann series for the transfer conductances, with a certified error bound.
 
-Take the current from row i into column j as if all other lines stood at ground: along the row p_i(j) of the drive
-reaches the cell, and along the column h_j(i) of the cell's current reaches the amplifier,
+**The approximation.** We compute the current from row i into column j as if all other lines were at ground. Along the
+row, the fraction p_i(j) of the drive voltage reaches the cell. Along the column, the fraction h_j(i) of the cell's
+current reaches the amplifier. Hence
 
     T0 = h G p        (elementwise, N x M).
 
-**Profiles.** With K_jk the resistance that places j and k of a line share on the way to its driver or amplifier,
-p = 1 - K G p. The loss to first order, D = K G 1, nearly keeps its shape when K G is applied again: (K G D)_j / D_j is
-the mean of D with weights K_jk G_k, which lie farther out the farther out j is, as D grows. So it grows along the line,
-from no less than a = sum(G D) / sum(G) to b = (K G D) / D at the far end. Put into 1 - p = D - K G (1 - p) that gives
+All readings together cost O(N M) operations and two matrix products.
 
-    (1 - b) / (1 - a b) D  <=  1 - p  <=  (1 - a) / (1 - a b) D,
+**Profiles.** We call p and h the *profiles* of the lines. Let K_jk be the resistance of the wire that places j and k of
+a line share on the way to the line's driver or amplifier. Then p = 1 - K G p. To first order the loss 1 - p is
+D = K G 1. The ratio (K G D)_j / D_j is the mean of D with the weights K_jk G_k. Since D grows along the line, and the
+weights move outwards with j, the ratio grows along the line as well. The ratio is at least a = sum(G D) / sum(G), and
+at most b, its value at the far end. Substitution into 1 - p = D - K G (1 - p) gives limits that hold to all orders:
 
-to all orders and closely, since b - a is about a sixth of the largest D. About the middle is taken (:func:`_closed`).
-Where lines are so heavy that this is too coarse, or differ much, :mod:`._ladders` solves them.
+    (1 - b) / (1 - a b) D  <=  1 - p  <=  (1 - a) / (1 - a b) D.
 
-**What is left out** is current that leaves a line, lifts a crossing one and comes back. With Ur and Uc the nodal
-matrices of the row and column lines, the exact answer is the series
+The limits are close together, since b - a is about a sixth of the largest D. :func:`_closed_form` takes a value near
+the middle. Where the limits are too far apart because lines are heavy, and where lines differ much from each other, the
+profiles come from the continued fractions of :mod:`._ladders`.
+
+**The error.** The approximation leaves out the current that leaves a line, lifts a crossing line and comes back. Let Ur
+and Uc be the nodal matrices of the row lines and the column lines. The exact answer is the Neumann series
 
     T = h' G (1 + P + P^2 + ...) p,      P = Ur^-1 G Uc^-1 G.
 
-Between square roots of G, P is the product of two symmetric matrices, R = G^1/2 Ur^-1 G^1/2 of the rows and C of the
-columns, with eigenvalues from 0 to below 1. Cauchy and Schwarz then bound what follows on the first term:
+G^1/2 P G^-1/2 is the product of two symmetric matrices: R = G^1/2 Ur^-1 G^1/2 of the rows, and C, defined in the same
+way from Uc, of the columns. The eigenvalues of both lie in [0, 1). All terms are nonnegative, and the Cauchy-Schwarz
+inequality bounds the sum of all terms after the zeroth:
 
     0 <= T_ij - T0_ij <= |C G^1/2 p_i| |R G^1/2 h_j| / (1 - |R| |C|).
 
-Each vector in it is confined to one line, and for such (Ur^-1 G Ur^-1)_jj <= (Ur^-1)_jj (1 - p_j), where (Ur^-1)_jj is
-no more than the resistance of the wire to the line's end. The eigenvalues of K G are at most b (Collatz, Wielandt), so
-|R| <= b / (1 + b). Further terms of the series (:mod:`._series`) bring the rest down as fast as the error.
+Each of the two vectors is zero outside one line. Therefore their norms follow from
+(Ur^-1 G Ur^-1)_jj <= (Ur^-1)_jj (1 - p_j), where (Ur^-1)_jj is at most the resistance of the wire to the end of the
+line. By the Collatz-Wielandt bound no eigenvalue of K G exceeds b, so that |R| <= b / (1 + b). :mod:`._series` adds
+further terms; each multiplies the bound by |R| |C|.
 """
 
 from __future__ import annotations
@@ -39,60 +46,65 @@ import numpy as np
 
 from ...arrays import FloatArray, SingleArray
 from ._elimination import ULP
-from ._ladders import Ladders, rounding
+from ._ladders import Ladders, profile_rounding
 from ._ports import Lines
 
-_COARSE = float(np.finfo(np.float32).eps) / 2.0
+_SINGLE_ULP = float(np.finfo(np.float32).eps) / 2.0
 _TINY = np.finfo(np.float32).tiny
-_SINGLE = (
-    1e6  # S; what underflows in single precision beside cells up to this is less than _TINY, and as much as nothing
-)
-_HEAVY = 1e9  # ohm; over n places of lines up to this, what underflows (1e-45 S) moves no loss by more than n 1e-36
-_LIGHT = 0.04  # |R| |C| for b = 1/4; above, the profiles' closed form would cost accuracy beside what is left out
-SLACK = 1.0 + 1e-6  # for the rounding errors in the bounds themselves
+# S; with cells up to this, products that underflow in single precision are below _TINY, hence negligible
+_LARGEST_IN_SINGLE = 1e6
+# ohm; with lines up to this, conductances that underflow (1e-45 S) change a loss over n places by at most n 1e-36
+_HEAVIEST_LINE = 1e9
+# |R| |C| for b = 1/4; above, the error of the closed form would be significant next to the truncated terms
+_CLOSED_FORM_LIMIT = 0.04
+SLACK = 1.0 + 1e-6  # covers the rounding errors of the bounds themselves
 
 
 class Attenuated(NamedTuple):
-    """Transfer conductances (..., N, M), off by at most ``row[..., :, None] * column[..., None, :]`` and a little."""
+    """Approximate transfer conductances and their certificate.
+
+    The truncation error is at most ``row[..., :, None] * column[..., None, :]``. Rounding and the error of the profiles
+    add at most ``rounded * transfer``.
+    """
 
     transfer: FloatArray
-    """S"""
+    """(..., N, M) S"""
     row: FloatArray
-    """(..., N): sqrt(S), or V that the crossing lines can be lifted by in each step"""
+    """(..., N): factor of each row in sqrt(S), or the highest lift of the crossing lines in each scan step, in V"""
     column: FloatArray
-    """(..., M): sqrt(S), or A into each column for 1 V of that lift"""
+    """(..., M): factor of each column in sqrt(S), or the current into each column for 1 V of lift, in A"""
     rounded: FloatArray
-    """further error relative to ``transfer``, that of the profiles and of rounding; broadcasts against it"""
+    """error of the profiles and of rounding, relative to ``transfer``; the two arrays broadcast"""
 
     @property
     def error(self) -> FloatArray:
-        """S (..., N, M) by which the transfer conductances can be off."""
+        """Bound (..., N, M) in S on the error of the transfer conductances."""
         bound: FloatArray = self.row[..., :, None] * self.column[..., None, :]
         bound += self.rounded * self.transfer
         return bound
 
 
 def attenuate(conductance: FloatArray, wires: Wires | None) -> Attenuated | None:
-    """The zeroth term of the series and its certificate.
+    """Line attenuation of frames: the zeroth term of the Neumann series and its certificate.
 
     Args:
         conductance: (..., N, M) S of the cells.
-        wires: of the grid, if none is broken.
+        wires: of the grid; None if a line is broken.
 
     Returns:
-        None for shorted cells and broken lines, which profiles cannot express, and where nothing is left of the drive
-        at the end of a line.
+        None for shorted cells and broken lines, which profiles cannot express. None also where the drive underflows
+        before the end of a line.
 
     """
     if wires is None or not (largest := conductance.max()) < np.inf:
         return None
-    if wires.alike is None or largest > _SINGLE:
+    if wires.uniform is None or largest > _LARGEST_IN_SINGLE:
         *frames, rows, columns = conductance.shape
         parts = by_ladders(conductance.reshape(-1, rows, columns), wires)
         known = Attenuated(*(part.reshape((*frames, *part.shape[1:])) for part in parts))
     else:
-        known, returned = _closed(conductance, wires.alike)
-        light = returned <= _LIGHT
+        known, returned = _closed_form(conductance, wires.uniform)
+        light = returned <= _CLOSED_FORM_LIMIT
         if light.all():
             return known
         better = by_ladders(conductance[~light], wires, returned=returned[~light])
@@ -101,35 +113,40 @@ def attenuate(conductance: FloatArray, wires: Wires | None) -> Attenuated | None
     return known if np.isfinite(known.rounded).all() else None
 
 
-class Alike(NamedTuple):
-    """Lines that all have one wire, or each a lead and equal segments of its own.
+class UniformWires(NamedTuple):
+    """Resistances of uniform lines, for the closed form of the profiles.
 
-    The losses that follow from it need not be known to more digits than the closed form has, so it is kept in single
-    precision.
+    Either all rows have the same wire, and so have all columns; or each line has a lead of its own and equal segments
+    of its own. In the first case ``own`` is None and the matrices hold the resistances themselves. In the second case
+    they hold resistances for segments of 1 ohm without a lead.
+
+    Single precision is enough, since the closed form of the losses is less accurate than that.
     """
 
     row: SingleArray
-    """(M, M) ohm: K of each row, or of segments of 1 ohm"""
+    """(M, M) ohm: the matrix K of the rows"""
     column: SingleArray
-    """(N, N) ohm"""
+    """(N, N) ohm: the matrix K of the columns"""
     to_driver: SingleArray
-    """(M,) ohm from each place to the row's end, or over segments of 1 ohm to the first place"""
+    """(M,) ohm from each place to the driven end of a row, or to the first place if leads are in ``own``"""
     to_amplifier: SingleArray
-    """(N,) ohm from each place to the column's end"""
+    """(N,) ohm from each place to the amplifier's end of a column, or to the last place if leads are in ``own``"""
     own: SingleArray | None
-    """(2, N + M) ohm: lead and segment of each row and column; None where they are all in K"""
+    """(2, N + M) ohm: lead and segment of each row, then of each column; None where K contains them"""
     reach: SingleArray
-    """(N + M,) ohm: from each row to the columns' ends, and from each column to the rows' ends, at most"""
+    """(N + M,) ohm: largest resistance from each row to the columns' ends, and from each column to the rows' ends"""
     ones: SingleArray
-    """as many as there are places in the longer lines"""
+    """(max(N, M),) ones, to sum by matrix products"""
 
     @classmethod
-    def of(cls, row: FloatArray, column: FloatArray, to_driver: FloatArray, to_amplifier: FloatArray) -> Alike | None:
-        """Of wires as in :class:`Wires`; None where lines differ too much, are too heavy, or a fault is in one."""
+    def of(
+        cls, row: FloatArray, column: FloatArray, to_driver: FloatArray, to_amplifier: FloatArray
+    ) -> UniformWires | None:
+        """Build from the arrays of :class:`Wires`; None where lines are not uniform or too heavy."""
         rows, columns = row.shape
         reach = np.concatenate([to_amplifier.max(axis=1), to_driver.max(axis=0)])
         own = None
-        if not reach.max() <= _HEAVY:
+        if not reach.max() <= _HEAVIEST_LINE:
             return None
         if (row == row[0]).all() and (column == column[:, :1]).all():
             ahead, behind = to_driver[0], to_amplifier[:, 0]
@@ -156,32 +173,32 @@ class Alike(NamedTuple):
 
 @dataclass(frozen=True)
 class Wires:
-    """The wires of a grid in ohm, none of them broken."""
+    """Wire resistances of a grid without broken lines."""
 
     row: FloatArray
-    """(N, M) ahead of each crosspoint along its row"""
+    """(N, M) ohm of the wire ahead of each crosspoint, towards the row's driver"""
     column: FloatArray
-    """(N, M) behind each crosspoint along its column"""
+    """(N, M) ohm of the wire behind each crosspoint, towards the column's amplifier"""
     to_driver: FloatArray
-    """(N, M) from each crosspoint to the row's end"""
+    """(N, M) ohm from each crosspoint to the row's driver"""
     to_amplifier: FloatArray
-    """(N, M) from each crosspoint to the column's end"""
-    alike: Alike | None
-    """for the closed form; None where lines differ too much for it"""
+    """(N, M) ohm from each crosspoint to the column's amplifier"""
+    uniform: UniformWires | None
+    """for the closed form; None where the lines are not uniform enough"""
 
     @classmethod
     def of(cls, lines: Lines) -> Wires | None:
-        """None where a line is broken."""
+        """Resistances of ``lines``, which must have exits; None where a line is broken."""
         assert lines.exit is not None
         behind = np.concatenate([lines.column[1:], lines.exit[None]])
         if not (lines.row.all() and behind.all()):
             return None
         row, column = 1.0 / lines.row, 1.0 / behind
         to_driver, to_amplifier = np.cumsum(row, axis=1), np.cumsum(column[::-1], axis=0)[::-1]
-        return cls(row, column, to_driver, to_amplifier, Alike.of(row, column, to_driver, to_amplifier))
+        return cls(row, column, to_driver, to_amplifier, UniformWires.of(row, column, to_driver, to_amplifier))
 
     def ladders(self, cells: FloatArray) -> tuple[Ladders, Ladders]:
-        """Of (frames, N, M) cells: rows and columns, lines counted frame by frame."""
+        """Ladders of all rows and of all columns for (frames, N, M) cells in S, the lines counted frame by frame."""
         frames, rows, columns = cells.shape
         along_row = np.ascontiguousarray(cells.transpose(2, 0, 1).reshape(columns, -1))
         along_column = np.ascontiguousarray(cells[:, ::-1].transpose(1, 0, 2).reshape(rows, -1))
@@ -189,11 +206,18 @@ class Wires:
         return Ladders.solve(ohms[0], along_row), Ladders.solve(ohms[1], along_column)
 
 
-@np.errstate(all="ignore")  # where lines are too heavy for this
-def _closed(cells: FloatArray, wires: Alike) -> tuple[Attenuated, FloatArray]:
-    """By profiles in closed form; and |R| |C| (...,), which is not above _LIGHT where that is good enough."""
+@np.errstate(all="ignore")  # heavy lines overflow; the caller discards them
+def _closed_form(cells: FloatArray, wires: UniformWires) -> tuple[Attenuated, FloatArray]:
+    """Line attenuation with the profiles in closed form.
+
+    Returns:
+        The result, and a bound (...,) on |R| |C|. The result is good enough where this bound is at most
+        :data:`_CLOSED_FORM_LIMIT`; elsewhere, and where the bound is NaN, the result must not be used.
+
+    """
     *frames, rows, columns = cells.shape
-    sums = np.empty((4, *frames, rows + columns), np.float32)  # all lines at once: it is the calls that cost
+    sums = np.empty((4, *frames, rows + columns), np.float32)  # rows and columns together: call overhead dominates
+    # Per line: K G D at the far end, sum(G D), D at the far end, and sum(G). Then b = far / end and a = near / total.
     far, near, end, total = sums
     rough = cells.astype(np.float32)
     row, column = rough @ wires.row, wires.column @ rough  # D
@@ -217,13 +241,13 @@ def _closed(cells: FloatArray, wires: Alike) -> tuple[Attenuated, FloatArray]:
         far *= segment
         far += lead * near
     sums[2:] += _TINY
-    sums[:2] /= sums[2:]  # b and a
-    middle = 2.0 / (2.0 + far + near)  # no further than 0.56 (b - a) from both limits, while b is below a quarter
+    sums[:2] /= sums[2:]  # from here on, far is b and near is a
+    middle = 2.0 / (2.0 + far + near)  # within 0.56 (b - a) of both limits while b < 1/4
     np.subtract(far, near, out=near)
     np.multiply(near, end, out=total)
     steepest, width, most, off = np.maximum.reduce(sums, axis=-1).astype(np.float64)
-    # Rounding, for n places: D is off by (n + 4) ulp, a and b by (4 n + 12), which moves 1 - p by half of that.
-    ulp = _COARSE * (4.0 * max(rows, columns) + 24.0)
+    # Rounding for n places: D is off by (n + 4) ulp, a and b by (4 n + 12) ulp; half of the latter passes to 1 - p.
+    ulp = _SINGLE_ULP * (4.0 * max(rows, columns) + 24.0)
     off = (0.6 * off + ulp * most) / (1.0 - most)
     relative = off * (2.0 + off) + 8.0 * ULP
     returned = (steepest * (1.0 + ulp) / (1.0 + steepest)) ** 2
@@ -235,12 +259,13 @@ def _closed(cells: FloatArray, wires: Alike) -> tuple[Attenuated, FloatArray]:
     squares = sums[0]
     np.einsum("...ij,...ij->...i", row, column, out=squares[..., :rows])
     np.subtract(row, column, out=row)  # G h p
-    np.einsum("...ij,...ij->...j", lost, row, out=squares[..., rows:])  # for G h (1 - p) h: p is at least 1 - most
+    # The bound needs (G h)^2 (1 - p). Since h <= 1 and p >= 1 - most, this is at most G (1 - p) G h p / (1 - most).
+    np.einsum("...ij,...ij->...j", lost, row, out=squares[..., rows:])
     lost += column
-    squares += _TINY * max(rows, columns)  # for what is too small for single precision
+    squares += _TINY * max(rows, columns)  # covers terms that underflow in single precision
     norms = np.multiply(squares, wires.reach, dtype=np.float64)
     np.sqrt(norms, out=norms)
-    certain = (1.0 + relative) ** 2 * (1.0 + ulp) * (1.0 + width) * (1.0 - most) ** -0.5 * endlessly(returned)
+    certain = (1.0 + relative) ** 2 * (1.0 + ulp) * (1.0 + width) * (1.0 - most) ** -0.5 * geometric_sum(returned)
     norms[..., :rows] *= np.asarray(certain)[..., None]
     return (
         Attenuated(cells - lost, norms[..., :rows], norms[..., rows:], np.asarray(relative)[..., None, None]),
@@ -248,7 +273,7 @@ def _closed(cells: FloatArray, wires: Alike) -> tuple[Attenuated, FloatArray]:
     )
 
 
-@np.errstate(all="ignore")  # where nothing is left of the drive, and nothing can be said
+@np.errstate(all="ignore")  # divisions by zero occur where a profile underflows
 def by_ladders(
     cells: FloatArray,
     wires: Wires,
@@ -256,42 +281,42 @@ def by_ladders(
     returned: FloatArray | None = None,
     ladders: tuple[Ladders, Ladders] | None = None,
 ) -> Attenuated:
-    """By the ladders of (frames, N, M) cells: to rounding, however heavy the lines.
+    """Line attenuation with the profiles of ladders, exact up to rounding for lines of any resistance.
 
     Args:
-        cells: S.
+        cells: (frames, N, M) S.
         wires: of the grid.
-        returned: (frames,) |R| |C|, where more is known of it than the ladders tell.
-        ladders: of the rows and of the columns, where they are there already.
+        returned: (frames,) known bounds on |R| |C|; the ladders may give sharper ones.
+        ladders: of the rows and of the columns, if they have been solved already.
 
     Returns:
-        ``rounded`` is inf for frames in which nothing is left of the drive at the end of a line.
+        The result, with an infinite ``rounded`` for frames in which the drive underflows before the end of a line.
 
     """
     frames, rows, columns = cells.shape
     row, column = ladders or wires.ladders(cells)
-    profile, beyond = (_framed(part, frames).transpose(1, 2, 0) for part in (row.profile, row.admittance))
-    gain, above = (_framed(part, frames).swapaxes(0, 1)[:, ::-1] for part in (column.profile, column.admittance))
+    profile, beyond = (_split_frames(part, frames).transpose(1, 2, 0) for part in (row.profile, row.admittance))
+    gain, above = (_split_frames(part, frames).swapaxes(0, 1)[:, ::-1] for part in (column.profile, column.admittance))
     lowest, least = profile.min(axis=(1, 2)), gain.min(axis=(1, 2))
-    relative = rounding(columns, lowest) + rounding(rows, least) + 4.0 * ULP
+    relative = profile_rounding(columns, lowest) + profile_rounding(rows, least) + 4.0 * ULP
     into, out = cells * profile, cells * gain
     transfer = into * gain
     most = 1.0 + relative[:, None, None]
-    reach = wires.to_amplifier / (1.0 + wires.to_amplifier * above)  # at least (Uc^-1)_jj
+    reach = wires.to_amplifier / (1.0 + wires.to_amplifier * above)  # an upper bound on (Uc^-1)_jj
     row_square = np.einsum("...ij,...ij,...ij->...i", into, into * most - transfer, reach)
     reach = wires.to_driver / (1.0 + wires.to_driver * beyond)
     column_square = np.einsum("...ij,...ij,...ij->...j", out, out * most - transfer, reach)
     seen: FloatArray = (1.0 + relative - lowest) * (1.0 + relative - least)
     returned = seen if returned is None else np.fmin(seen, returned)
-    certain = SLACK * (1.0 + relative) ** 2 * endlessly(returned)
+    certain = SLACK * (1.0 + relative) ** 2 * geometric_sum(returned)
     return Attenuated(transfer, certain[:, None] * np.sqrt(row_square), np.sqrt(column_square), most - 1.0)
 
 
-def _framed(part: FloatArray, frames: int) -> FloatArray:
-    """From (places, lines), all frames' together, to (places, frames, lines)."""
+def _split_frames(part: FloatArray, frames: int) -> FloatArray:
+    """Reshape (places, frames * lines) to (places, frames, lines)."""
     return part.reshape(len(part), frames, -1)
 
 
-def endlessly(returned: FloatArray) -> FloatArray:
-    """Sum of 1 + returned + returned^2 + ..."""
-    return 1.0 / np.maximum(1.0 - returned, 1e-60)  # what has no end is no less than that, and bounds nothing
+def geometric_sum(returned: FloatArray) -> FloatArray:
+    """Sum 1 + q + q^2 + ... for the ratio q = ``returned``; 1e60, a bound that says nothing, for q >= 1."""
+    return 1.0 / np.maximum(1.0 - returned, 1e-60)

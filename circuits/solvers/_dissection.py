@@ -1,18 +1,23 @@
-"""A plain grid reduced to its ports by nested dissection.
+"""Nested dissection of a grid: Kron reduction to the grid's ports, block by block.
 
-The grid is cut into equal leaves of 3 to 5 crosspoints a side, their number along each axis a power of two; where the
-grid does not fill them, nothing does. Leaves are eliminated node by node, all of them at once. Blocks are then merged
-pairwise, level by level up to the whole grid, each known only by the lines that leave it. This costs O(n^3) for
-n x n where elimination line by line costs O(n^4).
+Nested dissection (George, SIAM Journal on Numerical Analysis 10, 1973) orders the elimination of a grid's nodes. The
+grid is cut into small blocks, the *leaves*. The inner nodes of the leaves are eliminated first. Neighbouring blocks are
+then merged in pairs, level by level, up to the whole grid. A merge eliminates the nodes at which two blocks meet. Each
+block is known only by the conductances between its *ports*, the nodes where lines leave the block. An n x n grid costs
+O(n^3); eliminating line after line costs O(n^4).
 
-All blocks of a level have the same shape, in all frames of a batch, so that each level is one stack and one merge of
-it. What the shape does not say is the grid's far rim, where lines end in nothing: there the last crosspoints of the
-outermost leaves are eliminated as well and leave ports that nothing touches, until the merge that drops them.
+**Leaves.** All leaves have the same shape. They have at most :data:`LEAF` crosspoints a side, and their number along
+each axis is a power of two. Leaves that reach past the grid are padded with zero conductances. All leaves are
+eliminated together by star-mesh transformations.
 
-The ports of a block stand in their order around its rim, so that the parts of it that meet in a merge are slices, not
-index lists: the work goes into matrix products, not into moving numbers. The slices of a whole dissection are
-prepared once and used again for all frames of one size, with the memory they lie in: fresh memory costs more than the
-arithmetic done in it, because the operating system hands it out page by page.
+**Levels.** All blocks of a level have the same shape, in all frames of a batch. Each level is therefore one array, and
+one merge computes the next level. At the far rim of the grid, where the lines end, the outermost leaves have ports
+to which no further block connects. We eliminate these ports together with the leaves. Their conductances become zero,
+and later merges drop them.
+
+**Ports.** The ports of a block are numbered in order around its rim. The ports that two blocks share are then slices,
+not index lists, and most of the time goes into matrix products. The slices and the memory of a dissection are prepared
+once and reused for all frames of the same size, because fresh memory costs more time than the arithmetic in it.
 """
 
 from __future__ import annotations
@@ -29,19 +34,21 @@ from numpy.typing import NDArray
 from ...arrays import BoolArray, FloatArray, IntArray
 from ._elimination import ULP, inverted
 
-LEAF = 5  # crosspoints along the side of a leaf, at most
-_CHUNK = 1 << 16  # conductances of leaves eliminated together, so that they stay in the processor's cache
-_MOST = 0.6  # of a level's blocks; picking out more than that costs more than it saves
-_KEPT = 1 << 24  # numbers of memory that a thread keeps between calls (128 MB)
+LEAF = 5  # largest number of crosspoints along the side of a leaf
+_CHUNK_SIZE = 1 << 16  # conductances of the leaves that are eliminated together; they fit into the processor's cache
+_MOSTLY_CHANGED = 0.6  # share of changed blocks above which merging the whole level is faster
+_CACHE_SIZE = 1 << 24  # numbers that each thread keeps in memory between calls (128 MB)
 
 Label = tuple[str, int, int]
-"""A node: ("row" | "column", line, place): place 0 is the line's terminal, k the node at its k-th crosspoint."""
+"""A node ("row" | "column", line, place). Place 0 is the line's terminal, place k the node at crosspoint k."""
 
 
 class Block(NamedTuple):
-    """A shape of block, seen with the columns' terminals at the top: a block owns the segments (or leads) on its left
-    and top. Its ports, in order around its rim from the top right corner: upper ends of the columns, left ends of the
-    rows, and where ``bottom`` or ``right`` says so, the lowest node of each column, the last node of each row.
+    """The shape of a block, with the columns' terminals at the top.
+
+    A block owns the segments (or leads) on its left and top. Its ports are numbered counterclockwise around its rim,
+    from the top right corner: the upper ends of the columns, then the left ends of the rows. If ``bottom`` is set, the
+    lowest node of each column follows; if ``right`` is set, the last node of each row follows.
     """
 
     rows: int
@@ -50,7 +57,7 @@ class Block(NamedTuple):
     right: bool
 
     def ports(self, row: int = 0, column: int = 0) -> list[Label]:
-        """Labels of the ports of a block whose first crosspoint stands at (row, column)."""
+        """Labels of the ports of a block whose top left crosspoint is (row, column)."""
         rows, columns = range(row, row + self.rows), range(column, column + self.columns)
         labels: list[Label] = [("column", j, row) for j in reversed(columns)]
         labels += [("row", i, column) for i in rows]
@@ -62,39 +69,40 @@ class Block(NamedTuple):
 
 
 class Run(NamedTuple):
-    """Ports of a half that stay together in the merged pair."""
+    """Consecutive ports of one half that are consecutive in the merged pair as well."""
 
     half: slice
     pair: slice
     eliminated: bool
-    """``pair`` counts from the first eliminated node, or from the first port that stays"""
+    """if true, ``pair`` indexes the eliminated nodes, otherwise the ports that remain"""
 
 
 class Merge(NamedTuple):
-    """How the blocks of a level come from those of the level below."""
+    """The merge of pairs of equal blocks into the blocks of the next level."""
 
     whole: Block
     axis: int
-    """0: one half above the other; 1: side by side"""
+    """0: the halves lie one above the other; 1: side by side"""
     first_runs: tuple[Run, ...]
     second_runs: tuple[Run, ...]
     eliminated: int
+    """number of nodes that the merge eliminates"""
 
 
 class Plan(NamedTuple):
-    """How a grid is dissected, which depends on its size alone."""
+    """Leaves and merges of a dissection. They depend only on the size of the grid."""
 
     leaf: Block
     down: int
-    """leaves along a column"""
+    """number of leaves along a column"""
     along: int
-    """leaves along a row"""
+    """number of leaves along a row"""
     merges: tuple[Merge, ...]
 
 
 @lru_cache(maxsize=64)
 def plan(rows: int, columns: int) -> Plan:
-    """Leaves and merges of an N x M grid; halves meet across the shorter side."""
+    """Plan the dissection of a grid. Merges double the shorter extent of the blocks, which keeps them nearly square."""
     (height, down), (width, along) = _leaves(rows), _leaves(columns)
     block = Block(height, width, bottom=True, right=True)
     result = Plan(block, down, along, ())
@@ -109,7 +117,7 @@ def plan(rows: int, columns: int) -> Plan:
 
 
 def _leaves(length: int) -> tuple[int, int]:
-    """Side of the leaves and their number."""
+    """Side of the leaves along an axis of ``length`` crosspoints, and the number of leaves."""
     count = 1
     while math.ceil(length / count) > LEAF:
         count *= 2
@@ -126,7 +134,7 @@ def _merge(whole: Block, half: Block, start: tuple[int, int], axis: int) -> Merg
 
 
 def _runs(places: list[tuple[int, bool] | None]) -> tuple[Run, ...]:
-    """Consecutive ports that go, forwards or backwards, to consecutive places; ports without a place are dropped."""
+    """Group consecutive ports with consecutive places, ascending or descending; ports without a place are dropped."""
     runs, start = [], 0
     while start < len(places):
         at = places[start]
@@ -152,39 +160,45 @@ def _runs(places: list[tuple[int, bool] | None]) -> tuple[Run, ...]:
 
 
 class Step(NamedTuple):
-    """Nodes of a leaf that go at once: all have as many arms, and no two gain the same branch."""
+    """Star-mesh transformation of several nodes of a leaf at once.
+
+    An *arm* is a branch from an eliminated node to a neighbour. All nodes of a step have the same number of arms, and
+    no two of them add to the same branch. Each pair of arms of a node gives one branch between two neighbours.
+    """
 
     arms: IntArray
-    """(arms, nodes) branches to the neighbours"""
-    one: IntArray
-    """for each pair of a node's arms and each node the first of them, among ``arms`` flattened"""
-    other: IntArray
-    """the second of them"""
-    fresh: slice
-    """branches that the first of the pairs make"""
-    old: IntArray
-    """branches that the rest of the pairs add to"""
+    """(arms, nodes) indices of the branches to the neighbours"""
+    first_arm: IntArray
+    """(pairs,) first arm of each pair, as an index into ``arms`` flattened"""
+    second_arm: IntArray
+    """(pairs,) second arm of each pair, likewise"""
+    created: slice
+    """new branches, made by the first pairs"""
+    increased: IntArray
+    """existing branches, to which the remaining pairs add"""
 
 
 class Leaf(NamedTuple):
-    """The branches of a leaf and the star-mesh steps that leave only its ports. The branches that are there from the
-    start come first: cells, then segments on the left of each crosspoint, then segments above it, each row by row.
+    """Elimination of the inner nodes of a leaf by star-mesh transformations, as a list of index arrays.
+
+    The branches of the grid come first: the cells, then the segments on the left of each crosspoint, then the segments
+    above each crosspoint, each of them row by row. Branches that the elimination creates follow.
     """
 
     branches: int
-    """how many branches there ever are; one more, the last, stays zero"""
+    """number of branches, including those that the elimination creates; index ``branches`` stands for a zero branch"""
     steps: tuple[Step, ...]
     result: IntArray
-    """(ports * ports,) branch between each two ports"""
-    most: int
-    """branches or pairs that are worked on at once, at most"""
+    """(ports * ports,) index of the branch between each two ports"""
+    widest: int
+    """largest number of branches or pairs in one operation"""
     relative: float
-    """rounding error of any branch"""
+    """bound on the relative rounding error of any branch"""
 
 
 @lru_cache(maxsize=64)
 def leaf(block: Block) -> Leaf:
-    """The elimination of one leaf, in the order of fewest arms."""
+    """Plan the elimination of a leaf by minimum degree: nodes with the fewest arms go first."""
     shape = block.rows, block.columns
     ends: list[tuple[Label, Label]] = []
     ends += [(("row", i, j + 1), ("column", j, i + 1)) for i, j in np.ndindex(shape)]
@@ -217,7 +231,7 @@ def leaf(block: Block) -> Leaf:
         ]
         one, other, gains = (list(column) for column in zip(*pairs, strict=True))
         old = [number[joined] for joined in gains[fresh.stop - start :]]
-        steps.append(Step(_places(joins), _places(one), _places(other), fresh, _places(old)))
+        steps.append(Step(_index_array(joins), _index_array(one), _index_array(other), fresh, _index_array(old)))
         operations += len(arms[0]) + 3
         for node in nodes:
             inner.remove(node)
@@ -225,17 +239,17 @@ def leaf(block: Block) -> Leaf:
             for arm in neighbours:
                 around[arm].remove(node)
                 around[arm].update(neighbours - {arm})
-    result = _places([number.get(frozenset((a, b)), len(number)) for a in ports for b in ports])
-    most = max(len(result), *(max(len(step.one), step.arms.size) for step in steps), 1)
+    result = _index_array([number.get(frozenset((a, b)), len(number)) for a in ports for b in ports])
+    most = max(len(result), *(max(len(step.first_arm), step.arms.size) for step in steps), 1)
     return Leaf(len(number), tuple(steps), result, most, ULP * operations)
 
 
-def _places(numbers: list[int] | list[list[int]]) -> IntArray:
+def _index_array(numbers: list[int] | list[list[int]]) -> IntArray:
     return np.array(numbers, dtype=np.intp)
 
 
 def _independent(inner: list[Label], around: dict[Label, set[Label]]) -> list[Label]:
-    """Nodes of the fewest arms of which none changes another's, and no two join the same neighbours."""
+    """Nodes of minimum degree that can be eliminated together: no two are neighbours or share two neighbours."""
     fewest = min(len(around[node]) for node in inner)
     chosen: list[Label] = []
     for node in inner:
@@ -248,71 +262,74 @@ def _independent(inner: list[Label], around: dict[Label, set[Label]]) -> list[La
 def _reduce_leaves(
     block: Block, given: FloatArray, rims: list[tuple[slice, IntArray]], out: FloatArray, scratch: FloatArray
 ) -> FloatArray:
-    """Port conductances (leaves, p, p) of leaves from their branches (given, leaves), into ``out``.
+    """Eliminate the inner nodes of leaves.
 
     Args:
-        block: their shape.
-        given: the branches that are there from the start, in the order of :class:`Leaf`.
-        rims: ports that are no ports of some of the leaves, and of which ones.
-        out: where to.
-        scratch: as much as :func:`_leaf_scratch` says.
+        block: shape of the leaves.
+        given: (branches, leaves) S of the branches of the grid, in the order of :class:`Leaf`.
+        rims: slices of ports to eliminate as well, each with the leaves at the grid's far rim that have them.
+        out: (leaves, p, p) S between the ports; receives the result.
+        scratch: working memory, of the size that :func:`_leaf_scratch` tells.
 
     Returns:
-        (leaves,) relative rounding errors.
+        (leaves,) bounds on the relative rounding errors.
 
     """
     program = leaf(block)
     ports = out.shape[-1]
     chunk = _leaf_chunk(program, given.shape[1])
-    size = program.most * chunk
+    size = program.widest * chunk
     one_work, other_work, third_work, value_work = (scratch[k * size :] for k in range(4))
     for start in range(0, given.shape[1], chunk):
         some = given[:, start : start + chunk]
         leaves = some.shape[1]
 
-        def held(work: FloatArray, count: int, leaves: int = leaves) -> FloatArray:
+        def view(work: FloatArray, count: int, leaves: int = leaves) -> FloatArray:
             return work[: count * leaves].reshape(count, leaves)
 
-        value = held(value_work, program.branches + 1)
+        value = view(value_work, program.branches + 1)
         value[: len(some)] = some
         value[-1] = 0.0
-        for arms, one, other, fresh, old in program.steps:
-            arm = np.take(value, arms.ravel(), axis=0, out=held(one_work, arms.size), mode="clip")
+        for arms, first_arm, second_arm, created, increased in program.steps:
+            arm = np.take(value, arms.ravel(), axis=0, out=view(one_work, arms.size), mode="clip")
             share = arm.reshape(*arms.shape, leaves)
-            first = np.take(arm, one, axis=0, out=held(other_work, len(one)), mode="clip")
+            first = np.take(arm, first_arm, axis=0, out=view(other_work, len(first_arm)), mode="clip")
             total = share.sum(axis=0)
             if not total.all():
                 total[total == 0] = 1.0
             share /= total
-            gain = np.take(arm, other, axis=0, out=held(third_work, len(one)), mode="clip")
+            gain = np.take(arm, second_arm, axis=0, out=view(third_work, len(first_arm)), mode="clip")
             gain *= first
-            new = fresh.stop - fresh.start
-            value[fresh] = gain[:new]
-            if len(old):
-                value[old] += gain[new:]
-        result = np.take(value, program.result, axis=0, out=held(one_work, ports * ports), mode="clip")
+            new = created.stop - created.start
+            value[created] = gain[:new]
+            if len(increased):
+                value[increased] += gain[new:]
+        result = np.take(value, program.result, axis=0, out=view(one_work, ports * ports), mode="clip")
         out[start : start + leaves].reshape(leaves, -1)[...] = result.T
     relative = np.full(len(out), program.relative)
     for gone, places in rims:
         blocks = out[places]
-        relative[places] += _trim(blocks, gone)
+        relative[places] += _eliminate_ports(blocks, gone)
         out[places] = blocks
     return relative
 
 
 def _leaf_chunk(program: Leaf, leaves: int) -> int:
-    return max(1, min(leaves, _CHUNK // program.branches))
+    return max(1, min(leaves, _CHUNK_SIZE // program.branches))
 
 
 def _leaf_scratch(block: Block, leaves: int) -> int:
-    """Numbers of scratch memory for so many leaves."""
+    """Size of the working memory for so many leaves."""
     program = leaf(block)
-    return (3 * program.most + program.branches + 1) * _leaf_chunk(program, leaves)
+    return (3 * program.widest + program.branches + 1) * _leaf_chunk(program, leaves)
 
 
-def _trim(blocks: FloatArray, gone: slice) -> FloatArray:
-    """Eliminate some ports of blocks (..., p, p) in place, so that nothing touches them, and tell the rounding errors
-    (...,).
+def _eliminate_ports(blocks: FloatArray, gone: slice) -> FloatArray:
+    """Eliminate some ports of blocks (..., p, p) in place. Their conductances become zero.
+
+    Returns:
+        (...,) bounds on the relative rounding errors.
+
     """
     across = blocks[..., gone, :].copy()
     between = across[..., gone].copy()
@@ -326,12 +343,26 @@ def _trim(blocks: FloatArray, gone: slice) -> FloatArray:
 
 
 class _Join:
-    """One merge of stacks of halves (..., p, p) into a stack of pairs, with all slices prepared."""
+    """One merge of two stacks of halves (..., p, p) into a stack of pairs, with all slices prepared.
+
+    The nodes at which the halves meet are eliminated by their Schur complement. The methods name the blocks of the
+    nodal matrix: ``between`` is among the eliminated nodes, ``across`` from these to the ports that remain.
+    """
 
     def __init__(
         self, merge: Merge, first: FloatArray, second: FloatArray, out: FloatArray, scratch: FloatArray
     ) -> None:
-        """``out`` (..., ports, ports) of the pairs, or if it is (..., rows, columns), only rows against columns."""
+        """Prepare the slices.
+
+        Args:
+            merge: what is merged.
+            first: (..., p, p) S of the first halves.
+            second: (..., p, p) S of the second halves.
+            out: (..., ports, ports) S of the pairs. If its shape is (..., rows, columns), only the conductances between
+                rows and columns are computed.
+            scratch: working memory, of the size that :func:`_scratch` tells.
+
+        """
         whole, gone = merge.whole, merge.eliminated
         stack, ports = first.shape[:-2], len(whole.ports())
         transfer_only = out.shape[-1] != ports
@@ -358,13 +389,13 @@ class _Join:
                         self._copied.append((self._across[..., a.pair, b.pair], part))
                     elif not b.eliminated and not transfer_only:
                         self._staying.append((out[..., a.pair, b.pair], part))
-        if transfer_only:  # of the second half, either the rows or the columns have just been eliminated
+        if transfer_only:  # only the first half has both rows and columns that remain
             rows, columns = (side // (1 + (axis == merge.axis)) for axis, side in enumerate(whole[:2]))
             part = first[..., columns : columns + rows, :columns]
             self._staying.append((out[..., :rows, whole.columns - columns :], part))
 
     def run(self) -> FloatArray:
-        """Merge, and tell the rounding errors (...,)."""
+        """Merge; returns bounds (...,) on the relative rounding errors of this merge alone."""
         for to, part in self._copied:
             to[...] = part
         for to, part in self._added:
@@ -380,13 +411,13 @@ class _Join:
 
 
 def _joins(work: Plan, stacks: list[FloatArray], scratch: FloatArray) -> list[_Join]:
-    """The merges of whole stacks (frames, down, along, ...), each into the next one."""
+    """The merges of all levels, each from one stack (frames, down, along, ...) into the next."""
     levels = zip(work.merges, stacks, stacks[1:], strict=False)
     return [_Join(merge, *_halves(merge.axis, below), above, scratch) for merge, below, above in levels]
 
 
 class Dissection:
-    """All merges of grids of one size, and the memory for them."""
+    """The dissection of a batch of frames of one size: prepared merges, and their memory."""
 
     def __init__(self, frames: int, rows: int, columns: int, transfer_only: bool) -> None:
         self._plan = work = plan(rows, columns)
@@ -396,28 +427,33 @@ class Dissection:
         if transfer_only and work.merges:
             shapes[-1] = (frames, 1, 1, *work.merges[-1].whole[:2])
         sizes = [math.prod(shape) for shape in shapes]
-        turns = [np.empty(max(sizes[turn::2], default=0)) for turn in range(2)]  # each level from one into the other
+        # Odd and even levels share one buffer each: a merge reads one buffer and writes the other.
+        turns = [np.empty(max(sizes[turn::2], default=0)) for turn in range(2)]
         stacks = [turns[k % 2][:size].reshape(shape) for k, (size, shape) in enumerate(zip(sizes, shapes, strict=True))]
         self._scratch = np.empty(_scratch(work, frames))
         self._given = np.zeros((3 * work.leaf.rows * work.leaf.columns, frames, work.down, work.along))
-        self._rims = _rims(work, rows, columns, np.ones((frames, work.down, work.along), dtype=np.bool_))
+        self._far_rims = _far_rims(work, rows, columns, np.ones((frames, work.down, work.along), dtype=np.bool_))
         self._leaves = stacks[0].reshape(leaves, *stacks[0].shape[-2:])
         self._joins = _joins(work, stacks, self._scratch)
         self._root = stacks[-1][:, 0, 0]
         self.size = sum(turn.size for turn in turns) + self._scratch.size + self._given.size
 
     def run(self, cells: FloatArray, row: FloatArray, column: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """The last stack (frames, ...) and its relative rounding errors (frames,).
+        """Dissect frames.
 
         Args:
             cells: (frames, N, M) S.
             row: (N, M) S on the left of each crosspoint.
             column: (N, M) S above each crosspoint.
 
+        Returns:
+            (frames, ...) S of the last level, padding included, and bounds (frames,) on the relative rounding errors.
+            The first array is overwritten by the next call.
+
         """
-        _load(self._plan, (cells, row[None], column[None]), self._given)
+        _fill_leaves(self._plan, (cells, row[None], column[None]), self._given)
         given = self._given.reshape(len(self._given), -1)
-        relative = _reduce_leaves(self._plan.leaf, given, self._rims, self._leaves, self._scratch)
+        relative = _reduce_leaves(self._plan.leaf, given, self._far_rims, self._leaves, self._scratch)
         relative = relative.reshape(self._given.shape[1:])
         for merge, join in zip(self._plan.merges, self._joins, strict=True):
             relative = np.maximum(*_halves(merge.axis, relative)) + join.run()
@@ -425,7 +461,7 @@ class Dissection:
 
 
 def _stacks(work: Plan, frames: int) -> Iterator[tuple[int, ...]]:
-    """Shapes (frames, down, along, ports, ports) of the stacks of blocks, level by level."""
+    """Shapes (frames, down, along, ports, ports) of the stacks of blocks, from the leaves up."""
     down, along, ports = work.down, work.along, len(work.leaf.ports())
     yield frames, down, along, ports, ports
     for merge in work.merges:
@@ -435,7 +471,7 @@ def _stacks(work: Plan, frames: int) -> Iterator[tuple[int, ...]]:
 
 
 def _scratch(work: Plan, frames: int) -> int:
-    """Numbers of scratch memory that any level needs."""
+    """Size of the working memory that suffices for every level."""
     most = _leaf_scratch(work.leaf, frames * work.down * work.along)
     for merge, (*stack, ports, _) in zip(work.merges, list(_stacks(work, frames))[1:], strict=True):
         most = max(most, math.prod(stack) * merge.eliminated * (merge.eliminated + 2 * ports))
@@ -443,14 +479,21 @@ def _scratch(work: Plan, frames: int) -> int:
 
 
 def _halves(axis: int, stack: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """The first and second halves of the pairs in a stack (frames, down, along, ...)."""
+    """First and second halves of all pairs in a stack (frames, down, along, ...), as views."""
     if axis:
         return stack[:, :, 0::2], stack[:, :, 1::2]
     return stack[:, 0::2], stack[:, 1::2]
 
 
-def _load(work: Plan, parts: tuple[FloatArray, ...], given: FloatArray) -> None:
-    """Cells, row and column segments (frames or 1, N, M) into the branches (given, frames, down, along) of leaves."""
+def _fill_leaves(work: Plan, parts: tuple[FloatArray, ...], given: FloatArray) -> None:
+    """Copy the conductances of grids into the branches of their leaves, padded with zeros.
+
+    Args:
+        work: the plan.
+        parts: cells, row segments and column segments, each (frames or 1, N, M) S.
+        given: (branches, frames, down, along) S; receives the result.
+
+    """
     block = work.leaf
     into = given.reshape(3, block.rows, block.columns, *given.shape[1:])
     filled = block.rows * work.down, block.columns * work.along
@@ -458,13 +501,23 @@ def _load(work: Plan, parts: tuple[FloatArray, ...], given: FloatArray) -> None:
         if part.shape[1:] != filled:
             padded = np.zeros((len(part), *filled))
             padded[:, : part.shape[1], : part.shape[2]] = part
-            part = padded  # noqa: PLW2901  # the same, filled up
+            part = padded  # noqa: PLW2901  # the same array, padded
         to[...] = part.reshape(-1, work.down, block.rows, work.along, block.columns).transpose(2, 4, 0, 1, 3)
 
 
-def _rims(work: Plan, rows: int, columns: int, some: BoolArray) -> list[tuple[slice, IntArray]]:
-    """Ports of leaves at the grid's far rim, where lines end in nothing, and which of ``some`` of the leaves (frames,
-    down, along) these are.
+def _far_rims(work: Plan, rows: int, columns: int, some: BoolArray) -> list[tuple[slice, IntArray]]:
+    """Ports at the far rim of the grid, where the lines end, and the leaves that have them.
+
+    Args:
+        work: the plan.
+        rows: of the grid.
+        columns: of the grid.
+        some: (frames, down, along) the leaves in question; their indices count these leaves only.
+
+    Returns:
+        Slices of ports, each with indices of leaves. There are none along an axis with padded leaves, because the ports
+        at their far rim have zero conductances already.
+
     """
     block, rims = work.leaf, []
     height, width = block.rows, block.columns
@@ -476,37 +529,45 @@ def _rims(work: Plan, rows: int, columns: int, some: BoolArray) -> list[tuple[sl
     return [(gone, places) for gone, places in rims if len(places)]
 
 
-class _Kept(threading.local):
-    """What this thread has used last."""
+class _ThreadCache(threading.local):
+    """The dissections that this thread has used last, in order of use."""
 
     def __init__(self) -> None:
         self.dissections: dict[tuple[int, int, int, bool], Dissection] = {}
 
 
-_kept = _Kept()
+_thread_cache = _ThreadCache()
 
 
 def dissect(
     cells: FloatArray, row: FloatArray, column: FloatArray, transfer_only: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Ports of whole grids in the order of :meth:`Block.ports`, or only rows against columns of them, and the relative
-    rounding error (frames,) of every merge together.
+    """Kron reduction of whole grids to their ports by nested dissection.
 
-    Arguments are those of :meth:`Dissection.run`, in S and finite.
+    Args:
+        cells: (frames, N, M) S, finite.
+        row: (N, M) S on the left of each crosspoint, finite.
+        column: (N, M) S above each crosspoint, finite.
+        transfer_only: whether to compute the conductances between rows and columns only.
+
+    Returns:
+        (frames, N + M, N + M) S between the ports in the order of :meth:`Block.ports`, or (frames, N, M) S between rows
+        and columns; and bounds (frames,) on the relative rounding errors of all merges together.
+
     """
     key = (*cells.shape, transfer_only)
-    kept = _kept.dissections
+    kept = _thread_cache.dissections
     work = kept.pop(key, None) or Dissection(*key)
     network, relative = work.run(cells, row, column)
-    network = _whole(plan(*cells.shape[1:]), network, cells.shape[1:], transfer_only).copy()
-    kept[key] = work  # the latest
-    while sum(some.size for some in kept.values()) > _KEPT:
+    network = _without_padding(plan(*cells.shape[1:]), network, cells.shape[1:], transfer_only).copy()
+    kept[key] = work  # at the end: the most recently used
+    while sum(some.size for some in kept.values()) > _CACHE_SIZE:
         del kept[next(iter(kept))]
     return network, relative
 
 
-def _whole(work: Plan, root: FloatArray, shape: tuple[int, ...], transfer_only: bool) -> FloatArray:
-    """Without what only fills up the leaves."""
+def _without_padding(work: Plan, root: FloatArray, shape: tuple[int, ...], transfer_only: bool) -> FloatArray:
+    """Conductances of the whole grid without the rows and columns that pad the leaves."""
     rows, columns = shape
     width = work.leaf.columns * work.along
     if not transfer_only:
@@ -518,8 +579,10 @@ def _whole(work: Plan, root: FloatArray, shape: tuple[int, ...], transfer_only: 
 
 
 class Tree:
-    """One grid whose cells change from frame to frame: all blocks are kept, and of a new frame only those on the way
-    from a changed cell to the whole grid are merged again.
+    """Nested dissection of a grid whose cells change from frame to frame.
+
+    The blocks of all levels are kept. For a new frame only the leaves with changed cells and the blocks above them are
+    computed again.
     """
 
     def __init__(self, rows: int, columns: int) -> None:
@@ -533,15 +596,15 @@ class Tree:
         self._given = np.full((3 * work.leaf.rows * work.leaf.columns, 1, work.down, work.along), np.nan)
         self._scratch = np.empty(_scratch(work, 1))
         self._joins = _joins(work, self._stacks, self._scratch)
-        self._some_joins: dict[tuple[int, int], tuple[FloatArray, FloatArray, _Join, FloatArray]] = {}
-        self._some = [np.empty(max(stack.size for stack in self._stacks)) for _ in range(3)]
+        self._partial_joins: dict[tuple[int, int], tuple[FloatArray, FloatArray, _Join, FloatArray]] = {}
+        self._buffers = [np.empty(max(stack.size for stack in self._stacks)) for _ in range(3)]
 
     def transfer(self, cells: FloatArray, row: FloatArray, column: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As :func:`dissect`, for a frame (1, N, M) of cells in S, between rows and columns only."""
+        """As :func:`dissect` with ``transfer_only``, for a frame (1, N, M) of cells in S."""
         given = np.zeros(self._given.shape)
-        _load(self._plan, (cells, row[None], column[None]), given)
+        _fill_leaves(self._plan, (cells, row[None], column[None]), given)
         stale = (given != self._given).any(axis=0)
-        self._given.fill(np.nan)  # should this be interrupted, nothing can be relied on
+        self._given.fill(np.nan)  # if an exception interrupts us, the next call computes everything
         if stale.any():
             self._reduce(given, stale)
         for level, merge in enumerate(self._plan.merges):
@@ -551,24 +614,24 @@ class Tree:
                 self._merge(level, stale)
         self._given = given
         network, relative = self._stacks[-1][:, 0, 0], self._relative[-1][:, 0, 0]
-        return _whole(self._plan, network, self._grid, transfer_only=True), relative
+        return _without_padding(self._plan, network, self._grid, transfer_only=True), relative
 
     def _reduce(self, given: FloatArray, stale: BoolArray) -> None:
-        """Eliminate the leaves again that have changed, or all if that is no more work."""
+        """Eliminate the changed leaves again, or all leaves where most have changed."""
         stack = self._stacks[0]
-        everything = bool(stale.mean() > _MOST)
+        everything = bool(stale.mean() > _MOSTLY_CHANGED)
         if everything:
             stale = np.ones_like(stale)
         count = int(stale.sum())
         fresh = stack.reshape(-1, *stack.shape[-2:]) if everything else self._buffer(0, (count, *stack.shape[-2:]))
-        rims = _rims(self._plan, *self._grid, stale)
+        rims = _far_rims(self._plan, *self._grid, stale)
         self._relative[0][stale] = _reduce_leaves(self._plan.leaf, given[:, stale], rims, fresh, self._scratch)
         if not everything:
             stack[stale] = fresh
 
     def _merge(self, level: int, stale: BoolArray) -> None:
-        """Merge the pairs again of which a half has changed, or all if that is no more work."""
-        if stale.mean() > _MOST:
+        """Merge the pairs with a changed half again, or all pairs where most have changed."""
+        if stale.mean() > _MOSTLY_CHANGED:
             first, second = _halves(self._plan.merges[level].axis, self._relative[level])
             self._relative[level + 1] = self._joins[level].run() + np.maximum(first, second)
             return
@@ -577,7 +640,7 @@ class Tree:
         one_at, other_at = (
             places[stale] for places in _halves(merge.axis, np.arange(len(blocks)).reshape(below.shape[:3]))
         )
-        one, other, join, fresh = self._picked(level, count)
+        one, other, join, fresh = self._partial_join(level, count)
         np.take(blocks, one_at, axis=0, out=one, mode="clip")
         np.take(blocks, other_at, axis=0, out=other, mode="clip")
         own = join.run()
@@ -585,14 +648,14 @@ class Tree:
         relative = self._relative[level].ravel()
         self._relative[level + 1][stale] = own + np.maximum(relative[one_at], relative[other_at])
 
-    def _picked(self, level: int, count: int) -> tuple[FloatArray, FloatArray, _Join, FloatArray]:
-        """Where to put so many pairs of halves, how to merge them, and where they will then be."""
-        if (level, count) not in self._some_joins:
+    def _partial_join(self, level: int, count: int) -> tuple[FloatArray, FloatArray, _Join, FloatArray]:
+        """Buffers for ``count`` pairs: first halves, second halves, their prepared merge, and the merged pairs."""
+        if (level, count) not in self._partial_joins:
             half, whole = ((count, *self._stacks[k].shape[-2:]) for k in (level, level + 1))
             one, other, fresh = self._buffer(0, half), self._buffer(1, half), self._buffer(2, whole)
             join = _Join(self._plan.merges[level], one, other, fresh, self._scratch)
-            self._some_joins[level, count] = one, other, join, fresh
-        return self._some_joins[level, count]
+            self._partial_joins[level, count] = one, other, join, fresh
+        return self._partial_joins[level, count]
 
     def _buffer(self, number: int, shape: tuple[int, ...]) -> FloatArray:
-        return self._some[number][: math.prod(shape)].reshape(shape)
+        return self._buffers[number][: math.prod(shape)].reshape(shape)

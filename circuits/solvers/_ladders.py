@@ -1,7 +1,11 @@
-"""Lines with cells along them, solved place by place: continued fractions in positive numbers, exact but for rounding.
+"""Ladder networks solved by continued fractions: one line with its cells, exact up to rounding.
 
-What line attenuation (:mod:`._attenuation`) has in closed form while lines are light, and what further terms of its
-series (:mod:`._series`) are made of.
+A line of the grid is a ladder: wire resistance in series, cells as shunts to ground. The admittance of a ladder is the
+continued fraction (Cauer form) Y_k = g_k + 1 / (r_k+1 + 1 / Y_k+1), evaluated from the far end. All terms are
+nonnegative, so no digits cancel.
+
+Line attenuation (:mod:`._attenuation`) uses ladders where the lines are too heavy for its closed form. The further
+terms of the Neumann series (:mod:`._series`) use the impedance matrices of ladders.
 """
 
 from __future__ import annotations
@@ -16,27 +20,34 @@ from ._elimination import ULP
 
 @dataclass(frozen=True)
 class Ladders:
-    """Lines with the cells along them, in their order from the driven end (rows) or the amplifier (columns).
+    """Many ladders of equal length, solved together.
 
-    Arrays are (places, lines): a step along all lines at once is then one contiguous slice.
+    Places count from the driven end of a row, or from the amplifier's end of a column. Arrays are (places, lines), so
+    that one step along all lines is one contiguous slice.
     """
 
     series: FloatArray
-    """ohm ahead of each place"""
+    """ohm of the wire between each place and the place before it"""
     shunt: FloatArray
-    """S to ground at each place"""
+    """S of the cell at each place, from the line to ground"""
     admittance: FloatArray
-    """S into the rest of the line, from each place on"""
+    """S to ground of the cell at each place and of everything behind it"""
     profile: FloatArray
-    """volts at each place for 1 V at the end"""
+    """volts at each place for 1 V at the end where counting starts"""
 
     @classmethod
     def solve(cls, series: FloatArray, shunt: FloatArray) -> Ladders:
-        """Both (places, lines)."""
+        """Solve ladders.
+
+        Args:
+            series: (places, lines) ohm.
+            shunt: (places, lines) S.
+
+        """
         admittance, drop = np.empty_like(shunt), np.empty_like(shunt)
         rest = np.zeros(shunt.shape[1:])
         ohms, branches, sums, drops = list(series), list(shunt), list(admittance), list(drop)
-        for place in range(len(shunt) - 1, -1, -1):  # in place: at 64 x 64 the calls cost more than the arithmetic
+        for place in range(len(shunt) - 1, -1, -1):  # with out=: at 64 x 64, call overhead exceeds the arithmetic
             np.add(rest, branches[place], out=sums[place])
             np.multiply(ohms[place], sums[place], out=drops[place])
             np.add(drops[place], 1.0, out=drops[place])
@@ -45,12 +56,17 @@ class Ladders:
         return cls(series, shunt, admittance, np.multiply.accumulate(drop, axis=0, out=drop))
 
 
-def rounding(places: int, smallest: FloatArray) -> FloatArray:
-    """Relative error of profiles that go down to ``smallest`` along ladders of so many places.
+def profile_rounding(places: int, smallest: FloatArray) -> FloatArray:
+    """Bound on the relative rounding error of the profiles of ladders.
 
-    Each step back along a ladder adds 4 ulp to the relative error of its admittance Y, at most 4 n in all. A step of
-    the profile is 1 / (1 + r Y): 3 ulp of its own, and of Y's error the part r Y / (1 + r Y), which summed over the
-    steps is at most -ln of the whole profile.
+    Each step back along a ladder adds 4 ulp to the relative error of the admittance Y, hence at most 4 n ulp over n
+    places. A step of the profile multiplies by 1 / (1 + r Y). This step adds 3 ulp of its own. It also passes on the
+    fraction r Y / (1 + r Y) of the error of Y. Summed over the steps these fractions are at most -ln(smallest).
+
+    Args:
+        places: number of places along each ladder.
+        smallest: (...,) lowest value of the profiles.
+
     """
     with np.errstate(divide="ignore"):
         lost: FloatArray = ULP * places * (4.0 - 5.0 * np.log(smallest))

@@ -1,9 +1,11 @@
-"""Any resistor network reduced to its ports: what a plain grid is not (bridged lines, the continuous sheet).
+"""Kron reduction of any resistor network to its ports, by geometric nested dissection with substructures.
 
-The same positive arithmetic as :mod:`._ports`, so the same accuracy whatever the resistances span, but the order of
-elimination follows from the nodes' places: branches and elements are halved by place until few are left, and of two
-halves together all nodes go that nothing else touches (nested dissection by substructures). For a plain grid
-:func:`._ports.port_conductances` does the same with much less bookkeeping.
+This serves networks that are not plain grids: bridged lines and the continuous sheet. The branches are halved by their
+position, recursively, until a part has few of them. Each part is assembled, and all nodes that no branch outside the
+part touches are eliminated. The two halves of a larger part are then joined in the same way.
+
+The elimination uses the positive arithmetic of :mod:`._elimination`. Its accuracy therefore does not depend on how many
+decades the resistances span. For a plain grid :func:`._ports.port_conductances` gives the same result faster.
 """
 
 from __future__ import annotations
@@ -17,49 +19,56 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ._elimination import ULP, Rounded, eliminate_leading
 from ._ports import IDEAL_WIRE, LARGEST_PART
 
-_LEAF = 48  # branches that are assembled and eliminated at once
+_LEAF = 48  # largest number of branches that are assembled without halving
 
 
 class Element(NamedTuple):
-    """A part with more than two ends, itself reduced to them."""
+    """A part with more than two terminals, given by the conductances between them."""
 
     nodes: IntArray
+    """(terminals,) nodes"""
     between: FloatArray
-    """(..., nodes, nodes) S"""
+    """(..., terminals, terminals) S, zero on the diagonal"""
     relative: float = 0.0
     """bound on the relative error of ``between``"""
 
 
 @dataclass(frozen=True)
 class Network:
-    """Nodes, the branches between them, and elements."""
+    """A resistor network: nodes, branches, elements and ports."""
 
     place: FloatArray
-    """(nodes, axes): where each node is; only the order of elimination depends on it"""
+    """(nodes, axes) coordinates in any unit; they determine the order of elimination only"""
     ends: IntArray
-    """(branches, 2) nodes"""
+    """(branches, 2) the nodes at the ends of each branch"""
     conductance: FloatArray
-    """(..., branches) S; inf is a short, and 0 nothing"""
+    """(..., branches) S; inf is a short, and 0 an open branch"""
     wire: BoolArray
-    """(branches,): of infinite conductances, those that hold their potential even against a short"""
+    """(branches,) whether an infinite conductance is an ideal wire, which holds its potential even across a short"""
     ports: IntArray
     """(ports,) nodes"""
     elements: tuple[Element, ...] = ()
 
 
 class _Part(NamedTuple):
-    """What is left of some branches and elements: nodes, and the network between them."""
+    """Some branches and elements, reduced to the nodes that other branches or elements touch, and to ports."""
 
     nodes: IntArray
     touched: IntArray
-    """how many of each node's branches and elements are in"""
+    """(nodes,) number of branches and elements of the part that touch each node"""
     between: FloatArray
+    """(..., nodes, nodes) S"""
     relative: FloatArray
     """(...,) bound on the relative error of ``between``"""
 
 
 def reduce(network: Network) -> Rounded:
-    """Port conductances (..., ports, ports) in S, zero on the diagonal, and their relative error (...,)."""
+    """Kron reduction of a network to its ports.
+
+    Returns:
+        (..., ports, ports) S, zero on the diagonal, and bounds (...,) on the relative rounding errors.
+
+    """
     conductance, elements = _capped(network)
     branches = len(network.ends)
     degree = np.bincount(network.ends.ravel(), minlength=len(network.place))
@@ -71,6 +80,7 @@ def reduce(network: Network) -> Rounded:
     middle = np.concatenate([network.place[network.ends].mean(axis=1), *(place[None] for place in middles)])
 
     def leaf(lines: IntArray, whole: list[Element]) -> _Part:
+        """Assemble a part from branches and elements."""
         nodes = np.unique(np.concatenate([network.ends[lines].ravel(), *(element.nodes for element in whole)]))
         between = np.zeros((*conductance.shape[:-1], len(nodes), len(nodes)))
         touched = np.zeros(len(nodes), dtype=np.intp)
@@ -87,6 +97,7 @@ def reduce(network: Network) -> Rounded:
         return _Part(nodes, touched, between, np.full(between.shape[:-2], relative))
 
     def part(items: IntArray) -> _Part:
+        """Reduce some items, recursively by halves. Items below ``branches`` are branches, the others elements."""
         among = items[items >= branches] - branches
         if len(items) == 1 or (len(items) <= _LEAF and len(among) <= 1):
             return without_inner(leaf(items[items < branches], [elements[k] for k in among]))
@@ -104,6 +115,7 @@ def reduce(network: Network) -> Rounded:
         return without_inner(_Part(nodes, touched, between, relative))
 
     def without_inner(whole: _Part) -> _Part:
+        """Eliminate the nodes that are no ports and have all their branches and elements in this part."""
         done = (whole.touched == degree[whole.nodes]) & ~is_port[whole.nodes]
         gone = int(done.sum())
         if not gone:
@@ -120,7 +132,15 @@ def reduce(network: Network) -> Rounded:
 
 
 def _capped(network: Network) -> tuple[FloatArray, list[Element]]:
-    """With each infinite conductance replaced by a large one: a short outdoes every part, a wire every short."""
+    """Replace infinite conductances by large finite ones.
+
+    A short exceeds every finite conductance by the factor :data:`._ports.IDEAL_WIRE`, and an ideal wire exceeds a short
+    by the same factor.
+
+    Returns:
+        (..., branches) S, and the elements.
+
+    """
     largest = max(
         float(np.max(values, where=np.isfinite(values), initial=LARGEST_PART))
         for values in (network.conductance, *(element.between for element in network.elements))

@@ -1,12 +1,15 @@
-"""The passive grid reduced to its ports.
+"""Kron reduction (Schur complement) of the passive grid to its N + M ports.
 
-Whatever reads the grid sees it only through N row terminals and M column terminals. This module replaces the
-grid by the equivalent network between those N + M ports, a symmetric matrix of nonnegative *port conductances*;
-drive, amplifiers, dividers and ADC are then a small dense problem (:mod:`._readout`). Where only the current from
-each row into each column is wanted (:func:`transfer_conductances`), the rest of the last merge is left out.
+A readout circuit is connected to the grid only at N row terminals and M column terminals, the *ports*. This module
+replaces the grid by the equivalent network between the ports: a symmetric matrix of nonnegative *port conductances*.
+The drive, amplifiers, dividers and ADC are then a small dense problem (:mod:`ohmskin.circuits.readouts`).
 
-All of it is positive arithmetic (:mod:`._elimination`), so an ideal wire can be a very large finite conductance without
-loss, and an open cell is a zero. Grids whose lines have resistance are dissected (:mod:`._dissection`).
+Most readouts need only the *transfer conductances*, the block of the matrix between rows and columns.
+:func:`transfer_conductances` computes this block alone, which makes the last merge of the dissection much cheaper.
+
+Grids whose lines have resistance are reduced by nested dissection (:mod:`._dissection`), grids with ideal lines in
+closed form. Both use the positive arithmetic of :mod:`._elimination`, in which no digits cancel. An ideal wire can
+therefore be a very large finite conductance, and an open cell is a zero.
 """
 
 from __future__ import annotations
@@ -19,18 +22,18 @@ from ...arrays import FloatArray
 from ._dissection import Tree, dissect
 from ._elimination import ULP, Rounded, eliminate_leading
 
-IDEAL_WIRE = 1e40  # conductance of 0 ohm, relative to the largest one it must outdo; leaks are below any rounding
-LARGEST_PART = 1e14  # S that a part outside the grid (load, lead, Rref/(1 + A)) is taken to have at most
-_AS_GOOD_AS_SHORT = 1e200  # S
+IDEAL_WIRE = 1e40  # 0 ohm, relative to the largest conductance beside it; errors are far below rounding
+LARGEST_PART = 1e14  # S; largest conductance of a part outside the grid (load, lead, Rref/(1 + A))
+_AS_GOOD_AS_SHORT = 1e200  # S; larger conductances count as shorts, since their products could overflow
 
 
 @dataclass(frozen=True)
 class Lines:
-    """Series conductances along the lines, in S; ``inf`` is an ideal wire, 0 a break.
+    """Series conductances of the wires along the lines, in S; ``inf`` is an ideal wire, 0 a break.
 
     ``row`` (rows, columns): ``row[i, 0]`` is the lead of row i, ``row[i, j]`` its segment from crosspoint j-1 to j.
     ``column`` (rows, columns): ``column[i, j]`` is the segment of column j from row i-1 to i; ``column[0]`` is unused.
-    ``exit`` (columns,): between the last crosspoint of each column and its terminal; None is an ideal wire.
+    ``exit`` (columns,): wire between the last crosspoint of each column and its terminal; None if all are ideal.
     """
 
     row: FloatArray
@@ -39,15 +42,16 @@ class Lines:
 
 
 def port_conductances(conductance: FloatArray, lines: Lines) -> Rounded:
-    """Reduce grids to their ports.
+    """Kron reduction of grids to their ports.
 
     Args:
         conductance: (..., rows, columns) S of the cells, >= 0; inf is a short.
         lines: the wires, common to all grids of the batch.
 
     Returns:
-        (..., N + M, N + M) S between the N row terminals (ahead of their leads) and the M column terminals (behind
-        their exits), zero on the diagonal; and the relative error (...,) of each network's conductances.
+        (..., N + M, N + M) S between the ports, zero on the diagonal, and a bound (...,) on the relative error of each
+        network's conductances. The N row terminals, ahead of their leads, come first. The M column terminals, behind
+        their exits, follow.
 
     """
     *batch, rows, columns = conductance.shape
@@ -56,11 +60,11 @@ def port_conductances(conductance: FloatArray, lines: Lines) -> Rounded:
 
 
 def transfer_conductances(conductance: FloatArray, lines: Lines) -> Rounded:
-    """The block between rows and columns of :func:`port_conductances`, at a fraction of the work.
+    """Block of :func:`port_conductances` between rows and columns, at a fraction of the cost. Arguments are the same.
 
     Returns:
         (..., N, M) S: the current into each column terminal for 1 V at each row terminal, all other terminals at
-        ground; and the relative error (...,) of each network's conductances.
+        ground; and a bound (...,) on the relative error of each network's conductances.
 
     """
     *batch, rows, columns = conductance.shape
@@ -69,8 +73,9 @@ def transfer_conductances(conductance: FloatArray, lines: Lines) -> Rounded:
 
 
 class Stream:
-    """:func:`transfer_conductances` of one grid whose cells change from frame to frame: only the blocks of the
-    dissection on the way from a changed cell to the whole grid are merged again.
+    """Transfer conductances of one grid whose cells change from frame to frame.
+
+    The blocks of the nested dissection are kept. Only blocks that contain a changed cell are computed again.
     """
 
     def __init__(self, lines: Lines) -> None:
@@ -78,34 +83,39 @@ class Stream:
         self._tree = Tree(*lines.row.shape)
 
     def transfer(self, conductance: FloatArray) -> Rounded:
-        """As :func:`transfer_conductances`, for a frame (N, M) of cells in S."""
-        transfer, relative = self._tree.transfer(*_turned(conductance[None], self._lines))
+        """As :func:`transfer_conductances`, for one frame (N, M) of cells in S."""
+        transfer, relative = self._tree.transfer(*_reversed_rows(conductance[None], self._lines))
         return Rounded(transfer[0, ::-1, ::-1].copy(), relative[0])
 
 
 def _ports(conductance: FloatArray, lines: Lines, *, transfer_only: bool) -> Rounded:
-    """(frames, N + M, N + M), or (frames, N, M) with ``transfer_only``, and relative rounding errors (frames,)."""
+    """Port conductances (frames, N + M, N + M) in S, or if ``transfer_only`` their (frames, N, M) transfer block."""
     rows = conductance.shape[1]
     if has_ideal_lines(lines):
         network, relative = _ideal_lines(*_capped(conductance, lines), lines.exit)
         return Rounded(network[:, :rows, rows:] if transfer_only else network, relative)
-    network, relative = dissect(*_turned(conductance, lines), transfer_only)
+    network, relative = dissect(*_reversed_rows(conductance, lines), transfer_only)
     return Rounded(network[:, ::-1, ::-1], relative)
 
 
-def _turned(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """:func:`_capped`, turned over: the columns' terminals at the top."""
+def _reversed_rows(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """As :func:`_capped`, rows in reverse order: nested dissection expects the columns' terminals at the top."""
     cells, row, column = _capped(conductance, lines)
     return cells[:, ::-1], row[::-1], column
 
 
 def has_ideal_lines(lines: Lines) -> bool:
-    """Whether no line has any resistance between its crosspoints."""
+    """Whether all segments between crosspoints have zero resistance."""
     return bool(np.isinf(lines.row[:, 1:]).all() and np.isinf(lines.column[1:]).all())
 
 
 def _capped(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Cells, row lines and column lines (from the exits backwards) with large numbers in place of infinite ones."""
+    """Replace infinite conductances by large finite ones.
+
+    Returns:
+        Conductances in S of the cells, of the rows' wires, and of the columns' wires in order from the exits.
+
+    """
     exits = np.full(conductance.shape[-1], np.inf) if lines.exit is None else lines.exit
     column = np.concatenate([exits[None], lines.column[:0:-1]])
     parts = conductance, lines.row, column
@@ -118,9 +128,11 @@ def _capped(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArr
 
 
 def _ideal_lines(cells: FloatArray, row: FloatArray, column: FloatArray, exits: FloatArray | None) -> Rounded:
-    """Ports of grids without segment resistance: each line is one node, and only leads and exits are eliminated.
+    """Port conductances of grids with ideal lines, each of which is one node.
 
-    Rows are eliminated in closed form, since a row meets columns only. ``exits`` (columns,) tells which are ideal.
+    The nodes of rows are eliminated in closed form, because a row connects to its lead and to columns only. The nodes
+    of columns with resistive exits are then eliminated by :func:`._elimination.eliminate_leading`. An infinite entry of
+    ``exits`` (columns,) is an ideal wire.
     """
     frames, rows, columns = cells.shape
     lead, ended = row[:, 0], np.zeros(columns, dtype=np.bool_) if exits is None else np.isfinite(exits)
@@ -139,7 +151,7 @@ def _ideal_lines(cells: FloatArray, row: FloatArray, column: FloatArray, exits: 
     stay = np.arange(rows + columns)
     stay[near] = far
     order = np.concatenate([near, stay])
-    # A row's conductances: a sum over its columns, a quotient and a product; then a sum over the rows.
+    # Rounding: a sum over the columns of a row, a quotient, a product, and a sum over the rows.
     relative = np.full(frames, ULP * (rows + columns + 4.0))
     if not len(near):
         return Rounded(network, relative)
@@ -148,7 +160,7 @@ def _ideal_lines(cells: FloatArray, row: FloatArray, column: FloatArray, exits: 
 
 
 def _largest_finite(values: FloatArray, most: float) -> float:
-    """At least :data:`LARGEST_PART`; conductances above 1e200 S are as good as shorts."""
+    """Largest conductance in S that is no short, but at least :data:`LARGEST_PART`; ``most`` is the largest of all."""
     if most < _AS_GOOD_AS_SHORT:
         return max(most, LARGEST_PART)
     return float(np.max(values, where=values < _AS_GOOD_AS_SHORT, initial=LARGEST_PART))

@@ -38,7 +38,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ._attenuation import SLACK, Wires
 from ._elimination import ULP
-from ._ladders import Ladders, rounding
+from ._ladders import Ladders, profile_rounding
 
 Exact = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 """Conductances (frames, N, M) in S to exact transfer conductances in S, and by how much each may be off"""
@@ -121,7 +121,7 @@ def _attenuated(
     result *= gain
     result[:, :, column] = into_columns
     lowest = np.array([min(profile.min(), moving_row.min()), min(gain.min(), moving_column.min())])
-    relative = rounding(columns, lowest[:1]) + rounding(rows, lowest[1:]) + 8.0 * ULP
+    relative = profile_rounding(columns, lowest[:1]) + profile_rounding(rows, lowest[1:]) + 8.0 * ULP
     return result, float(relative[0])
 
 

@@ -1,11 +1,16 @@
-"""SPICE netlists of a scan: the same circuit as :func:`ohmskin.circuits._scan`, for anybody's simulator.
+"""SPICE netlists of a scan step or a frame: the circuit of :func:`.scan` for any SPICE simulator.
 
-What a part without resistance, an open part or an ideal amplifier becomes in SPICE is decided here, exactly:
+SPICE has no exact form for parts of zero resistance, open parts and ideal amplifiers. This module writes
+them exactly:
 
-* 0 ohm joins its two nodes (ngspice would silently take 1 mOhm); inf is left out.
-* Node 0 is the reference voltage, so that a mid-supply reference costs no digits; board ground is ``agnd``.
-The circuits' own cards, with what becomes of extreme amplifiers, are in :mod:`..readouts`. Node names follow line
-coordinates (:mod:`.._board`): ``row_I_J`` and ``col_I_J`` are the crosspoints of driven and of sensed lines.
+* A part of 0 ohm merges its two nodes. (ngspice would silently use 1 mOhm.)
+* A part of infinite resistance is left out.
+* The circuits in :mod:`..readouts` write the cards of their amplifiers, including ideal and limited ones.
+
+Node 0 is the reference voltage, so a reference at mid-supply costs no digits. Board ground is the node ``agnd``.
+
+Node names follow line coordinates (:mod:`.._board`): ``row_I_J`` is the crosspoint on a driven line, and ``col_I_J``
+the crosspoint on a sensed line.
 """
 
 from __future__ import annotations
@@ -30,7 +35,7 @@ NONLINEAR_OPTIONS = ".options reltol=1e-9 vntol=1e-12 abstol=1e-15"
 
 @dataclass(frozen=True)
 class Deck:
-    """A circuit with the one analysis that reads it."""
+    """A circuit with the analysis that gives its readings."""
 
     title: str
     cards: tuple[str, ...]
@@ -38,18 +43,18 @@ class Deck:
     analysis: str
     """ngspice command, without the dot: ``op`` or ``dc ...``"""
     one_by_one: bool
-    """column J is to be read at point J of the (innermost) sweep, not all columns at each point"""
+    """True: column J is read at point J of the innermost sweep. False: all columns are read at each point."""
     outputs: tuple[str, ...]
-    """the node of each column's output; its voltage counts from :attr:`ground`"""
+    """output node of each column; readings are voltages against :attr:`ground`"""
     ground: str
-    """the node of board ground"""
+    """node of board ground"""
 
     def text(self) -> str:
-        """For ``ngspice -b``: runs the analysis and prints ``volts_J = ...`` for each column J."""
+        """Netlist for ``ngspice -b``. ngspice runs the analysis and prints ``volts_J = ...`` for each column J."""
         readings = []
         for column, node in enumerate(self.outputs):
             parts = [f"{sign}v({name})" for sign, name in (("", node), ("-", self.ground)) if name != REFERENCE]
-            # ngspice makes no vector of a sweep of one point, so that there is nothing to index.
+            # ngspice returns a number, not a vector, for a sweep of one point; an index would be an error.
             point = f"[{column}]" if self.one_by_one and len(self.outputs) > 1 else ""
             volts = "".join(part + point for part in parts) or "0"
             readings += [f"let volts_{column} = {volts}", f"print volts_{column}"]
@@ -57,7 +62,7 @@ class Deck:
         return self._joined(control)
 
     def batch_text(self) -> str:
-        """For ``ngspice -b -r FILE`` and for libngspice: the analysis as a card, output nodes only."""
+        """Netlist for ``ngspice -b -r FILE`` and for libngspice: the analysis is a card, and only outputs are saved."""
         nodes = dict.fromkeys((*self.outputs, self.ground))
         saved = [f".save v({node})" for node in nodes if node != REFERENCE]
         return self._joined([*saved, f".{self.analysis}"])
@@ -68,12 +73,17 @@ class Deck:
 
 
 def netlist(design: Design, resistance: ArrayLike, row: int) -> str:
-    """The SPICE netlist of one scan step: ``row`` is selected, every column is read.
+    """The SPICE netlist of one scan step: ``row`` is selected, and every column is read.
 
-    A circuit that senses rows has no such step: its netlist sweeps over the driven columns and reads ``row`` at each.
+    A circuit that senses rows has no such scan step. Its netlist sweeps over the driven columns and reads ``row`` at
+    each point.
 
-    ``resistance`` is (rows, columns) in ohm. The text runs as it is under ``ngspice -b`` and prints the
-    outputs in V as ``volts_0 = ...``, ``volts_1 = ...``
+    The text runs under ``ngspice -b`` and prints the outputs in V as ``volts_0 = ...``, ``volts_1 = ...``
+
+    Args:
+        design: with a sliced sheet.
+        resistance: (rows, columns) ohm of the cells.
+        row: number of the selected row, from 0.
 
     Raises:
         InputError: there is no such row, or the cells do not fit the design.
@@ -83,7 +93,7 @@ def netlist(design: Design, resistance: ArrayLike, row: int) -> str:
 
 
 def step_deck(design: Design, resistance: ArrayLike, row: int) -> Deck:
-    """The circuit that reads one row; see :func:`netlist`."""
+    """The circuit that reads one row, with arguments and errors as for :func:`netlist`."""
     if not 0 <= row < design.array.rows:
         raise InputError(f"row {row}: the design has rows 0 to {design.array.rows - 1}")
     board = design.board
@@ -99,28 +109,41 @@ def step_deck(design: Design, resistance: ArrayLike, row: int) -> Deck:
 def frame_deck(design: Design, resistance: ArrayLike) -> Deck:
     """One circuit for a whole frame: a ``.dc`` sweep over the driven lines.
 
-    This is ngspice's fastest way to a frame, since it orders the matrix once. The points of the sweep are the
-    driven lines or, with a divider whose idle columns float, row by row the columns.
+    A sweep is the fastest analysis for a frame, because ngspice orders its matrix only once. The sweep has one point
+    per driven line. A divider whose idle columns float needs one point per cell, row by row.
 
     Raises:
-        InputError, SolverError: as :func:`netlist`; SolverError also where a limited or ideal amplifier sits
-            directly on a row driver, which only :func:`step_deck` can write.
+        InputError: as for :func:`netlist`.
+        SolverError: as for :func:`netlist`; also if a limited or ideal amplifier is connected to a row driver without
+            any resistance. Only :func:`step_deck` can write this circuit.
     """
     board = design.board
     return DeckWriter(board, board.turn(design.resistance(resistance)), None).deck()
 
 
 class DeckWriter:
-    """Writes the cards of one board. ``row`` is the selected row, or None for the sweep over all of them.
+    """Writes the SPICE cards of one board.
 
-    A circuit's own cards come from :meth:`.ReadoutCircuit.cards`, which asks this object for node names and parts.
+    The cards of the readout circuit come from :meth:`.ReadoutCircuit.cards`, which asks this object for node names and
+    values of parts.
     """
 
     reference = REFERENCE
     follower = FOLLOWER
 
     def __init__(self, board: Board, cells: FloatArray, row: int | None) -> None:
-        """``cells`` (N, M) in ohm, in line coordinates."""
+        """Name the nodes of the circuit.
+
+        Args:
+            board: the board.
+            cells: (N, M) ohm, in line coordinates.
+            row: the selected row, or None for a sweep over all rows.
+
+        Raises:
+            InputError: the sheet is continuous.
+            SolverError: ideal parts contradict each other.
+
+        """
         if board.continuous:
             raise InputError('array.sheet = "continuous" has no netlist; expected "sliced"')
         self.board, self.row, self.circuit = board, row, board.circuit
@@ -132,14 +155,14 @@ class DeckWriter:
         self.floating = board.floating and not self.feedback
         self.driven = [i for i in range(self.rows) if row in {None, i} or not self.floating]
         self.ground = "agnd" if board.level else REFERENCE
-        self.name = self._joined_nodes()
-        """the name under which each node appears once the parts of 0 ohm have joined theirs"""
+        self.name = self._merged_node_names()
+        """name of each node in the cards, after parts of 0 ohm have merged nodes"""
         self.drivers = {self.name[self._driver(i)]: i for i in self.driven}
-        """rows by the node that drives them"""
+        """row number by the name of its driving node"""
         self._refuse_contradictions()
 
     def chosen(self, j: int) -> str:
-        """SPICE condition: column ``j`` is the one that is being read."""
+        """SPICE condition that is true while column ``j`` is read."""
         return f"abs(v({COLUMN_INDEX})-{j})<0.5"
 
     def amplifier_parts(self, j: int) -> tuple[float, float, float, float]:
@@ -148,7 +171,8 @@ class DeckWriter:
         return float(board.gain[j]), float(board.reference[j]), float(board.offset[j]), float(board.bias[j])
 
     def deck(self) -> Deck:
-        cards = [*self._sources(), *self._grid(), "", *self.circuit.cards(self), *self._ties()]
+        """The circuit with its analysis."""
+        cards = [*self._sources(), *self._grid(), "", *self.circuit.cards(self), *self._island_ties()]
         if any(card.startswith("B") for card in cards):
             cards += [
                 "",
@@ -171,7 +195,7 @@ class DeckWriter:
     # Nodes
 
     def _driver(self, i: int) -> str:
-        """What row i's lead starts from; a row that stays idle starts from the reference, or the follower, itself."""
+        """Node at the driven end of row i's lead. For an idle row this is the reference or the follower's output."""
         return f"drive_{i}" if self.row in {None, i} else FOLLOWER if self.feedback else REFERENCE
 
     def _row(self, i: int, j: int) -> str:
@@ -181,7 +205,10 @@ class DeckWriter:
         return f"col_{i}_{j}" if self.column_ohms[1:, j].any() else f"col_{j}"
 
     def _resistors(self) -> Iterator[tuple[str, str, str, float]]:
-        """Name, nodes and ohm of each part of the grid; the crosspoints of a line without segments are one."""
+        """Name, two nodes and ohm of each part of the grid.
+
+        All crosspoints of a line without segment resistance are one node.
+        """
         row, column = self.row_ohms.tolist(), self.column_ohms.tolist()
         for i in self.driven:
             yield f"Rlead_row_{i}", self._driver(i), self._row(i, 0), row[i][0]
@@ -201,9 +228,9 @@ class DeckWriter:
                 node = self._row if fault.kind == "bridged-rows" else self._column
                 yield f"Rfault_{number}", node(*fault.ends[0]), node(*fault.ends[1]), fault.ohms
 
-    def _joined_nodes(self) -> dict[str, str]:
-        """The name under which each node appears once the parts of 0 ohm have joined theirs."""
-        # The first of a joined group lends its name, so those that sources and amplifiers know come first.
+    def _merged_node_names(self) -> dict[str, str]:
+        """Name of each node after parts of 0 ohm have merged nodes (union-find)."""
+        # Merged nodes take the name of the first one added. Nodes of sources and amplifiers are therefore added first.
         joined = DisjointSet([REFERENCE])
         for node in [*map(self._driver, self.driven), *map(self.circuit.column_end, range(self.columns))]:
             joined.add(node)
@@ -218,6 +245,7 @@ class DeckWriter:
         return {node: first.setdefault(joined[node], node) for node in joined}
 
     def _refuse_contradictions(self) -> None:
+        """Raise SolverError if ideal parts join sources of different voltages."""
         if len(self.drivers) < len({self._driver(i) for i in self.driven}) and not (self.row is None and self.floating):
             raise SolverError(
                 "rows that are driven to different voltages are joined by parts of 0 ohm; "
@@ -244,7 +272,7 @@ class DeckWriter:
                 if not self.floating:
                     rest = f"v({FOLLOWER})" if self.feedback else "0"
                     yield f"Bdrive_{i} {drive} {REFERENCE} V = {selected} ? {volts!r} : {rest}"
-                else:  # while idle, this says that the current of the source is 0
+                else:  # while idle, this equation sets the current of the source to 0
                     yield f"Bdrive_{i} {drive} open_{i} V = {selected} ? {volts!r} : v({drive})+i(Vopen_{i})"
                     yield f"Vopen_{i} open_{i} {REFERENCE} DC 0"
         if self.one_by_one:
@@ -265,8 +293,11 @@ class DeckWriter:
             else:
                 yield f"{part} {self.name[a]} {self.name[b]} {ohm!r}"
 
-    def _ties(self) -> Iterator[str]:
-        """Islands that nothing holds make the matrix singular; no current flows there, so 1 ohm holds them."""
+    def _island_ties(self) -> Iterator[str]:
+        """Tie floating islands to the reference, since their undetermined potential makes the matrix singular.
+
+        No current flows in such an island, so a tie of 1 ohm changes no reading.
+        """
         held = DisjointSet([REFERENCE])
         for node in self.name.values():
             held.add(node)
@@ -276,17 +307,17 @@ class DeckWriter:
         if self.feedback or not self.one_by_one:
             for j in range(self.columns):
                 held.merge(self.name[self.circuit.column_end(j)], REFERENCE)
-        sometimes = self.row is None and self.floating
-        if not sometimes:
+        driven_one_by_one = self.row is None and self.floating
+        if not driven_one_by_one:
             for driver in self.drivers:
                 held.merge(driver, REFERENCE)
         for number, island in enumerate(held.subsets()):
             if REFERENCE in island:
                 continue
             node = min(island)
-            drivers = sorted(i for i in self.driven if sometimes and self.name[self._driver(i)] in island)
+            drivers = sorted(i for i in self.driven if driven_one_by_one and self.name[self._driver(i)] in island)
             if len(drivers) == self.rows:
-                continue  # one of them always holds it
+                continue  # one of these rows is always driven
             yield f"* Nothing else holds the island of {node}; no current flows here."
             if drivers:
                 idle = " && ".join(f"abs(v({ROW_INDEX})-{i})>0.5" for i in drivers)

@@ -1,14 +1,16 @@
-"""The amplifiers on their columns as one linear system: what settling and noise have in common.
+"""Linear state-space model of the column amplifiers, shared by settling and noise.
 
-In each scan step every column j is a virtual ground with the noise gain 1 + Rref Y_jj, where Y (M, M) is what the
-columns see of the grid: their port conductances with all driven rows at ground. With line resistance the columns
-share rows, Y has entries off its diagonal, and they settle together; nothing here assumes that they do not.
+In a scan step every column j is a virtual ground with the noise gain 1 + Rref Y_jj. The matrix Y (M, M) contains the
+port conductances that the columns see in the grid, with all driven rows at ground. Line resistance couples the columns
+through their common rows. Y then has off-diagonal entries, and the columns settle together. The model keeps these
+entries.
 
-Per column, for deviations from the settled state (u the inverting input, v the output, w = 2 pi GBW, and the
-disturbances e, a voltage at the non-inverting input, and i, a current into the inverting one):
+The equations of each column hold for deviations from the settled state. The unknowns are the inverting input u and the
+output v. The disturbances are a voltage e at the non-inverting input and a current i into the inverting input. With
+w = 2 pi GBW (in 1/s), the column capacitance C and the feedback capacitance Cf (both in F):
 
-    v'/w + v/A = e - u                                      the amplifier, one pole
-    C u' + Cf (u' - v') + Y u + (u - v)/Rref = i            its input node
+    v'/w + v/A = e - u                                      one-pole amplifier
+    C u' + Cf (u' - v') + Y u + (u - v)/Rref = i            current balance (KCL) at the inverting input
 """
 
 from __future__ import annotations
@@ -26,36 +28,38 @@ from .._grid import exact_ports
 from ..readouts import CIRCUITS
 from ..solvers import eliminate_leading
 
-_BROKEN_LEAD = 1e30  # ohm: stands for the infinite one, which would make NaN of an open column
+_BROKEN_LEAD = 1e30  # ohm: replaces an infinite lead, which would give NaN
 
 
 @dataclass(frozen=True)
 class Dynamics:
     """``x' = matrix x + voltage e + current i``, ``v = output x + feedthrough e + current_feedthrough i``.
 
-    S states, M columns. A circuit that nothing slows down has no states, and then only the last two terms.
+    S is the number of states and M the number of columns. A circuit without capacitance and with infinite bandwidth has
+    no states; only the two feedthrough terms remain.
     """
 
     matrix: FloatArray
     """(S, S) 1/s"""
     voltage: FloatArray
-    """(S, M), of the disturbances at the non-inverting inputs"""
+    """(S, M): input matrix of e, the voltages at the non-inverting inputs"""
     current: FloatArray
-    """(S, M), of those at the inverting inputs"""
+    """(S, M): input matrix of i, the currents into the inverting inputs"""
     output: FloatArray
-    """(M, S)"""
+    """(M, S): output matrix"""
     feedthrough: FloatArray
-    """(M, M) of e into v: what reaches the outputs at once"""
+    """(M, M): immediate effect of e on v"""
     current_feedthrough: FloatArray
-    """(M, M) ohm, of i into v"""
+    """(M, M) ohm: immediate effect of i on v"""
     lift: FloatArray
-    """(S, M): the change of the settled state with the settled outputs"""
+    """(S, M): derivative of the settled state by the settled outputs"""
 
 
 def column_conductances(board: Board, cells: FloatArray) -> FloatArray:
-    """What the amplifiers see of the grid: Y in S, (1, M, M) with grounded idle rows, (N, M, M) with floating ones.
+    """Port conductance matrix Y in S that the amplifiers see, leads included.
 
-    With floating idle rows Y depends on the selected row, which is the first axis.
+    The shape is (1, M, M) with grounded idle rows. With floating idle rows Y depends on the selected row, and the shape
+    is (N, M, M) with the selected row as first axis.
     """
     rows, columns = board.shape
     ports = exact_ports(board, cells).value
@@ -87,7 +91,7 @@ def column_dynamics(board: Board, conductance: FloatArray) -> Dynamics:
     part = board.design.readout
     columns = len(conductance)
     one, none = np.eye(columns), np.zeros((columns, columns))
-    feedback, slack = 1 / board.reference, 1 / board.gain  # (M,): times a matrix, they scale its columns
+    feedback, slack = 1 / board.reference, 1 / board.gain  # (M,): multiplying a matrix scales its columns
     total = part.column_capacitance + part.feedback_capacitance
     loaded = conductance + feedback * one
     if part.gain_bandwidth < inf:
@@ -105,7 +109,7 @@ def column_dynamics(board: Board, conductance: FloatArray) -> Dynamics:
                 current_feedthrough=none,
                 lift=np.vstack([-slack * one, one]),
             )
-        inner = inv(loaded)  # states v; u follows at once
+        inner = inv(loaded)  # states v; u follows without delay
         return Dynamics(
             matrix=-speed * (slack * one + feedback * inner),
             voltage=speed * one,
@@ -121,7 +125,7 @@ def column_dynamics(board: Board, conductance: FloatArray) -> Dynamics:
             "readout.open_loop_gain: finite for some columns and infinite for others, with an infinite "
             "gain_bandwidth and a column_capacitance; name a gain_bandwidth"
         )
-    if (held > 0).all():  # states v - (C + Cf)/held e: the input is where the amplifier puts it
+    if (held > 0).all():  # states v - (C + Cf)/held e; u = e - v/A without delay
         jump = total / held
         matrix = -(slack * loaded + feedback * one) / held[:, None]
         return Dynamics(

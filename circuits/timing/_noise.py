@@ -1,10 +1,14 @@
-"""Noise of the readings: amplifiers, resistors and the ADC's step, as a standard deviation per cell.
+"""Noise of the readings from a Lyapunov equation: amplifiers, resistors and quantisation, per cell.
 
-The amplifiers on their columns are a linear system (:mod:`._dynamics`) driven by white noise, so the variance of each
-output is the solution of a Lyapunov equation: no integral over frequency, no noise bandwidth to guess. The grid comes
-in whole by Nyquist's theorem: whatever is inside, the noise currents at its ports have the density 4 k T Y.
+The column amplifiers are a linear system (:mod:`._dynamics`) driven by white noise. The covariance P of the state then
+solves the continuous Lyapunov equation ``A P + P A' + B W B' = 0``, where A is the state matrix, B the input matrix and
+W the intensity of the noise (Astrom, "Introduction to Stochastic Control Theory", 1970). This method needs neither an
+integral over frequency nor an assumed noise bandwidth.
 
-Densities are one-sided, in V/sqrt(Hz) and A/sqrt(Hz), as in data sheets. Noise at low frequencies (1/f) is left out.
+The thermal noise of the grid follows from Nyquist's theorem for multiports (Twiss 1955): the noise currents at the
+ports have the spectral density 4 k T Y, whatever the circuit inside.
+
+Densities are one-sided, in V/sqrt(Hz) and A/sqrt(Hz), as in data sheets. Low-frequency (1/f) noise is not modelled.
 """
 
 from __future__ import annotations
@@ -28,25 +32,37 @@ class Noise:
     """Standard deviations of one frame's readings in V, each (rows, columns)."""
 
     parts: dict[str, FloatArray]
-    """by origin: "amplifier voltage", "amplifier current", "grid", "reference resistor", "sampling", "quantisation";
-    those that the design leaves out are missing"""
+    """Standard deviations by origin.
+
+    The origins are "amplifier voltage", "amplifier current", "grid", "reference resistor", "sampling" and
+    "quantisation". Origins that the design does not name are missing.
+    """
     shape: tuple[int, int]
 
     @property
     def volts(self) -> FloatArray:
-        """All origins together, quantisation included."""
-        return self._together(self.parts)
+        """Root sum of squares of all origins, quantisation included."""
+        return self._root_sum_of_squares(self.parts)
 
     @property
     def before_adc(self) -> FloatArray:
-        """All origins but quantisation: what is on the output when it is converted."""
-        return self._together({name: part for name, part in self.parts.items() if name != "quantisation"})
+        """Root sum of squares of all origins except quantisation: the noise at the input of the ADC."""
+        return self._root_sum_of_squares({name: part for name, part in self.parts.items() if name != "quantisation"})
 
     def samples(self, volts: ArrayLike, frames: int, seed: int) -> FloatArray:
-        """``frames`` noisy readings (frames, rows, columns) of the outputs ``volts``, before the ADC quantises them.
+        """Draw noisy readings before quantisation, (frames, rows, columns) in V.
 
-        Gaussian, and independent from cell to cell and frame to frame: the weak correlation of columns that share
-        line resistance is left out.
+        The noise is Gaussian and independent between cells and frames. The weak correlation of columns that share line
+        resistance is left out.
+
+        Args:
+            volts: (rows, columns) V, the readings without noise.
+            frames: number of frames.
+            seed: of the random generator.
+
+        Raises:
+            InputError: ``volts`` has a wrong shape.
+
         """
         centre = np.asarray(volts, dtype=np.float64)
         if centre.shape != self.shape:
@@ -54,7 +70,7 @@ class Noise:
         random = np.random.default_rng(seed)
         return random.normal(centre, self.before_adc, (frames, *self.shape))
 
-    def _together(self, parts: dict[str, FloatArray]) -> FloatArray:
+    def _root_sum_of_squares(self, parts: dict[str, FloatArray]) -> FloatArray:
         total = np.zeros(self.shape)
         for part in parts.values():
             total = np.hypot(total, part)
@@ -62,15 +78,21 @@ class Noise:
 
 
 def noise(design: Design, resistance: ArrayLike) -> Noise:
-    """How much each reading scatters, from the noise parameters that the design names.
+    """Standard deviation of each reading, by origin of the noise.
 
-    ``readout.voltage_noise`` and ``current_noise``, ``readout.temperature`` for all resistors, and the steps of the
-    ADC. All are off by default. A divider has no amplifiers: its sampling capacitor holds kT/C, whatever the resistors
-    that it is charged through (the equipartition theorem), and that is all of their noise.
+    The sources of noise are ``readout.voltage_noise`` and ``readout.current_noise`` of the amplifiers,
+    ``readout.temperature`` for all resistors, and the quantisation by the ADC. All are absent by default.
+
+    A divider has no amplifiers. The noise of its resistors on the sampling capacitor has the variance kT/C, whatever
+    the resistances (equipartition theorem).
+
+    Args:
+        design: the board.
+        resistance: (rows, columns) ohm of the cells.
 
     Raises:
-        InputError: cells that do not fit the design; a follower's circuit; or nothing limits the bandwidth of a noise,
-            whose variance is then infinite.
+        InputError: the cells do not fit the design; the circuit uses a follower; or nothing limits the bandwidth of a
+            noise, so that its variance is infinite.
 
     """
     board = design.board
@@ -87,7 +109,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
         raise InputError(
             "noise of the resistors has no bandwidth limit and so no finite size; give adc.sampling_capacitance"
         )
-    if thermal_energy and adc and adc.sampling_capacitance:  # kT/C, whatever the resistance of the switch
+    if thermal_energy and adc and adc.sampling_capacitance:  # kT/C, independent of the resistance of the switch
         parts["sampling"] = np.full(board.shape, np.sqrt(thermal_energy / adc.sampling_capacitance))
     if adc:
         parts["quantisation"] = np.full(board.shape, adc.step / np.sqrt(12))
@@ -99,7 +121,7 @@ def _amplified_noise(board: Board, cells: FloatArray, thermal_energy: float) -> 
     part, one = board.design.readout, np.eye(board.shape[1])
     rows = []
     for conductance in column_conductances(board, cells):
-        # Two-sided densities, which are the intensities of white noise.
+        # The intensity of white noise is its two-sided density, half the one-sided density.
         voltage = {"amplifier voltage": part.voltage_noise**2 / 2 * one}
         current = {
             "amplifier current": part.current_noise**2 / 2 * one,
@@ -117,12 +139,23 @@ def _amplified_noise(board: Board, cells: FloatArray, thermal_energy: float) -> 
 def _variances(
     design: Design, dynamics: Dynamics, voltage: dict[str, FloatArray], current: dict[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Variances (M,) in V^2 of what is sampled, for white noises of the given intensities (M, M), by name."""
+    """Variances (M,) in V^2 of the sampled outputs, by the name of the noise.
+
+    Args:
+        design: the board.
+        dynamics: of the column amplifiers.
+        voltage: intensities (M, M) of white noise voltages at the non-inverting inputs, by name.
+        current: intensities (M, M) of white noise currents into the inverting inputs, by name.
+
+    Raises:
+        InputError: nothing limits the bandwidth of a noise.
+
+    """
     adc = design.adc
     sampling = adc.switch_resistance * adc.sampling_capacitance if adc else 0.0
     matrix, output = dynamics.matrix, dynamics.output
     states, columns = len(matrix), len(output)
-    if sampling:  # the sampling capacitor is the last link of the chain: x' gets (v - x)/tau
+    if sampling:  # the sampling capacitor adds one state y per column: y' = (v - y)/tau
         matrix = np.block([[matrix, np.zeros((states, columns))], [output, -np.eye(columns)]])
         matrix[states:] /= sampling
         output = np.hstack([np.zeros_like(output), np.eye(columns)])
