@@ -40,7 +40,7 @@ class Frame:
     counts: NDArray[np.uint16] = field(repr=False)
     """as the board sent them"""
     valid: BoolArray = field(repr=False)
-    """where ``resistance`` is a measurement: not clipped, and known to 1 % or one ADC step, whichever is more"""
+    """where ``resistance`` is a measurement: not clipped, and known to 2 % or two ADC steps, whichever is more"""
     resistance: FloatArray = field(repr=False)
     """ohm of the cells, with what the circuit adds taken out; NaN where not valid"""
     pressure: FloatArray = field(repr=False)

@@ -96,7 +96,7 @@ class Board:
         self._latest = np.full(scene.skin.design.array.shape, scene.skin.cell.rest_resistance_ohm)
         """(rows, columns) ohm of the cells in the last frame"""
         self._next_identity_us = 0
-        self._description = write_description(scene.skin.design.model_dump(), scene.skin.cell.model_dump())
+        self._description = write_description(scene.skin.described_design.model_dump(), scene.skin.cell.model_dump())
         self._waiting: dict[int, Command | BadCommand] = {Order.DESCRIBE.value: Command(Order.DESCRIBE)}
         """commands to answer, by packet type"""
 

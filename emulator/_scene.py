@@ -94,6 +94,19 @@ class SkinSettings(Section):
     drift: Drift = Drift()
 
     @property
+    def described_design(self) -> Design:
+        """The design as the board describes it to a host: with the pitch that the scene gives the cells.
+
+        The geometry of a continuous sheet also sets how its cells couple, so that it stays as the design has it.
+        """
+        if self.pitch_mm is None or self.design.array.sheet == "continuous":
+            return self.design
+        pitch = self.pitch_mm / 1000.0
+        return self.design.replace(
+            sheet={"pitch": pitch, "electrode_width": min(self.design.sheet.electrode_width, pitch)}
+        )
+
+    @property
     def cell_pitch_mm(self) -> float:
         """From cell to cell, along rows and columns."""
         return self.design.sheet.pitch * 1000.0 if self.pitch_mm is None else self.pitch_mm

@@ -194,3 +194,10 @@ def test_a_noisy_line_flips_bits_at_its_rate() -> None:
     packet = bytes(range(256)) * 40
     flipped = np.unpackbits(np.frombuffer(line.carry(packet), np.uint8) ^ np.frombuffer(packet, np.uint8))
     assert flipped.mean() == pytest.approx(0.01, rel=0.15)
+
+
+def test_a_board_describes_the_pitch_that_its_scene_gives_the_cells() -> None:
+    """Else a host would find contacts in the wrong places, and forces of the wrong size."""
+    spread_out = scene(skin={"design": DESIGN, "pitch_mm": 5.0}).skin
+    assert spread_out.described_design.sheet.pitch == pytest.approx(0.005)
+    assert scene().skin.described_design == scene().skin.design
