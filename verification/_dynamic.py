@@ -55,8 +55,9 @@ def _need(design: Design, *keys: str) -> None:
 
 
 def _amplifiers_only(design: Design, quantity: str) -> None:
-    if design.readout.circuit != "inverting-amplifier":
-        raise NotRun(f'{quantity} is modelled for "inverting-amplifier", not for "{design.readout.circuit}"')
+    if not design.board.circuit.virtual_ground:
+        modelled = "amplifiers that hold all sensed lines"
+        raise NotRun(f'{quantity} is modelled for {modelled}, not for "{design.readout.circuit}"')
 
 
 def rate_of(subject: Subject, requirement: Requirement | None = None) -> float:
@@ -182,7 +183,7 @@ def fastest_scan(subject: Subject, requirement: Requirement, method: str) -> Mea
 def phase_margin(subject: Subject, requirement: Requirement, method: str) -> Measurement:
     """Smallest phase margin of an amplifier on its column, degrees."""
     design = subject.design
-    if design.readout.circuit == "voltage-divider":
+    if not design.board.circuit.has_amplifiers:
         raise DoesNotApply("a divider has no feedback loop")
     _amplifiers_only(design, "stability")
     _need(design, "readout.gain_bandwidth", "readout.column_capacitance")
@@ -202,9 +203,8 @@ def phase_margin(subject: Subject, requirement: Requirement, method: str) -> Mea
 def noise_of(subject: Subject) -> list[tuple[str, FloatArray, Noise]]:
     """Noise of the readings with all cells at rest, and with all pressed."""
     design = subject.design
-    if design.readout.circuit == "voltage-feedback":
+    if design.board.circuit.has_amplifiers:
         _amplifiers_only(design, "noise")
-    if design.readout.circuit == "inverting-amplifier":
         _need(design, "readout.voltage_noise", "readout.temperature", "readout.gain_bandwidth")
     else:
         _need(design, "readout.temperature", "adc.sampling_capacitance")

@@ -107,7 +107,7 @@ def schematic(design: Design) -> str:
                 )
         _end(drawing, design, x, bottom + 90, label=column == 0)
     size = f"{design.array.rows} × {design.array.columns} cells"
-    drawing.text(LEFT + 55, 22, f"{design.readout.circuit}, {size}; drawn: the first rows and columns", size=13)
+    drawing.text(LEFT + 55, 22, f"{design.readout.circuit}, {size}; drawn: {_drawn(design)}", size=13)
     return drawing.svg(right + 330, bottom + 330, f"schematic: {design.readout.circuit}, {size}")
 
 
@@ -131,9 +131,16 @@ def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
             drawing.text(LEFT + PITCH_X / 2 + 25, y - 12, f"segment {_value(design.array.row_segment, 'ohm')}", size=11)
 
 
+def _drawn(design: Design) -> str:
+    """Which lines the drawing shows; a circuit that senses the array's rows is drawn turned."""
+    if design.board.turned:
+        return "turned, rows here are the array's columns, which are driven"
+    return "the first rows and columns"
+
+
 def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) -> None:
     readout = design.readout
-    if readout.circuit != "inverting-amplifier":
+    if not design.board.circuit.virtual_ground:
         drawing.line((x, y), (x, y + 30))
         drawing.line((x, y + 30), (x, y + 110))
         drawing.resistor(x, y + 70, vertical=True)

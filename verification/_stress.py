@@ -23,7 +23,9 @@ def _swing(subject: Subject) -> float:
     limits = [abs(limit - readout.reference_voltage) for limit in readout.supply if np.isfinite(limit)]
     offset = subject.factors.centre["readout.offset_voltage"]
     offset = np.abs(offset) + np.abs(subject.factors.matrix["readout.offset_voltage"]).sum(axis=1)
-    column = max(limits) if limits and readout.circuit != "voltage-divider" and _saturates(subject) else offset.max()
+    column = (
+        max(limits) if limits and subject.design.board.circuit.has_amplifiers and _saturates(subject) else offset.max()
+    )
     return _drive(subject) + float(column)
 
 
