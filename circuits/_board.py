@@ -189,6 +189,15 @@ class Board:
         return conductance
 
 
+def cell_alone(board: Board, conductance: FloatArray, shunt: FloatArray) -> FloatArray:
+    """Conductance (N, M) in S of the cells, without known faults in parallel (``shunt``, S) and in series."""
+    own = np.maximum(conductance - shunt, 0.0)
+    if not board.series_ohms.any():
+        return own
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(own > 0, 1.0 / np.maximum(1.0 / own - board.series_ohms, 0.0), 0.0)
+
+
 def series_ohms(faults: tuple[Fault, ...], kind: str, shape: tuple[int, int]) -> FloatArray:
     """Ohm (rows, columns) that the faults of one kind put in series; several at one place add up."""
     ohms = np.zeros(shape)

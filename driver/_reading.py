@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
-from ..circuits import Design, Status, live_recovery
+from ..circuits import Design, Status, live_recovery, volts_of_codes
 from ..errors import ProtocolError, SolverError
 
 TOLERANCE = 0.02
@@ -55,11 +55,11 @@ class CountReader:
         self._shape = design.array.shape
         self._codes = 2**adc.bits
         self._recover = live_recovery(design)
-        self._lowest, self._step = adc.range[0], adc.step
+        self._design, self._step = design, adc.step
         # The middle of a code is half a step away from what may have been read; a limit on an edge belongs to both.
         half = adc.step / 2 * (1 + 1e-9)
         low, high = design.readout.supply
-        volts = adc.range[0] + (np.arange(self._codes) + 0.5) * adc.step if adc.bits <= 16 else None
+        volts = volts_of_codes(design, np.arange(self._codes)) if adc.bits <= 16 else None
         self._first = 0 if volts is None else max(1, int(np.searchsorted(volts - half, low, side="right")))
         self._last = (
             self._codes - 1 if volts is None else min(self._codes - 1, int(np.searchsorted(volts + half, high)))
@@ -112,9 +112,7 @@ class CountReader:
         return self._noise
 
     def _read(self, counts: NDArray[np.integer]) -> Reading:
-        volts = counts.astype(np.float64)
-        volts *= self._step
-        volts += self._lowest + 0.5 * self._step
+        volts = volts_of_codes(self._design, counts)
         # Noise takes an output that stands at a limit of its swing to codes on either side of it.
         guard = np.ceil(_GUARD * self._measured_noise(counts))
         lowest = self._first + (guard if self._guards_low else 0.0)

@@ -26,7 +26,7 @@ from functools import cached_property
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..circuits import Boards, Design, apparent_resistance, scan, scan_population, sensitivity
+from ..circuits import Boards, Design, Sensitivity, apparent_resistance, scan, scan_population, sensitivity
 from ._parameters import SECTION, Factors, Population
 
 MOST_SOLVED = 64
@@ -406,22 +406,26 @@ class _Linear:
     """(N, M, N, M) ohm/ohm"""
 
 
-def _linearised(box: Box, factors: FloatArray, cells: FloatArray) -> _Linear:
-    population = box.factors.population(factors[None])
-    design = population.boards.design(box.design, 0)
-    found = sensitivity(design, cells)
-    by_factor = np.zeros((*cells.shape, len(box.factors)))
-    derivatives = {
+def part_derivatives(found: Sensitivity, open_loop_gain: FloatArray) -> dict[str, FloatArray]:
+    """Derivatives of the readings by the keys of the design's parts, one per line: (N, M, lines) by key."""
+    return {
         "row_lead": found.row_lead,
         "row_segment": found.row_segment.sum(axis=-1),
         "column_lead": found.column_lead,
         "column_segment": found.column_segment.sum(axis=-2),
         "reference_resistance": found.reference_resistance,
-        "open_loop_gain": -found.inverse_gain / population.boards.open_loop_gain**2,
+        "open_loop_gain": -found.inverse_gain / open_loop_gain**2,
         "offset_voltage": found.offset_voltage,
         "bias_current": found.bias_current,
     }
-    for name, derivative in derivatives.items():
+
+
+def _linearised(box: Box, factors: FloatArray, cells: FloatArray) -> _Linear:
+    population = box.factors.population(factors[None])
+    design = population.boards.design(box.design, 0)
+    found = sensitivity(design, cells)
+    by_factor = np.zeros((*cells.shape, len(box.factors)))
+    for name, derivative in part_derivatives(found, population.boards.open_loop_gain).items():
         matrix = box.factors.matrix[f"{SECTION[name]}.{name}"]
         if matrix.any():
             by_factor += derivative @ matrix

@@ -14,6 +14,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..circuits import Design, Fault, Requirement, scan, sensitivity
 from ..errors import InputError, SolverError
+from ._corner import part_derivatives
 from ._outcome import Measurement, NotRun, Table
 from ._parameters import SECTION
 from ._static import box_of
@@ -49,17 +50,7 @@ def sound_interval(subject: Subject) -> tuple[FloatArray, FloatArray]:
     cells = np.full(design.array.shape, subject.rest)
     found = sensitivity(design, cells)
     width = np.abs(found.cells * cells).sum(axis=(-2, -1)) * subject.cell_spread
-    derivatives = {
-        "row_lead": found.row_lead,
-        "row_segment": found.row_segment.sum(axis=-1),
-        "column_lead": found.column_lead,
-        "column_segment": found.column_segment.sum(axis=-2),
-        "reference_resistance": found.reference_resistance,
-        "open_loop_gain": -found.inverse_gain / population.boards.open_loop_gain**2,
-        "offset_voltage": found.offset_voltage,
-        "bias_current": found.bias_current,
-    }
-    for name, derivative in derivatives.items():
+    for name, derivative in part_derivatives(found, population.boards.open_loop_gain).items():
         matrix = box.factors.matrix[f"{SECTION[name]}.{name}"]
         if matrix.any():
             width = width + np.abs(derivative @ matrix).sum(axis=-1)

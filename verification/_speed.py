@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from .. import bench as cost
-from .. import bench as measurements
+from .. import bench
 from ._outcome import Check, Figure, Finding, Table
 from ._subject import Subject
 
@@ -13,7 +12,7 @@ SPECIMENS = 2
 
 def solvers(_: Subject) -> Finding:
     """S1: time, true error and certified bound of every method on square arrays."""
-    rows = list(measurements.measure(SIZES, (1.0,), memory=False, peers=False))
+    rows = list(bench.measure(SIZES, (1.0,), memory=False, peers=False))
     methods = [row for row in rows if row.bound is not None and row.full_scale_error is not None]
     exact = [row.error for row in rows if row.method == "exact" and row.error is not None]
     return Finding(
@@ -37,7 +36,7 @@ def solvers(_: Subject) -> Finding:
             "Arrays of cells between 10 kohm and 1 Mohm with 1 ohm per segment and lead, against an independent sparse "
             "factorisation. `ohmskin bench` measures the same beside other programs, with more sizes and memory."
         ],
-        figures=[Figure(measurements.picture(rows), "Error against time, one curve per method, along the sizes.")],
+        figures=[Figure(bench.picture(rows), "Error against time, one curve per method, along the sizes.")],
         tables=[
             Table(
                 ["array", "method", "time", "error of the worst cell", "of full scale", "certified bound"],
@@ -62,7 +61,7 @@ def solvers(_: Subject) -> Finding:
 def estimators(_: Subject) -> Finding:
     """S2: error and cost of every estimator on a material that none of the models describes."""
     specimens = {
-        f"{cost.INDEPENDENT}, specimen {seed + 1}": cost.estimators((cost.INDEPENDENT,), seed=seed)
+        f"{bench.INDEPENDENT}, specimen {seed + 1}": bench.estimators((bench.INDEPENDENT,), seed=seed)
         for seed in range(SPECIMENS)
     }
     checks = []

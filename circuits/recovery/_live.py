@@ -29,7 +29,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError, SolverError
 from .._adc import adc_error
-from .._board import Board, broken_off
+from .._board import Board, broken_off, cell_alone
 from .._design import Design
 from .._exact import read_exactly
 from .._sensitivity import board_sensitivity
@@ -195,7 +195,7 @@ class _AmplifiedLive:
             uncertainty[limited] = inf
             status[limited] = _SATURATED
         if self._faulty:
-            conductance = self._without_faults(conductance)
+            conductance = cell_alone(self._board, conductance, self._shunt)
             uncertainty[self._hidden] = inf
             status[self._hidden] = _HIDDEN
         resistance = np.divide(1.0, conductance, out=np.full_like(conductance, inf), where=conductance > 0)
@@ -328,12 +328,6 @@ class _AmplifiedLive:
         # Cells that are misjudged load their lines otherwise than the model has it, and that concerns all cells there.
         misjudged = np.where(unknown, 0.0, np.minimum(direct, _BOUNDLESS) * conductance)
         return direct + self._by_lines(misjudged)
-
-    def _without_faults(self, conductance: FloatArray) -> FloatArray:
-        """S of the cells without what known faults put beside and ahead of them."""
-        own = np.maximum(conductance - self._shunt, 0.0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(own > 0, 1.0 / np.maximum(1.0 / own - self._board.series_ohms, 0.0), 0.0)
 
 
 class _CoupledBase(NamedTuple):

@@ -58,7 +58,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError, SolverError
-from .._board import Board, broken_off
+from .._board import Board, broken_off, cell_alone
 from .._design import Design
 from .._sensitivity import LARGEST, board_sensitivity
 from ..solvers import ULP, siemens
@@ -424,7 +424,7 @@ class Recoverer:
         shunt = np.zeros_like(low)
         for fault in self._shunts:
             shunt[fault.place] += siemens(fault.ohms)
-        least, own, most = (self._cell_alone(value, shunt) for value in (low, found.conductance, high))
+        least, own, most = (cell_alone(self._board, value, shunt) for value in (low, found.conductance, high))
         middle = np.where(np.isfinite(most), (least + most) / 2, own)
         worth = _READ_TOLERANCE * self._accuracy
         none = (own == 0) & (most <= worth * np.maximum(found.target, 1e-6 * found.target.max(initial=0.0)))
@@ -450,14 +450,6 @@ class Recoverer:
             iterations=found.iterations,
             factored=found.factored,
         )
-
-    def _cell_alone(self, conductance: FloatArray, shunt: FloatArray) -> FloatArray:
-        """Conductance in S of the cells alone, without known faults in parallel (``shunt``) and in series."""
-        own = np.maximum(conductance - shunt, 0.0)
-        if not self._series.any():
-            return own
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(own > 0, 1.0 / np.maximum(1.0 / own - self._series, 0.0), 0.0)
 
 
 def _insensitive(board: Board, conductance: FloatArray) -> BoolArray:
