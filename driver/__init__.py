@@ -7,6 +7,7 @@
             print(frame.pressure)
 """
 
+from ._calibration import Calibration, section_hash
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
@@ -22,6 +23,7 @@ __all__ = [
     "BAUDRATE",
     "Arrival",
     "BytePort",
+    "Calibration",
     "Contact",
     "ContactTracker",
     "CountReader",
@@ -38,4 +40,5 @@ __all__ = [
     "Tare",
     "discover",
     "open_port",
+    "section_hash",
 ]

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..arrays import BoolArray, FloatArray
 from ..cell import Cell, Estimator
 from ..circuits import Design
+from ._calibration import Calibration
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
 from ._mailbox import Mailbox
 from ._reading import CountReader
@@ -56,10 +57,12 @@ class Converter:
         pitch_m: float,
         counters: Counters,
         rest_changes: Sequence[tuple[float, FloatArray | None]] = (),
+        calibration: Calibration | None = None,
     ) -> None:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
         ``rest_changes`` are those of a recording: times, and the (cells,) rest resistances for frames after them.
+        ``calibration`` gives each cell its rest resistance, as long as no tare gives another one, and its gain.
 
         Raises:
             ProtocolError: the design has no ADC.
@@ -69,6 +72,7 @@ class Converter:
         self.design = design
         self.cell = cell
         self._estimator_name = estimator
+        self._calibration = calibration
         self._counters = counters
         self._read = CountReader(design)
         self._lock = threading.RLock()
@@ -95,7 +99,7 @@ class Converter:
             self._fresh_estimator().step(1.0, reading.resistance)
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
-        """Take these rest resistances (rows, columns) from now on, None those of the data sheet; memory is dropped."""
+        """Take these rest resistances (rows, columns) from now on, None those without a tare; memory is dropped."""
         with self._lock:
             self._rest_ohm = rest_ohm
             self._estimator = self._new_estimator()
@@ -139,6 +143,8 @@ class Converter:
         if self._estimator is not None:
             pressure = self._estimator.step(gap_s, reading.resistance)
             std = self._estimator.std_kpa
+            if self._calibration is not None:
+                pressure, std = self._calibration.applied(pressure, std)
         view = PressureView(frame.time_s, _read_only(pressure), _read_only(std))
         self.contacts.pass_by(view)
         return Measurement(_read_only(reading.valid), _read_only(reading.resistance), pressure, std, view, self._starts)
@@ -149,8 +155,10 @@ class Converter:
 
     def _fresh_estimator(self) -> Estimator:
         assert self.cell is not None
-        shape = self.design.array.shape
-        return self.cell.estimator(shape, self._estimator_name, rest_resistance_ohm=self._rest_ohm)
+        rest_ohm = self._rest_ohm
+        if rest_ohm is None and self._calibration is not None:
+            rest_ohm = self._calibration.rest_ohm
+        return self.cell.estimator(self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm)
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:

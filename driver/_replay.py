@@ -20,6 +20,7 @@ from ..circuits import Design
 from ..config import parse
 from ..errors import InputError, LinkEnded, LinkError, MissingExtra
 from ..wire import read_description, write_description
+from ._calibration import Calibration
 from ._port import Arrival
 from ._recorder import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
 
@@ -36,6 +37,7 @@ class RecordedSettings:
     estimator: str | None
     pitch: float | None
     """m"""
+    calibration: Calibration | None = None
 
     def as_metadata(self) -> dict[str, str]:
         """Texts for the file."""
@@ -43,7 +45,11 @@ class RecordedSettings:
             None if self.design is None else self.design.model_dump(),
             None if self.cell is None else self.cell.model_dump(exclude_none=True),
         ).decode()
-        known = {"estimator": self.estimator, "pitch": None if self.pitch is None else float(self.pitch).hex()}
+        known = {
+            "estimator": self.estimator,
+            "pitch": None if self.pitch is None else float(self.pitch).hex(),
+            "calibration": None if self.calibration is None else self.calibration.as_json(),
+        }
         return {"board": self.board, "given": tables} | {key: value for key, value in known.items() if value}
 
     @classmethod
@@ -52,13 +58,15 @@ class RecordedSettings:
         if metadata.get("format") != FORMAT:
             raise InputError(f"{path}: a recording of format {metadata.get('format')}; expected {FORMAT}")
         design, cell = read_description(metadata["given"].encode())
-        pitch = metadata.get("pitch")
+        pitch, calibration = metadata.get("pitch"), metadata.get("calibration")
+        where = f"{path}: calibration"
         return cls(
             board=metadata["board"],
             design=None if design is None else parse(design, Design, source=f"{path}: design"),
             cell=None if cell is None else parse(cell, Cell, source=f"{path}: cell"),
             estimator=metadata.get("estimator"),
             pitch=None if pitch is None else float.fromhex(pitch),
+            calibration=None if calibration is None else Calibration.from_json(calibration, source=where),
         )
 
 

@@ -17,6 +17,7 @@ from ..cell import Cell
 from ..circuits import Design
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Description, Family, HostProtocol, Identity, Order, board_family, host_protocol
+from ._calibration import Calibration
 from ._convert import Converter
 from ._discover import find_board
 from ._frame import Frame
@@ -68,6 +69,7 @@ class Skin:
         reopen: Callable[[], BytePort] | None = None,
         pitch: float | None = None,
         record: str | Path | None = None,
+        calibration: Calibration | str | Path | None = None,
     ) -> None:
         """Introduce the board behind an open port.
 
@@ -85,13 +87,15 @@ class Skin:
             reopen: opens the port again; None: a port that has gone away is not opened again.
             pitch: distance of neighbouring cells in m, for contacts; None: that of the design's ``[sheet]``.
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
+            calibration: rest resistance and gain of each cell, or the file that holds them. A tare replaces its rest
+                resistances and keeps its gains.
 
         Raises:
             LinkTimeout: the board is silent.
             ProtocolError: it sends something else than packets, or a description that is not valid or too large.
             LinkError: the port is gone.
             InputError: there is no such family, or no such estimator for this cell, or the design is not known, or
-                the recording cannot be written.
+                the recording cannot be written, or the calibration cannot be read or is another board's.
 
         """
         self._timeout = timeout
@@ -102,6 +106,7 @@ class Skin:
             family = board_family(board)
             if queue < 1:
                 raise InputError(f"a queue of {queue} frames; expected at least 1")
+            given = calibration if isinstance(calibration, Calibration | None) else Calibration.load(calibration)
             if delivery not in ("newest", "every", "lossless"):
                 raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
             self._counters = Counters()
@@ -118,7 +123,7 @@ class Skin:
                 reconnect_s=reconnect,
             )
             if record is not None:
-                settings = RecordedSettings(family.name, design, cell, estimator, pitch)
+                settings = RecordedSettings(family.name, design, cell, estimator, pitch, given)
                 self._recorder = Recorder(record, settings.as_metadata())
                 self._reader.taps.append(self._recorder.arrived)
                 self._reader.on_gone.append(self._recorder.port_gone)
@@ -129,7 +134,7 @@ class Skin:
         try:
             self._reader.await_introduction(timeout)
             changes = port.rest.changes if isinstance(port, ReplayPort) else ()
-            set_up = partial(_set_up, introduction, estimator, pitch, self._counters, changes)
+            set_up = partial(_set_up, introduction, estimator, pitch, self._counters, changes, given)
             self._converter = _within(set_up, deadline, self._too_slow)
         except BaseException:
             self._reader.stop()
@@ -141,6 +146,8 @@ class Skin:
         """how the board reads its array"""
         self.cell = self._converter.cell
         """what the skin is made of; None: not known, pressures are NaN"""
+        self.calibration = given
+        """rest resistances and gains of the cells; None: all are as the cell's data say"""
         self._source = Source(
             port.name,
             self._mailbox,
@@ -177,6 +184,7 @@ class Skin:
         pitch: float | None = None,
         record: str | Path | None = None,
         speed: float | None = None,
+        calibration: Calibration | str | Path | None = None,
     ) -> Skin:
         """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording; see :meth:`__init__` for the rest.
 
@@ -197,6 +205,7 @@ class Skin:
             pitch: likewise.
             record: likewise.
             speed: of a recording, times real time; None: as fast as it is read.
+            calibration: as for :meth:`__init__`; None: that of the recording, else none.
 
         Raises:
             LinkError: the port is not there, may not be used, or is in use, or another board is behind it; and what
@@ -219,6 +228,7 @@ class Skin:
                 reopen=played.reopen,
                 pitch=settings.pitch if pitch is None else pitch,
                 record=record,
+                calibration=settings.calibration if calibration is None else calibration,
             )
         family = board_family(board)
         if port is None:
@@ -239,6 +249,7 @@ class Skin:
             reopen=finder.open_again,
             pitch=pitch,
             record=record,
+            calibration=calibration,
         )
         if serial_number is not None and skin.serial_number and skin.serial_number != serial_number:
             skin.close()
@@ -386,8 +397,8 @@ class Skin:
         """Take the skin for unloaded now: the mean of the next ``frames`` becomes each cell's rest resistance.
 
         This removes what differs from cell to cell, and the steady part of what the design does not mention. A cell
-        without a valid reading keeps the rest resistance of the data sheet. The frames taken are not iterated over;
-        frames lost meanwhile count in the next frame's ``lost_before``.
+        without a valid reading keeps the rest resistance of the calibration, else of the data sheet. The frames taken
+        are not iterated over; frames lost meanwhile count in the next frame's ``lost_before``.
 
         Args:
             frames: to average.
@@ -413,11 +424,11 @@ class Skin:
 
     @property
     def tared(self) -> Tare | None:
-        """The tare in use; None: rest resistances are those of the data sheet."""
+        """The tare in use; None: rest resistances are those of the calibration, else of the data sheet."""
         return self._tares[-1]
 
     def use_tare(self, tare: Tare | None) -> None:
-        """Use a tare from before, such as a loaded one; None: the data sheet's rest resistances.
+        """Use a tare from before, such as a loaded one; None: the rest resistances from before any tare.
 
         Raises:
             InputError: it is of another board, or of an array of another shape.
@@ -434,7 +445,7 @@ class Skin:
             self._use(tare)
 
     def undo_tare(self) -> Tare | None:
-        """Go back to the tare before the present one, None for the data sheet. Returns the tare then in use."""
+        """Go back to the tare before the present one, None for none. Returns the tare then in use."""
         with self._taring:
             if len(self._tares) > 1:
                 self._tares.pop()
@@ -466,6 +477,7 @@ class Skin:
             lost=None if None in losses else sum(loss or 0 for loss in losses),
             serial_number=self.serial_number,
             wall_time=taken[-1].host_time,
+            calibrated_ohm=None if self.calibration is None else self.calibration.rest_ohm,
         )
 
     def _too_slow(self) -> ProtocolError:
@@ -489,12 +501,18 @@ def _set_up(
     pitch: float | None,
     counters: Counters,
     rest_changes: Sequence[tuple[float, FloatArray | None]],
+    calibration: Calibration | None,
 ) -> Converter:
     """The converter for a board, tried out."""
     design, cell = introduction.design(), introduction.cell()
+    if calibration is not None:
+        try:
+            calibration.check_board(design, cell, introduction.serial_number)
+        except InputError as error:
+            raise InputError(f"{introduction.port_name}: {error}") from None
     try:
         pitch_m = design.sheet.pitch if pitch is None else pitch
-        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes)
+        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes, calibration)
         converter.try_out()
     except OhmskinError:
         raise
