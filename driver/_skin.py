@@ -152,6 +152,8 @@ class Skin:
         """how the board reads its array"""
         self.cell = self._converter.cell
         """what the skin is made of; None: not known, pressures are NaN"""
+        self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
+        """s that the recording lasts; None: the board is live"""
         self._source = Source(
             port.name,
             self._mailbox,
@@ -274,6 +276,16 @@ class Skin:
     def port_name(self) -> str:
         """The name of the port that was opened."""
         return self._source.name
+
+    @property
+    def pitch_m(self) -> float:
+        """Distance of neighbouring cells in m."""
+        return self._converter.pitch_m
+
+    @property
+    def away(self) -> str | None:
+        """Why the port is gone, while the driver tries to open it again; None: it is there."""
+        return self._mailbox.away
 
     def __enter__(self) -> Self:
         return self
