@@ -98,6 +98,29 @@ class CountReader:
         """V, standard deviation of the readings: the larger one of the design's and what frames have shown."""
         return max(self._design_noise, self._scatter)
 
+    def memory(self) -> tuple[float, NDArray[np.integer] | None]:
+        """What the noise is measured from: its standard deviation so far in ADC steps, and the last frame's counts."""
+        if self._before is None:
+            return self._scatter / self._step, None
+        return self._scatter / self._step, np.rint((self._before - self._lowest_volts) / self._step).astype(np.int64)
+
+    def remember(self, noise_steps: float, counts: NDArray[np.integer] | None) -> None:
+        """Go on with the :meth:`memory` of another reader of the same design. The inversion begins anew."""
+        self._scatter = noise_steps * self._step
+        self._before = None if counts is None else self._volts(counts)
+        self._frames = 0 if counts is None else 2
+
+    def forget(self) -> None:
+        """Take the next frame for the first one, as far as noise is concerned."""
+        self._scatter = 0.0 if self._design_noise else _ASSUMED_NOISE * self._step
+        self._frames, self._before, self._reading = 0, None, None
+
+    def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
+        """The middle of each code, in V."""
+        volts: FloatArray = np.multiply(counts, self._step, dtype=np.float64)
+        volts += self._lowest_volts
+        return volts
+
     def __call__(self, counts: NDArray[np.integer]) -> Reading:
         """The resistances behind ``counts`` (rows, columns).
 
@@ -123,8 +146,7 @@ class CountReader:
         return reading
 
     def _read(self, counts: NDArray[np.integer]) -> Reading:
-        volts: FloatArray = np.multiply(counts, self._step, dtype=np.float64)
-        volts += self._lowest_volts
+        volts = self._volts(counts)
         guard = self._guard_codes(volts)
         lowest = self._first + (guard if self._guards_low else 0)
         highest = self._last - (guard if self._guards_high else 0)
