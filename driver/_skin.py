@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
@@ -18,17 +19,19 @@ from ..circuits import Design
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Description, Family, HostProtocol, Identity, Order, board_family, host_protocol
 from ._calibration import Calibration
-from ._convert import Converter
+from ._convert import Converter, Measurement
 from ._discover import find_board
 from ._frame import Frame
 from ._introduce import Introduction
 from ._mailbox import Mailbox
+from ._past import Past
 from ._port import Arrival, BytePort
 from ._reader import Reader
 from ._reconnect import PortFinder
-from ._recorder import Recorder
+from ._recorder import Recording
 from ._replay import RecordedSettings, ReplayPort
 from ._statistics import Counters, LinkStatistics
+from ._stream import RawFrame
 from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, Source
 from ._tare import RestReadings, Tare
 
@@ -68,6 +71,7 @@ class Skin:
         reconnect: float = 10.0,
         reopen: Callable[[], BytePort] | None = None,
         pitch: float | None = None,
+        accuracy: float | None = None,
         record: str | Path | None = None,
         calibration: Calibration | str | Path | None = None,
     ) -> None:
@@ -86,6 +90,8 @@ class Skin:
             reconnect: s to try to open a port again that has gone away.
             reopen: opens the port again; None: a port that has gone away is not opened again.
             pitch: distance of neighbouring cells in m, for contacts; None: that of the design's ``[sheet]``.
+            accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 2 %, or as well
+                as a converter of few bits and the noise allow (:class:`ohmskin.circuits.ValidityRule`).
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
             calibration: rest resistance and gain of each cell, or the file that holds them. A tare replaces its rest
                 resistances and keeps its gains.
@@ -95,12 +101,15 @@ class Skin:
             ProtocolError: it sends something else than packets, or a description that is not valid or too large.
             LinkError: the port is gone.
             InputError: there is no such family, or no such estimator for this cell, or the design is not known, or
-                the recording cannot be written, or the calibration cannot be read or is another board's.
+                the accuracy is not between 0 and 1, or the recording cannot be written, or the calibration cannot be
+                read or is another board's.
 
         """
         self._timeout = timeout
         self._delivery = delivery
-        self._recorder: Recorder | None = None
+        self._recorder: Recording | None = None
+        self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
+        """recordings under way -> what tells them of converted frames"""
         deadline = time.monotonic() + timeout
         try:
             family = board_family(board)
@@ -122,9 +131,13 @@ class Skin:
                 reopen=reopen,
                 reconnect_s=reconnect,
             )
+            self.settings = RecordedSettings(family.name, design, cell, estimator, pitch, accuracy, given)
+            """how the skin was opened, for recordings"""
+            past = port.past if isinstance(port, ReplayPort) else None
+            if past is not None:
+                self._reader.resume(past.heard_bytes(), past.stream)
             if record is not None:
-                settings = RecordedSettings(family.name, design, cell, estimator, pitch, given)
-                self._recorder = Recorder(record, settings.as_metadata())
+                self._recorder = Recording(record, self.settings.as_metadata())
                 self._reader.taps.append(self._recorder.arrived)
                 self._reader.on_gone.append(self._recorder.port_gone)
         except BaseException:
@@ -134,8 +147,10 @@ class Skin:
         try:
             self._reader.await_introduction(timeout)
             changes = port.rest.changes if isinstance(port, ReplayPort) else ()
-            set_up = partial(_set_up, introduction, estimator, pitch, self._counters, changes, given)
+            set_up = partial(_set_up, introduction, estimator, pitch, accuracy, self._counters, changes, given)
             self._converter = _within(set_up, deadline, self._too_slow)
+            if past is not None:
+                self._remember(past)
         except BaseException:
             self._reader.stop()
             if self._recorder is not None:
@@ -148,6 +163,8 @@ class Skin:
         """what the skin is made of; None: not known, pressures are NaN"""
         self.calibration = given
         """rest resistances and gains of the cells; None: all are as the cell's data say"""
+        self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
+        """s that the recording lasts; None: the board is live"""
         self._source = Source(
             port.name,
             self._mailbox,
@@ -163,8 +180,7 @@ class Skin:
         self._tares: list[Tare | None] = [None]
         self._taring = threading.Lock()
         if self._recorder is not None:
-            self._converter.on_rest = self._recorder.rest_changed
-            self._converter.on_converted = ConvertedFrames(self._source, self._recorder.frame).converted
+            self._follow_frames(self._recorder)
 
     @classmethod
     def open(
@@ -182,6 +198,7 @@ class Skin:
         queue: int = QUEUE,
         reconnect: float = 10.0,
         pitch: float | None = None,
+        accuracy: float | None = None,
         record: str | Path | None = None,
         speed: float | None = None,
         calibration: Calibration | str | Path | None = None,
@@ -203,6 +220,7 @@ class Skin:
             queue: likewise.
             reconnect: likewise.
             pitch: likewise.
+            accuracy: likewise.
             record: likewise.
             speed: of a recording, times real time; None: as fast as it is read.
             calibration: as for :meth:`__init__`; None: that of the recording, else none.
@@ -227,6 +245,7 @@ class Skin:
                 reconnect=reconnect,
                 reopen=played.reopen,
                 pitch=settings.pitch if pitch is None else pitch,
+                accuracy=settings.accuracy if accuracy is None else accuracy,
                 record=record,
                 calibration=settings.calibration if calibration is None else calibration,
             )
@@ -248,6 +267,7 @@ class Skin:
             reconnect=reconnect,
             reopen=finder.open_again,
             pitch=pitch,
+            accuracy=accuracy,
             record=record,
             calibration=calibration,
         )
@@ -276,6 +296,16 @@ class Skin:
         """The name of the port that was opened."""
         return self._source.name
 
+    @property
+    def pitch_m(self) -> float:
+        """Distance of neighbouring cells in m."""
+        return self._converter.pitch_m
+
+    @property
+    def away(self) -> str | None:
+        """Why the port is gone, while the driver tries to open it again; None: it is there."""
+        return self._mailbox.away
+
     def __enter__(self) -> Self:
         return self
 
@@ -295,9 +325,10 @@ class Skin:
         for callback in self._callbacks:
             callback.close()
         self._callbacks.clear()
-        recorder, self._recorder = self._recorder, None
-        if recorder is not None:
-            recorder.close()
+        recordings, self._recorder = list(self._followers), None
+        self._followers.clear()
+        for recording in recordings:
+            recording.close()
 
     def __iter__(self) -> Iterator[Frame]:
         return self
@@ -375,9 +406,59 @@ class Skin:
         self._reader.taps.append(tap)
 
     @property
-    def recorder(self) -> Recorder | None:
-        """The recording under way."""
+    def recorder(self) -> Recording | None:
+        """The recording that the skin was opened with."""
         return self._recorder
+
+    def attach(self, recording: Recording) -> None:
+        """Let a recording begin here; :class:`Recorder` calls this.
+
+        Frames that have come are converted first. The next frames are converted by an inversion of the circuit that
+        begins anew and an estimator that goes on, as in the replay.
+
+        Raises:
+            LinkError: the skin has come to its end, or is closed.
+
+        """
+        with self._reader.between_arrivals() as heard:
+            if self._mailbox.end is not None:
+                raise copy.copy(self._mailbox.end)
+            newest = self._mailbox.newest
+            if newest is not None:
+                try:
+                    self._converter.measure(newest, self._mailbox)
+                except ProtocolError as error:
+                    self._mailbox.report(error)
+            past = Past.of(heard, self._reader.stream.state(), self._converter.hand_over())
+            recording.joined(past)
+            if self._reader.away:
+                recording.port_gone()
+            self._reader.taps.append(recording.arrived)
+            self._reader.on_gone.append(recording.port_gone)
+            self._follow_frames(recording)
+
+    def detach(self, recording: Recording) -> None:
+        """Let a recording end here; one that is not attached is left alone."""
+        with self._reader.between_arrivals():
+            told = self._followers.pop(recording, None)
+            if told is None:
+                return
+            self._reader.taps.remove(recording.arrived)
+            self._reader.on_gone.remove(recording.port_gone)
+            self._converter.on_rest.remove(recording.rest_changed)
+            self._converter.on_converted.remove(told)
+
+    def _remember(self, past: Past) -> None:
+        try:
+            self._converter.resume(past.measurement)
+        except InputError as error:
+            raise InputError(f"{self._reader.port_name}: what was before: {error}") from error
+
+    def _follow_frames(self, recording: Recording) -> None:
+        told = ConvertedFrames(self._source, recording.frame).converted
+        self._followers[recording] = told
+        self._converter.on_rest.append(recording.rest_changed)
+        self._converter.on_converted.append(told)
 
     def request(self, order: Order, *, period_us: int = 0) -> None:
         """Give the board an order of its protocol; LinkError where the port is gone."""
@@ -499,6 +580,7 @@ def _set_up(
     introduction: Introduction,
     estimator: str | None,
     pitch: float | None,
+    accuracy: float | None,
     counters: Counters,
     rest_changes: Sequence[tuple[float, FloatArray | None]],
     calibration: Calibration | None,
@@ -512,7 +594,7 @@ def _set_up(
             raise InputError(f"{introduction.port_name}: {error}") from None
     try:
         pitch_m = design.sheet.pitch if pitch is None else pitch
-        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes, calibration)
+        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes, accuracy, calibration)
         converter.try_out()
     except OhmskinError:
         raise
