@@ -7,8 +7,8 @@
             print(frame.pressure)
 """
 
-from ._calibration import Calibration, section_hash
 from ._arrays import FRAME_GRIDS, FRAME_NUMBERS, stack, to_xarray
+from ._calibration import Calibration, section_hash
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame

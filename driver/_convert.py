@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from ..arrays import BoolArray, FloatArray
 from ..cell import Cell, Estimator
 from ..circuits import Design
-from ._calibration import Calibration
 from ..errors import InputError
+from ._calibration import Calibration
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
 from ._mailbox import Mailbox
 from ._past import Block, MeasurementPast
