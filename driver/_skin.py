@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
@@ -401,8 +402,8 @@ class Skin:
         """
         if frames < 1:
             raise InputError(f"tare over {frames} frames; expected at least 1")
-        with self._taring:
-            tare = self._measure_rest(frames)
+        with self._taring, self._frames_for_tare(frames) as taken:
+            tare = self._rest(taken)
             if tare.remarks and not force:
                 raise InputError(
                     f"{self.port_name}: no tare, the skin seems to be loaded: {'; '.join(tare.remarks)}. "
@@ -450,13 +451,25 @@ class Skin:
         self._converter.use_rest(None if tare is None else tare.rest_resistance_ohm)
         self._taker.forget()
 
-    def _measure_rest(self, frames: int) -> Tare:
+    @contextlib.contextmanager
+    def _frames_for_tare(self, frames: int) -> Iterator[list[Frame]]:
+        """The next frames. What was lost and skipped meanwhile is told with the frame after them."""
         if self._delivery == "every":
             # What waits in the queue is of the past.
             self._taker.pass_to_newest()
-        with self._taker.aside():
-            taken = [self._taker.take(self._timeout) for _ in range(frames)]
-        losses = [frame.lost_before for frame in taken]
+        taken: list[Frame] = []
+        used = False
+        try:
+            while len(taken) < frames:
+                taken.append(self._taker.take(self._timeout))
+            yield taken
+            used = True
+        finally:
+            self._taker.tell_again(taken, used=used)
+
+    def _rest(self, taken: list[Frame]) -> Tare:
+        # What was lost before the first of them, perhaps long ago, is not of the tare.
+        losses = [frame.lost_before for frame in taken[1:]]
         readings = RestReadings(
             np.array([frame.resistance for frame in taken]),
             np.array([frame.monotonic_time for frame in taken]),

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import select
 import selectors
 import signal
 import threading
@@ -47,6 +48,8 @@ TICKS_AT_ONCE = 64
 """ticks between two looks at the port, at most"""
 WRITE_SOON = 4096
 """bytes that have arrived at the host's end with which the port goes before further ticks"""
+MOST_FOR_SELECT = 1024
+"""file descriptors that ``select()`` can wait for (FD_SETSIZE)"""
 DRAIN_S = 5.0
 """at the end: how long to wait for a host that has stopped reading"""
 
@@ -248,7 +251,14 @@ class _HasFileno(Protocol):
 
 
 def _wait_for(readable: list[_HasFileno], writable: list[_HasFileno], timeout_s: float) -> None:
-    """Wait until one of these is ready, or the time is over."""
+    """Wait until one of these is ready, or the time is over.
+
+    ``select()`` waits to the microsecond, but knows no descriptor beyond 1023. ``epoll()`` knows all, but rounds the
+    time up to whole milliseconds, which would make frames of a 1 kHz board late by half their period.
+    """
+    if max(end.fileno() for end in readable) < MOST_FOR_SELECT:
+        select.select(readable, writable, [], timeout_s)
+        return
     with selectors.DefaultSelector() as selector:
         for end in readable:
             both = selectors.EVENT_WRITE if end in writable else 0
