@@ -225,7 +225,9 @@ class Reader:
                 self._received += len(arrival.data)
                 for tap in self.taps:
                     tap(arrival)
-                for event in self._protocol.feed(arrival.data, arrival.received_at):
+                events = self._protocol.feed(arrival.data, arrival.received_at)
+                self.stream.arrive(arrival, sum(isinstance(event, FramePacket) for event in events))
+                for event in events:
                     self._handle(event, arrival)
                 self._mailbox.tell()
 

@@ -89,15 +89,16 @@ class Recorder:
     A file that cannot be written any more (a full disk) ends the recording, not the skin: see :attr:`error`.
     """
 
-    def __init__(self, path: str | Path, settings: Mapping[str, str]) -> None:
+    def __init__(self, path: str | Path, settings: Mapping[str, str], *, overwrite: bool = False) -> None:
         """Begin a recording.
 
         Args:
-            path: of the file, which is replaced.
+            path: of the file.
             settings: what a replay must know beforehand, see :class:`._replay.RecordedSettings`.
+            overwrite: replace a file that is there and not empty.
 
         Raises:
-            InputError: the file cannot be written.
+            InputError: the file cannot be written, or is there already.
             MissingExtra: mcap is not installed.
 
         """
@@ -106,6 +107,8 @@ class Recorder:
         except ImportError as error:
             raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
         self.path = Path(path)
+        if not overwrite and self.path.is_file() and self.path.stat().st_size:
+            raise InputError(f"{path}: is there already; choose another name, or ask to overwrite it")
         self.error: InputError | None = None
         """why the recording ended before it was closed"""
         self.frames = 0

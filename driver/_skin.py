@@ -69,6 +69,7 @@ class Skin:
         reopen: Callable[[], BytePort] | None = None,
         pitch: float | None = None,
         record: str | Path | None = None,
+        overwrite: bool = False,
     ) -> None:
         """Introduce the board behind an open port.
 
@@ -86,13 +87,14 @@ class Skin:
             reopen: opens the port again; None: a port that has gone away is not opened again.
             pitch: distance of neighbouring cells in m, for contacts; None: that of the design's ``[sheet]``.
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
+            overwrite: replace a recording that is there already.
 
         Raises:
             LinkTimeout: the board is silent.
             ProtocolError: it sends something else than packets, or a description that is not valid or too large.
             LinkError: the port is gone.
             InputError: there is no such family, or no such estimator for this cell, or the design is not known, or
-                the recording cannot be written.
+                the recording cannot be written, or is there already.
 
         """
         self._timeout = timeout
@@ -120,7 +122,7 @@ class Skin:
             )
             if record is not None:
                 settings = RecordedSettings(family.name, design, cell, estimator, pitch)
-                self._recorder = Recorder(record, settings.as_metadata())
+                self._recorder = Recorder(record, settings.as_metadata(), overwrite=overwrite)
                 self._reader.taps.append(self._recorder.arrived)
                 self._reader.on_gone.append(self._recorder.port_gone)
         except BaseException:
@@ -177,6 +179,7 @@ class Skin:
         reconnect: float = 10.0,
         pitch: float | None = None,
         record: str | Path | None = None,
+        overwrite: bool = False,
         speed: float | None = None,
     ) -> Skin:
         """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording; see :meth:`__init__` for the rest.
@@ -197,6 +200,7 @@ class Skin:
             reconnect: likewise.
             pitch: likewise.
             record: likewise.
+            overwrite: likewise.
             speed: of a recording, times real time; None: as fast as it is read.
 
         Raises:
@@ -220,6 +224,7 @@ class Skin:
                 reopen=played.reopen,
                 pitch=settings.pitch if pitch is None else pitch,
                 record=record,
+                overwrite=overwrite,
             )
         family = board_family(board)
         if port is None:
@@ -240,6 +245,7 @@ class Skin:
             reopen=finder.open_again,
             pitch=pitch,
             record=record,
+            overwrite=overwrite,
         )
         if serial_number is not None and skin.serial_number and skin.serial_number != serial_number:
             skin.close()

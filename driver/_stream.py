@@ -12,6 +12,7 @@ from ..errors import ProtocolError
 from ..wire import Corrupt, Flag, FramePacket
 from ._clock import ClockMap
 from ._port import Arrival
+from ._spacing import ArrivalTimes
 from ._statistics import Counters
 
 REMEMBERED = 64
@@ -56,6 +57,8 @@ class FrameStream:
         self.name = name
         """of the port, for messages"""
         self.clock = ClockMap()
+        self._arrivals = ArrivalTimes()
+        """of boards without a clock"""
         self.counters = counters
         self._expected: int | None = None
         self._boot_id: int | None = None
@@ -69,6 +72,10 @@ class FrameStream:
         """Take the number that the first frame will have, as the packets before it say."""
         if not self.counters.frames:
             self._expected, self._boot_id = sequence, boot_id
+
+    def arrive(self, arrival: Arrival, frames: int) -> None:
+        """Take the number of frames that came together, before :meth:`take` takes them one by one."""
+        self._arrivals.arrive(arrival.received_at, frames)
 
     def corrupt(self, event: Corrupt) -> None:
         """Count a stretch of bytes that was no packet."""
@@ -140,7 +147,7 @@ class FrameStream:
 
     def _map_time(self, device_s: float | None, arrival: Arrival) -> float:
         if device_s is None:
-            return arrival.received_at
+            return self._arrivals.next(arrival.received_at)
         monotonic = self.clock.add(device_s, arrival.received_at)
         self.counters.delays_s.append(arrival.received_at - monotonic)
         return monotonic

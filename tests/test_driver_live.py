@@ -12,14 +12,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import DESIGN, Script, Wire, gone, lossless, scene
+from boards import DESIGN, Flow, Script, Wire, gone, lossless, scene
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,6 +30,7 @@ from ohmskin.driver._convert import Measurement
 from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._port import DescriptorPort
 from ohmskin.driver._reader import Reader
+from ohmskin.driver._reading import Reading
 from ohmskin.driver._stream import RawFrame
 from ohmskin.emulator import Board, PtyPort, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
@@ -74,6 +75,30 @@ def described(*pieces: bytes, last: Callable[[], bytes] | None = None) -> Script
 
 def sequences(frames: list[Frame]) -> list[int | None]:
     return [frame.sequence for frame in frames]
+
+
+@contextlib.contextmanager
+def taking(skin: Skin, how: str) -> Iterator[Callable[[], Frame]]:
+    """One of the ways to take the next frame."""
+    own = skin.frames()
+    with asyncio.Runner() as runner:
+
+        async def follow() -> AsyncIterator[Frame]:
+            return aiter(skin)
+
+        following = runner.run(follow())
+
+        async def following_frame() -> Frame:
+            return await anext(following)
+
+        ways = {
+            "latest": lambda: skin.latest(max_age=0.002),
+            "read": lambda: skin.read(timeout=0.0),
+            "iteration": lambda: next(skin),
+            "frames": lambda: next(own),
+            "async": lambda: runner.run(following_frame()),
+        }
+        yield ways[how]
 
 
 class TestDelivery:
@@ -208,6 +233,31 @@ class TestFreshness:
             assert (again.sequence, again.repeated) == (0, True)
             assert again.age > 0.2
             assert skin.latest(60.0) is again
+
+    @pytest.mark.parametrize("deaf", [False, True], ids=["thread reads", "thread never runs"])
+    @pytest.mark.parametrize("how", ["latest", "read", "iteration", "frames", "async"])
+    def test_a_slow_reader_at_1_khz_gets_the_frame_that_came_last(self, how: str, deaf: bool) -> None:
+        """On a clock of its own, hence on any machine: 10 ms of work per cycle, 0.9 ms to convert a frame."""
+        port = Flow(identity() + sheet(), frame, 0.001, at_once=97)
+        with Skin(port) as skin, taking(skin, how) as take:
+            convert = skin._converter._read
+
+            def slowly(counts: np.ndarray) -> Reading:
+                port.work(0.0009)
+                return convert(counts)
+
+            skin._converter._read = slowly  # type: ignore[assignment]
+            port.deaf = deaf
+            total, ages = 0, []
+            for _ in range(40):
+                port.work(0.01037)
+                newest = port.newest
+                one = take()
+                ages.append(one.age)
+                total += 1 + one.skipped_before
+                assert (one.sequence, one.lost_before) == (newest, 0)
+        assert total == newest + 1
+        assert max(ages) < 0.002
 
     def test_what_happened_before_a_frame_is_told_once(self) -> None:
         """A control loop that adds up what it lost, and asks more often than frames come."""
