@@ -4,6 +4,7 @@
 """
 
 from ._adc import adc_codes, adc_error, clipped, conversion_changes, conversion_limits, volts_of_codes
+from ._amplifier_model import AmplifierModel
 from ._batch import BatchResult, scan_batch
 from ._board import Board
 from ._design import Adc, Array, Cells, Design, Drive, Fault, Operation, Readout, Requirements, Sheet
@@ -36,6 +37,7 @@ __all__ = [
     "CIRCUITS",
     "METHODS",
     "Adc",
+    "AmplifierModel",
     "Array",
     "BatchResult",
     "Board",

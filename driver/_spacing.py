@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections import deque
 from statistics import median
 
+from ._past import ArrivalsPast
+
 KEPT = 64
 """arrivals over which the usual interval is measured"""
 
@@ -22,6 +24,14 @@ class ArrivalTimes:
         self._received_s = 0.0
         self._step_s = 0.0
         self._left = 0
+
+    def state(self) -> ArrivalsPast:
+        """Everything remembered between arrivals, which :meth:`restore` takes."""
+        return ArrivalsPast(last=self._last_s, intervals=tuple(self._intervals_s))
+
+    def restore(self, past: ArrivalsPast) -> None:
+        """Continue from a saved :meth:`state`."""
+        self._last_s, self._intervals_s = past.last, deque(past.intervals, maxlen=KEPT)
 
     def arrive(self, received_s: float, frames: int) -> None:
         """Take an arrival with so many frames; :meth:`next` then gives their times."""
