@@ -372,6 +372,7 @@ def _frame(raw: RawFrame, measurement: Measurement, before: _Totals, source: Sou
         repeated=False,
         counts=raw.counts,
         valid=measurement.valid,
+        reason=measurement.reason,
         resistance=measurement.resistance,
         pressure=measurement.pressure,
         pressure_std=measurement.pressure_std,
