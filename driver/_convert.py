@@ -100,6 +100,11 @@ class Converter:
         """of the last frame, on the time scale of the estimator; also of a frame before the recording that is played"""
         self._measured: dict[int, Measurement] = {}
 
+    @property
+    def starts(self) -> int:
+        """Times that the estimator has begun without memory."""
+        return self._starts
+
     def try_out(self) -> None:
         """Convert a frame of mid-scale counts, for what shows only then: absurd values, and the cost of setting up."""
         adc = self.design.adc

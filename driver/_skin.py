@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import threading
 import time
@@ -73,6 +74,7 @@ class Skin:
         pitch: float | None = None,
         accuracy: float | None = None,
         record: str | Path | None = None,
+        overwrite: bool = False,
         calibration: Calibration | str | Path | None = None,
     ) -> None:
         """Introduce the board behind an open port.
@@ -93,6 +95,7 @@ class Skin:
             accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 2 %, or as well
                 as a converter of few bits and the noise allow (:class:`ohmskin.circuits.ValidityRule`).
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
+            overwrite: replace a recording that is there already.
             calibration: rest resistance and gain of each cell, or the file that holds them. A tare replaces its rest
                 resistances and keeps its gains.
 
@@ -101,8 +104,8 @@ class Skin:
             ProtocolError: it sends something else than packets, or a description that is not valid or too large.
             LinkError: the port is gone.
             InputError: there is no such family, or no such estimator for this cell, or the design is not known, or
-                the accuracy is not between 0 and 1, or the recording cannot be written, or the calibration cannot be
-                read or is another board's.
+                the accuracy is not between 0 and 1, or the recording cannot be written or is there already, or the
+                calibration cannot be read or is another board's.
 
         """
         self._timeout = timeout
@@ -137,7 +140,7 @@ class Skin:
             if past is not None:
                 self._reader.resume(past.heard_bytes(), past.stream)
             if record is not None:
-                self._recorder = Recording(record, self.settings.as_metadata())
+                self._recorder = Recording(record, self.settings.as_metadata(), overwrite=overwrite)
                 self._reader.taps.append(self._recorder.arrived)
                 self._reader.on_gone.append(self._recorder.port_gone)
         except BaseException:
@@ -200,6 +203,7 @@ class Skin:
         pitch: float | None = None,
         accuracy: float | None = None,
         record: str | Path | None = None,
+        overwrite: bool = False,
         speed: float | None = None,
         calibration: Calibration | str | Path | None = None,
     ) -> Skin:
@@ -222,6 +226,7 @@ class Skin:
             pitch: likewise.
             accuracy: likewise.
             record: likewise.
+            overwrite: likewise.
             speed: of a recording, times real time; None: as fast as it is read.
             calibration: as for :meth:`__init__`; None: that of the recording, else none.
 
@@ -247,6 +252,7 @@ class Skin:
                 pitch=settings.pitch if pitch is None else pitch,
                 accuracy=settings.accuracy if accuracy is None else accuracy,
                 record=record,
+                overwrite=overwrite,
                 calibration=settings.calibration if calibration is None else calibration,
             )
         family = board_family(board)
@@ -269,6 +275,7 @@ class Skin:
             pitch=pitch,
             accuracy=accuracy,
             record=record,
+            overwrite=overwrite,
             calibration=calibration,
         )
         if serial_number is not None and skin.serial_number and skin.serial_number != serial_number:
@@ -493,8 +500,8 @@ class Skin:
         """
         if frames < 1:
             raise InputError(f"tare over {frames} frames; expected at least 1")
-        with self._taring:
-            tare = self._measure_rest(frames)
+        with self._taring, self._frames_for_tare(frames) as taken:
+            tare = self._rest(taken)
             if tare.remarks and not force:
                 raise InputError(
                     f"{self.port_name}: no tare, the skin seems to be loaded: {'; '.join(tare.remarks)}. "
@@ -542,13 +549,25 @@ class Skin:
         self._converter.use_rest(None if tare is None else tare.rest_resistance_ohm)
         self._taker.forget()
 
-    def _measure_rest(self, frames: int) -> Tare:
+    @contextlib.contextmanager
+    def _frames_for_tare(self, frames: int) -> Iterator[list[Frame]]:
+        """The next frames. What was lost and skipped meanwhile is told with the frame after them."""
         if self._delivery == "every":
             # What waits in the queue is of the past.
             self._taker.pass_to_newest()
-        with self._taker.aside():
-            taken = [self._taker.take(self._timeout) for _ in range(frames)]
-        losses = [frame.lost_before for frame in taken]
+        taken: list[Frame] = []
+        used = False
+        try:
+            while len(taken) < frames:
+                taken.append(self._taker.take(self._timeout))
+            yield taken
+            used = True
+        finally:
+            self._taker.tell_again(taken, used=used)
+
+    def _rest(self, taken: list[Frame]) -> Tare:
+        # What was lost before the first of them, perhaps long ago, is not of the tare.
+        losses = [frame.lost_before for frame in taken[1:]]
         readings = RestReadings(
             np.array([frame.resistance for frame in taken]),
             np.array([frame.monotonic_time for frame in taken]),
