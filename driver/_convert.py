@@ -68,6 +68,7 @@ class Converter:
         """
         self.design = design
         self.cell = cell
+        self.pitch_m = pitch_m
         self._estimator_name = estimator
         self._counters = counters
         self._read = CountReader(design)

@@ -265,6 +265,16 @@ class Skin:
         """The name of the port that was opened."""
         return self._source.name
 
+    @property
+    def pitch_m(self) -> float:
+        """Distance of neighbouring cells in m."""
+        return self._converter.pitch_m
+
+    @property
+    def away(self) -> str | None:
+        """Why the port is gone, while the driver tries to open it again; None: it is there."""
+        return self._mailbox.away
+
     def __enter__(self) -> Self:
         return self
 

@@ -21,6 +21,7 @@ MAY_IMPORT = {
     "driver": SHARED | {"circuits", "cell", "wire"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
     "hil": SHARED | {"driver", "emulator"},
+    "view": SHARED | {"driver"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
 }
 
