@@ -12,7 +12,7 @@ from ._discover import FoundBoard, discover
 from ._frame import Frame
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader, Reading
-from ._recorder import Recorder
+from ._recorder import Recorder, Recording
 from ._replay import ReplayPort
 from ._skin import Delivery, Skin
 from ._statistics import LinkStatistics
@@ -31,6 +31,7 @@ __all__ = [
     "LinkStatistics",
     "Reading",
     "Recorder",
+    "Recording",
     "ReplayPort",
     "SerialPort",
     "Skin",

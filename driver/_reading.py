@@ -72,6 +72,14 @@ class CountReader:
         self._counts = b""
         self._reading: Reading | None = None
 
+    def memory(self) -> tuple[float, NDArray[np.integer] | None]:
+        """What the noise is measured from: its standard deviation so far in ADC steps, and the last frame's counts."""
+        return self._noise, self._before
+
+    def remember(self, noise_steps: float, counts: NDArray[np.integer] | None) -> None:
+        """Go on with the :meth:`memory` of another reader of the same design. The inversion begins anew."""
+        self._noise, self._before = noise_steps, counts
+
     def __call__(self, counts: NDArray[np.integer]) -> Reading:
         """The resistances behind ``counts`` (rows, columns).
 

@@ -20,6 +20,7 @@ from ..circuits import Design
 from ..config import parse
 from ..errors import InputError, LinkEnded, LinkError, MissingExtra
 from ..wire import read_description, write_description
+from ._past import Past
 from ._port import Arrival
 from ._recorder import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
 
@@ -84,8 +85,9 @@ class ReplayPort:
             raise InputError(f"speed {speed}; expected a positive number")
         self.path = Path(path)
         self.name = str(path)
-        self.settings, self.rest, self.arrivals, self.seconds = _survey(self.path)
-        """how it was opened; its tares; how many times bytes came; how long it lasts in s"""
+        self.settings, self.past, self.rest, self.arrivals, self.seconds = _survey(self.path)
+        """how it was opened; what the skin remembered when the recorder joined, None: it was opened recording; its
+        tares; how many times bytes came; how long it lasts in s"""
         self._speed = speed
         self._items = _items(self.path)
         self._next: Arrival | LinkError | None = None
@@ -160,8 +162,8 @@ class ReplayPort:
         return (item.received_at - self.now()) / self._speed
 
 
-def _survey(path: Path) -> tuple[RecordedSettings, RestSchedule, int, float]:
-    settings, rest = None, RestSchedule()
+def _survey(path: Path) -> tuple[RecordedSettings, Past | None, RestSchedule, int, float]:
+    settings, past, rest = None, None, RestSchedule()
     arrivals, first, last = 0, None, 0.0
     for topic, data in _records(path):
         if topic == METADATA:
@@ -172,6 +174,8 @@ def _survey(path: Path) -> tuple[RecordedSettings, RestSchedule, int, float]:
             first = last if first is None else first
         elif topic == EVENTS_TOPIC:
             event = json.loads(data)
+            if event["event"] == "joined":
+                past = Past.parse(event.get("past"), f"{path}: what was before")
             if event["event"] == "rest":
                 ohm = event["rest_ohm"]
                 values = None if ohm is None else np.frombuffer(base64.b64decode(ohm), dtype="<f8").astype(np.float64)
@@ -179,7 +183,7 @@ def _survey(path: Path) -> tuple[RecordedSettings, RestSchedule, int, float]:
                 rest.changes.append((after, values))
     if settings is None:
         raise InputError(f"{path}: is no recording of ohmskin; expected the metadata '{METADATA}'")
-    return settings, rest, arrivals, 0.0 if first is None else last - first
+    return settings, past, rest, arrivals, 0.0 if first is None else last - first
 
 
 def _items(path: Path) -> Iterator[Arrival | LinkError]:

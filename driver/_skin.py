@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
@@ -17,17 +18,19 @@ from ..cell import Cell
 from ..circuits import Design
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Description, Family, HostProtocol, Identity, Order, board_family, host_protocol
-from ._convert import Converter
+from ._convert import Converter, Measurement
 from ._discover import find_board
 from ._frame import Frame
 from ._introduce import Introduction
 from ._mailbox import Mailbox
+from ._past import Past
 from ._port import Arrival, BytePort
 from ._reader import Reader
 from ._reconnect import PortFinder
-from ._recorder import Recorder
+from ._recorder import Recording
 from ._replay import RecordedSettings, ReplayPort
 from ._statistics import Counters, LinkStatistics
+from ._stream import RawFrame
 from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, Source
 from ._tare import RestReadings, Tare
 
@@ -96,7 +99,9 @@ class Skin:
         """
         self._timeout = timeout
         self._delivery = delivery
-        self._recorder: Recorder | None = None
+        self._recorder: Recording | None = None
+        self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
+        """recordings under way -> what tells them of converted frames"""
         deadline = time.monotonic() + timeout
         try:
             family = board_family(board)
@@ -117,9 +122,13 @@ class Skin:
                 reopen=reopen,
                 reconnect_s=reconnect,
             )
+            self.settings = RecordedSettings(family.name, design, cell, estimator, pitch)
+            """how the skin was opened, for recordings"""
+            past = port.past if isinstance(port, ReplayPort) else None
+            if past is not None:
+                self._reader.resume(past.heard_bytes(), past.stream)
             if record is not None:
-                settings = RecordedSettings(family.name, design, cell, estimator, pitch)
-                self._recorder = Recorder(record, settings.as_metadata())
+                self._recorder = Recording(record, self.settings.as_metadata())
                 self._reader.taps.append(self._recorder.arrived)
                 self._reader.on_gone.append(self._recorder.port_gone)
         except BaseException:
@@ -131,6 +140,8 @@ class Skin:
             changes = port.rest.changes if isinstance(port, ReplayPort) else ()
             set_up = partial(_set_up, introduction, estimator, pitch, self._counters, changes)
             self._converter = _within(set_up, deadline, self._too_slow)
+            if past is not None:
+                self._remember(past)
         except BaseException:
             self._reader.stop()
             if self._recorder is not None:
@@ -156,8 +167,7 @@ class Skin:
         self._tares: list[Tare | None] = [None]
         self._taring = threading.Lock()
         if self._recorder is not None:
-            self._converter.on_rest = self._recorder.rest_changed
-            self._converter.on_converted = ConvertedFrames(self._source, self._recorder.frame).converted
+            self._follow_frames(self._recorder)
 
     @classmethod
     def open(
@@ -294,9 +304,10 @@ class Skin:
         for callback in self._callbacks:
             callback.close()
         self._callbacks.clear()
-        recorder, self._recorder = self._recorder, None
-        if recorder is not None:
-            recorder.close()
+        recordings, self._recorder = list(self._followers), None
+        self._followers.clear()
+        for recording in recordings:
+            recording.close()
 
     def __iter__(self) -> Iterator[Frame]:
         return self
@@ -374,9 +385,59 @@ class Skin:
         self._reader.taps.append(tap)
 
     @property
-    def recorder(self) -> Recorder | None:
-        """The recording under way."""
+    def recorder(self) -> Recording | None:
+        """The recording that the skin was opened with."""
         return self._recorder
+
+    def attach(self, recording: Recording) -> None:
+        """Let a recording begin here; :class:`Recorder` calls this.
+
+        Frames that have come are converted first. The next frames are converted by an inversion of the circuit that
+        begins anew and an estimator that goes on, as in the replay.
+
+        Raises:
+            LinkError: the skin has come to its end, or is closed.
+
+        """
+        with self._reader.between_arrivals() as heard:
+            if self._mailbox.end is not None:
+                raise copy.copy(self._mailbox.end)
+            newest = self._mailbox.newest
+            if newest is not None:
+                try:
+                    self._converter.measure(newest, self._mailbox)
+                except ProtocolError as error:
+                    self._mailbox.report(error)
+            past = Past.of(heard, self._reader.stream.state(), self._converter.hand_over())
+            recording.joined(past)
+            if self._reader.away:
+                recording.port_gone()
+            self._reader.taps.append(recording.arrived)
+            self._reader.on_gone.append(recording.port_gone)
+            self._follow_frames(recording)
+
+    def detach(self, recording: Recording) -> None:
+        """Let a recording end here; one that is not attached is left alone."""
+        with self._reader.between_arrivals():
+            told = self._followers.pop(recording, None)
+            if told is None:
+                return
+            self._reader.taps.remove(recording.arrived)
+            self._reader.on_gone.remove(recording.port_gone)
+            self._converter.on_rest.remove(recording.rest_changed)
+            self._converter.on_converted.remove(told)
+
+    def _remember(self, past: Past) -> None:
+        try:
+            self._converter.resume(past.measurement)
+        except InputError as error:
+            raise InputError(f"{self._reader.port_name}: what was before: {error}") from error
+
+    def _follow_frames(self, recording: Recording) -> None:
+        told = ConvertedFrames(self._source, recording.frame).converted
+        self._followers[recording] = told
+        self._converter.on_rest.append(recording.rest_changed)
+        self._converter.on_converted.append(told)
 
     def request(self, order: Order, *, period_us: int = 0) -> None:
         """Give the board an order of its protocol; LinkError where the port is gone."""

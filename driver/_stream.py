@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..errors import ProtocolError
 from ..wire import Corrupt, Flag, FramePacket
 from ._clock import ClockMap
+from ._past import StreamPast
 from ._port import Arrival
 from ._statistics import Counters
 
@@ -57,6 +58,8 @@ class FrameStream:
         """of the port, for messages"""
         self.clock = ClockMap()
         self.counters = counters
+        self._begun = False
+        """a frame has come"""
         self._expected: int | None = None
         self._boot_id: int | None = None
         self._latest_us: int | None = None
@@ -67,8 +70,32 @@ class FrameStream:
 
     def announce(self, sequence: int | None, boot_id: int | None) -> None:
         """Take the number that the first frame will have, as the packets before it say."""
-        if not self.counters.frames:
+        if not self._begun:
             self._expected, self._boot_id = sequence, boot_id
+
+    def state(self) -> StreamPast:
+        """Everything remembered, which :meth:`restore` takes. Totals are not part of it."""
+        return StreamPast(
+            begun=self._begun,
+            expected=self._expected,
+            boot_id=self._boot_id,
+            latest_us=self._latest_us,
+            latest_monotonic=self._latest_monotonic,
+            time_s=self._time_s,
+            in_step=self._in_step,
+            recent=tuple(self._recent),
+            numbered=self.counters.lost is not None,
+            clock=self.clock.state(),
+        )
+
+    def restore(self, past: StreamPast) -> None:
+        """Continue from a saved :meth:`state`, with totals that count from here."""
+        self._begun, self._expected, self._boot_id = past.begun, past.expected, past.boot_id
+        self._latest_us, self._latest_monotonic = past.latest_us, past.latest_monotonic
+        self._time_s, self._in_step = past.time_s, past.in_step
+        self._recent = deque(past.recent, maxlen=REMEMBERED)
+        self.counters.lost = 0 if past.numbered else None
+        self.clock.restore(past.clock)
 
     def corrupt(self, event: Corrupt) -> None:
         """Count a stretch of bytes that was no packet."""
@@ -106,6 +133,7 @@ class FrameStream:
         device_s = None if packet.time_us is None else packet.time_us / 1e6
         monotonic = self._map_time(device_s, arrival)
         self._advance(packet.time_us, monotonic, rebooted)
+        self._begun = True
         return RawFrame(
             index=counters.frames,
             sequence=packet.sequence,
@@ -147,7 +175,7 @@ class FrameStream:
 
     def _advance(self, time_us: int | None, monotonic: float, rebooted: bool) -> None:
         """Let the estimator's time pass: by the board's clock where it runs through, else by the host's."""
-        if self.counters.frames > 1:
+        if self._begun:
             if time_us is None or self._latest_us is None or rebooted:
                 step = monotonic - self._latest_monotonic
             else:

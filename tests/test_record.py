@@ -7,6 +7,7 @@ import csv
 import json
 import subprocess
 import sys
+import threading
 import time
 from itertools import islice
 from pathlib import Path
@@ -16,9 +17,9 @@ import pytest
 from boards import Script, Wire, gone, scene
 
 from ohmskin.cli import run
-from ohmskin.driver import Frame, ReplayPort, Skin
+from ohmskin.driver import Frame, Recorder, ReplayPort, Skin
 from ohmskin.emulator import Board, PtyPort, running
-from ohmskin.errors import InputError
+from ohmskin.errors import InputError, LinkEnded
 from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
 
 ARRAYS = ("counts", "valid", "resistance", "pressure", "pressure_std")
@@ -127,6 +128,93 @@ def test_what_was_given_at_opening_is_given_again(tmp_path: Path) -> None:
         again = list(skin)
         assert skin._converter.contacts._tracker.pitch_m == 0.0031
     assert all(map(same, live, again))
+
+
+@pytest.mark.parametrize("estimator", [None, "static"])
+def test_a_recorder_joins_an_open_skin_and_leaves_it(tmp_path: Path, estimator: str | None) -> None:
+    """The replay gives the frames from the join on, bit for bit: it knows of a press and of a tare from before."""
+    paths = [tmp_path / "one.mcap", tmp_path / "two.mcap"]
+    live: list[list[Frame]] = []
+    with Skin(Wire(Board(scene())), delivery="lossless", queue=4, estimator=estimator) as skin:
+        skin.tare(5, force=True)
+        before = list(islice(skin, 130))  # the press has begun
+        assert before[-1].pressure[1, 1] > 1
+        for path in paths:
+            with Recorder(skin, path) as recorder:
+                live.append(list(islice(skin, 70)))
+            assert recorder.frames > 60
+            assert recorder.error is None
+            list(islice(skin, 9))
+        recorder.close()  # a second time does nothing
+        assert next(skin).lost_before == 0
+    for path, frames in zip(paths, live, strict=True):
+        with Skin.open(str(path)) as skin:
+            again = list(skin)
+            assert skin.serial_number == "EMULATED"
+        begin = next(k for k, frame in enumerate(frames) if frame.sequence == again[0].sequence)
+        # Frames that had come, but that nobody had taken yet, belong to the time before.
+        assert len(again) >= len(frames) - begin > 0
+        assert all(same(one, other) for one, other in zip(frames[begin:], again, strict=False))
+
+
+def test_a_recorder_may_join_within_a_packet_and_after_a_gap(tmp_path: Path) -> None:
+    path = tmp_path / "middle.mcap"
+    stream = b"".join(pieces(range(40), last=True))
+    cut = len(b"".join(pieces(range(20)))) + 7
+    port = Script(stream[:cut])
+    with Skin(port, delivery="lossless") as skin:
+        before = [next(skin) for _ in range(20)]
+        with Recorder(skin, path):
+            port.say(stream[cut:])
+            live = list(skin)
+    assert [frame.sequence for frame in before + live] == list(range(40))
+    again = replayed(path)
+    assert len(again) == len(live) == 20
+    assert all(map(same, live, again))
+
+
+def test_a_recorder_joins_while_the_board_is_away(tmp_path: Path) -> None:
+    path = tmp_path / "away.mcap"
+    back = threading.Event()
+
+    def reopen() -> Script:
+        if not back.wait(10):
+            raise AssertionError
+        return Script(*pieces(range(7, 12), last=True))
+
+    with Skin(Script(*pieces(range(5)), last=gone), delivery="lossless", reopen=reopen) as skin:
+        for _ in range(5):
+            next(skin)
+        deadline = time.monotonic() + 30
+        while not skin._reader.away:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        with Recorder(skin, path):
+            back.set()
+            live = list(skin)
+    assert [(frame.reconnected, frame.lost_before) for frame in live[:2]] == [(True, 2), (False, 0)]
+    again = replayed(path)
+    assert len(again) == len(live)
+    assert all(map(same, live, again))
+
+
+def test_a_recorder_ends_with_its_skin_and_refuses_a_closed_one(tmp_path: Path) -> None:
+    path = tmp_path / "ended.mcap"
+    with Skin(Script(*pieces(range(9))), delivery="lossless") as skin:
+        recorder = Recorder(skin, path)
+        for _ in range(9):
+            next(skin)
+    recorder.close()
+    with Skin.open(str(path)) as again:
+        assert again.serial_number == "A1"
+    with pytest.raises(LinkEnded, match="the skin is closed"):
+        Recorder(skin, tmp_path / "late.mcap")
+    with Skin(Script(*pieces(range(2))), delivery="lossless") as skin:
+        with pytest.raises(InputError, match="cannot be written"):
+            Recorder(skin, tmp_path / "nowhere" / "x.mcap")
+        with pytest.raises(InputError, match="No space left on device"), Recorder(skin, "/dev/full"):
+            assert next(skin).sequence == 0
+        assert next(skin).sequence == 1
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7, 0.999])
