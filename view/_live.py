@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import threading
 import time
 from dataclasses import dataclass
 
 from ..driver import Frame, Skin
-from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ._frame_message import pack_frame
 from ._orders import FrameOrder, NextFrame
 from ._source import Source, Told, statistics
@@ -36,8 +37,8 @@ class LiveSource(Source):
 
     live = True
 
-    def __init__(self, skin: Skin) -> None:
-        super().__init__(skin)
+    def __init__(self, skin: Skin, *, name: str = "") -> None:
+        super().__init__(skin, name=name)
         self._lock = threading.Lock()
         self._newest: _Taken | None = None
         self._waiting: list[asyncio.Future[None]] = []
@@ -61,13 +62,17 @@ class LiveSource(Source):
 
     def _take_frames(self) -> None:
         number = -1
+        with contextlib.suppress(OhmskinError):
+            # What came before the page was served; a board that pauses since then would show nothing.
+            self._announce(_Taken(0, self.skin.latest(math.inf)))
+            number = 0
         while self._ended is None:
             try:
                 for frame in self.skin.frames():
                     number += 1
                     self._announce(_Taken(number, frame))
                 self._end(LinkEnded(f"{self.skin.port_name}: the board has come to the end of its frames"))
-            except (LinkTimeout, ProtocolError) as error:
+            except (LinkTimeout, OhmskinError, ProtocolError) as error:
                 self._problem = str(error)
             except LinkError as error:
                 self._end(error)

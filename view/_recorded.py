@@ -34,9 +34,9 @@ class RecordedSource(Source):
 
     live = False
 
-    def __init__(self, skin: Skin) -> None:
+    def __init__(self, skin: Skin, *, name: str = "") -> None:
         """Prepare the temporary file; InputError where none can be made."""
-        super().__init__(skin)
+        super().__init__(skin, name=name)
         try:
             self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # closed by close()
         except OSError as error:

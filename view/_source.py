@@ -9,6 +9,7 @@ from typing import Any, Self
 
 from ..driver import Skin
 from ..errors import InputError
+from ..text import printable
 from ._orders import FrameOrder, TraceCells
 
 Told = dict[str, Any]
@@ -18,8 +19,10 @@ Told = dict[str, Any]
 class Source(ABC):
     """Frames for any number of browsers. Methods are called in the thread of the event loop."""
 
-    def __init__(self, skin: Skin) -> None:
+    def __init__(self, skin: Skin, *, name: str = "") -> None:
+        """``name``: for the page's head; empty: the name of the skin's port."""
         self.skin = skin
+        self.name = name or skin.port_name
 
     def __enter__(self) -> Self:
         self.begin()
@@ -45,7 +48,7 @@ class Source(ABC):
         adc = skin.design.adc
         return {
             "kind": "introduction",
-            "source": skin.port_name,
+            "source": printable(self.name),
             "rows": rows,
             "columns": columns,
             "pitch_mm": 1e3 * skin.pitch_m,

@@ -2,10 +2,10 @@
 // to yellow. Lightness alone orders the colours, so the map is safe for colour-blind eyes and in grey print.
 
 const STEPS = 256;
-const DARKEST = 0.24;
+const DARKEST = 0.25;
 const LIGHTEST = 0.94;
-const HUES_DEG = [284, 235, 175, 140, 104];
-const LARGEST_CHROMA = 0.15;
+const HUES_DEG = [300, 270, 235, 195, 155, 125, 104];
+const LARGEST_CHROMA = 0.13;
 
 /** The colours of the map from its lower to its upper end: [red, green, blue] from 0 to 255. */
 export const COLOURS = equallySpaced(path(2000), STEPS);

@@ -6,6 +6,7 @@ import { fixed } from "./numbers.js";
 
 const MARGIN = 26; // CSS pixels for the numbers of rows and columns
 const LEAST_CELL_WITH_GAP = 9; // device pixels
+const GAP_COLOUR = "rgb(255 255 255 / 0.16)";
 const FONT = 'px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
 
 export class HeatMap {
@@ -63,7 +64,7 @@ export class HeatMap {
     context.drawImage(this.image, margin, margin, this.columns * side, this.rows * side);
     if (unread) this.hatch(values, valid);
     if (this.grid) {
-      context.strokeStyle = this.colours.card;
+      context.strokeStyle = GAP_COLOUR;
       context.lineWidth = 1;
       context.stroke(this.grid);
     }

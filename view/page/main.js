@@ -311,7 +311,7 @@ class View {
     const style = getComputedStyle(holder);
     const width = holder.clientWidth - parseFloat(style.paddingLeft) - parseFloat(style.paddingRight);
     const narrow = globalThis.innerWidth <= 960;
-    const height = narrow ? 1.25 * width : Math.max(globalThis.innerHeight - 430, 340);
+    const height = narrow ? 1.25 * width : Math.max(globalThis.innerHeight - 408, 340);
     this.map.layOut(this.skin.rows, this.skin.columns, width, height, this.colours);
     this.legendWidth = Math.min(width - 100, 480);
     this.scaleKey = "";

@@ -74,7 +74,7 @@ def command(
         skin = _open(what, board=board, design=design, cell=cell, estimator=estimator)
         if tare is not None:
             skin.use_tare(tare)
-        source: Source = RecordedSource(skin) if what.endswith(".mcap") else LiveSource(skin)
+        source: Source = RecordedSource(skin) if what.endswith(".mcap") else LiveSource(skin, name=_title(what))
         ports = [USUAL_PORT, 0] if port is None else [port]
         asyncio.run(_show(source, host, ports, stop, open_browser=not no_browser))
         return 0 if stop.signal is None else 128 + stop.signal
@@ -82,10 +82,18 @@ def command(
 
 def _open(what: str, *, board: str, design: Design | None, cell: Cell | None, estimator: str | None) -> Skin:
     """The skin, which waits for ever for a board that is away."""
-    if what.endswith(".toml") and "://" not in what:
+    if _is_scene(what):
         Scene.load(Path(what))  # for its own message, where the file is wrong
         what = f"ohmskin://{quote(str(Path(what).resolve()))}?clock=real&board={quote(board)}"
     return Skin.open(what, board=board, design=design, cell=cell, estimator=estimator, reconnect=float("inf"))
+
+
+def _is_scene(what: str) -> bool:
+    return what.endswith(".toml") and "://" not in what
+
+
+def _title(what: str) -> str:
+    return f"{what} (emulated)" if _is_scene(what) else what
 
 
 async def _show(source: Source, host: str, ports: Sequence[int], stop: Stop, *, open_browser: bool) -> None:
