@@ -7,6 +7,8 @@
             print(frame.pressure)
 """
 
+from ._arrays import FRAME_GRIDS, FRAME_NUMBERS, stack, to_xarray
+from ._calibration import Calibration, section_hash
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
@@ -20,8 +22,11 @@ from ._tare import Tare
 
 __all__ = [
     "BAUDRATE",
+    "FRAME_GRIDS",
+    "FRAME_NUMBERS",
     "Arrival",
     "BytePort",
+    "Calibration",
     "Contact",
     "ContactTracker",
     "CountReader",
@@ -39,4 +44,7 @@ __all__ = [
     "Tare",
     "discover",
     "open_port",
+    "section_hash",
+    "stack",
+    "to_xarray",
 ]

@@ -15,6 +15,7 @@ from ..arrays import BoolArray, FloatArray
 from ..cell import Cell, Estimator
 from ..circuits import Design
 from ..errors import InputError
+from ._calibration import Calibration
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
 from ._mailbox import Mailbox
 from ._past import Block, MeasurementPast
@@ -33,6 +34,8 @@ class Measurement:
     """What one frame says about the cells. Arrays are (rows, columns) and read-only."""
 
     valid: BoolArray
+    reason: NDArray[np.int8]
+    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each"""
     resistance: FloatArray
     """ohm"""
     pressure: FloatArray
@@ -58,22 +61,28 @@ class Converter:
         pitch_m: float,
         counters: Counters,
         rest_changes: Sequence[tuple[float, FloatArray | None]] = (),
+        accuracy: float | None = None,
+        calibration: Calibration | None = None,
     ) -> None:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
         ``rest_changes`` are those of a recording: times, and the (cells,) rest resistances for frames after them.
+        ``accuracy`` is the relative uncertainty up to which cells are valid, see :class:`CountReader`.
+        ``calibration`` gives each cell its rest resistance, as long as no tare gives another one, and its gain.
 
         Raises:
             ProtocolError: the design has no ADC.
-            InputError: there is no such estimator for this cell.
+            InputError: there is no such estimator for this cell, or the accuracy is not between 0 and 1.
 
         """
         self.design = design
         self.cell = cell
         self.pitch_m = pitch_m
         self._estimator_name = estimator
+        self._calibration = calibration
         self._counters = counters
-        self._read = CountReader(design)
+        self._accuracy = accuracy
+        self._read = CountReader(design, accuracy=accuracy)
         self._lock = threading.RLock()
         self.on_converted: list[Callable[[RawFrame, Measurement], None]] = []
         """told of every measurement: for recorders"""
@@ -91,6 +100,11 @@ class Converter:
         """of the last frame, on the time scale of the estimator; also of a frame before the recording that is played"""
         self._measured: dict[int, Measurement] = {}
 
+    @property
+    def starts(self) -> int:
+        """Times that the estimator has begun without memory."""
+        return self._starts
+
     def try_out(self) -> None:
         """Convert a frame of mid-scale counts, for what shows only then: absurd values, and the cost of setting up."""
         adc = self.design.adc
@@ -99,9 +113,10 @@ class Converter:
         reading = self._read(counts)
         if self.cell is not None:
             self._fresh_estimator().step(1.0, reading.resistance)
+        self._read.forget()
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
-        """Take these rest resistances (rows, columns) from now on, None those of the data sheet; memory is dropped."""
+        """Take these rest resistances (rows, columns) from now on, None those without a tare; memory is dropped."""
         with self._lock:
             self._rest_ohm = rest_ohm
             self._estimator = self._new_estimator()
@@ -153,7 +168,7 @@ class Converter:
         if counts is not None and not ((counts >= 0) & (counts < 2**16)).all():
             raise InputError("counts: expected those of 16 bits")
         self._last_s, self._rest_ohm = past.time_s, rest_ohm
-        self._read = CountReader(self.design)
+        self._read = CountReader(self.design, accuracy=self._accuracy)
         self._read.remember(past.noise_steps, None if counts is None else counts.astype(np.uint16))
         if self.cell is not None:
             self._estimator = self._fresh_estimator()
@@ -187,6 +202,7 @@ class Converter:
         reading = self._read(frame.counts)
         self._counters.converted += 1
         self._counters.unsolved += not reading.solved
+        self._counters.reasons = reading.reason
         while self._rest_changes and frame.monotonic_time > self._rest_changes[0][0]:
             rest = self._rest_changes.popleft()[1]
             self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
@@ -196,10 +212,20 @@ class Converter:
         if self._estimator is not None:
             pressure = self._estimator.step(gap_s, reading.resistance)
             std = self._estimator.std_kpa
+            if self._calibration is not None:
+                pressure, std = self._calibration.applied(pressure, std)
         view = PressureView(frame.time_s, _read_only(pressure), _read_only(std))
         self.contacts.pass_by(view)
         self._starts_told = self._starts
-        return Measurement(_read_only(reading.valid), _read_only(reading.resistance), pressure, std, view, self._starts)
+        return Measurement(
+            _read_only(reading.valid),
+            _read_only(reading.reason),
+            _read_only(reading.resistance),
+            pressure,
+            std,
+            view,
+            self._starts,
+        )
 
     def _new_estimator(self) -> Estimator | None:
         self._starts += 1
@@ -207,8 +233,10 @@ class Converter:
 
     def _fresh_estimator(self) -> Estimator:
         assert self.cell is not None
-        shape = self.design.array.shape
-        return self.cell.estimator(shape, self._estimator_name, rest_resistance_ohm=self._rest_ohm)
+        rest_ohm = self._rest_ohm
+        if rest_ohm is None and self._calibration is not None:
+            rest_ohm = self._calibration.rest_ohm
+        return self.cell.estimator(self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm)
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:

@@ -44,6 +44,7 @@ COMMANDS = {
     "replay": "Play a recording on a port that any program can open.",
     "view": "Show a skin in the browser, live or from a recording.",
     "export": "Convert a recording to arrays or tables.",
+    "calibrate": "Calibrate the cells of a skin by presses with known loads.",
     "score": "Compare a client's recording with the emulator's truth.",
     "fit": "Identify a cell and calibrate its estimators from a recording.",
     "estimate": "Estimate pressure from a recording of resistance.",
