@@ -102,7 +102,7 @@ def until(page: Page, condition: str, argument: Any = None) -> None:
     """Wait until a condition holds on the page. Playwright's own way needs eval(), which the page forbids."""
     deadline = time.monotonic() + PATIENCE_MS / 1e3
     while not page.evaluate(condition, argument):
-        assert time.monotonic() < deadline, condition
+        assert time.monotonic() < deadline, f"{condition}: {page.locator('body').inner_text()}"
         page.wait_for_timeout(20)
 
 

@@ -22,6 +22,8 @@ from ._frame_message import HEADER, pack_frame
 from ._orders import FrameOrder, NextFrame, ShowTime, TraceCells
 from ._source import Source, Told, statistics
 
+SAME_TIME_S = 1e-6
+"""a slider of a browser rounds its value a little"""
 FRAMES_AT_ONCE = 65536
 """read from the file at a time, for a trace"""
 
@@ -121,7 +123,7 @@ class RecordedSource(Source):
         if not count:
             raise InputError(f"{self.skin.port_name}: no frames")
         if isinstance(order, ShowTime):
-            number = int(np.searchsorted(self._times_s[:count], order.time_s, side="right")) - 1
+            number = int(np.searchsorted(self._times_s[:count], order.time_s + SAME_TIME_S, side="right")) - 1
         else:
             number = order.number
         number = min(max(number, 0), count - 1)

@@ -11,7 +11,7 @@ import contextlib
 import json
 from typing import TYPE_CHECKING
 
-from ..errors import LinkEnded, OhmskinError
+from ..errors import InputError, LinkEnded, OhmskinError
 from ..text import one_line
 from ._orders import FrameOrder, MakeTare, NextFrame, ShowNumber, ShowTime, TraceCells, UndoTare, read_order
 from ._source import Source, Told
@@ -66,7 +66,7 @@ class Session:
                     self._wanted = order
                     self._wants.set()
                 case _ if self._task is not None and not self._task.done():
-                    await self._tell({"kind": "refused", "text": "the order before is still being carried out"})
+                    await self._refuse(InputError("the order before is still being carried out"), order.do)
                 case _:
                     self._task = asyncio.create_task(self._carry_out(order))
 
@@ -95,7 +95,7 @@ class Session:
             except LinkEnded:
                 continue  # the status says so
             except OhmskinError as error:
-                await self._refuse(error)
+                await self._refuse(error, order.do)
                 continue
             await self._connection.send(message)
 

@@ -40,10 +40,13 @@ class View {
     this.drawn = 0;
     this.cost = { perSecond: NaN, mean_ms: NaN };
     this.spent = { frames: 0, ms: 0, since: performance.now() };
-    this.last = { plot: 0, text: 0, trace: 0, tick: performance.now() };
+    this.last = { plot: 0, text: 0, trace: 0 };
     this.painting = false;
     this.map = new HeatMap(element("map"), element("cells"), element("marks"));
-    this.transport = new Transport((order) => this.connection.order(order));
+    this.transport = new Transport(
+      (order) => this.connection.order(order),
+      () => this.paintSoon(),
+    );
     this.connection = new Connection({
       told: (message) => this.hear(message),
       framed: (buffer) => this.take(readFrame(buffer)),
@@ -141,10 +144,8 @@ class View {
     if (this.skin?.live) {
       if (this.frame && !this.asked) this.askNext(this.frame.number);
     } else {
-      this.transport.advance((now - this.last.tick) / 1e3);
-      if (this.transport.playing) this.paintSoon();
+      this.transport.advance();
     }
-    this.last.tick = now;
   }
 
   draw(now) {
@@ -289,7 +290,11 @@ class View {
   refused({ text, order }) {
     if (order === "tare" || order === "undo tare") {
       this.answerTare(text, [], order === "tare" && text.includes("seems to be loaded"));
-    } else if (order === "trace") setTimeout(() => this.askTraces(true), 200);
+    } else if (order === "trace") {
+      setTimeout(() => this.askTraces(true), 200);
+    } else if (order.startsWith("show")) {
+      this.transport.refused();
+    }
   }
 
   pause() {

@@ -4,9 +4,10 @@ import { element, write } from "./panels.js";
 import { fixed } from "./numbers.js";
 
 export class Transport {
-  /** @param order sends an order to ohmskin */
-  constructor(order) {
+  /** @param order sends an order to ohmskin; wake has advance() called when the browser paints next */
+  constructor(order, wake) {
     this.order = order;
+    this.wake = wake;
     this.playing = false;
     this.position_s = 0;
     this.seconds = 0;
@@ -54,16 +55,19 @@ export class Transport {
     this.ask();
   }
 
-  /** Moves on while playing; elapsed_s since the last call. */
-  advance(elapsed_s) {
+  /** Moves on while playing. */
+  advance() {
     if (!this.playing) return;
-    this.position_s += elapsed_s * Number(element("speed").value);
+    const now = performance.now();
+    this.position_s += ((now - this.since_ms) / 1e3) * Number(element("speed").value);
+    this.since_ms = now;
     if (this.position_s >= this.seconds) {
       this.position_s = this.seconds;
       if (this.complete) this.toggle();
     }
     element("position").value = String(this.position_s);
     this.want({ do: "show time", time_s: this.position_s });
+    this.wake();
   }
 
   seek(time_s) {
@@ -81,6 +85,13 @@ export class Transport {
     this.playing = !this.playing;
     if (this.playing && this.complete && this.position_s >= this.seconds) this.position_s = 0;
     write(element("play"), this.playing ? "Pause" : "Play");
+    this.since_ms = performance.now();
+    this.wake();
+  }
+
+  /** No frame comes for the last order. */
+  refused() {
+    this.waiting = false;
   }
 
   want(order) {
