@@ -11,6 +11,7 @@ from ._arrays import FRAME_GRIDS, FRAME_NUMBERS, stack, to_xarray
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
+from ._messages import MESSAGE_SCHEMAS, messages_of
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader, Reading
 from ._recorder import Recorder, Recording
@@ -23,6 +24,7 @@ __all__ = [
     "BAUDRATE",
     "FRAME_GRIDS",
     "FRAME_NUMBERS",
+    "MESSAGE_SCHEMAS",
     "Arrival",
     "BytePort",
     "Contact",
@@ -41,6 +43,7 @@ __all__ = [
     "SocketPort",
     "Tare",
     "discover",
+    "messages_of",
     "open_port",
     "stack",
     "to_xarray",
