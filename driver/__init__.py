@@ -8,6 +8,7 @@
 """
 
 from ._arrays import FRAME_GRIDS, FRAME_NUMBERS, stack, to_xarray
+from ._calibration import Calibration, section_hash
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
@@ -27,6 +28,7 @@ __all__ = [
     "MESSAGE_SCHEMAS",
     "Arrival",
     "BytePort",
+    "Calibration",
     "Contact",
     "ContactTracker",
     "CountReader",
@@ -45,6 +47,7 @@ __all__ = [
     "discover",
     "messages_of",
     "open_port",
+    "section_hash",
     "stack",
     "to_xarray",
 ]
