@@ -134,9 +134,10 @@ def _costs(board: Design, cells: FloatArray, cycles: int) -> tuple[float, float,
                 began = process_time()
                 skin.latest(inf)
                 times[cycle, kind] = process_time() - began
-    one, burst, with_contacts = 1e6 * np.median(times, axis=0)
-    come = (burst - one) / (_BURST - 1)
-    return float(come), float(one - come), float(with_contacts - one)
+    times[:, 1:] -= times[:, :1]
+    one, ten_more, contacts = (max(float(part), 0.0) for part in 1e6 * np.median(times, axis=0))
+    come = ten_more / (_BURST - 1)
+    return come, one - come, contacts
 
 
 def _ages(board: Design, cells: FloatArray, cycles: int) -> tuple[list[float], int, int]:
