@@ -41,6 +41,8 @@ BASELINE_RISE_S, BASELINE_FALL_S = 5.0, 0.3
 """time constants by which the baseline follows the pressures between presses"""
 UNREAD_S = 0.2
 """a cell that was read at rest and is not for so long is pressed too hard"""
+OTHER_STEP = 0.4
+"""share of the distance to the present load, at which a press is taken to be of another step"""
 AGAIN = "done again"
 
 
@@ -228,12 +230,12 @@ class Watch:
     def _step_of(self, target: int, felt_kpa: float, present: int) -> int:
         """The step that a press belongs to: the present one, unless earlier presses of the target say another load."""
         done = [press for press in self.presses if not press.fault and self._target_of(press) == target]
-        if not any(press.step == present for press in done) or felt_kpa <= 0:
+        if not done or felt_kpa <= 0:
             return present
         felt_per_kpa = float(np.mean([press.felt_kpa / press.held_kpa for press in done]))
         away = np.abs(np.log(felt_kpa / max(felt_per_kpa, 1e-9) / np.array(self.plan.loads_kpa)))
-        away[present] -= 1e-9  # of equal loads, the present one
-        return int(np.argmin(away))
+        nearest = int(np.argmin(away))
+        return nearest if away[nearest] < OTHER_STEP * away[present] else present
 
     def _next_step(self) -> int | None:
         steps = range(len(self.plan.loads_kpa))

@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ LOADS_KPA = (5.0, 12.0)
 FRAME_RATE = 20.0
 PRESS_S, HOLD_S, REST_S = 6.0, 3.5, 2.0
 TEST_S = 40.0
+TARE_FRAMES = 20
 PRESSED_KPA = 0.5
 SPREAD = {"rest_percent": 10.0, "sensitivity_percent": 20.0, "seed": 11}
 PROTOTYPE = str(Path(__file__).parent / "prototype.toml")
@@ -88,10 +90,10 @@ def calibration_movie(plan: Plan, path: Path) -> float:
 def calibrated(scene: Scene, plan: Plan, seconds: float) -> Calibration:
     """Calibrate the emulated skin."""
     port = PtyPort()
-    with running(scene, port, clock="fast", duration_s=seconds), Skin.open(port.name, delivery="lossless") as skin:
+    with running(scene, port, clock="fast"), Skin.open(port.name, delivery="lossless") as skin:
         assert skin.cell is not None
         watch = Watch(skin.cell, plan, hold_s=HOLD_S, rest_s=REST_S)
-        for frame in skin:
+        for frame in islice(skin, int(seconds * FRAME_RATE)):
             watch.feed(frame.device_time or 0.0, np.where(frame.valid, frame.resistance, np.nan))
         assert watch.rest is not None
         verdict = calibrate_cells(skin.cell, watch.rest, watch.presses)
@@ -116,12 +118,12 @@ def errors(scene: Scene, folder: Path, *, tare: bool, calibration: Calibration |
     port, truth = PtyPort(), folder / "truth.npz"
     found: list[tuple[int, NDArray[np.float64], NDArray[np.float64]]] = []
     with (
-        running(scene, port, clock="fast", duration_s=TEST_S, truth=truth),
+        running(scene, port, clock="fast", truth=truth),
         Skin.open(port.name, delivery="lossless", calibration=calibration) as skin,
     ):
         if tare:
-            skin.tare(20)
-        for frame in skin:
+            skin.tare(TARE_FRAMES)
+        for frame in islice(skin, int(TEST_S * FRAME_RATE) - TARE_FRAMES):
             assert frame.sequence is not None
             valid = frame.valid
             found.append((frame.sequence, np.where(valid, frame.pressure, np.nan), frame.pressure_std))

@@ -7,12 +7,16 @@ it is either read as an independent reader reads it, or refused in one :class:`I
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import io
+import json
 import math
 import os
 import random
 import re
+import shutil
 import struct
+import tempfile
 import tomllib
 import zlib
 from collections.abc import Callable, Mapping
@@ -24,9 +28,11 @@ import numpy as np
 from pydantic import BaseModel
 
 from ohmskin.bench._reference import Indeterminate, reference_volts
+from ohmskin.calibration import Plan, Progress, calibrate_cells
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, scan
 from ohmskin.cli import run
+from ohmskin.driver import Calibration
 from ohmskin.emulator import Scene
 from ohmskin.errors import InputError, SolverError
 from ohmskin.tables import read_cells, read_columns
@@ -159,6 +165,94 @@ def _judge_scene(data: bytes, rng: random.Random, folder: Path) -> str:
         assert np.isfinite(pressure).all(), "pressure is not finite"
         assert (pressure >= 0).all(), "pressure is negative"
         assert pressure.max() <= most * (1 + 1e-9), "a cell bears more than all contacts together"
+    return ACCEPTED
+
+
+def _calibration_text(rng: random.Random) -> bytes:
+    where = Path(tempfile.mkdtemp()) / "calibration.toml"
+    grid = np.reshape([rng.uniform(0.5, 2.0) for _ in range(math.prod(SHAPE))], SHAPE)
+    Calibration(
+        rest_ohm=1e4 * grid,
+        gain=grid,
+        gain_std=0.01 * grid,
+        rest_std_kpa=0.01 * grid,
+        residual_kpa=0.0 * grid,
+        calibrated=grid > 0.6,
+        loads_kpa=(5.0, 12.0),
+        presses=24,
+        serial_number="A1",
+        design_hash="d",
+        cell_hash="c",
+        date="2026-01-02T03:04:05+00:00",
+        remarks=("one",),
+    ).save(where)
+    content = where.read_bytes()
+    shutil.rmtree(where.parent)
+    return content
+
+
+def _judge_calibration(data: bytes, rng: random.Random, folder: Path) -> str:
+    """What is accepted has the hash that it states, as the standard library works it out."""
+    path = folder / "calibration.toml"
+    if rng.random() < 0.7:
+        with contextlib.suppress(Exception):  # whatever the mutation has left of the tables
+            data = data.replace(_tables(data)["hash"].encode(), _calibration_hash(data).encode())
+    path.write_bytes(data)
+    found = _read(path, Calibration.load)
+    if found is None:
+        return REFUSED
+    tables = _tables(data)
+    assert _calibration_hash(data) == tables["hash"] == found.hash
+    assert found.gain.tolist() == tables["cells"]["gain"]
+    return ACCEPTED
+
+
+def _calibration_hash(data: bytes) -> str:
+    tables = _tables(data)
+    del tables["format"], tables["hash"]
+    for name in ("rest_ohm", "gain", "gain_std", "rest_std_kpa", "residual_kpa"):
+        tables["cells"][name] = [[float(value) for value in line] for line in tables["cells"][name]]
+    tables["loads_kpa"] = [float(load) for load in tables["loads_kpa"]]
+    return hashlib.sha256(json.dumps(tables, sort_keys=True).encode()).hexdigest()
+
+
+PROGRESS_PLAN = Plan.make(SHAPE, "each", [5.0, 12.0])
+
+
+def _progress_text(rng: random.Random) -> bytes:
+    grid = np.full(SHAPE, 1e4)
+    rest = {"time_s": 1.0, "resistance_ohm": grid.ravel().tolist(), "std_ohm": [1.0] * 12, "change": [0.0] * 12}
+    presses = [
+        {
+            "cells": [number],
+            "time_s": [10.0 * number + at for at in (5.0, 5.2, 9.0, 9.2)],
+            "load_kpa": [0.0, 5.0, 5.0, 0.0],
+            "window_s": [10.0 * number + at for at in (4.0, 8.0)],
+            "resistance_ohm": [[1e4], [rng.choice((None, 1.3e4))]],
+            "std_ohm": [1.0],
+            "frames": 10,
+            "step": number % 2,
+            "felt_kpa": 5.0,
+            "fault": "",
+        }
+        for number in range(rng.randrange(1, 4))
+    ]
+    content = {"format": 1, "setup": {}, "rest": rest | {"frames": 9}, "presses": presses, "trace": [[1.0, 2.0]]}
+    return json.dumps(content).encode()
+
+
+def _judge_progress(data: bytes, rng: random.Random, folder: Path) -> str:
+    """What is accepted can be gone on with."""
+    path = folder / "skin.toml.progress"
+    path.write_bytes(data)
+    found = _read(path, lambda path: Progress.load(path, {}, PROGRESS_PLAN))
+    if found is None:
+        return REFUSED
+    found.save(folder / "copy")
+    again = Progress.load(folder / "copy", {}, PROGRESS_PLAN)
+    assert [press.time_s.tolist() for press in again.presses] == [press.time_s.tolist() for press in found.presses]
+    with np.errstate(all="ignore"):
+        calibrate_cells(Cell.example(), found.rest, found.presses)
     return ACCEPTED
 
 
@@ -439,6 +533,8 @@ FORMATS = {
         Format("design", _design_text, _judge_design),
         Format("cell", _cell_text, _judge_cell),
         Format("scene", _scene_text, _judge_scene),
+        Format("calibration", _calibration_text, _judge_calibration),
+        Format("progress", _progress_text, _judge_progress),
         Format("cells", _cells_text, _judge_cells),
         Format("recording", _recording_text, _judge_recording),
         Format("frames", _stream, _judge_stream, text=False),

@@ -14,6 +14,14 @@ cells = click.option(
 )
 
 
+calibration = click.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="FILE.toml",
+    help="Rest resistance and gain of each cell, as ohmskin calibrate writes them.",
+)
+
+
 def as_json(what: str) -> Callable[[Any], Any]:
     """The option ``--json``, for commands whose answer a program may read."""
     return click.option("--json", "as_json", is_flag=True, help=f"Print {what} as JSON.")

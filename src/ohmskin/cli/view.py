@@ -50,6 +50,7 @@ USUAL_PORT = 8700
 @click.option("--design", "design_file", type=click.Path(path_type=Path), metavar="DESIGN.toml", help="Of the readout.")
 @click.option("--cell", "cell_file", type=click.Path(path_type=Path), metavar="CELL.toml", help="Of the skin.")
 @click.option("--tare", "tare_file", type=click.Path(path_type=Path), metavar="FILE.npz", help="A saved tare.")
+@arguments.calibration
 @click.option("--estimator", metavar="NAME", help="static, paper, inverse, play or distilled [the cell's choice].")
 def command(
     what: str,
@@ -60,6 +61,7 @@ def command(
     design_file: Path | None,
     cell_file: Path | None,
     tare_file: Path | None,
+    calibration: Path | None,
     estimator: str | None,
 ) -> int:
     """Show a skin in the browser: the board at PORT, the emulated board of SCENE.toml, or a recording.
@@ -71,7 +73,7 @@ def command(
     cell = None if cell_file is None else Cell.load(cell_file)
     tare = None if tare_file is None else Tare.load(tare_file)
     with stop_on_signals() as stop:
-        skin = _open(what, board=board, design=design, cell=cell, estimator=estimator)
+        skin = _open(what, board=board, design=design, cell=cell, estimator=estimator, calibration=calibration)
         if tare is not None:
             skin.use_tare(tare)
         source: Source = RecordedSource(skin) if what.endswith(".mcap") else LiveSource(skin, name=_title(what))
@@ -80,12 +82,28 @@ def command(
         return 0 if stop.signal is None else 128 + stop.signal
 
 
-def _open(what: str, *, board: str, design: Design | None, cell: Cell | None, estimator: str | None) -> Skin:
+def _open(
+    what: str,
+    *,
+    board: str,
+    design: Design | None,
+    cell: Cell | None,
+    estimator: str | None,
+    calibration: Path | None,
+) -> Skin:
     """The skin, which waits for ever for a board that is away."""
     if _is_scene(what):
         Scene.load(Path(what))  # for its own message, where the file is wrong
         what = f"ohmskin://{quote(str(Path(what).resolve()))}?clock=real&board={quote(board)}"
-    return Skin.open(what, board=board, design=design, cell=cell, estimator=estimator, reconnect=float("inf"))
+    return Skin.open(
+        what,
+        board=board,
+        design=design,
+        cell=cell,
+        estimator=estimator,
+        reconnect=float("inf"),
+        calibration=calibration,
+    )
 
 
 def _is_scene(what: str) -> bool:
