@@ -16,7 +16,7 @@ from ohmskin.circuits import Adc, Array, Design, Requirement, apparent_resistanc
 from ohmskin.cli import run
 from ohmskin.config import parse, read_toml
 from ohmskin.errors import InputError
-from ohmskin.verification import default_requirements, load_requirements, verify
+from ohmskin.verification import default_requirements, load_requirements, prototype, verify
 from ohmskin.verification._outcome import Outcome
 
 
@@ -78,6 +78,53 @@ def test_a_converter_range_that_the_presses_leave_fails(tmp_path: Path) -> None:
     wanted = [*_asked("adc_headroom", max=None, min=0.0), *_asked("lost_readings", "reading_error", max=10.0)]
     report = verify(design, requirements=wanted)
     assert outcomes_of(report) == {"adc_headroom": "fail", "lost_readings": "fail", "reading_error": "fail"}
+
+
+def test_p9_fails_with_a_converter_range_that_its_presses_leave() -> None:
+    """[1.05, 3.3] V: the prototype's own pressed readings fall to 1.1 V, less the tolerances of its parts."""
+    (claim,) = verify(prototype().replace(adc={"range": (1.05, 3.3)}), only=["P9"]).claims
+    (sound,) = verify(only=["P9"]).claims
+    assert str(sound.outcome) == "pass"
+    assert str(claim.outcome) == "fail"
+    lost = [check for check in claim.finding.checks if "lost" in check.name]
+    assert any(check.measured for check in lost)
+
+
+def test_too_few_boards_are_not_a_failure_and_how_many_would_do_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All of 100 boards keep the limit, which proves 96.4 %: the value alone would look like a pass."""
+    (tmp_path / "design.toml").write_text(complete(AMPLIFIED))
+    arguments = ["verify", str(tmp_path / "design.toml"), "-o", str(tmp_path / "out"), "--only", "D18"]
+    assert run([*arguments, "--samples", "100"]) == 3
+    said = capsys.readouterr().out
+    assert "100 of 100 boards keep the limit, too few to prove a yield of 99 %: --samples 368 would" in said
+    for name in ("report.html", "junit.xml", "summary.md", "report.json"):
+        assert "--samples 368 would" in (tmp_path / "out" / name).read_text()
+    assert run([*arguments, "--samples", "367"]) == 3
+    assert run([*arguments, "--samples", "368"]) == 0
+
+
+def test_a_yield_that_is_missed_fails_whatever_the_number_of_boards(tmp_path: Path) -> None:
+    design = _design(tmp_path, complete(AMPLIFIED))
+    nominal = verify(design, requirements=_asked("reading_error"), samples=200).results[0].measurement
+    assert nominal is not None
+    asked = [Requirement(id="R", quantity="reading_error", max=0.5 * nominal.value, method="monte-carlo")]
+    (result,) = verify(design, requirements=asked, samples=200).results
+    assert str(result.outcome) == "fail"
+    assert "boards keep the limit: yield" in result.why
+
+
+def test_leads_that_scatter_cost_the_pressure_something(tmp_path: Path) -> None:
+    """The host knows nominal leads only."""
+    text = complete(AMPLIFIED.replace("row_lead = 70.0", "row_lead = { nominal = 300.0, tolerance = TOL }"))
+    errors = []
+    for tolerance in ("0.0", "0.5"):
+        design = _design(tmp_path, text.replace("TOL", tolerance))
+        (result,) = verify(design, requirements=_asked("pressure_peak_error")).results
+        assert result.measurement is not None
+        errors.append(result.measurement.value)
+    assert errors[1] > 1.2 * errors[0]
 
 
 def test_what_the_design_does_not_name_is_not_run_and_named(tmp_path: Path) -> None:

@@ -5,7 +5,8 @@ outcome               meaning
 ====================  =================================================================================================
 pass                  a finite number was found, and it keeps every limit
 fail                  a limit is not kept, or what was found is no finite number
-not run               no number could be found: parts are not given, a program or a board is missing, no limit is given
+not run               no number could be found: parts are not given, a program or a board is missing, no limit is given;
+                      or too few boards were drawn to decide about a yield
 does not apply        the design has nothing that the quantity describes (a divider has no phase margin)
 ====================  =================================================================================================
 """
@@ -152,6 +153,8 @@ class Measurement:
     """in ``unit``, one per board of the Monte Carlo analysis"""
     proven: bool | None = None
     """Monte Carlo: whether the lower confidence bound of the yield keeps the wanted yield; None: the value decides"""
+    undecided: str = ""
+    """Monte Carlo: why the boards neither prove the wanted yield nor miss it, and what would decide"""
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
 
@@ -182,8 +185,25 @@ class Result:
         if not math.isfinite(found.value):
             return Outcome.FAIL
         if found.proven is not None:
-            return Outcome.PASS if found.proven else Outcome.FAIL
+            missed = Outcome.NOT_RUN if found.undecided else Outcome.FAIL
+            return Outcome.PASS if found.proven else missed
         return Outcome.PASS if self.margin is not None and self.margin >= 0 else Outcome.FAIL
+
+    @property
+    def why(self) -> str:
+        """What decided, where the value beside its limit does not say; empty for a pass."""
+        found = self.measurement
+        if found is None or self.outcome is Outcome.PASS:
+            return self.reason
+        if found.undecided:
+            return found.undecided
+        if self.reason:
+            return self.reason
+        if not math.isfinite(found.value):
+            return f"no finite number: {found.where}" if found.where else "no finite number"
+        if found.proven is not None:
+            return found.confidence
+        return f"worst at {found.where}" if found.where else ""
 
     @property
     def margin(self) -> float | None:
