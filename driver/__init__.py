@@ -7,6 +7,7 @@
             print(frame.pressure)
 """
 
+from ._arrays import FRAME_GRIDS, FRAME_NUMBERS, stack, to_xarray
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
@@ -20,6 +21,8 @@ from ._tare import Tare
 
 __all__ = [
     "BAUDRATE",
+    "FRAME_GRIDS",
+    "FRAME_NUMBERS",
     "Arrival",
     "BytePort",
     "Contact",
@@ -39,4 +42,6 @@ __all__ = [
     "Tare",
     "discover",
     "open_port",
+    "stack",
+    "to_xarray",
 ]

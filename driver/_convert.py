@@ -33,6 +33,8 @@ class Measurement:
     """What one frame says about the cells. Arrays are (rows, columns) and read-only."""
 
     valid: BoolArray
+    reason: NDArray[np.int8]
+    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each"""
     resistance: FloatArray
     """ohm"""
     pressure: FloatArray
@@ -58,21 +60,25 @@ class Converter:
         pitch_m: float,
         counters: Counters,
         rest_changes: Sequence[tuple[float, FloatArray | None]] = (),
+        accuracy: float | None = None,
     ) -> None:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
         ``rest_changes`` are those of a recording: times, and the (cells,) rest resistances for frames after them.
+        ``accuracy`` is the relative uncertainty up to which cells are valid, see :class:`CountReader`.
 
         Raises:
             ProtocolError: the design has no ADC.
-            InputError: there is no such estimator for this cell.
+            InputError: there is no such estimator for this cell, or the accuracy is not between 0 and 1.
 
         """
         self.design = design
         self.cell = cell
+        self.pitch_m = pitch_m
         self._estimator_name = estimator
         self._counters = counters
-        self._read = CountReader(design)
+        self._accuracy = accuracy
+        self._read = CountReader(design, accuracy=accuracy)
         self._lock = threading.RLock()
         self.on_converted: list[Callable[[RawFrame, Measurement], None]] = []
         """told of every measurement: for recorders"""
@@ -98,6 +104,7 @@ class Converter:
         reading = self._read(counts)
         if self.cell is not None:
             self._fresh_estimator().step(1.0, reading.resistance)
+        self._read.forget()
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
         """Take these rest resistances (rows, columns) from now on, None those of the data sheet; memory is dropped."""
@@ -152,7 +159,7 @@ class Converter:
         if counts is not None and not ((counts >= 0) & (counts < 2**16)).all():
             raise InputError("counts: expected those of 16 bits")
         self._last_s, self._rest_ohm = past.time_s, rest_ohm
-        self._read = CountReader(self.design)
+        self._read = CountReader(self.design, accuracy=self._accuracy)
         self._read.remember(past.noise_steps, None if counts is None else counts.astype(np.uint16))
         if self.cell is not None:
             self._estimator = self._fresh_estimator()
@@ -186,6 +193,7 @@ class Converter:
         reading = self._read(frame.counts)
         self._counters.converted += 1
         self._counters.unsolved += not reading.solved
+        self._counters.reasons = reading.reason
         while self._rest_changes and frame.monotonic_time > self._rest_changes[0][0]:
             rest = self._rest_changes.popleft()[1]
             self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
@@ -198,7 +206,15 @@ class Converter:
         view = PressureView(frame.time_s, _read_only(pressure), _read_only(std))
         self.contacts.pass_by(view)
         self._starts_told = self._starts
-        return Measurement(_read_only(reading.valid), _read_only(reading.resistance), pressure, std, view, self._starts)
+        return Measurement(
+            _read_only(reading.valid),
+            _read_only(reading.reason),
+            _read_only(reading.resistance),
+            pressure,
+            std,
+            view,
+            self._starts,
+        )
 
     def _new_estimator(self) -> Estimator | None:
         self._starts += 1

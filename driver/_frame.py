@@ -40,7 +40,9 @@ class Frame:
     counts: NDArray[np.uint16] = field(repr=False)
     """as the board sent them"""
     valid: BoolArray = field(repr=False)
-    """where ``resistance`` is a measurement: not clipped, and known to 2 % or two ADC steps, whichever is more"""
+    """where ``resistance`` is a measurement: known as well as was asked for (``Skin.open(accuracy=...)``)"""
+    reason: NDArray[np.int8] = field(repr=False)
+    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each, 0 where it is"""
     resistance: FloatArray = field(repr=False)
     """ohm of the cells, with what the circuit adds taken out; NaN where not valid"""
     pressure: FloatArray = field(repr=False)

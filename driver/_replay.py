@@ -37,6 +37,8 @@ class RecordedSettings:
     estimator: str | None
     pitch: float | None
     """m"""
+    accuracy: float | None = None
+    """relative uncertainty up to which cells were valid; None: as the converter allowed"""
 
     def as_metadata(self) -> dict[str, str]:
         """Texts for the file."""
@@ -44,7 +46,9 @@ class RecordedSettings:
             None if self.design is None else self.design.model_dump(),
             None if self.cell is None else self.cell.model_dump(exclude_none=True),
         ).decode()
-        known = {"estimator": self.estimator, "pitch": None if self.pitch is None else float(self.pitch).hex()}
+        numbers = {"pitch": self.pitch, "accuracy": self.accuracy}
+        known = {"estimator": self.estimator}
+        known |= {name: None if value is None else float(value).hex() for name, value in numbers.items()}
         return {"board": self.board, "given": tables} | {key: value for key, value in known.items() if value}
 
     @classmethod
@@ -53,13 +57,16 @@ class RecordedSettings:
         if metadata.get("format") != FORMAT:
             raise InputError(f"{path}: a recording of format {metadata.get('format')}; expected {FORMAT}")
         design, cell = read_description(metadata["given"].encode())
-        pitch = metadata.get("pitch")
+        pitch, accuracy = (
+            float.fromhex(metadata[name]) if name in metadata else None for name in ("pitch", "accuracy")
+        )
         return cls(
             board=metadata["board"],
             design=None if design is None else parse(design, Design, source=f"{path}: design"),
             cell=None if cell is None else parse(cell, Cell, source=f"{path}: cell"),
             estimator=metadata.get("estimator"),
-            pitch=None if pitch is None else float.fromhex(pitch),
+            pitch=pitch,
+            accuracy=accuracy,
         )
 
 

@@ -70,6 +70,7 @@ class Skin:
         reconnect: float = 10.0,
         reopen: Callable[[], BytePort] | None = None,
         pitch: float | None = None,
+        accuracy: float | None = None,
         record: str | Path | None = None,
     ) -> None:
         """Introduce the board behind an open port.
@@ -87,6 +88,8 @@ class Skin:
             reconnect: s to try to open a port again that has gone away.
             reopen: opens the port again; None: a port that has gone away is not opened again.
             pitch: distance of neighbouring cells in m, for contacts; None: that of the design's ``[sheet]``.
+            accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 2 %, or as well
+                as a converter of few bits and the noise allow (:class:`ohmskin.circuits.ValidityRule`).
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
 
         Raises:
@@ -94,7 +97,7 @@ class Skin:
             ProtocolError: it sends something else than packets, or a description that is not valid or too large.
             LinkError: the port is gone.
             InputError: there is no such family, or no such estimator for this cell, or the design is not known, or
-                the recording cannot be written.
+                the accuracy is not between 0 and 1, or the recording cannot be written.
 
         """
         self._timeout = timeout
@@ -122,7 +125,7 @@ class Skin:
                 reopen=reopen,
                 reconnect_s=reconnect,
             )
-            self.settings = RecordedSettings(family.name, design, cell, estimator, pitch)
+            self.settings = RecordedSettings(family.name, design, cell, estimator, pitch, accuracy)
             """how the skin was opened, for recordings"""
             past = port.past if isinstance(port, ReplayPort) else None
             if past is not None:
@@ -138,7 +141,7 @@ class Skin:
         try:
             self._reader.await_introduction(timeout)
             changes = port.rest.changes if isinstance(port, ReplayPort) else ()
-            set_up = partial(_set_up, introduction, estimator, pitch, self._counters, changes)
+            set_up = partial(_set_up, introduction, estimator, pitch, accuracy, self._counters, changes)
             self._converter = _within(set_up, deadline, self._too_slow)
             if past is not None:
                 self._remember(past)
@@ -152,6 +155,8 @@ class Skin:
         """how the board reads its array"""
         self.cell = self._converter.cell
         """what the skin is made of; None: not known, pressures are NaN"""
+        self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
+        """s that the recording lasts; None: the board is live"""
         self._source = Source(
             port.name,
             self._mailbox,
@@ -185,6 +190,7 @@ class Skin:
         queue: int = QUEUE,
         reconnect: float = 10.0,
         pitch: float | None = None,
+        accuracy: float | None = None,
         record: str | Path | None = None,
         speed: float | None = None,
     ) -> Skin:
@@ -205,6 +211,7 @@ class Skin:
             queue: likewise.
             reconnect: likewise.
             pitch: likewise.
+            accuracy: likewise.
             record: likewise.
             speed: of a recording, times real time; None: as fast as it is read.
 
@@ -228,6 +235,7 @@ class Skin:
                 reconnect=reconnect,
                 reopen=played.reopen,
                 pitch=settings.pitch if pitch is None else pitch,
+                accuracy=settings.accuracy if accuracy is None else accuracy,
                 record=record,
             )
         family = board_family(board)
@@ -248,6 +256,7 @@ class Skin:
             reconnect=reconnect,
             reopen=finder.open_again,
             pitch=pitch,
+            accuracy=accuracy,
             record=record,
         )
         if serial_number is not None and skin.serial_number and skin.serial_number != serial_number:
@@ -274,6 +283,16 @@ class Skin:
     def port_name(self) -> str:
         """The name of the port that was opened."""
         return self._source.name
+
+    @property
+    def pitch_m(self) -> float:
+        """Distance of neighbouring cells in m."""
+        return self._converter.pitch_m
+
+    @property
+    def away(self) -> str | None:
+        """Why the port is gone, while the driver tries to open it again; None: it is there."""
+        return self._mailbox.away
 
     def __enter__(self) -> Self:
         return self
@@ -548,6 +567,7 @@ def _set_up(
     introduction: Introduction,
     estimator: str | None,
     pitch: float | None,
+    accuracy: float | None,
     counters: Counters,
     rest_changes: Sequence[tuple[float, FloatArray | None]],
 ) -> Converter:
@@ -555,7 +575,7 @@ def _set_up(
     design, cell = introduction.design(), introduction.cell()
     try:
         pitch_m = design.sheet.pitch if pitch is None else pitch
-        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes)
+        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes, accuracy)
         converter.try_out()
     except OhmskinError:
         raise

@@ -338,6 +338,7 @@ def _frame(raw: RawFrame, measurement: Measurement, before: _Totals, source: Sou
         estimator_restarted=measurement.estimator_starts > before.estimator_starts,
         counts=raw.counts,
         valid=measurement.valid,
+        reason=measurement.reason,
         resistance=measurement.resistance,
         pressure=measurement.pressure,
         pressure_std=measurement.pressure_std,
