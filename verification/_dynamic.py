@@ -10,7 +10,7 @@ import numpy as np
 
 from .. import plots
 from ..arrays import FloatArray
-from ..cell import sensitivity as cell_sensitivity
+from ..cell import equilibrium_curve
 from ..circuits import (
     Boards,
     Design,
@@ -239,13 +239,13 @@ def pressure_resolution(subject: Subject, requirement: Requirement, method: str)
         raise NotRun("missing: cells.full_scale_kpa")
     worst, where = 0.0, ""
     full = subject.full_scale_kpa
-    for (state, cells, found), load in zip(noise_of(subject), (0.01 * full, 0.99 * full), strict=True):
-        near = [
-            subject.rest * (1 + cell_sensitivity(subject.cell.model, kpa, subject.rest)) for kpa in (0.99 * load, load)
-        ]
-        ohms_per_kpa = abs(near[1] - near[0]) / (0.01 * load)
+    for (state, cells, found), load in zip(noise_of(subject), (0.01, 0.99), strict=True):
+        near = np.array([0.99 * load, load])  # shares of full scale
+        change = equilibrium_curve(subject.cell.model, full, subject.rest, near)
+        ohms_per_kpa = subject.rest * abs(float(change[1] - change[0])) / (0.01 * load * full)
         volts_per_ohm = _volts_per_ohm(subject.design, cells)
-        kpa = found.volts / (volts_per_ohm * ohms_per_kpa)
+        with np.errstate(divide="ignore"):  # a curve that is flat there tells no pressure
+            kpa = found.volts / (volts_per_ohm * ohms_per_kpa)
         place = np.unravel_index(np.argmax(kpa), kpa.shape)
         if not kpa[place] <= worst:
             worst, where = float(kpa[place]), f"cell {tuple(map(int, place))}, {state}"
