@@ -11,7 +11,7 @@ import pytest
 from designs import amplifier
 from verified import AMPLIFIED, complete, outcomes_of
 
-from ohmskin.cell import Cell
+from ohmskin.cell import Cell, ContactModel
 from ohmskin.circuits import Adc, Array, Design, Requirement, apparent_resistance, scan
 from ohmskin.cli import run
 from ohmskin.config import parse, read_toml
@@ -125,6 +125,71 @@ def test_leads_that_scatter_cost_the_pressure_something(tmp_path: Path) -> None:
         assert result.measurement is not None
         errors.append(result.measurement.value)
     assert errors[1] > 1.2 * errors[0]
+
+
+def test_a_board_that_senses_rows_is_judged_as_the_same_board_turned_by_hand(tmp_path: Path) -> None:
+    text = complete(
+        AMPLIFIED.replace("columns = 3", "columns = 5").replace("rows = 3\n", "rows = 3\ncolumn_lead = 20.0\n")
+    )
+    design = _design(tmp_path, text).replace(
+        array={"row_lead": (70.0, 60.0, 50.0), "row_segment": 2.0}, operation={"frame_rate": 9e3}
+    )
+    design = design.replace(readout={"circuit": "row-amplifier", "reference_resistance": (15e3, 18e3, 20e3)})
+    lines = {"row_lead": 20.0, "row_segment": 0.0, "column_lead": (50.0, 60.0, 70.0), "column_segment": 2.0}
+    by_hand = design.replace(
+        array={"rows": 5, "columns": 3, **lines},
+        readout={"circuit": "inverting-amplifier", "reference_resistance": (20e3, 18e3, 15e3)},
+    )
+    asked = _asked("crosstalk", "reading_error", "output_headroom", "adc_headroom", "settling_error", "fastest_scan")
+    asked += _asked("phase_margin", "noise", "switch_current", "switch_power", "valid_cells", "fault_coverage")
+    values = [
+        [r.measurement.value if r.measurement else r.reason for r in verify(board, requirements=asked).results]
+        for board in (design, by_hand)
+    ]
+    assert all(isinstance(value, float) for value in values[0]), values[0]
+    assert values[0] == pytest.approx(values[1], rel=1e-9)
+
+
+def test_an_overloaded_converter_hides_faults_and_cells(tmp_path: Path) -> None:
+    """5 V through a divider into a converter of 3.3 V: readings at rest are the last code, and stay so with faults."""
+    text = complete(
+        AMPLIFIED.replace("20000.0", "40000.0").replace("supply = [0.0, 3.3]", ""), adc="bits = 10\nrange = [0.0, 3.3]"
+    )
+    design = (
+        _design(tmp_path, text).replace(drive={"voltage": 5.0, "idle_rows": "float"}).with_circuit("voltage-divider")
+    )
+    report = verify(design, requirements=_asked("valid_cells", "fault_coverage", max=None, min=60.0))
+    assert outcomes_of(report) == {"valid_cells": "fail", "fault_coverage": "fail"}
+
+
+def test_a_divider_whose_cells_cannot_be_told_apart_says_so(tmp_path: Path) -> None:
+    """8 bits over floating lines: the readings determine cells to several per cent only."""
+    design = _design(tmp_path, complete(AMPLIFIED, adc="bits = 8\nrange = [-3.3, 0.0]"))
+    design = design.replace(array={"rows": 8, "columns": 8}, drive={"idle_rows": "float"}).with_circuit(
+        "voltage-divider"
+    )
+    (result,) = verify(design, requirements=_asked("valid_cells", max=None, min=100.0)).results
+    assert str(result.outcome) == "fail"
+    assert "not valid, all cells" in result.why
+
+
+@pytest.mark.parametrize("exponent", [0.7, 1.0])
+def test_the_pressure_of_a_contact_is_resolved_along_its_own_curve(tmp_path: Path, exponent: float) -> None:
+    """At full scale p, R = 1/(1/R0 + p^n/Rf): dR/dp = -n R^2/(Rf p)."""
+    design = _design(tmp_path, complete(AMPLIFIED.replace("20000.0", "5000.0")))
+    cell = Cell(
+        rest_resistance_ohm=20e3,
+        full_scale_kpa=40.0,
+        model=ContactModel(exponent=exponent, full_scale_resistance_ohm=5e3),
+    )
+    report = verify(design, cell=cell, requirements=_asked("noise", "pressure_resolution"))
+    noise, resolution = (r.measurement for r in report.results)
+    assert noise is not None
+    assert resolution is not None
+    pressed = 4e3
+    kpa_per_ohm = 5e3 * 40.0 / (exponent * pressed**2)
+    ohm_per_volt = pressed**2 / 5000.0  # V = Rref/R
+    assert resolution.value == pytest.approx(noise.value * ohm_per_volt * kpa_per_ohm, rel=0.1)
 
 
 def test_what_the_design_does_not_name_is_not_run_and_named(tmp_path: Path) -> None:

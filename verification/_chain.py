@@ -29,10 +29,9 @@ SECONDS = 24.0
 FASTEST_HZ = 50.0
 """frames are simulated at most this often; faster boards have the settling of their own rate"""
 SLOWEST_HZ = 2.0
-WORK = {"inverting-amplifier": 400_000}
-COSTLY_WORK = 60_000
-"""Cells times frames that are simulated at most, by circuit: larger arrays are followed at a lower rate. The inversion
-of a divider's circuit takes a dense solution per frame."""
+MOST_WORK, MOST_WORK_COUPLED = 400_000, 60_000
+"""Cells times frames that are simulated at most: larger arrays are followed at a lower rate. Without amplifiers that
+hold the sensed lines, the inversion takes a dense solution per frame."""
 FRAMES_WHEN_LOST = 60
 """frames that are simulated of a board some of whose readings are lost to a limit"""
 FRAMES_TO_SETTLE = 8
@@ -132,7 +131,7 @@ def simulate(subject: Subject, name: str, factors: FloatArray) -> Run:
     if not subject.knows_pressure:
         raise NotRun("missing: cells.full_scale_kpa")
     declared = rate_of(subject)
-    work = WORK.get(design.readout.circuit, COSTLY_WORK)
+    work = MOST_WORK if design.board.circuit.virtual_ground else MOST_WORK_COUPLED
     most = max(work / (shape[0] * shape[1] * SECONDS), SLOWEST_HZ)
     rate = min(declared, FASTEST_HZ, most)
     time_s = np.arange(0.0, SECONDS, 1.0 / rate)
@@ -167,7 +166,8 @@ def _converted(
     board = population.boards.design(subject.design, 0)
     adc = board.adc
     found = scan_batch(board, cells)
-    volts = found.volts + share * (np.roll(found.volts, 1, axis=1) - found.volts)
+    previous = np.roll(found.volts, 1, axis=2 if subject.design.board.turned else 1)
+    volts = found.volts + share * (previous - found.volts)
     try:
         states = [noise(board, np.full(cells.shape[1:], ohms)).before_adc for ohms in (subject.rest, subject.pressed)]
         volts = volts + random.standard_normal(volts.shape) * np.maximum(*states)

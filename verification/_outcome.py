@@ -21,6 +21,9 @@ from enum import StrEnum
 from ..circuits import Requirement
 from ._units import engineering
 
+_LARGEST_SHARE = 1000
+"""% of a limit beyond which a margin's share is not told exactly"""
+
 
 class Outcome(StrEnum):
     """A check passes only if it was run and kept its limit."""
@@ -199,10 +202,10 @@ class Result:
             return found.undecided
         if self.reason:
             return self.reason
-        if not math.isfinite(found.value):
-            return f"no finite number: {found.where}" if found.where else "no finite number"
         if found.proven is not None:
             return found.confidence
+        if not math.isfinite(found.value):
+            return f"no finite number: {found.where}" if found.where else "no finite number"
         return f"worst at {found.where}" if found.where else ""
 
     @property
@@ -235,8 +238,11 @@ class Result:
         if self.margin is None:
             return ""
         limits = [abs(limit) for limit in (self.requirement.min, self.requirement.max) if limit]
-        share = f" ({100 * self.margin / min(limits):.0f} %)" if limits else ""
-        return engineering(self.margin, self.unit) + share
+        if not limits:
+            return engineering(self.margin, self.unit)
+        share = 100 * self.margin / min(limits)
+        shown = f"{share:.0f} %" if abs(share) < _LARGEST_SHARE else f"{'>' if share > 0 else '< −'}{_LARGEST_SHARE} %"
+        return f"{engineering(self.margin, self.unit)} ({shown.replace('-', '−')})"
 
 
 def not_run(name: str, reason: str) -> Finding:

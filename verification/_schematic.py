@@ -116,7 +116,7 @@ def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
     drawing.line((140, y), (right + 20, y))
     drive = engineering(design.drive.voltage, "V")
     idle = {"ground": "at the reference", "float": "open"}[design.drive.idle_rows]
-    if design.readout.circuit == "voltage-feedback":
+    if design.board.circuit.drives_idle_lines:
         idle = "at the follower"
     drawing.text(132, y - 3, f"row {row}", anchor="end")
     words = f"selected: {drive}" if row == 0 else f"idle: {idle}"
@@ -149,7 +149,7 @@ def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) 
         drawing.dot(x, y + 30)
         if label:
             drawing.text(x + 12, y + 74, _value(readout.reference_resistance, "ohm"), anchor="start", size=11)
-            if readout.circuit == "voltage-feedback":
+            if design.board.circuit.drives_idle_lines:
                 drawing.text(x + 12, y + 100, "a follower drives all idle lines", anchor="start", size=11)
         _converter(drawing, design, x + 60, y + 30, label=label)
         return
