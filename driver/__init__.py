@@ -8,6 +8,7 @@
 """
 
 from ._arrays import FRAME_GRIDS, FRAME_NUMBERS, stack, to_xarray
+from ._calibration import Calibration, section_hash
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
@@ -25,6 +26,7 @@ __all__ = [
     "FRAME_NUMBERS",
     "Arrival",
     "BytePort",
+    "Calibration",
     "Contact",
     "ContactTracker",
     "CountReader",
@@ -42,6 +44,7 @@ __all__ = [
     "Tare",
     "discover",
     "open_port",
+    "section_hash",
     "stack",
     "to_xarray",
 ]

@@ -259,6 +259,7 @@ class Reader:
                 for tap in self.taps:
                     tap(arrival)
                 events = self._protocol.feed(arrival.data, arrival.received_at)
+                self.stream.arrive(arrival, sum(isinstance(event, FramePacket) for event in events))
                 self._keep(arrival.data, events)
                 for event in events:
                     self._handle(event, arrival)

@@ -93,15 +93,16 @@ class Recording:
     A file that cannot be written any more (a full disk) ends the recording, not the skin: see :attr:`error`.
     """
 
-    def __init__(self, path: str | Path, settings: Mapping[str, str]) -> None:
+    def __init__(self, path: str | Path, settings: Mapping[str, str], *, overwrite: bool = False) -> None:
         """Begin a recording.
 
         Args:
-            path: of the file, which is replaced.
+            path: of the file.
             settings: what a replay must know beforehand, see :class:`._replay.RecordedSettings`.
+            overwrite: replace a file that is there and not empty.
 
         Raises:
-            InputError: the file cannot be written.
+            InputError: the file cannot be written, or is there already.
             MissingExtra: mcap is not installed.
 
         """
@@ -110,6 +111,8 @@ class Recording:
         except ImportError as error:
             raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
         self.path = Path(path)
+        if not overwrite and self.path.is_file() and self.path.stat().st_size:
+            raise InputError(f"{path}: is there already; choose another name, or ask to overwrite it")
         self.error: InputError | None = None
         """why the recording ended before it was closed"""
         self.frames = 0
@@ -257,21 +260,22 @@ class Recorder:
     here on, bit for bit where every frame is taken. Ids of contacts count from the join.
     """
 
-    def __init__(self, skin: Skin, path: str | Path) -> None:
+    def __init__(self, skin: Skin, path: str | Path, *, overwrite: bool = False) -> None:
         """Begin to record.
 
         Args:
             skin: an open skin.
             path: of the MCAP file.
+            overwrite: replace a file that is there and not empty.
 
         Raises:
-            InputError: the file cannot be written.
+            InputError: the file cannot be written, or is there already.
             MissingExtra: mcap is not installed.
             LinkError: the skin has come to its end, or is closed.
 
         """
         self._skin = skin
-        self._recording = Recording(path, skin.settings.as_metadata())
+        self._recording = Recording(path, skin.settings.as_metadata(), overwrite=overwrite)
         try:
             skin.attach(self._recording)
         except BaseException:

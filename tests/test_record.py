@@ -414,3 +414,27 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert message in errors
     assert errors.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_is_not_replaced_unless_asked(tmp_path: Path) -> None:
+    file = tmp_path / "hours of work.mcap"
+    file.write_bytes(b"precious")
+    port = Script(*pieces(range(5), last=True))
+    with pytest.raises(InputError, match="is there already; choose another name, or ask to overwrite it"):
+        Skin(port, record=file)
+    assert port.closed
+    assert file.read_bytes() == b"precious"
+    with Skin(Script(*pieces(range(5), last=True)), delivery="lossless", record=file, overwrite=True) as skin:
+        assert len(list(skin)) == 5
+    assert len(list(Skin.open(str(file)))) == 5
+
+
+def test_the_command_keeps_a_recording_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, link = tmp_path / "press.mcap", tmp_path / "skin"
+    with running(scene(), PtyPort(link)):
+        assert run(["record", str(link), "-o", str(file), "--duration", "0.2"]) == 0
+        size = file.stat().st_size
+        assert run(["record", str(link), "-o", str(file), "--duration", "0.2"]) == 2
+        assert "is there already; choose another name" in capsys.readouterr().err
+        assert file.stat().st_size == size
+        assert run(["record", str(link), "-o", str(file), "--duration", "0.2", "--overwrite"]) == 0
