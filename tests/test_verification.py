@@ -378,6 +378,15 @@ def test_the_schematic_shows_the_values(circuit: str, shape: tuple[int, int]) ->
     assert "12 bit" in drawn
 
 
+def test_the_schematic_of_sensed_rows_has_the_leads_where_they_are() -> None:
+    design = prototype().replace(array={"rows": 3, "columns": 5, "row_lead": 12.0, "column_lead": 35.0})
+    drawn = schematic(design.with_circuit("row-amplifier"))
+    assert "column 4" in drawn
+    assert "R2,4" in drawn  # the crosspoint next to driver and amplifier
+    driven, sensed = drawn.index("lead 35 Ω"), drawn.index("lead 12 Ω")
+    assert driven < sensed  # driven lines are drawn first
+
+
 def test_only_names_what_there_is() -> None:
     with pytest.raises(InputError, match="no such requirement; expected one of D1"):
         verify(only=["D1000"])

@@ -32,6 +32,8 @@ from ._parameters import SECTION, Factors, Population
 LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256
 """Corners are solved for every cell as long as cells times cells are no more than that, and for fewer of larger arrays;
 per sign and state."""
+ROUNDING = 1e-15
+"""Relative differences below this are none."""
 _REFINED = 2  # corners per sign that are improved
 _FEW_CELLS, _REFINED_OF_FEW = 16, 16  # the same for small arrays, where it costs little
 _ROUNDS = 5  # of improvement, at most
@@ -265,7 +267,7 @@ class WorstCase:
             )
         if np.isinf(self.value):
             return f"{self.solved} corners solved, for {extent}; the first one beyond a limit ends the search"
-        agreement = f"plain scans of the corner agree to {self.checked:.0e}"
+        agreement = f"plain scans of the corner agree to {max(self.checked, ROUNDING):.0e}"
         return f"{self.solved} corners solved, for {extent}; {state}; {agreement}"
 
     @cached_property

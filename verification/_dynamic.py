@@ -150,8 +150,9 @@ def settling_error(subject: Subject, requirement: Requirement, method: str) -> M
 
 def _settling_figure(subject: Subject, settling: Settling, period: float) -> Figure:
     adc, columns = subject.design.adc, subject.design.board.shape[1]
-    shortest = max(period / 100, (adc.acquisition_time * columns) if adc else 0.0)
-    periods = np.geomspace(max(shortest, 1e-9), 2 * period, 40)
+    half_way = 0.5 * settling.shortest_period(0.5)
+    shortest = max(min(half_way, period / 2), (adc.acquisition_time * columns) if adc else 0.0)
+    periods = np.geomspace(max(shortest, 1e-9), 2 * period, 60)
     signal = float(np.abs(settling.settled - subject.design.readout.reference_voltage).max())
     with plots.drawing(1, 1, height=2.6) as (figure, ((panel,),)):
         panel.loglog(1e6 * periods, [100 * max(settling.error(p), 1e-12) for p in periods])
