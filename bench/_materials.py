@@ -254,9 +254,9 @@ def mostly_rest(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, floa
 def under_load(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
     """Random presses; the recording begins in the middle of one."""
     load, head_s = random(rng, dt_s)
-    pressed = np.flatnonzero(load[round(60 / dt_s) :] > 0.5)
-    cut = round(60 / dt_s) + int(pressed[0]) + round(1 / dt_s)
-    return load[cut:], head_s - cut * dt_s
+    after = round(60 / dt_s)
+    cut = after + int(np.argmax(load[after:] > 0.5)) + round(1 / dt_s)
+    return load[cut:], 0.7 * head_s
 
 
 LOADS: dict[str, Load] = {

@@ -15,7 +15,7 @@ from . import _training as training
 from ._cell import Calibrated, Cell, EstimatorName
 from ._estimator import Estimator
 from ._identify import Fit, Fold, fits, folds, pressing
-from ._inverse import margin
+from ._inverse import margin as inverse_margin
 from ._learned import DRIFT, Learned, Seen
 from ._models import AsymmetricModel, ContactModel, M10Model
 from ._recording import Recording
@@ -36,7 +36,8 @@ INVERSE_SLACK = 0.25
 NEARLY, INVERSE_BETTER = 0.025, 0.7
 """held-out error below which an inverse is trusted that has less than this share of a learned estimator's error"""
 BEATS, FEW_PRESSES = 0.9, 0.1
-"""share of the static curve's error that another estimator must stay below, and what one press takes from that share"""
+"""share of the static curve's error on the last folds that another estimator must stay below, and what a recording of
+one press takes from that share"""
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ def calibrate(
     model = found[0].model
     rest = found[0].rest_resistance_ohm
     cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
-    inverse = margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
+    inverse = inverse_margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
     if isinstance(model, ContactModel):
         return CalibrationResult(_calibrated_contact(cell, thin), recording, found, inverse)
 
@@ -132,7 +133,9 @@ def calibrate(
         for name in ("play", "distilled")
         if isinstance(learned := getattr(final, name), Learned) and name in judged
     }
-    static = final.static.replace(std_kpa=max(final.static.std_kpa, DRIFT * worst["static"] / 100 * full))
+    other_loads = training.error_on_other_loads(whole, final.static)
+    static_std = full * max(DRIFT * worst["static"] / 100, other_loads)
+    static = final.static.replace(std_kpa=max(final.static.std_kpa, static_std))
     estimators = Calibrated(
         default=default,
         reason=reason,
@@ -260,8 +263,9 @@ def _choose(
 ) -> tuple[EstimatorName, str]:
     """The estimator whose worst fold is best, and why; the paper's is never chosen.
 
-    The static curve is kept unless another estimator beats it by a margin, which grows as the recording has fewer
-    presses: the folds of a single press say little of the next one. The exact inverse follows the model wherever that
+    The static curve is kept unless another estimator beats it on the worst of all folds, and by a margin on the worst
+    of the last ones, which had most to learn from. The margin grows as the recording has fewer presses: the folds of a
+    single press say little of the next one. The exact inverse follows the model wherever that
     leads. It comes first where the model explains all there is, since it carries over to loads that nobody applied. It
     has to be far better where the model explains nearly all, and is not chosen where the model leaves more.
 
@@ -279,7 +283,9 @@ def _choose(
         why = f"the model explains the resistance but for {100 * unexplained:.1f} % of its range and noise; "
     elif unexplained < NEARLY and inverse < INVERSE_BETTER * worst[chosen]:
         chosen = "inverse"
-    if worst[chosen] > (BEATS - FEW_PRESSES / max(presses, 1.0)) * worst["static"]:
+    late = {name: max(percent[-training.TELLING :]) for name, percent in by_fold.items()}
+    margin = BEATS - FEW_PRESSES / max(presses, 1.0)
+    if worst[chosen] > worst["static"] or late[chosen] > margin * late["static"]:
         chosen = "static"
         why = "nothing beats the static curve by enough; "
     others = ", ".join(f"{name} {value:.1f} %" for name, value in worst.items() if name != chosen)

@@ -24,6 +24,8 @@ LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
 SMOOTHING_S = 0.1
 DIRECTIONS = 600
 CELLS, SECONDS = 96, 400.0
+STATIC_CELLS = 12
+"""simulated to see what a static curve is worth at other speeds"""
 MOST_STEPS, FEWEST_SAMPLES = 50000, 500
 """time steps that a recording may have on the grid of the simulations, and samples that a simulated cell has"""
 R0_ERROR = 0.03
@@ -106,6 +108,19 @@ def static_curve(calibration: NormalisedRecording, full_scale_kpa: float, *, log
     error = np.clip(curve.load(r), curve.limits.lowest, curve.limits.highest) - load
     std = max(float(np.sqrt(np.mean(error**2))), 1e-6) * full_scale_kpa
     return curve.replace(std_kpa=std)
+
+
+def error_on_other_loads(calibration: NormalisedRecording, curve: StaticCurve) -> float:
+    """Rms error of a static curve, normalised load, on loads and speeds that the recording does not have.
+
+    The identified cell is simulated under random ramps and holds. A curve does not know what the cell remembers.
+    """
+    rng = np.random.default_rng(0)
+    dt = max(float(np.median(np.diff(calibration.time_s))), calibration.seconds / MOST_STEPS)
+    load = simulate.random_loads(rng, max(round(SECONDS / dt), FEWEST_SAMPLES), STATIC_CELLS, dt)
+    r = calibration.simulation(rng, load, dt) / calibration.rest_resistance_ohm - 1
+    error = np.clip(curve.load(r), curve.limits.lowest, curve.limits.highest) - load
+    return float(np.sqrt(np.mean(error**2)))
 
 
 def variations(
