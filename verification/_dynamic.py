@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -128,6 +129,15 @@ def _settlings(subject: Subject) -> list[tuple[str, Settling]]:
 
 def settling_error(subject: Subject, requirement: Requirement, method: str) -> Measurement:
     """Largest deviation of a sampled reading from the settled one at the declared rate, % of the largest signal."""
+    found = largest_settling_error(subject, requirement)
+    if not np.isfinite(found.value):
+        return found
+    period = 1.0 / (rate_of(subject, requirement) * subject.design.board.shape[0])
+    return replace(found, figures=[_settling_figure(subject, _settlings(subject)[0][1], period)])
+
+
+def largest_settling_error(subject: Subject, requirement: Requirement) -> Measurement:
+    """As :func:`settling_error`, without its figure."""
     rate = rate_of(subject, requirement)
     settlings = _settlings(subject)
     period = 1.0 / (rate * subject.design.board.shape[0])
@@ -144,7 +154,6 @@ def settling_error(subject: Subject, requirement: Requirement, method: str) -> M
         text=[
             f"At {engineering(rate, 'Hz')} each {subject.design.board.line_kinds[0]} has {engineering(period, 's')}."
         ],
-        figures=[_settling_figure(subject, settlings[0][1], period)],
     )
 
 

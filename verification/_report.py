@@ -41,46 +41,10 @@ from ._record import (
 )
 from ._schematic import schematic
 from ._subject import Subject, everything_of
-from ._units import PREFIXED, engineering
+from ._units import PREFIXED, UNITS, engineering
 
 EXIT_CODES = {Outcome.PASS: 0, Outcome.FAIL: 1, Outcome.NOT_RUN: 3, Outcome.NOT_APPLICABLE: 3}
 FILES = ("report.html", "report.json", "junit.xml", "summary.md", "netlist.cir")
-UNITS = {
-    "array": {"row_segment": "ohm", "column_segment": "ohm", "row_lead": "ohm", "column_lead": "ohm"},
-    "drive": {"voltage": "V"},
-    "readout": {
-        "reference_resistance": "ohm",
-        "reference_voltage": "V",
-        "gain_bandwidth": "Hz",
-        "offset_voltage": "V",
-        "bias_current": "A",
-        "supply": "V",
-        "column_capacitance": "F",
-        "feedback_capacitance": "F",
-        "voltage_noise": "V/sqrt(Hz)",
-        "current_noise": "A/sqrt(Hz)",
-        "temperature": "K",
-    },
-    "adc": {
-        "bits": "bit",
-        "range": "V",
-        "sampling_capacitance": "F",
-        "switch_resistance": "ohm",
-        "acquisition_time": "s",
-        "offset_voltage": "V",
-        "inl_steps": "steps",
-    },
-    "sheet": {"pitch": "m", "thickness": "m", "electrode_width": "m"},
-    "cells": {"rest_resistance": "ohm", "full_scale_resistance": "ohm", "full_scale_kpa": "kPa"},
-    "operation": {
-        "frame_rate": "Hz",
-        "baudrate": "bit/s",
-        "temperature_range": "K",
-        "readings_per_calibration": "frames",
-    },
-    "requirements": {"crosstalk_percent": "%", "reading_error_percent": "%", "pressure_rmse_percent": "%"},
-}
-"""Units of the keys of DESIGN.toml; keys without one have none."""
 
 
 @dataclass(frozen=True)

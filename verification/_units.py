@@ -13,6 +13,42 @@ PREFIXED |= {"V/sqrt(Hz)": "V/√Hz", "A/sqrt(Hz)": "A/√Hz", "S": "S"}
 FACTORS = {"f": 1e-15, "p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6, "G": 1e9}
 
 
+UNITS = {
+    "array": {"row_segment": "ohm", "column_segment": "ohm", "row_lead": "ohm", "column_lead": "ohm"},
+    "drive": {"voltage": "V"},
+    "readout": {
+        "reference_resistance": "ohm",
+        "reference_voltage": "V",
+        "gain_bandwidth": "Hz",
+        "offset_voltage": "V",
+        "bias_current": "A",
+        "supply": "V",
+        "column_capacitance": "F",
+        "feedback_capacitance": "F",
+        "voltage_noise": "V/sqrt(Hz)",
+        "current_noise": "A/sqrt(Hz)",
+        "temperature": "K",
+    },
+    "adc": {
+        "bits": "bit",
+        "range": "V",
+        "sampling_capacitance": "F",
+        "switch_resistance": "ohm",
+        "acquisition_time": "s",
+        "offset_voltage": "V",
+        "inl_steps": "steps",
+    },
+    "sheet": {"pitch": "m", "thickness": "m", "electrode_width": "m"},
+    "cells": {"rest_resistance": "ohm", "full_scale_resistance": "ohm", "full_scale_kpa": "kPa"},
+    "operation": {
+        "frame_rate": "Hz",
+        "baudrate": "bit/s",
+        "temperature_range": "K",
+        "readings_per_calibration": "frames",
+    },
+    "requirements": {"crosstalk_percent": "%", "reading_error_percent": "%", "pressure_rmse_percent": "%"},
+}
+"""Units of the keys of DESIGN.toml; keys without one have none."""
 LEAST_SHOWN = 1e-9
 """A smaller number of a unit without prefixes is rounding, and shown as less than this."""
 LEAST_PREFIXED = 1e-18
