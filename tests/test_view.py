@@ -21,12 +21,15 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from boards import DESIGN, Script, Wire, gone, scene
-from pages import colours_of_cells, opened, paused, served, shown, start, until
+from needs import need
+from pages import CHROMIUM, colours_of_cells, opened, paused, served, shown, start, until
 from playwright.sync_api import Browser, expect, sync_playwright
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from ohmskin.arrays import FloatArray
+from ohmskin.bench._view import table as measured_table
+from ohmskin.bench._view import view as measured_pages
 from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import Board, Hand, PtyPort, Scene, running
 from ohmskin.errors import InputError, MissingExtra
@@ -534,3 +537,12 @@ def test_the_command_prints_the_address_and_ends_with_ctrl_c(tmp_path: Path) -> 
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)
     assert (process.returncode, out, err) == (130, "", "")
+
+
+def test_the_bench_measures_a_page() -> None:
+    need(None if CHROMIUM.exists() else f"{CHROMIUM} is not there")
+    (row,) = measured_pages([4], seconds=0.5)
+    costs = (row.draw_ms, row.main_thread_ms, row.server_ms)
+    assert row.drawn_hz > 0
+    assert all(0 < cost < 1000 for cost in costs)
+    assert "4 x 4" in measured_table([row])
