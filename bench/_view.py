@@ -71,7 +71,7 @@ def view(sizes: Iterable[int], *, seconds: float = SECONDS) -> Iterator[Row]:
                 ):
                     page = browser.new_page(viewport={"width": 1280, "height": 860})
                     page.goto(url)
-                    yield _measured(page, server, size, seconds)
+                    yield measured_page(page, server.pid, size, seconds)
                     page.close()
         browser.close()
 
@@ -112,7 +112,8 @@ def _started(*arguments: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
         process.communicate()
 
 
-def _measured(page: Any, server: subprocess.Popen[str], size: int, seconds: float) -> Row:
+def measured_page(page: Any, server_pid: int, size: int, seconds: float) -> Row:
+    """Measure a page that is open, of a server whose process has the number ``server_pid``."""
     browser = page.context.new_cdp_session(page)
     browser.send("Performance.enable", {"timeDomain": "threadTicks"})
     while not page.evaluate("Boolean(globalThis.ohmskin?.frame)"):
@@ -120,9 +121,9 @@ def _measured(page: Any, server: subprocess.Popen[str], size: int, seconds: floa
     for k in range(3):
         page.evaluate(f"ohmskin.choose({(size // 2) * size + k})")
     page.wait_for_timeout(1e3 * min(WARM_UP_S, seconds))
-    before = _counters(page, browser, server)
+    before = _counters(page, browser, server_pid)
     page.wait_for_timeout(1e3 * seconds)
-    after = _counters(page, browser, server)
+    after = _counters(page, browser, server_pid)
     change = {name: after[name] - before[name] for name in before}
     drawn = max(change["drawn"], 1)
     return Row(
@@ -135,13 +136,13 @@ def _measured(page: Any, server: subprocess.Popen[str], size: int, seconds: floa
     )
 
 
-def _counters(page: Any, browser: Any, server: subprocess.Popen[str]) -> dict[str, float]:
+def _counters(page: Any, browser: Any, server_pid: int) -> dict[str, float]:
     drawn, draw_ms, frames, clock_ms = page.evaluate(
         "[ohmskin.drawn, ohmskin.drawn_ms, ohmskin.frame.number, performance.now()]"
     )
     metrics = {one["name"]: one["value"] for one in browser.send("Performance.getMetrics")["metrics"]}
     # Fields 14 and 15 of stat: processor time in user and kernel mode, in ticks.
-    fields = Path(f"/proc/{server.pid}/stat").read_text().rpartition(")")[2].split()
+    fields = Path(f"/proc/{server_pid}/stat").read_text().rpartition(")")[2].split()
     return {
         "drawn": drawn,
         "draw_ms": draw_ms,

@@ -179,12 +179,12 @@ export class HeatMap {
     if (this.side < LEAST_CELL_WITH_GAP) return null;
     const grid = new Path2D();
     const [right, bottom] = [this.margin + this.columns * this.side, this.margin + this.rows * this.side];
-    for (let column = 0; column <= this.columns; column++) {
+    for (let column = 1; column < this.columns; column++) {
       const x = this.margin + column * this.side + 0.5;
       grid.moveTo(x, this.margin);
       grid.lineTo(x, bottom);
     }
-    for (let row = 0; row <= this.rows; row++) {
+    for (let row = 1; row < this.rows; row++) {
       const y = this.margin + row * this.side + 0.5;
       grid.moveTo(this.margin, y);
       grid.lineTo(right, y);
