@@ -705,6 +705,41 @@ class TestReconnection:
             names[other.name] = "USB-1"
             assert next(frame for frame in skin if frame.reconnected).rebooted
 
+    def test_a_board_without_a_usb_number_is_found_under_another_name(self, tmp_path: Path) -> None:
+        """Many converters have no serial number; the board's own tells which of the ports that appear is its."""
+        stranger = scene(board={"serial_number": "B2", "frame_rate": 500.0})
+        unplugged = {"kind": "unplug", "at_s": 1.0, "duration_s": 0.5, "name": "skin-9"}
+        moves = scene(board={"serial_number": "A1", "frame_rate": 500.0}, link_fault=[unplugged])
+        with (
+            running(scene(board={"serial_number": "C3"}), PtyPort(tmp_path / "there-all-the-time")),
+            running(moves, PtyPort(tmp_path / "skin")),
+            Skin.open(str(tmp_path / "skin"), reconnect=60.0, timeout=30.0) as skin,
+        ):
+            opened = opened_ports(skin)
+            next(skin)
+            until(lambda: skin._mailbox.away is not None)
+            with running(stranger, PtyPort(tmp_path / "skin-1")):
+                back = next(frame for frame in skin if frame.reconnected)
+                assert back.rebooted
+                assert skin.serial_number == "A1"
+        assert str(tmp_path / "skin-9") in opened
+        assert str(tmp_path / "there-all-the-time") not in opened
+
+
+def opened_ports(skin: Skin) -> list[str]:
+    """The names under which the skin opens its port from now on."""
+    names: list[str] = []
+    reopen = skin._reader._reopen
+    assert reopen is not None
+
+    def note() -> BytePort:
+        port = reopen()
+        names.append(port.name)
+        return port
+
+    skin._reader._reopen = note
+    return names
+
 
 class TestPorts:
     def test_more_than_1024_descriptors(self) -> None:
