@@ -838,6 +838,14 @@ class TestBoards:
             with pytest.raises(LinkError, match="board left is there; expected right"):
                 Skin.open(names[1], serial_number="right")
 
+    def test_of_two_boards_with_one_serial_number_neither_is_guessed(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        ports = [PtyPort() for _ in range(2)]
+        monkeypatch.setattr("ohmskin.driver._discover.serial_ports", lambda: [port.name for port in ports])
+        with running(scene(), ports[0]), running(scene(), ports[1]):
+            number = discover()[0].serial_number
+            with pytest.raises(LinkError, match=rf"2 boards with serial number {number}: at /dev/.*; give a port"):
+                Skin.open(serial_number=number)
+
     def test_without_a_cell_there_are_ohms_and_no_pressure(self) -> None:
         family = replace(BOARDS["ohmskin"], has_description=False)
         with Skin(Script(frame(0)), board=family, design=WHAT.design) as skin:
