@@ -648,6 +648,14 @@ class TestReconnection:
         assert stranger.closed
         assert larger.closed
 
+    def test_the_error_says_why_the_board_went_away_and_what_was_found_instead(self) -> None:
+        bench = Bench(Script(identity("B2"), sheet(), frame(0)))
+        with Skin(described(frame(0), last=gone), reopen=bench.reopen, reconnect=0.3, timeout=30.0) as skin:
+            next(skin)
+            said = r"gone; it has not come back within 0\.3 s \(script: board B2 is there; expected A1\)"
+            with pytest.raises(LinkError, match=said):
+                next(skin)
+
     def test_a_board_that_stays_away_is_an_error_after_the_time_given(self) -> None:
         bench = Bench()
         with Skin(described(frame(0), last=gone), reopen=bench.reopen, reconnect=0.5, timeout=30.0) as skin:
