@@ -328,7 +328,7 @@ class Estimator(ABC):
         """(m,) variance in kPa^2 of cells whose readings are known to ``std`` (m,); gaps are not counted."""
         if not self.states_std:
             return np.full(memory.shape[1], np.nan)
-        variance = std * memory[GAIN]
+        variance: FloatArray = std * memory[GAIN]
         variance *= variance
         variance += memory[VARIANCE]
         variance += self._model_variance
@@ -502,7 +502,10 @@ class _Gaps:
         self.unread_s = unread_s
         self._left = left
         self.variance = left.copy()
-        self._renew()
+        self.open = False
+        """whether a cell was not read in the last frame"""
+        self.doubtful = False
+        """whether the variance is not zero"""
 
     @classmethod
     def none(cls, cells: int) -> _Gaps:
@@ -528,9 +531,7 @@ class _Gaps:
 
     def _renew(self) -> None:
         self.open = bool(self.unread_s.any())
-        """whether a cell was not read in the last frame"""
         self.doubtful = self.open or bool(self._left.any())
-        """whether the variance is not zero"""
 
     def state(self) -> dict[str, FloatArray]:
         return {"unread_s": self.unread_s, "gap_variance": self._left, "gap_shown": self.variance}

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from . import _lag as lag
-from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
+from ._estimator import GAIN, PRESSURE, Conditions, Estimator
 from ._models import PaperModel
 
 LOADS = (-0.5, 3.0)
@@ -140,7 +140,7 @@ IN_FORCE, STATE = slice(8, 10), slice(10, 17)
 """1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
 RISING, RECOVERY = 0, 1
 HYPOTHESES = ("rising_pressure", "recovery_pressure", "settled", "x2", "rising_x3", "recovery_x3", "r")
-"""pressure, own state, and slow branch of the rising and of the recovery model, in turn; the reading, which they share"""
+"""pressure, own state, and slow branch of the rising and of the recovery model in turn; the reading of both"""
 FAR = 1e12
 """kPa: no extreme"""
 
@@ -258,7 +258,7 @@ class TurningEstimator(Estimator):
         if unconfirmed:
             # Back at the extreme that was left: the turn was noise.
             np.multiply(of.pressures, of.not_in_force, out=of.share)
-            back = np.add(*of.share, out=of.spare)
+            back = np.add(of.rising_share, of.recovery_share, out=of.spare)
             back *= of.sign
             np.subtract(np.multiply(of.other_gain, std, out=of.again), back, out=back)
             turned |= np.greater(back, of.left, out=of.near)
@@ -290,7 +290,7 @@ class TurningEstimator(Estimator):
             np.maximum(highest, of.spare, out=highest)
         np.copyto(of.gain, of.gain_now)
         of.doubt *= of.fade
-        apart = np.subtract(*of.pressures, out=of.spare)
+        apart = np.subtract(of.rising_kpa, of.recovery_kpa, out=of.spare)
         apart *= EITHER
         apart *= apart
         np.add(apart, of.doubt, out=of.variance)
@@ -302,7 +302,7 @@ class TurningEstimator(Estimator):
         """
         np.dot(weights.by_model, of.in_force, out=of.by_model)
         np.multiply(of.pressures, of.in_force, out=of.share)
-        np.add(*of.share, out=of.pressure)
+        np.add(of.rising_share, of.recovery_share, out=of.pressure)
         np.multiply(std, of.gain_now, out=of.unsure)
         np.multiply(of.unsure, SURE, out=of.threshold)
         of.threshold += TURN * self.full_scale_kpa
@@ -372,7 +372,7 @@ class TurningEstimator(Estimator):
 
 
 class _Rows:
-    """The rows of one ``memory`` (rows, m) by name, and arrays for intermediate results, so that a frame allocates none."""
+    """The rows of one ``memory`` (rows, m) by name, and arrays for intermediate results."""
 
     def __init__(self, memory: FloatArray) -> None:
         self.memory = memory
@@ -388,5 +388,7 @@ class _Rows:
         self.by_model = np.empty((3, cells))
         self.gain_now, self.other_gain, self.fade = self.by_model
         self.share = np.empty((2, cells))
+        self.rising_share, self.recovery_share = self.share
+        self.rising_kpa, self.recovery_kpa = self.pressures
         self.unsure, self.threshold, self.spare, self.again, self.ahead = np.empty((5, cells))
         self.where, self.near = np.empty((2, cells), dtype=np.bool_)

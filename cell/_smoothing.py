@@ -100,7 +100,7 @@ def gains(steps: float) -> Gains:
         a, b, c = a / total, b / total, c - b * b / total
         std.append(np.sqrt(a))
     rows = np.array([level, slope, std])
-    return Gains(*rows, rows)
+    return Gains(rows[0], rows[1], rows[2], rows)
 
 
 def begin(level: FloatArray, readings: float = 0.0) -> FloatArray:
@@ -139,7 +139,7 @@ def advance(
     m.slope += m.slope_step
     begun = None
     if np.count_nonzero(np.greater(sums, SUM, out=m.above)):
-        begun = np.logical_or(*m.above, out=m.begun)
+        begun = np.logical_or(m.above[0], m.above[1], out=m.begun)
         np.copyto(m.since, 0.0, where=begun)
         np.copyto(level, r, where=begun)
         np.copyto(m.share, 1.0, where=begun)
