@@ -35,6 +35,8 @@ BACK = 0.2
 """share of a jump within which it counts as taken back"""
 LARGE_JUMP, CLEAR_JUMP = 0.05, 12.0
 """of full scale, and in standard deviations of a reading, from which a jump may be a spark"""
+SUDDEN = 2.5
+"""times the change of the reading before it: a smaller jump is part of a press"""
 BEYOND = 0.75
 """of full scale from its middle, beyond which a jump is not shown at once"""
 AT_REST = 0.005
@@ -119,7 +121,8 @@ class Estimator(ABC):
         # What is remembered of each cell. The cells that are followed at present have theirs in the block.
         self._memory = self._begin(np.zeros(cells))
         self._line = smoothing.begin(np.zeros(cells))
-        self._block = _Block(np.zeros(0, dtype=np.intp), self._memory[:, :0].copy(), self._line[:, :0].copy())
+        none = np.zeros(0, dtype=np.intp)
+        self._block = _Block(none, self._memory.take(none, axis=1), self._line.take(none, axis=1))
         self._followed = np.zeros(cells, dtype=np.bool_)
         self._stale = True
         self._sparks = _Sparks.none(self._memory, self._line)
@@ -262,7 +265,7 @@ class Estimator(ABC):
             self._memory[:, back] = self._hold(self._memory[:, back], held_s)
         self._followed = wanted.copy()
         cells = np.flatnonzero(wanted)
-        self._block = _Block(cells, self._memory[:, cells], self._line[:, cells])
+        self._block = _Block(cells, self._memory.take(cells, axis=1), self._line.take(cells, axis=1))
         self._all_awake = bool(self._awake.all())
         self._wake_at = np.where(self._awake | (self._readings == 0), np.inf, self._waking())
         self._stale = False
@@ -398,6 +401,7 @@ class Estimator(ABC):
         least = np.maximum(CLEAR_JUMP * block.noise, LARGE_JUMP * self._full_scale_r)
         place = np.flatnonzero(begun & (size > least))
         place = place[~np.isin(block.cells[place], self._sparks.cells)]
+        place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
         if place.size:
             self._sparks = self._sparks.with_more(
                 block.cells[place], block.memory[:, place], block.line_before[:, place], jump[place]
@@ -410,6 +414,7 @@ class Estimator(ABC):
         sparks.memory = self._hold(sparks.memory, dt)
         place = np.searchsorted(block.cells, sparks.cells)
         back = np.abs(r[place] - sparks.line[smoothing.LEVEL]) < BACK * np.abs(sparks.jump)
+        back &= sparks.age_s <= SPARK_S * (1 + 1e-9)
         if back.any():
             block.memory[:, place[back]] = sparks.memory[:, back]
             block.line[:, place[back]] = sparks.line[:, back]
@@ -455,7 +460,7 @@ class Estimator(ABC):
         self._sparks = _Sparks.none(self._memory, self._line)
         self._begun = bool((self._readings >= (1 if self._exact else FIRST_READINGS)).all())
         cells = np.flatnonzero(self._followed)
-        self._block = _Block(cells, self._memory[:, cells], self._line[:, cells])
+        self._block = _Block(cells, self._memory.take(cells, axis=1), self._line.take(cells, axis=1))
         self._stale = True
 
     # -- what an estimator adds --------------------------------------------------------------------------------------

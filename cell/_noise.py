@@ -114,6 +114,11 @@ class NoiseMeter:
         scale *= self.at_rest[cells]
         return np.asarray(scale)
 
+    def change_before(self, cells: IntArray) -> FloatArray:
+        """Change of the readings of ``cells`` from the last but two to the last but one."""
+        before, last = self._ring[(self._seen - 3) % 4], self._ring[(self._seen - 2) % 4]
+        return np.asarray(last[cells] - before[cells])
+
     def state(self) -> dict[str, FloatArray]:
         """All that is remembered."""
         return {

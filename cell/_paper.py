@@ -15,11 +15,13 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from . import _lag as lag
-from ._estimator import GAIN, PRESSURE, Conditions, Estimator
+from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
 from ._models import PaperModel
 
 LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
+USUAL, DOUBT = 1.1, 0.1
+"""times full scale: no larger pressure is believed while its standard deviation by the memory is above the second"""
 MEMORIES = 10.0
 """times the fast answer to full scale that r may reach: presses in quick succession add up"""
 TURN = 0.01
@@ -32,6 +34,8 @@ SURE = 3.0
 """standard deviations of the smoothed noise by which it must have, too, and by which an extreme counts for less"""
 CONFIRMED = 3.0
 """times that much beyond the extreme that was left, until which the turn may yet be found to have been noise"""
+FLAT = 0.003
+"""of full scale by which a pressure that is held may seem to go back"""
 AGAIN_SIGMAS, AGAIN = 1.0, 0.5
 """standard deviations from the extreme within which the other hypothesis begins anew, and by what share at a frame.
 Beginning at every extreme would take noise for part of the press, beginning late would miss some of the release; half
@@ -224,6 +228,7 @@ class TurningEstimator(Estimator):
         self._taken_over = taken_over(model)
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
+        self._usual = USUAL * full_scale_kpa
         self._of = _Rows(np.zeros((len(self.rows), 0)))
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
         # What is below zero is an error that fades, and no turn.
@@ -248,8 +253,8 @@ class TurningEstimator(Estimator):
         np.dot(w.step, of.state, out=of.change)
         np.copyto(of.hypotheses, of.change)
         pressures = of.both
-        if np.minimum.reduce(pressures) < self._lowest or np.maximum.reduce(pressures) > self._highest:
-            self._limit(of.state, w)
+        if np.minimum.reduce(pressures) < self._lowest or np.maximum.reduce(pressures) > self._usual:
+            self._limit(of, w)
 
         self._look(of, w, std)
         gone_back = np.subtract(of.extreme, of.ahead, out=of.spare)
@@ -275,7 +280,8 @@ class TurningEstimator(Estimator):
 
         # The other hypothesis begins anew as long as the pressure is near its extreme.
         below_peak = np.subtract(of.peak, of.ahead, out=of.spare)
-        again = np.multiply(np.less(below_peak, of.unsure, out=of.where), AGAIN, out=of.again)
+        np.maximum(of.unsure, FLAT * self.full_scale_kpa, out=of.nearby)
+        again = np.multiply(np.less(below_peak, of.nearby, out=of.where), AGAIN, out=of.again)
         np.copyto(again, 1.0, where=np.less_equal(below_peak, EXACTLY * self.full_scale_kpa, out=of.where))
         if unconfirmed:
             np.copyto(again, 0.0, where=np.less(of.left, FAR, out=of.where))
@@ -323,13 +329,26 @@ class TurningEstimator(Estimator):
         some[EXTREME] = np.where(again, left, now - SURE * noise * gain)
         some[PEAK] = np.where(again, left, now - AGAIN_SIGMAS * noise * gain)
         some[LEFT] = np.where(again, FAR, extreme)
-        some[TURNED] += (weights.by_model[0, RECOVERY] * noise + NEAR * self.full_scale_kpa) ** 2
+        # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
+        some[TURNED] = some[VARIANCE] + (weights.by_model[0, RECOVERY] * noise + NEAR * self.full_scale_kpa) ** 2
         memory[:, turned] = some
 
-    def _limit(self, state: FloatArray, weights: TurnWeights) -> None:
-        """Keep pressures within :data:`LOADS`, and what is remembered with them; changes ``state``."""
-        excess = np.clip(state[:2], self._lowest, self._highest) - state[:2]
+    def _limit(self, of: _Rows, weights: TurnWeights) -> None:
+        """Keep pressures within :data:`LOADS`, and what is remembered with them; changes the state.
+
+        Where the memory is in doubt, a pressure beyond full scale is an error of the memory rather than a load.
+        """
+        m, state = self.model, of.state
+        excess = np.clip(of.pressures, self._lowest, self._highest) - of.pressures
         state[:6] += weights.ramp[:, None] * np.tile(excess, (3, 1))
+        doubtful = of.variance > (DOUBT * self.full_scale_kpa) ** 2
+        beyond = doubtful & (of.pressures > self._usual)
+        if not beyond.any():
+            return
+        np.minimum(of.pressures, self._usual, where=beyond, out=of.pressures)
+        p, r = self._usual, of.r
+        np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])
+        np.copyto(state[3], r - p / m.e1_kpa - state[5], where=beyond[RECOVERY])
 
     def _correct(self, of: _Rows, std: FloatArray, weights: TurnWeights) -> None:
         """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure."""
@@ -390,5 +409,5 @@ class _Rows:
         self.share = np.empty((2, cells))
         self.rising_share, self.recovery_share = self.share
         self.rising_kpa, self.recovery_kpa = self.pressures
-        self.unsure, self.threshold, self.spare, self.again, self.ahead = np.empty((5, cells))
+        self.unsure, self.threshold, self.spare, self.again, self.ahead, self.nearby = np.empty((6, cells))
         self.where, self.near = np.empty((2, cells), dtype=np.bool_)
