@@ -47,7 +47,7 @@ WATCH_S = 0.5
 """time over which the mean of a sleeping cell is taken"""
 MEANS = 8
 """times in that time that the mean is renewed"""
-SETTLE_EVERY = 16
+SETTLE_EVERY = 32
 """frames between two looks for cells that may go to sleep"""
 UNSEEN = 0.8
 """of the noise of a single reading: what a change could be that the smoothing has not noticed yet"""
@@ -102,6 +102,10 @@ class Estimator(ABC):
         self._full_scale_r = abs(full_scale_r)
         self._credible = credible
         self._exact = conditions.noise == 0.0 or not self.filters
+        self._states_std = self.states_std
+        self._model_variance = (conditions.model_std_kpa or MODEL_ERROR * full_scale_kpa) ** 2
+        self._band = AT_REST * self._full_scale_r
+        """r within which a cell counts as at rest"""
         cells = rest.size
         self._noise = NoiseMeter(cells, conditions.noise or 0.0)
         self._r = np.zeros(cells)
@@ -117,12 +121,15 @@ class Estimator(ABC):
         self._frames = 0
         self._begun = False
         self._wake_at = np.full(cells, np.inf)
+        self._smoothed_for = (-1.0, -1.0)
+        self._smoothed_by = smoothing.gains_for(1.0, 1.0)
         self._all_awake = False
         # What is remembered of each cell. The cells that are followed at present have theirs in the block.
         self._memory = self._begin(np.zeros(cells))
         self._line = smoothing.begin(np.zeros(cells))
         none = np.zeros(0, dtype=np.intp)
-        self._block = _Block(none, self._memory.take(none, axis=1), self._line.take(none, axis=1))
+        self._no_block = _Block(none, self._memory.take(none, axis=1), self._line.take(none, axis=1))
+        self._block = self._no_block
         self._followed = np.zeros(cells, dtype=np.bool_)
         self._stale = True
         self._sparks = _Sparks.none(self._memory, self._line)
@@ -240,10 +247,10 @@ class Estimator(ABC):
             averaged = math.sqrt(share / (2 - share))
             left |= np.abs(self._mean) > self._band + averaged * (self._wake_at - self._band)
         if np.count_nonzero(left):
-            self._flush()
-            self._memory[:, left] = self._begin(np.zeros(int(np.count_nonzero(left))))
-            self._line[:, left] = smoothing.begin(np.zeros(int(np.count_nonzero(left))), 1.0)
-            self._awake |= left
+            woken = np.flatnonzero(left)
+            self._memory[:, woken] = self._begin(np.zeros(woken.size))
+            self._line[:, woken] = smoothing.begin(np.zeros(woken.size), 1.0)
+            self._awake[woken] = True
             self._stale = True
 
     def _choose(self, known: BoolArray | None) -> None:
@@ -255,43 +262,52 @@ class Estimator(ABC):
         wanted = self._awake if known is None else self._awake & known
         if not self._stale and np.array_equal(wanted, self._followed):
             return
-        lost = self._awake & ~wanted & self._followed
-        if np.count_nonzero(lost):
-            self._undo_jumps(lost)
         self._flush()
-        self._line_interrupted(np.flatnonzero(lost))
-        for held_s in np.unique(self._gaps.unread_s[wanted & ~self._followed & (self._gaps.unread_s > 0)]).tolist():
-            back = np.flatnonzero(wanted & ~self._followed & (self._gaps.unread_s == held_s))
-            self._memory[:, back] = self._hold(self._memory[:, back], held_s)
+        if known is not None or self._gaps.open:
+            self._part(wanted)
         self._followed = wanted.copy()
         cells = np.flatnonzero(wanted)
         self._block = _Block(cells, self._memory.take(cells, axis=1), self._line.take(cells, axis=1))
-        self._all_awake = bool(self._awake.all())
-        self._wake_at = np.where(self._awake | (self._readings == 0), np.inf, self._waking())
+        self._all_awake = cells.size == wanted.size
+        self._wake_at[cells] = np.inf
         self._stale = False
+
+    def _part(self, wanted: BoolArray) -> None:
+        """Bring up the memory of cells that are read again, and of those that are not read any more."""
+        lost = self._followed & ~wanted
+        if np.count_nonzero(lost):
+            self._undo_jumps(lost)
+            self._interrupt(np.flatnonzero(lost))
+        back = wanted & (self._gaps.unread_s > 0)
+        for held_s in np.unique(self._gaps.unread_s[back]).tolist():
+            cells = np.flatnonzero(back & (self._gaps.unread_s == held_s))
+            self._memory[:, cells] = self._hold(self._memory[:, cells], held_s)
 
     def _undo_jumps(self, lost: BoolArray) -> None:
         """Put back what cells that are not read any more remembered before they jumped."""
-        if not self._sparks.cells.size:
-            return
         gone = lost[self._sparks.cells]
-        place = np.searchsorted(self._block.cells, self._sparks.cells[gone])
-        self._block.memory[:, place] = self._sparks.memory[:, gone]
-        self._block.line[:, place] = self._sparks.line[:, gone]
-        self._pressure[self._sparks.cells[gone]] = self._sparks.memory[PRESSURE, gone]
+        if not np.count_nonzero(gone):
+            return
+        cells = self._sparks.cells[gone]
+        self._memory[:, cells] = self._sparks.memory[:, gone]
+        self._line[:, cells] = self._sparks.line[:, gone]
+        self._pressure[cells] = self._sparks.memory[PRESSURE, gone]
         self._sparks = self._sparks.where(~gone)
 
-    def _line_interrupted(self, cells: IntArray) -> None:
+    def _interrupt(self, cells: IntArray) -> None:
         """Let the next reading of cells begin a new line, whatever it is."""
         line = self._line[:, cells]
         smoothing.interrupt(line)
         self._line[:, cells] = line
 
     def _flush(self) -> None:
-        """Store what the cells that are followed remember with that of all cells."""
+        """Store what the cells that are followed remember with that of all cells; none is followed until they are
+        chosen anew.
+        """
         block = self._block
         self._memory[:, block.cells] = block.memory
         self._line[:, block.cells] = block.line
+        self._block = self._no_block
         self._stale = True
 
     def _follow(self, dt: float, r: FloatArray) -> None:
@@ -311,7 +327,7 @@ class Estimator(ABC):
         if self._sparks.cells.size:
             self._put_back(dt, reading)
         np.copyto(block.line_before, line)
-        smooth = smoothing.advance(line, dt, self._window(dt), reading, noise, block.scratch)
+        smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
         if smooth.begun is not None:
             self._remember(smooth.begun)
         memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std)
@@ -329,7 +345,7 @@ class Estimator(ABC):
 
     def _own_variance(self, memory: FloatArray, std: FloatArray) -> FloatArray:
         """(m,) variance in kPa^2 of cells whose readings are known to ``std`` (m,); gaps are not counted."""
-        if not self.states_std:
+        if not self._states_std:
             return np.full(memory.shape[1], np.nan)
         variance: FloatArray = std * memory[GAIN]
         variance *= variance
@@ -363,19 +379,11 @@ class Estimator(ABC):
         self._sparks = self._sparks.where(~np.isin(self._sparks.cells, cells))
         self._awake[cells] = False
         self._all_awake = False
+        self._stale = True
 
     def _waking(self) -> FloatArray:
         """(n,) size of r from which a single reading wakes a cell."""
         return np.asarray(ASLEEP_SIGMAS * self._noise.std(self._mean) + self._band)
-
-    @property
-    def _band(self) -> float:
-        """r within which a cell counts as at rest."""
-        return AT_REST * self._full_scale_r
-
-    @property
-    def _model_variance(self) -> float:
-        return (self.conditions.model_std_kpa or MODEL_ERROR * self.full_scale_kpa) ** 2
 
     @property
     def _most_kpa(self) -> float:
@@ -386,8 +394,13 @@ class Estimator(ABC):
     def _speed(self) -> float:
         return self.conditions.speed_kpa_per_s or self.full_scale_kpa
 
-    def _window(self, dt: float) -> float:
-        return smoothing.window_s(self._noise.typical / self._full_scale_r, dt)
+    def _gains(self, dt: float) -> smoothing.Gains:
+        """Of the smoothing, which the noise and the time between frames ask for."""
+        if (self._noise.typical, dt) != self._smoothed_for:
+            self._smoothed_for = self._noise.typical, dt
+            window_s = smoothing.window_s(self._noise.typical / self._full_scale_r, dt)
+            self._smoothed_by = smoothing.gains_for(window_s, dt)
+        return self._smoothed_by
 
     # -- sparks ------------------------------------------------------------------------------------------------------
 

@@ -33,6 +33,8 @@ ABOVE_POOL = 4.0
 """times the median variance of the array that a single cell may have"""
 MANY = 9
 """cells from which the median of the array is trusted"""
+ENOUGH = 500
+"""cells whose median stands for that of more"""
 MEDIAN_OF_SQUARES = 0.4549
 """median of the square of a normal variable of variance 1"""
 _THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
@@ -101,7 +103,7 @@ class NoiseMeter:
         np.sqrt(self.at_rest, out=self.at_rest)
 
     def _pool(self) -> None:
-        middle = float(np.median(self._variance))
+        middle = float(np.median(self._variance[:: 1 + self._variance.size // ENOUGH]))
         if self._variance.size >= MANY:
             np.minimum(self._variance, ABOVE_POOL * middle + LEAST**2, out=self._variance)
         self.typical = middle**0.5

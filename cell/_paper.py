@@ -36,8 +36,8 @@ CONFIRMED = 3.0
 """times that much beyond the extreme that was left, until which the turn may yet be found to have been noise"""
 FLAT = 0.003
 """of full scale by which a pressure that is held may seem to go back"""
-AGAIN_SIGMAS, AGAIN = 1.0, 0.5
-"""standard deviations from the extreme within which the other hypothesis begins anew, and by what share at a frame.
+AGAIN = 0.5
+"""share by which the other hypothesis begins anew at a frame, within one standard deviation of the extreme.
 Beginning at every extreme would take noise for part of the press, beginning late would miss some of the release; half
 and half, the two errors about cancel"""
 
@@ -138,7 +138,7 @@ class PaperEstimator(Estimator):
 
 TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 8)
 """rows: variance from turns not known to the point, which fades; 1 rising, -1 in recovery; the largest sign times
-pressure since the last turn, less :data:`SURE` and less :data:`AGAIN_SIGMAS` deviations; the extreme that was left
+pressure since the last turn, less :data:`SURE` and less one standard deviation; the extreme that was left
 at an unconfirmed turn, else ``FAR``"""
 IN_FORCE, STATE = slice(8, 10), slice(10, 17)
 """1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
@@ -290,10 +290,11 @@ class TurningEstimator(Estimator):
         of.change_by_model *= of.share
         of.hypotheses += of.change
 
-        for highest, sigmas in ((of.peak, AGAIN_SIGMAS), (of.extreme, SURE)):
-            np.multiply(of.unsure, sigmas, out=of.spare)
-            np.subtract(of.ahead, of.spare, out=of.spare)
-            np.maximum(highest, of.spare, out=highest)
+        np.subtract(of.ahead, of.unsure, out=of.spare)
+        np.maximum(of.peak, of.spare, out=of.peak)
+        of.unsure *= SURE
+        of.ahead -= of.unsure
+        np.maximum(of.extreme, of.ahead, out=of.extreme)
         np.copyto(of.gain, of.gain_now)
         of.doubt *= of.fade
         apart = np.subtract(of.rising_kpa, of.recovery_kpa, out=of.spare)
@@ -327,7 +328,7 @@ class TurningEstimator(Estimator):
         pressure = (some[STATE][:2] * some[IN_FORCE]).sum(axis=0)
         now = some[SIGN] * np.maximum(pressure, 0.0)
         some[EXTREME] = np.where(again, left, now - SURE * noise * gain)
-        some[PEAK] = np.where(again, left, now - AGAIN_SIGMAS * noise * gain)
+        some[PEAK] = np.where(again, left, now - noise * gain)
         some[LEFT] = np.where(again, FAR, extreme)
         # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
         some[TURNED] = some[VARIANCE] + (weights.by_model[0, RECOVERY] * noise + NEAR * self.full_scale_kpa) ** 2

@@ -116,9 +116,12 @@ def interrupt(line: FloatArray) -> None:
 
 
 def advance(
-    line: FloatArray, dt_s: float, window: float, r: FloatArray, noise: FloatArray, scratch: Scratch | None = None
+    line: FloatArray, dt_s: float, gains: Gains, r: FloatArray, noise: FloatArray, scratch: Scratch | None = None
 ) -> Smoothed:
-    """Take readings ``r`` (m,) with standard deviation ``noise`` (m,); changes ``line`` (ROWS, m)."""
+    """Take readings ``r`` (m,) with standard deviation ``noise`` (m,); changes ``line`` (ROWS, m).
+
+    ``gains`` are those of :func:`gains_for`.
+    """
     m = scratch or Scratch(line)
     expected, off, sums, level = m.expected, m.off, m.sums, m.level
     np.multiply(m.slope, dt_s, out=expected)
@@ -131,7 +134,7 @@ def advance(
     np.maximum(sums, 0.0, out=sums)
     m.count += 1.0
     np.copyto(m.n, m.count, casting="unsafe")
-    _table(window, dt_s).rows.take(m.n, axis=1, out=m.gains, mode="clip")  # the last entry holds from there on
+    gains.rows.take(m.n, axis=1, out=m.gains, mode="clip")  # the last entry holds from there on
     m.level_step *= off
     m.slope_step *= off
     m.slope_step /= dt_s
@@ -147,7 +150,7 @@ def advance(
 
 
 @lru_cache(maxsize=1024)
-def _table(window: float, dt_s: float) -> Gains:
+def gains_for(window: float, dt_s: float) -> Gains:
     """Gains for a window on a grid of 10 %, so that time stamps that jitter share a table."""
     steps = max(window / max(dt_s, 1e-9), 0.5)
     return gains(float(1.1 ** round(math.log(steps) / math.log(1.1))))

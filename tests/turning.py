@@ -54,7 +54,7 @@ class OneCell:
             self.left = None if again else self.extreme
             self.extreme = left if again else (1 if self.rising else -1) * max(now.pressure, 0) - paper.SURE * unsure
             ahead = (1 if self.rising else -1) * max(now.pressure, 0)
-            self.peak = left if again else ahead - paper.AGAIN_SIGMAS * unsure
+            self.peak = left if again else ahead - unsure
             self.doubt = self.variance + (gains[False] * std + paper.NEAR * self.full) ** 2
         unsure = std * gains[self.rising]
         ahead = self._ahead(now)
@@ -79,7 +79,7 @@ class OneCell:
             *(old + share * (new - old) for old, new in zip(vars(other).values(), vars(begun).values(), strict=True))
         )
         self.now = now
-        self.peak = max(self.peak, ahead - paper.AGAIN_SIGMAS * unsure)
+        self.peak = max(self.peak, ahead - unsure)
         self.extreme = max(self.extreme, ahead - paper.SURE * unsure)
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         self.doubt *= np.exp(-2 * dt * rate)
