@@ -4,6 +4,7 @@
 """
 
 from ._adc import adc_codes, adc_error, clipped, conversion_changes, conversion_limits, volts_of_codes
+from ._amplifier_model import AmplifierModel
 from ._batch import BatchResult, scan_batch
 from ._board import Board
 from ._design import Adc, Array, Cells, Design, Drive, Fault, Operation, Readout, Requirements, Sheet
@@ -20,9 +21,11 @@ from .recovery import (
     Conditioning,
     LiveReading,
     LiveRecovery,
+    Reason,
     Recoverer,
     Recovery,
     Status,
+    ValidityRule,
     conditioning,
     live_recovery,
     recover,
@@ -36,6 +39,7 @@ __all__ = [
     "CIRCUITS",
     "METHODS",
     "Adc",
+    "AmplifierModel",
     "Array",
     "BatchResult",
     "Board",
@@ -53,6 +57,7 @@ __all__ = [
     "Operation",
     "PopulationReading",
     "Readout",
+    "Reason",
     "Recoverer",
     "Recovery",
     "Requirement",
@@ -65,6 +70,7 @@ __all__ = [
     "Stability",
     "Status",
     "Transient",
+    "ValidityRule",
     "adc_codes",
     "adc_error",
     "apparent_resistance",

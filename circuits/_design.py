@@ -15,6 +15,7 @@ from pydantic import AfterValidator, Field, PlainValidator, model_validator
 from ..arrays import FloatArray
 from ..config import LEAST, MOST, Finite, NotNegative, Positive, Section, load
 from ..errors import InputError
+from ._amplifier_model import AmplifierModel
 from ._board import Board
 from ._requirement import Requirement
 from ._spread import Spread, Spreadable
@@ -172,6 +173,8 @@ class Readout(Spreadable):
     """A/sqrt(Hz), at each inverting input"""
     temperature: NotNegative = 0.0
     """K, of all resistors, for their noise; 0: they have none"""
+    amplifier_model: Annotated[AmplifierModel | None, Field(exclude=True)] = None
+    """the maker's macro-model, for SPICE netlists in time; boards do not send it"""
 
     @model_validator(mode="after")
     def _swing(self) -> Self:
@@ -363,7 +366,11 @@ class Design(Section):
     @classmethod
     def load(cls, path: str | Path) -> Design:
         """Read DESIGN.toml; InputError with one located message if it is not a valid design."""
-        return load(path, cls)
+        design = load(path, cls)
+        model = design.readout.amplifier_model
+        if model is None:
+            return design
+        return design.replace(readout={"amplifier_model": model.read(Path(path).parent)})
 
     @property
     def spreads(self) -> dict[str, Spread]:

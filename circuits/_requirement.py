@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from ..config import Positive, Section
 
-Method = Literal["nominal", "worst-case", "monte-carlo", "hardware"]
+Method = Literal["nominal", "worst-case", "monte-carlo", "spice", "hardware"]
 
 
 class Conditions(Section):

@@ -7,12 +7,14 @@
             print(frame.pressure)
 """
 
+from ._arrays import FRAME_GRIDS, FRAME_NUMBERS, stack, to_xarray
+from ._calibration import Calibration, section_hash
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader, Reading
-from ._recorder import Recorder
+from ._recorder import Recorder, Recording
 from ._replay import ReplayPort
 from ._skin import Delivery, Skin
 from ._statistics import LinkStatistics
@@ -20,8 +22,11 @@ from ._tare import Tare
 
 __all__ = [
     "BAUDRATE",
+    "FRAME_GRIDS",
+    "FRAME_NUMBERS",
     "Arrival",
     "BytePort",
+    "Calibration",
     "Contact",
     "ContactTracker",
     "CountReader",
@@ -31,6 +36,7 @@ __all__ = [
     "LinkStatistics",
     "Reading",
     "Recorder",
+    "Recording",
     "ReplayPort",
     "SerialPort",
     "Skin",
@@ -38,4 +44,7 @@ __all__ = [
     "Tare",
     "discover",
     "open_port",
+    "section_hash",
+    "stack",
+    "to_xarray",
 ]

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections import deque
 
+from ._past import ClockPast
+
 BUCKET_S = 0.5
 """of each such stretch only the least delayed frame is kept"""
 WINDOW_BUCKETS = 120
@@ -40,6 +42,25 @@ class ClockMap:
     def drift_ppm(self) -> float:
         """How much faster the host's clock runs than the board's, in parts per million."""
         return 1e6 * self._drift
+
+    def state(self) -> ClockPast:
+        """Everything remembered, which :meth:`restore` takes."""
+        return ClockPast(
+            steps=self.steps,
+            origin=self._origin,
+            buckets=tuple(self._buckets),
+            bucket_ends=self._bucket_ends,
+            least=self._least,
+            drift=self._drift,
+            anchor=self._anchor,
+        )
+
+    def restore(self, past: ClockPast) -> None:
+        """Continue from a saved :meth:`state`."""
+        self.steps, self._origin = past.steps, past.origin
+        self._buckets = deque(past.buckets, maxlen=WINDOW_BUCKETS)
+        self._bucket_ends, self._least = past.bucket_ends, past.least
+        self._drift, self._anchor = past.drift, past.anchor
 
     def add(self, device_s: float, received_s: float) -> float:
         """Take one frame.

@@ -14,8 +14,11 @@ from numpy.typing import NDArray
 from ..arrays import BoolArray, FloatArray
 from ..cell import Cell, Estimator
 from ..circuits import Design
+from ..errors import InputError
+from ._calibration import Calibration
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
 from ._mailbox import Mailbox
+from ._past import Block, MeasurementPast
 from ._reading import CountReader
 from ._statistics import Counters
 from ._stream import RawFrame
@@ -31,6 +34,8 @@ class Measurement:
     """What one frame says about the cells. Arrays are (rows, columns) and read-only."""
 
     valid: BoolArray
+    reason: NDArray[np.int8]
+    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each"""
     resistance: FloatArray
     """ohm"""
     pressure: FloatArray
@@ -56,34 +61,49 @@ class Converter:
         pitch_m: float,
         counters: Counters,
         rest_changes: Sequence[tuple[float, FloatArray | None]] = (),
+        accuracy: float | None = None,
+        calibration: Calibration | None = None,
     ) -> None:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
         ``rest_changes`` are those of a recording: times, and the (cells,) rest resistances for frames after them.
+        ``accuracy`` is the relative uncertainty up to which cells are valid, see :class:`CountReader`.
+        ``calibration`` gives each cell its rest resistance, as long as no tare gives another one, and its gain.
 
         Raises:
             ProtocolError: the design has no ADC.
-            InputError: there is no such estimator for this cell.
+            InputError: there is no such estimator for this cell, or the accuracy is not between 0 and 1.
 
         """
         self.design = design
         self.cell = cell
+        self.pitch_m = pitch_m
         self._estimator_name = estimator
+        self._calibration = calibration
         self._counters = counters
-        self._read = CountReader(design)
+        self._accuracy = accuracy
+        self._read = CountReader(design, accuracy=accuracy)
         self._lock = threading.RLock()
-        self.on_converted: Callable[[RawFrame, Measurement], None] | None = None
-        """told of every measurement: for a recorder"""
+        self.on_converted: list[Callable[[RawFrame, Measurement], None]] = []
+        """told of every measurement: for recorders"""
         self._rest_ohm: FloatArray | None = None
         self._rest_changes = deque(rest_changes)
-        self.on_rest: Callable[[FloatArray | None, float | None], None] | None = None
-        """told of new rest resistances and of the time of the last frame before them: for a recorder"""
-        self._starts = 0
+        self.on_rest: list[Callable[[FloatArray | None, float | None], None]] = []
+        """told of new rest resistances and of the time of the last frame before them: for recorders"""
+        self._starts = self._starts_told = 0
+        """times that the estimator has begun without memory, and as many as the last frame knew of"""
         self._estimator = self._new_estimator()
         full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
         self.contacts = ContactsOfFrames(ContactTracker(design.array.shape, pitch_m, full_scale_kpa))
         self._last: RawFrame | None = None
+        self._last_s: float | None = None
+        """of the last frame, on the time scale of the estimator; also of a frame before the recording that is played"""
         self._measured: dict[int, Measurement] = {}
+
+    @property
+    def starts(self) -> int:
+        """Times that the estimator has begun without memory."""
+        return self._starts
 
     def try_out(self) -> None:
         """Convert a frame of mid-scale counts, for what shows only then: absurd values, and the cost of setting up."""
@@ -93,14 +113,66 @@ class Converter:
         reading = self._read(counts)
         if self.cell is not None:
             self._fresh_estimator().step(1.0, reading.resistance)
+        self._read.forget()
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
-        """Take these rest resistances (rows, columns) from now on, None those of the data sheet; memory is dropped."""
+        """Take these rest resistances (rows, columns) from now on, None those without a tare; memory is dropped."""
         with self._lock:
             self._rest_ohm = rest_ohm
             self._estimator = self._new_estimator()
-            if self.on_rest is not None:
-                self.on_rest(rest_ohm, None if self._last is None else self._last.monotonic_time)
+            for tell in tuple(self.on_rest):
+                tell(rest_ohm, None if self._last is None else self._last.monotonic_time)
+
+    def hand_over(self) -> MeasurementPast:
+        """What is remembered of frames so far, for a recording that begins with the next frame.
+
+        What cannot be written down is dropped here as well, so that a replay goes on from the same state: the inversion
+        of the circuit begins anew, and a jump of the last 0.1 s is no longer taken back as a spark.
+        """
+        with self._lock:
+            noise_steps, counts = self._read.memory()
+            estimator = None
+            if self._estimator is not None:
+                estimator = {name: Block.of(array) for name, array in self._estimator.state().items()}
+            past = MeasurementPast(
+                time_s=self._last_s,
+                rest_ohm=None if self._rest_ohm is None else Block.of(self._rest_ohm),
+                noise_steps=noise_steps,
+                counts=None if counts is None else Block.of(counts.astype(np.float64)),
+                estimator=estimator,
+                restarted=self._starts > self._starts_told,
+            )
+            self._go_on(past)
+            return past
+
+    def resume(self, past: MeasurementPast) -> None:
+        """Begin with what :meth:`hand_over` returned.
+
+        Raises:
+            InputError: it is of another cell, or of an array of another shape.
+
+        """
+        with self._lock:
+            self._go_on(past)
+            self._starts = int(past.restarted)
+
+    def _go_on(self, past: MeasurementPast) -> None:
+        shape = self.design.array.shape
+        rest_ohm = None if past.rest_ohm is None else past.rest_ohm.array()
+        counts = None if past.counts is None else past.counts.array()
+        for name, array in (("rest_ohm", rest_ohm), ("counts", counts)):
+            if array is not None and array.shape != shape:
+                raise InputError(f"{name} of {array.shape}; expected those of {shape[0]} x {shape[1]} cells")
+        if rest_ohm is not None and not (np.isfinite(rest_ohm) & (rest_ohm > 0)).all():
+            raise InputError("rest_ohm: expected positive resistances")
+        if counts is not None and not ((counts >= 0) & (counts < 2**16)).all():
+            raise InputError("counts: expected those of 16 bits")
+        self._last_s, self._rest_ohm = past.time_s, rest_ohm
+        self._read = CountReader(self.design, accuracy=self._accuracy)
+        self._read.remember(past.noise_steps, None if counts is None else counts.astype(np.uint16))
+        if self.cell is not None:
+            self._estimator = self._fresh_estimator()
+            self._estimator.restore(past.estimator_state())
 
     def measure(self, frame: RawFrame, mailbox: Mailbox) -> Measurement | None:
         """The measurement of ``frame``, and of those before it that are still queued.
@@ -118,18 +190,19 @@ class Converter:
                 for queued in [*mailbox.between(done, frame.index), frame]:
                     measurement = self._convert(queued)
                     self._measured[queued.index] = measurement
-                    if self.on_converted is not None:
-                        self.on_converted(queued, measurement)
+                    for tell in tuple(self.on_converted):
+                        tell(queued, measurement)
                 passed = mailbox.passed()
                 self._measured = {k: value for k, value in self._measured.items() if k > passed or k == frame.index}
             return self._measured.get(frame.index)
 
     def _convert(self, frame: RawFrame) -> Measurement:
-        gap_s = 0.0 if self._last is None else frame.time_s - self._last.time_s
-        self._last = frame
+        gap_s = 0.0 if self._last_s is None else frame.time_s - self._last_s
+        self._last, self._last_s = frame, frame.time_s
         reading = self._read(frame.counts)
         self._counters.converted += 1
         self._counters.unsolved += not reading.solved
+        self._counters.reasons = reading.reason
         while self._rest_changes and frame.monotonic_time > self._rest_changes[0][0]:
             rest = self._rest_changes.popleft()[1]
             self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
@@ -139,9 +212,20 @@ class Converter:
         if self._estimator is not None:
             pressure = self._estimator.step(gap_s, reading.resistance)
             std = self._estimator.std_kpa
+            if self._calibration is not None:
+                pressure, std = self._calibration.applied(pressure, std)
         view = PressureView(frame.time_s, _read_only(pressure), _read_only(std))
         self.contacts.pass_by(view)
-        return Measurement(_read_only(reading.valid), _read_only(reading.resistance), pressure, std, view, self._starts)
+        self._starts_told = self._starts
+        return Measurement(
+            _read_only(reading.valid),
+            _read_only(reading.reason),
+            _read_only(reading.resistance),
+            pressure,
+            std,
+            view,
+            self._starts,
+        )
 
     def _new_estimator(self) -> Estimator | None:
         self._starts += 1
@@ -149,8 +233,10 @@ class Converter:
 
     def _fresh_estimator(self) -> Estimator:
         assert self.cell is not None
-        shape = self.design.array.shape
-        return self.cell.estimator(shape, self._estimator_name, rest_resistance_ohm=self._rest_ohm)
+        rest_ohm = self._rest_ohm
+        if rest_ohm is None and self._calibration is not None:
+            rest_ohm = self._calibration.rest_ohm
+        return self.cell.estimator(self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm)
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:

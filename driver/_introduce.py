@@ -10,7 +10,7 @@ from ..cell import Cell
 from ..circuits import Design
 from ..config import parse
 from ..errors import InputError, ProtocolError
-from ..wire import Description, Family, Identity
+from ..wire import Description, Family, Identity, board_protocol, write_description
 
 S = TypeVar("S", Design, Cell)
 
@@ -46,6 +46,15 @@ class Introduction:
         if self.description is not None or not self.family.has_description or None not in self._given:
             return True
         return self.identity is not None and not self.identity.description_bytes
+
+    def as_bytes(self) -> bytes:
+        """What the board said of itself, in packets of its family."""
+        board, known, described = board_protocol(self.family), self.identity, self.description
+        said = b"" if known is None else board.identify(known)
+        if described is not None:
+            text = write_description(described.design, described.cell)
+            said += b"".join(board.describe(text, sequence=0, time_us=0, boot_id=described.boot_id or 0))
+        return said
 
     def hear(self, event: Identity | Description) -> None:
         """Take a packet.

@@ -6,12 +6,13 @@ import contextlib
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
 from ._introduce import Introduction
 from ._mailbox import Mailbox
+from ._past import StreamPast
 from ._port import Arrival, BytePort
 from ._reconnect import attempts
 from ._statistics import Counters
@@ -23,6 +24,8 @@ PROOF_S = 3.0
 """after a reconnection: how long a board may take to show that it is the same one"""
 MOST_READS = 64
 """in one turn, so that a board that never pauses cannot hold a taker up"""
+MOST_HEARD = 2**20
+"""last bytes kept for a recorder that joins"""
 MOST_UNPROVEN = 1000
 """frames kept until then"""
 JOIN_S = 2.0
@@ -63,6 +66,8 @@ class Reader:
         self._mailbox, self._counters = mailbox, counters
         self._lossless = lossless
         self._reopen, self._reconnect_s = reopen, reconnect_s
+        self._heard_before, self._heard_since = b"", bytearray()
+        """bytes from the last frame but one to the last frame, and from the last frame on"""
         self._reading = threading.RLock()
         """held by who reads from the port, writes to it, or replaces it"""
         self._stop = threading.Event()
@@ -135,6 +140,34 @@ class Reader:
             data = self._protocol.request(order, period_us=period_us)
             if data:
                 self._port.write(data)
+
+    @contextlib.contextmanager
+    def between_arrivals(self) -> Iterator[bytes]:
+        """No bytes are read within the block. Gives what a decoder must have heard to decode the bytes after it.
+
+        This is what the board says of itself, and the bytes since the last frame but one, the last of which may be the
+        beginning of a packet.
+        """
+        with self._reading:
+            yield self.introduction.as_bytes() + self._heard_before + bytes(self._heard_since)
+
+    @property
+    def away(self) -> bool:
+        """Whether the port is gone at present, or the board there has yet to show that it is the one from before."""
+        return self._away_since is not None
+
+    def resume(self, heard: bytes, stream: StreamPast) -> None:
+        """Begin as a reader that has ``heard`` this already (:meth:`between_arrivals`), before :meth:`start`.
+
+        Raises:
+            ProtocolError: what the board says of itself exceeds the limits.
+
+        """
+        for event in self._protocol.feed(heard, 0.0):
+            if isinstance(event, Identity | Description):
+                self.introduction.hear(event)
+        self._heard_since += heard
+        self.stream.restore(stream)
 
     def stop(self) -> None:
         """End the thread, which closes the port. From another thread or from a callback."""
@@ -225,9 +258,21 @@ class Reader:
                 self._received += len(arrival.data)
                 for tap in self.taps:
                     tap(arrival)
-                for event in self._protocol.feed(arrival.data, arrival.received_at):
+                events = self._protocol.feed(arrival.data, arrival.received_at)
+                self.stream.arrive(arrival, sum(isinstance(event, FramePacket) for event in events))
+                self._keep(arrival.data, events)
+                for event in events:
                     self._handle(event, arrival)
                 self._mailbox.tell()
+
+    def _keep(self, data: bytes, events: list[Event]) -> None:
+        """Keep the last bytes for a recorder that joins."""
+        if any(isinstance(event, FramePacket) for event in events):
+            self._heard_before, self._heard_since = bytes(self._heard_since), bytearray(data)
+            return
+        self._heard_since += data
+        if len(self._heard_since) > MOST_HEARD:
+            del self._heard_since[:-MOST_HEARD]
 
     def _handle(self, event: Event, arrival: Arrival) -> None:
         self._reason = event.reason if isinstance(event, Corrupt) else ""
@@ -313,6 +358,7 @@ class Reader:
             with self._reading:
                 self._port = port
                 self._protocol = self._new_protocol()
+                self._heard_before, self._heard_since = b"", bytearray()
                 self._unproven.clear()
                 known = self.introduction.identity, self.introduction.description
                 self._proofs = {type(packet) for packet in known if packet is not None}

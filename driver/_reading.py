@@ -8,17 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
-from ..circuits import Design, Status, live_recovery, volts_of_codes
-from ..errors import ProtocolError, SolverError
+from ..circuits import Design, LiveReading, Reason, live_recovery, noise, volts_of_codes
+from ..errors import InputError, ProtocolError, SolverError
 
-TOLERANCE = 0.02
-"""relative uncertainty of a conductance up to which a cell is valid in any case; the project's own choice"""
-STEPS = 2.0
-"""ADC steps of its own reading that a valid cell may be uncertain by, where that is more"""
-_MOST = 0.6  # relative uncertainty from which on a cell is not valid, however coarse its own steps are
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
-_LARGEST_NOISE = 8  # ADC steps between frames that may be noise; more is a press
-_MEAN_CHANGE = 2.0 / np.sqrt(np.pi)  # mean change between two readings of a normal distribution, in its deviations
+_ASSUMED_NOISE = 0.5  # ADC steps, in the first frame, if the design tells no noise
+_FORGET = 0.98  # share of a noise that is still assumed a frame later
+# Changes from frame to frame count up to 1.5 standard deviations of a reading. Cells that are being pressed therefore
+# weigh little: 30 % of them raise the estimate by 60 %.
+_MOST_CHANGE = 1.5
+_MEAN_CHANGE = 0.918  # mean of the change of a normally distributed reading, cut off so, in its standard deviations
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,16 +26,24 @@ class Reading:
 
     resistance: FloatArray
     """of the cells, in ohm; NaN where not valid"""
-    uncertainty: FloatArray
-    """relative, of a cell's conductance: half an ADC step of every reading, and what cells that are not known can make
-    of this one; inf where nothing is known"""
     valid: BoolArray
     """where ``resistance`` is a measurement"""
-    status: NDArray[np.int8]
-    """a :class:`ohmskin.circuits.Status` each, which says why a cell is not valid: open, at a limit, disturbed by
-    others or by a change that the frame's time did not suffice for, or hidden behind a known fault"""
+    reason: NDArray[np.int8]
+    """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each, 0 where it is"""
     solved: bool
     """False where no cell resistances give such readings: then no cell is valid"""
+    _found: LiveReading | None
+
+    @property
+    def uncertainty(self) -> FloatArray:
+        """Relative, of a cell's conductance; inf where nothing is known. Computed when asked for.
+
+        It covers half an ADC step and three standard deviations of the noise of every reading, and what cells that are
+        not known can make of this one.
+        """
+        if self._found is None:
+            return np.full(self.resistance.shape, np.inf)
+        return self._found.uncertainty
 
 
 class CountReader:
@@ -47,15 +54,26 @@ class CountReader:
     bounded cost per frame.
     """
 
-    def __init__(self, design: Design) -> None:
-        """Raises ProtocolError if the design has no ADC."""
+    def __init__(self, design: Design, *, accuracy: float | None = None) -> None:
+        """Prepare the recovery.
+
+        Args:
+            design: the board.
+            accuracy: relative uncertainty of a conductance up to which a cell is valid; None: as the converter allows
+                (:class:`ohmskin.circuits.ValidityRule`).
+
+        Raises:
+            ProtocolError: the design has no ADC.
+            InputError: the accuracy is not between 0 and 1.
+
+        """
         adc = design.adc
         if adc is None:
             raise ProtocolError("the board's design has no [adc]; counts mean nothing without one")
         self._shape = design.array.shape
         self._codes = 2**adc.bits
-        self._recover = live_recovery(design)
-        self._design, self._step = design, adc.step
+        self._recover = live_recovery(design, accuracy=accuracy)
+        self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
         # The middle of a code is half a step away from what may have been read; a limit on an edge belongs to both.
         half = adc.step / 2 * (1 + 1e-9)
         low, high = design.readout.supply
@@ -67,10 +85,41 @@ class CountReader:
         self._level = design.readout.reference_voltage
         rising = (design.drive.voltage > 0) != design.board.circuit.inverts  # whether more current raises the output
         self._guards_low, self._guards_high = not rising and low >= adc.range[0], rising and high <= adc.range[1]
-        self._noise = 0.0  # ADC steps, standard deviation of the readings
-        self._before: NDArray[np.integer] | None = None
+        self._design_noise = _noise_of(design)  # V
+        self._scatter = 0.0 if self._design_noise else _ASSUMED_NOISE * adc.step  # V, as frames show it
+        self._before: FloatArray | None = None  # V, the last frame's readings
+        self._frames = 0
+        self._ones = np.ones(self._shape)
         self._counts = b""
         self._reading: Reading | None = None
+
+    @property
+    def noise_volts(self) -> float:
+        """V, standard deviation of the readings: the larger one of the design's and what frames have shown."""
+        return max(self._design_noise, self._scatter)
+
+    def memory(self) -> tuple[float, NDArray[np.integer] | None]:
+        """What the noise is measured from: its standard deviation so far in ADC steps, and the last frame's counts."""
+        if self._before is None:
+            return self._scatter / self._step, None
+        return self._scatter / self._step, np.rint((self._before - self._lowest_volts) / self._step).astype(np.int64)
+
+    def remember(self, noise_steps: float, counts: NDArray[np.integer] | None) -> None:
+        """Go on with the :meth:`memory` of another reader of the same design. The inversion begins anew."""
+        self._scatter = noise_steps * self._step
+        self._before = None if counts is None else self._volts(counts)
+        self._frames = 0 if counts is None else 2
+
+    def forget(self) -> None:
+        """Take the next frame for the first one, as far as noise is concerned."""
+        self._scatter = 0.0 if self._design_noise else _ASSUMED_NOISE * self._step
+        self._frames, self._before, self._reading = 0, None, None
+
+    def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
+        """The middle of each code, in V."""
+        volts: FloatArray = np.multiply(counts, self._step, dtype=np.float64)
+        volts += self._lowest_volts
+        return volts
 
     def __call__(self, counts: NDArray[np.integer]) -> Reading:
         """The resistances behind ``counts`` (rows, columns).
@@ -78,8 +127,7 @@ class CountReader:
         A cell is not valid where the converter is at either end of its range or the output at a limit of its swing,
         since the volts may then lie anywhere beyond, and where it gives no current. Such a cell may be anything from
         what just reaches the limit to a short, and what that makes of the others is their ``uncertainty``, together
-        with half an ADC step of all readings. Cells are valid as long as it stays below :data:`TOLERANCE`, or below
-        :data:`STEPS` of their own.
+        with half an ADC step and the noise of all readings.
 
         Raises:
             ProtocolError: the counts are not of this design: another shape, or beyond its ADC.
@@ -91,47 +139,88 @@ class CountReader:
         if counts.shape != self._shape:
             sent, expected = "{} x {}".format(*counts.shape), "{} x {}".format(*self._shape)
             raise ProtocolError(f"the board sends {sent} cells; its design has {expected}")
-        if counts.max() >= self._codes:
-            bits = self._codes.bit_length() - 1
-            raise ProtocolError(f"the board sends a count of {counts.max()}; its ADC has {bits} bits")
         reading = self._read(counts)
-        # What is not settled yet may be so after another frame of the same counts.
-        self._counts, self._reading = same, None if (reading.status == Status.DISTURBED).any() else reading
+        # What is not settled yet, or judged without a measured noise, may be otherwise after another frame like this.
+        final = self._frames > 1 and (reading.valid.all() or not (reading.reason == Reason.UNSETTLED).any())
+        self._counts, self._reading = same, reading if final else None
         return reading
 
-    def _measured_noise(self, counts: NDArray[np.integer]) -> float:
-        """Standard deviation of the readings in ADC steps, from how they differ from frame to frame.
-
-        Pressing changes readings as well, so the estimate is rather too large. It forgets within a hundred frames.
-        """
-        if self._before is not None:
-            change = np.abs(np.subtract(counts, self._before, dtype=np.int64))
-            fresh = float(np.minimum(change, _LARGEST_NOISE).mean()) / _MEAN_CHANGE
-            self._noise = max(0.98 * self._noise, fresh)
-        self._before = counts
-        return self._noise
-
     def _read(self, counts: NDArray[np.integer]) -> Reading:
-        volts = volts_of_codes(self._design, counts)
-        # Noise takes an output that stands at a limit of its swing to codes on either side of it.
-        guard = np.ceil(_GUARD * self._measured_noise(counts))
-        lowest = self._first + (guard if self._guards_low else 0.0)
-        highest = self._last - (guard if self._guards_high else 0.0)
-        limited = (counts < lowest) | (counts >= highest)
-        faint = None
-        if limited.any():
+        volts = self._volts(counts)
+        guard = self._guard_codes(volts)
+        lowest = self._first + (guard if self._guards_low else 0)
+        highest = self._last - (guard if self._guards_high else 0)
+        limited = faint = None
+        most = counts.max()
+        if most >= highest or counts.min() < lowest:
+            if most >= self._codes:
+                bits = self._codes.bit_length() - 1
+                raise ProtocolError(f"the board sends a count of {most}; its ADC has {bits} bits")
+            limited = (counts < lowest) | (counts >= highest)
             # At the end of the range where hardly a current flows, not knowing a cell disturbs no other.
             faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
-            limited = limited & ~faint
+            limited &= ~faint
+            if not limited.any():
+                limited = None
+        self._before = volts
         try:
-            found = self._recover(volts, limited)
+            found = self._recover(volts, limited, self.noise_volts)
         except SolverError:
             nothing = np.full(counts.shape, np.nan)
-            status = np.full(counts.shape, Status.DISTURBED, dtype=np.int8)
-            return Reading(nothing, np.full(counts.shape, np.inf), counts < 0, status, solved=False)
-        valid = found.uncertainty <= np.maximum(2.0 * STEPS * found.own_step, TOLERANCE)
-        valid &= (found.status == Status.READ) & (found.uncertainty < _MOST)
+            reason = np.full(counts.shape, Reason.UNSOLVED, dtype=np.int8)
+            return Reading(nothing, counts < 0, reason, solved=False, _found=None)
+        valid, reason = found.valid, found.reason
+        if valid.all() and faint is None:
+            return Reading(found.resistance, valid, reason, solved=True, _found=found)
         if faint is not None:
-            valid &= ~faint
-        resistance = found.resistance if valid.all() else np.where(valid, found.resistance, np.nan)
-        return Reading(resistance, found.uncertainty, valid, found.status, solved=True)
+            valid = valid & ~faint
+            reason = np.where(faint, np.int8(Reason.NO_CURRENT), reason)
+        return Reading(np.where(valid, found.resistance, np.nan), valid, reason, solved=True, _found=found)
+
+    def _guard_codes(self, volts: FloatArray) -> int:
+        """Codes within which an output at a limit of its swing may be read, given the readings (rows, columns) in V.
+
+        The scatter of readings from frame to frame is measured on the way. Pressing changes readings as well; changes
+        far above the scatter are therefore cut off, and the estimate is rather too large. It forgets within a hundred
+        frames.
+        """
+        before = self._before
+        if before is not None:
+            change = volts - before
+            np.abs(change, out=change)
+            np.minimum(change, max(self._step, _MOST_CHANGE * self._scatter), out=change)
+            fresh = float(np.vdot(change, self._ones)) / (change.size * _MEAN_CHANGE)
+            self._scatter = fresh if self._frames == 1 else max(_FORGET * self._scatter, fresh)
+        self._frames += 1
+        return int(np.ceil(_GUARD * self.noise_volts / self._step))
+
+
+def _noise_of(design: Design) -> float:
+    """V, standard deviation of the readings before the converter by the parts that the design names; else 0.
+
+    One sensed line stands for all, with the conductances of its cells in parallel, each such that a reading is about
+    in the middle of the converter's range.
+    """
+    readout, array, adc = design.readout, design.array, design.adc
+    if not (readout.voltage_noise or readout.current_noise or readout.temperature):
+        return 0.0
+    assert adc is not None
+
+    def first(value: float | tuple[float, ...]) -> float:
+        return value[0] if isinstance(value, tuple) else value
+
+    alone = design.replace(
+        array={"rows": 1, "columns": 1, "row_lead": 0.0, "column_lead": 0.0, "row_segment": 0.0, "column_segment": 0.0},
+        readout={
+            name: first(getattr(readout, name))
+            for name in ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
+        },
+        fault=(),
+    )
+    cells = array.columns if design.board.turned else array.rows
+    middle = max((abs(limit - readout.reference_voltage) for limit in adc.range), default=0.0) / 2
+    ohms = first(readout.reference_resistance) * abs(design.drive.voltage) / middle
+    try:
+        return float(noise(alone, [[ohms / cells]]).before_adc.max())
+    except InputError:  # the design names noise of parts that have none in this circuit, or nothing limits its band
+        return 0.0

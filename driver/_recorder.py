@@ -15,7 +15,8 @@ import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, BinaryIO
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
 import numpy as np
 
@@ -23,10 +24,13 @@ from .. import __version__
 from ..arrays import FloatArray
 from ..errors import InputError, MissingExtra
 from ._frame import Frame
+from ._past import Past
 from ._port import Arrival
 
 if TYPE_CHECKING:
     from mcap.writer import Writer
+
+    from ._skin import Skin
 
 BYTES_TOPIC, EVENTS_TOPIC = "/ohmskin/bytes", "/ohmskin/events"
 PRESSURE_TOPIC, FRAME_TOPIC = "/ohmskin/pressure", "/ohmskin/frame"
@@ -83,21 +87,22 @@ _FRAME_SCHEMA = {
 }
 
 
-class Recorder:
-    """Writes one recording. :class:`~ohmskin.driver.Skin` makes it: ``Skin.open(port, record=...)``, ``skin.record()``.
+class Recording:
+    """Writes one recording, for ``Skin.open(port, record=...)`` or for a :class:`Recorder`.
 
     A file that cannot be written any more (a full disk) ends the recording, not the skin: see :attr:`error`.
     """
 
-    def __init__(self, path: str | Path, settings: Mapping[str, str]) -> None:
+    def __init__(self, path: str | Path, settings: Mapping[str, str], *, overwrite: bool = False) -> None:
         """Begin a recording.
 
         Args:
-            path: of the file, which is replaced.
+            path: of the file.
             settings: what a replay must know beforehand, see :class:`._replay.RecordedSettings`.
+            overwrite: replace a file that is there and not empty.
 
         Raises:
-            InputError: the file cannot be written.
+            InputError: the file cannot be written, or is there already.
             MissingExtra: mcap is not installed.
 
         """
@@ -106,6 +111,8 @@ class Recorder:
         except ImportError as error:
             raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
         self.path = Path(path)
+        if not overwrite and self.path.is_file() and self.path.stat().st_size:
+            raise InputError(f"{path}: is there already; choose another name, or ask to overwrite it")
         self.error: InputError | None = None
         """why the recording ended before it was closed"""
         self.frames = 0
@@ -131,6 +138,13 @@ class Recorder:
         self._waiting: queue.Queue[Frame | None] = queue.Queue(MOST_WAITING)
         self._thread = threading.Thread(target=self._write_frames, name=f"ohmskin recorder {path}", daemon=True)
         self._thread.start()
+
+    def joined(self, past: Past) -> None:
+        """Note what an open skin remembers, before its next bytes."""
+        self._event({"event": "joined", "past": past.tables()})
+        with self._lock:
+            if self._writer is not None:
+                self._guarded(self._writer.flush)
 
     def arrived(self, arrival: Arrival) -> None:
         """Write bytes of the board."""
@@ -231,3 +245,72 @@ class Recorder:
     def _schema(self, name: str, schema: Mapping[str, Any]) -> int:
         assert self._writer is not None
         return int(self._writer.register_schema(name, "jsonschema", json.dumps(schema).encode()))
+
+
+class Recorder:
+    """Records a skin that is open already, from now until :meth:`close`; readers of the skin go on undisturbed.
+
+    ::
+
+        with Recorder(skin, "press.mcap"):
+            ...
+
+    The recording begins with what the skin remembers of before (:class:`._past.Past`): the board's description, the
+    rest resistances in use, the state of clock and estimator. So the replay gives the frames that the skin gives from
+    here on, bit for bit where every frame is taken. Ids of contacts count from the join.
+    """
+
+    def __init__(self, skin: Skin, path: str | Path, *, overwrite: bool = False) -> None:
+        """Begin to record.
+
+        Args:
+            skin: an open skin.
+            path: of the MCAP file.
+            overwrite: replace a file that is there and not empty.
+
+        Raises:
+            InputError: the file cannot be written, or is there already.
+            MissingExtra: mcap is not installed.
+            LinkError: the skin has come to its end, or is closed.
+
+        """
+        self._skin = skin
+        self._recording = Recording(path, skin.settings.as_metadata(), overwrite=overwrite)
+        try:
+            skin.attach(self._recording)
+        except BaseException:
+            self._recording.close()
+            raise
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+        return self._recording.path
+
+    @property
+    def frames(self) -> int:
+        """Decoded frames written so far."""
+        return self._recording.frames
+
+    @property
+    def error(self) -> InputError | None:
+        """Why the recording ended before it was closed, such as a full disk."""
+        return self._recording.error
+
+    def close(self) -> None:
+        """End the recording; the skin stays open. A second time does nothing.
+
+        Raises:
+            InputError: the file could not be written to the end. What was written before can be read.
+
+        """
+        self._skin.detach(self._recording)
+        self._recording.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -20,6 +20,8 @@ from ..circuits import Design
 from ..config import parse
 from ..errors import InputError, LinkEnded, LinkError, MissingExtra
 from ..wire import read_description, write_description
+from ._calibration import Calibration
+from ._past import Past
 from ._port import Arrival
 from ._recorder import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
 
@@ -36,6 +38,9 @@ class RecordedSettings:
     estimator: str | None
     pitch: float | None
     """m"""
+    accuracy: float | None = None
+    """relative uncertainty up to which cells were valid; None: as the converter allowed"""
+    calibration: Calibration | None = None
 
     def as_metadata(self) -> dict[str, str]:
         """Texts for the file."""
@@ -43,7 +48,12 @@ class RecordedSettings:
             None if self.design is None else self.design.model_dump(),
             None if self.cell is None else self.cell.model_dump(exclude_none=True),
         ).decode()
-        known = {"estimator": self.estimator, "pitch": None if self.pitch is None else float(self.pitch).hex()}
+        numbers = {"pitch": self.pitch, "accuracy": self.accuracy}
+        known = {
+            "estimator": self.estimator,
+            "calibration": None if self.calibration is None else self.calibration.as_json(),
+        }
+        known |= {name: None if value is None else float(value).hex() for name, value in numbers.items()}
         return {"board": self.board, "given": tables} | {key: value for key, value in known.items() if value}
 
     @classmethod
@@ -52,13 +62,20 @@ class RecordedSettings:
         if metadata.get("format") != FORMAT:
             raise InputError(f"{path}: a recording of format {metadata.get('format')}; expected {FORMAT}")
         design, cell = read_description(metadata["given"].encode())
-        pitch = metadata.get("pitch")
+        calibration = metadata.get("calibration")
+        pitch, accuracy = (
+            float.fromhex(metadata[name]) if name in metadata else None for name in ("pitch", "accuracy")
+        )
         return cls(
             board=metadata["board"],
             design=None if design is None else parse(design, Design, source=f"{path}: design"),
             cell=None if cell is None else parse(cell, Cell, source=f"{path}: cell"),
             estimator=metadata.get("estimator"),
-            pitch=None if pitch is None else float.fromhex(pitch),
+            pitch=pitch,
+            accuracy=accuracy,
+            calibration=None
+            if calibration is None
+            else Calibration.from_json(calibration, source=f"{path}: calibration"),
         )
 
 
@@ -84,8 +101,9 @@ class ReplayPort:
             raise InputError(f"speed {speed}; expected a positive number")
         self.path = Path(path)
         self.name = str(path)
-        self.settings, self.rest, self.arrivals, self.seconds = _survey(self.path)
-        """how it was opened; its tares; how many times bytes came; how long it lasts in s"""
+        self.settings, self.past, self.rest, self.arrivals, self.seconds = _survey(self.path)
+        """how it was opened; what the skin remembered when the recorder joined, None: it was opened recording; its
+        tares; how many times bytes came; how long it lasts in s"""
         self._speed = speed
         self._items = _items(self.path)
         self._next: Arrival | LinkError | None = None
@@ -160,8 +178,8 @@ class ReplayPort:
         return (item.received_at - self.now()) / self._speed
 
 
-def _survey(path: Path) -> tuple[RecordedSettings, RestSchedule, int, float]:
-    settings, rest = None, RestSchedule()
+def _survey(path: Path) -> tuple[RecordedSettings, Past | None, RestSchedule, int, float]:
+    settings, past, rest = None, None, RestSchedule()
     arrivals, first, last = 0, None, 0.0
     for topic, data in _records(path):
         if topic == METADATA:
@@ -172,6 +190,8 @@ def _survey(path: Path) -> tuple[RecordedSettings, RestSchedule, int, float]:
             first = last if first is None else first
         elif topic == EVENTS_TOPIC:
             event = json.loads(data)
+            if event["event"] == "joined":
+                past = Past.parse(event.get("past"), f"{path}: what was before")
             if event["event"] == "rest":
                 ohm = event["rest_ohm"]
                 values = None if ohm is None else np.frombuffer(base64.b64decode(ohm), dtype="<f8").astype(np.float64)
@@ -179,7 +199,7 @@ def _survey(path: Path) -> tuple[RecordedSettings, RestSchedule, int, float]:
                 rest.changes.append((after, values))
     if settings is None:
         raise InputError(f"{path}: is no recording of ohmskin; expected the metadata '{METADATA}'")
-    return settings, rest, arrivals, 0.0 if first is None else last - first
+    return settings, past, rest, arrivals, 0.0 if first is None else last - first
 
 
 def _items(path: Path) -> Iterator[Arrival | LinkError]:

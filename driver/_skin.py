@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import copy
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
@@ -17,17 +19,20 @@ from ..cell import Cell
 from ..circuits import Design
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Description, Family, HostProtocol, Identity, Order, board_family, host_protocol
-from ._convert import Converter
+from ._calibration import Calibration
+from ._convert import Converter, Measurement
 from ._discover import find_board
 from ._frame import Frame
 from ._introduce import Introduction
 from ._mailbox import Mailbox
+from ._past import Past
 from ._port import Arrival, BytePort
 from ._reader import Reader
 from ._reconnect import PortFinder
-from ._recorder import Recorder
+from ._recorder import Recording
 from ._replay import RecordedSettings, ReplayPort
 from ._statistics import Counters, LinkStatistics
+from ._stream import RawFrame
 from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, Source
 from ._tare import RestReadings, Tare
 
@@ -67,7 +72,10 @@ class Skin:
         reconnect: float = 10.0,
         reopen: Callable[[], BytePort] | None = None,
         pitch: float | None = None,
+        accuracy: float | None = None,
         record: str | Path | None = None,
+        overwrite: bool = False,
+        calibration: Calibration | str | Path | None = None,
     ) -> None:
         """Introduce the board behind an open port.
 
@@ -84,24 +92,33 @@ class Skin:
             reconnect: s to try to open a port again that has gone away.
             reopen: opens the port again; None: a port that has gone away is not opened again.
             pitch: distance of neighbouring cells in m, for contacts; None: that of the design's ``[sheet]``.
+            accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 2 %, or as well
+                as a converter of few bits and the noise allow (:class:`ohmskin.circuits.ValidityRule`).
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
+            overwrite: replace a recording that is there already.
+            calibration: rest resistance and gain of each cell, or the file that holds them. A tare replaces its rest
+                resistances and keeps its gains.
 
         Raises:
             LinkTimeout: the board is silent.
             ProtocolError: it sends something else than packets, or a description that is not valid or too large.
             LinkError: the port is gone.
             InputError: there is no such family, or no such estimator for this cell, or the design is not known, or
-                the recording cannot be written.
+                the accuracy is not between 0 and 1, or the recording cannot be written or is there already, or the
+                calibration cannot be read or is another board's.
 
         """
         self._timeout = timeout
         self._delivery = delivery
-        self._recorder: Recorder | None = None
+        self._recorder: Recording | None = None
+        self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
+        """recordings under way -> what tells them of converted frames"""
         deadline = time.monotonic() + timeout
         try:
             family = board_family(board)
             if queue < 1:
                 raise InputError(f"a queue of {queue} frames; expected at least 1")
+            given = calibration if isinstance(calibration, Calibration | None) else Calibration.load(calibration)
             if delivery not in ("newest", "every", "lossless"):
                 raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
             self._counters = Counters()
@@ -117,9 +134,13 @@ class Skin:
                 reopen=reopen,
                 reconnect_s=reconnect,
             )
+            self.settings = RecordedSettings(family.name, design, cell, estimator, pitch, accuracy, given)
+            """how the skin was opened, for recordings"""
+            past = port.past if isinstance(port, ReplayPort) else None
+            if past is not None:
+                self._reader.resume(past.heard_bytes(), past.stream)
             if record is not None:
-                settings = RecordedSettings(family.name, design, cell, estimator, pitch)
-                self._recorder = Recorder(record, settings.as_metadata())
+                self._recorder = Recording(record, self.settings.as_metadata(), overwrite=overwrite)
                 self._reader.taps.append(self._recorder.arrived)
                 self._reader.on_gone.append(self._recorder.port_gone)
         except BaseException:
@@ -129,8 +150,10 @@ class Skin:
         try:
             self._reader.await_introduction(timeout)
             changes = port.rest.changes if isinstance(port, ReplayPort) else ()
-            set_up = partial(_set_up, introduction, estimator, pitch, self._counters, changes)
+            set_up = partial(_set_up, introduction, estimator, pitch, accuracy, self._counters, changes, given)
             self._converter = _within(set_up, deadline, self._too_slow)
+            if past is not None:
+                self._remember(past)
         except BaseException:
             self._reader.stop()
             if self._recorder is not None:
@@ -141,6 +164,10 @@ class Skin:
         """how the board reads its array"""
         self.cell = self._converter.cell
         """what the skin is made of; None: not known, pressures are NaN"""
+        self.calibration = given
+        """rest resistances and gains of the cells; None: all are as the cell's data say"""
+        self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
+        """s that the recording lasts; None: the board is live"""
         self._source = Source(
             port.name,
             self._mailbox,
@@ -156,8 +183,7 @@ class Skin:
         self._tares: list[Tare | None] = [None]
         self._taring = threading.Lock()
         if self._recorder is not None:
-            self._converter.on_rest = self._recorder.rest_changed
-            self._converter.on_converted = ConvertedFrames(self._source, self._recorder.frame).converted
+            self._follow_frames(self._recorder)
 
     @classmethod
     def open(
@@ -175,8 +201,11 @@ class Skin:
         queue: int = QUEUE,
         reconnect: float = 10.0,
         pitch: float | None = None,
+        accuracy: float | None = None,
         record: str | Path | None = None,
+        overwrite: bool = False,
         speed: float | None = None,
+        calibration: Calibration | str | Path | None = None,
     ) -> Skin:
         """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording; see :meth:`__init__` for the rest.
 
@@ -195,8 +224,11 @@ class Skin:
             queue: likewise.
             reconnect: likewise.
             pitch: likewise.
+            accuracy: likewise.
             record: likewise.
+            overwrite: likewise.
             speed: of a recording, times real time; None: as fast as it is read.
+            calibration: as for :meth:`__init__`; None: that of the recording, else none.
 
         Raises:
             LinkError: the port is not there, may not be used, or is in use, or another board is behind it; and what
@@ -218,7 +250,10 @@ class Skin:
                 reconnect=reconnect,
                 reopen=played.reopen,
                 pitch=settings.pitch if pitch is None else pitch,
+                accuracy=settings.accuracy if accuracy is None else accuracy,
                 record=record,
+                overwrite=overwrite,
+                calibration=settings.calibration if calibration is None else calibration,
             )
         family = board_family(board)
         if port is None:
@@ -238,7 +273,10 @@ class Skin:
             reconnect=reconnect,
             reopen=finder.open_again,
             pitch=pitch,
+            accuracy=accuracy,
             record=record,
+            overwrite=overwrite,
+            calibration=calibration,
         )
         if serial_number is not None and skin.serial_number and skin.serial_number != serial_number:
             skin.close()
@@ -265,6 +303,16 @@ class Skin:
         """The name of the port that was opened."""
         return self._source.name
 
+    @property
+    def pitch_m(self) -> float:
+        """Distance of neighbouring cells in m."""
+        return self._converter.pitch_m
+
+    @property
+    def away(self) -> str | None:
+        """Why the port is gone, while the driver tries to open it again; None: it is there."""
+        return self._mailbox.away
+
     def __enter__(self) -> Self:
         return self
 
@@ -284,9 +332,10 @@ class Skin:
         for callback in self._callbacks:
             callback.close()
         self._callbacks.clear()
-        recorder, self._recorder = self._recorder, None
-        if recorder is not None:
-            recorder.close()
+        recordings, self._recorder = list(self._followers), None
+        self._followers.clear()
+        for recording in recordings:
+            recording.close()
 
     def __iter__(self) -> Iterator[Frame]:
         return self
@@ -364,9 +413,59 @@ class Skin:
         self._reader.taps.append(tap)
 
     @property
-    def recorder(self) -> Recorder | None:
-        """The recording under way."""
+    def recorder(self) -> Recording | None:
+        """The recording that the skin was opened with."""
         return self._recorder
+
+    def attach(self, recording: Recording) -> None:
+        """Let a recording begin here; :class:`Recorder` calls this.
+
+        Frames that have come are converted first. The next frames are converted by an inversion of the circuit that
+        begins anew and an estimator that goes on, as in the replay.
+
+        Raises:
+            LinkError: the skin has come to its end, or is closed.
+
+        """
+        with self._reader.between_arrivals() as heard:
+            if self._mailbox.end is not None:
+                raise copy.copy(self._mailbox.end)
+            newest = self._mailbox.newest
+            if newest is not None:
+                try:
+                    self._converter.measure(newest, self._mailbox)
+                except ProtocolError as error:
+                    self._mailbox.report(error)
+            past = Past.of(heard, self._reader.stream.state(), self._converter.hand_over())
+            recording.joined(past)
+            if self._reader.away:
+                recording.port_gone()
+            self._reader.taps.append(recording.arrived)
+            self._reader.on_gone.append(recording.port_gone)
+            self._follow_frames(recording)
+
+    def detach(self, recording: Recording) -> None:
+        """Let a recording end here; one that is not attached is left alone."""
+        with self._reader.between_arrivals():
+            told = self._followers.pop(recording, None)
+            if told is None:
+                return
+            self._reader.taps.remove(recording.arrived)
+            self._reader.on_gone.remove(recording.port_gone)
+            self._converter.on_rest.remove(recording.rest_changed)
+            self._converter.on_converted.remove(told)
+
+    def _remember(self, past: Past) -> None:
+        try:
+            self._converter.resume(past.measurement)
+        except InputError as error:
+            raise InputError(f"{self._reader.port_name}: what was before: {error}") from error
+
+    def _follow_frames(self, recording: Recording) -> None:
+        told = ConvertedFrames(self._source, recording.frame).converted
+        self._followers[recording] = told
+        self._converter.on_rest.append(recording.rest_changed)
+        self._converter.on_converted.append(told)
 
     def request(self, order: Order, *, period_us: int = 0) -> None:
         """Give the board an order of its protocol; LinkError where the port is gone."""
@@ -386,8 +485,8 @@ class Skin:
         """Take the skin for unloaded now: the mean of the next ``frames`` becomes each cell's rest resistance.
 
         This removes what differs from cell to cell, and the steady part of what the design does not mention. A cell
-        without a valid reading keeps the rest resistance of the data sheet. The frames taken are not iterated over;
-        frames lost meanwhile count in the next frame's ``lost_before``.
+        without a valid reading keeps the rest resistance of the calibration, else of the data sheet. The frames taken
+        are not iterated over; frames lost meanwhile count in the next frame's ``lost_before``.
 
         Args:
             frames: to average.
@@ -401,8 +500,8 @@ class Skin:
         """
         if frames < 1:
             raise InputError(f"tare over {frames} frames; expected at least 1")
-        with self._taring:
-            tare = self._measure_rest(frames)
+        with self._taring, self._frames_for_tare(frames) as taken:
+            tare = self._rest(taken)
             if tare.remarks and not force:
                 raise InputError(
                     f"{self.port_name}: no tare, the skin seems to be loaded: {'; '.join(tare.remarks)}. "
@@ -413,11 +512,11 @@ class Skin:
 
     @property
     def tared(self) -> Tare | None:
-        """The tare in use; None: rest resistances are those of the data sheet."""
+        """The tare in use; None: rest resistances are those of the calibration, else of the data sheet."""
         return self._tares[-1]
 
     def use_tare(self, tare: Tare | None) -> None:
-        """Use a tare from before, such as a loaded one; None: the data sheet's rest resistances.
+        """Use a tare from before, such as a loaded one; None: the rest resistances from before any tare.
 
         Raises:
             InputError: it is of another board, or of an array of another shape.
@@ -434,7 +533,7 @@ class Skin:
             self._use(tare)
 
     def undo_tare(self) -> Tare | None:
-        """Go back to the tare before the present one, None for the data sheet. Returns the tare then in use."""
+        """Go back to the tare before the present one, None for none. Returns the tare then in use."""
         with self._taring:
             if len(self._tares) > 1:
                 self._tares.pop()
@@ -450,13 +549,25 @@ class Skin:
         self._converter.use_rest(None if tare is None else tare.rest_resistance_ohm)
         self._taker.forget()
 
-    def _measure_rest(self, frames: int) -> Tare:
+    @contextlib.contextmanager
+    def _frames_for_tare(self, frames: int) -> Iterator[list[Frame]]:
+        """The next frames. What was lost and skipped meanwhile is told with the frame after them."""
         if self._delivery == "every":
             # What waits in the queue is of the past.
             self._taker.pass_to_newest()
-        with self._taker.aside():
-            taken = [self._taker.take(self._timeout) for _ in range(frames)]
-        losses = [frame.lost_before for frame in taken]
+        taken: list[Frame] = []
+        used = False
+        try:
+            while len(taken) < frames:
+                taken.append(self._taker.take(self._timeout))
+            yield taken
+            used = True
+        finally:
+            self._taker.tell_again(taken, used=used)
+
+    def _rest(self, taken: list[Frame]) -> Tare:
+        # What was lost before the first of them, perhaps long ago, is not of the tare.
+        losses = [frame.lost_before for frame in taken[1:]]
         readings = RestReadings(
             np.array([frame.resistance for frame in taken]),
             np.array([frame.monotonic_time for frame in taken]),
@@ -466,6 +577,7 @@ class Skin:
             lost=None if None in losses else sum(loss or 0 for loss in losses),
             serial_number=self.serial_number,
             wall_time=taken[-1].host_time,
+            calibrated_ohm=None if self.calibration is None else self.calibration.rest_ohm,
         )
 
     def _too_slow(self) -> ProtocolError:
@@ -487,14 +599,21 @@ def _set_up(
     introduction: Introduction,
     estimator: str | None,
     pitch: float | None,
+    accuracy: float | None,
     counters: Counters,
     rest_changes: Sequence[tuple[float, FloatArray | None]],
+    calibration: Calibration | None,
 ) -> Converter:
     """The converter for a board, tried out."""
     design, cell = introduction.design(), introduction.cell()
+    if calibration is not None:
+        try:
+            calibration.check_board(design, cell, introduction.serial_number)
+        except InputError as error:
+            raise InputError(f"{introduction.port_name}: {error}") from None
     try:
         pitch_m = design.sheet.pitch if pitch is None else pitch
-        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes)
+        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes, accuracy, calibration)
         converter.try_out()
     except OhmskinError:
         raise

@@ -6,6 +6,9 @@ from collections import deque
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
+
+from ..circuits import Reason
 
 KEPT = 1000
 """frames over which rate, age and jitter are stated"""
@@ -36,6 +39,8 @@ class LinkStatistics:
     """frames that no reader of the skin took"""
     unsolved: int
     """frames whose readings no cell resistances can give; many of them say that the design is not that of the board"""
+    not_valid: dict[str, int]
+    """cells of the newest converted frame that are not valid, by the name of their :class:`ohmskin.circuits.Reason`"""
     rate_hz: float
     """frames per second of the board's time, over the last 1000 frames; NaN before the second frame"""
     age_s: dict[int, float]
@@ -66,6 +71,8 @@ class Counters:
     duplicates: int = 0
     converted: int = 0
     unsolved: int = 0
+    reasons: NDArray[np.int8] | None = None
+    """of the newest converted frame, a :class:`ohmskin.circuits.Reason` for each cell"""
     times_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
     """of the last frames, on the time scale of the estimator"""
     ages_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
@@ -86,12 +93,23 @@ class Counters:
             duplicates=self.duplicates,
             skipped=max(self.frames - self.converted - pending, 0),
             unsolved=self.unsolved,
+            not_valid=_not_valid(self.reasons),
             rate_hz=(len(times) - 1) / elapsed if elapsed > 0 else float("nan"),
             age_s=_percentiles(self.ages_s),
             jitter_s=_percentiles(self.delays_s),
             drift_ppm=drift_ppm,
             clock_steps=clock_steps,
         )
+
+
+def _not_valid(reasons: NDArray[np.int8] | None) -> dict[str, int]:
+    if reasons is None:
+        return {}
+    return {
+        Reason(value).name.lower(): int(cells)
+        for value, cells in zip(*np.unique(reasons, return_counts=True), strict=True)
+        if value != Reason.VALID
+    }
 
 
 def _percentiles(values: deque[float]) -> dict[int, float]:

@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from ..errors import ProtocolError
 from ..wire import Corrupt, Flag, FramePacket
 from ._clock import ClockMap
+from ._past import StreamPast
 from ._port import Arrival
+from ._spacing import ArrivalTimes
 from ._statistics import Counters
 
 REMEMBERED = 64
@@ -56,7 +58,11 @@ class FrameStream:
         self.name = name
         """of the port, for messages"""
         self.clock = ClockMap()
+        self._arrivals = ArrivalTimes()
+        """of boards without a clock"""
         self.counters = counters
+        self._begun = False
+        """a frame has come"""
         self._expected: int | None = None
         self._boot_id: int | None = None
         self._latest_us: int | None = None
@@ -67,8 +73,38 @@ class FrameStream:
 
     def announce(self, sequence: int | None, boot_id: int | None) -> None:
         """Take the number that the first frame will have, as the packets before it say."""
-        if not self.counters.frames:
+        if not self._begun:
             self._expected, self._boot_id = sequence, boot_id
+
+    def arrive(self, arrival: Arrival, frames: int) -> None:
+        """Take the number of frames that came together, before :meth:`take` takes them one by one."""
+        self._arrivals.arrive(arrival.received_at, frames)
+
+    def state(self) -> StreamPast:
+        """Everything remembered, which :meth:`restore` takes. Totals are not part of it."""
+        return StreamPast(
+            begun=self._begun,
+            expected=self._expected,
+            boot_id=self._boot_id,
+            latest_us=self._latest_us,
+            latest_monotonic=self._latest_monotonic,
+            time_s=self._time_s,
+            in_step=self._in_step,
+            recent=tuple(self._recent),
+            numbered=self.counters.lost is not None,
+            clock=self.clock.state(),
+            arrivals=self._arrivals.state(),
+        )
+
+    def restore(self, past: StreamPast) -> None:
+        """Continue from a saved :meth:`state`, with totals that count from here."""
+        self._begun, self._expected, self._boot_id = past.begun, past.expected, past.boot_id
+        self._latest_us, self._latest_monotonic = past.latest_us, past.latest_monotonic
+        self._time_s, self._in_step = past.time_s, past.in_step
+        self._recent = deque(past.recent, maxlen=REMEMBERED)
+        self.counters.lost = 0 if past.numbered else None
+        self.clock.restore(past.clock)
+        self._arrivals.restore(past.arrivals)
 
     def corrupt(self, event: Corrupt) -> None:
         """Count a stretch of bytes that was no packet."""
@@ -106,6 +142,7 @@ class FrameStream:
         device_s = None if packet.time_us is None else packet.time_us / 1e6
         monotonic = self._map_time(device_s, arrival)
         self._advance(packet.time_us, monotonic, rebooted)
+        self._begun = True
         return RawFrame(
             index=counters.frames,
             sequence=packet.sequence,
@@ -140,14 +177,14 @@ class FrameStream:
 
     def _map_time(self, device_s: float | None, arrival: Arrival) -> float:
         if device_s is None:
-            return arrival.received_at
+            return self._arrivals.next(arrival.received_at)
         monotonic = self.clock.add(device_s, arrival.received_at)
         self.counters.delays_s.append(arrival.received_at - monotonic)
         return monotonic
 
     def _advance(self, time_us: int | None, monotonic: float, rebooted: bool) -> None:
         """Let the estimator's time pass: by the board's clock where it runs through, else by the host's."""
-        if self.counters.frames > 1:
+        if self._begun:
             if time_us is None or self._latest_us is None or rebooted:
                 step = monotonic - self._latest_monotonic
             else:

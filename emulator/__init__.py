@@ -11,9 +11,10 @@ from ._line import Transmission
 from ._line_settings import ClockSettings, LineSettings, LinkFault
 from ._plan import Plan, PlannedEffect, plan
 from ._ports import PairPort, Port, PtyPort, Rfc2217Port, TcpPort
-from ._run import ClockName, Outcome, Stop, emulate, running, stop_on_signals
+from ._run import emulate, running
 from ._scene import BoardSettings, Scene, SkinSettings
 from ._score import Recording, Score, Truth, score, score_text
+from ._service import ClockName, Outcome, Stop, stop_on_signals
 from ._shapes import Bump, Disc, Image, Point, Rectangle
 from ._skin import EmulatedSkin, FrameBlock, Sample
 from ._spread import shares, spread

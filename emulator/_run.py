@@ -11,19 +11,13 @@
 
 from __future__ import annotations
 
-import os
 import secrets
-import selectors
-import signal
-import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import Literal, Protocol
 
 from ..errors import InputError
 from ..wire import BoardProtocol, board_protocol
@@ -31,91 +25,26 @@ from ._device import Device
 from ._hand import Hand
 from ._ports import Port
 from ._scene import Scene
+from ._service import (
+    HOST_POLL_S,
+    LISTENER_S,
+    MOST_BEHIND_S,
+    ClockName,
+    HasFileno,
+    Outcome,
+    Stop,
+    in_thread,
+    patience,
+    wait_for,
+)
 from ._truth import TruthFile
 
-ClockName = Literal["real", "fast"]
-
-HOST_POLL_S = 0.01
-"""how often to look whether a host has come: opening a pty wakes nobody"""
 LONGEST_WAIT_S = 0.1
 """how often to look in any case: for a second host to turn away"""
-LISTENER_S = 1.0
-"""fast clock: how long a host may say nothing before it is taken for a mere listener"""
-MOST_BEHIND_S = 0.5
-"""real clock: how late a tick may be before board time is let go"""
 TICKS_AT_ONCE = 64
 """ticks between two looks at the port, at most"""
 WRITE_SOON = 4096
 """bytes that have arrived at the host's end with which the port goes before further ticks"""
-DRAIN_S = 5.0
-"""at the end: how long to wait for a host that has stopped reading"""
-
-
-class Stop:
-    """A request to end the run, from a signal or another thread; the loop waits for it along with the port."""
-
-    def __init__(self) -> None:
-        self.signal: int | None = None
-        """the signal that asked, if one did"""
-        self._asked = threading.Event()
-        self._read, self._write = os.pipe()
-        os.set_blocking(self._write, False)
-
-    def set(self, number: int | None = None) -> None:
-        """End the run between two ticks."""
-        self.signal = self.signal or number
-        if not self._asked.is_set():
-            self._asked.set()
-            os.write(self._write, b"!")
-
-    def is_set(self) -> bool:
-        return self._asked.is_set()
-
-    def fileno(self) -> int:
-        return self._read
-
-    def close(self) -> None:
-        os.close(self._read)
-        os.close(self._write)
-
-
-@contextmanager
-def stop_on_signals() -> Iterator[Stop]:
-    """A :class:`Stop` that SIGINT, SIGTERM and SIGHUP set, instead of what they did before. In the main thread only."""
-    stop = Stop()
-    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-    before = {number: signal.signal(number, lambda number, _: stop.set(number)) for number in numbers}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        stop.close()
-
-
-@dataclass
-class Outcome:
-    """What a run came to."""
-
-    seconds: float = 0.0
-    """board time"""
-    dropped: int = 0
-    """frames for which the transmit buffer had no room: the host, or the line, was too slow"""
-    lost_bytes: int = 0
-    """bytes that a UART sent and that the host had no room for"""
-    behind_s: float = 0.0
-    """real clock: by how much board time fell behind because this machine was too slow"""
-
-    def notes(self) -> list[str]:
-        """What whoever started the run should know, a line each."""
-        notes = []
-        if self.dropped:
-            notes.append(f"{self.dropped} frames were dropped: the host or the line was too slow")
-        if self.lost_bytes:
-            notes.append(f"{self.lost_bytes} bytes were lost: the host read too slowly")
-        if self.behind_s:
-            notes.append(f"board time fell {self.behind_s:.1f} s behind: this machine is too slow for the scene")
-        return notes
 
 
 def emulate(
@@ -196,35 +125,21 @@ def running(
     The port is closed when the board's time is over or the block ends. What :func:`emulate` raises is raised at the
     end of the block.
     """
-    stop, failures = Stop(), []
-
-    def live() -> None:
-        try:
-            with port:
-                emulate(
-                    scene,
-                    port,
-                    clock=clock,
-                    duration_s=duration_s,
-                    seed=seed,
-                    truth=truth,
-                    family=family,
-                    hand=hand,
-                    stop=stop,
-                )
-        except Exception as error:
-            failures.append(error)
-
-    thread = threading.Thread(target=live, daemon=True)
-    thread.start()
-    try:
+    with in_thread(
+        lambda stop: emulate(
+            scene,
+            port,
+            clock=clock,
+            duration_s=duration_s,
+            seed=seed,
+            truth=truth,
+            family=family,
+            hand=hand,
+            stop=stop,
+        ),
+        port,
+    ):
         yield
-    finally:
-        stop.set()
-        thread.join()
-        stop.close()
-    if failures:
-        raise failures[0]
 
 
 def _truth_file(path: Path, scene: Scene) -> TruthFile:
@@ -241,19 +156,6 @@ def _protocol(family: str, scene: Scene) -> BoardProtocol:
     design = scene.skin.design
     assert design.adc is not None  # a scene is refused without one
     return board_protocol(family, shape=design.array.shape, adc_bits=design.adc.bits)
-
-
-class _HasFileno(Protocol):
-    def fileno(self) -> int: ...
-
-
-def _wait_for(readable: list[_HasFileno], writable: list[_HasFileno], timeout_s: float) -> None:
-    """Wait until one of these is ready, or the time is over."""
-    with selectors.DefaultSelector() as selector:
-        for end in readable:
-            both = selectors.EVENT_WRITE if end in writable else 0
-            selector.register(end, selectors.EVENT_READ | both)
-        selector.select(timeout_s)
 
 
 class _Session:
@@ -302,28 +204,19 @@ class _Session:
 
     def wait(self, stop: Stop) -> None:
         """Until the port or ``stop`` wants attention, or something is due, or something else may be new."""
-        readable: list[_HasFileno] = [stop, self._port] if self._present else [stop]
-        writable: list[_HasFileno] = [self._port] if self._present and self._device.transmission.host else []
+        readable: list[HasFileno] = [stop, self._port] if self._present else [stop]
+        writable: list[HasFileno] = [self._port] if self._present and self._device.transmission.host else []
         longest = LONGEST_WAIT_S if self._present else HOST_POLL_S
-        _wait_for(readable, writable, min(max(self._pace.wait_s(), 0.0), longest))
+        wait_for(readable, writable, min(max(self._pace.wait_s(), 0.0), longest))
 
     def drain(self, stop: Stop) -> None:
         """Let a host read to the end what was written, as long as it goes on reading."""
-        left, patience_ends, quiet = None, 0.0, 0
         self._pace.finish()
-        while not stop.is_set() and quiet < 3:
+        for _ in patience(lambda: (len(self._device.transmission), self._port.unread())):
             self.exchange()
-            if not self._present:
+            if stop.is_set() or not self._present:
                 return
-            before, left = left, (len(self._device.transmission), self._port.unread())
-            now = time.monotonic()
-            if left != before:
-                patience_ends = now + DRAIN_S
-            elif now > patience_ends:
-                return
-            # The kernel moves bytes on in steps: empty for a moment is not empty yet.
-            quiet = quiet + 1 if left == (0, 0) else 0
-            _wait_for([stop], [], HOST_POLL_S)
+            wait_for([stop], [], HOST_POLL_S)
 
     def _follow_cable(self) -> bool:
         """Take the port away or bring it back as the scene says; whether it is there."""

@@ -24,8 +24,9 @@ from serial.urlhandler import protocol_socket
 
 from ..errors import InputError, OhmskinError
 from ._ports import PairPort
-from ._run import ClockName, running
+from ._run import running
 from ._scene import Scene
+from ._service import ClockName
 
 OPTIONS = ("board", "clock", "duration", "seed", "truth")
 

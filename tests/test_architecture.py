@@ -19,6 +19,7 @@ MAY_IMPORT = {
     "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
     "emulator": SHARED | {"circuits", "cell", "wire"},
     "driver": SHARED | {"circuits", "cell", "wire"},
+    "calibration": SHARED | {"circuits", "cell", "driver"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
     "hil": SHARED | {"driver", "emulator"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},

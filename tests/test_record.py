@@ -7,6 +7,7 @@ import csv
 import json
 import subprocess
 import sys
+import threading
 import time
 from itertools import islice
 from pathlib import Path
@@ -16,9 +17,10 @@ import pytest
 from boards import Script, Wire, gone, scene
 
 from ohmskin.cli import run
-from ohmskin.driver import Frame, ReplayPort, Skin
+from ohmskin.config import fingerprint
+from ohmskin.driver import Frame, Recorder, ReplayPort, Skin, to_xarray
 from ohmskin.emulator import Board, PtyPort, running
-from ohmskin.errors import InputError
+from ohmskin.errors import InputError, LinkEnded
 from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
 
 ARRAYS = ("counts", "valid", "resistance", "pressure", "pressure_std")
@@ -127,6 +129,93 @@ def test_what_was_given_at_opening_is_given_again(tmp_path: Path) -> None:
         again = list(skin)
         assert skin._converter.contacts._tracker.pitch_m == 0.0031
     assert all(map(same, live, again))
+
+
+@pytest.mark.parametrize("estimator", [None, "static"])
+def test_a_recorder_joins_an_open_skin_and_leaves_it(tmp_path: Path, estimator: str | None) -> None:
+    """The replay gives the frames from the join on, bit for bit: it knows of a press and of a tare from before."""
+    paths = [tmp_path / "one.mcap", tmp_path / "two.mcap"]
+    live: list[list[Frame]] = []
+    with Skin(Wire(Board(scene())), delivery="lossless", queue=4, estimator=estimator) as skin:
+        skin.tare(5, force=True)
+        before = list(islice(skin, 130))  # the press has begun
+        assert before[-1].pressure[1, 1] > 1
+        for path in paths:
+            with Recorder(skin, path) as recorder:
+                live.append(list(islice(skin, 70)))
+            assert recorder.frames > 60
+            assert recorder.error is None
+            list(islice(skin, 9))
+        recorder.close()  # a second time does nothing
+        assert next(skin).lost_before == 0
+    for path, frames in zip(paths, live, strict=True):
+        with Skin.open(str(path)) as skin:
+            again = list(skin)
+            assert skin.serial_number == "EMULATED"
+        begin = next(k for k, frame in enumerate(frames) if frame.sequence == again[0].sequence)
+        # Frames that had come, but that nobody had taken yet, belong to the time before.
+        assert len(again) >= len(frames) - begin > 0
+        assert all(same(one, other) for one, other in zip(frames[begin:], again, strict=False))
+
+
+def test_a_recorder_may_join_within_a_packet_and_after_a_gap(tmp_path: Path) -> None:
+    path = tmp_path / "middle.mcap"
+    stream = b"".join(pieces(range(40), last=True))
+    cut = len(b"".join(pieces(range(20)))) + 7
+    port = Script(stream[:cut])
+    with Skin(port, delivery="lossless") as skin:
+        before = [next(skin) for _ in range(20)]
+        with Recorder(skin, path):
+            port.say(stream[cut:])
+            live = list(skin)
+    assert [frame.sequence for frame in before + live] == list(range(40))
+    again = replayed(path)
+    assert len(again) == len(live) == 20
+    assert all(map(same, live, again))
+
+
+def test_a_recorder_joins_while_the_board_is_away(tmp_path: Path) -> None:
+    path = tmp_path / "away.mcap"
+    back = threading.Event()
+
+    def reopen() -> Script:
+        if not back.wait(10):
+            raise AssertionError
+        return Script(*pieces(range(7, 12), last=True))
+
+    with Skin(Script(*pieces(range(5)), last=gone), delivery="lossless", reopen=reopen) as skin:
+        for _ in range(5):
+            next(skin)
+        deadline = time.monotonic() + 30
+        while not skin._reader.away:
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        with Recorder(skin, path):
+            back.set()
+            live = list(skin)
+    assert [(frame.reconnected, frame.lost_before) for frame in live[:2]] == [(True, 2), (False, 0)]
+    again = replayed(path)
+    assert len(again) == len(live)
+    assert all(map(same, live, again))
+
+
+def test_a_recorder_ends_with_its_skin_and_refuses_a_closed_one(tmp_path: Path) -> None:
+    path = tmp_path / "ended.mcap"
+    with Skin(Script(*pieces(range(9))), delivery="lossless") as skin:
+        recorder = Recorder(skin, path)
+        for _ in range(9):
+            next(skin)
+    recorder.close()
+    with Skin.open(str(path)) as again:
+        assert again.serial_number == "A1"
+    with pytest.raises(LinkEnded, match="the skin is closed"):
+        Recorder(skin, tmp_path / "late.mcap")
+    with Skin(Script(*pieces(range(2))), delivery="lossless") as skin:
+        with pytest.raises(InputError, match="cannot be written"):
+            Recorder(skin, tmp_path / "nowhere" / "x.mcap")
+        with pytest.raises(InputError, match="No space left on device"), Recorder(skin, "/dev/full"):
+            assert next(skin).sequence == 0
+        assert next(skin).sequence == 1
 
 
 @pytest.mark.parametrize("share", [0.3, 0.7, 0.999])
@@ -258,13 +347,61 @@ def test_the_commands_record_replay_and_export(tmp_path: Path, capfd: pytest.Cap
     assert parquet.read_table(tmp_path / "first.parquet")["pressure_kpa_1_1"].to_pylist() == pressure[:, 1, 1].tolist()
 
 
+def test_frames_become_a_dataset_with_units(tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    path, exported = tmp_path / "press.mcap", tmp_path / "press.nc"
+    live = recorded(path, 60)
+    with Skin.open(str(path)) as skin:
+        data = to_xarray(skin, skin)
+        assert data.attrs["serial_number"] == skin.serial_number
+        assert data.attrs["design_sha256"] == fingerprint(skin.design)
+        pitch_mm = 1e3 * skin.pitch_m
+    assert dict(data.sizes) == {"time": len(data.time), "row": 3, "column": 2}
+    np.testing.assert_array_equal(data.x_mm, [0.0, pitch_mm])
+    np.testing.assert_array_equal(data.y_mm, [0.0, pitch_mm, 2 * pitch_mm])
+    for k, frame in enumerate(live):
+        np.testing.assert_array_equal(data.pressure[k], frame.pressure)
+        np.testing.assert_array_equal(data.counts[k], frame.counts)
+        assert data.time[k].astype(np.int64) == round(1e9 * frame.host_time)
+    assert (data.pressure.units, data.resistance.units, data.device_time.units) == ("kPa", "ohm", "s")
+    assert run(["export", str(path), "-o", str(exported)]) == 0
+    with xarray.open_dataset(exported) as read:
+        xarray.testing.assert_equal(read.drop_vars("time"), data.drop_vars("time"))
+        assert np.abs((read.time - data.time).astype(np.int64)).max() <= 1000  # as CF's encoding of dates rounds
+        assert read.pressure.attrs["units"] == "kPa"
+        assert read.valid.dtype == bool
+    with pytest.raises(InputError, match="no frames"):
+        to_xarray([])
+    with Skin.open(str(path)) as skin:
+        assert dict(to_xarray([], skin).sizes) == {"time": 0, "row": 3, "column": 2}
+
+
+def test_a_recording_is_scored_as_its_export_is(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    truth, path, arrays = tmp_path / "truth.npz", tmp_path / "press.mcap", tmp_path / "press.npz"
+    port = PtyPort()
+    with running(scene(), port, clock="fast", duration_s=3.0, truth=truth):
+        assert run(["record", port.name, "-o", str(path)]) == 0
+    assert run(["export", str(path), "-o", str(arrays)]) == 0
+    capfd.readouterr()
+    shown = []
+    for recording in (path, arrays):
+        assert run(["score", str(recording), str(truth), "--json"]) == 0
+        shown.append(json.loads(capfd.readouterr().out))
+    assert shown[0] == shown[1]
+    assert (shown[0]["frames"], shown[0]["lost_frames"]) == (150, 0)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["record", "/dev/nothing-here", "-o", "{tmp}/x.mcap"], "/dev/nothing-here: no such port"),
         (["record", "/dev/nothing-here", "-o", "{tmp}/x.csv"], "x.csv: is no name of a recording; expected FILE.mcap"),
         (["export", "{tmp}/nowhere.mcap", "-o", "{tmp}/x.npz"], "nowhere.mcap: cannot be read: No such file"),
-        (["export", "{tmp}/nowhere.mcap", "-o", "{tmp}/x.txt"], "expected a name that ends in .npz, .csv, .parquet"),
+        (
+            ["export", "{tmp}/nowhere.mcap", "-o", "{tmp}/x.txt"],
+            "expected a name that ends in .npz, .csv, .parquet, .nc",
+        ),
         (["export", "{tmp}/nowhere.csv", "-o", "{tmp}/x.npz"], "nowhere.csv: is no name of a recording"),
         (["replay", "{tmp}/nowhere.mcap"], "nowhere.mcap: cannot be read: No such file"),
     ],
@@ -277,3 +414,27 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert message in errors
     assert errors.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_is_not_replaced_unless_asked(tmp_path: Path) -> None:
+    file = tmp_path / "hours of work.mcap"
+    file.write_bytes(b"precious")
+    port = Script(*pieces(range(5), last=True))
+    with pytest.raises(InputError, match="is there already; choose another name, or ask to overwrite it"):
+        Skin(port, record=file)
+    assert port.closed
+    assert file.read_bytes() == b"precious"
+    with Skin(Script(*pieces(range(5), last=True)), delivery="lossless", record=file, overwrite=True) as skin:
+        assert len(list(skin)) == 5
+    assert len(list(Skin.open(str(file)))) == 5
+
+
+def test_the_command_keeps_a_recording_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, link = tmp_path / "press.mcap", tmp_path / "skin"
+    with running(scene(), PtyPort(link)):
+        assert run(["record", str(link), "-o", str(file), "--duration", "0.2"]) == 0
+        size = file.stat().st_size
+        assert run(["record", str(link), "-o", str(file), "--duration", "0.2"]) == 2
+        assert "is there already; choose another name" in capsys.readouterr().err
+        assert file.stat().st_size == size
+        assert run(["record", str(link), "-o", str(file), "--duration", "0.2", "--overwrite"]) == 0

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from needs import need
 
-from ohmskin.circuits import Design, Settling, noise, spice
+from ohmskin.circuits import Design, Settling, noise, spice, stability
 from ohmskin.errors import InputError
 from ohmskin.verification import prototype
 
@@ -39,6 +39,35 @@ def test_settling_and_noise_agree(design: Design) -> None:
     assert found.noise == pytest.approx(noise(design, CELLS).before_adc[2, 1], rel=2e-3)
 
 
+@pytest.mark.parametrize("cells", [CELLS, CELLS / 3])
+@pytest.mark.parametrize("feedback_capacitance", [0.0, 10e-12])
+def test_the_loop_gain_agrees_with_the_closed_form(cells: np.ndarray, feedback_capacitance: float) -> None:
+    need(spice.command_available())
+    design = _linear(feedback_capacitance=feedback_capacitance, column_capacitance=300e-12)
+    found = spice.dynamic_reading(design, cells, 0, column=2)
+    expected = stability(design, cells)
+    assert found.phase_margin == pytest.approx(expected.phase_margin[0, 2], abs=0.3)
+    assert found.crossover == pytest.approx(expected.crossover[0, 2], rel=3e-3)
+
+
+def test_an_amplifier_that_never_reaches_gain_1_has_no_margin() -> None:
+    need(spice.command_available())
+    found = spice.dynamic_reading(_linear(open_loop_gain=2.0), CELLS / 20, 0)
+    assert np.isnan([found.phase_margin, found.crossover]).all()
+
+
+def test_rows_that_are_sensed_have_the_same_dynamics() -> None:
+    need(spice.command_available())
+    design = _linear(reference_resistance=(15e3, 18e3, 20e3, 22e3)).with_circuit("row-amplifier")
+    settling = Settling(design, CELLS)
+    period = 0.3 * settling.shortest_period(0.01)
+    found = spice.dynamic_reading(design, CELLS, 1, column=3, period=period)  # column 1 is driven, row 3 is judged
+    signal = np.abs(settling.settled).max()
+    np.testing.assert_allclose(found.sampled, settling.sampled_from_rest(period)[:, 1], atol=2e-4 * signal)
+    assert found.noise == pytest.approx(noise(design, CELLS).before_adc[3, 1], rel=2e-3)
+    assert found.phase_margin == pytest.approx(stability(design, CELLS).phase_margin[3, 1], abs=0.3)
+
+
 def test_a_swing_limits_the_output() -> None:
     need(spice.command_available())
     design = _linear(supply=(-5.0, 1.5))
@@ -58,7 +87,7 @@ def test_other_simulators_take_the_commands_for_comments() -> None:
     [
         ({"readout": {"gain_bandwidth": float("inf")}}, "nothing takes time"),
         ({"array": {"sheet": "continuous"}}, "sliced sheet"),
-        ({"readout": {"circuit": "voltage-divider"}}, "inverting-amplifier"),
+        ({"readout": {"circuit": "voltage-divider"}}, "dynamics are modelled for amplifiers"),
     ],
 )
 def test_what_has_no_dynamics_is_refused(change: dict[str, dict[str, object]], message: str) -> None:

@@ -22,7 +22,7 @@ from ._subject import Subject
 Compute = Callable[[Subject, Requirement, str], Measurement]
 """From the subject, the requirement and the method to a measurement; raises NotRun or DoesNotApply."""
 
-NOMINAL, WORST, SAMPLED, HARDWARE = "nominal", "worst-case", "monte-carlo", "hardware"
+NOMINAL, WORST, SAMPLED, SPICE, HARDWARE = "nominal", "worst-case", "monte-carlo", "spice", "hardware"
 
 
 @dataclass(frozen=True)
@@ -60,11 +60,11 @@ CATALOGUE: dict[str, Quantity] = {
         Quantity("adc_headroom", "Headroom of the converter", "V", static.adc_headroom),
         Quantity("adc_range_used", "Converter range used", "%", static.adc_range_used, (NOMINAL,)),
         Quantity("resolution", "Resolution", "ohm", static.resolution, (NOMINAL,)),
-        Quantity("noise", "Noise of a reading", "V", dynamic.reading_noise, (NOMINAL,)),
+        Quantity("noise", "Noise of a reading", "V", dynamic.reading_noise, (NOMINAL, SPICE)),
         Quantity("pressure_resolution", "Pressure resolution", "kPa", dynamic.pressure_resolution, (NOMINAL,)),
-        Quantity("settling_error", "Settling error", "%", dynamic.settling_error),
+        Quantity("settling_error", "Settling error", "%", dynamic.settling_error, (WORST, SPICE)),
         Quantity("fastest_scan", "Fastest scan", "Hz", dynamic.fastest_scan),
-        Quantity("phase_margin", "Phase margin", "°", dynamic.phase_margin),
+        Quantity("phase_margin", "Phase margin", "°", dynamic.phase_margin, (WORST, SPICE)),
         Quantity("cell_voltage", "Voltage across a cell", "V", stress.cell_voltage),
         Quantity("cell_power", "Power in a cell", "W", stress.cell_power),
         Quantity("switch_current", "Current in a row switch", "A", stress.switch_current),

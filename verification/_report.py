@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__, plots
-from ..circuits import Design, spice
+from ..circuits import AmplifierModel, Design, spice
 from ..errors import MissingExtra, OhmskinError
 from ..files import make_folder, write_together
 from ..text import printable
@@ -40,7 +40,7 @@ from ._record import (
     number,
 )
 from ._schematic import schematic
-from ._subject import Subject
+from ._subject import Subject, everything_of
 from ._units import PREFIXED, engineering
 
 EXIT_CODES = {Outcome.PASS: 0, Outcome.FAIL: 1, Outcome.NOT_RUN: 3, Outcome.NOT_APPLICABLE: 3}
@@ -272,11 +272,11 @@ class Report:
 
     @property
     def design_sha256(self) -> str:
-        return _sha256(self.design)
+        return _sha256(everything_of(self.design))
 
     @property
     def cell_sha256(self) -> str:
-        return _sha256(self.subject.cell)
+        return _sha256(self.subject.cell.model_dump(mode="python"))
 
     def junit(self) -> str:
         """One case per requirement and per check, with values as properties and times; what was not run is skipped."""
@@ -370,6 +370,8 @@ def _spread_shown(spread: Any, unit: str) -> str:
 
 
 def _value_shown(value: Any, unit: str) -> str:
+    if isinstance(value, AmplifierModel):
+        return f"{value.subcircuit} of {value.file}"
     if isinstance(value, bool) or not isinstance(value, int | float | tuple | list):
         return "not given" if value is None else str(value)
     if isinstance(value, tuple | list):
@@ -492,8 +494,8 @@ def _scale(unit: str, largest: float) -> tuple[float, str]:
     return factor, prefixed
 
 
-def _sha256(model: Any) -> str:
-    return hashlib.sha256(json.dumps(jsonable(model.model_dump(mode="python")), sort_keys=True).encode()).hexdigest()
+def _sha256(tables: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(jsonable(tables), sort_keys=True).encode()).hexdigest()
 
 
 def environment() -> dict[str, str]:

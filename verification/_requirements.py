@@ -14,9 +14,10 @@ from pydantic import Field
 from ..circuits import Design, Requirement
 from ..config import Section, load
 from ..errors import InputError, OhmskinError
-from ._catalogue import CATALOGUE, HARDWARE, SAMPLED, quantity_of
+from ._catalogue import CATALOGUE, HARDWARE, SAMPLED, SPICE, quantity_of
 from ._hardware import measured_on_board
 from ._outcome import DoesNotApply, Measurement, NotRun, Result
+from ._spice_check import measured_in_spice
 from ._subject import Subject
 from ._units import conversion
 
@@ -42,7 +43,7 @@ def default_requirements(design: Design) -> tuple[Requirement, ...]:
     def ask(number: int, quantity: str, text: str, **keys: Any) -> Requirement:
         return Requirement(id=f"D{number}", quantity=quantity, text=text, source=DEFAULT_SOURCE, **keys)
 
-    return (
+    shipped = (
         ask(1, "crosstalk", "A press does not show on untouched cells.", max=limits.crosstalk_percent),
         ask(2, "reading_error", "Resistances are right without calibration.", max=limits.reading_error_percent),
         ask(3, "gain_error", "A press is read at its true size.", max=limits.reading_error_percent),
@@ -64,6 +65,13 @@ def default_requirements(design: Design) -> tuple[Requirement, ...]:
             18, "reading_error", "99 % of all boards keep the error.", max=limits.reading_error_percent, method=SAMPLED
         ),
         ask(19, "spice_agreement", "An independent simulator finds the same.", max=1.0),
+    )
+    if design.readout.amplifier_model is None:
+        return shipped
+    return (
+        *shipped,
+        ask(20, "phase_margin", "The maker's model is stable on its column.", min=45.0, method=SPICE),
+        ask(21, "settling_error", "The maker's model settles at the declared rate.", max=1.0, method=SPICE),
     )
 
 
@@ -115,6 +123,8 @@ def evaluate(subject: Subject, requirement: Requirement, folder: Path) -> Result
     try:
         if method == HARDWARE:
             found["measurement"] = measured_on_board(subject, scaled)
+        elif method == SPICE:
+            found["measurement"] = measured_in_spice(subject, scaled)
         elif quantity is None:
             found["measurement"] = _own(subject, requirement, folder)
         else:

@@ -40,7 +40,7 @@ from ._outcome import Claim, Finding, Result, not_run
 from ._report import Report
 from ._requirements import check_requirements, default_requirements, evaluate
 from ._static import box_of, patterns_of
-from ._subject import SAMPLES, SEED, Subject
+from ._subject import SAMPLES, SEED, Subject, everything_of
 
 NO_PORT = ("emulated", "firmware")
 _READING = ("crosstalk", "reading_error", "gain_error")
@@ -282,7 +282,7 @@ def _fingerprint(work: Work) -> str:
     subject = work.subject
     told = {
         "version": __version__,
-        "design": subject.design.model_dump(mode="python"),
+        "design": everything_of(subject.design),
         "cell": subject.cell.model_dump(mode="python"),
         "requirements": [requirement.model_dump(mode="python") for requirement in work.requirements],
         "target": subject.target,

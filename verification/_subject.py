@@ -18,6 +18,15 @@ SAMPLES = 1000
 SEED = 1
 
 
+def everything_of(design: Design) -> dict[str, Any]:
+    """All values of a design that a number can depend on, those included that boards do not send."""
+    tables: dict[str, Any] = design.model_dump(mode="python")
+    model = design.readout.amplifier_model
+    if model is not None:
+        tables["readout"]["amplifier_model"] = {**model.model_dump(mode="python"), "text": model.text}
+    return tables
+
+
 @dataclass(frozen=True)
 class Subject:
     """Design, cell and target of one verification run."""

@@ -38,7 +38,9 @@ def host_protocol(
     return family.host(family, _layout(family, shape, adc_bits))
 
 
-def board_protocol(name: str, *, shape: tuple[int, int] | None = None, adc_bits: int | None = None) -> BoardProtocol:
+def board_protocol(
+    name: str | Family, *, shape: tuple[int, int] | None = None, adc_bits: int | None = None
+) -> BoardProtocol:
     """A new board end of the line, for an emulator; arguments and errors as for :func:`host_protocol`."""
     family = board_family(name)
     return family.board(family, _layout(family, shape, adc_bits))

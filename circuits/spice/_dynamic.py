@@ -1,19 +1,25 @@
-"""A SPICE netlist in time: capacitors, one-pole amplifiers with their swing, and noise sources.
+"""A SPICE netlist in time: capacitors, amplifiers with their swing, noise sources, and the loop gain of a column.
 
 The netlist of :mod:`._netlist` is for the settled answer, exactly. This one has the real parts, as an engineer would
 draw them: the reference resistor and its capacitor, the column's capacitance, an operational amplifier of one pole with
-its swing, offset and bias current, and the converter's switch and sampling capacitor. ngspice runs the file as it is:
-lines that begin with ``*#`` are commands to it (``op``, ``tran``, ``noise``). Other simulators take those for comments,
-and find the transient analysis as a card.
+its swing, offset and bias current, and the converter's switch and sampling capacitor. Where the design names a maker's
+macro-model (``readout.amplifier_model``), that model takes the place of the one-pole amplifier with its swing, offset,
+bias current and noise. ngspice runs the file as it is: lines that begin with ``*#`` are commands to it (``op``,
+``tran``, ``noise``, ``ac``). Other simulators take those for comments, and find the transient analysis as a card.
 
 Noise of an amplifier is that of a resistor at the same temperature behind a source of gain 1: its density is
 ``4 k T R`` (Vladimirescu, The SPICE Book, 5.4).
+
+The loop gain of one column is found with its loop closed, by Middlebrook's double injection (Int. J. Electronics 38,
+1975): a voltage source in series with the inverting input gives the voltage loop gain Tv = -Vy/Vx, a current source
+into that node the current loop gain Ti = Iy/Ix, and ``T = (Tv Ti - 1)/(Tv + Ti + 2)``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import inf, isfinite, isinf, pi
+from math import inf, isfinite, isinf, nan, pi
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +28,9 @@ from scipy.constants import Boltzmann
 
 from ...arrays import FloatArray
 from ...errors import InputError, SolverError
+from ...text import printable
+from .._amplifier_model import AmplifierModel
+from .._board import Board
 from .._design import Design
 from ._ngspice import run_control
 
@@ -29,6 +38,8 @@ LARGEST_GAIN = 1e7
 """An infinite open-loop gain is written as this."""
 LEAST_OHM = 1e-6
 """Wires without resistance are written as this."""
+POINTS_PER_DECADE = 200
+"""of the loop gain"""
 _KELVIN_AT_ZERO_CELSIUS = 273.15
 
 
@@ -38,40 +49,50 @@ def dynamic_netlist(
     """The netlist of the step in which ``row`` is selected at t = 0, all outputs having settled without a signal.
 
     It prints, for each column J in V: ``rest_J`` before the selection, ``sampled_J`` at the end of ``period``, and
-    ``settled_J`` long after. ``onoise_total`` is the noise in V rms at the converter of ``column``.
+    ``settled_J`` long after. ``noise_rms`` is the noise in V rms at the converter of ``column``; ``crossover`` in Hz
+    and ``phase_margin`` in degrees are those of its amplifier, and not printed if its loop gain is below 1 throughout.
+
+    Rows here are the lines that the circuit drives, and columns those that it senses, by the array's own numbers.
 
     Args:
-        design: inverting amplifiers of finite gain-bandwidth over a sliced sheet without faults.
+        design: amplifiers of finite gain-bandwidth on all sensed lines of a sliced sheet without faults.
         resistance: (rows, columns) ohm.
-        row: that is selected.
-        column: whose noise is found.
+        row: number of the driven line that is selected.
+        column: number of the sensed line whose noise and loop gain are found.
         period: s until the sample; None: twenty time constants of the slowest amplifier.
 
     Raises:
-        InputError: another circuit, a continuous sheet, faults, an infinite gain-bandwidth, or no such row.
+        InputError: another circuit, a continuous sheet, faults, an infinite gain-bandwidth, or no such line.
 
     """
-    if not (design.board.circuit.virtual_ground and design.board.circuit.senses == "columns"):
-        raise InputError(f'readout.circuit = "{design.readout.circuit}": dynamics are those of "inverting-amplifier"')
-    if design.array.sheet != "sliced" or design.fault:
+    board = design.board
+    if not board.circuit.virtual_ground:
+        modelled = "amplifiers that hold all sensed lines"
+        raise InputError(f'readout.circuit = "{board.circuit.name}": dynamics are modelled for {modelled}')
+    if board.continuous or board.faults:
         raise InputError("a netlist in time is for a sliced sheet without faults")
     if not isfinite(design.readout.gain_bandwidth):
         raise InputError("readout.gain_bandwidth is infinite: nothing takes time")
-    cells = design.resistance(resistance)
-    if not 0 <= row < design.array.rows or not 0 <= column < design.array.columns:
-        raise InputError(f"row {row}, column {column}: outside the array")
-    return _Writer(design, cells, row, column, period).text()
+    cells = board.turn(design.resistance(resistance))
+    if not 0 <= row < board.shape[0] or not 0 <= column < board.shape[1]:
+        driven, sensed = board.line_kinds
+        raise InputError(f"{driven} {row}, {sensed} {column}: outside the array")
+    return _Writer(board, cells, board.driven_line(row), board.sensed_line(column), period).text()
 
 
 class DynamicReading(NamedTuple):
     """What ngspice makes of one scan step in time."""
 
     sampled: FloatArray
-    """(columns,) V at the end of the period"""
+    """(sensed lines,) V at the end of the period"""
     settled: FloatArray
-    """(columns,) V long after"""
+    """(sensed lines,) V long after"""
     noise: float
     """V rms of one column at its converter, without quantisation"""
+    crossover: float
+    """Hz at which the loop gain of that column's amplifier falls below 1; NaN if it never does"""
+    phase_margin: float
+    """degrees, at the crossover"""
 
 
 def dynamic_reading(
@@ -85,44 +106,59 @@ def dynamic_reading(
         SolverError: ngspice gave no result.
 
     """
-    found = run_control(dynamic_netlist(design, resistance, row, column=column, period=period))
-    columns = range(design.array.columns)
+    pspice = design.readout.amplifier_model is not None  # the dialect of most makers
+    found = run_control(dynamic_netlist(design, resistance, row, column=column, period=period), pspice=pspice)
+    columns = range(design.board.shape[1])
     try:
         sampled = [found[f"sampled_{j}"] for j in columns]
         settled = [found[f"settled_{j}"] for j in columns]
-        return DynamicReading(np.array(sampled), np.array(settled), found["onoise_total"])
+        noise = found["noise_rms"]
     except KeyError as error:
         raise SolverError(f"ngspice gave no {error} in its transient or noise analysis") from error
+    loop = (found.get(name, nan) for name in ("crossover", "phase_margin"))
+    return DynamicReading(np.array(sampled), np.array(settled), noise, *loop)
 
 
 class _Writer:
-    def __init__(self, design: Design, cells: FloatArray, row: int, column: int, period: float | None) -> None:
-        self.design, self.cells, self.row, self.column = design, cells, row, column
-        self.rows, self.columns = design.array.shape
+    """Writes one netlist. Rows and columns are in line coordinates (:mod:`.._board`)."""
+
+    def __init__(self, board: Board, cells: FloatArray, row: int, column: int, period: float | None) -> None:
+        self.board, self.design, self.cells = board, board.design, cells
+        self.row, self.column = row, column
+        self.rows, self.columns = board.shape
         self.slow = 20.0 * self._slowest()
         self.period = self.slow if period is None else period
 
     def _slowest(self) -> float:
         """s: an upper estimate of the largest time constant."""
         readout, adc = self.design.readout, self.design.adc
-        gain = 1.0 + float(np.max(readout.reference_resistance)) * float((1.0 / self.cells).sum(axis=0).max())
-        feedback = float(np.max(readout.reference_resistance)) * readout.feedback_capacitance
+        reference = float(self.board.reference.max())
+        gain = 1.0 + reference * float((1.0 / self.cells).sum(axis=0).max())
         sampling = adc.switch_resistance * adc.sampling_capacitance if adc else 0.0
-        return gain / (2 * pi * readout.gain_bandwidth) + feedback + sampling
+        # A ringing column decays with twice its own time constant.
+        ringing = 2 * reference * (readout.feedback_capacitance + readout.column_capacitance)
+        return gain / (2 * pi * readout.gain_bandwidth) + ringing + sampling
 
     def text(self) -> str:
         cards = [*self._head(), *self._grid()]
         for column in range(self.columns):
-            cards += self._amplifier(column)
+            cards += [*self._feedback(column), *self._amplifier(column), *self._sample(column)]
         return "\n".join([*cards, *self._analyses(), ".end", ""])
 
     def _head(self) -> Iterator[str]:
         readout = self.design.readout
         kelvin = readout.temperature or 300.0
-        yield f"* ohmskin: {self.rows} x {self.columns} cells, row {self.row} selected at t = 0"
+        driven, sensed = self.board.line_kinds
+        selected, judged = self.board.driven_line(self.row), self.board.sensed_line(self.column)
+        yield f"* ohmskin: {self.rows} driven x {self.columns} sensed lines, {driven} {selected} selected at t = 0"
+        yield f"* noise and phase margin are those of {sensed} {judged}"
         yield "* ngspice -b FILE runs all analyses; LTspice opens the file"
         yield f".temp {kelvin - _KELVIN_AT_ZERO_CELSIUS!r}"
-        yield ".options reltol=1e-6 abstol=1e-15 vntol=1e-9"
+        model = readout.amplifier_model
+        # The transistors and limiters of macro-models converge to SPICE's usual tolerances, and not far below.
+        yield ".options reltol=1e-6 abstol=1e-15 vntol=1e-9" if model is None else ".options reltol=1e-4"
+        if model is not None:
+            yield from self._model_cards(model)
         yield f"Vreference ref 0 DC {readout.reference_voltage!r}"
         final = readout.reference_voltage + self.design.drive.voltage
         rise = min(self.period, self.slow) * 1e-6
@@ -131,46 +167,74 @@ class _Writer:
             f"PULSE({readout.reference_voltage!r} {final!r} 0 {rise!r} {rise!r} {1e3 * self.slow + self.period!r})"
         )
 
+    def _model_cards(self, model: AmplifierModel) -> Iterator[str]:
+        yield f"* {printable(model.file)}: {model.subcircuit} in place of the one-pole amplifier"
+        yield "* A model in PSpice's dialect needs ngspice -D ngbehavior=psa, and .control blocks in place of *#"
+        low, high = self.rails
+        if "v-" in model.pins:
+            yield f"Vlow rail_low 0 DC {low!r}"
+        if "v+" in model.pins:
+            yield f"Vhigh rail_high 0 DC {high!r}"
+        yield from (model.text or model.read(Path()).text).split("\n")
+
+    @property
+    def rails(self) -> tuple[float, float]:
+        """V that the macro-model is supplied with. Raises InputError where neither model nor design says."""
+        model = self.design.readout.amplifier_model
+        assert model is not None
+        low, high = model.rails or self.design.readout.supply
+        if ("v-" in model.pins and isinf(low)) or ("v+" in model.pins and isinf(high)):
+            raise InputError("readout.amplifier_model.rails: not given, and readout.supply has no finite limits")
+        return low, high
+
     def _grid(self) -> Iterator[str]:
-        array = self.design.array
-        row_lead, row_segment = (self._each(v, self.rows) for v in (array.row_lead, array.row_segment))
-        column_lead, column_segment = (self._each(v, self.columns) for v in (array.column_lead, array.column_segment))
-        idle_open = self.design.drive.idle_rows == "float"
+        board = self.board
         for i in range(self.rows):
             source = "drive" if i == self.row else "ref"
-            if i == self.row or not idle_open:
-                yield f"Rrow{i} {source} r{i}_0 {max(row_lead[i], LEAST_OHM)!r}"
+            if i == self.row or not board.floating:
+                yield f"Rrow{i} {source} r{i}_0 {_wire(board.row_ohms[i, 0])!r}"
             for j in range(1, self.columns):
-                yield f"Rrs{i}_{j} r{i}_{j - 1} r{i}_{j} {max(row_segment[i], LEAST_OHM)!r}"
+                yield f"Rrs{i}_{j} r{i}_{j - 1} r{i}_{j} {_wire(board.row_ohms[i, j])!r}"
         for j in range(self.columns):
             for i in range(1, self.rows):
-                yield f"Rcs{i}_{j} c{i - 1}_{j} c{i}_{j} {max(column_segment[j], LEAST_OHM)!r}"
-            yield f"Rcol{j} c{self.rows - 1}_{j} minus{j} {max(column_lead[j], LEAST_OHM)!r}"
+                yield f"Rcs{i}_{j} c{i - 1}_{j} c{i}_{j} {_wire(board.column_ohms[i, j])!r}"
+            yield f"Rcol{j} c{self.rows - 1}_{j} minus{j} {_wire(board.column_lead[j])!r}"
         for (i, j), ohm in np.ndenumerate(self.cells):
             if isfinite(ohm):
-                yield f"Rcell{i}_{j} r{i}_{j} c{i}_{j} {max(float(ohm), LEAST_OHM)!r}"
+                yield f"Rcell{i}_{j} r{i}_{j} c{i}_{j} {_wire(ohm)!r}"
 
-    def _amplifier(self, j: int) -> Iterator[str]:
-        readout, adc = self.design.readout, self.design.adc
-        reference, gain, offset, bias = (
-            self._each(getattr(readout, name), self.columns)[j]
-            for name in ("reference_resistance", "open_loop_gain", "offset_voltage", "bias_current")
-        )
-        gain = LARGEST_GAIN if isinf(gain) else gain
+    def _feedback(self, j: int) -> Iterator[str]:
+        """What is around the amplifier, and in the judged column the sources that its loop gain is found with."""
+        readout = self.design.readout
         yield f"* column {j}"
-        yield f"Rref{j} minus{j} out{j} {reference!r}"
+        yield f"Rref{j} minus{j} out{j} {float(self.board.reference[j])!r}"
         if readout.feedback_capacitance:
             yield f"Cf{j} minus{j} out{j} {readout.feedback_capacitance!r}"
         if readout.column_capacitance:
             yield f"Cc{j} minus{j} 0 {readout.column_capacitance!r}"
-        yield f"Ibias{j} minus{j} 0 DC {bias!r}"
+        if j == self.column:
+            yield f"Vloop minus{j} {self._input(j)} DC 0 AC 0"
+            yield f"Iloop 0 {self._input(j)} DC 0 AC 0"
+
+    def _input(self, j: int) -> str:
+        """Node of the amplifier's inverting input."""
+        return f"input{j}" if j == self.column else f"minus{j}"
+
+    def _amplifier(self, j: int) -> Iterator[str]:
+        readout = self.design.readout
+        if readout.amplifier_model is not None:
+            yield self._macro_model(readout.amplifier_model, j)
+            return
+        board = self.board
+        gain, offset = min(float(board.gain[j]), LARGEST_GAIN), float(board.offset[j])
+        yield f"Ibias{j} minus{j} 0 DC {float(board.bias[j])!r}"
         plus = "ref"
         if offset:
             yield f"Voffset{j} plus{j} ref DC {offset!r}"
             plus = f"plus{j}"
         yield from self._noise(j, plus)
         # The pole: 1 ohm and a capacitor, driven by a current of gain times the input.
-        yield f"Gpole{j} 0 pole{j} quiet{j} minus{j} {gain!r}"
+        yield f"Gpole{j} 0 pole{j} quiet{j} {self._input(j)} {gain!r}"
         yield f"Rpole{j} pole{j} 0 1"
         yield f"Cpole{j} pole{j} 0 {gain / (2 * pi * readout.gain_bandwidth)!r}"
         low, high = readout.supply
@@ -180,6 +244,21 @@ class _Writer:
         if low > -inf:
             law = f"max({law},{low!r})"
         yield f"Bout{j} out{j} 0 V={law}" if (low, high) != (-inf, inf) else f"Eout{j} out{j} 0 pole{j} 0 1"
+
+    def _macro_model(self, model: AmplifierModel, j: int) -> str:
+        nodes = {
+            "in+": "ref",
+            "in-": self._input(j),
+            "v+": "rail_high",
+            "v-": "rail_low",
+            "out": f"out{j}",
+            "ground": "0",
+        }
+        pins = [nodes.get(pin, f"open{j}_{number}") for number, pin in enumerate(model.pins)]
+        return f"Xamplifier{j} {' '.join(pins)} {model.subcircuit}"
+
+    def _sample(self, j: int) -> Iterator[str]:
+        adc = self.design.adc
         if adc and adc.sampling_capacitance:
             yield f"Rswitch{j} out{j} sample{j} {max(adc.switch_resistance, LEAST_OHM)!r}"
             yield f"Csample{j} sample{j} 0 {adc.sampling_capacitance!r}"
@@ -206,26 +285,47 @@ class _Writer:
         stop = self.slow + self.period
         transient = f"tran {self.period / 200!r} {stop!r} 0 {min(self.period, self.slow) / 200!r}"
         measured = [
-            f"meas tran {name}_{j} FIND v(sample{j}) AT={at!r}"
+            f"meas tran {name}_{self.board.sensed_line(j)} FIND v(sample{j}) AT={at!r}"
             for j in range(self.columns)
             for name, at in (("sampled", self.period), ("settled", 0.999 * stop))
         ]
-        noise = f"noise v(sample{self.column}) Vdrive dec 50 1 {1e4 * self.design.readout.gain_bandwidth!r}"
+        noise = f"noise v(sample{self.column}) Vdrive dec 100 1 {1e4 * self.design.readout.gain_bandwidth!r}"
         yield f".{transient}"
         yield from (f".{line}" for line in measured)
         yield f"* For LTspice, in place of .tran: .{noise}"
         yield from ("*# set numdgt=16", "*# op")
         for j in range(self.columns):
-            yield f"*# let rest_{j} = v(sample{j})"
-            yield f"*# print rest_{j}"
+            yield f"*# let rest_{self.board.sensed_line(j)} = v(sample{j})"
+            yield f"*# print rest_{self.board.sensed_line(j)}"
         yield f"*# {transient}"
         for line in measured:
             yield f"*# {line}"
             yield f"*# print {line.split()[2]}"
         final = self.design.readout.reference_voltage + self.design.drive.voltage
         yield f"*# alter vdrive dc = {final!r}"
-        yield from (f"*# {noise}", "*# setplot noise2", "*# print onoise_total", "*# quit")
+        # ngspice's own onoise_total is now and then no number: its integration divides by zero for some slopes.
+        yield from (f"*# {noise}", "*# setplot noise1", "*# let density = onoise_spectrum*onoise_spectrum")
+        yield from ("*# let variance = integ(density)", "*# let noise_rms = sqrt(variance[length(variance)-1])")
+        yield "*# print noise_rms"
+        yield from (f"*# {line}" for line in self._loop_gain())
+        yield "*# quit"
 
-    @staticmethod
-    def _each(value: float | tuple[float, ...], count: int) -> list[float]:
-        return np.full(count, value, dtype=np.float64).tolist()
+    def _loop_gain(self) -> Iterator[str]:
+        """ngspice's commands for Middlebrook's double injection, at the operating point of the selected row."""
+        width = self.design.readout.gain_bandwidth
+        sweep = f"ac dec {POINTS_PER_DECADE} {1e-5 * width!r} {1e3 * width!r}"
+        source = f"v({self._input(self.column)})"
+        yield from ("alter vdrive ac = 0", "alter vloop ac = 1", sweep, "set voltage_run = $curplot")
+        yield f"let voltage_gain = -v(minus{self.column})/{source}"
+        yield from ("alter vloop ac = 0", "alter iloop ac = 1", sweep)
+        # Written so that an input that takes no current, where Ti is infinite, divides by nothing.
+        yield from ("let back = -i(vloop)", "let forward = 1 - back", "let tv = {$voltage_run}.voltage_gain")
+        yield "let loop_gain = (tv*back - forward)/((tv + 2)*forward + back)"
+        yield from ("let gain_db = db(loop_gain)", "let angle = 180/pi*cph(loop_gain)")
+        yield "meas ac crossover WHEN gain_db=0 FALL=LAST"
+        yield "meas ac angle_there FIND angle WHEN gain_db=0 FALL=LAST"
+        yield from ("let phase_margin = 180 + angle_there", "print crossover", "print phase_margin")
+
+
+def _wire(ohm: float) -> float:
+    return max(float(ohm), LEAST_OHM)

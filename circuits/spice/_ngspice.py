@@ -28,6 +28,10 @@ from ...errors import MissingExtra, SolverError
 from .._design import Design
 from ._netlist import REFERENCE, Deck, frame_deck, step_deck
 
+PATIENCE_S = 600.0
+"""for one run of the command: a macro-model may find no convergence for ever"""
+COMMAND = "*# "
+"""begins a line that ngspice runs, and that other simulators take for a comment"""
 Vectors = dict[str, NDArray[Any]]
 """By ngspice's name of node or vector: float64, or complex128 after an AC analysis."""
 
@@ -125,20 +129,42 @@ def run_command(text: str) -> Vectors:
         return _read_raw(raw.read_bytes())
 
 
-def run_control(text: str) -> dict[str, float]:
+def run_control(text: str, *, pspice: bool = False) -> dict[str, float]:
     """Run a netlist that prints its own results (``name = number``) under ``ngspice -b`` and return those.
+
+    Args:
+        text: of the netlist.
+        pspice: whether parts of it may be in PSpice's dialect, as makers' models are.
 
     Raises:
         MissingExtra: the command is not installed.
-        SolverError: nothing was printed; the message holds what ngspice said instead.
+        SolverError: nothing was printed, or not in time; the message holds what ngspice said instead.
     """
     if reason := command_available():
         raise MissingExtra(reason)
-    process = subprocess.run(["ngspice", "-b"], input=text, text=True, capture_output=True, check=False)
+    command = ["ngspice", "-n", "-b"]  # -n: no .spiceinit, whose commands could change the results
+    if pspice:
+        # In this mode ngspice takes *# for a comment, but runs .control blocks.
+        command[1:1] = ["-D", "ngbehavior=psa"]
+        text = _with_control_block(text)
+    try:
+        process = subprocess.run(
+            command, input=text, text=True, errors="replace", capture_output=True, check=False, timeout=PATIENCE_S
+        )
+    except subprocess.TimeoutExpired as error:
+        raise SolverError(f"ngspice found no result within {PATIENCE_S:g} s") from error
     printed = re.findall(r"^(\w+) = (\S+)\s*$", process.stdout, flags=re.MULTILINE)
     if not printed:
         raise SolverError(f"ngspice gave no result: {_gist(process.stderr)}")
     return {name: float(number) for name, number in printed}
+
+
+def _with_control_block(text: str) -> str:
+    """The netlist with its commands in a .control block instead of behind ``*#``."""
+    lines = text.splitlines()
+    commands = [line[3:] for line in lines if line.startswith(COMMAND)]
+    cards = [line for line in lines if not line.startswith((COMMAND, ".tran", ".meas")) and line != ".end"]
+    return "\n".join([*cards, ".control", *commands, ".endc", ".end", ""])
 
 
 def _volts(deck: Deck, vectors: Vectors) -> FloatArray:

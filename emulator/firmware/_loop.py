@@ -13,8 +13,6 @@ board may not send, and drops whole frames.
 from __future__ import annotations
 
 import secrets
-import selectors
-import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
@@ -25,8 +23,19 @@ from ...errors import InputError
 from .._faults import Line, Schedule
 from .._hand import Hand
 from .._ports import Port
-from .._run import ClockName, Outcome, Stop
 from .._scene import Scene
+from .._service import (
+    HOST_POLL_S,
+    LISTENER_S,
+    MOST_BEHIND_S,
+    ClockName,
+    HasFileno,
+    Outcome,
+    Stop,
+    in_thread,
+    patience,
+    wait_for,
+)
 from .._truth import TruthFile
 from ._board import BoardSettings, FirmwareBoard
 from ._engines import AVR8JS, Engine
@@ -35,14 +44,6 @@ SLICE_S = 5e-3
 """s of board time between two looks at the port"""
 CONVERTER_BYTES = 4096
 """in the buffer of the USB converter when it stops the board; what is on its way then still fits"""
-MOST_BEHIND_S = 0.5
-"""real clock: how late a slice may be before board time is let go"""
-DRAIN_S = 5.0
-"""at the end: how long to wait for a host that has stopped reading"""
-LISTENER_S = 1.0
-"""fast clock: how long a host may say nothing before it is taken for a mere listener"""
-HOST_POLL_S = 0.01
-"""how often to look whether a host has come"""
 
 
 def emulate_firmware(
@@ -127,36 +128,22 @@ def running_firmware(
 
     """
     engine.require()
-    stop, failures = Stop(), []
-
-    def live() -> None:
-        try:
-            with port:
-                emulate_firmware(
-                    scene,
-                    port,
-                    clock=clock,
-                    duration_s=duration_s,
-                    seed=seed,
-                    truth=truth,
-                    settings=settings,
-                    engine=engine,
-                    hand=hand,
-                    stop=stop,
-                )
-        except Exception as error:
-            failures.append(error)
-
-    thread = threading.Thread(target=live, daemon=True)
-    thread.start()
-    try:
+    with in_thread(
+        lambda stop: emulate_firmware(
+            scene,
+            port,
+            clock=clock,
+            duration_s=duration_s,
+            seed=seed,
+            truth=truth,
+            settings=settings,
+            engine=engine,
+            hand=hand,
+            stop=stop,
+        ),
+        port,
+    ):
         yield
-    finally:
-        stop.set()
-        thread.join()
-        stop.close()
-    if failures:
-        raise failures[0]
 
 
 class _Converter:
@@ -209,26 +196,14 @@ class _Converter:
 
     def wait(self, stop: Stop, timeout_s: float) -> None:
         """Until the port or ``stop`` wants attention, or ``timeout_s`` has passed."""
-        with selectors.DefaultSelector() as selector:
-            selector.register(stop, selectors.EVENT_READ)
-            if self._present:
-                both = selectors.EVENT_WRITE if self._buffer else 0
-                selector.register(self._port, selectors.EVENT_READ | both)
-            selector.select(min(timeout_s, HOST_POLL_S))
+        readable: list[HasFileno] = [stop, self._port] if self._present else [stop]
+        writable: list[HasFileno] = [self._port] if self._present and self._buffer else []
+        wait_for(readable, writable, min(timeout_s, HOST_POLL_S))
 
     def drain(self, stop: Stop) -> None:
         """Let a host read to the end what was sent, as long as it goes on reading."""
-        left, patience_ends, quiet = None, 0.0, 0
-        while not stop.is_set() and quiet < 3:
+        for _ in patience(lambda: (len(self._buffer), self._port.unread())):
             self.exchange()
-            if not self._present:
+            if stop.is_set() or not self._present:
                 return
-            before, left = left, (len(self._buffer), self._port.unread())
-            now = time.monotonic()
-            if left != before:
-                patience_ends = now + DRAIN_S
-            elif now > patience_ends:
-                return
-            # The kernel moves bytes on in steps: empty for a moment is not empty yet.
-            quiet = quiet + 1 if left == (0, 0) else 0
             self.wait(stop, HOST_POLL_S)

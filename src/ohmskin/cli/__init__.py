@@ -43,6 +43,7 @@ COMMANDS = {
     "record": "Record a skin: every byte, and frames for viewers.",
     "replay": "Play a recording on a port that any program can open.",
     "export": "Convert a recording to arrays or tables.",
+    "calibrate": "Calibrate the cells of a skin by presses with known loads.",
     "score": "Compare a client's recording with the emulator's truth.",
     "fit": "Identify a cell and calibrate its estimators from a recording.",
     "estimate": "Estimate pressure from a recording of resistance.",

@@ -1,0 +1,198 @@
+"""SPICE macro-models of amplifiers (``.SUBCKT``), as makers publish them: found, checked, and made safe to include.
+
+A model file is a program of somebody else. ngspice would run a ``.control`` block or a line that begins with ``*#``
+inside it, shell commands included, and read whatever file ``.include`` or a code model names. This module therefore
+lets through what describes a circuit, and refuses the rest: it knows the cards, devices and model types that are
+allowed, and every other line is an error that names file and line.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal, NamedTuple, Self
+
+from pydantic import Field, model_validator
+
+from ..config import Finite, Section
+from ..errors import InputError
+from ..files import read_bytes
+from ..text import one_line, shortened
+
+Pin = Literal["in+", "in-", "v+", "v-", "out", "ground", "open"]
+PINS: tuple[Pin, ...] = ("in+", "in-", "v+", "v-", "out")
+"""the usual order of makers"""
+MOST_MODEL_BYTES = 4 * 2**20
+CARDS = (".subckt", ".ends", ".model", ".param", ".params", ".func", ".if", ".elseif", ".else", ".endif")
+DEVICES = "bcdefghijklmqrstvwxz"
+"""First letters of devices; among the others are code models ("a"), which can read files."""
+MODEL_TYPES = (
+    *("r", "c", "l", "d", "npn", "pnp", "njf", "pjf", "nmf", "pmf", "nmos", "pmos", "vdmos", "sw", "csw"),
+    *("res", "cap", "ind", "vswitch", "iswitch", "ltra"),
+)
+
+
+class AmplifierModel(Section):
+    """The maker's macro-model of the column amplifiers, in place of the one-pole amplifier of SPICE netlists."""
+
+    file: Annotated[str, Field(min_length=1)]
+    """with the model; relative to the design"""
+    subcircuit: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-+]+$")]
+    """name of its .SUBCKT"""
+    pins: Annotated[tuple[Pin, ...], Field(strict=False)] = PINS
+    """what each pin of the .SUBCKT line is, in its order; "ground" is tied to 0 V, "open" to nothing"""
+    rails: Annotated[tuple[Finite, Finite] | None, Field(strict=False)] = None
+    """V at "v-" and "v+"; None: as readout.supply"""
+    text: str = Field(default="", exclude=True, repr=False)
+    """checked cards of the file, one a line; empty: not read yet"""
+
+    @model_validator(mode="after")
+    def _connected(self) -> Self:
+        for pin in ("in+", "in-", "out"):
+            if self.pins.count(pin) != 1:
+                raise ValueError(f"pins must name '{pin}' once, got {list(self.pins)}")
+        if self.rails is not None and not self.rails[0] < self.rails[1]:
+            raise ValueError(f"rails must be [voltage at v-, voltage at v+] in V, got {list(self.rails)}")
+        return self
+
+    def read(self, folder: Path) -> AmplifierModel:
+        """The same with its cards, from the file beside the design in ``folder``.
+
+        Raises:
+            InputError: no such file, no such subcircuit, another number of pins, or a line that describes no circuit.
+
+        """
+        path = folder / self.file
+        # Makers write in all code pages; only comments have more than ASCII.
+        content = read_bytes(path, most_bytes=MOST_MODEL_BYTES).decode("latin-1")
+        cards = list(_checked_cards(content, str(path)))
+        self._check_pins(cards, str(path))
+        return self.replace(text="\n".join(card.text for card in cards))
+
+    def _check_pins(self, cards: list[_Card], path: str) -> None:
+        outside: dict[str, list[str]] = {}
+        calls: dict[str, set[str]] = {}
+        inside: list[str] = []
+        for card in cards:
+            words = card.words
+            if words[0] == ".subckt":
+                if len(words) < 2:
+                    raise InputError(f"{path}: line {card.line}: a .SUBCKT without a name")
+                if not inside:
+                    outside.setdefault(words[1], _before_parameters(words[2:]))
+                inside.append(words[1])
+            elif words[0] == ".ends":
+                if not inside:
+                    raise InputError(f"{path}: line {card.line}: .ENDS without .SUBCKT")
+                inside.pop()
+            elif not words[0].startswith(".") and not inside:
+                raise InputError(
+                    f"{path}: line {card.line}: '{shortened(one_line(card.text))}' stands outside a .SUBCKT"
+                )
+            elif words[0].startswith("x"):
+                callee = _before_parameters(words[1:])[-1:]
+                calls.setdefault(inside[-1], set()).update(callee)
+        if inside:
+            raise InputError(f"{path}: .SUBCKT {one_line(inside[-1])} has no .ENDS")
+        name = self.subcircuit.lower()
+        if name not in outside:
+            known = ", ".join(sorted(outside)) or "none"
+            raise InputError(f"{path}: no .SUBCKT {self.subcircuit}; the file has {shortened(one_line(known), 100)}")
+        if len(outside[name]) != len(self.pins):
+            raise InputError(
+                f"{path}: .SUBCKT {self.subcircuit} has {len(outside[name])} pins "
+                f"({shortened(one_line(' '.join(outside[name])))}), but readout.amplifier_model.pins names "
+                f"{len(self.pins)}"
+            )
+        _refuse_recursion(name, calls, path)
+
+
+class _Card(NamedTuple):
+    """One statement, its continuation lines joined and its comments removed."""
+
+    line: int
+    """number in the file, from 1"""
+    text: str
+
+    @property
+    def words(self) -> list[str]:
+        return self.text.lower().replace("=", " = ").split()
+
+
+def _checked_cards(content: str, path: str) -> Iterator[_Card]:
+    """The statements of a model, each one of a kind that only describes a circuit."""
+    if re.search(r"\$CDNENC|\* Begin:.*Encrypt|^\*?\s*LTspice Encrypted", content, flags=re.IGNORECASE | re.MULTILINE):
+        raise InputError(f"{path}: the model is encrypted; expected plain text")
+    for card in _statements(content, path):
+        first = card.words[0]
+        where = f"{path}: line {card.line}"
+        shown = shortened(one_line(card.text))
+        if not card.text.isascii() or not card.text.isprintable() or "`" in card.text:
+            raise InputError(f"{where}: expected plain ASCII text outside comments, got '{shown}'")
+        if first == ".end":
+            continue
+        if first.startswith("."):
+            if first not in CARDS:
+                raise InputError(f"{where}: '{shown}' is not part of a model; expected only {', '.join(CARDS)}")
+            if first == ".model":
+                _check_model_type(card, where, shown)
+        elif first[0] not in DEVICES:
+            raise InputError(f"{where}: '{shown}' is no device of a model; expected one of {DEVICES.upper()}")
+        if re.search(r"\bfile\s*=", card.text, flags=re.IGNORECASE):
+            raise InputError(f"{where}: '{shown}' would read a file")
+        yield card
+
+
+def _statements(content: str, path: str) -> Iterator[_Card]:
+    """Statements with their continuation lines; comments are dropped, and commands in comments refused."""
+    start, parts = 0, []
+    for number, raw in enumerate(re.split(r"\r\n|\r|\n", content), 1):
+        line = raw.strip()
+        if line.startswith("*#"):
+            raise InputError(f"{path}: line {number}: '{shortened(one_line(line))}' is a command to ngspice")
+        line = re.split(r";|\s\$\s|//", line, maxsplit=1)[0].strip()
+        if not line or line.startswith(("*", "$")):
+            continue
+        if line.startswith("+"):
+            parts.append(line[1:])
+            continue
+        if parts:
+            yield _Card(start, " ".join(" ".join(parts).split()))
+        start, parts = number, [line]
+    if parts and " ".join(parts).split():
+        yield _Card(start, " ".join(" ".join(parts).split()))
+
+
+def _check_model_type(card: _Card, where: str, shown: str) -> None:
+    words = card.text.lower().replace("(", " ").split()
+    kind = words[2] if len(words) > 2 else ""
+    kind = kind.split(":")[-1] if kind.startswith("ako:") and len(words) > 3 else kind
+    if kind.startswith("ako:") or kind not in MODEL_TYPES:
+        raise InputError(f"{where}: '{shown}': unknown type of model; expected one of {', '.join(MODEL_TYPES)}")
+
+
+def _before_parameters(words: list[str]) -> list[str]:
+    """The nodes of a .SUBCKT line, or those of a call with its subcircuit: what stands before any parameter."""
+    found = []
+    for position, word in enumerate(words):
+        if word in ("params:", "optional:") or words[position + 1 : position + 2] == ["="]:
+            break
+        found.append(word)
+    return found
+
+
+def _refuse_recursion(name: str, calls: dict[str, set[str]], path: str) -> None:
+    """ngspice would expand a subcircuit that contains itself until memory ends."""
+    finished: set[str] = set()
+    stack = [(name, iter(sorted(calls.get(name, ()))))]
+    while stack:
+        current, pending = stack[-1]
+        callee = next(pending, None)
+        if callee is None:
+            finished.add(current)
+            stack.pop()
+        elif callee in [above for above, _ in stack]:
+            raise InputError(f"{path}: .SUBCKT {one_line(callee)} contains itself")
+        elif callee not in finished:
+            stack.append((callee, iter(sorted(calls.get(callee, ())))))

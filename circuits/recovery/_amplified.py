@@ -1,0 +1,550 @@
+"""Live recovery of boards whose amplifiers hold all sensed lines: line attenuation, relinearised about a base frame.
+
+With T the transfer conductances of the grid, the outputs are
+
+    V_ij = output_j + slope_j (drive T_ij - s_j sum_k T_kj + c_j).
+
+The s_j are the sources behind the columns' ends, and c_j is the current between columns whose sources differ, to first
+order in the row resistance. T follows from the outputs by a few operations per cell. A transfer conductance is the
+conductance of its cell times an attenuation by its two lines, which changes little from frame to frame:
+
+    G = gain(G) T + shift,      gain(G) = gain_base (1 + (G - G_base) K_row + K_column (G - G_base) + ...).
+
+K are the resistances of shared wire of :mod:`..solvers._attenuation`; the sum in brackets is the derivative of the
+attenuation for light lines. A *base* is one evaluation of line attenuation, corrected by what it misses of an exact
+solution nearby. The base serves as long as the terms left out stay below a share of an ADC step; otherwise the present
+conductances become the new base, within the frame's budget (:data:`EVALUATIONS`, :data:`EXACT_EVALUATIONS`).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from math import inf, sqrt
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from .._adc import adc_error
+from .._board import Board, cell_alone
+from ..solvers import Attenuated, Lines, Wires, attenuate, exact_transfer, siemens
+from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
+
+T = TypeVar("T", float, FloatArray)
+
+# Evaluations of the models in one frame, at most. Eight usual frames of 8 x 8 cells take as long, and six of 64 x 64.
+EVALUATIONS = 2
+"""of line attenuation"""
+EXACT_EVALUATIONS = 1
+"""of the exact transfer conductances"""
+FIRST_EVALUATIONS = 8, 3
+"""of both in the first frame of all, before which nothing is known"""
+_SHARE_OF_STEP = 0.25  # of an ADC step that the model may leave as its own error
+_SECOND_ORDER = 2.0  # terms beyond the first order over the first order times the loss; 1 to 1.5 on boards tried
+_FAR = 0.5  # relative change of a gain beyond which the first order says nothing
+_MARGIN = 2.0  # by which intervals from first-order bounds on unknown cells are widened
+_LEAST_SHARE = 1e-9  # of the largest conductance: an open cell's stand-in, so that every ratio is defined
+_BOUNDLESS = 1e6  # relative change of a conductance that counts for any larger one
+_SIMILAR = 0.1  # relative change of conductances up to which bounds on unknown cells are kept
+_SIMILAR_MARGIN = 1.25  # by which kept bounds are widened: two conductances have changed by 1.1 against each other
+_GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
+
+_NO_CURRENT, _SATURATED, _UNCERTAIN, _DISTURBED, _HIDDEN, _UNSETTLED = (
+    int(reason)
+    for reason in (
+        Reason.NO_CURRENT,
+        Reason.SATURATED,
+        Reason.UNCERTAIN,
+        Reason.DISTURBED,
+        Reason.HIDDEN,
+        Reason.UNSETTLED,
+    )
+)  # looking them up takes 1 us each
+
+
+class _Base(NamedTuple):
+    """What frames are compared with. Arrays are (N, M) in line coordinates."""
+
+    conductance: FloatArray
+    """S"""
+    gain: FloatArray
+    """conductance per transfer conductance, as far as the lines take the cell's own current"""
+    shift: FloatArray | None
+    """S, conductance that the current of other cells feigns; None where it is far below an ADC step"""
+    loss: float
+    """largest share of a cell's own current that its lines take"""
+    missing: float
+    """S, largest part of a transfer conductance that is other cells' current"""
+    off: FloatArray | None
+    """S by which the model may be wrong; None where that is below the tolerance"""
+
+
+class _Anchor(NamedTuple):
+    """An exact solution: what attenuation misses there, and the certified bound on it. Arrays are (N, M) in S."""
+
+    missing: FloatArray
+    bound: FloatArray
+
+    def scaled(self, bound: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """What attenuation misses where the bound on it is another one, and about how far that can be off.
+
+        The bound follows what is missed within a factor that depends little on the conductances (1.1 to 3 on ordinary
+        boards); half of the change is allowed for what it does not follow.
+        """
+        missing = self.missing * (bound / self.bound)
+        return missing, 0.5 * np.abs(missing - self.missing)
+
+
+class _Levels(NamedTuple):
+    """How well readings of a certain noise are known. Arrays broadcast to (N, M) in line coordinates."""
+
+    noise: float
+    """V, standard deviation of the readings"""
+    gain: FloatArray
+    """conductance per transfer conductance, for which the levels hold"""
+    own: FloatArray
+    """S by which a cell's own transfer conductance may be off: half a step, noise, and what the model leaves"""
+    others: FloatArray
+    """relative uncertainty by the readings of other cells"""
+    least: FloatArray | None
+    """S, transfer conductance from which on a cell is valid; None if these are no single range"""
+
+
+class _Beside(NamedTuple):
+    """What cells at limits make of the others. Arrays are (N, M)."""
+
+    limited: BoolArray
+    more: BoolArray
+    """at the high end: the cell conducts more than the reading says"""
+    conductance: FloatArray
+    """S, for which this was worked out"""
+    floor: float
+    """S, least conductance that a relative change refers to"""
+    fixed: FloatArray
+    """relative change whatever the conductances"""
+    added: FloatArray
+    """S, current of other cells that may appear in a reading, per volt"""
+    by_lines: FloatArray
+    """relative change because lines are loaded otherwise"""
+
+    def holds(self, conductance: FloatArray, limited: BoolArray, more: BoolArray) -> bool:
+        """Whether the same cells are at the same limits and the lines' other cells have not changed by much."""
+        if not (np.array_equal(limited, self.limited) and np.array_equal(more, self.more)):
+            return False
+        change = np.abs(conductance - self.conductance)
+        change[limited] = 0.0
+        return bool((change <= _SIMILAR * (self.conductance + float(self.conductance.mean()))).all())
+
+
+class AmplifiedLive:
+    """Amplifiers that hold all columns of a plain grid, rows grounded."""
+
+    def __init__(self, board: Board, rule: ValidityRule) -> None:
+        """For a board whose circuit has ends (:meth:`.ReadoutCircuit.ends`) and whose design has a converter."""
+        adc, ends = board.design.adc, board.circuit.ends(board)
+        assert adc is not None
+        assert ends is not None
+        self._board, self._rule = board, rule
+        rows = board.shape[0]
+        self._source = ends.source
+        self._per_volt = 1.0 / ends.slope  # A/V
+        self._has_sources = bool(ends.source.any())
+        self._spread = 2.0 * float(np.ptp(ends.source)) / abs(board.drive)
+        self._alike = bool((ends.source == ends.source[0]).all())
+        # T = scale V + constant + per_sum (sum of that over the rows); without currents between columns
+        self._scale = self._per_volt / board.drive
+        self._constant = -ends.output * self._scale
+        self._per_sum = ends.source / (board.drive - rows * ends.source)
+        self._ones = np.ones(rows)
+        resistance = ends.resistance + board.column_lead
+        with np.errstate(divide="ignore"):
+            self._lines = Lines(board.lines.row, board.lines.column, 1.0 / resistance)
+        self._wires = Wires.of(self._lines)
+        self._to_driver = np.cumsum(board.row_ohms, axis=1)
+        self._behind = np.concatenate([board.column_ohms[1:], resistance[None]])  # ohm (N, M) of wire
+        self._to_amplifier = np.cumsum(self._behind[::-1], axis=0)[::-1]
+        self._farthest_driver = self._to_driver.max(axis=0)  # (M,) ohm
+        self._farthest_amplifier = self._to_amplifier.max(axis=1)  # (N,) ohm
+        self._reach = float(np.linalg.norm(self._farthest_driver) + np.linalg.norm(self._farthest_amplifier))  # ohm
+        self._along_row = _shared_wire(self._to_driver)
+        self._along_column = _shared_wire(self._to_amplifier.T)
+        self._step, self._middle = adc.step, sum(adc.range) / 2
+        self._half_step = adc_error(board.design) * np.abs(self._scale)  # S (M,), of T
+        self._tolerance = _SHARE_OF_STEP * adc.step * np.abs(self._scale)  # S (M,), of T
+        self._least_tolerance = float(self._tolerance.min())
+        swing = max((abs(limit - board.level) for limit in board.supply if np.isfinite(limit)), default=inf)
+        self._most_per_ohm = (1.0 + swing / abs(board.drive)) / board.reference  # S (M,) into a saturated column's end
+        self._ideal = not (self._to_driver.any() or board.column_ohms.any())
+        self._shunt = np.zeros(board.shape)
+        shunts = [fault for fault in board.shorts if fault.ohms > 0]
+        for fault in shunts:
+            self._shunt[fault.place] += siemens(fault.ohms)
+        self._faulty = bool(board.series_ohms.any() or shunts)
+        self._hidden = np.isinf(board.series_ohms)
+        self._base: _Base | None = None
+        self._anchor: _Anchor | None = None
+        self._levels: _Levels | None = None
+        self._unknown: _Beside | None = None
+        self._between: FloatArray | None = None  # S (M,), of T
+        self._model_error = self._tolerance  # S (M,), of T
+        self._exact_left = 0  # evaluations in the present frame
+        self._all = np.ones(board.shape, dtype=np.bool_)
+        self._no_reason = np.zeros(board.shape, dtype=np.int8)
+        self._turned_all = np.ascontiguousarray(board.turn(self._all))
+        self._turned_no_reason = np.ascontiguousarray(board.turn(self._no_reason))
+        for shared in (self._all, self._no_reason, self._turned_all, self._turned_no_reason):
+            shared.flags.writeable = False
+
+    def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
+        """As :class:`.LiveRecovery`."""
+        if not self._board.turned:
+            return self._read(volts, limited, noise)
+        turn = self._board.turn
+        found = self._read(
+            np.ascontiguousarray(turn(volts)), None if limited is None else np.ascontiguousarray(turn(limited)), noise
+        )
+        every = found.valid is self._all
+        return LiveReading(
+            np.ascontiguousarray(turn(found.resistance)),  # what follows is faster in the usual order
+            self._turned_all if every else turn(found.valid),
+            self._turned_no_reason if every else turn(found.reason),
+            lambda: (turn(found.uncertainty), turn(found.own)),
+        )
+
+    def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
+        transfer = self._transfer(volts)
+        if self._ideal:
+            conductance, gain = self._of_independent_columns(transfer)
+            off = None
+        else:
+            if self._base is None:
+                transfer = self._begin(volts, transfer)
+            conductance, off = self._settle(transfer)
+            assert self._base is not None
+            gain = self._base.gain
+        levels = self._levels_at(gain, noise)
+        if limited is None and off is None and levels.least is not None and not self._faulty:
+            valid = transfer >= levels.least
+            if valid.all():
+                return LiveReading(
+                    np.divide(1.0, conductance), self._all, self._no_reason, partial(_uncertainties, transfer, levels)
+                )
+        return self._examined(transfer, conductance, levels, off, volts, limited)
+
+    def _begin(self, volts: FloatArray, transfer: FloatArray) -> FloatArray:
+        """Make the first base, and return the transfer conductances (N, M) in S again that it makes known better."""
+        self._exact_left = FIRST_EVALUATIONS[1]
+        for _ in range(FIRST_EVALUATIONS[0] - EVALUATIONS):
+            self._base = self._based_on(transfer if self._base is None else self._from_base(transfer)[0])
+            transfer = self._transfer(volts)
+            if self._from_base(transfer)[1] is None:
+                break
+        return transfer
+
+    def _transfer(self, volts: FloatArray) -> FloatArray:
+        """S (N, M): transfer conductances from outputs in V; 0 where the current has the wrong sign."""
+        transfer: FloatArray = volts * self._scale
+        transfer += self._constant
+        if self._has_sources:
+            if self._between is not None:
+                transfer -= self._between
+            transfer += self._per_sum * (self._ones @ transfer)
+        return np.maximum(transfer, 0.0, out=transfer)
+
+    def _between_columns(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """S (M,) that currents between columns of different sources add to each T of a column, and how far that is off.
+
+        The columns' sources drive these currents through the rows that the columns share, which lifts the rows. To
+        first order in the resistance of the rows; what is left out is smaller by the loss in the lines.
+        """
+        source, known = self._source, transfer
+        given = (self._drop_along_rows(known * source) * known).sum(axis=0) / self._board.drive
+        taken = source * (self._drop_along_rows(known) * known).sum(axis=0) / self._board.drive
+        left: FloatArray = 2.0 * (np.abs(given) + np.abs(taken))
+        return given - taken, left
+
+    def _of_independent_columns(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Conductances (N, M) in S and gains (M,) where only the columns' ends have resistance, in closed form.
+
+        T = G / (1 + R sum G), R the resistance of a column's end.
+        """
+        gain = 1.0 / np.maximum(1.0 - self._to_amplifier[0] * (self._ones @ transfer), _LEAST_SHARE)
+        return transfer * gain, gain
+
+    def _settle(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """Conductances (N, M) in S.
+
+        Where the frame's budget did not suffice, also the S (N, M) by which the model may be wrong.
+        """
+        self._exact_left = max(self._exact_left, EXACT_EVALUATIONS)
+        conductance, off = self._from_base(transfer)
+        for _ in range(EVALUATIONS):
+            if off is None:
+                break
+            self._base = self._based_on(conductance)
+            conductance, off = self._from_base(transfer)
+        self._exact_left = 0
+        return conductance, off
+
+    def _from_base(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+        """Conductances (N, M) in S, and the S by which T may be off for them; None where that is small enough."""
+        base = self._base
+        assert base is not None
+        conductance = base.gain * transfer
+        if base.shift is not None:
+            conductance += base.shift
+            np.maximum(conductance, 0.0, out=conductance)
+        change = conductance - base.conductance
+        if base.off is None:
+            # No line's change is larger than all changes together (Cauchy-Schwarz).
+            moved = self._reach * sqrt(float(np.vdot(change, change)))
+            if moved <= _FAR and self._left_out(base, moved, float(transfer.max())) <= self._least_tolerance:
+                return self._relinearised(conductance, change), None
+        size = np.abs(change)
+        by_lines = (size @ self._farthest_driver)[:, None] + self._farthest_amplifier @ size
+        most = float(by_lines.max())
+        if most <= _FAR:
+            conductance = self._relinearised(conductance, change)
+            off = self._left_out(base, by_lines, transfer)
+        else:
+            off = transfer * by_lines
+        if base.off is not None:
+            off = off + base.off
+        return conductance, None if (off <= self._tolerance).all() else off
+
+    def _left_out(self, base: _Base, moved: T, transfer: T) -> T:
+        """S that the relinearised model leaves out of T, where changed conductances move gains by the share ``moved``.
+
+        The terms beyond the first order of the attenuation; currents between columns, which are those of the base; and
+        other cells' current, which changes about as the losses of its lines do.
+        """
+        share = _SECOND_ORDER * (base.loss + moved) + self._spread
+        left_out = transfer * moved * share
+        if base.shift is not None:
+            left_out = left_out + moved * (2.0 * base.missing / base.loss)
+        return left_out
+
+    def _relinearised(self, conductance: FloatArray, change: FloatArray) -> FloatArray:
+        """Conductances (N, M) in S with the gains after a ``change`` (N, M) in S from the base, to first order."""
+        gain = self._drop_along_rows(change)
+        gain += self._drop_along_columns(change)
+        gain *= conductance
+        gain += conductance
+        return gain
+
+    def _drop_along_rows(self, current: FloatArray) -> FloatArray:
+        """V (N, M) along the rows for currents (N, M) in A that leave them at the crosspoints."""
+        if self._along_row is not None:
+            return current @ self._along_row
+        flow = np.cumsum(current[:, ::-1], axis=1)[:, ::-1]
+        return np.cumsum(self._board.row_ohms * flow, axis=1)
+
+    def _drop_along_columns(self, current: FloatArray) -> FloatArray:
+        """V (N, M) along the columns for currents (N, M) in A into them at the crosspoints."""
+        if self._along_column is not None:
+            return self._along_column @ current
+        flow = np.cumsum(current, axis=0)
+        return np.cumsum((self._behind * flow)[::-1], axis=0)[::-1]
+
+    def _based_on(self, conductance: FloatArray) -> _Base:
+        """One evaluation of the circuit model: attenuation, with what it misses taken from an exact solution nearby."""
+        floor = _LEAST_SHARE * max(float(conductance.max()), 1e-12)
+        conductance = np.maximum(conductance, floor)
+        known = None if self._wires is None else attenuate(conductance, self._wires)
+        missing, off = None, None
+        if known is None:  # lines so heavy that the drive underflows before their end
+            own, _ = exact_transfer(conductance, self._lines)
+        else:
+            own = known.transfer
+            missing, off = self._missing(conductance, known)
+        gain = conductance / np.maximum(own, 1e-300)
+        if self._has_sources and not self._alike:
+            self._between, left = self._between_columns(own)
+            self._model_error = self._tolerance + left
+        return _Base(
+            conductance=conductance,
+            gain=gain,
+            shift=None if missing is None else -gain * missing,
+            loss=max(1.0 - 1.0 / float(gain.max()), 1e-9),
+            missing=0.0 if missing is None else float(missing.max()),
+            off=off,
+        )
+
+    def _missing(self, conductance: FloatArray, known: Attenuated) -> tuple[FloatArray | None, FloatArray | None]:
+        """S (N, M) that attenuation misses, other cells' current; None where that is below the tolerance.
+
+        Where the frame has no exact evaluation left, also the S (N, M) by which this may be off.
+        """
+        bound = known.error
+        if (bound <= self._tolerance).all():
+            return None, None
+        scaled, off = (None, bound) if self._anchor is None else self._anchor.scaled(bound)
+        if (off <= self._tolerance).all():
+            return scaled, None
+        if self._exact_left == 0:
+            return scaled, off
+        self._exact_left -= 1
+        transfer, _ = exact_transfer(conductance, self._lines)
+        self._anchor = _Anchor(transfer - known.transfer, bound)
+        return self._anchor.missing, None
+
+    def _levels_at(self, gain: FloatArray, noise: float) -> _Levels:
+        """How well readings are known at these gains and with noise of this standard deviation in V."""
+        levels = self._levels
+        if levels is not None and 0.6 * levels.noise <= noise <= levels.noise and self._holds(levels.gain, gain):
+            return levels
+        noise *= 1.2  # so that a noise that moves about does not call for new levels in every frame
+        own_noise = SIGMAS * noise * np.abs(self._scale)
+        own = self._half_step + own_noise + self._model_error
+        # Quantisation errors of neighbours may all have the same sign; noise adds up by its squares.
+        others = self._by_lines(self._half_step * gain)
+        if noise:
+            squares = np.broadcast_to((own_noise * gain) ** 2, self._board.shape)
+            others = others + np.sqrt(
+                np.einsum("ij,ij->i", self._to_driver**2, squares)[:, None]
+                + np.einsum("ij,ij->j", self._to_amplifier**2, squares)
+            )
+        self._levels = _Levels(noise, gain, own, others, self._rule.least_reading(own, others))
+        return self._levels
+
+    def _holds(self, before: FloatArray, gain: FloatArray) -> bool:
+        """Whether what was worked out for the gains ``before`` holds for ``gain``."""
+        return before is gain or (self._ideal and bool((np.abs(gain - before) <= 0.05 * before).all()))
+
+    def _by_lines(self, change: FloatArray) -> FloatArray:
+        """Bound on the relative change of each T_ij, to first order, by what lines take of changed conductances."""
+        change = np.broadcast_to(change, self._board.shape)
+        row: FloatArray = np.einsum("ij,ij->i", self._to_driver, change)
+        column: FloatArray = np.einsum("ij,ij->j", self._to_amplifier, change)
+        return row[:, None] + column
+
+    def _examined(
+        self,
+        transfer: FloatArray,
+        conductance: FloatArray,
+        levels: _Levels,
+        off: FloatArray | None,
+        volts: FloatArray,
+        limited: BoolArray | None,
+    ) -> LiveReading:
+        """A frame with cells that are not valid, and why they are not. Arrays are (N, M), as in :meth:`_read`."""
+        uncertainty, own = _uncertainties(transfer, levels)
+        by_readings = uncertainty
+        reason = np.full(self._board.shape, _UNCERTAIN, dtype=np.int8)
+        if off is not None:
+            uncertainty = uncertainty + off / np.maximum(transfer, levels.own)
+            reason[(uncertainty > by_readings * 1.5)] = _UNSETTLED
+        if limited is not None:
+            disturbance = self._disturbance(conductance, volts, limited, levels.noise)
+            reason[disturbance > 0.5 * uncertainty] = _DISTURBED
+            uncertainty = uncertainty + disturbance
+        reason[transfer <= levels.own] = _NO_CURRENT
+        if self._faulty:
+            conductance, uncertainty, own = self._without_faults(conductance, uncertainty, own)
+            reason[conductance == 0.0] = _NO_CURRENT
+        if limited is not None:
+            uncertainty[limited], reason[limited] = inf, _SATURATED
+        if self._faulty:
+            uncertainty[self._hidden], reason[self._hidden] = inf, _HIDDEN
+        valid = self._rule.accepts(uncertainty, own)
+        valid &= conductance > 0.0
+        reason[valid] = 0
+        resistance = np.divide(1.0, conductance, out=np.full_like(conductance, inf), where=conductance > 0)
+        resistance[np.isinf(uncertainty)] = np.nan
+        return LiveReading(resistance, valid, reason, lambda: (uncertainty, own))
+
+    def _without_faults(
+        self, conductance: FloatArray, uncertainty: FloatArray, own: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Conductances (N, M) in S and relative uncertainties of the cells without known faults beside them."""
+        cells = cell_alone(self._board, conductance, self._shunt)
+        most = cell_alone(self._board, conductance * (1.0 + uncertainty), self._shunt)
+        least = cell_alone(self._board, conductance * np.maximum(1.0 - uncertainty, 0.0), self._shunt)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            alone = np.maximum(most - cells, cells - least) / cells
+            grown = np.maximum(alone / uncertainty, 1.0)
+        alone = np.where(np.isfinite(alone), alone, inf)
+        return cells, alone, np.where(np.isfinite(alone), own * grown, 1.0)
+
+    def _disturbance(self, conductance: FloatArray, volts: FloatArray, limited: BoolArray, noise: float) -> FloatArray:
+        """Relative change (N, M) of each cell while those whose reading is at a limit take any value they can have.
+
+        Kept from frame to frame while the same cells are at the same limits and no conductance has changed much.
+        """
+        low, high = self._board.supply
+        near = self._step + _GUARD * noise
+        at_high, at_low = volts >= high - near, volts <= low + near
+        upper = at_high | ((volts > self._middle) & ~at_low)
+        more_current = upper == ((self._board.drive > 0) != self._board.circuit.inverts)
+        conducts_more = limited & more_current
+        kept = self._unknown
+        if kept is None or not kept.holds(conductance, limited, conducts_more):
+            kept = self._beside(conductance, limited, conducts_more, conducts_more & (at_high | at_low))
+            self._unknown = kept
+        return kept.fixed + _SIMILAR_MARGIN * (kept.added / np.maximum(conductance, kept.floor) + kept.by_lines)
+
+    def _beside(self, conductance: FloatArray, limited: BoolArray, more: BoolArray, saturated: BoolArray) -> _Beside:
+        """What cells at limits make of the others, to first order in the lines' losses, all effects added up.
+
+        A cell at the low end of the range takes any conductance up to the present one. A cell at the high end takes any
+        conductance from the present one up to a short, which has these effects:
+
+        * along its row, a short takes the drive from all cells: to_driver / to_amplifier, like a divider. Where its
+          output is at a limit, its column ends in the reference resistor instead, which leaves it little current;
+        * down its column, a short into an idle row takes their current: to_amplifier / to_driver;
+        * a column that the current of row k lifts also lifts the short's row, whose cells then add to row k's readings;
+        * the offset of its column's amplifier drives a current through it, in all steps alike, and lifts its row;
+        * in its own step, the short lifts its column, and that the other rows, whose cells add to its row's readings.
+
+        Args:
+            conductance: (N, M) S.
+            limited: (N, M) all cells at limits.
+            more: (N, M) those that conduct more than the reading says.
+            saturated: (N, M) those of them whose amplifier, not only the converter, is at a limit.
+
+        """
+        floor = _LEAST_SHARE * max(float(conductance.max()), 1e-12)
+        by_lines = self._by_lines(np.where(limited & ~more, conductance, 0.0))
+        fixed = added = np.zeros(self._board.shape)
+        if more.any():
+            with np.errstate(divide="ignore", invalid="ignore"):
+                along = np.where(more, np.nan_to_num(self._to_driver / self._to_amplifier, nan=0.0, posinf=inf), 0.0)
+                down = np.where(more, np.nan_to_num(self._to_amplifier / self._to_driver, nan=0.0, posinf=inf), 0.0)
+                short = np.where(more, 1.0 / (self._to_driver + self._to_amplifier), 0.0)
+                held = np.where(saturated, np.fmin(along, self._to_driver * self._most_per_ohm), 0.0)
+            fixed = _MARGIN * (np.where(saturated, 0.0, along).sum(axis=1)[:, None] + down.sum(axis=0))
+            fixed = fixed + held.sum(axis=1)[:, None]
+            most = np.where(more, np.minimum(short, _BOUNDLESS), conductance)
+            lifts = most @ np.where(more, self._to_amplifier, 0.0).T
+            takes = more @ (self._to_driver * most).T
+            np.fill_diagonal(lifts, 0.0)
+            np.fill_diagonal(takes, 0.0)
+            added = (lifts + takes) @ np.where(more, 0.0, conductance)
+            offset = np.abs(self._source / self._board.drive)
+            with np.errstate(invalid="ignore"):
+                added += np.nan_to_num(offset * short.sum(axis=0), nan=0.0, posinf=inf)
+            added += offset * (more.any(axis=1) @ conductance)
+            added *= _MARGIN
+            # Misjudged cells load their lines otherwise than the model has it, and that concerns all cells there.
+            direct = fixed + added / np.maximum(conductance, floor)
+            by_lines += self._by_lines(np.where(more, 0.0, np.minimum(direct, _BOUNDLESS) * conductance))
+        return _Beside(limited, more, conductance, floor, fixed, added, by_lines)
+
+
+def _uncertainties(transfer: FloatArray, levels: _Levels) -> tuple[FloatArray, FloatArray]:
+    """Relative uncertainties (N, M) of the cells, and what of them is by their own readings."""
+    own = levels.own / np.maximum(transfer, levels.own)
+    return own + levels.others, own
+
+
+def _shared_wire(ohms: FloatArray) -> FloatArray | None:
+    """Resistance of the wire that two places of a line share on the way to the line's end: the matrix K.
+
+    Args:
+        ohms: (lines, places) from each place to the line's end.
+
+    Returns:
+        (places, places) ohm, or None if the lines are not alike.
+
+    """
+    return np.minimum.outer(ohms[0], ohms[0]) if (ohms == ohms[0]).all() else None

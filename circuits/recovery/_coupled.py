@@ -1,0 +1,221 @@
+"""Live recovery of coupled boards: regularised Gauss-Newton steps with derivatives that are kept while they serve."""
+
+from __future__ import annotations
+
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
+
+from ...arrays import BoolArray, FloatArray
+from ...errors import SolverError
+from .._adc import adc_error
+from .._board import Board, broken_off
+from .._exact import read_exactly
+from .._sensitivity import board_sensitivity
+from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
+
+EVALUATIONS = 4
+"""of the circuit model in one frame, at most"""
+_PRIOR = 3.0  # standard deviation of the logarithm of a conductance before anything is read: a factor of 20
+_UNKNOWN = 8.0  # the same for a cell that a fault hides
+_SETTLED = 0.3  # posterior standard deviations that a further step would change a cell by
+_UNSETTLED = 3.0  # half steps between readings and model beyond which a fit says nothing yet
+_MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
+_FAR = 0.1  # relative change since the derivatives were made from which on they no longer serve
+_FIRST_EFFORT = 40, 8  # evaluations and derivatives that the first frame of all may take
+_SIGMAS = 4.0  # posterior standard deviations that an uncertainty covers
+_LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
+_SAME = 1e-3  # relative change of the misfit by a step that gained nothing
+_FITS = 0.8  # half steps between readings and model that rounding alone makes
+_STRIDE = 1.5  # most change of the logarithm of a conductance in one step
+
+
+class _Base(NamedTuple):
+    """Where a coupled board's frames start from, in line coordinates; n = N M, flattened."""
+
+    log: FloatArray
+    """(n,) logarithm of the conductances"""
+    volts: FloatArray
+    """(n,) V that the model makes of them"""
+    gain: FloatArray
+    """(n, n): regularised inverse of the derivatives, from readings in standard deviations to changes of ``log``"""
+    std: FloatArray
+    """(n,) posterior standard deviation of ``log``"""
+    others: FloatArray
+    """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
+
+
+class CoupledLive:
+    """Regularised Gauss-Newton steps for boards on which each reading depends on many cells.
+
+    Unknowns are the logarithms x of the conductances, so that none becomes negative. Readings count in standard
+    deviations of an ADC step's error: r = (measured - model) / (half step / sqrt 3). With J = dr/dx and the prior's
+    standard deviation s, a step is (J'J + 1/s^2)^-1 J' r (Levenberg, Marquardt; the Bayesian update of a linear model
+    with a broad prior about the last estimate). What the readings determine follows them; what they do not stays. The
+    covariance (J'J + 1/s^2)^-1 says which is which.
+    """
+
+    def __init__(self, board: Board, rule: ValidityRule) -> None:
+        """For a sliced sheet with a converter."""
+        self._board, self._rule = board, rule
+        self._half_step = adc_error(board.design)
+        self._noise = self._half_step / np.sqrt(3.0)  # V, standard deviation of an error within a step
+        self._shape = board.shape
+        self._mixes = board.circuit.mixes_cells or board.floating
+        self._hidden = (broken_off(board) | np.isinf(board.series_ohms)).ravel()
+        self._base: _Base | None = None
+        self._x: FloatArray | None = None  # where the last frame ended
+        self._begun = False
+        self._from_fresh_start = False  # and not come to a fit since
+
+    def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
+        """As :class:`.LiveRecovery`."""
+        turn = self._board.turn
+        found = self._read(turn(volts), None if limited is None else turn(limited), noise)
+        return LiveReading(
+            turn(found.resistance),
+            turn(found.valid),
+            turn(found.reason),
+            lambda: (turn(found.uncertainty), turn(found.own)),
+        )
+
+    def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
+        if limited is not None or (self._mixes and self._hidden.any()):
+            # A cell beyond its limit may be a short, and what that does to all others no derivative at the limit tells.
+            return self._nothing(limited)
+        measured = volts.ravel()
+        # Noise makes readings less certain, and readings and model differ by as much more.
+        coarser = float(np.hypot(1.0, noise / self._noise))
+        start = self._x
+        if start is None:
+            start = self._start(volts)
+            self._from_fresh_start = True
+        if self._base is None or self._x is None:
+            self._base = self._based_on(start)
+        effort = (EVALUATIONS, 1) if self._begun else _FIRST_EFFORT
+        self._begun = True
+        x, left, misfit, stalled = self._solve(measured, start, *effort)
+        misfit /= coarser
+        self._x, base = x, self._base
+        if misfit <= _UNSETTLED:
+            self._from_fresh_start = False
+        elif misfit > _MISFIT and stalled:
+            self._x = None  # the next frame starts anew
+            if self._from_fresh_start:
+                raise SolverError("no cell resistances give these readings; check that the design is that of the board")
+        signal = np.abs(measured - self._board.level)
+        slope = self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)
+        own = ((self._half_step + SIGMAS * noise) * np.abs(slope)).ravel()
+        own[slope.ravel() == 0] = 1.0
+        # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
+        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * base.std, own) + np.abs(left)
+        uncertainty = by_readings + base.others
+        open_cells = signal <= self._half_step + SIGMAS * noise
+        reason = np.full(len(measured), Reason.UNCERTAIN, dtype=np.int8)
+        reason[base.others > 0.5 * uncertainty] = Reason.DISTURBED
+        reason[open_cells] = Reason.NO_CURRENT
+        if misfit > _UNSETTLED:  # the frame's budget did not suffice, or no cells give quite these readings
+            reason[:], uncertainty[:] = Reason.UNSETTLED, inf
+        gone = self._hidden
+        reason[gone] = Reason.HIDDEN
+        uncertainty[gone | (uncertainty > 1.0)] = inf
+        valid = self._rule.accepts(uncertainty, own) & ~open_cells
+        reason[valid] = Reason.VALID
+        resistance = np.exp(-x)
+        resistance[gone] = np.nan
+        resistance[open_cells & ~gone] = inf
+        shape = self._shape
+        return LiveReading(
+            resistance.reshape(shape),
+            valid.reshape(shape),
+            reason.reshape(shape),
+            lambda: (uncertainty.reshape(shape), own.reshape(shape)),
+        )
+
+    def _solve(
+        self, measured: FloatArray, x: FloatArray, evaluations: int, renewals: int
+    ) -> tuple[FloatArray, FloatArray, float, bool]:
+        """Logarithms (n,) of the conductances, the change that a further step would make, the misfit, and whether the
+        last step has hardly changed it.
+
+        Args:
+            measured: (n,) V.
+            x: (n,) where to start.
+            evaluations: of the circuit model, at most.
+            renewals: of the derivatives, which cost many evaluations, at most.
+
+        """
+        assert self._base is not None
+        misfit, stalled = inf, False
+        for count in range(evaluations):
+            volts = self._model(x)
+            left = self._step(measured - volts)
+            last, misfit = misfit, self._misfit(measured - volts)
+            stalled = abs(misfit - last) <= _SAME * misfit
+            far = float(np.abs(x - self._base.log).max()) > _FAR
+            if misfit <= _FITS and self._serves(left) and not far:
+                break
+            if count < evaluations - 1:
+                if renewals and (far or misfit > _FITS):
+                    renewals -= 1
+                    self._base = self._based_on(x)
+                    left = self._step(measured - volts)
+                x = x + left
+        return x, left, misfit, stalled
+
+    def _nothing(self, limited: BoolArray | None) -> LiveReading:
+        """A frame that tells of no cell."""
+        reason = np.full(self._shape, Reason.DISTURBED, dtype=np.int8)
+        if limited is not None:
+            reason[limited] = Reason.SATURATED
+        reason[self._hidden.reshape(self._shape)] = Reason.HIDDEN
+        unknown, nowhere = np.full(self._shape, inf), np.zeros(self._shape, dtype=np.bool_)
+        return LiveReading(np.full(self._shape, np.nan), nowhere, reason, lambda: (unknown, np.ones(self._shape)))
+
+    def _misfit(self, apart: FloatArray) -> float:
+        """Half steps between readings and model (n,): root mean square, or half of the largest if that is more."""
+        steps = np.abs(apart) / self._half_step
+        return max(float(np.sqrt(np.mean(steps**2))), 0.5 * float(steps.max()))
+
+    def _serves(self, left: FloatArray) -> bool:
+        """Whether a further step would move no cell that the readings determine by more than its own uncertainty."""
+        assert self._base is not None
+        std = self._base.std
+        determined = (std <= _LOOSE) & (self._base.others <= _LOOSE)
+        return bool((np.abs(left) <= np.maximum(_SETTLED * std, 1e-6))[determined].all())
+
+    def _step(self, volts: FloatArray) -> FloatArray:
+        """Change (n,) of the logarithms for a difference (n,) of the readings in V."""
+        assert self._base is not None
+        change: FloatArray = self._base.gain @ (volts / self._noise)
+        return np.clip(change, -_STRIDE, _STRIDE)
+
+    def _start(self, volts: FloatArray) -> FloatArray:
+        apparent = self._board.circuit.apparent_conductance(self._board, volts - self._board.level)
+        typical = float(np.median(apparent[apparent > 0])) if (apparent > 0).any() else 1e-5
+        start: FloatArray = np.log(np.where(apparent > 1e-3 * typical, apparent, 0.1 * typical)).ravel()
+        return start
+
+    def _model(self, x: FloatArray) -> FloatArray:
+        """V (n,) of the readings."""
+        return read_exactly(self._board, np.exp(-x).reshape(self._shape))[0].volts.ravel()
+
+    def _based_on(self, x: FloatArray) -> _Base:
+        """Derivatives and their regularised inverse at x (n,)."""
+        found = board_sensitivity(self._board, np.exp(-x).reshape(self._shape))
+        in_series = 1.0 / (np.exp(-x) + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
+        jacobian = found.cell_conductance.reshape(len(x), len(x)) * (in_series**2 * np.exp(-x) / self._noise)
+        prior = np.where(self._hidden, _UNKNOWN, _PRIOR)
+        normal = jacobian.T @ jacobian
+        normal[np.diag_indices_from(normal)] += prior**-2.0
+        try:
+            inverse = cho_solve(cho_factor(normal, overwrite_a=True), np.eye(len(x)))
+        except LinAlgError as error:
+            raise SolverError("the readings do not determine the cells at all") from error
+        std = np.sqrt(np.maximum(np.diagonal(inverse), 0.0))
+        loose = self._hidden
+        # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
+        others = np.abs(inverse[:, loose] / std[loose] ** 2).sum(axis=1) * _UNKNOWN if loose.any() else np.zeros(len(x))
+        return _Base(x, found.volts.ravel(), inverse @ jacobian.T, std, others)

@@ -1,0 +1,142 @@
+"""What one frame of a live recovery says of its cells: values, uncertainties, validity, and reasons."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...arrays import BoolArray, FloatArray
+from ...errors import InputError
+
+ACCURACY = 0.02
+"""relative uncertainty of a conductance up to which a cell is valid in any case; the project's own choice"""
+OWN_SHARE = 4.0
+"""an uncertainty above :data:`ACCURACY` is accepted up to this multiple of what the cell's own reading leaves open"""
+MOST = 0.6
+"""relative uncertainty from which on a cell is not valid, however coarse its own reading is"""
+SIGMAS = 3.0
+"""standard deviations of the readings' noise that an uncertainty covers"""
+
+
+class Reason(IntEnum):
+    """Why a cell is not valid in a frame."""
+
+    VALID = 0
+    """the cell is valid"""
+    NO_CURRENT = 1
+    """its current cannot be told from none: an open cell, or one far above what the converter resolves"""
+    SATURATED = 2
+    """the output or the converter stands at a limit"""
+    UNCERTAIN = 3
+    """ADC steps and noise leave its conductance open by more than the accuracy asked for"""
+    DISTURBED = 4
+    """cells whose values are not known, at a limit or behind a fault, may shift it by more than that"""
+    HIDDEN = 5
+    """a fault that the design names hides the cell"""
+    UNSETTLED = 6
+    """the readings changed by more than one frame's budget of computation can follow; the next frames go on"""
+    UNSOLVED = 7
+    """no cell resistances give readings like these: the design is not that of the board"""
+
+
+@dataclass(frozen=True)
+class ValidityRule:
+    """Up to which uncertainty a cell is valid.
+
+    With a ``limit`` a cell is valid if its uncertainty is at most that. Without one the rule follows the converter: the
+    uncertainty may be :data:`ACCURACY`, or :data:`OWN_SHARE` times what the cell's own reading leaves open (half an ADC
+    step and noise) if that is more, but stays below :data:`MOST`.
+    """
+
+    limit: float | None = None
+
+    def __post_init__(self) -> None:
+        """Raises InputError where the limit is no share of a conductance."""
+        if self.limit is not None and not 0 < self.limit < 1:
+            raise InputError(
+                f"accuracy is {self.limit:g}; expected a relative uncertainty above 0 and below 1, or None"
+            )
+
+    def accepts(self, uncertainty: FloatArray, own: FloatArray) -> BoolArray:
+        """Where a relative uncertainty is small enough; ``own`` is the part that the cell's own reading leaves."""
+        if self.limit is not None:
+            return uncertainty <= self.limit
+        accepted: BoolArray = uncertainty <= np.maximum(OWN_SHARE * own, ACCURACY)
+        accepted &= uncertainty < MOST
+        return accepted
+
+    def least_reading(self, own: FloatArray, others: FloatArray) -> FloatArray | None:
+        """The reading from which on a cell is valid, if its uncertainty is ``own / reading + others``.
+
+        Arguments and result broadcast; inf where no reading is large enough. None where the valid readings are no
+        single range, because cells with a middling reading are not valid and fainter ones are.
+        """
+        with np.errstate(divide="ignore"):
+            if self.limit is not None:
+                return np.where(others < self.limit, own / np.maximum(self.limit - others, 0.0), np.inf)
+            faintest = np.where(others < MOST, own / np.maximum(MOST * (1 - 1e-9) - others, 0.0), np.inf)
+            up_to = (OWN_SHARE - 1.0) * own / np.maximum(others, 1e-12)
+            again_from = np.where(others < ACCURACY, own / np.maximum(ACCURACY - others, 0.0), np.inf)
+        return faintest if (again_from <= up_to).all() else None
+
+
+class LiveReading:
+    """Cells of one frame. Arrays are (rows, columns)."""
+
+    def __init__(
+        self,
+        resistance: FloatArray,
+        valid: BoolArray,
+        reason: NDArray[np.int8],
+        uncertainties: Callable[[], tuple[FloatArray, FloatArray]],
+    ) -> None:
+        """Keep values, and how to compute :attr:`uncertainty` and :attr:`own` should somebody ask for them."""
+        self.resistance = resistance
+        """ohm; inf for open cells, NaN where nothing is known"""
+        self.valid = valid
+        """where ``resistance`` is known as well as the :class:`ValidityRule` asks for"""
+        self.reason = reason
+        """a :class:`Reason` each"""
+        self._uncertainties = uncertainties
+
+    @cached_property
+    def _computed(self) -> tuple[FloatArray, FloatArray]:
+        return self._uncertainties()
+
+    @property
+    def uncertainty(self) -> FloatArray:
+        """Relative half-width of the interval that the conductance lies in; inf where nothing is known.
+
+        Half an ADC step and :data:`SIGMAS` standard deviations of the noise of every reading, what the computation
+        leaves open, and what cells that are not known can make of this one.
+        """
+        return self._computed[0]
+
+    @property
+    def own(self) -> FloatArray:
+        """The part of :attr:`uncertainty` that comes from the cell's own reading: no other reading lessens it."""
+        return self._computed[1]
+
+
+class LiveRecovery(Protocol):
+    """Frame after frame of one board."""
+
+    def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
+        """The cells behind one frame of readings.
+
+        Args:
+            volts: (rows, columns) V, the middle of each code.
+            limited: (rows, columns) where a reading is at a limit; None: nowhere.
+            noise: V, standard deviation of the readings' noise before the converter.
+
+        Raises:
+            SolverError: no cells give these readings.
+
+        """
+        ...

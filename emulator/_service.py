@@ -1,0 +1,169 @@
+"""What the loops around a board share: the request to stop, what a run came to, its thread, and how they wait.
+
+:mod:`._run` serves the model of a board, :mod:`.firmware._loop` the program of a real one.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import selectors
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from ._ports import Port
+
+ClockName = Literal["real", "fast"]
+
+HOST_POLL_S = 0.01
+"""how often to look whether a host has come: opening a pty wakes nobody"""
+LISTENER_S = 1.0
+"""fast clock: how long a host may say nothing before it is taken for a mere listener"""
+MOST_BEHIND_S = 0.5
+"""real clock: how late a board may be before its time is let go"""
+MOST_FOR_SELECT = 1024
+"""file descriptors that ``select()`` can wait for (FD_SETSIZE)"""
+DRAIN_S = 5.0
+"""at the end: how long to wait for a host that has stopped reading"""
+
+
+class Stop:
+    """A request to end the run, from a signal or another thread; the loop waits for it along with the port."""
+
+    def __init__(self) -> None:
+        self.signal: int | None = None
+        """the signal that asked, if one did"""
+        self._asked = threading.Event()
+        self._read, self._write = os.pipe()
+        os.set_blocking(self._write, False)
+
+    def set(self, number: int | None = None) -> None:
+        """End the run between two ticks."""
+        self.signal = self.signal or number
+        if not self._asked.is_set():
+            self._asked.set()
+            os.write(self._write, b"!")
+
+    def is_set(self) -> bool:
+        return self._asked.is_set()
+
+    def fileno(self) -> int:
+        return self._read
+
+    def close(self) -> None:
+        os.close(self._read)
+        os.close(self._write)
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[Stop]:
+    """A :class:`Stop` that SIGINT, SIGTERM and SIGHUP set, instead of what they did before. In the main thread only."""
+    stop = Stop()
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.signal(number, lambda number, _: stop.set(number)) for number in numbers}
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        stop.close()
+
+
+@dataclass
+class Outcome:
+    """What a run came to."""
+
+    seconds: float = 0.0
+    """board time"""
+    dropped: int = 0
+    """frames for which the transmit buffer had no room: the host, or the line, was too slow"""
+    lost_bytes: int = 0
+    """bytes that a UART sent and that the host had no room for"""
+    behind_s: float = 0.0
+    """real clock: by how much board time fell behind because this machine was too slow"""
+
+    def notes(self) -> list[str]:
+        """What whoever started the run should know, a line each."""
+        notes = []
+        if self.dropped:
+            notes.append(f"{self.dropped} frames were dropped: the host or the line was too slow")
+        if self.lost_bytes:
+            notes.append(f"{self.lost_bytes} bytes were lost: the host read too slowly")
+        if self.behind_s:
+            notes.append(f"board time fell {self.behind_s:.1f} s behind: this machine is too slow for the scene")
+        return notes
+
+
+class HasFileno(Protocol):
+    """What a selector can wait for."""
+
+    def fileno(self) -> int: ...
+
+
+def wait_for(readable: list[HasFileno], writable: list[HasFileno], timeout_s: float) -> None:
+    """Wait until one of these is ready, or the time is over.
+
+    ``select()`` waits to the microsecond, but knows no descriptor beyond 1023. ``epoll()`` knows all, but rounds the
+    time up to whole milliseconds, which would make frames of a 1 kHz board late by half their period.
+    """
+    if max(end.fileno() for end in readable) < MOST_FOR_SELECT:
+        select.select(readable, writable, [], timeout_s)
+        return
+    with selectors.DefaultSelector() as selector:
+        for end in readable:
+            both = selectors.EVENT_WRITE if end in writable else 0
+            selector.register(end, selectors.EVENT_READ | both)
+        selector.select(timeout_s)
+
+
+@contextmanager
+def in_thread(serve: Callable[[Stop], object], port: Port) -> Iterator[None]:
+    """Let ``serve`` run in a thread while the block lasts.
+
+    The port is closed when ``serve`` returns. What it raises is raised at the end of the block.
+    """
+    stop = Stop()
+    failures: list[Exception] = []
+
+    def live() -> None:
+        try:
+            with port:
+                serve(stop)
+        except Exception as error:
+            failures.append(error)
+
+    thread = threading.Thread(target=live, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()
+        stop.close()
+    if failures:
+        raise failures[0]
+
+
+def patience(unread: Callable[[], tuple[int, int]]) -> Iterator[None]:
+    """Steps to wait for a host that reads to the end: until nothing is left, or until it has long stopped reading.
+
+    Args:
+        unread: bytes that wait before the port and behind it.
+
+    """
+    left, ends_at, quiet = None, 0.0, 0
+    while quiet < 3:
+        yield
+        before, left = left, unread()
+        now = time.monotonic()
+        if left != before:
+            ends_at = now + DRAIN_S
+        elif now > ends_at:
+            return
+        # The kernel moves bytes on in steps: empty for a moment is not empty yet.
+        quiet = quiet + 1 if left == (0, 0) else 0

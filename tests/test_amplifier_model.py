@@ -1,0 +1,267 @@
+"""A maker's macro-model in the netlist: against an independent nodal analysis, and files that must be refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from needs import need
+from scipy.optimize import brentq
+from verified import AMPLIFIED, complete
+
+from ohmskin.circuits import AmplifierModel, Design, Requirement, scan, spice, stability
+from ohmskin.cli import run
+from ohmskin.errors import InputError, SolverError
+from ohmskin.verification import Report, verify
+from ohmskin.verification._outcome import Result
+
+GAIN, GBW, SECOND_POLE = 2e5, 1e6, 1.5e6
+INPUT_OHM, INPUT_FARAD, OUTPUT_OHM = 10e6, 8e-12, 300.0
+MODEL = f"""* an amplifier of two poles with real input and output impedances; caf\xe9 \xb5
+.SUBCKT TWOPOLE INP INN VCC VEE OUT PARAMS: A0={GAIN!r}
++ GBW={GBW!r} ; a comment
+Rin INP INN {INPUT_OHM!r}
+Cin INN 0 {INPUT_FARAD!r}
+G1 0 P INP INN {{A0}}
+R1 P 0 1
+C1 P 0 {{A0/(6.283185307179586*GBW)}}
+X1 P B FOLLOWER
+RO B OUT {OUTPUT_OHM!r}
+Rquiet VCC VEE 1Meg
+.ENDS TWOPOLE
+.SUBCKT FOLLOWER IN OUT
+G2 0 Q IN 0 1
+R2 Q 0 1
+C2 Q 0 {1 / (2 * np.pi * SECOND_POLE)!r}
+E1 OUT 0 Q 0 1
+.ENDS
+.END
+"""
+CELLS = np.array([[17e3, 10e3, 12e3], [9e3, 17e3, 10e3], [10e3, 14e3, 11e3]])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "opa.lib").write_bytes(MODEL.encode("latin-1"))
+    return tmp_path
+
+
+def _design(folder: Path, model: str = 'file = "opa.lib", subcircuit = "twopole"', **readout: object) -> Design:
+    text = complete(AMPLIFIED.replace("supply = [0.0, 3.3]", f"supply = [-5.0, 5.0]\namplifier_model = {{ {model} }}"))
+    (folder / "design.toml").write_text(text)
+    design = Design.load(folder / "design.toml")
+    return design.replace(readout={"offset_voltage": 0.0, "feedback_capacitance": 2e-12} | readout)
+
+
+def _return_ratio(design: Design, cells: np.ndarray, column: int, hertz: float) -> complex:
+    """The loop gain of one amplifier by nodal analysis: its controlled source replaced by 1 V, the others alive.
+
+    Unknowns: the crosspoints of rows (ideal columns have none of their own), and input and output of each amplifier.
+    """
+    s = 2j * np.pi * hertz
+    rows, columns = cells.shape
+    readout = design.readout
+    reference, lead = float(np.max(readout.reference_resistance)), float(np.max(design.array.row_lead))
+    gain = 1 / (1 / GAIN + s / (2 * np.pi * GBW)) / (1 + s / (2 * np.pi * SECOND_POLE))
+    size = rows + 2 * columns
+    matrix, source = np.zeros((size, size), dtype=complex), np.zeros(size, dtype=complex)
+
+    def join(a: int, b: int | None, siemens: complex) -> None:
+        matrix[a, a] += siemens
+        if b is not None:
+            matrix[b, b] += siemens
+            matrix[a, b] -= siemens
+            matrix[b, a] -= siemens
+
+    for i in range(rows):
+        join(i, None, 1 / lead)
+    for i, j in np.ndindex(cells.shape):
+        join(i, rows + j, 1 / cells[i, j])
+    for j in range(columns):
+        minus, out = rows + j, rows + columns + j
+        join(minus, out, 1 / reference + s * readout.feedback_capacitance)
+        join(minus, None, s * (readout.column_capacitance + INPUT_FARAD) + 1 / INPUT_OHM)
+        join(out, None, 1 / OUTPUT_OHM)
+        if j == column:
+            source[out] += 1 / OUTPUT_OHM
+        else:
+            matrix[out, minus] += gain / OUTPUT_OHM
+    answer = np.linalg.solve(matrix, source)
+    return complex(gain * answer[rows + column])
+
+
+@pytest.mark.parametrize("column", [0, 2])
+@pytest.mark.parametrize("column_capacitance", [100e-12, 1e-9])
+def test_the_phase_margin_is_that_of_an_independent_analysis(
+    folder: Path, column: int, column_capacitance: float
+) -> None:
+    need(spice.command_available())
+    design = _design(folder, column_capacitance=column_capacitance)
+    crossover = brentq(lambda hz: abs(_return_ratio(design, CELLS, column, hz)) - 1, 1e3, 1e7)
+    margin = 180 + np.degrees(np.angle(_return_ratio(design, CELLS, column, crossover)))
+    found = spice.dynamic_reading(design, CELLS, 1, column=column)
+    assert found.crossover == pytest.approx(crossover, rel=2e-3)
+    assert found.phase_margin == pytest.approx(margin, abs=0.2)
+    # The second pole takes what the one-pole analysis promises.
+    assert found.phase_margin < stability(design, CELLS).phase_margin[1, column] - 2
+    # The model has the same gain at DC, so it settles to the same readings.
+    signal = scan(design, CELLS).volts[1]
+    np.testing.assert_allclose(found.settled, signal, atol=1e-3 * np.abs(signal).max())
+
+
+def test_pins_go_where_the_design_says(folder: Path) -> None:
+    need(spice.command_available())
+    other = MODEL.replace("INP INN VCC VEE OUT PARAMS:", "OUT VEE NC INN INP VCC GND PARAMS:").replace("\xe9", "e")
+    (folder / "opa.lib").write_text(other.replace("\xb5", "u"))
+    pins = '["out", "v-", "open", "in-", "in+", "v+", "ground"]'
+    design = _design(folder, f'file = "opa.lib", subcircuit = "TWOPOLE", pins = {pins}')
+    found = spice.dynamic_reading(design, CELLS, 0)
+    np.testing.assert_allclose(found.settled, scan(design, CELLS).volts[0], rtol=1e-3)
+    text = spice.dynamic_netlist(design, CELLS, 0)
+    assert "Xamplifier1 out1 rail_low open1_2 minus1 ref rail_high 0 TWOPOLE" in text
+    assert "Vhigh rail_high 0 DC 5.0" in text
+
+
+def test_a_model_in_the_dialect_of_pspice_runs(folder: Path) -> None:
+    need(spice.command_available())
+    limited = "G1 0 P VALUE={LIMIT(IF(V(INP,INN)>0, A0*V(INP,INN), A0*V(INP,INN)), -1e6, 1e6)}"
+    text = MODEL.replace("G1 0 P INP INN {A0}", limited)
+    (folder / "opa.lib").write_bytes(text.encode("latin-1"))
+    found = spice.dynamic_reading(_design(folder), CELLS, 0)
+    (folder / "opa.lib").write_bytes(MODEL.encode("latin-1"))
+    plain = spice.dynamic_reading(_design(folder), CELLS, 0)
+    assert found.phase_margin == pytest.approx(plain.phase_margin, abs=0.05)
+
+
+HOSTILE = [
+    (".control\nshell touch hacked\n.endc", "line 2: '.control' is not part of a model"),
+    (".CONTROL\nshell touch hacked\n.ENDC", "line 2: '.CONTROL' is not part of a model"),
+    ("  \t.control", "is not part of a model"),
+    ("*# shell touch hacked", "is a command to ngspice"),
+    ("  *#shell touch hacked", "is a command to ngspice"),
+    (".include /etc/passwd", "line 2: '.include /etc/passwd' is not part of a model"),
+    (".lib 'other.lib' TT", "is not part of a model"),
+    (".csparam x=1", "is not part of a model"),
+    (".tran 1n 1", "is not part of a model"),
+    (".print tran v(1)", "is not part of a model"),
+    ("Vsteal drive 0 5", "stands outside a .SUBCKT"),
+    (".subckt S 1 2\nA1 [1] [2] reader\n.ends", "is no device of a model"),
+    (".model reader filesource(file=/etc/passwd)", "unknown type of model"),
+    (".subckt S 1 2\nV1 1 2 PWL FILE=/etc/passwd\n.ends", "would read a file"),
+    (".param x={`touch hacked`}", "expected plain ASCII"),
+    (".param \u03bc=1", "expected plain ASCII"),
+    (".subckt S 1 2\nX1 1 2 S\n.ends", None),
+    (".subckt S 1 2", "has no .ENDS"),
+    (".ends", ".ENDS without .SUBCKT"),
+    ("$CDNENCSTART_ADV2", "the model is encrypted"),
+]
+
+
+@pytest.mark.parametrize(("line", "message"), HOSTILE)
+def test_what_is_no_circuit_is_refused(line: str, message: str | None, folder: Path) -> None:
+    (folder / "opa.lib").write_text(f"* model\n{line}\n" + MODEL.replace("\xe9", "").replace("\xb5", ""))
+    if message is None:  # a subcircuit that the design does not use
+        assert _design(folder).readout.amplifier_model
+        return
+    with pytest.raises(InputError) as caught:
+        _design(folder)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        ('file = "nowhere.lib", subcircuit = "TWOPOLE"', "nowhere.lib: cannot be read"),
+        ('file = "opa.lib", subcircuit = "OPA"', "no .SUBCKT OPA; the file has follower, twopole"),
+        ('file = "opa.lib", subcircuit = "FOLLOWER"', "FOLLOWER has 2 pins (in out), but"),
+        ('file = "opa.lib", subcircuit = "TWOPOLE", pins = ["in+", "out", "v+", "v-", "ground"]', "name 'in-' once"),
+        ('file = "opa.lib", subcircuit = "TWOPOLE", pins = ["plus", "out"]', "readout.amplifier_model.pins"),
+        ('file = "opa.lib", subcircuit = "T\\n.control"', "readout.amplifier_model.subcircuit"),
+        ('file = "opa.lib"', "missing key 'readout.amplifier_model.subcircuit'"),
+        ('file = "opa.lib", subcircuit = "TWOPOLE", rails = [5.0, 0.0]', "rails must be"),
+    ],
+)
+def test_a_model_that_does_not_fit_is_one_line(
+    model: str, message: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(InputError) as caught:
+        _design(folder, model)
+    assert message in str(caught.value)
+    assert run(["verify", str(folder / "design.toml"), "-o", str(folder / "out")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_a_model_that_contains_itself_is_refused(folder: Path) -> None:
+    (folder / "opa.lib").write_text(".SUBCKT A 1 2 3 4 5\nX1 1 2 B\n.ENDS\n.SUBCKT B 1 2\nX1 1 2 3 4 5 A\n.ENDS\n")
+    with pytest.raises(InputError, match="contains itself"):
+        _design(folder, 'file = "opa.lib", subcircuit = "A"')
+
+
+def test_supply_pins_need_a_supply(folder: Path) -> None:
+    design = _design(folder).replace(readout={"supply": (float("-inf"), float("inf"))})
+    with pytest.raises(InputError, match="rails: not given"):
+        spice.dynamic_netlist(design, CELLS, 0)
+    rails = AmplifierModel(file="opa.lib", subcircuit="TWOPOLE", rails=(-2.5, 2.5)).read(folder)
+    text = spice.dynamic_netlist(design.replace(readout={"amplifier_model": rails}), CELLS, 0)
+    assert "Vlow rail_low 0 DC -2.5" in text
+
+
+def test_a_model_that_ngspice_does_not_take_is_named(folder: Path) -> None:
+    need(spice.command_available())
+    (folder / "opa.lib").write_text(".SUBCKT TWOPOLE 1 2 3 4 5\nX1 1 2 NOWHERE\n.ENDS\n")
+    with pytest.raises(SolverError, match="ngspice"):
+        spice.dynamic_reading(_design(folder), CELLS, 0)
+
+
+def _found(report: Report) -> dict[str, Result]:
+    return {result.requirement.id: result for result in report.results}
+
+
+def test_requirements_are_judged_by_the_model(folder: Path) -> None:
+    need(spice.command_available())
+    design = _design(folder)
+    found = _found(verify(design, only=["D8", "D10", "D19", "D20", "D21"]))
+    assert {str(result.outcome) for result in found.values()} == {"pass"}
+    assert found["D20"].method == "spice"
+    one_pole, model = (found[id].measurement for id in ("D10", "D20"))
+    assert one_pole is not None
+    assert model is not None
+    assert model.value < one_pole.value - 2
+    assert "macro-model twopole of opa.lib" in model.confidence
+    agreement = found["D19"].measurement
+    assert agreement is not None
+    beside = {row[0]: row[1:] for row in agreement.tables[1].rows}
+    assert {"settled reading", "phase margin", "noise before the converter"} < set(beside)
+
+
+def test_a_board_that_the_model_finds_unstable_fails(folder: Path) -> None:
+    """The one-pole analysis cannot know: a second pole below the crossover, and a resistor behind the output."""
+    need(spice.command_available())
+    slow = MODEL.replace(f"{1 / (2 * np.pi * SECOND_POLE)!r}", f"{1 / (2 * np.pi * 2e4)!r}")
+    (folder / "opa.lib").write_bytes(slow.encode("latin-1"))
+    found = _found(verify(_design(folder), only=["D10", "D19", "D20"]))
+    assert {id: str(result.outcome) for id, result in found.items()} == {"D10": "pass", "D19": "pass", "D20": "fail"}
+    agreement = found["D19"].measurement
+    assert agreement is not None
+    assert "phase margin" in [row[0] for row in agreement.tables[1].rows]
+
+
+def test_spice_has_nothing_to_say_of_a_divider(folder: Path) -> None:
+    asked = [Requirement(id="R1", quantity="phase_margin", min=45.0, method="spice")]
+    (result,) = verify(_design(folder).with_circuit("voltage-divider"), requirements=asked).results
+    assert str(result.outcome) == "does not apply"
+    (result,) = verify(_design(folder).with_circuit("voltage-feedback"), requirements=asked).results
+    assert str(result.outcome) == "not run"
+    assert "dynamics are modelled for amplifiers" in result.reason
+
+
+def test_the_report_depends_on_the_model(folder: Path) -> None:
+    first = verify(_design(folder), only=["D11"])
+    (folder / "opa.lib").write_bytes(MODEL.replace("10000000.0", "20000000.0").encode("latin-1"))
+    second = verify(_design(folder), only=["D11"])
+    assert first.design_sha256 != second.design_sha256
+    assert first.fingerprint != second.fingerprint
+    assert [s.value for s in first.settings() if s.key == "amplifier_model"] == ["twopole of opa.lib"]
+    assert "amplifier_model" not in first.design.model_dump()["readout"]  # boards do not send it
