@@ -12,6 +12,7 @@ from ._calibration import Calibration, section_hash
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
+from ._messages import MESSAGE_SCHEMAS, messages_of
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader, Reading
 from ._recorder import Recorder, Recording
@@ -24,6 +25,7 @@ __all__ = [
     "BAUDRATE",
     "FRAME_GRIDS",
     "FRAME_NUMBERS",
+    "MESSAGE_SCHEMAS",
     "Arrival",
     "BytePort",
     "Calibration",
@@ -43,6 +45,7 @@ __all__ = [
     "SocketPort",
     "Tare",
     "discover",
+    "messages_of",
     "open_port",
     "section_hash",
     "stack",
