@@ -47,10 +47,13 @@ WATCH_S = 0.5
 """time over which the mean of a sleeping cell is taken"""
 MEANS = 8
 """times in that time that the mean is renewed"""
+NO_LOAD_SIGMAS, TINY = 2.0, 1e-30
+"""standard deviations of the noise at which a load and none are as likely; keeps 0/0 from occurring"""
 SETTLE_EVERY = 32
 """frames between two looks for cells that may go to sleep"""
-UNSEEN = 0.8
-"""of the noise of a single reading: what a change could be that the smoothing has not noticed yet"""
+UNSEEN, SUMMED = 0.6, 1.0
+"""of the noise of a single reading, and of the sum of small departures: what a change could be that the smoothing has
+not noticed yet"""
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation, of a cell whose model nobody compared with a recording"""
 FIRST_READINGS = 4
@@ -331,17 +334,45 @@ class Estimator(ABC):
         if smooth.begun is not None:
             self._remember(smooth.begun)
         memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std)
-        # A reading off the line may be noise, or the beginning of a change that the line has not taken up.
-        doubt = np.subtract(reading, smooth.level, out=block.spare)
-        np.abs(doubt, out=doubt)
-        noise *= UNSEEN
-        np.maximum(doubt, noise, out=doubt)
-        np.maximum(doubt, smooth.std, out=doubt)
+        doubt = self._doubt(noise, smooth)
         variance = self._own_variance(memory, doubt)
         if self._sparks.cells.size:
             self._doubt_jumps(memory, variance)
-        self._pressure[cells] = memory[PRESSURE]
+        pressure = memory[PRESSURE]
+        noise_kpa = np.multiply(smooth.std, memory[GAIN], out=block.spare)
+        if np.maximum.reduce(noise_kpa) > AT_REST * self.full_scale_kpa:
+            pressure = self._likely(pressure, noise_kpa, variance)
+        self._pressure[cells] = pressure
         self._variance[cells] = variance
+
+    def _likely(self, pressure: FloatArray, noise_kpa: FloatArray, variance: FloatArray) -> FloatArray:
+        """(m,) pressures with those that noise alone could give shown nearer to none; adds the change to ``variance``.
+
+        Most cells carry no load: of a pressure below two standard deviations of the noise, no load is the likelier
+        cause. What is remembered stays as it is.
+        """
+        squared = pressure * pressure
+        squared *= squared
+        likely: FloatArray = pressure * (squared / (squared + (NO_LOAD_SIGMAS * noise_kpa) ** 4 + TINY))
+        variance += (pressure - likely) ** 2
+        return likely
+
+    def _doubt(self, noise: FloatArray, smooth: smoothing.Smoothed) -> FloatArray:
+        """(m,) standard deviation of the smoothed readings; changes ``noise``.
+
+        A reading off the line, or several that are a little off to the same side, may be noise, or the beginning of a
+        change that the line has not taken up.
+        """
+        block = self._block
+        doubt = np.maximum(block.scratch.up, block.scratch.down, out=block.spare)
+        doubt *= SUMMED
+        np.maximum(doubt, UNSEEN, out=doubt)
+        doubt *= noise
+        off = np.subtract(block.reading, smooth.level, out=noise)
+        np.abs(off, out=off)
+        np.maximum(doubt, off, out=doubt)
+        found: FloatArray = np.maximum(doubt, smooth.std, out=doubt)
+        return found
 
     def _own_variance(self, memory: FloatArray, std: FloatArray) -> FloatArray:
         """(m,) variance in kPa^2 of cells whose readings are known to ``std`` (m,); gaps are not counted."""

@@ -34,6 +34,8 @@ SURE = 3.0
 """standard deviations of the smoothed noise by which it must have, too, and by which an extreme counts for less"""
 CONFIRMED = 3.0
 """times that much beyond the extreme that was left, until which the turn may yet be found to have been noise"""
+PULL_SIGMAS = 1.0
+"""standard deviations of the smoothed noise below none, from which a pressure is an error of the memory"""
 FLAT = 0.003
 """of full scale by which a pressure that is held may seem to go back"""
 AGAIN = 0.5
@@ -354,7 +356,7 @@ class TurningEstimator(Estimator):
     def _correct(self, of: _Rows, std: FloatArray, weights: TurnWeights) -> None:
         """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure."""
         m = self.model
-        allowed = -weights.by_model[0, RECOVERY] * std - NEAR * self.full_scale_kpa
+        allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * std - NEAR * self.full_scale_kpa
         pulled = np.flatnonzero(of.pressure < allowed)
         if not pulled.size:
             return

@@ -20,8 +20,11 @@ from ..arrays import BoolArray, FloatArray
 
 ALLOWED = 0.75
 """standard deviations that a reading may be off without adding to the sum"""
-SUM = 4.0
-"""standard deviations of the sum that begin a new line; a single reading that is 4.75 off does it at once"""
+SUM = 5.0
+"""standard deviations of the sum that begin a new line; a single reading that is 5.75 off does it at once"""
+FAR, NEAR = 3.5, 0.5
+"""standard deviations from which a reading begins a line by itself; the weight of a nearer one. After a run of small
+departures the last reading is a departure, too, by selection: it must not stand alone"""
 STEEPEST = 15.0
 """standard deviations of a reading by which readings usually change within the window"""
 SHORTEST_S, LONGEST_S = 0.03, 3.0
@@ -52,7 +55,7 @@ class Scratch:
         self.since = line[SLOPE:]
         self.expected, self.off, self.z, self.std = np.empty((4, cells))
         self.above = np.empty((2, cells), dtype=np.bool_)
-        self.begun = np.empty(cells, dtype=np.bool_)
+        self.begun, self.near = np.empty((2, cells), dtype=np.bool_)
         self.gains = np.empty((3, cells))
         self.steps = self.gains[:2]
         self.level_step, self.slope_step, self.share = self.gains
@@ -143,10 +146,21 @@ def advance(
     begun = None
     if np.count_nonzero(np.greater(sums, SUM, out=m.above)):
         begun = np.logical_or(m.above[0], m.above[1], out=m.begun)
-        np.copyto(m.since, 0.0, where=begun)
-        np.copyto(level, r, where=begun)
-        np.copyto(m.share, 1.0, where=begun)
+        _begin_again(m, begun, r)
     return Smoothed(level, np.multiply(m.share, noise, out=m.std), begun)
+
+
+def _begin_again(m: Scratch, begun: BoolArray, r: FloatArray) -> None:
+    """New lines where ``begun``: a far reading begins one by itself, a near one together with the line so far."""
+    near = np.less(np.abs(m.z, out=m.z), FAR, out=m.near)
+    near &= begun
+    np.copyto(m.since, 0.0, where=begun)
+    np.copyto(m.level, r, where=begun)
+    np.copyto(m.share, 1.0, where=begun)
+    m.off *= 1.0 - NEAR
+    np.subtract(r, m.off, out=m.expected)
+    np.copyto(m.level, m.expected, where=near)
+    np.copyto(m.count, 1.0, where=near)
 
 
 @lru_cache(maxsize=1024)

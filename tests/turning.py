@@ -62,7 +62,7 @@ class OneCell:
             paper.SURE * unsure + paper.TURN * self.full
         ):
             self.left = None
-        allowed = -gains[False] * std - paper.NEAR * self.full
+        allowed = -paper.PULL_SIGMAS * gains[False] * std - paper.NEAR * self.full
         if not self.exact and now.pressure < allowed:
             begun = self._begun(allowed, r, now.x3)
             if self.rising:
