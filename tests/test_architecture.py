@@ -22,6 +22,7 @@ MAY_IMPORT = {
     "calibration": SHARED | {"circuits", "cell", "driver"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
     "hil": SHARED | {"driver", "emulator"},
+    "view": SHARED | {"driver"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
 }
 

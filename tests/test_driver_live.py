@@ -28,7 +28,7 @@ from ohmskin.config import parse
 from ohmskin.driver import Arrival, BytePort, Delivery, Frame, Skin, discover
 from ohmskin.driver._convert import Measurement
 from ohmskin.driver._mailbox import Mailbox
-from ohmskin.driver._port import DescriptorPort
+from ohmskin.driver._port import DescriptorPort, UrlPort
 from ohmskin.driver._reader import Reader
 from ohmskin.driver._reading import Reading
 from ohmskin.driver._stream import RawFrame
@@ -943,3 +943,24 @@ def until(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.002)
+
+
+def test_two_threads_read_a_port_of_pyserials_in_order() -> None:
+    """One thread waits for the first byte; another, which reads meanwhile, must not get the bytes after it."""
+
+    class Device:
+        timeout: float | None = None
+        left = b"abc"
+        during_wait = b""
+
+        def read(self, size: int) -> bytes:
+            taken, self.left = self.left[:size], self.left[size:]
+            if size == 1:
+                self.during_wait = port.read().data
+            return taken
+
+    device = Device()
+    port = UrlPort("test://", device)  # type: ignore[arg-type]
+    assert port.wait(0.1)
+    assert device.during_wait + port.read().data == b"abc"
+    assert port.read().data == b""

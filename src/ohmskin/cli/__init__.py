@@ -42,6 +42,7 @@ COMMANDS = {
     "emulate": "Run a virtual scan board on a pty or TCP port.",
     "record": "Record a skin: every byte, and frames for viewers.",
     "replay": "Play a recording on a port that any program can open.",
+    "view": "Show a skin in the browser, live or from a recording.",
     "export": "Convert a recording to arrays or tables.",
     "calibrate": "Calibrate the cells of a skin by presses with known loads.",
     "score": "Compare a client's recording with the emulator's truth.",

@@ -12,6 +12,7 @@ from .. import bench, tables
 from ..bench import _driver as of_drivers
 from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
+from ..bench import _freshness as of_skins
 from ..bench import _hard_cases as of_taps
 from ..bench import _honesty as of_deviations
 from . import arguments
@@ -80,8 +81,7 @@ def command(
         click.echo(json.dumps([asdict(row) for row in boards], indent=1) if as_json else of_boards.table(boards))
         return
     if of_driver:
-        paths = list(of_drivers.driver(sizes))
-        click.echo(json.dumps([asdict(row) for row in paths], indent=1) if as_json else of_drivers.table(paths))
+        _live_path(sizes, as_json, picture)
         return
     arrays = [(size, segment) for size in sizes for segment in segments]
     rows = []
@@ -92,3 +92,21 @@ def command(
     if picture is not None:
         tables.write_text(picture, bench.picture(rows))
     click.echo(json.dumps([asdict(row) for row in rows], indent=1) if as_json else bench.table(rows), nl=as_json)
+
+
+def _live_path(sizes: tuple[int, ...], as_json: bool, picture: Path | None) -> None:
+    """Boards, estimators and a whole skin; the JSON is one list of all rows."""
+    boards = list(of_drivers.driver(sizes))
+    if not as_json:
+        click.echo(of_drivers.table(boards) + "\n")
+    judged = list(of_drivers.live_estimators(sizes))
+    if picture is not None:
+        tables.write_text(picture, of_drivers.live_picture(judged))
+    if not as_json:
+        click.echo(of_drivers.estimator_table(judged) + "\n")
+    skins = list(of_skins.freshness(sizes))
+    if as_json:
+        rows = [asdict(row) for row in (*boards, *judged)] + [asdict(row) for row in skins]
+        click.echo(json.dumps(rows, indent=1))
+    else:
+        click.echo(of_skins.freshness_table(skins))
