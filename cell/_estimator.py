@@ -399,14 +399,15 @@ class Estimator(ABC):
         if asleep.size:
             self._wake_at[asleep] = self._waking()[asleep]
             at_rest = UNSEEN * self._noise.std(self._mean[asleep], asleep)
-            self._variance[asleep] = self._own_variance(self._memory[:, asleep], at_rest)
+            memory = self._memory[:, asleep]
+            self._variance[asleep] = self._own_variance(memory, at_rest) + memory[PRESSURE] ** 2
 
     def _put_to_sleep(self, cells: IntArray) -> None:
         if not cells.size:
             return
         self._flush()
         self._memory[:, cells] = self._begin(np.zeros(cells.size))
-        self._pressure[cells] = self._memory[PRESSURE, cells]
+        self._pressure[cells] = 0.0  # a calibration curve may miss that by some percent
         self._sparks = self._sparks.where(~np.isin(self._sparks.cells, cells))
         self._awake[cells] = False
         self._all_awake = False
