@@ -114,3 +114,14 @@ def test_taps_in_quick_succession_do_not_run_away() -> None:
         error = np.abs(pressure - EXAMPLE.full_scale_kpa * share)[50:]
         assert np.sqrt(np.mean(error**2)) < 0.05 * EXAMPLE.full_scale_kpa
         assert np.mean(error < 2 * std[50:]) > 0.95
+
+
+def test_a_cell_at_rest_shows_no_load_whatever_its_curve_says() -> None:
+    """A cubic fitted to presses misses rest by 8 % of full scale: a cell that sleeps shows none."""
+    static = StaticCurve(coefficients=(0.08, 1.0), limits=Limits(lowest=0.0, highest=1.0), std_kpa=0.5)
+    calibrated = Calibrated(default="static", reason="", held_out_percent={"static": 5.0}, static=static)
+    cell = EXAMPLE.replace(estimators=calibrated)
+    read = honesty.readings(EXAMPLE, np.zeros((200, 8)), 0.01, 1.0, np.random.default_rng(0))
+    pressure, std = honesty.estimated(cell, read, np.ones(200, dtype=bool), 0.01)
+    assert not pressure[-1].any()
+    assert (std[-1] > 0.08 * EXAMPLE.full_scale_kpa).all()
