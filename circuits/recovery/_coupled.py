@@ -12,11 +12,14 @@ from scipy.linalg.lapack import dpotrf, dpotri
 from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._adc import adc_error
-from .._board import Board, broken_off
+from .._board import Board, broken_off, cell_alone
 from .._exact import read_exactly
+from ..solvers import siemens
 from ._derivatives import LineResistance, derivatives
 from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
 
+_SHORT = 8.0  # half steps and noise from the reading of a short within which a cell may be one
+_SHORT_SHARE = 0.998  # of the reading of a short, likewise
 _PRIOR = 3.0  # standard deviation of the logarithm of a conductance before anything is read: a factor of 20
 _UNKNOWN = 8.0  # the same for a cell that a fault hides
 _SETTLED = 0.3  # posterior standard deviations that a further step would change a cell by
@@ -24,7 +27,7 @@ _UNSETTLED = 3.0  # half steps between readings and model beyond which a fit say
 _MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
 _FAR = 0.1  # relative change since the derivatives were made from which on they no longer serve
 _AT_ONCE = 100  # cells up to which the matrices of a renewal are factored in one instalment
-_SIGMAS = 4.0  # posterior standard deviations that an uncertainty covers
+_SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
@@ -53,7 +56,7 @@ class _Effort(NamedTuple):
     """of the renewal of the derivatives, each about as much as one to five evaluations"""
 
 
-USUAL_EFFORT = _Effort(4, 1)
+USUAL_EFFORT = _Effort(4, 2)
 FIRST_EFFORT = _Effort(40, 60)
 """in the first frame of all, before which nothing is known"""
 
@@ -83,13 +86,25 @@ class CoupledLive:
 
     def __init__(self, board: Board, rule: ValidityRule) -> None:
         """For a sliced sheet with a converter."""
-        self._board, self._rule = board, rule
+        # Readings at a limit are not fitted. A model without limits has derivatives wherever the fit passes through.
+        self._board = board = board.design.replace(readout={"supply": (-inf, inf)}).board
+        self._rule = rule
         self._half_step = adc_error(board.design)
         self._noise = self._half_step / np.sqrt(3.0)  # V, standard deviation of an error within a step
         self._shape = board.shape
         self._mixes = board.circuit.mixes_cells or board.floating
         self._hidden = (broken_off(board) | np.isinf(board.series_ohms)).ravel()
+        self._shunt = np.zeros(board.shape)  # S
+        for fault in board.shorts:
+            self._shunt[fault.place] += siemens(fault.ohms)
         self._lines = LineResistance(board)
+        leads = board.row_ohms[:, :1] + board.column_lead
+        # V of a short that is alone, inf with ideal lines and amplifiers; and the most that any cells can make of it
+        self._short_signal, self._most_signal = (
+            np.abs(board.circuit.ideal_volts(board, ohms) - board.level)
+            for ohms in (self._lines.to_ends + board.column_lead, leads + 0.0 * self._lines.to_ends)
+        )
+        self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._x: FloatArray | None = None  # where the last frame ended
@@ -111,6 +126,12 @@ class CoupledLive:
         if limited is not None or (self._mixes and self._hidden.any()):
             # A cell beyond its limit may be a short, and what that does to all others no derivative at the limit tells.
             return self._nothing(limited)
+        signal, margin = np.abs(volts - self._board.level), _SHORT * (self._half_step + SIGMAS * noise)
+        if (signal > self._most_signal + margin).any():
+            raise SolverError("readings above that of a short; check that the design is that of the board")
+        beyond = signal >= np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)
+        if beyond.any():
+            return self._nothing(beyond)
         measured = volts.ravel()
         # Noise makes readings less certain, and readings and model differ by as much more.
         coarser = float(np.hypot(1.0, noise / self._noise))
@@ -129,7 +150,7 @@ class CoupledLive:
             self._x = None  # the next frame starts anew
             if self._from_fresh_start:
                 raise SolverError("no cell resistances give these readings; check that the design is that of the board")
-        signal = np.abs(measured - self._board.level)
+        signal = signal.ravel()
         slope = self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)
         own = ((self._half_step + SIGMAS * noise) * np.abs(slope)).ravel()
         own[slope.ravel() == 0] = 1.0
@@ -228,6 +249,8 @@ class CoupledLive:
     def _start(self, volts: FloatArray) -> FloatArray:
         apparent = self._board.circuit.apparent_conductance(self._board, volts - self._board.level)
         typical = float(np.median(apparent[apparent > 0])) if (apparent > 0).any() else 1e-5
+        most = 1e3 * float(apparent.max(initial=0.0)) or 1.0
+        apparent = np.minimum(cell_alone(self._board, apparent, self._shunt), most)
         start: FloatArray = np.log(np.where(apparent > 1e-3 * typical, apparent, 0.1 * typical)).ravel()
         return start
 

@@ -43,6 +43,8 @@ class LineResistance:
         self.column = np.minimum(to_end.T[:, :, None], to_end.T[:, None, :])
         """(M, N, N) ohm"""
         self._to_driver, self._to_end = to_driver, to_end
+        self.to_ends = to_driver + to_end
+        """(N, M) ohm of wire in series with each cell, up to the grid's ports"""
 
     def loss(self, conductance: FloatArray) -> float:
         """Largest share of a voltage that is lost along a line with cells (N, M) in S, to first order."""
