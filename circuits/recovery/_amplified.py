@@ -521,7 +521,8 @@ class AmplifiedLive:
             np.fill_diagonal(lifts, 0.0)
             np.fill_diagonal(takes, 0.0)
             # A lifted row feeds the columns of its cells, and above all the column that a short of its own joins it to.
-            added = (lifts + takes) @ np.where(more, np.minimum(short, _BOUNDLESS), conductance)
+            added = lifts @ np.where(more, 0.0, conductance)
+            added += takes @ np.where(more, np.minimum(short, _BOUNDLESS), conductance)
             offset = np.abs(self._source / self._board.drive)
             with np.errstate(invalid="ignore"):
                 added += np.nan_to_num(offset * short.sum(axis=0), nan=0.0, posinf=inf)
