@@ -2,7 +2,8 @@
 
 A scene of fingers that wander over a skin is turned into packets beforehand, with the board's own noise and ADC. The
 stages of the driver then take them one after the other: packets (:mod:`ohmskin.wire`), counts to ohms
-(:class:`ohmskin.driver.CountReader`), ohms to kPa (the cell's default estimator).
+(:class:`ohmskin.driver.CountReader`), ohms to kPa (an estimator of the cell). :func:`driver` goes through the boards,
+with the default estimator; :func:`live_estimators` through the estimators, on one kind of board.
 """
 
 from __future__ import annotations
@@ -14,16 +15,21 @@ from typing import Any
 
 import numpy as np
 
+from .. import plots
 from ..arrays import FloatArray
-from ..cell import Cell
+from ..cell import ESTIMATORS, Cell, calibrate, checked_recording, protocol_load
 from ..circuits import Design, adc_codes, scan_batch
 from ..driver import CountReader
+from ..errors import InputError
 from ..wire import FramePacket, board_protocol, host_protocol
+from ._estimators import noisy
 
 FRAMES = 400
 FRAME_RATE_HZ = 200.0
 NOISE_STEPS = 0.5
 """standard deviation of the outputs' noise in ADC steps"""
+LARGEST = 256
+"""side of the largest array that is driven"""
 HARD_OHM = 5.0
 """of cells that are held at a short, so that their outputs saturate"""
 CASES: tuple[tuple[str, str, int, int], ...] = (
@@ -36,6 +42,7 @@ CASES: tuple[tuple[str, str, int, int], ...] = (
     ("voltage-divider", "float", 10, 0),
 )
 """circuit, idle rows, ADC bits, saturated cells"""
+_PROTOCOL_STEP_S = 0.05  # between the samples of the calibration
 _LARGEST_COUPLED = 16  # side beyond which dividers and followers are left out: minutes
 
 
@@ -49,6 +56,9 @@ class Row:
     idle_rows: str
     bits: int
     saturated_cells: int
+    estimator: str
+    is_default: bool
+    """the estimator that a skin of this cell takes by itself"""
     frames_per_second: float
     """per second of processor time, bytes to kPa"""
     decode_us: float
@@ -64,18 +74,54 @@ class Row:
     rmse_kpa: float
     """of valid cells"""
     worst_kpa: float
+    """of a valid cell in any frame"""
+
+    @property
+    def shares(self) -> tuple[float, float, float]:
+        """Of a usual frame's time: packets, counts to ohms, ohms to kPa."""
+        stages = self.decode_us, self.ohms_us, self.kpa_us
+        return stages[0] / sum(stages), stages[1] / sum(stages), stages[2] / sum(stages)
 
 
 def driver(sizes: Iterable[int], *, frames: int = FRAMES) -> Iterator[Row]:
     """Measure boards of every size in :data:`CASES`."""
     for size in sizes:
         for circuit, idle_rows, bits, saturated in CASES:
+            if saturated > size * size:
+                continue
             if size <= _LARGEST_COUPLED or circuit.endswith("amplifier"):
-                yield _measured(design(size, circuit, idle_rows, bits), saturated, frames)
+                yield _measured(design(size, circuit, idle_rows, bits), Cell.example(), None, saturated, frames)
+
+
+def live_estimators(sizes: Iterable[int], *, learned: bool = True, frames: int = FRAMES) -> Iterator[Row]:
+    """Measure every estimator that the cell has at every size, on boards with inverting amplifiers and 12 bits.
+
+    Args:
+        sizes: of the N x N arrays.
+        learned: calibrate the example cell first by the 280 s protocol with noise, for the estimators that learn. This
+            takes about 15 s. False: those that follow from the data sheet.
+        frames: that are measured.
+
+    """
+    cell = calibrated_example() if learned else Cell.example()
+    for size in sizes:
+        for name in ESTIMATORS:
+            try:
+                cell.estimator((1, 1), name)
+            except InputError:
+                continue  # not for this cell
+            yield _measured(design(size, "inverting-amplifier", "ground", 12), cell, name, 0, frames)
 
 
 def design(size: int, circuit: str, idle_rows: str, bits: int) -> Design:
-    """A board for the shipped example cell, which rises from 10 kohm when pressed."""
+    """A board for the shipped example cell, which rises from 10 kohm when pressed.
+
+    Raises:
+        InputError: the size is no array's, or too large.
+
+    """
+    if not 1 <= size <= LARGEST:
+        raise InputError(f"size is {size}; expected 1 to {LARGEST}")
     amplified = circuit.endswith("amplifier")
     readout: dict[str, Any] = {"circuit": circuit, "reference_resistance": 20e3 if amplified else 5e3}
     if circuit != "voltage-divider":
@@ -90,15 +136,24 @@ def design(size: int, circuit: str, idle_rows: str, bits: int) -> Design:
     )
 
 
-def _measured(board: Design, saturated: int, frames: int) -> Row:
-    cell = Cell.example()
-    pressure, cells = _pressed(cell, board.array.shape, frames)
+def calibrated_example() -> Cell:
+    """The example cell as the calibration protocol finds it, with its learned estimators."""
+    random = np.random.default_rng(0)
+    time_s, load = protocol_load(_PROTOCOL_STEP_S)
+    true = Cell.example()
+    ohms = noisy(true, load, _PROTOCOL_STEP_S, random)
+    recording = checked_recording(time_s, true.full_scale_kpa * load, ohms, name="protocol")
+    return calibrate(recording, full_scale_kpa=true.full_scale_kpa).cell
+
+
+def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frames: int) -> Row:
+    pressure, cells = pressed(board.array.shape, frames)
     if saturated:
         places = np.random.default_rng(1).choice(cells[0].size, saturated, replace=False)
         cells.reshape(frames, -1)[:, places] = HARD_OHM
-    packets = _packets(board, cells)
+    packets = packets_of(board, cells)
     decode, read = host_protocol("ohmskin"), CountReader(board)
-    estimator = cell.estimator(board.array.shape)
+    estimator = cell.estimator(board.array.shape, name)
     times = np.empty((frames, 3))
     found_ohm, valid = np.empty_like(cells), np.empty(cells.shape, dtype=np.bool_)
     found_kpa = np.empty_like(cells)
@@ -123,6 +178,8 @@ def _measured(board: Design, saturated: int, frames: int) -> Row:
         idle_rows=board.drive.idle_rows,
         bits=board.adc.bits if board.adc else 0,
         saturated_cells=saturated,
+        estimator=name or cell.default_estimator,
+        is_default=name in (None, cell.default_estimator),
         frames_per_second=frames / float(whole.sum()),
         decode_us=1e6 * decode_s,
         ohms_us=1e6 * ohms_s,
@@ -135,8 +192,9 @@ def _measured(board: Design, saturated: int, frames: int) -> Row:
     )
 
 
-def _pressed(cell: Cell, shape: tuple[int, int], frames: int) -> tuple[FloatArray, FloatArray]:
-    """kPa and ohm (frames, rows, columns): five fingers that wander about and press more and less."""
+def pressed(shape: tuple[int, int], frames: int) -> tuple[FloatArray, FloatArray]:
+    """kPa and ohm (frames, rows, columns): five fingers that wander about the example cell and press more and less."""
+    cell = Cell.example()
     random = np.random.default_rng(0)
     row, column = np.indices(shape)
     place, way = random.uniform(0.0, 1.0, (5, 2)) * shape, random.uniform(-1.0, 1.0, (5, 2))
@@ -154,19 +212,34 @@ def _pressed(cell: Cell, shape: tuple[int, int], frames: int) -> tuple[FloatArra
     return pressure, cells
 
 
-def _packets(board: Design, cells: FloatArray) -> list[bytes]:
+def packets_of(
+    board: Design, cells: FloatArray, *, frames: int | None = None, each: int = 1, rate_hz: float = FRAME_RATE_HZ
+) -> list[bytes]:
+    """The board's packets at so many frames a second.
+
+    Args:
+        board: with an ADC.
+        cells: (frames, rows, columns) ohm.
+        frames: number of packets; beyond ``cells``, these are repeated. None: one for each.
+        each: packets in a row with the same cells and noise.
+        rate_hz: of the packets.
+
+    """
     assert board.adc is not None
     volts = scan_batch(board, cells).volts
     volts = volts + np.random.default_rng(2).normal(scale=NOISE_STEPS * board.adc.step, size=volts.shape)
     protocol = board_protocol("ohmskin")
-    return [
-        protocol.frame(FramePacket.of(counts, sequence=n, time_us=round(1e6 * n / FRAME_RATE_HZ), boot_id=1))
-        for n, counts in enumerate(adc_codes(board, volts))
-    ]
+    codes = adc_codes(board, volts)
+
+    def packet(number: int) -> bytes:
+        counts, time_us = codes[number // each % len(codes)], round(1e6 * number / rate_hz)
+        return protocol.frame(FramePacket.of(counts, sequence=number, time_us=time_us, boot_id=1))
+
+    return [packet(number) for number in range(len(codes) if frames is None else frames)]
 
 
 def table(rows: Iterable[Row]) -> str:
-    """The rows as text."""
+    """The boards as text."""
     head = (
         "frames per second of processor time on one core, bytes to kPa; worst frame in medians; errors of valid cells\n"
         "    cells  circuit              idle    bits saturated  frames/s  decode   ohms    kPa us  worst   valid"
@@ -180,3 +253,44 @@ def table(rows: Iterable[Row]) -> str:
         for row in rows
     )
     return "\n".join([head, *lines])
+
+
+def estimator_table(rows: Iterable[Row]) -> str:
+    """The estimators as text."""
+    head = (
+        "speed against error of the live path, by estimator: shares of the stages in a frame's time, errors in kPa\n"
+        "    cells  estimator    frames/s   decode    ohms     kPa     RMSE  worst cell"
+    )
+    lines = (
+        f"{row.size:>4} x {row.size:<4}{row.estimator:<10}{row.frames_per_second:>11.0f}"
+        + "".join(f"{100 * share:>7.0f} %" for share in row.shares)
+        + f"{row.rmse_kpa:>9.3f}{row.worst_kpa:>12.2f}"
+        + ("  default" if row.is_default else "")
+        for row in rows
+    )
+    return "\n".join([head, *lines])
+
+
+def live_picture(rows: Iterable[Row]) -> str:
+    """SVG: error against frames per second, one curve per estimator through the sizes.
+
+    Raises:
+        MissingExtra: matplotlib is not installed.
+
+    """
+    shown = list(rows)
+    with plots.drawing(1, 2, width=9.0, height=3.4) as (figure, axes):
+        panels = axes[0]
+        for name in dict.fromkeys(row.estimator for row in shown):
+            curve = sorted((row for row in shown if row.estimator == name), key=lambda row: row.size)
+            speeds = [row.frames_per_second for row in curve]
+            for panel, errors in zip(
+                panels, ([row.rmse_kpa for row in curve], [row.worst_kpa for row in curve]), strict=True
+            ):
+                panel.plot(speeds, errors, "o-", ms=3.5, label=name)
+                for row, speed, error in zip(curve, speeds, errors, strict=True):
+                    panel.annotate(str(row.size), (speed, error), textcoords="offset points", xytext=(3, 3), fontsize=6)
+        for panel, what in zip(panels, ("RMSE", "error of the worst cell"), strict=True):
+            panel.set(xscale="log", yscale="log", xlabel="frames per second of processor time", ylabel=f"{what} / kPa")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
+        return plots.svg(figure)

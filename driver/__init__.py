@@ -7,9 +7,12 @@
             print(frame.pressure)
 """
 
+from ._arrays import FRAME_GRIDS, FRAME_NUMBERS, stack, to_xarray
+from ._calibration import Calibration, section_hash
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
+from ._messages import MESSAGE_SCHEMAS, messages_of
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader, Reading
 from ._recorder import Recorder, Recording
@@ -20,8 +23,12 @@ from ._tare import Tare
 
 __all__ = [
     "BAUDRATE",
+    "FRAME_GRIDS",
+    "FRAME_NUMBERS",
+    "MESSAGE_SCHEMAS",
     "Arrival",
     "BytePort",
+    "Calibration",
     "Contact",
     "ContactTracker",
     "CountReader",
@@ -38,5 +45,9 @@ __all__ = [
     "SocketPort",
     "Tare",
     "discover",
+    "messages_of",
     "open_port",
+    "section_hash",
+    "stack",
+    "to_xarray",
 ]

@@ -16,6 +16,7 @@ from ..arrays import BoolArray, FloatArray
 from ..cell import Cell, Estimator
 from ..circuits import Design, Reason
 from ..errors import InputError
+from ._calibration import Calibration
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
 from ._mailbox import Mailbox
 from ._past import Block, MeasurementPast
@@ -65,11 +66,13 @@ class Converter:
         counters: Counters,
         rest_changes: Sequence[tuple[float, FloatArray | None]] = (),
         accuracy: float | None = None,
+        calibration: Calibration | None = None,
     ) -> None:
         """Set up the circuit's inverse and the estimator; without ``cell`` pressures are NaN.
 
         ``rest_changes`` are those of a recording: times, and the (cells,) rest resistances for frames after them.
         ``accuracy`` is the relative uncertainty up to which cells are valid, see :class:`CountReader`.
+        ``calibration`` gives each cell its rest resistance, as long as no tare gives another one, and its gain.
 
         Raises:
             ProtocolError: the design has no ADC.
@@ -78,7 +81,9 @@ class Converter:
         """
         self.design = design
         self.cell = cell
+        self.pitch_m = pitch_m
         self._estimator_name = estimator
+        self._calibration = calibration
         self._counters = counters
         self._accuracy = accuracy
         self._read = CountReader(design, accuracy=accuracy)
@@ -100,6 +105,11 @@ class Converter:
         """of the last frame, on the time scale of the estimator; also of a frame before the recording that is played"""
         self._measured: dict[int, Measurement] = {}
 
+    @property
+    def starts(self) -> int:
+        """Times that the estimator has begun without memory."""
+        return self._starts
+
     def try_out(self) -> None:
         """Convert a frame of mid-scale counts, for what shows only then: absurd values, and the cost of setting up."""
         adc = self.design.adc
@@ -111,7 +121,7 @@ class Converter:
         self._read.forget()
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
-        """Take these rest resistances (rows, columns) from now on, None those of the data sheet; memory is dropped."""
+        """Take these rest resistances (rows, columns) from now on, None those without a tare; memory is dropped."""
         with self._lock:
             self._rest_ohm = rest_ohm
             self._estimator = self._new_estimator()
@@ -209,6 +219,8 @@ class Converter:
         if self._estimator is not None:
             pressure = self._estimator.step(gap_s, reading.resistance)
             std = self._estimator.std_kpa
+            if self._calibration is not None:
+                pressure, std = self._calibration.applied(pressure, std)
         view = PressureView(frame.time_s, _read_only(pressure), _read_only(std))
         self.contacts.pass_by(view)
         self._starts_told = self._starts
@@ -248,8 +260,10 @@ class Converter:
 
     def _fresh_estimator(self) -> Estimator:
         assert self.cell is not None
-        shape = self.design.array.shape
-        return self.cell.estimator(shape, self._estimator_name, rest_resistance_ohm=self._rest_ohm)
+        rest_ohm = self._rest_ohm
+        if rest_ohm is None and self._calibration is not None:
+            rest_ohm = self._calibration.rest_ohm
+        return self.cell.estimator(self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm)
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:

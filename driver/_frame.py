@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -37,6 +37,9 @@ class Frame:
     """the board started anew since the frame taken before"""
     estimator_restarted: bool
     """the estimator has no memory of earlier frames: the first frame, after a tare, or after a gap above 60 s"""
+    repeated: bool
+    """this reader had the frame before: ``latest`` found no newer one. What happened before it is not told twice: the
+    counts are then 0 (or None), and the marks above False"""
     counts: NDArray[np.uint16] = field(repr=False)
     """as the board sent them"""
     valid: BoolArray = field(repr=False)
@@ -56,6 +59,19 @@ class Frame:
     def age(self) -> float:
         """Seconds from the frame's arrival until now. For a recording, now is the recording's present time."""
         return self._now() - self.monotonic_time
+
+    def again(self) -> Frame:
+        """The same frame for a reader who has had it: its arrays, without what was told with it."""
+        return replace(
+            self,
+            lost_before=None if self.lost_before is None else 0,
+            skipped_before=0,
+            overrun=False,
+            reconnected=False,
+            rebooted=False,
+            estimator_restarted=False,
+            repeated=True,
+        )
 
     @property
     def contacts(self) -> tuple[Contact, ...]:

@@ -65,6 +65,13 @@ class ClockPast(_Part):
     anchor: tuple[Finite, Finite]
 
 
+class ArrivalsPast(_Part):
+    """State of :class:`._spacing.ArrivalTimes`; times in s."""
+
+    last: Finite | None = None
+    intervals: tuple[Finite, ...] = ()
+
+
 class StreamPast(_Part):
     """State of a :class:`._stream.FrameStream`."""
 
@@ -80,6 +87,7 @@ class StreamPast(_Part):
     numbered: bool
     """the board numbers its frames, as far as is known"""
     clock: ClockPast
+    arrivals: ArrivalsPast = ArrivalsPast()
 
 
 class MeasurementPast(_Part):

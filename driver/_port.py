@@ -254,17 +254,28 @@ class UrlPort(_RealTimePort):
         self.name = name
         self._device = device
         self._waiting = b""
+        self._taking = threading.Lock()
+        """held by the thread that takes bytes: a second one would get later bytes before earlier ones"""
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until bytes have come or the port is gone; False after ``timeout_s`` or 0.1 s."""
-        if not self._waiting:
-            self._waiting = self._take(1, min(max(timeout_s, 0.0), self._LONGEST_WAIT_S))
-        return bool(self._waiting)
+        with self._taking:
+            if not self._waiting:
+                self._waiting = self._take(1, min(max(timeout_s, 0.0), self._LONGEST_WAIT_S))
+            return bool(self._waiting)
 
     def read(self) -> Arrival:
-        """Take the bytes that have come, without waiting; LinkError when the port is gone."""
-        first, self._waiting = self._waiting, b""
-        return self._arrived(first + self._take(_CHUNK, 0.0))
+        """Take the bytes that have come, without waiting; LinkError when the port is gone.
+
+        While another thread waits there is nothing to take: that thread takes the next byte.
+        """
+        if not self._taking.acquire(blocking=False):
+            return self._arrived(b"")
+        try:
+            first, self._waiting = self._waiting, b""
+            return self._arrived(first + self._take(_CHUNK, 0.0))
+        finally:
+            self._taking.release()
 
     def _take(self, size: int, timeout_s: float) -> bytes:
         try:
@@ -305,6 +316,19 @@ def ports_with(usb_serial: str) -> list[str]:
 def serial_ports() -> list[str]:
     """The names of the serial ports that the operating system lists. Pseudo-terminals are not among them."""
     return [port.device for port in list_ports.comports()]
+
+
+def is_linked_terminal(name: str) -> bool:
+    """Whether ``name`` is a link to a pseudo-terminal: the port of an emulated board."""
+    return os.path.islink(name) and os.path.realpath(name).startswith("/dev/pts/")
+
+
+def linked_terminals(directory: Path) -> list[str]:
+    """The links to pseudo-terminals in a directory."""
+    try:
+        return [str(path) for path in sorted(directory.iterdir()) if is_linked_terminal(str(path))]
+    except OSError:
+        return []
 
 
 def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -> serial.SerialBase:

@@ -18,12 +18,11 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, BinaryIO, Self
 
-import numpy as np
-
 from .. import __version__
 from ..arrays import FloatArray
 from ..errors import InputError, MissingExtra
 from ._frame import Frame
+from ._messages import MESSAGE_SCHEMAS, messages_of
 from ._past import Past
 from ._port import Arrival
 
@@ -33,7 +32,6 @@ if TYPE_CHECKING:
     from ._skin import Skin
 
 BYTES_TOPIC, EVENTS_TOPIC = "/ohmskin/bytes", "/ohmskin/events"
-PRESSURE_TOPIC, FRAME_TOPIC = "/ohmskin/pressure", "/ohmskin/frame"
 METADATA = "ohmskin"
 FORMAT = "1"
 STAMP = struct.Struct("<dd")
@@ -43,49 +41,6 @@ CHUNK_BYTES = 2**20
 MOST_WAITING = 1000
 """decoded frames that wait for the disk"""
 
-_NUMBER = {"type": "number"}
-_TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
-_IMAGE_SCHEMA = {
-    "title": "foxglove.RawImage",
-    "type": "object",
-    "properties": {
-        "timestamp": _TIME,
-        "frame_id": {"type": "string"},
-        "width": {"type": "integer"},
-        "height": {"type": "integer"},
-        "encoding": {"type": "string"},
-        "step": {"type": "integer"},
-        "data": {"type": "string", "contentEncoding": "base64"},
-    },
-}
-_PLAIN_FIELDS = (
-    "sequence",
-    "device_time",
-    "host_time",
-    "lost_before",
-    "skipped_before",
-    "overrun",
-    "reconnected",
-    "rebooted",
-)
-_FRAME_SCHEMA = {
-    "title": "ohmskin.Frame",
-    "type": "object",
-    "properties": {
-        "sequence": {"type": ["integer", "null"]},
-        "device_time": {"type": ["number", "null"]},
-        "host_time": _NUMBER,
-        "lost_before": {"type": ["integer", "null"]},
-        "skipped_before": {"type": "integer"},
-        "overrun": {"type": "boolean"},
-        "reconnected": {"type": "boolean"},
-        "rebooted": {"type": "boolean"},
-        "valid_cells": {"type": "integer"},
-        "largest_kpa": {"type": ["number", "null"]},
-        "contacts": {"type": "array", "items": {"type": "object"}},
-    },
-}
-
 
 class Recording:
     """Writes one recording, for ``Skin.open(port, record=...)`` or for a :class:`Recorder`.
@@ -93,15 +48,16 @@ class Recording:
     A file that cannot be written any more (a full disk) ends the recording, not the skin: see :attr:`error`.
     """
 
-    def __init__(self, path: str | Path, settings: Mapping[str, str]) -> None:
+    def __init__(self, path: str | Path, settings: Mapping[str, str], *, overwrite: bool = False) -> None:
         """Begin a recording.
 
         Args:
-            path: of the file, which is replaced.
+            path: of the file.
             settings: what a replay must know beforehand, see :class:`._replay.RecordedSettings`.
+            overwrite: replace a file that is there and not empty.
 
         Raises:
-            InputError: the file cannot be written.
+            InputError: the file cannot be written, or is there already.
             MissingExtra: mcap is not installed.
 
         """
@@ -110,6 +66,8 @@ class Recording:
         except ImportError as error:
             raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
         self.path = Path(path)
+        if not overwrite and self.path.is_file() and self.path.stat().st_size:
+            raise InputError(f"{path}: is there already; choose another name, or ask to overwrite it")
         self.error: InputError | None = None
         """why the recording ended before it was closed"""
         self.frames = 0
@@ -123,14 +81,12 @@ class Recording:
         self._flush_at = time.monotonic() + FLUSH_S
         self._writer.start(profile="", library=f"ohmskin {__version__}")
         self._writer.add_metadata(METADATA, {"format": FORMAT, **settings})
-        image = self._schema("foxglove.RawImage", _IMAGE_SCHEMA)
-        frame = self._schema("ohmskin.Frame", _FRAME_SCHEMA)
         self._channels = {
             BYTES_TOPIC: self._writer.register_channel(BYTES_TOPIC, "application/octet-stream", 0),
             EVENTS_TOPIC: self._writer.register_channel(EVENTS_TOPIC, "json", 0),
-            PRESSURE_TOPIC: self._writer.register_channel(PRESSURE_TOPIC, "json", image),
-            FRAME_TOPIC: self._writer.register_channel(FRAME_TOPIC, "json", frame),
         }
+        for topic, schema in MESSAGE_SCHEMAS.items():
+            self._channels[topic] = self._writer.register_channel(topic, "json", self._schema(schema))
         self._guarded(self._writer.flush)
         self._waiting: queue.Queue[Frame | None] = queue.Queue(MOST_WAITING)
         self._thread = threading.Thread(target=self._write_frames, name=f"ohmskin recorder {path}", daemon=True)
@@ -167,35 +123,8 @@ class Recording:
             self._write_frame(frame)
 
     def _write_frame(self, frame: Frame) -> None:
-        image = np.ascontiguousarray(frame.pressure, dtype="<f4")
-        rows, columns = image.shape
-        seconds, nanoseconds = divmod(round(frame.host_time * 1e9), 10**9)
-        shown = {
-            "timestamp": {"sec": seconds, "nsec": nanoseconds},
-            "frame_id": "skin",
-            "width": columns,
-            "height": rows,
-            "encoding": "32FC1",
-            "step": 4 * columns,
-            "data": base64.b64encode(image.tobytes()).decode(),
-        }
-        pressed = frame.pressure[frame.valid]
-        values: dict[str, Any] = {name: getattr(frame, name) for name in _PLAIN_FIELDS}
-        values["valid_cells"] = int(frame.valid.sum())
-        values["largest_kpa"] = float(pressed.max()) if pressed.size and np.isfinite(pressed).all() else None
-        values["contacts"] = [
-            {
-                "id": contact.id,
-                "x_mm": contact.x_mm,
-                "y_mm": contact.y_mm,
-                "area_mm2": contact.area_mm2,
-                "force_n": contact.force_n,
-                "peak_kpa": contact.peak_kpa,
-            }
-            for contact in frame.contacts
-        ]
-        self._write(PRESSURE_TOPIC, frame.host_time, json.dumps(shown).encode())
-        self._write(FRAME_TOPIC, frame.host_time, json.dumps(values).encode())
+        for topic, message in messages_of(frame).items():
+            self._write(topic, frame.host_time, json.dumps(message).encode())
         self.frames += 1
 
     def close(self) -> None:
@@ -239,9 +168,9 @@ class Recording:
     def _failure(self, error: OSError) -> InputError:
         return InputError(f"{self.path}: cannot be written: {error.strerror or error}")
 
-    def _schema(self, name: str, schema: Mapping[str, Any]) -> int:
+    def _schema(self, schema: Mapping[str, Any]) -> int:
         assert self._writer is not None
-        return int(self._writer.register_schema(name, "jsonschema", json.dumps(schema).encode()))
+        return int(self._writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode()))
 
 
 class Recorder:
@@ -257,21 +186,22 @@ class Recorder:
     here on, bit for bit where every frame is taken. Ids of contacts count from the join.
     """
 
-    def __init__(self, skin: Skin, path: str | Path) -> None:
+    def __init__(self, skin: Skin, path: str | Path, *, overwrite: bool = False) -> None:
         """Begin to record.
 
         Args:
             skin: an open skin.
             path: of the MCAP file.
+            overwrite: replace a file that is there and not empty.
 
         Raises:
-            InputError: the file cannot be written.
+            InputError: the file cannot be written, or is there already.
             MissingExtra: mcap is not installed.
             LinkError: the skin has come to its end, or is closed.
 
         """
         self._skin = skin
-        self._recording = Recording(path, skin.settings.as_metadata())
+        self._recording = Recording(path, skin.settings.as_metadata(), overwrite=overwrite)
         try:
             skin.attach(self._recording)
         except BaseException:

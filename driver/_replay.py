@@ -20,6 +20,7 @@ from ..circuits import Design
 from ..config import parse
 from ..errors import InputError, LinkEnded, LinkError, MissingExtra
 from ..wire import read_description, write_description
+from ._calibration import Calibration
 from ._past import Past
 from ._port import Arrival
 from ._recorder import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
@@ -39,6 +40,7 @@ class RecordedSettings:
     """m"""
     accuracy: float | None = None
     """relative uncertainty up to which cells were valid; None: as the converter allowed"""
+    calibration: Calibration | None = None
 
     def as_metadata(self) -> dict[str, str]:
         """Texts for the file."""
@@ -47,7 +49,10 @@ class RecordedSettings:
             None if self.cell is None else self.cell.model_dump(exclude_none=True),
         ).decode()
         numbers = {"pitch": self.pitch, "accuracy": self.accuracy}
-        known = {"estimator": self.estimator}
+        known = {
+            "estimator": self.estimator,
+            "calibration": None if self.calibration is None else self.calibration.as_json(),
+        }
         known |= {name: None if value is None else float(value).hex() for name, value in numbers.items()}
         return {"board": self.board, "given": tables} | {key: value for key, value in known.items() if value}
 
@@ -57,6 +62,7 @@ class RecordedSettings:
         if metadata.get("format") != FORMAT:
             raise InputError(f"{path}: a recording of format {metadata.get('format')}; expected {FORMAT}")
         design, cell = read_description(metadata["given"].encode())
+        calibration = metadata.get("calibration")
         pitch, accuracy = (
             float.fromhex(metadata[name]) if name in metadata else None for name in ("pitch", "accuracy")
         )
@@ -67,6 +73,9 @@ class RecordedSettings:
             estimator=metadata.get("estimator"),
             pitch=pitch,
             accuracy=accuracy,
+            calibration=None
+            if calibration is None
+            else Calibration.from_json(calibration, source=f"{path}: calibration"),
         )
 
 

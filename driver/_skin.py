@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import threading
 import time
@@ -18,6 +19,7 @@ from ..cell import Cell
 from ..circuits import Design
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Description, Family, HostProtocol, Identity, Order, board_family, host_protocol
+from ._calibration import Calibration
 from ._convert import Converter, Measurement
 from ._discover import find_board
 from ._frame import Frame
@@ -72,6 +74,8 @@ class Skin:
         pitch: float | None = None,
         accuracy: float | None = None,
         record: str | Path | None = None,
+        overwrite: bool = False,
+        calibration: Calibration | str | Path | None = None,
     ) -> None:
         """Introduce the board behind an open port.
 
@@ -91,13 +95,17 @@ class Skin:
             accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 2 %, or as well
                 as a converter of few bits and the noise allow (:class:`ohmskin.circuits.ValidityRule`).
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
+            overwrite: replace a recording that is there already.
+            calibration: rest resistance and gain of each cell, or the file that holds them. A tare replaces its rest
+                resistances and keeps its gains.
 
         Raises:
             LinkTimeout: the board is silent.
             ProtocolError: it sends something else than packets, or a description that is not valid or too large.
             LinkError: the port is gone.
             InputError: there is no such family, or no such estimator for this cell, or the design is not known, or
-                the accuracy is not between 0 and 1, or the recording cannot be written.
+                the accuracy is not between 0 and 1, or the recording cannot be written or is there already, or the
+                calibration cannot be read or is another board's.
 
         """
         self._timeout = timeout
@@ -110,6 +118,7 @@ class Skin:
             family = board_family(board)
             if queue < 1:
                 raise InputError(f"a queue of {queue} frames; expected at least 1")
+            given = calibration if isinstance(calibration, Calibration | None) else Calibration.load(calibration)
             if delivery not in ("newest", "every", "lossless"):
                 raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
             self._counters = Counters()
@@ -125,13 +134,13 @@ class Skin:
                 reopen=reopen,
                 reconnect_s=reconnect,
             )
-            self.settings = RecordedSettings(family.name, design, cell, estimator, pitch, accuracy)
+            self.settings = RecordedSettings(family.name, design, cell, estimator, pitch, accuracy, given)
             """how the skin was opened, for recordings"""
             past = port.past if isinstance(port, ReplayPort) else None
             if past is not None:
                 self._reader.resume(past.heard_bytes(), past.stream)
             if record is not None:
-                self._recorder = Recording(record, self.settings.as_metadata())
+                self._recorder = Recording(record, self.settings.as_metadata(), overwrite=overwrite)
                 self._reader.taps.append(self._recorder.arrived)
                 self._reader.on_gone.append(self._recorder.port_gone)
         except BaseException:
@@ -141,7 +150,7 @@ class Skin:
         try:
             self._reader.await_introduction(timeout)
             changes = port.rest.changes if isinstance(port, ReplayPort) else ()
-            set_up = partial(_set_up, introduction, estimator, pitch, accuracy, self._counters, changes)
+            set_up = partial(_set_up, introduction, estimator, pitch, accuracy, self._counters, changes, given)
             self._converter = _within(set_up, deadline, self._too_slow)
             if past is not None:
                 self._remember(past)
@@ -155,6 +164,10 @@ class Skin:
         """how the board reads its array"""
         self.cell = self._converter.cell
         """what the skin is made of; None: not known, pressures are NaN"""
+        self.calibration = given
+        """rest resistances and gains of the cells; None: all are as the cell's data say"""
+        self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
+        """s that the recording lasts; None: the board is live"""
         self._source = Source(
             port.name,
             self._mailbox,
@@ -190,7 +203,9 @@ class Skin:
         pitch: float | None = None,
         accuracy: float | None = None,
         record: str | Path | None = None,
+        overwrite: bool = False,
         speed: float | None = None,
+        calibration: Calibration | str | Path | None = None,
     ) -> Skin:
         """Open a serial device, a pty, ``socket://HOST:PORT`` or a recording; see :meth:`__init__` for the rest.
 
@@ -211,7 +226,9 @@ class Skin:
             pitch: likewise.
             accuracy: likewise.
             record: likewise.
+            overwrite: likewise.
             speed: of a recording, times real time; None: as fast as it is read.
+            calibration: as for :meth:`__init__`; None: that of the recording, else none.
 
         Raises:
             LinkError: the port is not there, may not be used, or is in use, or another board is behind it; and what
@@ -235,6 +252,8 @@ class Skin:
                 pitch=settings.pitch if pitch is None else pitch,
                 accuracy=settings.accuracy if accuracy is None else accuracy,
                 record=record,
+                overwrite=overwrite,
+                calibration=settings.calibration if calibration is None else calibration,
             )
         family = board_family(board)
         if port is None:
@@ -256,7 +275,10 @@ class Skin:
             pitch=pitch,
             accuracy=accuracy,
             record=record,
+            overwrite=overwrite,
+            calibration=calibration,
         )
+        finder.board_is_numbered = bool(skin.serial_number)
         if serial_number is not None and skin.serial_number and skin.serial_number != serial_number:
             skin.close()
             raise LinkError(f"{port}: board {skin.serial_number} is there; expected {serial_number}")
@@ -281,6 +303,16 @@ class Skin:
     def port_name(self) -> str:
         """The name of the port that was opened."""
         return self._source.name
+
+    @property
+    def pitch_m(self) -> float:
+        """Distance of neighbouring cells in m."""
+        return self._converter.pitch_m
+
+    @property
+    def away(self) -> str | None:
+        """Why the port is gone, while the driver tries to open it again; None: it is there."""
+        return self._mailbox.away
 
     def __enter__(self) -> Self:
         return self
@@ -454,8 +486,8 @@ class Skin:
         """Take the skin for unloaded now: the mean of the next ``frames`` becomes each cell's rest resistance.
 
         This removes what differs from cell to cell, and the steady part of what the design does not mention. A cell
-        without a valid reading keeps the rest resistance of the data sheet. The frames taken are not iterated over;
-        frames lost meanwhile count in the next frame's ``lost_before``.
+        without a valid reading keeps the rest resistance of the calibration, else of the data sheet. The frames taken
+        are not iterated over; frames lost meanwhile count in the next frame's ``lost_before``.
 
         Args:
             frames: to average.
@@ -469,8 +501,8 @@ class Skin:
         """
         if frames < 1:
             raise InputError(f"tare over {frames} frames; expected at least 1")
-        with self._taring:
-            tare = self._measure_rest(frames)
+        with self._taring, self._frames_for_tare(frames) as taken:
+            tare = self._rest(taken)
             if tare.remarks and not force:
                 raise InputError(
                     f"{self.port_name}: no tare, the skin seems to be loaded: {'; '.join(tare.remarks)}. "
@@ -481,11 +513,11 @@ class Skin:
 
     @property
     def tared(self) -> Tare | None:
-        """The tare in use; None: rest resistances are those of the data sheet."""
+        """The tare in use; None: rest resistances are those of the calibration, else of the data sheet."""
         return self._tares[-1]
 
     def use_tare(self, tare: Tare | None) -> None:
-        """Use a tare from before, such as a loaded one; None: the data sheet's rest resistances.
+        """Use a tare from before, such as a loaded one; None: the rest resistances from before any tare.
 
         Raises:
             InputError: it is of another board, or of an array of another shape.
@@ -502,7 +534,7 @@ class Skin:
             self._use(tare)
 
     def undo_tare(self) -> Tare | None:
-        """Go back to the tare before the present one, None for the data sheet. Returns the tare then in use."""
+        """Go back to the tare before the present one, None for none. Returns the tare then in use."""
         with self._taring:
             if len(self._tares) > 1:
                 self._tares.pop()
@@ -518,13 +550,25 @@ class Skin:
         self._converter.use_rest(None if tare is None else tare.rest_resistance_ohm)
         self._taker.forget()
 
-    def _measure_rest(self, frames: int) -> Tare:
+    @contextlib.contextmanager
+    def _frames_for_tare(self, frames: int) -> Iterator[list[Frame]]:
+        """The next frames. What was lost and skipped meanwhile is told with the frame after them."""
         if self._delivery == "every":
             # What waits in the queue is of the past.
             self._taker.pass_to_newest()
-        with self._taker.aside():
-            taken = [self._taker.take(self._timeout) for _ in range(frames)]
-        losses = [frame.lost_before for frame in taken]
+        taken: list[Frame] = []
+        used = False
+        try:
+            while len(taken) < frames:
+                taken.append(self._taker.take(self._timeout))
+            yield taken
+            used = True
+        finally:
+            self._taker.tell_again(taken, used=used)
+
+    def _rest(self, taken: list[Frame]) -> Tare:
+        # What was lost before the first of them, perhaps long ago, is not of the tare.
+        losses = [frame.lost_before for frame in taken[1:]]
         readings = RestReadings(
             np.array([frame.resistance for frame in taken]),
             np.array([frame.monotonic_time for frame in taken]),
@@ -534,6 +578,7 @@ class Skin:
             lost=None if None in losses else sum(loss or 0 for loss in losses),
             serial_number=self.serial_number,
             wall_time=taken[-1].host_time,
+            calibrated_ohm=None if self.calibration is None else self.calibration.rest_ohm,
         )
 
     def _too_slow(self) -> ProtocolError:
@@ -558,12 +603,18 @@ def _set_up(
     accuracy: float | None,
     counters: Counters,
     rest_changes: Sequence[tuple[float, FloatArray | None]],
+    calibration: Calibration | None,
 ) -> Converter:
     """The converter for a board, tried out."""
     design, cell = introduction.design(), introduction.cell()
+    if calibration is not None:
+        try:
+            calibration.check_board(design, cell, introduction.serial_number)
+        except InputError as error:
+            raise InputError(f"{introduction.port_name}: {error}") from None
     try:
         pitch_m = design.sheet.pitch if pitch is None else pitch
-        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes, accuracy)
+        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes, accuracy, calibration)
         converter.try_out()
     except OhmskinError:
         raise

@@ -13,6 +13,7 @@ from ..wire import Corrupt, Flag, FramePacket
 from ._clock import ClockMap
 from ._past import StreamPast
 from ._port import Arrival
+from ._spacing import ArrivalTimes
 from ._statistics import Counters
 
 REMEMBERED = 64
@@ -57,6 +58,8 @@ class FrameStream:
         self.name = name
         """of the port, for messages"""
         self.clock = ClockMap()
+        self._arrivals = ArrivalTimes()
+        """of boards without a clock"""
         self.counters = counters
         self._begun = False
         """a frame has come"""
@@ -73,6 +76,10 @@ class FrameStream:
         if not self._begun:
             self._expected, self._boot_id = sequence, boot_id
 
+    def arrive(self, arrival: Arrival, frames: int) -> None:
+        """Take the number of frames that came together, before :meth:`take` takes them one by one."""
+        self._arrivals.arrive(arrival.received_at, frames)
+
     def state(self) -> StreamPast:
         """Everything remembered, which :meth:`restore` takes. Totals are not part of it."""
         return StreamPast(
@@ -86,6 +93,7 @@ class FrameStream:
             recent=tuple(self._recent),
             numbered=self.counters.lost is not None,
             clock=self.clock.state(),
+            arrivals=self._arrivals.state(),
         )
 
     def restore(self, past: StreamPast) -> None:
@@ -96,6 +104,7 @@ class FrameStream:
         self._recent = deque(past.recent, maxlen=REMEMBERED)
         self.counters.lost = 0 if past.numbered else None
         self.clock.restore(past.clock)
+        self._arrivals.restore(past.arrivals)
 
     def corrupt(self, event: Corrupt) -> None:
         """Count a stretch of bytes that was no packet."""
@@ -168,7 +177,7 @@ class FrameStream:
 
     def _map_time(self, device_s: float | None, arrival: Arrival) -> float:
         if device_s is None:
-            return arrival.received_at
+            return self._arrivals.next(arrival.received_at)
         monotonic = self.clock.add(device_s, arrival.received_at)
         self.counters.delays_s.append(arrival.received_at - monotonic)
         return monotonic

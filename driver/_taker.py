@@ -5,11 +5,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import copy
-import dataclasses
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
@@ -51,8 +50,11 @@ class FrameTaker:
             self._place: Place = mailbox.join(0 if last is None else last.index)
             self._faults = 0 if from_start else mailbox.fault.number
         self._lock = threading.Lock()
-        self._before = _Totals() if last is None else _Totals.of(last)
+        self._told = _Totals() if last is None else _Totals.of(last, source.converter.starts)
+        self._newest = self._place.index
+        """number of the last frame delivered, or of the last one before the first"""
         self._frame: Frame | None = None
+        """the frame delivered last, without what was told with it"""
         weakref.finalize(self, mailbox.leave, self._place)
 
     @property
@@ -74,12 +76,17 @@ class FrameTaker:
             ProtocolError: what came breaks the format, or does not fit the design.
 
         """
-        before = self._before
-        try:
+        with self._interruptible():
             return self._await(time.monotonic() + timeout_s, timeout_s, while_away)
+
+    @contextlib.contextmanager
+    def _interruptible(self) -> Iterator[None]:
+        """After Ctrl-C the frame in hand does not reach the caller; the next one counts it as skipped."""
+        told = self._told
+        try:
+            yield
         except KeyboardInterrupt:
-            # A frame in hand does not reach the caller; the next one counts it as skipped.
-            self._before = before
+            self._told = told
             raise
 
     def _await(self, deadline: float, timeout_s: float, while_away: bool) -> Frame:
@@ -101,6 +108,10 @@ class FrameTaker:
             LinkEnded, LinkError, ProtocolError: as for :meth:`take`, where no young frame is left.
 
         """
+        with self._interruptible():
+            return self._await_young(max_age_s, timeout_s)
+
+    def _await_young(self, max_age_s: float, timeout_s: float) -> Frame:
         deadline = time.monotonic() + timeout_s
         source = self._source
         while True:
@@ -110,16 +121,27 @@ class FrameTaker:
                 frame = self._repeat(newest) or self._claim(newest)
                 if frame is not None and frame.age <= max_age_s:
                     return frame
-                if frame is None and newest.index > self._before.index:
+                if frame is not None and not frame.repeated:
+                    # Too old by the time it was converted: the reader never sees this frame.
+                    self.tell_again([frame], used=False)
+                if frame is None and newest.index > self._newest:
                     continue  # another taker had a newer one converted
             self._check()
             left = deadline - time.monotonic()
             if left <= 0:
-                age = f"the newest frame is {source.now() - newest.monotonic_time:.3g} s old" if newest else "none came"
                 raise LinkTimeout(
-                    f"{source.name}: no frame younger than {max_age_s:g} s: {age}" + _because(source.mailbox.away)
+                    f"{source.name}: no frame younger than {max_age_s:g} s: {self._why_none(newest, max_age_s)}"
+                    + _because(source.mailbox.away)
                 )
             self._wait(left, since=newest)
+
+    def _why_none(self, newest: RawFrame | None, max_age_s: float) -> str:
+        if newest is None:
+            return "none came"
+        age_s = self._source.now() - newest.monotonic_time
+        if age_s <= max_age_s and newest.index <= self._newest:
+            return "none came since the tare"
+        return f"the newest frame is {age_s:.3g} s old"
 
     def try_take(self) -> Frame | None:
         """The next frame if there is one already; raises as :meth:`take`."""
@@ -145,13 +167,24 @@ class FrameTaker:
             if newest is not None:
                 self._source.mailbox.move(self._place, newest.index)
 
-    @contextlib.contextmanager
-    def aside(self) -> Iterator[None]:
-        """Frames taken within the block are not skipped; what was lost meanwhile is told with the next frame."""
-        before = self._before
-        yield
+    def tell_again(self, frames: Sequence[Frame], *, used: bool) -> None:
+        """Let the next frame tell what these ones told: frames that the reader never saw, such as those of a tare.
+
+        Args:
+            frames: as they were delivered by this taker.
+            used: they served the reader nevertheless; False: the next frame counts them as skipped, too.
+
+        """
         with self._lock:
-            self._before = dataclasses.replace(before, index=self._before.index)
+            told = self._told
+            self._told = _Totals(
+                index=told.index - sum(frame.skipped_before for frame in frames) - (0 if used else len(frames)),
+                lost=None if told.lost is None else told.lost - sum(frame.lost_before or 0 for frame in frames),
+                overruns=told.overruns - any(frame.overrun for frame in frames),
+                reconnects=told.reconnects - any(frame.reconnected for frame in frames),
+                reboots=told.reboots - any(frame.rebooted for frame in frames),
+                estimator_starts=told.estimator_starts - any(frame.estimator_restarted for frame in frames),
+            )
             self._frame = None
 
     def forget(self) -> None:
@@ -166,7 +199,7 @@ class FrameTaker:
     def _repeat(self, newest: RawFrame) -> Frame | None:
         """The frame taken last, if it is still the newest."""
         with self._lock:
-            return self._frame if self._frame is not None and self._before.index == newest.index else None
+            return self._frame if self._newest == newest.index else None
 
     def _claim(self, raw: RawFrame) -> Frame | None:
         """Convert a frame and make it the last one taken; None where this taker, or all others, are beyond it."""
@@ -177,19 +210,19 @@ class FrameTaker:
             source.mailbox.move(self._place, raw.index)
             raise
         with self._lock:
-            if measurement is None or raw.index <= self._before.index:
+            if measurement is None or raw.index <= self._newest:
                 # After an interrupt between the two steps below, too: the frame must not be offered again for ever.
                 source.mailbox.move(self._place, raw.index)
                 return None
             frame = self._deliver(raw, measurement)
-            self._frame = frame
+            self._newest, self._frame = raw.index, frame.again()
             source.mailbox.move(self._place, raw.index)
         source.counters.ages_s.append(frame.age)
         return frame
 
     def _deliver(self, raw: RawFrame, measurement: Measurement) -> Frame:
-        before, self._before = self._before, _Totals.of(raw, measurement.estimator_starts)
-        return _frame(raw, measurement, before, self._source)
+        told, self._told = self._told, _Totals.of(raw, measurement.estimator_starts)
+        return _frame(raw, measurement, told, self._source)
 
     def _check_fault(self) -> None:
         """Raise a fault that this taker has not been told of."""
@@ -308,7 +341,7 @@ class ConvertedFrames:
 
 @dataclass(slots=True)
 class _Totals:
-    """The totals at the last frame taken."""
+    """The totals that a reader has been told of: those at the last frame taken."""
 
     index: int = 0
     lost: int | None = 0
@@ -336,6 +369,7 @@ def _frame(raw: RawFrame, measurement: Measurement, before: _Totals, source: Sou
         reconnected=raw.reconnects > before.reconnects,
         rebooted=raw.reboots > before.reboots,
         estimator_restarted=measurement.estimator_starts > before.estimator_starts,
+        repeated=False,
         counts=raw.counts,
         valid=measurement.valid,
         reason=measurement.reason,

@@ -29,7 +29,7 @@ class Tare:
     """Rest resistances of a skin's cells. Arrays are (rows, columns)."""
 
     rest_resistance_ohm: FloatArray
-    """mean of the frames; where not measured, that of the data sheet"""
+    """mean of the frames; where not measured, that of the calibration or the data sheet"""
     measured: BoolArray
     """False for a cell that had no valid reading"""
     std_ohm: FloatArray
@@ -92,7 +92,15 @@ class RestReadings:
     time_s: FloatArray
     """(frames,) increasing"""
 
-    def tare(self, cell: Cell | None, *, lost: int | None, serial_number: str, wall_time: float) -> Tare:
+    def tare(
+        self,
+        cell: Cell | None,
+        *,
+        lost: int | None,
+        serial_number: str,
+        wall_time: float,
+        calibrated_ohm: FloatArray | None = None,
+    ) -> Tare:
         """The rest resistances, and every sign that the skin is loaded.
 
         Args:
@@ -100,6 +108,8 @@ class RestReadings:
             lost: frames lost meanwhile.
             serial_number: of the board.
             wall_time: of the last frame, in s since the epoch.
+            calibrated_ohm: (rows, columns) rest resistances of a calibration, to compare with instead of the data
+                sheet.
 
         Raises:
             InputError: not one cell has a valid reading.
@@ -112,13 +122,14 @@ class RestReadings:
         mean = np.nansum(self.resistance_ohm, axis=0) / np.maximum(readings, 1)
         deviation = np.where(np.isfinite(self.resistance_ohm), self.resistance_ohm - mean, 0.0)
         std = np.sqrt((deviation**2).sum(axis=0) / np.maximum(readings - 1, 1))
-        typical = float(np.median(mean[measured]))
-        otherwise = typical if cell is None else cell.rest_resistance_ohm
+        expected = np.ones_like(mean) if calibrated_ohm is None else calibrated_ohm
+        typical = float(np.median((mean / expected)[measured]))
+        otherwise = typical * expected if cell is None or calibrated_ohm is not None else cell.rest_resistance_ohm
         remarks = [
             remark
             for remark in (
-                _far_from_sheet(typical, cell),
-                _unlike_others(mean / typical, measured, cell),
+                _far_from_sheet(typical, cell) if calibrated_ohm is None else _far_from_calibration(typical),
+                _unlike_others(mean / expected / typical, measured, cell),
                 self._changing(mean, std, readings),
             )
             if remark
@@ -166,6 +177,12 @@ def _far_from_sheet(typical_ohm: float, cell: Cell | None) -> str:
         f"the typical resistance is {typical_ohm:.4g} ohm, {ratio:.2g} times the {cell.rest_resistance_ohm:.4g} ohm "
         "that the data sheet gives for rest"
     )
+
+
+def _far_from_calibration(ratio: float) -> str:
+    if 1 / SHEET_FACTOR <= ratio <= SHEET_FACTOR:
+        return ""
+    return f"the typical resistance is {ratio:.2g} times that of the calibration at rest"
 
 
 def _unlike_others(ratio: FloatArray, measured: BoolArray, cell: Cell | None) -> str:

@@ -165,6 +165,11 @@ class PtyPort(Port):
         except OSError:  # a host that has claimed the terminal for itself (TIOCEXCL)
             return 0
         try:
+            # Bytes lie in the kernel's transfer buffer until one of its threads has time, and FIONREAD does not count
+            # them there. Polling moves them on. Closing the port too early would lose them: a hang-up discards them.
+            poll = select.poll()
+            poll.register(host_end, select.POLLIN)
+            poll.poll(0)
             (waiting,) = struct.unpack("i", fcntl.ioctl(host_end, termios.FIONREAD, struct.pack("i", 0)))
         finally:
             os.close(host_end)

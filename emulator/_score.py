@@ -16,6 +16,7 @@ Frames of recording and truth belong together if they have the same number.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
@@ -24,7 +25,7 @@ import numpy as np
 from scipy.ndimage import center_of_mass, label
 from scipy.optimize import linear_sum_assignment
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import AnyArray, BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from ._archive import numbers, read_arrays
 
@@ -47,7 +48,11 @@ class Recording:
     @classmethod
     def load(cls, path: str | Path) -> Self:
         """Read an archive; InputError says what is missing or does not fit."""
-        arrays = read_arrays(path, ["sequence", "time", "pressure", "valid"])
+        return cls.of(read_arrays(path, ["sequence", "time", "pressure", "valid"]), path)
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, AnyArray], path: str | Path) -> Self:
+        """Check arrays that came from ``path``; InputError says what is missing or does not fit."""
         for name in ("sequence", "time", "pressure"):
             if name not in arrays:
                 raise InputError(f"{path}: has no array '{name}'; expected a recording as ohmskin export writes it")

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import os
+import select
 import selectors
 import signal
 import threading
@@ -25,6 +26,8 @@ LISTENER_S = 1.0
 """fast clock: how long a host may say nothing before it is taken for a mere listener"""
 MOST_BEHIND_S = 0.5
 """real clock: how late a board may be before its time is let go"""
+MOST_FOR_SELECT = 1024
+"""file descriptors that ``select()`` can wait for (FD_SETSIZE)"""
 DRAIN_S = 5.0
 """at the end: how long to wait for a host that has stopped reading"""
 
@@ -103,7 +106,14 @@ class HasFileno(Protocol):
 
 
 def wait_for(readable: list[HasFileno], writable: list[HasFileno], timeout_s: float) -> None:
-    """Wait until one of these is ready, or the time is over."""
+    """Wait until one of these is ready, or the time is over.
+
+    ``select()`` waits to the microsecond, but knows no descriptor beyond 1023. ``epoll()`` knows all, but rounds the
+    time up to whole milliseconds, which would make frames of a 1 kHz board late by half their period.
+    """
+    if max(end.fileno() for end in readable) < MOST_FOR_SELECT:
+        select.select(readable, writable, [], timeout_s)
+        return
     with selectors.DefaultSelector() as selector:
         for end in readable:
             both = selectors.EVENT_WRITE if end in writable else 0

@@ -130,6 +130,50 @@ class Script(MemoryPort):
         return self._last()
 
 
+class Flow(MemoryPort):
+    """A board that sends a frame every ``period_s``, byte by byte, on a clock that the test moves on."""
+
+    name = "flow"
+
+    def __init__(self, introduction: bytes, packet: Callable[[int], bytes], period_s: float, *, at_once: int) -> None:
+        """``packet(k)`` is frame k. A read brings at most ``at_once`` bytes, as of a terminal."""
+        super().__init__()
+        self.time_s = 0.0
+        self.deaf = False
+        """the reader thread is not woken any more"""
+        self._waiting = bytearray(introduction)
+        self._packet, self._period_s, self._at_once = packet, period_s, at_once
+        self._sent = 0.0
+        """frames sent so far, and the part of the next one"""
+
+    def work(self, seconds: float) -> None:
+        """Let time pass."""
+        self.time_s += seconds
+        until = self.time_s / self._period_s
+        while self._sent < until:
+            number = int(self._sent)
+            packet, end = self._packet(number), min(until, number + 1.0)
+            share = slice(*(int((at - number) * len(packet)) for at in (self._sent, end)))
+            self._waiting += packet[share]
+            self._sent = end
+
+    @property
+    def newest(self) -> int:
+        """Number of the last frame that has come in full."""
+        return int(self._sent) - 1
+
+    def ready(self) -> bool:
+        return bool(self._waiting) and not self.deaf
+
+    def now(self) -> float:
+        return self.time_s
+
+    def read(self) -> Arrival:
+        data = bytes(self._waiting[: self._at_once])
+        del self._waiting[: len(data)]
+        return Arrival(data, self.time_s, 1e9 + self.time_s)
+
+
 def gone() -> bytes:
     """For ``last``: the port goes away after its last piece."""
     raise LinkError("gone")

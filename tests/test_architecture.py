@@ -19,8 +19,10 @@ MAY_IMPORT = {
     "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
     "emulator": SHARED | {"circuits", "cell", "wire"},
     "driver": SHARED | {"circuits", "cell", "wire"},
+    "calibration": SHARED | {"circuits", "cell", "driver"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
     "hil": SHARED | {"driver", "emulator"},
+    "view": SHARED | {"driver"},
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
 }
 

@@ -10,7 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linprog
 
+from ohmskin.driver import Arrival
 from ohmskin.driver._clock import STEP_S, ClockMap, lower_hull
+from ohmskin.driver._spacing import ArrivalTimes
+from ohmskin.driver._statistics import Counters
+from ohmskin.driver._stream import FrameStream
+from ohmskin.wire import BOARDS, FramePacket, board_protocol, host_protocol
 
 
 def delays(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -93,3 +98,60 @@ def test_the_hull_is_convex_and_below_all_points(steps: list[tuple[float, float]
     assert (below <= np.array([y for _, y in points]) + 1e-9).all()
     slopes = [(y1 - y0) / (x1 - x0) for (x0, y0), (x1, y1) in itertools.pairwise(hull)]
     assert all(after > before - 1e-9 for before, after in itertools.pairwise(slopes))
+
+
+def spread(arrivals: list[tuple[float, int]]) -> np.ndarray:
+    """Times of the frames of arrivals (time, frames), from a board without a clock."""
+    times = ArrivalTimes()
+    found = []
+    for received_s, frames in arrivals:
+        times.arrive(received_s, frames)
+        found += [times.next(received_s) for _ in range(frames)]
+    return np.array(found)
+
+
+@given(st.lists(st.tuples(st.floats(1e-4, 1.0), st.integers(0, 30)), min_size=1, max_size=60), st.floats(0, 1e5))
+def test_frames_that_came_together_lie_between_their_arrival_and_the_one_before(
+    steps: list[tuple[float, int]], start_s: float
+) -> None:
+    received_s = start_s + np.cumsum([step for step, _ in steps])
+    counts = np.array([frames for _, frames in steps])
+    found = spread(list(zip(received_s.tolist(), counts.tolist(), strict=True)))
+    owner = np.repeat(np.arange(len(counts)), counts)
+    assert (found <= received_s[owner]).all()
+    ends = np.cumsum(counts)[counts > 0] - 1
+    assert (found[ends] == received_s[counts > 0]).all()
+    first = counts[owner[0]] if len(found) else 0  # nothing is known of the time before the first arrival
+    assert (np.diff(found[max(first - 1, 0) :]) > 0).all()
+
+
+def test_a_host_that_reads_now_and_then_finds_the_board_s_frame_rate() -> None:
+    """A board at 100 Hz, read every 1 to 80 ms, and once after half a second in which it sent nothing."""
+    rng = np.random.default_rng(3)
+    sent_s = 5.0 + 0.01 * np.arange(2000)
+    sent_s[1200:] += 0.5
+    read_s = 5.0 + np.cumsum(rng.uniform(0.001, 0.08, 700))
+    counts = np.diff(np.searchsorted(sent_s, read_s), prepend=0)
+    found = spread(list(zip(read_s.tolist(), counts.tolist(), strict=True)))
+    late_s = found - sent_s[: len(found)]
+    assert np.median(np.diff(found)) == pytest.approx(0.01, rel=0.05)
+    assert np.abs(late_s[50:]).max() < 0.09
+    assert np.median(np.abs(late_s[50:])) < 0.02
+
+
+def test_a_family_without_a_clock_has_times_between_its_frames() -> None:
+    """Ten frames in each read, 0.1 s apart: the estimator is told of 10 ms, not of microseconds and jumps."""
+    board = BOARDS["m1616"]
+    protocol = board_protocol(board)
+    shape = (board.layout.rows, board.layout.columns)
+    packet = protocol.frame(FramePacket.of(np.full(shape, 100), sequence=None, time_us=None))
+    stream, host = FrameStream("memory", Counters()), host_protocol(board)
+    frames = []
+    for turn in range(1, 20):
+        arrival = Arrival(10 * packet, 0.1 * turn, 1e9 + 0.1 * turn)
+        events = [event for event in host.feed(arrival.data, arrival.received_at) if isinstance(event, FramePacket)]
+        stream.arrive(arrival, len(events))
+        frames += [stream.take(event, arrival) for event in events]
+    times = np.array([frame.time_s for frame in frames if frame is not None])
+    np.testing.assert_allclose(np.diff(times)[20:], 0.01, rtol=0.2)
+    assert stream.counters.snapshot(pending=0, drift_ppm=0.0, clock_steps=0).rate_hz == pytest.approx(100.0, rel=0.15)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import itertools
 import os
 import pty
@@ -11,22 +12,26 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import DESIGN, Script, Wire, gone, lossless, scene
+from boards import DESIGN, Flow, Script, Wire, gone, lossless, scene
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ohmskin.circuits import Design
 from ohmskin.config import parse
-from ohmskin.driver import Arrival, BytePort, Frame, Skin, discover
-from ohmskin.driver._port import DescriptorPort
+from ohmskin.driver import Arrival, BytePort, Delivery, Frame, Skin, discover
+from ohmskin.driver._convert import Measurement
+from ohmskin.driver._mailbox import Mailbox
+from ohmskin.driver._port import DescriptorPort, UrlPort
 from ohmskin.driver._reader import Reader
+from ohmskin.driver._reading import Reading
+from ohmskin.driver._stream import RawFrame
 from ohmskin.emulator import Board, PtyPort, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
 from ohmskin.wire import (
@@ -53,7 +58,9 @@ def identity(serial_number: str = "A1", *, boot_id: int = 1, rows: int = 3) -> b
     return encode(Identity(0, 0, rows, 2, 12, True, 1000, 100, serial_number, "test", boot_id))
 
 
-def frame(sequence: int, *, boot_id: int = 1, level: int = 2000, flags: Flag = Flag.NONE, ms: float = 1.0) -> bytes:
+def frame(
+    sequence: int, *, boot_id: int = 1, level: int | list[int] = 2000, flags: Flag = Flag.NONE, ms: float = 1.0
+) -> bytes:
     counts = np.full((3, 2), level)
     time_us = round(1000 * ms * sequence)
     return encode(FramePacket.of(counts, sequence=sequence, time_us=time_us, boot_id=boot_id, flags=flags))
@@ -68,6 +75,30 @@ def described(*pieces: bytes, last: Callable[[], bytes] | None = None) -> Script
 
 def sequences(frames: list[Frame]) -> list[int | None]:
     return [frame.sequence for frame in frames]
+
+
+@contextlib.contextmanager
+def taking(skin: Skin, how: str) -> Iterator[Callable[[], Frame]]:
+    """One of the ways to take the next frame."""
+    own = skin.frames()
+    with asyncio.Runner() as runner:
+
+        async def follow() -> AsyncIterator[Frame]:
+            return aiter(skin)
+
+        following = runner.run(follow())
+
+        async def following_frame() -> Frame:
+            return await anext(following)
+
+        ways = {
+            "latest": lambda: skin.latest(max_age=0.002),
+            "read": lambda: skin.read(timeout=0.0),
+            "iteration": lambda: next(skin),
+            "frames": lambda: next(own),
+            "async": lambda: runner.run(following_frame()),
+        }
+        yield ways[how]
 
 
 class TestDelivery:
@@ -199,9 +230,73 @@ class TestFreshness:
             with pytest.raises(LinkTimeout, match=r"no frame younger than 0\.1 s: the newest frame is 0\.\d+ s old"):
                 skin.latest(0.1)
             again = skin.latest(60.0)
-            assert again.sequence == 0
+            assert (again.sequence, again.repeated) == (0, True)
             assert again.age > 0.2
             assert skin.latest(60.0) is again
+
+    @pytest.mark.parametrize("deaf", [False, True], ids=["thread reads", "thread never runs"])
+    @pytest.mark.parametrize("how", ["latest", "read", "iteration", "frames", "async"])
+    def test_a_slow_reader_at_1_khz_gets_the_frame_that_came_last(self, how: str, deaf: bool) -> None:
+        """On a clock of its own, hence on any machine: 10 ms of work per cycle, 0.9 ms to convert a frame."""
+        port = Flow(identity() + sheet(), frame, 0.001, at_once=97)
+        with Skin(port) as skin, taking(skin, how) as take:
+            convert = skin._converter._read
+
+            def slowly(counts: np.ndarray) -> Reading:
+                port.work(0.0009)
+                return convert(counts)
+
+            skin._converter._read = slowly  # type: ignore[assignment]
+            port.deaf = deaf
+            total, ages = 0, []
+            for _ in range(40):
+                port.work(0.01037)
+                newest = port.newest
+                one = take()
+                ages.append(one.age)
+                total += 1 + one.skipped_before
+                assert (one.sequence, one.lost_before) == (newest, 0)
+        assert total == newest + 1
+        assert max(ages) < 0.002
+
+    def test_what_happened_before_a_frame_is_told_once(self) -> None:
+        """A control loop that adds up what it lost, and asks more often than frames come."""
+        port = described(frame(0))
+        with Skin(port) as skin:
+            assert not skin.latest(60.0).repeated
+            port.say(frame(3) + frame(4, flags=Flag.OVERRUN) + frame(6))
+            told, again = skin.latest(60.0), skin.latest(60.0)
+        assert (told.lost_before, told.skipped_before, told.overrun, told.repeated) == (3, 2, True, False)
+        assert (again.lost_before, again.skipped_before, again.overrun, again.repeated) == (0, 0, False, True)
+        assert again.pressure is told.pressure
+        assert again.contacts == told.contacts
+
+    def test_after_a_tare_there_is_no_frame_until_the_next_comes(self) -> None:
+        port = described(*(frame(k) for k in range(3)))
+        with Skin(port, delivery="lossless") as skin:
+            next(skin)
+            skin.tare(2, force=True)
+            with pytest.raises(LinkTimeout, match=r"no frame younger than 60 s: none came since the tare"):
+                skin.latest(60.0)
+
+    def test_a_frame_that_grew_old_while_it_was_converted_counts_as_skipped(self) -> None:
+        port = described(frame(0))
+        with Skin(port) as skin:
+            next(skin)
+            slow = skin._converter.measure
+
+            def measure(raw: RawFrame, mailbox: Mailbox) -> Measurement | None:
+                time.sleep(0.3)
+                return slow(raw, mailbox)
+
+            skin._converter.measure = measure  # type: ignore[method-assign]
+            port.say(frame(3))
+            with pytest.raises(LinkTimeout, match=r"the newest frame is 0\.\d+ s old"):
+                skin.latest(0.25)
+            skin._converter.measure = slow  # type: ignore[method-assign]
+            port.say(frame(4))
+            after = skin.latest(60.0)
+        assert (after.sequence, after.lost_before, after.skipped_before) == (4, 2, 1)
 
     def test_the_wait_for_a_young_frame_ends_with_it(self) -> None:
         port = described(frame(0))
@@ -371,6 +466,113 @@ class TestDamage:
         assert stats.skipped == 0
 
 
+class TestEveryFrameCounts:
+    """Frames taken, skipped and lost add up to the frames that the board sent, whoever takes them and however."""
+
+    @given(
+        delivery=st.sampled_from(["newest", "every", "lossless"]),
+        queue=st.integers(1, 6),
+        turns=st.lists(
+            st.tuples(
+                st.lists(st.integers(1, 4), max_size=5),
+                st.sampled_from(["read", "latest", "next", "tare", "refused", "nothing"]),
+            ),
+            max_size=12,
+        ),
+    )
+    def test_of_one_reader(self, delivery: Delivery, queue: int, turns: list[tuple[list[int], str]]) -> None:
+        """Between two turns frames come, each so many numbers after the one before."""
+        port = described()
+        number, counts = -1, Account()
+        with Skin(port, delivery=delivery, queue=queue, timeout=30.0) as skin:
+            skin._timeout = 0.0
+            for steps, how in turns:
+                for step in steps:
+                    number += step
+                    port.say(frame(number, level=[2000, 600]))  # unlike each other: a tare needs force
+                counts.turn(skin, how)
+            if number < 0:
+                return
+            number += 1
+            port.say(frame(number))
+            while counts.last != number:
+                counts.turn(skin, "read")
+        assert counts.total == number + 1
+
+    def test_of_readers_in_threads_and_in_the_event_loop(self) -> None:
+        port = described()
+        stop, accounts = threading.Event(), [Account() for _ in range(4)]
+        numbers = sorted(np.random.default_rng(1).choice(4000, 1500, replace=False).tolist())
+
+        async def follow(skin: Skin) -> None:
+            async for one in skin:
+                accounts[2].add(one)
+                await asyncio.sleep(0.001)
+
+        def together(skin: Skin) -> None:
+            while not stop.is_set():
+                with contextlib.suppress(LinkTimeout, LinkEnded):
+                    shared.add(skin.read(0.01))
+                with contextlib.suppress(LinkTimeout, LinkEnded):
+                    shared.add(skin.latest(60.0))
+
+        shared = accounts[0]
+        port.say(frame(0))
+        with Skin(port) as skin:
+            shared.add(next(skin))
+            threads = [
+                *(threading.Thread(target=together, args=(skin,)) for _ in range(3)),
+                threading.Thread(target=lambda: [accounts[1].add(one) for one in skin.frames()]),
+                threading.Thread(target=lambda: asyncio.run(follow(skin))),
+            ]
+            skin.on_frame(accounts[3].add)
+            for thread in threads:
+                thread.start()
+            until(lambda: len(skin._mailbox._places) == 4)
+            for k in numbers:
+                port.say(frame(1 + k))
+                if k % 7 == 0:
+                    time.sleep(0.0005)
+            port.say(frame(5000))
+            until(lambda: all(account.last == 5000 for account in accounts))
+            stop.set()
+        for thread in threads:
+            thread.join(20)
+        assert [account.total for account in accounts] == [5001, 5000, 5000, 5000]
+        assert skin.stats().lost == 5001 - 1502
+
+
+class Account:
+    """What a reader adds up: frames that it took, and those that the frames say were lost or skipped."""
+
+    def __init__(self) -> None:
+        self.total = 0
+        self.last: int | None = None
+        self._lock = threading.Lock()
+
+    def add(self, one: Frame) -> None:
+        with self._lock:
+            assert one.lost_before is not None
+            self.total += one.lost_before + one.skipped_before + (not one.repeated)
+            self.last = max(self.last or 0, one.sequence or 0)
+
+    def turn(self, skin: Skin, how: str) -> None:
+        """Take frames in one of the ways there are."""
+        with contextlib.suppress(LinkTimeout, InputError):
+            match how:
+                case "read":
+                    self.add(skin.read(0.0))
+                case "latest":
+                    self.add(skin.latest(60.0))
+                case "next":
+                    self.add(next(skin))
+                case "tare":
+                    self.total += skin.tare(2, force=True).frames
+                case "refused":
+                    skin.tare(2)
+                    raise AssertionError("tare on a loaded skin")
+
+
 class Bench:
     """A port that goes away and comes back on request: a cable to pull."""
 
@@ -446,6 +648,14 @@ class TestReconnection:
         assert stranger.closed
         assert larger.closed
 
+    def test_the_error_says_why_the_board_went_away_and_what_was_found_instead(self) -> None:
+        bench = Bench(Script(identity("B2"), sheet(), frame(0)))
+        with Skin(described(frame(0), last=gone), reopen=bench.reopen, reconnect=0.3, timeout=30.0) as skin:
+            next(skin)
+            said = r"gone; it has not come back within 0\.3 s \(script: board B2 is there; expected A1\)"
+            with pytest.raises(LinkError, match=said):
+                next(skin)
+
     def test_a_board_that_stays_away_is_an_error_after_the_time_given(self) -> None:
         bench = Bench()
         with Skin(described(frame(0), last=gone), reopen=bench.reopen, reconnect=0.5, timeout=30.0) as skin:
@@ -502,6 +712,41 @@ class TestReconnection:
         with skin, running(scene(), other):
             names[other.name] = "USB-1"
             assert next(frame for frame in skin if frame.reconnected).rebooted
+
+    def test_a_board_without_a_usb_number_is_found_under_another_name(self, tmp_path: Path) -> None:
+        """Many converters have no serial number; the board's own tells which of the ports that appear is its."""
+        stranger = scene(board={"serial_number": "B2", "frame_rate": 500.0})
+        unplugged = {"kind": "unplug", "at_s": 1.0, "duration_s": 0.5, "name": "skin-9"}
+        moves = scene(board={"serial_number": "A1", "frame_rate": 500.0}, link_fault=[unplugged])
+        with (
+            running(scene(board={"serial_number": "C3"}), PtyPort(tmp_path / "there-all-the-time")),
+            running(moves, PtyPort(tmp_path / "skin")),
+            Skin.open(str(tmp_path / "skin"), reconnect=60.0, timeout=30.0) as skin,
+        ):
+            opened = opened_ports(skin)
+            next(skin)
+            until(lambda: skin._mailbox.away is not None)
+            with running(stranger, PtyPort(tmp_path / "skin-1")):
+                back = next(frame for frame in skin if frame.reconnected)
+                assert back.rebooted
+                assert skin.serial_number == "A1"
+        assert str(tmp_path / "skin-9") in opened
+        assert str(tmp_path / "there-all-the-time") not in opened
+
+
+def opened_ports(skin: Skin) -> list[str]:
+    """The names under which the skin opens its port from now on."""
+    names: list[str] = []
+    reopen = skin._reader._reopen
+    assert reopen is not None
+
+    def note() -> BytePort:
+        port = reopen()
+        names.append(port.name)
+        return port
+
+    skin._reader._reopen = note
+    return names
 
 
 class TestPorts:
@@ -600,6 +845,14 @@ class TestBoards:
                 Skin.open(serial_number="middle")
             with pytest.raises(LinkError, match="board left is there; expected right"):
                 Skin.open(names[1], serial_number="right")
+
+    def test_of_two_boards_with_one_serial_number_neither_is_guessed(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        ports = [PtyPort() for _ in range(2)]
+        monkeypatch.setattr("ohmskin.driver._discover.serial_ports", lambda: [port.name for port in ports])
+        with running(scene(), ports[0]), running(scene(), ports[1]):
+            number = discover()[0].serial_number
+            with pytest.raises(LinkError, match=rf"2 boards with serial number {number}: at /dev/.*; give a port"):
+                Skin.open(serial_number=number)
 
     def test_without_a_cell_there_are_ohms_and_no_pressure(self) -> None:
         family = replace(BOARDS["ohmskin"], has_description=False)
@@ -741,3 +994,24 @@ def until(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
         time.sleep(0.002)
+
+
+def test_two_threads_read_a_port_of_pyserials_in_order() -> None:
+    """One thread waits for the first byte; another, which reads meanwhile, must not get the bytes after it."""
+
+    class Device:
+        timeout: float | None = None
+        left = b"abc"
+        during_wait = b""
+
+        def read(self, size: int) -> bytes:
+            taken, self.left = self.left[:size], self.left[size:]
+            if size == 1:
+                self.during_wait = port.read().data
+            return taken
+
+    device = Device()
+    port = UrlPort("test://", device)  # type: ignore[arg-type]
+    assert port.wait(0.1)
+    assert device.during_wait + port.read().data == b"abc"
+    assert port.read().data == b""

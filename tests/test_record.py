@@ -17,7 +17,8 @@ import pytest
 from boards import Script, Wire, gone, scene
 
 from ohmskin.cli import run
-from ohmskin.driver import Frame, Recorder, ReplayPort, Skin
+from ohmskin.config import fingerprint
+from ohmskin.driver import Frame, Recorder, ReplayPort, Skin, to_xarray
 from ohmskin.emulator import Board, PtyPort, running
 from ohmskin.errors import InputError, LinkEnded
 from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
@@ -346,13 +347,61 @@ def test_the_commands_record_replay_and_export(tmp_path: Path, capfd: pytest.Cap
     assert parquet.read_table(tmp_path / "first.parquet")["pressure_kpa_1_1"].to_pylist() == pressure[:, 1, 1].tolist()
 
 
+def test_frames_become_a_dataset_with_units(tmp_path: Path) -> None:
+    xarray = pytest.importorskip("xarray")
+    pytest.importorskip("h5netcdf")
+    path, exported = tmp_path / "press.mcap", tmp_path / "press.nc"
+    live = recorded(path, 60)
+    with Skin.open(str(path)) as skin:
+        data = to_xarray(skin, skin)
+        assert data.attrs["serial_number"] == skin.serial_number
+        assert data.attrs["design_sha256"] == fingerprint(skin.design)
+        pitch_mm = 1e3 * skin.pitch_m
+    assert dict(data.sizes) == {"time": len(data.time), "row": 3, "column": 2}
+    np.testing.assert_array_equal(data.x_mm, [0.0, pitch_mm])
+    np.testing.assert_array_equal(data.y_mm, [0.0, pitch_mm, 2 * pitch_mm])
+    for k, frame in enumerate(live):
+        np.testing.assert_array_equal(data.pressure[k], frame.pressure)
+        np.testing.assert_array_equal(data.counts[k], frame.counts)
+        assert data.time[k].astype(np.int64) == round(1e9 * frame.host_time)
+    assert (data.pressure.units, data.resistance.units, data.device_time.units) == ("kPa", "ohm", "s")
+    assert run(["export", str(path), "-o", str(exported)]) == 0
+    with xarray.open_dataset(exported) as read:
+        xarray.testing.assert_equal(read.drop_vars("time"), data.drop_vars("time"))
+        assert np.abs((read.time - data.time).astype(np.int64)).max() <= 1000  # as CF's encoding of dates rounds
+        assert read.pressure.attrs["units"] == "kPa"
+        assert read.valid.dtype == bool
+    with pytest.raises(InputError, match="no frames"):
+        to_xarray([])
+    with Skin.open(str(path)) as skin:
+        assert dict(to_xarray([], skin).sizes) == {"time": 0, "row": 3, "column": 2}
+
+
+def test_a_recording_is_scored_as_its_export_is(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    truth, path, arrays = tmp_path / "truth.npz", tmp_path / "press.mcap", tmp_path / "press.npz"
+    port = PtyPort()
+    with running(scene(), port, clock="fast", duration_s=3.0, truth=truth):
+        assert run(["record", port.name, "-o", str(path)]) == 0
+    assert run(["export", str(path), "-o", str(arrays)]) == 0
+    capfd.readouterr()
+    shown = []
+    for recording in (path, arrays):
+        assert run(["score", str(recording), str(truth), "--json"]) == 0
+        shown.append(json.loads(capfd.readouterr().out))
+    assert shown[0] == shown[1]
+    assert (shown[0]["frames"], shown[0]["lost_frames"]) == (150, 0)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["record", "/dev/nothing-here", "-o", "{tmp}/x.mcap"], "/dev/nothing-here: no such port"),
         (["record", "/dev/nothing-here", "-o", "{tmp}/x.csv"], "x.csv: is no name of a recording; expected FILE.mcap"),
         (["export", "{tmp}/nowhere.mcap", "-o", "{tmp}/x.npz"], "nowhere.mcap: cannot be read: No such file"),
-        (["export", "{tmp}/nowhere.mcap", "-o", "{tmp}/x.txt"], "expected a name that ends in .npz, .csv, .parquet"),
+        (
+            ["export", "{tmp}/nowhere.mcap", "-o", "{tmp}/x.txt"],
+            "expected a name that ends in .npz, .csv, .parquet, .nc",
+        ),
         (["export", "{tmp}/nowhere.csv", "-o", "{tmp}/x.npz"], "nowhere.csv: is no name of a recording"),
         (["replay", "{tmp}/nowhere.mcap"], "nowhere.mcap: cannot be read: No such file"),
     ],
@@ -365,3 +414,27 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     assert message in errors
     assert errors.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_is_not_replaced_unless_asked(tmp_path: Path) -> None:
+    file = tmp_path / "hours of work.mcap"
+    file.write_bytes(b"precious")
+    port = Script(*pieces(range(5), last=True))
+    with pytest.raises(InputError, match="is there already; choose another name, or ask to overwrite it"):
+        Skin(port, record=file)
+    assert port.closed
+    assert file.read_bytes() == b"precious"
+    with Skin(Script(*pieces(range(5), last=True)), delivery="lossless", record=file, overwrite=True) as skin:
+        assert len(list(skin)) == 5
+    assert len(list(Skin.open(str(file)))) == 5
+
+
+def test_the_command_keeps_a_recording_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file, link = tmp_path / "press.mcap", tmp_path / "skin"
+    with running(scene(), PtyPort(link)):
+        assert run(["record", str(link), "-o", str(file), "--duration", "0.2"]) == 0
+        size = file.stat().st_size
+        assert run(["record", str(link), "-o", str(file), "--duration", "0.2"]) == 2
+        assert "is there already; choose another name" in capsys.readouterr().err
+        assert file.stat().st_size == size
+        assert run(["record", str(link), "-o", str(file), "--duration", "0.2", "--overwrite"]) == 0

@@ -79,7 +79,7 @@ def test_the_wheel_holds_every_file_of_every_room(wheel: Path) -> None:
     packed = set(zipfile.ZipFile(wheel).namelist())
     for room in ROOMS:
         for file in (ROOT / room).rglob("*"):
-            packs = file.suffix in (".py", ".toml", ".html", ".typed", ".cjs", ".hex")
+            packs = file.suffix in (".py", ".toml", ".html", ".typed", ".cjs", ".hex", ".js", ".css", ".svg")
             if not packs or {"__pycache__", "node_modules"} & set(file.parts):
                 continue
             inside = file.relative_to(ROOT / "src" if room.startswith("src") else ROOT)

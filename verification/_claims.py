@@ -144,4 +144,11 @@ APPENDICES = (
         "Pressure is estimated in real time on materials that no model describes.",
         speed.estimators,
     ),
+    Statement(
+        "S3",
+        "The live path: speed against error",
+        "beyond the paper",
+        "A board's bytes become kPa at the board's rate, and the newest frame is handed out.",
+        speed.live_path,
+    ),
 )

@@ -104,7 +104,8 @@ def verify(
         cell: what the skin is made of; None: the design's [cells], else the shipped example cell.
         requirements: None takes those of the design, else :func:`default_requirements`.
         paper: whether the paper's claims P1 to P14 are run too; None: for the prototype and its own requirements.
-        speed: whether S1 and S2 are run: what a digit costs, of solvers and of estimators. They take a minute.
+        speed: whether S1, S2 and S3 are run: what a digit costs, of solvers, estimators and the live path. They take a
+            minute.
         only: ids of requirements and claims; empty: all.
         title: what the report calls the design.
         target: the board that is measured: "emulated", "firmware", or a serial port.

@@ -1,4 +1,4 @@
-"""Speed against error: what a promised digit costs, for the solvers and for the estimators."""
+"""Speed against error: what a promised digit costs, for the solvers, the estimators and the live path."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from ._subject import Subject
 
 SIZES = (8, 16, 32)
 SPECIMENS = 2
+LIVE_FRAMES = 300
+LIVE_CYCLES = 60
 
 
 def solvers(_: Subject) -> Finding:
@@ -97,5 +99,71 @@ def estimators(_: Subject) -> Finding:
                 ],
                 "Measured in this run, on this machine. `ohmskin bench --estimators` prints the first again.",
             )
+        ],
+    )
+
+
+def live_path(_: Subject) -> Finding:
+    """S3: frames per second, errors and ages on the way from a board's bytes to kPa."""
+    rows = list(bench.live_estimators(SIZES, learned=False, frames=LIVE_FRAMES))
+    skins = list(bench.freshness(SIZES, cycles=LIVE_CYCLES))
+    checks = []
+    for size in SIZES:
+        here = [row for row in rows if row.size == size]
+        default = next(row for row in here if row.is_default)
+        static = next(row for row in here if row.estimator == "static")
+        checks.append(
+            Check(
+                f"{size} x {size}: error of the default ({default.estimator}) over that of 'static'",
+                default.rmse_kpa / static.rmse_kpa,
+                1.0,
+            )
+        )
+    unaccounted = float(sum(row.unaccounted for row in skins))
+    checks.append(Check("frames that the board sent and that are in no count", unaccounted, 0.0))
+    return Finding(
+        checks=checks,
+        text=[
+            "Five fingers wander over the shipped example cell, on boards with inverting amplifiers, 12 bits and "
+            "noise. Errors are those of valid cells, against the pressures that the fingers had. Frames per "
+            "second are per second of processor time on one core. The age is that of the newest frame of a board "
+            "at 1 kHz when a reader gets it who works for 10 ms in each cycle, without what line and operating "
+            "system add. "
+            "`ohmskin bench --driver` measures more sizes, other circuits and the estimators that learn."
+        ],
+        figures=[
+            Figure(bench.live_picture(rows), "Error against speed, one curve per estimator, along the sizes N x N.")
+        ],
+        tables=[
+            Table(
+                ["array", "estimator", "frames/s", "packets", "ohms", "kPa", "RMSE, kPa", "worst, kPa"],
+                [
+                    [
+                        f"{row.size} x {row.size}",
+                        row.estimator + (" (default)" if row.is_default else ""),
+                        f"{row.frames_per_second:.0f}",
+                        *(f"{100 * share:.0f} %" for share in row.shares),
+                        f"{row.rmse_kpa:.3f}",
+                        f"{row.worst_kpa:.2f}",
+                    ]
+                    for row in rows
+                ],
+                "Measured in this run, on this machine. Packets, ohms and kPa are shares of a frame's time.",
+            ),
+            Table(
+                ["array", "µs per frame that comes", "taken", "contacts besides", "age in frames, median", "worst"],
+                [
+                    [
+                        f"{row.size} x {row.size}",
+                        f"{row.come_us:.0f}",
+                        f"{row.taken_us:.0f}",
+                        f"{row.contacts_us:.0f}",
+                        f"{row.median_age:.2f}",
+                        f"{row.worst_age:.2f}",
+                    ]
+                    for row in skins
+                ],
+                "The same through a skin, with the default estimator.",
+            ),
         ],
     )

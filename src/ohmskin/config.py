@@ -7,6 +7,9 @@ structured errors into one line that names the file, the key and what was expect
 from __future__ import annotations
 
 import difflib
+import hashlib
+import json
+import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -135,6 +138,23 @@ def parse(tables: Mapping[str, Any], model: type[S], *, source: str) -> S:
         raise InputError(f"{source}: tables are nested too deeply") from error
     except ValidationError as error:
         raise InputError(f"{source}: {describe(error, model)}") from error
+
+
+def fingerprint(model: BaseModel) -> str:
+    """SHA-256 of the values, as hexadecimal digits: the same for files that say the same in other words."""
+    return hashlib.sha256(json.dumps(_finite(model.model_dump()), sort_keys=True).encode()).hexdigest()
+
+
+def _finite(value: Any) -> Any:
+    """Nested tables with infinities, which JSON lacks, as text."""
+    match value:
+        case dict():
+            return {key: _finite(item) for key, item in value.items()}
+        case list() | tuple():
+            return [_finite(item) for item in value]
+        case float() if not math.isfinite(value):
+            return str(value)
+    return value
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:

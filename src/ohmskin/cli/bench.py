@@ -12,7 +12,9 @@ from .. import bench, tables
 from ..bench import _driver as of_drivers
 from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
+from ..bench import _freshness as of_skins
 from ..bench import _hard_cases as of_taps
+from ..bench import _view as of_pages
 from . import arguments
 from ._bar import progress_bar
 
@@ -51,6 +53,7 @@ class _ManyValues(click.Command):
 @click.option(
     "--driver", "of_driver", is_flag=True, help="Measure the live path instead, bytes to kPa, at these sizes."
 )
+@click.option("--view", "of_page", is_flag=True, help="Measure the page of `ohmskin view` instead, in Chromium.")
 @arguments.as_json("the measurements")
 def command(
     sizes: tuple[int, ...],
@@ -62,6 +65,7 @@ def command(
     estimators: bool,
     of_emulator: bool,
     of_driver: bool,
+    of_page: bool,
     as_json: bool,
 ) -> None:
     """Measure N x N arrays of 10 kohm to 1 Mohm with R ohm per line segment and lead: time per frame, true error,
@@ -78,8 +82,11 @@ def command(
         click.echo(json.dumps([asdict(row) for row in boards], indent=1) if as_json else of_boards.table(boards))
         return
     if of_driver:
-        paths = list(of_drivers.driver(sizes))
-        click.echo(json.dumps([asdict(row) for row in paths], indent=1) if as_json else of_drivers.table(paths))
+        _live_path(sizes, as_json, picture)
+        return
+    if of_page:
+        shown = list(of_pages.view(sizes))
+        click.echo(json.dumps([asdict(row) for row in shown], indent=1) if as_json else of_pages.table(shown))
         return
     arrays = [(size, segment) for size in sizes for segment in segments]
     rows = []
@@ -90,3 +97,21 @@ def command(
     if picture is not None:
         tables.write_text(picture, bench.picture(rows))
     click.echo(json.dumps([asdict(row) for row in rows], indent=1) if as_json else bench.table(rows), nl=as_json)
+
+
+def _live_path(sizes: tuple[int, ...], as_json: bool, picture: Path | None) -> None:
+    """Boards, estimators and a whole skin; the JSON is one list of all rows."""
+    boards = list(of_drivers.driver(sizes))
+    if not as_json:
+        click.echo(of_drivers.table(boards) + "\n")
+    judged = list(of_drivers.live_estimators(sizes))
+    if picture is not None:
+        tables.write_text(picture, of_drivers.live_picture(judged))
+    if not as_json:
+        click.echo(of_drivers.estimator_table(judged) + "\n")
+    skins = list(of_skins.freshness(sizes))
+    if as_json:
+        rows = [asdict(row) for row in (*boards, *judged)] + [asdict(row) for row in skins]
+        click.echo(json.dumps(rows, indent=1))
+    else:
+        click.echo(of_skins.freshness_table(skins))

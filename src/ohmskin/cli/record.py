@@ -31,7 +31,8 @@ QUEUE = 4096
     metavar="NAME",
     help=f"Family of the board: {', '.join(BOARDS)}.",
 )
-def command(port: str, output: Path, duration: float, board: str) -> None:
+@click.option("--overwrite", is_flag=True, help="Replace FILE.mcap if it is there already.")
+def command(port: str, output: Path, duration: float, board: str, overwrite: bool) -> None:
     """Record the skin at PORT: every byte, decoded frames for viewers, the board's description, tares and events.
 
     Ends after the duration, at the end of an emulation, or with Ctrl-C. What was recorded until then can be read,
@@ -39,7 +40,7 @@ def command(port: str, output: Path, duration: float, board: str) -> None:
     """
     if output.suffix.lower() != ".mcap":
         raise InputError(f"{output}: is no name of a recording; expected FILE.mcap")
-    with Skin.open(port, board=board, delivery="every", queue=QUEUE, record=output) as skin:
+    with Skin.open(port, board=board, delivery="every", queue=QUEUE, record=output, overwrite=overwrite) as skin:
         start = time.monotonic()
         with progress_bar("recording") as tell:
             while (elapsed := time.monotonic() - start) < duration:

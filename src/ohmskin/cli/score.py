@@ -10,11 +10,12 @@ from pathlib import Path
 import click
 
 from .. import emulator
-from ..errors import InputError
+from ..driver import stack
 from . import arguments
+from ._recording import played_frames
 
 
-@click.command(epilog=arguments.example("ohmskin score recording.npz truth.npz --json"))
+@click.command(epilog=arguments.example("ohmskin score press.mcap truth.npz --json"))
 @click.argument("recording", type=click.Path(path_type=Path), metavar="RECORDING")
 @click.argument("truth", type=click.Path(path_type=Path), metavar="TRUTH")
 @click.option(
@@ -31,18 +32,26 @@ from . import arguments
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the score as JSON.")
 def command(recording: Path, truth: Path, pitch: float | None, full_scale: float | None, as_json: bool) -> None:
-    """Compare RECORDING, an .npz file of `ohmskin export`, with TRUTH, an .npz file of `ohmskin emulate --truth`.
+    """Compare RECORDING with TRUTH, an .npz file of `ohmskin emulate --truth`.
+
+    RECORDING is an .mcap file of `ohmskin record`, played through the driver, or an .npz file such as `ohmskin export`
+    writes.
 
     Prints errors of pressure, of the places of contacts, latency and lost frames.
     """
-    if recording.suffix.lower() == ".mcap":
-        raise InputError(f"{recording}: is an .mcap file; run `ohmskin export {recording} -o FILE.npz` first")
-    result = emulator.score(
-        emulator.Recording.load(recording), emulator.Truth.load(truth), pitch_mm=pitch, full_scale_kpa=full_scale
-    )
+    known = emulator.Truth.load(truth)
+    result = emulator.score(_load(recording), known, pitch_mm=pitch, full_scale_kpa=full_scale)
     if as_json:
         fields = asdict(result).items()
         shown = {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in fields}
         click.echo(json.dumps(shown, indent=1, allow_nan=False))
     else:
         click.echo(emulator.score_text(result))
+
+
+def _load(recording: Path) -> emulator.Recording:
+    if recording.suffix.lower() != ".mcap":
+        return emulator.Recording.load(recording)
+    with played_frames(recording, "replaying") as (skin, frames):
+        arrays = stack(frames, skin.design.array.shape)
+    return emulator.Recording.of(arrays | {"time": arrays["host_time"]}, recording)

@@ -30,7 +30,9 @@ EXPORTS = (".parquet", ".nc", ".csv")
     "--requirements", "requirement_files", multiple=True, metavar="FILE", help="Requirements beside the design."
 )
 @click.option("--paper", is_flag=True, help="Run the paper's claims P1 to P14 on the design, too.")
-@click.option("--speed", is_flag=True, help="Measure what a digit costs, of solvers (S1) and estimators (S2).")
+@click.option(
+    "--speed", is_flag=True, help="Measure what a digit costs, of solvers (S1), estimators (S2), live path (S3)."
+)
 @click.option(
     "-o", "--output", default="ohmskin-report", show_default=True, metavar="DIR", help="Where the report goes."
 )

@@ -1,0 +1,171 @@
+"""What a skin adds to the stages: processor time per frame, and the age of the newest frame for a slow reader.
+
+The skin reads a port in memory, whose clock is the processor time of this process plus the time that the reader works.
+So the ages are those of a core that has nothing else to do, however loaded this machine is; what an operating system
+and a line add is left out (``examples/link_latency.py`` measures a real port).
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from math import inf
+from time import process_time
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..cell import Cell
+from ..circuits import Design
+from ..driver import Arrival, Skin
+from ._driver import design, packets_of, pressed
+
+RATE_HZ = 1000.0
+WORK_S = 0.0104
+"""the reader's work in each cycle: 10 ms, and not a multiple of the board's period"""
+CYCLES = 150
+_BURST = 11  # frames that come at once, to tell their cost from that of the frame taken
+_FRAMES = 200  # different ones; they repeat
+_ROOM = 4  # times as many packets as the work alone needs, for slow machines
+
+
+@dataclass(frozen=True)
+class Freshness:
+    """One size, on a board with inverting amplifiers and 12 bits."""
+
+    size: int
+    """of the N x N array"""
+    come_us: float
+    """processor time per frame that comes: packets, and numbering and timing of the frame"""
+    taken_us: float
+    """per frame that is taken: counts to ohms to kPa, and handing over"""
+    contacts_us: float
+    """besides, per frame that is taken once contacts have been asked for, with about five fingers on the skin"""
+    median_age: float
+    """of the newest frame, in frames of a board at 1 kHz, when a reader gets it who works for 10 ms in each cycle"""
+    worst_age: float
+    skipped: int
+    """frames that this reader did not take, as the frames say"""
+    unaccounted: int
+    """frames that the board sent and that are in no count; 0 unless the driver has a fault"""
+
+
+class PacedPort:
+    """A port in memory: packet k comes at ``k * period_s``. Only the reader who asks reads; the thread rests."""
+
+    name = "memory"
+
+    def __init__(self, packets: list[bytes], period_s: float) -> None:
+        self._packets, self._period_s = packets, period_s
+        self._began, self._worked_s = process_time(), 0.0
+        self._sent = 0
+        self._interrupted = threading.Event()
+
+    def work(self, seconds: float) -> None:
+        """Let time pass."""
+        self._worked_s += seconds
+
+    def now(self) -> float:
+        return process_time() - self._began + self._worked_s
+
+    def wait(self, timeout_s: float) -> bool:
+        self._interrupted.wait(max(timeout_s, 0.0))
+        self._interrupted.clear()
+        return False
+
+    def read(self) -> Arrival:
+        now = self.now()
+        come = min(int(now / self._period_s), len(self._packets))
+        data = b"".join(self._packets[self._sent : come])
+        self._sent = come
+        return Arrival(data, now, 1e9 + now)
+
+    def write(self, data: bytes) -> None:
+        pass
+
+    def interrupt(self) -> None:
+        self._interrupted.set()
+
+    def close(self) -> None:
+        pass
+
+
+def freshness(sizes: Iterable[int], *, cycles: int = CYCLES) -> Iterator[Freshness]:
+    """Measure at every size."""
+    for size in sizes:
+        board = design(size, "inverting-amplifier", "ground", 12)
+        _, cells = pressed(board.array.shape, _FRAMES)
+        come_us, taken_us, contacts_us = _costs(board, cells, cycles)
+        ages, skipped, unaccounted = _ages(board, cells, cycles)
+        yield Freshness(
+            size=size,
+            come_us=come_us,
+            taken_us=taken_us,
+            contacts_us=contacts_us,
+            median_age=float(np.median(ages)) * RATE_HZ,
+            worst_age=float(max(ages)) * RATE_HZ,
+            skipped=skipped,
+            unaccounted=unaccounted,
+        )
+
+
+def _opened(board: Design, cells: FloatArray, frames: int, period_s: float, *, each: int = 1) -> tuple[Skin, PacedPort]:
+    """A skin whose frames come ``period_s`` apart; those with the same cells, ``each``, have a millisecond together."""
+    port = PacedPort(packets_of(board, cells, frames=frames, each=each, rate_hz=each * RATE_HZ), period_s)
+    return Skin(port, design=board, cell=Cell.example(), timeout=60.0), port
+
+
+def _costs(board: Design, cells: FloatArray, cycles: int) -> tuple[float, float, float]:
+    """Processor time in us per frame that comes, per frame taken, and of contacts.
+
+    A frame comes per second of the port's time, so the processor time of a cycle does not matter. Three skins take the
+    same frames and take turns, since the load of the machine changes: one as they come, one with ten others that come
+    before each, one with contacts.
+    """
+    times = np.empty((cycles, 3))
+    kinds = [(*_opened(board, cells, step * (cycles + 2), 1.0, each=step), step) for step in (1, _BURST, 1)]
+    with kinds[0][0], kinds[1][0], kinds[2][0] as asked:
+        kinds[2][1].work(1.0)
+        _ = asked.latest(inf).contacts  # from now on contacts are found in every frame that is taken
+        for cycle in range(cycles):
+            for kind, (skin, port, step) in enumerate(kinds):
+                port.work(step)
+                began = process_time()
+                skin.latest(inf)
+                times[cycle, kind] = process_time() - began
+    times[:, 1:] -= times[:, :1]
+    one, ten_more, contacts = (max(float(part), 0.0) for part in 1e6 * np.median(times, axis=0))
+    come = ten_more / (_BURST - 1)
+    return come, one - come, contacts
+
+
+def _ages(board: Design, cells: FloatArray, cycles: int) -> tuple[list[float], int, int]:
+    """Ages in s, frames skipped, and frames in no count, of a reader who works between two frames."""
+    ages, skipped, known = [], 0, 0
+    sequence = -1
+    skin, port = _opened(board, cells, int(_ROOM * cycles * WORK_S * RATE_HZ), 1.0 / RATE_HZ)
+    with skin:
+        for _ in range(cycles):
+            port.work(WORK_S)
+            frame = skin.latest(inf)
+            ages.append(frame.age)
+            skipped += frame.skipped_before
+            known += frame.skipped_before + (frame.lost_before or 0) + (not frame.repeated)
+            sequence = frame.sequence or 0
+    return ages[10:], skipped, sequence + 1 - known
+
+
+def freshness_table(rows: Iterable[Freshness]) -> str:
+    """The rows as text."""
+    head = (
+        f"through a skin: processor time per frame, and the age in frames of the newest one at {RATE_HZ:g} Hz "
+        "for a reader with 10 ms of work per cycle\n"
+        "    cells    us per frame that comes   taken   contacts besides    age, median   worst   skipped"
+    )
+    lines = (
+        f"{row.size:>4} x {row.size:<4}{row.come_us:>24.0f}{row.taken_us:>8.0f}{row.contacts_us:>19.0f}"
+        f"{row.median_age:>15.2f}{row.worst_age:>8.2f}{row.skipped:>10}"
+        for row in rows
+    )
+    return "\n".join([head, *lines])

@@ -1,0 +1,50 @@
+"""Calibration of the cells of a skin: guided presses with known loads to rest resistance and gain of each cell.
+
+::
+
+    watch = Watch(cell, Plan.make(shape, "each", [5.0, 10.0]), hold_s=3.0, rest_s=2.0)
+    for frame in skin:
+        for event in watch.feed(frame.device_time, frame.resistance):
+            ...
+    calibration = calibrate_cells(cell, watch.rest, watch.presses).calibration(design, cell, serial_number)
+"""
+
+from ._fit import Fit, fit_cells
+from ._guide import Guide
+from ._plan import Plan
+from ._presses import Press, Rest
+from ._progress import Progress
+from ._reference import Alignment, align, read_reference, with_reference
+from ._verdict import Verdict, calibrate_cells
+from ._watch import (
+    Event,
+    HeldLongEnough,
+    PressBegan,
+    PressRefused,
+    PressTaken,
+    RestTaken,
+    Watch,
+)
+
+__all__ = [
+    "Alignment",
+    "Event",
+    "Fit",
+    "Guide",
+    "HeldLongEnough",
+    "Plan",
+    "Press",
+    "PressBegan",
+    "PressRefused",
+    "PressTaken",
+    "Progress",
+    "Rest",
+    "RestTaken",
+    "Verdict",
+    "Watch",
+    "align",
+    "calibrate_cells",
+    "fit_cells",
+    "read_reference",
+    "with_reference",
+]

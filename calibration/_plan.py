@@ -1,0 +1,83 @@
+"""Plan of a calibration: which cells to press together, with which loads, in which order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from ..arrays import BoolArray, FloatArray, IntArray
+from ..errors import InputError
+
+MOST_STEPS = 100
+LEAST_PRESSES = 2
+"""of each cell: one press alone says nothing of its own error"""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Targets are pressed one after the other with the load of the first step, then with that of the second, ..."""
+
+    shape: tuple[int, int]
+    targets: tuple[IntArray, ...]
+    """cells that bear a load together, as sorted indices into the flattened array"""
+    loads_kpa: tuple[float, ...]
+    """load of each step"""
+
+    @classmethod
+    def make(cls, shape: tuple[int, int], press: str, loads_kpa: Sequence[float]) -> Plan:
+        """A plan from the words of the command line.
+
+        Args:
+            shape: (rows, columns) of the skin.
+            press: "each" cell by itself, "all" together under a plate, or "RxC": patches of so many rows and columns.
+            loads_kpa: mean pressure on each cell, of each step. One load alone is pressed twice.
+
+        Raises:
+            InputError: no load, or one that is not positive; or no such way to press.
+
+        """
+        if not loads_kpa or not all(0 < load < np.inf for load in loads_kpa):
+            raise InputError("a calibration needs loads above 0 kPa")
+        steps = list(loads_kpa) * (LEAST_PRESSES if len(loads_kpa) == 1 else 1)
+        if len(steps) > MOST_STEPS:
+            raise InputError(f"{len(steps)} loads; expected at most {MOST_STEPS}")
+        rows, columns = shape
+        patch = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", press)
+        if press == "each":
+            height, width = 1, 1
+        elif press == "all":
+            height, width = rows, columns
+        elif patch is not None:
+            height, width = int(patch[1]), int(patch[2])
+        else:
+            raise InputError(f"press '{press}'; expected each, all, or a patch such as 2x3 (rows x columns)")
+        indices = np.arange(rows * columns).reshape(shape)
+        corners = product(range(0, rows, height), range(0, columns, width))
+        targets = (indices[row : row + height, column : column + width].ravel() for row, column in corners)
+        return cls(shape, tuple(targets), tuple(steps))
+
+    def name(self, target: int) -> str:
+        """A target in words."""
+        cells = self.targets[target]
+        if len(cells) == self.shape[0] * self.shape[1]:
+            return "all cells"
+        first, last = (self.place(index) for index in (int(cells[0]), int(cells[-1])))
+        return f"cell {first}" if first == last else f"cells {first} to {last}"
+
+    def place(self, index: int) -> tuple[int, int]:
+        """(row, column) of a cell."""
+        return index // self.shape[1], index % self.shape[1]
+
+    def pressed_target(self, load_kpa: FloatArray) -> int:
+        """The target that bears the largest mean of the loads (cells,)."""
+        return int(np.argmax([load_kpa[cells].mean() for cells in self.targets]))
+
+    def outside(self, target: int) -> BoolArray:
+        """(cells,) mask of the cells that the target leaves alone."""
+        mask = np.ones(self.shape[0] * self.shape[1], dtype=np.bool_)
+        mask[self.targets[target]] = False
+        return mask

@@ -1,0 +1,188 @@
+"""Progress of a calibration in a file, so that it can be interrupted and resumed: JSON, replaced after each press."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field
+
+from ..arrays import FloatArray
+from ..config import Finite, NotNegative, Positive, Section, parse
+from ..errors import InputError
+from ..files import read_bytes, whole_file
+from ._plan import Plan
+from ._presses import Press, Rest
+
+FORMAT = 1
+MOST_BYTES = 256 * 2**20
+MOST = 1_000_000
+"""numbers of a list"""
+
+_Text = Annotated[str, Field(max_length=1000)]
+_Ohm = Positive | None
+_Numbers = Annotated[list[Finite], Field(max_length=MOST)]
+_Ohms = Annotated[list[_Ohm], Field(max_length=MOST)]
+
+
+class _Rest(Section):
+    time_s: Finite
+    resistance_ohm: _Ohms
+    std_ohm: Annotated[list[NotNegative | None], Field(max_length=MOST)]
+    change: Annotated[list[Finite | None], Field(max_length=MOST)]
+    frames: Annotated[int, Field(ge=1)]
+
+
+class _Press(Section):
+    cells: Annotated[list[Annotated[int, Field(ge=0)]], Field(min_length=1, max_length=MOST)]
+    time_s: _Numbers
+    load_kpa: _Numbers
+    window_s: _Numbers
+    resistance_ohm: Annotated[list[_Ohms], Field(min_length=1, max_length=100)]
+    std_ohm: Annotated[list[NotNegative], Field(max_length=MOST)]
+    frames: Annotated[int, Field(ge=1)]
+    step: Annotated[int, Field(ge=0)]
+    felt_kpa: NotNegative
+    fault: _Text
+
+
+class _File(Section):
+    format: Annotated[int, Field(ge=FORMAT, le=FORMAT)]
+    setup: dict[str, Any]
+    rest: _Rest
+    presses: list[_Press]
+    trace: list[tuple[Finite, Finite]]
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What has been measured so far, and with which settings."""
+
+    setup: dict[str, Any]
+    """texts and numbers that must be the same when the calibration is resumed"""
+    rest: Rest
+    presses: tuple[Press, ...]
+    trace: tuple[tuple[float, float], ...]
+    """time in s and largest load in kPa; empty where no reference sensor is used"""
+
+    @property
+    def last_s(self) -> float:
+        """Time of the last that was measured."""
+        ends = [float(press.time_s[-1]) for press in self.presses]
+        return max([self.rest.time_s, *ends, *(time for time, _ in self.trace[-1:])])
+
+    def save(self, path: Path) -> None:
+        """Replace the file; InputError when that fails."""
+        content = {
+            "format": FORMAT,
+            "setup": self.setup,
+            "rest": {
+                "time_s": self.rest.time_s,
+                "resistance_ohm": _listed(self.rest.resistance_ohm),
+                "std_ohm": _listed(self.rest.std_ohm),
+                "change": _listed(self.rest.change),
+                "frames": self.rest.frames,
+            },
+            "presses": [
+                {
+                    "cells": press.cells.tolist(),
+                    "time_s": press.time_s.tolist(),
+                    "load_kpa": press.load_kpa.tolist(),
+                    "window_s": press.window_s.tolist(),
+                    "resistance_ohm": [_listed(line) for line in press.resistance_ohm],
+                    "std_ohm": press.std_ohm.tolist(),
+                    "frames": press.frames,
+                    "step": press.step,
+                    "felt_kpa": press.felt_kpa,
+                    "fault": press.fault,
+                }
+                for press in self.presses
+            ],
+            "trace": self.trace,
+        }
+        with whole_file(path) as file:
+            file.write(json.dumps(content, allow_nan=False).encode())
+
+    @classmethod
+    def load(cls, path: Path, setup: dict[str, Any], plan: Plan) -> Progress:
+        """Read what :meth:`save` wrote.
+
+        Args:
+            path: of the file.
+            setup: that of the calibration which is to be resumed.
+            plan: likewise.
+
+        Raises:
+            InputError: the file cannot be read, is no progress, or is that of another calibration.
+
+        """
+        try:
+            content = json.loads(read_bytes(path, most_bytes=MOST_BYTES))
+        except (ValueError, RecursionError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"{path}: is no progress of a calibration: {error}") from error
+        if not isinstance(content, dict):
+            raise InputError(f"{path}: is no progress of a calibration: expected a JSON object")
+        if isinstance(content.get("trace"), list):
+            content["trace"] = [tuple(pair) if isinstance(pair, list) else pair for pair in content["trace"]]
+        file = parse(content, _File, source=str(path))
+        for key, value in setup.items():
+            if file.setup.get(key) != value:
+                raise InputError(
+                    f"{path}: is the progress of another calibration: its {key} is {file.setup.get(key)!r}, "
+                    f"this one's {value!r}; leave out --resume to begin anew"
+                )
+        rows, columns = plan.shape
+        rest = file.rest
+        if not len(rest.resistance_ohm) == len(rest.std_ohm) == len(rest.change) == rows * columns:
+            raise InputError(f"{path}: rest: expected {rows * columns} values")
+        ohm, std, change = (
+            _array(values).reshape(plan.shape) for values in (rest.resistance_ohm, rest.std_ohm, rest.change)
+        )
+        presses = tuple(_press(press, plan, f"{path}: presses[{number}]") for number, press in enumerate(file.presses))
+        if any(later.time_s[0] < earlier.time_s[0] for earlier, later in pairwise(presses)):
+            raise InputError(f"{path}: presses: expected them in the order of time")
+        return cls(setup, Rest(rest.time_s, ohm, std, change, rest.frames), presses, tuple(file.trace))
+
+
+def _press(file: _Press, plan: Plan, source: str) -> Press:
+    cells, windows = len(file.cells), len(file.window_s)
+    press = Press(
+        cells=np.array(file.cells, dtype=np.intp),
+        time_s=np.array(file.time_s),
+        load_kpa=np.array(file.load_kpa),
+        window_s=np.array(file.window_s),
+        resistance_ohm=_array([ohm for line in file.resistance_ohm for ohm in line]),
+        std_ohm=np.array(file.std_ohm),
+        frames=file.frames,
+        step=file.step,
+        felt_kpa=file.felt_kpa,
+        fault=file.fault,
+    )
+    sound = (
+        len(press.time_s) == len(press.load_kpa) >= 2
+        and bool((np.diff(press.time_s) > 0).all())
+        and bool((press.load_kpa >= 0).all())
+        and bool((np.diff(press.cells) > 0).all())
+        and press.cells[-1] < plan.shape[0] * plan.shape[1]
+        and all(len(line) == cells for line in file.resistance_ohm)
+        and len(file.resistance_ohm) == windows
+        and len(press.std_ohm) == cells
+        and press.step < len(plan.loads_kpa)
+    )
+    if not sound:
+        raise InputError(f"{source}: its values do not fit each other, or not this skin")
+    return replace(press, resistance_ohm=press.resistance_ohm.reshape(windows, cells))
+
+
+def _listed(values: FloatArray) -> list[float | None]:
+    return [value if np.isfinite(value) else None for value in values.ravel().tolist()]
+
+
+def _array(values: list[float] | list[float | None]) -> FloatArray:
+    return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

@@ -1,0 +1,155 @@
+"""Loads by a reference sensor: its recording is aligned in time by cross-correlation with what the skin felt."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import correlate, correlation_lags
+
+from ..arrays import FloatArray
+from ..errors import InputError
+from ..tables import read_columns
+from ._presses import Press
+
+RASTER_S = 0.02
+MOST_SAMPLES = 10_000_000
+"""of the common raster: two days"""
+LEAST_CORRELATION = 0.8
+SEARCH_S, SEARCH_SHARE = 0.5, 0.001
+"""how far from the common offset that of a half is looked for: s, and share of the recording's length"""
+LONGEST_DRIFT_PPM = 2000.0
+STILL = 0.1
+"""relative departure of the reference from its mean while a load is held"""
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """The reference's clock on the skin's: skin time = reference time + ``offset_s`` + drift since ``middle_s``."""
+
+    offset_s: float
+    middle_s: float
+    """reference time at which the offset holds"""
+    drift_ppm: float
+    """by which the reference's clock is slow"""
+    correlation: float
+    """of the loads, once aligned; at most 1"""
+
+    def skin_time_s(self, reference_s: FloatArray) -> FloatArray:
+        """Times of the reference on the skin's clock."""
+        drift: FloatArray = 1e-6 * self.drift_ppm * (reference_s - self.middle_s)
+        return reference_s + self.offset_s + drift
+
+    def text(self) -> str:
+        """One line for people."""
+        return (
+            f"the reference's clock is {self.offset_s:.3f} s behind the skin's and drifts by {self.drift_ppm:.0f} ppm "
+            f"(correlation {self.correlation:.3f})"
+        )
+
+
+def read_reference(path: str | Path) -> tuple[FloatArray, FloatArray]:
+    """Times in s and pressures in kPa of a CSV file with the columns ``time_s,pressure_kpa``; InputError."""
+    columns = read_columns(path, ("time_s", "pressure_kpa"))
+    known = np.isfinite(columns["pressure_kpa"]) & np.isfinite(columns["time_s"])
+    time_s, kpa = columns["time_s"][known], columns["pressure_kpa"][known]
+    if len(time_s) < 10 or not (np.diff(time_s) > 0).all():
+        raise InputError(f"{path}: expected at least 10 readings whose time_s increases")
+    return time_s, kpa
+
+
+def align(skin_s: FloatArray, skin_kpa: FloatArray, reference_s: FloatArray, reference_kpa: FloatArray) -> Alignment:
+    """Find the reference's offset and drift.
+
+    Args:
+        skin_s: (n,) increasing times on the skin's clock.
+        skin_kpa: (n,) what the skin felt, in any unit.
+        reference_s: (m,) increasing times on the reference's clock.
+        reference_kpa: (m,)
+
+    Raises:
+        InputError: the two do not show the same presses.
+
+    """
+    length = max(np.ptp(skin_s), np.ptp(reference_s))
+    if length / RASTER_S > MOST_SAMPLES:
+        raise InputError(f"the reference or the skin was recorded for {length:.3g} s; are the times in seconds?")
+    skin, reference = _raster(skin_s, skin_kpa), _raster(reference_s, reference_kpa)
+    lag, correlation = _best_lag(skin, reference)
+    offset_s = skin_s[0] - reference_s[0] + lag * RASTER_S
+    if correlation < LEAST_CORRELATION:
+        raise InputError(
+            f"the reference does not show the presses that the skin felt: correlation {correlation:.2f}; "
+            f"expected at least {LEAST_CORRELATION:g}"
+        )
+    # Where both overlap, on the reference's clock; then the same for each half.
+    first = max(reference_s[0], skin_s[0] - offset_s)
+    last = min(reference_s[-1], skin_s[-1] - offset_s)
+    middle = (first + last) / 2
+    reach = SEARCH_S + SEARCH_SHARE * (last - first)
+    offsets = []
+    for low, high in ((first, middle), (middle, last)):
+        inside = np.arange(low, high, RASTER_S)
+        felt_at = np.arange(low - reach, high + reach, RASTER_S)
+        felt = np.interp(felt_at + offset_s, skin_s, skin_kpa)
+        shown = np.interp(inside, reference_s, reference_kpa)
+        lag, _ = _best_lag(felt - felt.mean(), shown - shown.mean(), most=2 * reach / RASTER_S)
+        offsets.append(lag * RASTER_S - reach)
+    drift = (offsets[1] - offsets[0]) / max((last - first) / 2, 1e-9)
+    if abs(drift) * 1e6 > LONGEST_DRIFT_PPM:
+        raise InputError(f"the reference's clock seems to drift by {drift * 1e6:.0f} ppm; no clock does")
+    return Alignment(offset_s + float(np.mean(offsets)), middle, drift * 1e6, correlation)
+
+
+def with_reference(
+    presses: Sequence[Press], alignment: Alignment, reference_s: FloatArray, reference_kpa: FloatArray
+) -> list[Press]:
+    """Presses with the loads that the reference shows, above its reading just before each press.
+
+    A press that the reference does not cover, or during whose hold its reading moves, gets a fault.
+    """
+    time_s = alignment.skin_time_s(reference_s)
+    found = []
+    for press in presses:
+        start, there, falls, _ = press.time_s
+        before = reference_kpa[(time_s > start - 1.0) & (time_s < start - 0.1)]
+        held = reference_kpa[(time_s > there + 0.5 * (falls - there)) & (time_s < falls - 0.05 * (falls - there))]
+        if press.fault or not (before.size and held.size):
+            fault = press.fault or "the reference has no readings there"
+            found.append(replace(press, fault=fault))
+            continue
+        load = float(held.mean() - before.mean())
+        noise = float(np.sqrt((np.diff(held) ** 2).mean() / 2)) if held.size > 1 else 0.0
+        fault = ""
+        if not load > 0 or np.abs(held - held.mean()).max() > STILL * load + 6 * noise:
+            fault = "the reference did not hold still"
+        levels = np.array([0.0, max(load, 1e-9), max(load, 1e-9), 0.0])
+        found.append(replace(press, load_kpa=levels, fault=fault))
+    return found
+
+
+def _raster(time_s: FloatArray, values: FloatArray) -> FloatArray:
+    even = np.interp(np.arange(time_s[0], time_s[-1], RASTER_S), time_s, values)
+    centred: FloatArray = even - even.mean()
+    return centred
+
+
+def _best_lag(skin: FloatArray, reference: FloatArray, most: float = np.inf) -> tuple[float, float]:
+    """Samples by which the reference must be delayed to fit best, between samples, and the correlation there."""
+    product = correlate(skin, reference, mode="full", method="fft")
+    lags = correlation_lags(len(skin), len(reference), mode="full")
+    allowed = (lags >= 0) & (lags <= most) if np.isfinite(most) else np.ones(len(lags), dtype=np.bool_)
+    best = int(np.argmax(np.where(allowed, product, -np.inf)))
+    low, high = max(int(lags[best]), 0), min(int(lags[best]) + len(reference), len(skin))
+    overlap_skin = skin[low:high]
+    overlap_reference = reference[low - int(lags[best]) : high - int(lags[best])]
+    scale = np.sqrt((overlap_skin**2).sum() * (overlap_reference**2).sum())
+    correlation = float(product[best] / scale) if scale > 0 else 0.0
+    shift = 0.0
+    if 0 < best < len(product) - 1:
+        before, here, after = product[best - 1 : best + 2]
+        bend = before - 2 * here + after
+        shift = float(0.5 * (before - after) / bend) if bend < 0 else 0.0
+    return float(lags[best]) + shift, correlation

@@ -1,0 +1,125 @@
+"""Sequences of frames as arrays: NumPy by name, and an xarray dataset with coordinates and units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from .. import __version__
+from ..arrays import AnyArray
+from ..config import fingerprint
+from ..errors import InputError, MissingExtra
+from ._frame import Frame
+from ._skin import Skin
+
+if TYPE_CHECKING:
+    from xarray import Dataset
+
+FRAME_NUMBERS = ("sequence", "device_time", "host_time", "lost_before", "overrun", "reconnected", "rebooted")
+"""fields with a number for each frame"""
+FRAME_GRIDS = ("counts", "valid", "resistance", "pressure", "pressure_std")
+"""fields with a number for each cell"""
+_TYPES = {"sequence": np.int64, "lost_before": np.int64, "counts": np.uint16}
+_FLAGS = ("overrun", "reconnected", "rebooted", "valid")
+
+_MEANINGS = {
+    "sequence": ("1", "number of the frame, as the board sent it; -1: the board does not number its frames"),
+    "device_time": ("s", "time on the board's clock from its start to the start of the scan"),
+    "host_time": ("s", "time since the epoch at which the frame's last byte came, delays of the line taken out"),
+    "lost_before": ("1", "frames lost since the frame before; -1: not known"),
+    "overrun": ("1", "the board dropped frames before this one, because the host read too slowly"),
+    "reconnected": ("1", "the port was opened anew since the frame before"),
+    "rebooted": ("1", "the board started anew since the frame before"),
+    "counts": ("1", "ADC code"),
+    "valid": ("1", "the reading is a measurement"),
+    "resistance": ("ohm", "resistance of the cell, with what the circuit adds taken out; NaN where not valid"),
+    "pressure": ("kPa", "estimated pressure; where not valid the last estimate"),
+    "pressure_std": ("kPa", "standard deviation of the pressure"),
+}
+"""units as UDUNITS and the CF conventions write them, and a long name"""
+
+
+def stack(frames: Iterable[Frame], shape: tuple[int, int] | None = None) -> dict[str, AnyArray]:
+    """The frames' fields by name: :data:`FRAME_NUMBERS` (frames,), :data:`FRAME_GRIDS` (frames, rows, columns).
+
+    Args:
+        frames: any number, of one skin.
+        shape: (rows, columns), for the case that there are no frames; None: the frames say it.
+
+    Raises:
+        InputError: there are no frames, and no shape is given; or frames differ in shape.
+
+    """
+    columns: dict[str, list[AnyArray]] = {name: [] for name in (*FRAME_NUMBERS, *FRAME_GRIDS)}
+    for frame in frames:
+        if shape is None:
+            shape = frame.counts.shape
+        if frame.counts.shape != shape:
+            raise InputError("a frame of {} x {} cells among others of {} x {}".format(*frame.counts.shape, *shape))
+        values = frame.as_dict()
+        for name, column in columns.items():
+            column.append(values[name])
+    if shape is None:
+        raise InputError("no frames; expected at least one, or a shape")
+    return {
+        name: np.array(column, dtype=_type(name)).reshape(len(column), *(shape if name in FRAME_GRIDS else ()))
+        for name, column in columns.items()
+    }
+
+
+def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
+    """The frames as a dataset with the dimensions ``time``, ``row`` and ``column``, ready for ``to_netcdf``.
+
+    Args:
+        frames: any number, of one skin.
+        skin: where they come from. Adds the places of the cells in mm (``x_mm`` along ``column``, ``y_mm`` along
+            ``row``), and as attributes the board's family and serial number and hashes of design and cell.
+
+    Raises:
+        InputError: there are no frames and no skin, or frames differ in shape.
+        MissingExtra: xarray is not installed.
+
+    """
+    try:
+        from xarray import Dataset
+    except ImportError as error:
+        raise MissingExtra("datasets need xarray: pip install 'ohmskin[data]'") from error
+    arrays = stack(frames, None if skin is None else skin.design.array.shape)
+    rows, columns = arrays["pressure"].shape[1:]
+    moments = np.round(arrays["host_time"] * 1e9).astype("datetime64[ns]")
+    coordinates: dict[str, Any] = {
+        "time": ("time", moments, {"long_name": "host_time as a date, UTC"}),
+        "row": ("row", np.arange(rows)),
+        "column": ("column", np.arange(columns)),
+    }
+    attributes = {"source": f"ohmskin {__version__}"}
+    if skin is not None:
+        pitch_mm = 1e3 * skin.pitch_m
+        for axis, dimension, count in (("x_mm", "column", columns), ("y_mm", "row", rows)):
+            place = {"units": "mm", "long_name": "middle of the cell, from the middle of cell (0, 0)"}
+            coordinates[axis] = (dimension, pitch_mm * np.arange(count), place)
+        attributes |= _origin(skin)
+    variables = {}
+    for name, array in arrays.items():
+        units, meaning = _MEANINGS[name]
+        dimensions = ("time", "row", "column")[: array.ndim]
+        variables[name] = (dimensions, array, {"units": units, "long_name": meaning})
+    return Dataset(variables, coords=coordinates, attrs=attributes)
+
+
+def _origin(skin: Skin) -> dict[str, str]:
+    known = {
+        "board": skin.family.name,
+        "serial_number": skin.serial_number,
+        "firmware": "" if skin.identity is None else skin.identity.firmware,
+        "design_sha256": fingerprint(skin.design),
+        "cell_sha256": "" if skin.cell is None else fingerprint(skin.cell),
+        "port": skin.port_name,
+    }
+    return {name: value for name, value in known.items() if value}
+
+
+def _type(name: str) -> Any:
+    return np.bool_ if name in _FLAGS else _TYPES.get(name, np.float64)

@@ -1,0 +1,225 @@
+"""Calibration per cell: rest resistance and gain of each cell, on top of the cell model that all cells share.
+
+The cell model says which pressure p belongs to a history of R/R0. No two cells of a skin are alike. A cell has a rest
+resistance R0 of its own, and it bears the pressure gain x p where the common model says p. A calibration holds both,
+how sure they are, and on which board they were measured. :mod:`ohmskin.calibration` measures one.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Self
+
+import numpy as np
+import tomli_w
+from pydantic import Field, model_validator
+
+from ..arrays import BoolArray, FloatArray
+from ..cell import Cell
+from ..circuits import Design
+from ..config import NotNegative, Positive, Section, parse, read_toml
+from ..errors import InputError
+from ..tables import write_text
+
+FORMAT = 1
+MOST_LINES = 1024
+"""rows, and columns, of a file"""
+HEAD = """\
+# Calibration of the cells of one skin, written by ohmskin calibrate (docs/calibration.md).
+# Arrays have a line for each row of cells. The hash covers all values: edited files are refused.
+"""
+
+_Text = Annotated[str, Field(max_length=1000)]
+_Line = Annotated[list[Positive], Field(min_length=1, max_length=MOST_LINES)]
+_LineOrZeros = Annotated[list[NotNegative], Field(min_length=1, max_length=MOST_LINES)]
+_Flags = Annotated[list[bool], Field(min_length=1, max_length=MOST_LINES)]
+
+
+class _Cells(Section):
+    """The table ``[cells]``: arrays (rows, columns), the fields of :class:`Calibration`."""
+
+    rest_ohm: Annotated[list[_Line], Field(min_length=1, max_length=MOST_LINES)]
+    gain: Annotated[list[_Line], Field(max_length=MOST_LINES)]
+    gain_std: Annotated[list[_LineOrZeros], Field(max_length=MOST_LINES)]
+    rest_std_kpa: Annotated[list[_LineOrZeros], Field(max_length=MOST_LINES)]
+    residual_kpa: Annotated[list[_LineOrZeros], Field(max_length=MOST_LINES)]
+    calibrated: Annotated[list[_Flags], Field(max_length=MOST_LINES)]
+
+    @model_validator(mode="after")
+    def _one_shape(self) -> Self:
+        rows, columns = len(self.rest_ohm), len(self.rest_ohm[0])
+        for name in type(self).model_fields:
+            lines = getattr(self, name)
+            if len(lines) != rows or any(len(line) != columns for line in lines):
+                raise ValueError(f"'{name}' is no array of {rows} lines with {columns} values each, as 'rest_ohm' is")
+        return self
+
+
+class _File(Section):
+    """A calibration as it is written."""
+
+    format: Annotated[int, Field(ge=FORMAT, le=FORMAT)]
+    hash: _Text
+    date: _Text
+    serial_number: _Text
+    design_hash: _Text
+    cell_hash: _Text
+    loads_kpa: Annotated[list[Positive], Field(max_length=1000)]
+    presses: Annotated[int, Field(ge=0)]
+    remarks: Annotated[list[_Text], Field(max_length=1000)]
+    cells: _Cells
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Calibration:
+    """Rest resistances and gains of a skin's cells. Arrays are (rows, columns)."""
+
+    rest_ohm: FloatArray
+    """R0 of each cell"""
+    gain: FloatArray
+    """pressure on the cell over the pressure that the common cell model gives"""
+    gain_std: FloatArray
+    """standard deviation of ``gain``, relative: what presses of one cell differ by, and what was not measured"""
+    rest_std_kpa: FloatArray
+    """standard deviation of the pressure that comes from R0 not being known better"""
+    residual_kpa: FloatArray
+    """rms difference between the loads of the calibration and what the calibrated cell made of them"""
+    calibrated: BoolArray
+    """False for a cell that could not be calibrated: it has the median gain of the others, and their scatter"""
+    loads_kpa: tuple[float, ...]
+    """pressures on the cells during the calibration, each once, in rising order"""
+    presses: int
+    """that were used"""
+    serial_number: str
+    """of the board; empty where it does not say"""
+    design_hash: str
+    """:func:`section_hash` of the design whose inverse gave the resistances"""
+    cell_hash: str
+    """:func:`section_hash` of the common cell"""
+    date: str
+    """UTC, ISO 8601"""
+    remarks: tuple[str, ...] = ()
+    """what speaks against it; a calibration that has any was accepted nevertheless"""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, columns)"""
+        rows, columns = self.rest_ohm.shape
+        return rows, columns
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of all values, in hexadecimal."""
+        return _hash(self._values())
+
+    def applied(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Pressures of the common model and their standard deviations, (rows, columns) kPa, as those of these cells.
+
+        The standard deviations add up as independent ones: that of the estimate (times the gain), of the gain (times
+        the pressure), and of R0.
+        """
+        pressure = self.gain * pressure_kpa
+        variance = (self.gain * std_kpa) ** 2 + (self.gain_std * pressure) ** 2 + self.rest_std_kpa**2
+        return pressure, np.sqrt(variance)
+
+    def check_board(self, design: Design, cell: Cell | None, serial_number: str) -> None:
+        """Raises InputError where the calibration is not that of this board and cell."""
+        rows, columns = self.shape
+        if (rows, columns) != design.array.shape:
+            here = "{} x {}".format(*design.array.shape)
+            raise InputError(f"a calibration of {rows} x {columns} cells; this skin has {here}")
+        if self.serial_number and serial_number and self.serial_number != serial_number:
+            raise InputError(f"a calibration of board {self.serial_number}; this is board {serial_number}")
+        if self.design_hash != section_hash(design):
+            raise InputError("a calibration made with another design of the readout; calibrate again with this one")
+        if cell is None:
+            raise InputError("a calibration needs the data of the cell, and this board does not tell it; give cell=")
+        if self.cell_hash != section_hash(cell):
+            raise InputError("a calibration made with other data of the cell; calibrate again with these")
+
+    def save(self, path: str | Path) -> None:
+        """Write a TOML file, whole or not at all; InputError when that fails."""
+        values = self._values()
+        cells = values.pop("cells")
+        lines = [f"{name} = {_matrix(array)}\n" for name, array in cells.items()]
+        head = tomli_w.dumps({"format": FORMAT, "hash": self.hash, **values})
+        write_text(path, f"{HEAD}{head}\n[cells]\n{''.join(lines)}")
+
+    @classmethod
+    def load(cls, path: str | Path) -> Calibration:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            InputError: the file cannot be read, is no calibration, or has been edited.
+
+        """
+        return cls._read(read_toml(path), str(path))
+
+    def as_json(self) -> str:
+        """The values as JSON text, for a recording."""
+        return json.dumps({"format": FORMAT, "hash": self.hash, **self._values()})
+
+    @classmethod
+    def from_json(cls, text: str, *, source: str) -> Calibration:
+        """Read what :meth:`as_json` wrote; ``source`` is for messages. Raises InputError."""
+        try:
+            values = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            raise InputError(f"{source}: is no calibration: {error}") from error
+        if not isinstance(values, dict):
+            raise InputError(f"{source}: is no calibration: expected a JSON object")
+        return cls._read(values, source)
+
+    @classmethod
+    def _read(cls, tables: Mapping[str, Any], source: str) -> Calibration:
+        file = parse(tables, _File, source=source)
+        found = cls(
+            **{name: np.array(getattr(file.cells, name)) for name in _Cells.model_fields},
+            loads_kpa=tuple(map(float, file.loads_kpa)),
+            presses=file.presses,
+            serial_number=file.serial_number,
+            design_hash=file.design_hash,
+            cell_hash=file.cell_hash,
+            date=file.date,
+            remarks=tuple(file.remarks),
+        )
+        if found.hash != file.hash:
+            raise InputError(f"{source}: has been edited: its values do not have the hash that it states")
+        return found
+
+    def _values(self) -> dict[str, Any]:
+        """All that the hash covers, as lists and plain values."""
+        return {
+            "date": self.date,
+            "serial_number": self.serial_number,
+            "design_hash": self.design_hash,
+            "cell_hash": self.cell_hash,
+            "loads_kpa": list(self.loads_kpa),
+            "presses": self.presses,
+            "remarks": list(self.remarks),
+            "cells": {name: getattr(self, name).tolist() for name in _Cells.model_fields},
+        }
+
+
+def section_hash(section: Section) -> str:
+    """A hash of a design or cell: of what differs from the defaults, so that a key added later changes no hash."""
+    return _hash(section.model_dump(exclude_defaults=True))
+
+
+def _hash(values: Mapping[str, Any]) -> str:
+    text = json.dumps(values, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def _matrix(lines: list[list[float]]) -> str:
+    """A TOML array of arrays, a row of cells on a line."""
+    rows = (", ".join(map(_toml_value, line)) for line in lines)
+    return "[\n" + "".join(f"    [{row}],\n" for row in rows) + "]"
+
+
+def _toml_value(value: float) -> str:
+    return str(value).lower() if isinstance(value, bool) else repr(value)

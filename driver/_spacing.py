@@ -1,0 +1,54 @@
+"""Times of frames from a board without a clock, from times of arrival.
+
+The operating system hands over bytes in bursts, so several frames can have one time of arrival. The last of them came
+then; those before it are spread backwards by the usual time between two frames, the median of recent intervals.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from statistics import median
+
+from ._past import ArrivalsPast
+
+KEPT = 64
+"""arrivals over which the usual interval is measured"""
+
+
+class ArrivalTimes:
+    """The times of frames, arrival by arrival. Depends on what is added only, as :class:`._clock.ClockMap` does."""
+
+    def __init__(self) -> None:
+        self._intervals_s: deque[float] = deque(maxlen=KEPT)
+        self._last_s: float | None = None
+        self._received_s = 0.0
+        self._step_s = 0.0
+        self._left = 0
+
+    def state(self) -> ArrivalsPast:
+        """Everything remembered between arrivals, which :meth:`restore` takes."""
+        return ArrivalsPast(last=self._last_s, intervals=tuple(self._intervals_s))
+
+    def restore(self, past: ArrivalsPast) -> None:
+        """Continue from a saved :meth:`state`."""
+        self._last_s, self._intervals_s = past.last, deque(past.intervals, maxlen=KEPT)
+
+    def arrive(self, received_s: float, frames: int) -> None:
+        """Take an arrival with so many frames; :meth:`next` then gives their times."""
+        if not frames:
+            return
+        step_s = 0.0
+        if self._last_s is not None:
+            step_s = max(received_s - self._last_s, 0.0) / frames
+            self._intervals_s.append(step_s)
+            # After a pause of the board its frames do not come more slowly than usual.
+            step_s = min(step_s, median(self._intervals_s)) if frames > 1 else step_s
+        self._received_s = self._last_s = received_s
+        self._step_s, self._left = step_s, frames
+
+    def next(self, received_s: float) -> float:
+        """The time of the next frame, which came at ``received_s``, in s on the host's clock."""
+        if received_s != self._received_s or not self._left:
+            return received_s
+        self._left -= 1
+        return received_s - self._step_s * self._left

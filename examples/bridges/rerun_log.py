@@ -1,0 +1,47 @@
+"""A skin in Rerun: its viewer, or a file for it.
+
+pip install rerun-sdk  # 170 MB
+python examples/bridges/rerun_log.py /dev/ttyACM0                       # starts the viewer
+python examples/bridges/rerun_log.py press.mcap --save press.rrd
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+
+from ohmskin.driver import Frame, Skin
+
+
+def log(frame: Frame, full_scale_kpa: float) -> None:
+    """Log one frame: pressures in kPa as a tensor and as an image, contacts as points, and the sum of forces."""
+    rr.set_time("host_time", timestamp=frame.host_time)
+    if frame.sequence is not None:
+        rr.set_time("sequence", sequence=frame.sequence)
+    pressure = np.where(frame.valid, frame.pressure, np.nan).astype(np.float32)
+    rr.log("skin/pressure_kpa", rr.Tensor(pressure, dim_names=["row", "column"], value_range=[0.0, full_scale_kpa]))
+    places = [[contact.x_mm, contact.y_mm] for contact in frame.contacts]
+    labels = [f"{contact.id}: {contact.force_n:.2f} N" for contact in frame.contacts]
+    rr.log("skin/contacts_mm", rr.Points2D(np.array(places, dtype=np.float32).reshape(-1, 2), labels=labels))
+    rr.log("skin/force_n", rr.Scalars(sum(contact.force_n for contact in frame.contacts)))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Show a skin in Rerun.")
+    parser.add_argument("port", help="serial device, pty, socket://HOST:PORT or FILE.mcap")
+    parser.add_argument("--save", type=Path, help="write FILE.rrd instead of starting the viewer")
+    given = parser.parse_args()
+    rr.init("ohmskin", spawn=given.save is None)
+    if given.save is not None:
+        rr.save(given.save)
+    with Skin.open(given.port) as skin:
+        full_scale_kpa = 100.0 if skin.cell is None else skin.cell.full_scale_kpa
+        for frame in skin:
+            log(frame, full_scale_kpa)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,38 @@
+"""Recordings as commands read them: played through the driver, with a progress bar."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..driver import Frame, Skin
+from ..errors import InputError
+from ._bar import progress_bar
+
+
+@contextmanager
+def played_frames(path: Path, doing: str) -> Iterator[tuple[Skin, Iterator[Frame]]]:
+    """A recording as an open skin, and its frames.
+
+    Args:
+        path: of the recording, FILE.mcap.
+        doing: what the progress bar says.
+
+    Raises:
+        InputError: it is no recording.
+
+    """
+    if path.suffix.lower() != ".mcap":
+        raise InputError(f"{path}: is no name of a recording; expected FILE.mcap")
+    with Skin.open(str(path)) as skin, progress_bar(doing) as tell:
+        whole_ms = round(1e3 * (skin.recorded_s or 0.0))
+
+        def frames() -> Iterator[Frame]:
+            first_s = None
+            for frame in skin:
+                first_s = frame.monotonic_time if first_s is None else first_s
+                tell(min(round(1e3 * (frame.monotonic_time - first_s)), whole_ms), whole_ms, "")
+                yield frame
+
+        yield skin, frames()

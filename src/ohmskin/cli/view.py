@@ -1,0 +1,115 @@
+"""``ohmskin view``: a skin in the browser, live or from a recording."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+from urllib.parse import quote
+
+import click
+
+from ..cell import Cell
+from ..circuits import Design
+from ..driver import Skin, Tare
+from ..emulator import Scene, Stop, stop_on_signals
+from ..view import LiveSource, RecordedSource, Source, serve
+from ..wire import BOARDS
+from . import arguments
+
+USUAL_PORT = 8700
+"""a bookmark stays right from day to day; any other port where this one is in use"""
+
+
+@click.command(
+    epilog=arguments.example(
+        "ohmskin view /dev/ttyACM0",
+        "ohmskin view scene.toml --no-browser",
+        "ohmskin view press.mcap --host 0.0.0.0 --port 8080",
+    )
+)
+@click.argument("what", metavar="PORT|SCENE.toml|FILE.mcap")
+@click.option("--port", type=click.IntRange(0, 65535), metavar="N", help=f"TCP port; 0: any. [{USUAL_PORT} if free]")
+@click.option(
+    "--host",
+    default="127.0.0.1",
+    show_default=True,
+    metavar="ADDRESS",
+    help="Where to listen. Other machines can then see the page, if they know the token in its address.",
+)
+@click.option("--no-browser", is_flag=True, help="Print the address, and open no browser.")
+@click.option(
+    "--board",
+    default="ohmskin",
+    show_default=True,
+    metavar="NAME",
+    help=f"Family of the board: {', '.join(BOARDS)}.",
+)
+@click.option("--design", "design_file", type=click.Path(path_type=Path), metavar="DESIGN.toml", help="Of the readout.")
+@click.option("--cell", "cell_file", type=click.Path(path_type=Path), metavar="CELL.toml", help="Of the skin.")
+@click.option("--tare", "tare_file", type=click.Path(path_type=Path), metavar="FILE.npz", help="A saved tare.")
+@click.option("--estimator", metavar="NAME", help="static, paper, inverse, play or distilled [the cell's choice].")
+def command(
+    what: str,
+    port: int | None,
+    host: str,
+    no_browser: bool,
+    board: str,
+    design_file: Path | None,
+    cell_file: Path | None,
+    tare_file: Path | None,
+    estimator: str | None,
+) -> int:
+    """Show a skin in the browser: the board at PORT, the emulated board of SCENE.toml, or a recording.
+
+    The page has a heat map, contacts, pressures over time, the state of the link, and a button for tare; for a
+    recording a slider. It needs no internet. Ctrl-C ends it.
+    """
+    design = None if design_file is None else Design.load(design_file)
+    cell = None if cell_file is None else Cell.load(cell_file)
+    tare = None if tare_file is None else Tare.load(tare_file)
+    with stop_on_signals() as stop:
+        skin = _open(what, board=board, design=design, cell=cell, estimator=estimator)
+        if tare is not None:
+            skin.use_tare(tare)
+        source: Source = RecordedSource(skin) if what.endswith(".mcap") else LiveSource(skin, name=_title(what))
+        ports = [USUAL_PORT, 0] if port is None else [port]
+        asyncio.run(_show(source, host, ports, stop, open_browser=not no_browser))
+        return 0 if stop.signal is None else 128 + stop.signal
+
+
+def _open(what: str, *, board: str, design: Design | None, cell: Cell | None, estimator: str | None) -> Skin:
+    """The skin, which waits for ever for a board that is away."""
+    if _is_scene(what):
+        Scene.load(Path(what))  # for its own message, where the file is wrong
+        what = f"ohmskin://{quote(str(Path(what).resolve()))}?clock=real&board={quote(board)}"
+    return Skin.open(what, board=board, design=design, cell=cell, estimator=estimator, reconnect=float("inf"))
+
+
+def _is_scene(what: str) -> bool:
+    return what.endswith(".toml") and "://" not in what
+
+
+def _title(what: str) -> str:
+    return f"{what} (emulated)" if _is_scene(what) else what
+
+
+async def _show(source: Source, host: str, ports: Sequence[int], stop: Stop, *, open_browser: bool) -> None:
+    """Serve the page until ``stop``."""
+    stopped, loop = asyncio.Event(), asyncio.get_running_loop()
+    loop.add_reader(stop, stopped.set)
+    with source:
+        async with serve(source, host=host, ports=ports) as page:
+            click.echo(page.url)
+            if open_browser:
+                # In a thread that nobody waits for: a browser in the terminal returns when it is closed.
+                threading.Thread(target=_open_browser, args=(page.url,), daemon=True).start()
+            await stopped.wait()
+    loop.remove_reader(stop)
+
+
+def _open_browser(url: str) -> None:
+    if not webbrowser.open(url):
+        click.echo("ohmskin: no browser could be opened; open this address in one", err=True)

@@ -1,0 +1,78 @@
+"""The benchmark of the live path: every estimator, errors that a model can explain, and ages on a clock of its own."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from ohmskin import bench
+from ohmskin.bench._driver import CASES, design, packets_of, pressed
+from ohmskin.bench._freshness import PacedPort
+from ohmskin.cell import Cell
+from ohmskin.cli import run
+from ohmskin.driver import Skin
+from ohmskin.verification import _speed as speed
+from ohmskin.verification._outcome import Outcome
+
+
+def test_every_estimator_of_the_data_sheet_is_judged_at_every_size() -> None:
+    rows = list(bench.live_estimators((3, 5), learned=False, frames=80))
+    assert [row.size for row in rows] == [3, 3, 3, 5, 5, 5]
+    assert {row.estimator for row in rows} == {"static", "paper", "inverse"}
+    for size in (3, 5):
+        default = next(row for row in rows if row.size == size and row.is_default)
+        static = next(row for row in rows if row.size == size and row.estimator == "static")
+        assert default.estimator == Cell.example().default_estimator
+        assert default.rmse_kpa < 0.2 * static.rmse_kpa
+        assert default.rmse_kpa <= default.worst_kpa
+    for row in rows:
+        assert sum(row.shares) == pytest.approx(1.0)
+        assert row.frames_per_second > 0
+
+
+def test_the_stages_of_the_benchmark_are_those_of_a_skin() -> None:
+    """The errors that the stages show are those that a user of the driver gets."""
+    board = design(4, "inverting-amplifier", "ground", 12)
+    truth, cells = pressed((4, 4), 60)
+    port = PacedPort(packets_of(board, cells), 1.0)
+    shown = []
+    with Skin(port, design=board, cell=Cell.example(), delivery="every") as skin:
+        for _ in range(60):
+            port.work(1.0)
+            shown.append(skin.read(0.0).pressure)
+    (row,) = [r for r in bench.live_estimators((4,), learned=False, frames=60) if r.is_default]
+    assert row.worst_kpa == pytest.approx(float(np.abs(np.array(shown) - truth).max()), rel=1e-9)
+
+
+def test_a_slow_reader_s_frames_are_young_and_all_accounted_for() -> None:
+    (row,) = bench.freshness((4,), cycles=20)
+    assert row.unaccounted == 0
+    assert row.skipped > 5 * 20  # 10 ms of work, a frame each ms: about ten come, one is taken
+    assert 0 < row.median_age <= row.worst_age
+    assert row.taken_us > 0
+
+
+def test_the_report_has_a_section_of_the_live_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(speed, "SIZES", (3, 4))
+    monkeypatch.setattr(speed, "LIVE_CYCLES", 12)
+    finding = speed.live_path(None)  # type: ignore[arg-type]
+    assert finding.outcome is Outcome.PASS
+    assert [len(table.rows) for table in finding.tables] == [6, 2]
+    assert finding.figures[0].svg.lstrip().startswith(("<?xml", "<svg"))
+
+
+def test_the_command_prints_all_three(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("ohmskin.bench._driver.calibrated_example", Cell.example)
+    monkeypatch.setattr("ohmskin.bench._driver.CASES", CASES[:2])
+    assert run(["bench", "--driver", "--size", "2", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert sum("saturated_cells" in row for row in rows) == 1 + 3  # seven saturated cells are more than there are
+    assert sum("median_age" in row for row in rows) == 1
+
+
+@pytest.mark.parametrize("size", ["0", "-3", "257"])
+def test_a_size_that_is_no_array_is_one_line(size: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["bench", "--driver", f"--size={size}"]) == 2
+    assert f"size is {size}; expected 1 to 256" in capsys.readouterr().err

@@ -1,0 +1,565 @@
+"""The page of `ohmskin view`, in headless Chromium: what it shows equals the frames."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import contextmanager
+from http.client import HTTPConnection
+from itertools import islice
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+from boards import DESIGN, Script, Wire, gone, scene
+from pages import colours_of_cells, opened, paused, served, shown, start, until
+from playwright.sync_api import Browser, expect, sync_playwright
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from ohmskin.arrays import FloatArray
+from ohmskin.bench._view import measured_page, table
+from ohmskin.driver import Frame, Skin
+from ohmskin.emulator import Board, Hand, PtyPort, Scene, running
+from ohmskin.errors import InputError, MissingExtra
+from ohmskin.view import LiveSource, RecordedSource
+from ohmskin.view._recorded import extremes
+from ohmskin.view._source import TimeAxis
+from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
+
+WIDE = {**DESIGN, "array": {"rows": 6, "columns": 8, "row_lead": 70.0}}
+SHORTED = {"at_s": 0.0, "kind": "shorted-cell", "place": [0, 7]}
+SAMPLES = "(({series}) => Array.from({length: series.length}, (_, k) => series.at(k)))(ohmskin.chosen[0])"
+ARRAYS = {"pressure": "pressure", "std": "pressure_std", "resistance": "resistance"}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = start(playwright)
+        yield browser
+        browser.close()
+
+
+class Live:
+    """An emulated board with a hand on it, its page, and every frame that the driver took."""
+
+    def __init__(self, url: str, skin: Skin, hand: Hand) -> None:
+        self.url, self.skin, self.hand = url, skin, hand
+        self.frames: dict[float, Frame] = {}
+        skin.on_frame(lambda frame: self.frames.update({frame.host_time: frame}))
+
+    def frame_of(self, values: dict[str, Any]) -> Frame:
+        """The driver's frame with the time that a frame of the page has."""
+        deadline = time.monotonic() + 60.0
+        while values["hostTime_s"] not in self.frames:  # the page may be told before this test is
+            assert time.monotonic() < deadline
+            time.sleep(0.01)
+        return self.frames[values["hostTime_s"]]
+
+
+@contextmanager
+def live(design: dict[str, Any] = WIDE, **tables: Any) -> Iterator[Live]:
+    described = scene(**{"skin": {"design": design, "pitch_mm": 5.0}, "contact": [], **tables})
+    hand, port = Hand(described.skin.design.array.shape), PtyPort()
+    with running(described, port, hand=hand):
+        skin = Skin.open(port.name, delivery="every", queue=4096)
+        with served(LiveSource(skin)) as url:
+            yield Live(url, skin, hand)
+
+
+def bump(shape: tuple[int, int] = (6, 8)) -> FloatArray:
+    """A finger, in kPa, that presses hardest on cell (2, 3)."""
+    row, column = np.indices(shape)
+    return 12.0 * np.exp(-((row - 2.0) ** 2 + (column - 3.0) ** 2))
+
+
+def as_shown(values: Any) -> list[float | None]:
+    """Numbers of a frame as the page gets them: float32, and null for NaN."""
+    return [None if math.isnan(value) else float(value) for value in np.asarray(values, dtype=np.float32).ravel()]
+
+
+def test_values_pixels_and_contacts_equal_the_frame(browser: Browser) -> None:
+    with live(event=[SHORTED]) as board, opened(browser, board.url) as page:
+        since = board.hand.press(bump())
+        until(page, "since => ohmskin.frame.deviceTime_s > since + 1", since)
+        values = paused(page)
+        frame = board.frame_of(values)
+        for name, of_frame in ARRAYS.items():
+            assert values[name] == as_shown(getattr(frame, of_frame)), name
+        assert values["counts"] == frame.counts.ravel().tolist()
+        assert values["valid"] == frame.valid.ravel().astype(int).tolist()
+        assert values["deviceTime_s"] == frame.device_time
+        assert not frame.valid[0, 7]
+        assert frame.valid.sum() > 30
+        assert 8.0 < frame.pressure[2, 3] < 16.0
+
+        scale = page.evaluate("async () => (await import('./colours.js')).COLOURS")
+        full_scale = board.skin.cell.full_scale_kpa if board.skin.cell else math.nan
+        cells, marks = colours_of_cells(page, "cells"), colours_of_cells(page, "marks")
+        for index, (kpa, valid) in enumerate(zip(values["pressure"], values["valid"], strict=True)):
+            colours = {colour[:3] for colour in cells[index]}
+            if valid:
+                share = min(max(kpa / full_scale, 0.0), 1.0)
+                assert colours == {tuple(scale[min(int(256 * share), 255)])}
+            else:
+                assert len(colours) > 1
+                assert all(max(colour) - min(colour) < 20 for colour in colours), "a grey hatching"
+
+        expect(page.locator("#contacts tbody tr")).to_have_count(len(frame.contacts))
+        assert len(frame.contacts) == 1
+        (contact,) = frame.contacts
+        (drawn,) = values["contacts"]
+        assert drawn["id"] == contact.id
+        for name in ("x_mm", "y_mm", "force_n", "peak_kpa", "area_mm2"):
+            assert drawn[name] == float(np.float32(getattr(contact, name)))
+        texts = [f"{contact.id}", f"{contact.force_n:.2f}", f"{contact.peak_kpa:.1f}"]
+        texts += [f"{contact.x_mm:.1f}, {contact.y_mm:.1f}", f"{contact.area_mm2:.0f}"]
+        assert page.locator("#contacts tbody td").all_inner_texts() == texts
+        centre = round(contact.y_mm / 5.0) * 8 + round(contact.x_mm / 5.0)
+        assert any(colour[3] for colour in marks[centre]), "the cross at its centre"
+        assert not any(colour[3] for colour in marks[47]), "nothing far away"
+
+
+def test_the_cell_under_the_pointer_is_told_in_full(browser: Browser) -> None:
+    with live(event=[SHORTED]) as board, opened(browser, board.url) as page:
+        board.hand.press(bump())
+        frame = board.frame_of(paused(page))
+        page.focus("#map")
+        page.keyboard.press("ArrowDown")
+        page.keyboard.press("ArrowUp")
+        for index in range(48):
+            place = divmod(index, 8)
+            until(page, f"document.getElementById('cell-place').textContent === '{place[0]}, {place[1]}'")
+            text = dict(
+                page.evaluate("[...document.querySelectorAll('#cell dd')].map((one) => [one.id, one.innerText])")
+            )
+            valid = bool(frame.valid[place])
+            pressure = float(np.float32(frame.pressure[place]))
+            kpa = "–" if math.isnan(pressure) else f"{pressure:.3f}"
+            assert text["cell-pressure"] == f"{kpa} kPa{'' if valid else ' (kept)'}"
+            assert text["cell-counts"] == str(frame.counts[place])
+            assert text["cell-valid"] == ("valid" if valid else "not valid")
+            if valid:
+                assert text["cell-std"] == f"± {np.float32(frame.pressure_std[place]):.3f} kPa"
+                number, unit = text["cell-resistance"].split()
+                assert float(number) * {"kΩ": 1e3, "Ω": 1.0}[unit] == pytest.approx(frame.resistance[place], rel=1e-3)
+            page.keyboard.press("ArrowRight")
+            if place[1] == 7:
+                page.keyboard.press("ArrowDown")
+        x, y = page.evaluate("ohmskin.map.corner(2 * 8 + 3).map((at) => (at + 4) / ohmskin.map.ratio)")
+        page.hover("#map", position={"x": x, "y": y})
+        expect(page.locator("#cell-place")).to_have_text("2, 3")
+
+
+def test_clicked_cells_are_plotted_from_before_the_click(browser: Browser) -> None:
+    with live() as board, opened(browser, board.url) as page:
+        until(page, "ohmskin.history.count > 20")
+        x, y = page.evaluate("ohmskin.map.corner(2 * 8 + 3).map((at) => (at + 4) / ohmskin.map.ratio)")
+        page.click("#map", position={"x": x, "y": y})
+        expect(page.locator("#chosen button")).to_have_count(1)
+        values = paused(page)
+        last = board.frame_of(values)
+        samples = page.evaluate(SAMPLES)
+        assert len(samples) > 20
+        assert last.device_time is not None
+        begin_s = last.device_time - values["time_s"]
+        known = {round(frame.device_time or 0.0, 4): frame for frame in board.frames.values()}
+        for time_s, kpa, std in samples:
+            frame = known[round(begin_s + time_s, 4)]
+            assert [kpa, std] == [float(np.float32(a[2, 3])) for a in (frame.pressure, frame.pressure_std)]
+        page.click("#chosen button")
+        expect(page.locator("#chosen button")).to_have_count(0)
+
+
+def test_the_colour_map_is_uniform_and_ordered_by_lightness(browser: Browser) -> None:
+    """In CIELAB, which the page does not use."""
+    with live() as board, opened(browser, board.url) as page:
+        colours = np.array(page.evaluate("async () => (await import('./colours.js')).COLOURS")) / 255.0
+    linear = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+    to_xyz = [[0.4124, 0.3576, 0.1805], [0.2126, 0.7152, 0.0722], [0.0193, 0.1192, 0.9505]]
+    xyz = linear @ np.array(to_xyz).T / [0.9505, 1.0, 1.089]
+    root = np.where(xyz > 216 / 24389, np.cbrt(xyz), (24389 / 27 * xyz + 16) / 116)
+    lightness = 116 * root[:, 1] - 16
+    lab = np.stack([lightness, 500 * (root[:, 0] - root[:, 1]), 200 * (root[:, 1] - root[:, 2])], axis=1)
+    assert lightness[0] < 20
+    assert lightness[-1] > 88
+    assert (np.diff(lightness[::4]) > 0).all()
+    steps = np.linalg.norm(lab[8:] - lab[:-8], axis=1)
+    assert steps.max() < 2.6 * steps.min()
+    chroma = np.hypot(lab[:, 1], lab[:, 2])
+    assert chroma.min() > 20, "no colour of the map is like the grey of a cell that is not valid"
+
+
+def test_tare_undo_and_a_refusal(browser: Browser) -> None:
+    with live() as board, opened(browser, board.url) as page:
+        expect(page.locator("#tare-state")).to_contain_text("data sheet")
+        page.click("#tare")
+        expect(page.locator("#tare-answer")).to_have_text("tared over 20 frames")
+        assert board.skin.tared is not None
+        page.click("#undo")
+        expect(page.locator("#tare-state")).to_contain_text("data sheet")
+        assert board.skin.tared is None
+        expect(page.locator("#undo")).to_be_hidden()
+        board.hand.press(bump())
+        page.click("#tare")
+        expect(page.locator("#tare-answer")).to_contain_text("seems to be loaded")
+        assert board.skin.tared is None
+        page.click("#tare-anyway")
+        expect(page.locator("#tare-answer")).to_contain_text("tared over 20 frames, although")
+        assert board.skin.tared is not None
+
+
+def test_light_dark_and_a_phone(browser: Browser) -> None:
+    ground = "getComputedStyle(document.body).backgroundColor"
+    with live() as board:
+        seen = {}
+        for scheme in ("light", "dark"):
+            with opened(browser, board.url, color_scheme=scheme, viewport={"width": 360, "height": 740}) as page:
+                seen[scheme] = page.evaluate(ground)
+                assert page.evaluate("document.documentElement.scrollWidth") <= 360
+                assert page.evaluate("ohmskin.map.cells.getBoundingClientRect().right") <= 360
+                page.emulate_media(color_scheme="dark" if scheme == "light" else "light")
+                until(page, f"before => {ground} !== before", seen[scheme])
+                for wish in ("light", "dark", "system"):
+                    page.click("#theme")
+                    expect(page.locator("#theme")).to_have_text(f"Theme: {wish}")
+                    assert wish == "system" or page.evaluate(ground) == seen.setdefault(wish, page.evaluate(ground))
+    luminance = {name: sum(map(int, re.findall(r"\d+", colour)[:3])) for name, colour in seen.items()}
+    assert luminance["dark"] < 150
+    assert luminance["light"] > 600
+
+
+def board_says(numbers: range, *, boot_id: int = 1, last: bool = False) -> list[bytes]:
+    """The packets of a 3 x 2 board: who it is, then some frames."""
+    what = scene().skin
+    text = write_description(what.design.model_dump(), what.cell.model_dump())
+    head = [
+        encode(Identity(0, 0, 3, 2, 12, True, 1000, len(text), "A1", "test", boot_id)),
+        encode(DescriptionPiece(0, 0, 0, len(text), text, boot_id)),
+    ]
+    frames = [
+        encode(
+            FramePacket.of(
+                np.full((3, 2), 2000 + k),
+                sequence=k,
+                time_us=10_000 * k,
+                boot_id=boot_id,
+                flags=Flag.LAST if last and k == numbers[-1] else Flag.NONE,
+            )
+        )
+        for k in numbers
+    ]
+    return head + frames
+
+
+def test_a_board_that_goes_away_comes_back_and_ends(browser: Browser) -> None:
+    back: list[Script] = []
+    first = Script(*board_says(range(3)))
+
+    def reopen() -> Script:
+        return back[0] if back else gone()  # type: ignore[return-value]  # gone() only raises
+
+    skin = Skin(first, reopen=reopen, reconnect=math.inf)
+    with served(LiveSource(skin)) as url, opened(browser, url) as page:
+        expect(page.locator("#state")).to_have_text("silent")
+        first.say(*board_says(range(3, 5))[2:])
+        until(page, "ohmskin.frame.counts[0] === 2004")
+        first._last = gone
+        expect(page.locator("#state")).to_have_text("away, reconnecting")
+        expect(page.locator("#notice")).to_contain_text("gone")
+        back.append(Script(*board_says(range(5, 9), last=True)))
+        until(page, "ohmskin.frame.counts[0] === 2008")
+        expect(page.locator("#state")).to_have_text("ended")
+        expect(page.locator("#notice")).to_contain_text("end of its frames")
+        pairs = page.locator("#link").inner_text().split("\n")
+        assert pairs[pairs.index("reconnects") + 1] == "1"
+        assert pairs[pairs.index("lost") + 1] == "0"
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "press.mcap"
+    with Skin(
+        Wire(Board(scene(event=[{**SHORTED, "place": [0, 1], "at_s": 1.5}]))), delivery="lossless", record=path
+    ) as skin:
+        list(islice(skin, 150))
+    return path
+
+
+def test_the_slider_shows_the_frame_asked_for(browser: Browser, recording: Path) -> None:
+    with Skin.open(str(recording)) as skin:
+        frames = [frame for frame in skin if frame.contacts is not None]  # contacts are followed once asked for
+    device_times = np.array([frame.device_time for frame in frames], dtype=np.float64)
+    times = device_times - device_times[0]
+    assert len(frames) >= 150
+    assert not frames[-1].valid.all()
+    with served(RecordedSource(Skin.open(str(recording)))) as url, opened(browser, url) as page:
+        expect(page.locator("#state")).to_have_text("recording")
+        expect(page.locator("#rest")).to_be_hidden()
+
+        def judge(number: int) -> None:
+            until(page, "number => ohmskin.frame.number === number", number)
+            values, frame = shown(page), frames[number]
+            assert values["time_s"] == pytest.approx(times[number], abs=1e-9)
+            for name, of_frame in ARRAYS.items():
+                assert values[name] == as_shown(getattr(frame, of_frame)), name
+            assert values["valid"] == frame.valid.ravel().astype(int).tolist()
+            assert [contact["id"] for contact in values["contacts"]] == [contact.id for contact in frame.contacts]
+            expect(page.locator("#clock")).to_contain_text(f"frame {number + 1} of {len(frames)}")
+
+        judge(0)
+        for number in (len(frames) - 1, 70, 3, 120):
+            at = (times[number] + times[min(number + 1, len(frames) - 1)]) / 2  # between two frames: the earlier one
+            page.eval_on_selector(
+                "#position", "(one, at) => { one.value = at; one.dispatchEvent(new Event('input')); }", float(at)
+            )
+            judge(number)
+        page.click("#forward")
+        judge(121)
+        page.focus("#position")
+        page.keyboard.press("ArrowLeft")
+        judge(120)
+        page.select_option("#speed", "20")
+        page.click("#play")
+        judge(len(frames) - 1)
+        expect(page.locator("#play")).to_have_text("Play")
+
+        page.evaluate("ohmskin.choose(1)")  # cell (0, 1), which is shorted near the end
+        until(page, "ohmskin.chosen[0].series.length")
+        samples = page.evaluate(SAMPLES)
+        expected = [
+            [time_s, frame.pressure[0, 1] if frame.valid[0, 1] else math.nan, frame.pressure_std[0, 1]]
+            for time_s, frame in zip(times, frames, strict=True)
+        ]
+        np.testing.assert_array_equal(np.float32(samples)[:, 1:], np.float32(expected)[:, 1:])
+        np.testing.assert_allclose(np.array(samples)[:, 0], times, atol=1e-9)
+
+
+def test_time_follows_the_board_and_over_a_reboot_the_host() -> None:
+    packets = board_says(range(3)) + board_says(range(2), boot_id=2, last=True)[2:]
+    with Skin(Script(*packets), delivery="lossless") as skin:
+        axis = TimeAxis()
+        taken = [(axis.of(frame), frame) for frame in skin]
+    times = [time_s for time_s, _ in taken]
+    assert times[:3] == pytest.approx([0.0, 0.01, 0.02])
+    assert taken[3][1].rebooted
+    assert times[3] - times[2] == pytest.approx(taken[3][1].monotonic_time - taken[2][1].monotonic_time, abs=1e-6)
+    assert times[4] - times[3] == pytest.approx(0.01)
+
+
+def test_traces_keep_every_peak_and_gap() -> None:
+    values = np.zeros(10_000)
+    values[[17, 5000, 9998]] = 9.0, -3.0, 4.0
+    values[7000] = np.nan
+    kept = extremes(values, 300)
+    assert len(kept) <= 302
+    assert {0, 17, 5000, 7000, 9998, 9999} <= set(kept.tolist())
+    assert (np.diff(kept) > 0).all()
+    assert extremes(np.ones(5), 300).tolist() == [0, 1, 2, 3, 4]
+
+
+# What browsers send, without a browser.
+
+
+@contextmanager
+def still(**options: Any) -> Iterator[tuple[str, Script]]:
+    """The page of a board that has said two frames, and its port."""
+    port = Script(*board_says(range(2)))
+    skin = Skin(port)
+    with served(LiveSource(skin), **options) as url:
+        yield url, port
+
+
+def join(url: str, **options: Any) -> ClientConnection:
+    """A WebSocket, as the page itself would open it."""
+    parts = urlsplit(url)
+    return connect(
+        url.replace("http", "ws", 1) + "frames", **{"origin": f"http://{parts.netloc}", "proxy": None, **options}
+    )
+
+
+def answer_to(socket: ClientConnection, order: str | bytes) -> Any:
+    """The next answer that is not a status: told as an object, or a frame as bytes."""
+    socket.send(order)
+    return next_answer(socket)
+
+
+def next_answer(socket: ClientConnection) -> Any:
+    while True:
+        answer = socket.recv(timeout=30)
+        if isinstance(answer, bytes):
+            return answer
+        told = json.loads(answer)
+        if told["kind"] not in ("status", "introduction"):
+            return told
+
+
+def status_of(url: str, host: str, path: str | None = None, method: str = "GET") -> int:
+    """The HTTP status of a request with a Host header of one's own."""
+    parts = urlsplit(url)
+    connection = HTTPConnection(parts.hostname or "", parts.port, timeout=30)
+    connection.request(method, parts.path if path is None else path, headers={"Host": host})
+    response = connection.getresponse()
+    assert "default-src 'none'" in response.headers.get("Content-Security-Policy", "") or method != "GET"
+    connection.close()
+    return response.status
+
+
+def test_on_the_loopback_only_its_own_names_and_page_are_answered() -> None:
+    with still() as (url, _):
+        port = urlsplit(url).port
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", url)
+        for host in (f"127.0.0.1:{port}", f"localhost:{port}", "localhost:9", f"[::1]:{port}"):
+            assert status_of(url, host) == 200, host
+        for host in ("evil.example", f"127.0.0.1.evil.example:{port}", "192.0.2.7", "", "["):
+            assert status_of(url, host) == 403, host
+        assert status_of(url, "localhost", "/../../etc/passwd") == 404
+        assert status_of(url, "localhost", "/_server.py") == 404
+        assert status_of(url, "localhost", method="POST") == 405
+        with join(url) as socket:
+            assert json.loads(socket.recv())["kind"] == "introduction"
+        for origin in ("http://evil.example", f"http://localhost:{port}", "null", None):
+            with pytest.raises(InvalidStatus) as refused:
+                join(url, origin=origin)
+            assert refused.value.response.status_code == 403
+
+
+def test_elsewhere_everything_needs_the_token(browser: Browser) -> None:
+    with still(host="0.0.0.0") as (url, _):
+        parts = urlsplit(url)
+        token = parts.path.strip("/")
+        assert len(token) >= 43, "32 random bytes"
+        here = f"http://127.0.0.1:{parts.port}/{token}/"
+        with opened(browser, here) as page:
+            expect(page.locator("#state")).to_have_text("silent")
+        for path in ("/", "/main.js", "/frames", f"/{token[:-1]}/", f"/{token}x/", "//", f"/x/{token}/"):
+            assert status_of(here, "skin.example", path) == 403, path
+        assert status_of(here, "skin.example", f"/{token}") == 301
+        assert status_of(here, "skin.example") == 200
+        with pytest.raises(InvalidStatus):
+            join(f"http://127.0.0.1:{parts.port}/")
+        with pytest.raises(InvalidStatus):
+            join(here, origin="http://evil.example")
+    with still(host="0.0.0.0") as (another, _):
+        assert urlsplit(another).path.strip("/") != token
+
+
+def test_junk_is_answered_in_one_line_and_harms_nobody() -> None:
+    junk: list[str | bytes] = [
+        "",
+        "{",
+        "[]",
+        "null",
+        '{"do": "format the disk"}',
+        '{"do": "next"}',
+        '{"do": "next", "after": 1e99}',
+        '{"do": "next", "after": 0, "more": 1}',
+        '{"do": "show time", "time_s": NaN}',
+        '{"do": "show time", "time_s": 1}',
+        '{"do": "trace", "cells": [[0, 0]], "points": 100}',
+        '{"do": "trace", "cells": [[-1, 0]], "points": 100}',
+        '{"do": "undo tare"}',
+        "[" * 3000,
+        '"\\u001b[31m\n"',
+        b"\0\1\2",
+    ]
+    with still() as (url, port), join(url) as good, join(url) as bad:
+        for message in junk:
+            told = answer_to(bad, message)
+            assert told["kind"] == "refused", message
+            assert told["text"].isprintable()
+            assert len(told["text"]) < 400
+        bad.send("x" * 5000)
+        with pytest.raises(ConnectionClosed):
+            next_answer(bad)
+        seen = number_of(answer_to(good, '{"do": "next", "after": -1}'))
+        port.say(*board_says(range(2, 3))[2:])
+        assert number_of(answer_to(good, json.dumps({"do": "next", "after": seen}))) == seen + 1
+
+
+def number_of(message: bytes) -> int:
+    """The number in a frame's message."""
+    return int.from_bytes(message[4:8], "little")
+
+
+def test_a_browser_that_does_not_read_gets_no_queue_and_holds_nobody_up() -> None:
+    with still() as (url, port), join(url) as slow, join(url) as quick:
+        first = number_of(answer_to(quick, '{"do": "next", "after": -1}'))
+        slow.send(json.dumps({"do": "next", "after": first}))
+        for k in range(1, 60):
+            quick.send(json.dumps({"do": "next", "after": first + k - 1}))
+            port.say(*board_says(range(k + 1, k + 2))[2:])
+            assert number_of(next_answer(quick)) == first + k
+        assert number_of(next_answer(slow)) == first + 1, "what it had asked for"
+        newest = number_of(answer_to(slow, json.dumps({"do": "next", "after": first + 1})))
+        assert newest == first + 59, "and then nothing between"
+
+
+def test_a_missing_library_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "websockets.asyncio.server", None)
+    with pytest.raises(MissingExtra, match=r"ohmskin\[view\]"), still():
+        pass
+
+
+def test_a_port_in_use_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    with still() as (url, _):
+        taken = urlsplit(url).port
+        with pytest.raises(InputError, match="in use"), still(ports=[taken]):
+            pass
+        with still(ports=[taken, 0]) as (another, _):
+            assert urlsplit(another).port != taken
+    with pytest.raises(InputError, match="no address of this machine"), still(host="192.0.2.1"):
+        pass
+
+
+def test_the_command_prints_the_address_and_ends_with_ctrl_c(tmp_path: Path) -> None:
+    file = tmp_path / "skin.toml"
+    file.write_text(
+        """
+        [skin]
+        [skin.design.array]
+        rows = 2
+        columns = 3
+        [skin.design.drive]
+        voltage = -1.0
+        [skin.design.readout]
+        circuit = "inverting-amplifier"
+        reference_resistance = 20e3
+        [skin.design.adc]
+        bits = 10
+        range = [-5.0, 5.0]
+        """
+    )
+    Scene.load(file)
+    command = [sys.executable, "-m", "ohmskin", "view", str(file), "--no-browser", "--port", "0"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    url = process.stdout.readline().strip()
+    with urllib.request.urlopen(url, timeout=30) as response:
+        assert b"<title>ohmskin</title>" in response.read()
+    with join(url) as socket:
+        assert json.loads(socket.recv())["source"] == f"{file} (emulated)"
+        assert isinstance(answer_to(socket, '{"do": "next", "after": -1}'), bytes)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=60)
+    assert (process.returncode, out, err) == (130, "", "")
+
+
+def test_the_bench_measures_a_page(browser: Browser) -> None:
+    with live() as board, opened(browser, board.url) as page:
+        row = measured_page(page, os.getpid(), 6, seconds=0.5)
+    assert row.drawn_hz > 0
+    assert row.board_hz > 0
+    assert all(0 < cost < 1000 for cost in (row.draw_ms, row.main_thread_ms, row.server_ms))
+    assert "6 x 6" in table([row])

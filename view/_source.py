@@ -1,0 +1,127 @@
+"""What a page shows: a source of frames, with what is known of the skin and its link."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from types import TracebackType
+from typing import Any, Self
+
+from ..driver import Frame, Skin
+from ..errors import InputError
+from ..text import printable
+from ._orders import FrameOrder, TraceCells
+
+Told = dict[str, Any]
+"""an object for JSON: no NaN, no NumPy"""
+
+
+class Source(ABC):
+    """Frames for any number of browsers. Methods are called in the thread of the event loop."""
+
+    def __init__(self, skin: Skin, *, name: str = "") -> None:
+        """``name``: for the page's head; empty: the name of the skin's port."""
+        self.skin = skin
+        self.name = name or skin.port_name
+
+    def __enter__(self) -> Self:
+        self.begin()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @abstractmethod
+    def begin(self) -> None:
+        """Start to take frames, in a thread."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Give back the port or the file. Those who wait for a frame are told by LinkEnded."""
+
+    def introduction(self) -> Told:
+        """What stays as it is: array, board, cell, scales."""
+        skin, identity = self.skin, self.skin.identity
+        rows, columns = skin.design.array.shape
+        adc = skin.design.adc
+        return {
+            "kind": "introduction",
+            "source": printable(self.name),
+            "rows": rows,
+            "columns": columns,
+            "pitch_mm": 1e3 * skin.pitch_m,
+            "full_scale_kpa": None if skin.cell is None else skin.cell.full_scale_kpa,
+            "full_scale_counts": None if adc is None else 2**adc.bits - 1,
+            "board": skin.family.name,
+            "serial_number": skin.serial_number,
+            "firmware": "" if identity is None else identity.firmware,
+            "circuit": skin.design.readout.circuit,
+            "live": self.live,
+        }
+
+    @property
+    @abstractmethod
+    def live(self) -> bool:
+        """Whether frames come by themselves; False for a recording."""
+
+    @abstractmethod
+    def status(self) -> Told:
+        """What changes: the state of the link, statistics, the tare in use."""
+
+    @abstractmethod
+    async def frame(self, order: FrameOrder) -> bytes:
+        """The message of the frame that is asked for; waits for it.
+
+        Raises:
+            InputError: this source has no such frames.
+            LinkEnded: no frame will come.
+
+        """
+
+    async def trace(self, order: TraceCells) -> Told:
+        """Pressures of some cells over the whole recording; InputError unless it is one."""
+        raise InputError("only a recording has traces; a live page draws what it has seen")
+
+    async def make_tare(self, *, force: bool) -> Told:
+        """Tare, and say what was done; InputError where that is not possible."""
+        raise InputError("a recording takes no tare")
+
+    async def undo_tare(self) -> Told:
+        """Go back to the tare before, and say so; InputError where that is not possible."""
+        raise InputError("a recording takes no tare")
+
+
+class TimeAxis:
+    """Time of frames since the first one, by the board's clock; by the host's where the board has none or reboots."""
+
+    def __init__(self) -> None:
+        self._before: Frame | None = None
+        self._time_s = 0.0
+
+    def of(self, frame: Frame) -> float:
+        """The time of the next frame in s; never less than the one before."""
+        before, self._before = self._before, frame
+        if before is not None:
+            if frame.rebooted or frame.device_time is None or before.device_time is None:
+                step_s = frame.monotonic_time - before.monotonic_time
+            else:
+                step_s = frame.device_time - before.device_time
+            self._time_s += max(step_s, 0.0)
+        return self._time_s
+
+
+def statistics(skin: Skin) -> Told:
+    """The link statistics of a skin, for JSON."""
+    told = skin.stats().as_dict()
+    for name in ("age_s", "jitter_s"):
+        percentiles = told[name]
+        assert isinstance(percentiles, dict)
+        told[name] = {str(percent): _number(value) for percent, value in percentiles.items()}
+    return {name: _number(value) if isinstance(value, float) else value for name, value in told.items()}
+
+
+def _number(value: float) -> float | None:
+    """JSON has neither NaN nor infinity."""
+    return value if math.isfinite(value) else None

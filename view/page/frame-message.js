@@ -1,0 +1,39 @@
+// Binary layout of a frame on the WebSocket, as view/_frame_message.py describes it. Little-endian, as browsers are.
+
+const VERSION = 1;
+const HEADER_BYTES = 48;
+const CONTACT_BYTES = 24;
+
+/** Reads one message (ArrayBuffer). Arrays have rows * columns values, row by row, and share the message's memory. */
+export function readFrame(buffer) {
+  const header = new DataView(buffer);
+  if (header.getUint32(0, true) !== VERSION) throw new Error("a frame of another version; reload the page");
+  const rows = header.getUint16(8, true);
+  const columns = header.getUint16(10, true);
+  const contactCount = header.getUint16(12, true);
+  const cells = rows * columns;
+  const contactsAt = HEADER_BYTES + 12 * cells;
+  const countsAt = contactsAt + contactCount * CONTACT_BYTES;
+  const contacts = [];
+  for (let k = 0; k < contactCount; k++) {
+    const at = contactsAt + k * CONTACT_BYTES;
+    const [x_mm, y_mm, force_n, peak_kpa, area_mm2] = new Float32Array(buffer, at + 4, 5);
+    contacts.push({ id: header.getUint32(at, true), x_mm, y_mm, force_n, peak_kpa, area_mm2 });
+  }
+  return {
+    number: header.getUint32(4, true),
+    rows,
+    columns,
+    marks: header.getUint16(14, true),
+    time_s: header.getFloat64(16, true),
+    deviceTime_s: header.getFloat64(24, true),
+    hostTime_s: header.getFloat64(32, true),
+    age_s: header.getFloat64(40, true),
+    pressure: new Float32Array(buffer, HEADER_BYTES, cells),
+    std: new Float32Array(buffer, HEADER_BYTES + 4 * cells, cells),
+    resistance: new Float32Array(buffer, HEADER_BYTES + 8 * cells, cells),
+    contacts,
+    counts: new Uint16Array(buffer, countsAt, cells),
+    valid: new Uint8Array(buffer, countsAt + 2 * cells, cells),
+  };
+}

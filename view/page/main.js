@@ -1,0 +1,419 @@
+// The page of `ohmskin view`: frames come in over a WebSocket, and are drawn when the browser is about to paint.
+
+import { themeColours } from "./canvas.js";
+import { Connection } from "./connection.js";
+import { readFrame } from "./frame-message.js";
+import { HeatMap } from "./heat-map.js";
+import { History, Series } from "./history.js";
+import { element, linkPairs, showCell, showContacts, showPairs, showState, write } from "./panels.js";
+import { drawPlot, timeAt } from "./plot.js";
+import { drawHatching, drawScale } from "./scale.js";
+import { Transport } from "./transport.js";
+
+const MOST_CHOSEN = 6;
+const PLOT_EVERY_MS = 50;
+const TEXT_EVERY_MS = 100;
+const TRACE_EVERY_MS = 2000; // while a recording is still being decoded
+const PLOTTED_S = 30;
+const TRACE_POINTS = 3000;
+const THEMES = ["system", "light", "dark"];
+
+/** What the heat map can show: unit, values of a frame, and the upper end of the fixed scale (null: none). */
+const QUANTITIES = {
+  pressure: { label: "pressure", unit: "kPa", values: (frame) => frame.pressure, fullScale: (skin) => skin.full_scale_kpa },
+  std: { label: "standard deviation", unit: "kPa", values: (frame) => frame.std, fullScale: () => null },
+  resistance: { label: "resistance", unit: "Ω", values: (frame) => frame.resistance, fullScale: () => null },
+  counts: { label: "counts", unit: "", values: (frame) => frame.counts, fullScale: (skin) => skin.full_scale_counts },
+};
+
+class View {
+  constructor() {
+    this.skin = null; // what the server says of the skin
+    this.status = null;
+    this.frame = null; // shown
+    this.arrived = null; // newest, not yet drawn
+    this.asked = false; // for a newer frame
+    this.paused = false;
+    this.pointed = null; // index of the cell under the pointer
+    this.chosen = []; // plotted cells: {index, slot, series}
+    this.scale = [0, 1];
+    this.drawn = 0; // frames since the page was loaded
+    this.drawn_ms = 0; // time spent on them
+    this.cost = { perSecond: NaN, mean_ms: NaN };
+    this.spent = { frames: 0, ms: 0, since: performance.now() };
+    this.last = { plot: 0, text: 0, trace: 0 };
+    this.painting = false;
+    this.map = new HeatMap(element("map"), element("cells"), element("marks"));
+    this.transport = new Transport(
+      (order) => this.connection.order(order),
+      () => this.paintSoon(),
+    );
+    this.connection = new Connection({
+      told: (message) => this.hear(message),
+      framed: (buffer) => this.take(readFrame(buffer)),
+      opened: () => (this.asked = false),
+      broke: () => showState("no connection", "ohmskin does not answer; trying again"),
+    });
+    this.listen();
+    this.useTheme();
+  }
+
+  /** Takes a message that is not a frame. */
+  hear(message) {
+    if (message.kind === "introduction") this.meet(message);
+    else if (message.kind === "status") this.learn(message);
+    else if (message.kind === "trace") this.plotTraces(message.traces);
+    else if (message.kind === "tared") this.answerTare(message.text, message.remarks, false);
+    else if (message.kind === "refused") this.refused(message);
+  }
+
+  /** Takes the introduction: what the skin is. */
+  meet(skin) {
+    const same = this.skin && this.skin.source === skin.source && this.skin.rows === skin.rows && this.skin.columns === skin.columns;
+    this.skin = skin;
+    write(element("source"), `${skin.source} · ${skin.rows} × ${skin.columns}`);
+    document.title = `${skin.source} · ohmskin`;
+    element("pause").hidden = element("rest").hidden = !skin.live;
+    element("transport").hidden = skin.live;
+    if (!same) {
+      this.history = new History(skin.rows * skin.columns);
+      this.chosen = [];
+      this.offerQuantities();
+      this.layOut();
+      this.listChosen();
+    }
+    if (skin.live) this.askNext(-1);
+    else this.transport.restart();
+  }
+
+  /** Takes the state of the link. */
+  learn(status) {
+    this.status = status;
+    showState(status.state, status.state === "running" ? "" : status.reason);
+    if (this.skin.live) this.showTare();
+    else this.transport.learn(status);
+    showPairs(element("link"), linkPairs(this.skin, status, this.cost));
+    if (status.state === "decoding") this.askTraces();
+    else if (!this.skin.live && !this.traced) {
+      this.traced = true;
+      this.askTraces(true);
+    }
+    this.paintSoon();
+  }
+
+  /** Takes a frame. The next one is asked for at once, unless this page is behind with drawing. */
+  take(frame) {
+    this.asked = false;
+    const behind = this.arrived !== null;
+    this.arrived = frame;
+    if (this.skin.live) {
+      this.history.add(frame);
+      for (const { index, series } of this.chosen) {
+        series.add(frame.time_s, frame.valid[index] ? frame.pressure[index] : NaN, frame.std[index]);
+      }
+      if (!behind) this.askNext(frame.number);
+    } else {
+      this.transport.arrived(frame);
+    }
+    this.paintSoon();
+  }
+
+  askNext(after) {
+    if (this.asked || this.paused) return;
+    this.asked = true;
+    this.connection.order({ do: "next", after });
+  }
+
+  paintSoon() {
+    if (this.painting) return;
+    this.painting = true;
+    requestAnimationFrame((now) => this.paint(now));
+  }
+
+  /** Draws what is new. Called once before the browser paints. */
+  paint(now) {
+    this.painting = false;
+    const started = performance.now();
+    const fresh = this.arrived !== null;
+    if (fresh && !this.paused) {
+      this.frame = this.arrived;
+      this.arrived = null;
+      this.drawn++;
+    }
+    if (this.frame && this.map.rows) this.draw(now);
+    if (fresh) this.count(started);
+    if (this.skin?.live) {
+      if (this.frame && !this.asked) this.askNext(this.frame.number);
+    } else {
+      this.transport.advance();
+    }
+  }
+
+  draw(now) {
+    const { frame } = this;
+    const quantity = QUANTITIES[element("quantity").value];
+    const values = quantity.values(frame);
+    this.drawScaleFor(quantity, values);
+    this.map.drawCells(values, frame.valid, ...this.scale);
+    const chosen = this.chosen.map(({ index, slot }) => ({ index, colour: this.colours.series[slot] }));
+    this.map.drawMarks(frame.contacts, this.skin.pitch_mm, chosen, this.pointed);
+    if (now - this.last.plot >= PLOT_EVERY_MS || this.hurry) {
+      this.last.plot = now;
+      this.drawPlot();
+    }
+    if (now - this.last.text >= TEXT_EVERY_MS || this.hurry) {
+      this.last.text = now;
+      showCell(frame, this.pointed);
+      showContacts(frame.contacts);
+    } else {
+      this.textLater();
+    }
+    this.hurry = false;
+  }
+
+  /** The last frame's text is written even if no other frame comes. */
+  textLater() {
+    if (this.timer) return;
+    this.timer = setTimeout(() => {
+      this.timer = null;
+      this.refresh();
+    }, TEXT_EVERY_MS);
+  }
+
+  /** Draws all again, the texts included. */
+  refresh() {
+    this.hurry = true;
+    this.paintSoon();
+  }
+
+  count(started) {
+    const { spent } = this;
+    const now = performance.now();
+    spent.frames++;
+    spent.ms += now - started;
+    this.drawn_ms += now - started;
+    if (now - spent.since < 1000) return;
+    this.cost = { perSecond: (1e3 * spent.frames) / (now - spent.since), mean_ms: spent.ms / spent.frames };
+    this.spent = { frames: 0, ms: 0, since: now };
+  }
+
+  /** Chooses the scale for the values, and draws it where it has changed. */
+  drawScaleFor(quantity, values) {
+    const full = quantity.fullScale(this.skin);
+    const scale = element("auto").checked || full === null ? rangeOf(values, this.frame.valid) : [0, full];
+    const key = [quantity.unit, ...scale, this.legendWidth].join();
+    if (key === this.scaleKey) return;
+    this.scaleKey = key;
+    this.scale = scale;
+    drawScale(element("scale"), this.legendWidth, ...scale, quantity.unit, this.colours);
+  }
+
+  drawPlot() {
+    const lines = this.chosen.map(({ slot, series }) => ({ series, colour: this.colours.series[slot] }));
+    drawPlot(element("plot"), lines, this.plotView(), this.colours);
+  }
+
+  plotView() {
+    const now = this.frame.time_s;
+    const least = 0.1 * (this.skin.full_scale_kpa ?? 1);
+    if (this.skin.live) return { from: now - PLOTTED_S, to: now, origin: now, cursor: null, gaps: true, least };
+    return { from: 0, to: Math.max(this.transport.seconds, 1e-3), origin: 0, cursor: now, gaps: false, least };
+  }
+
+  /** Adds a cell to the plot, or takes it away. */
+  choose(index) {
+    const already = this.chosen.findIndex((one) => one.index === index);
+    if (already >= 0) this.chosen.splice(already, 1);
+    else {
+      if (this.chosen.length === MOST_CHOSEN) this.chosen.shift();
+      const taken = new Set(this.chosen.map((one) => one.slot));
+      const slot = [0, 1, 2, 3, 4, 5].find((free) => !taken.has(free));
+      this.chosen.push({ index, slot, series: this.skin.live ? this.history.series(index) : new Series() });
+    }
+    this.listChosen();
+    this.askTraces(true);
+    this.refresh();
+  }
+
+  listChosen() {
+    const buttons = this.chosen.map(({ index, slot }) => {
+      const button = document.createElement("button");
+      const swatch = document.createElement("span");
+      swatch.className = "swatch";
+      swatch.style.background = `var(--series-${slot})`;
+      const place = `${Math.floor(index / this.skin.columns)}, ${index % this.skin.columns}`;
+      button.append(swatch, `cell ${place}  ×`);
+      button.ariaLabel = `Take cell ${place} off the plot`;
+      button.addEventListener("click", () => this.choose(index));
+      return button;
+    });
+    const hint = this.chosen.length ? "band: ± 1 standard deviation" : "Click cells of the map to plot their pressure.";
+    element("chosen").replaceChildren(...buttons, hint);
+  }
+
+  askTraces(now = false) {
+    if (!this.skin || this.skin.live || !this.chosen.length) return;
+    const moment = performance.now();
+    if (!now && moment - this.last.trace < TRACE_EVERY_MS) return;
+    this.last.trace = moment;
+    const cells = this.chosen.map(({ index }) => [Math.floor(index / this.skin.columns), index % this.skin.columns]);
+    this.connection.order({ do: "trace", cells, points: TRACE_POINTS });
+  }
+
+  plotTraces(traces) {
+    for (const trace of traces) {
+      const index = trace.cell[0] * this.skin.columns + trace.cell[1];
+      const one = this.chosen.find((cell) => cell.index === index);
+      if (one) one.series = Series.of(trace);
+    }
+    this.refresh();
+  }
+
+  showTare() {
+    const { tare, undoable } = this.status;
+    const text = tare === null ? "Rest resistances are those of the data sheet." : `Tared over ${tare.frames} frames.`;
+    write(element("tare-state"), text);
+    element("undo").hidden = !undoable;
+  }
+
+  orderTare(force) {
+    element("tare").disabled = true;
+    element("tare-anyway").hidden = true;
+    write(element("tare-answer"), "taring …");
+    this.connection.order({ do: "tare", force });
+  }
+
+  answerTare(text, remarks, forceable) {
+    element("tare").disabled = false;
+    element("tare-anyway").hidden = !forceable;
+    write(element("tare-answer"), remarks.length ? `${text}, although ${remarks.join("; ")}` : text);
+  }
+
+  refused({ text, order }) {
+    if (order === "tare" || order === "undo tare") {
+      this.answerTare(text, [], order === "tare" && text.includes("seems to be loaded"));
+    } else if (order === "trace") {
+      setTimeout(() => this.askTraces(true), 200);
+    } else if (order.startsWith("show")) {
+      this.transport.refused();
+    }
+  }
+
+  pause() {
+    this.paused = !this.paused;
+    element("pause").ariaPressed = String(this.paused);
+    write(element("pause"), this.paused ? "Paused" : "Pause");
+    this.refresh();
+  }
+
+  offerQuantities() {
+    const known = Object.keys(QUANTITIES).filter((name) => this.skin.full_scale_kpa !== null || !"pressure std".includes(name));
+    element("quantity").replaceChildren(...known.map((name) => new Option(QUANTITIES[name].label, name)));
+  }
+
+  /** Lays everything out for the room that the window has. */
+  layOut() {
+    if (!this.skin) return;
+    const holder = element("map").parentElement;
+    const style = getComputedStyle(holder);
+    const width = holder.clientWidth - parseFloat(style.paddingLeft) - parseFloat(style.paddingRight);
+    const narrow = globalThis.innerWidth <= 960;
+    const height = narrow ? 1.25 * width : Math.max(globalThis.innerHeight - 392, 340);
+    this.map.layOut(this.skin.rows, this.skin.columns, width, height, this.colours);
+    this.legendWidth = Math.min(width - 100, 480);
+    this.scaleKey = "";
+    drawHatching(element("hatching"), this.colours);
+    this.refresh();
+  }
+
+  useTheme() {
+    const wish = stored("theme", "system");
+    const dark = wish === "dark" || (wish === "system" && matchMedia("(prefers-color-scheme: dark)").matches);
+    document.documentElement.dataset.theme = dark ? "dark" : "light";
+    write(element("theme"), { system: "Theme: system", light: "Theme: light", dark: "Theme: dark" }[wish]);
+    this.colours = themeColours();
+    this.layOut();
+  }
+
+  listen() {
+    element("theme").addEventListener("click", () => {
+      store("theme", THEMES[(THEMES.indexOf(stored("theme", "system")) + 1) % THEMES.length]);
+      this.useTheme();
+    });
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.useTheme());
+    addEventListener("resize", () => this.layOut());
+    element("pause").addEventListener("click", () => this.pause());
+    element("quantity").addEventListener("change", () => this.refresh());
+    element("auto").addEventListener("change", () => this.refresh());
+    element("tare").addEventListener("click", () => this.orderTare(false));
+    element("tare-anyway").addEventListener("click", () => this.orderTare(true));
+    element("undo").addEventListener("click", () => this.connection.order({ do: "undo tare" }));
+    this.listenToMap();
+    element("plot").addEventListener("click", (event) => {
+      if (!this.frame || this.skin.live) return;
+      const time_s = timeAt(element("plot"), event, this.plotView());
+      if (time_s !== null) this.transport.seek(time_s);
+    });
+  }
+
+  listenToMap() {
+    const map = element("map");
+    const point = (index) => {
+      if (index === this.pointed) return;
+      this.pointed = index;
+      this.refresh();
+    };
+    map.addEventListener("pointermove", (event) => point(this.map.cellAt(event)));
+    map.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && point(null));
+    map.addEventListener("click", (event) => {
+      const index = this.map.cellAt(event);
+      point(index);
+      if (index !== null) this.choose(index);
+    });
+    map.addEventListener("keydown", (event) => {
+      const ways = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] };
+      if (event.key in ways) {
+        const { rows, columns } = this.skin;
+        const [down, along] = ways[event.key];
+        const from = this.pointed ?? 0;
+        const row = (Math.floor(from / columns) + down + rows) % rows;
+        const column = ((from % columns) + along + columns) % columns;
+        point(row * columns + column);
+      } else if ((event.key === "Enter" || event.key === " ") && this.pointed !== null) this.choose(this.pointed);
+      else return;
+      event.preventDefault();
+    });
+  }
+}
+
+/** Least and largest of the valid values, a little apart. */
+function rangeOf(values, valid) {
+  let [low, high] = [Infinity, -Infinity];
+  for (let k = 0; k < values.length; k++) {
+    if (!valid[k] || !Number.isFinite(values[k])) continue;
+    if (values[k] < low) low = values[k];
+    if (values[k] > high) high = values[k];
+  }
+  if (low > high) return [0, 1];
+  const room = Math.max(high - low, 1e-3 * Math.abs(high), 1e-6);
+  return [low, low + room];
+}
+
+function stored(key, usual) {
+  try {
+    return localStorage.getItem(`ohmskin-${key}`) ?? usual;
+  } catch {
+    return usual; // a browser that keeps nothing
+  }
+}
+
+function store(key, value) {
+  try {
+    localStorage.setItem(`ohmskin-${key}`, value);
+  } catch {
+    // as above: the switch then works until the page is loaded anew
+  }
+}
+
+/** For the browser's console, and for tests. */
+globalThis.ohmskin = new View();
