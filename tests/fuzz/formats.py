@@ -23,6 +23,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 from pydantic import BaseModel
 
@@ -36,6 +37,7 @@ from ohmskin.emulator import Scene
 from ohmskin.errors import InputError, LinkEnded, LinkError, OhmskinError, SolverError
 from ohmskin.tables import read_cells, read_columns
 from ohmskin.text import one_line
+from ohmskin.verification._record import compare, load_record
 from ohmskin.wire import BOARDS, FramePacket, Order, board_protocol, host_protocol
 
 from .mutations import mutated
@@ -543,6 +545,58 @@ _DESIGN: dict[str, Any] = {
     "adc": {"bits": 16, "range": [0.0, 3.3]},
 }
 
+# --- report.json ------------------------------------------------------------------------------------------------------
+
+
+def _report(rng: random.Random) -> bytes:
+    """A report of one requirement and one claim."""
+    outcome = rng.choice(("pass", "fail", "not run"))
+    check = {"name": "droop", "outcome": outcome, "measured": 0.5, "limit": 1.0, "relation": "<=", "unit": "%"}
+    requirement: dict[str, Any] = dict.fromkeys(
+        ("text", "source", "quantity", "title", "method", "unit", "where", "confidence", "reason"), "words"
+    )
+    requirement |= {"id": "D1", "min": None, "max": 2.5, "outcome": outcome, "margin": 1.5, "seconds": 0.25}
+    requirement |= {
+        "measured": rng.choice((1.0, None, "inf")),
+        "contributions": {"switch": 0.5},
+        "samples": [1.0, "nan"],
+    }
+    claim = {"id": "P1", "title": "crosstalk", "where": "III", "outcome": outcome, "seconds": 1.0}
+    claim |= {"checks": [check | {"reason": ""}]}
+    report: dict[str, Any] = dict.fromkeys(
+        ("title", "finished", "command", "target", "design_sha256", "cell_sha256", "run_sha256", "cell_source"), "words"
+    )
+    report |= {"schema_version": 1, "outcome": outcome, "exit_code": 0, "seconds": 2.0, "seed": 0, "samples": 1000}
+    report |= {"design": _DESIGN, "cell": {}, "environment": {"numpy": "2.0"}, "not_judged": ["noise"], "changes": []}
+    report |= {"requirements": [requirement], "claims": [claim], "appendices": []}
+    return json.dumps(report, indent=1).encode()
+
+
+def _judge_report(data: bytes, rng: random.Random, folder: Path) -> str:
+    """What is accepted has the shape of docs/report.schema.json, as jsonschema reads it, and keeps its values."""
+    path = folder / "report.json"
+    path.write_bytes(data)
+    record = _read(path, load_record)
+    if record is None:
+        return REFUSED
+    tables = json.loads(data.decode("utf-8-sig"))
+    jsonschema.validate(tables, json.loads((ROOT / "docs" / "report.schema.json").read_text()))
+    kept = record.model_dump(mode="python")
+    assert _same(kept, tables), "a value was converted or dropped"
+    compare(record, record)
+    return ACCEPTED
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, float) and isinstance(other, float) and math.isnan(one):
+        return math.isnan(other)
+    return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
+
+
 # --- the command line -------------------------------------------------------------------------------------------------
 
 CALLS = (
@@ -594,6 +648,7 @@ FORMATS = {
         Format("commands", _commands, _judge_commands, text=False),
         Format("mcap", _recorded, _judge_recorded, text=False),
         Format("events", _told, _judge_told),
+        Format("report", _report, _judge_report),
         Format("call", _call, _judge_call),
     )
 }
