@@ -14,11 +14,12 @@ from . import _simulate as simulate
 from . import _training as training
 from ._cell import Calibrated, Cell, EstimatorName
 from ._estimator import Estimator
-from ._identify import Fit, Fold, fits, folds
-from ._inverse import margin
+from ._identify import Fit, Fold, fits, folds, pressing
+from ._inverse import margin as inverse_margin
 from ._learned import DRIFT, Learned, Seen
 from ._models import AsymmetricModel, ContactModel, M10Model
 from ._recording import Recording
+from ._training import Judged
 
 MOST = 6000
 """samples that are learned from; a longer recording is thinned"""
@@ -30,6 +31,13 @@ STEPS = 7
 """of a calibration, for progress: three kinds of model, three folds, and learning from all"""
 EXACT = 0.005
 """held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
+INVERSE_SLACK = 0.25
+"""% of full scale by which such an inverse may be worse than a learned estimator on its worst fold"""
+NEARLY, INVERSE_BETTER = 0.025, 0.7
+"""held-out error below which an inverse is trusted that has less than this share of a learned estimator's error"""
+BEATS, FEW_PRESSES = 0.9, 0.1
+"""share of the static curve's error on the last folds that another estimator must stay below, and what a recording of
+one press takes from that share"""
 
 
 @dataclass(frozen=True)
@@ -66,10 +74,9 @@ def calibrate(
     Raises:
         InputError: the resistance does not follow the pressure, or no model of any kind fits.
     """
-    every = -(-len(recording.time_s) // MOST)
-    thin = Recording(
-        recording.time_s[::every], recording.pressure_kpa[::every], recording.resistance_ohm[::every], recording.name
-    )
+    clean = recording.without_sparks
+    every = -(-len(clean.time_s) // MOST)
+    thin = Recording(clean.time_s[::every], clean.pressure_kpa[::every], clean.resistance_ohm[::every], clean.name)
     full = float(np.quantile(thin.pressure_kpa, 0.999)) if full_scale_kpa is None else full_scale_kpa
     if not 0 < full < np.inf:
         raise InputError(f"full scale is {full} kPa; expected more than 0")
@@ -82,7 +89,7 @@ def calibrate(
     model = found[0].model
     rest = found[0].rest_resistance_ohm
     cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
-    inverse = margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
+    inverse = inverse_margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
     if isinstance(model, ContactModel):
         return CalibrationResult(_calibrated_contact(cell, thin), recording, found, inverse)
 
@@ -104,31 +111,37 @@ def calibrate(
         for name in LEARNED:
             judged.setdefault(name, []).append(_judge(trial, name, thin, fold))
         tell("learned before a fold, and judged on it")
-    for name, pairs in _judge_models(cell.replace(estimators=None), thin, parts).items():
-        judged[name] = pairs
+    judged |= _judge_models(cell.replace(estimators=None), found[0], thin, parts)
     by_fold = {
         name: tuple(float(100 * np.sqrt(np.mean(error**2)) / full) for error, _ in pairs)
         for name, pairs in judged.items()
     }
     noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
-    default, reason = _choose(by_fold, float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0))))
+    presses = float(pressing(thin, full)[-1]) / 2
+    default, reason = _choose(by_fold, float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0))), presses)
     worst = {name: max(percent) for name, percent in by_fold.items()}
+    drift = max(abs(float(np.mean(error))) for error, _ in judged["static"]) / full
     final = _learned(whole, full, cells=training.CELLS)
     tell("learned from all")
-    together = {name: tuple(map(np.concatenate, zip(*pairs, strict=True))) for name, pairs in judged.items()}
     calibrated = {
         name: training.calibrated(
-            learned, *(value / full for value in together[name]), most=final.static.std_kpa / full
+            learned,
+            [(error / full, std / full) for error, std in judged[name]],
+            drift=drift,
+            most=worst["static"] / 100,
         )
         for name in ("play", "distilled")
-        if isinstance(learned := getattr(final, name), Learned) and name in together
+        if isinstance(learned := getattr(final, name), Learned) and name in judged
     }
-    static = final.static.replace(std_kpa=max(final.static.std_kpa, DRIFT * worst["static"] / 100 * full))
+    other_loads = training.error_on_other_loads(whole, final.static)
+    static_std = full * max(DRIFT * worst["static"] / 100, other_loads)
+    static = final.static.replace(std_kpa=max(final.static.std_kpa, static_std))
     estimators = Calibrated(
         default=default,
         reason=reason,
         held_out_percent=worst,
         fold_percent=by_fold,
+        drift_percent=100 * drift,
         seen=seen,
         static=static,
         **calibrated,
@@ -198,8 +211,6 @@ def _seen(recording: Recording) -> Seen:
 
 LEARNED: tuple[EstimatorName, ...] = ("static", "play", "distilled")
 FROM_MODEL: tuple[EstimatorName, ...] = ("paper", "inverse")
-Judged = tuple[FloatArray, FloatArray]
-"""errors and standard deviations in kPa within a fold"""
 
 
 def _judge(cell: Cell, name: EstimatorName, recording: Recording, fold: Fold) -> Judged:
@@ -219,36 +230,64 @@ def _judge(cell: Cell, name: EstimatorName, recording: Recording, fold: Fold) ->
     return error, np.full(error.shape, np.inf) if std is None else std[part]
 
 
-def _judge_models(cell: Cell, recording: Recording, parts: tuple[Fold, ...]) -> dict[EstimatorName, list[Judged]]:
-    """Of the estimators that follow from the model alone, as far as this cell can have them."""
+def _judge_models(
+    cell: Cell, fit: Fit, recording: Recording, parts: tuple[Fold, ...]
+) -> dict[EstimatorName, list[Judged]]:
+    """Of the estimators that follow from the model alone, as fitted before each fold, where all folds have them."""
     judged: dict[EstimatorName, list[Judged]] = {}
     for name in FROM_MODEL:
-        try:
-            estimator = cell.estimator((), name)
-        except InputError:
-            continue  # not for this kind of cell
-        pressure, std = estimate_recording(estimator, recording.time_s, recording.resistance_ohm)
-        error = pressure - recording.pressure_kpa
-        deviation = np.full(error.shape, np.inf) if std is None else std
-        edges = [slice(*np.searchsorted(recording.time_s, [part.start_s, part.end_s])) for part in parts]
-        judged[name] = [(error[edge], deviation[edge]) for edge in edges]
+        pairs = []
+        for fold, before in zip(parts, fit.before_folds, strict=True):
+            try:
+                if before is not None:
+                    model, rest = before
+                    pairs.append(_judge(cell.replace(model=model, rest_resistance_ohm=rest), name, recording, fold))
+            except InputError:
+                break  # not for this kind of cell, or these parameters
+        if len(pairs) == len(parts) and _has(cell, name):
+            judged[name] = pairs
     return judged
 
 
-def _choose(by_fold: dict[EstimatorName, tuple[float, ...]], unexplained: float) -> tuple[EstimatorName, str]:
+def _has(cell: Cell, name: EstimatorName) -> bool:
+    """Whether a cell can have that estimator."""
+    try:
+        cell.estimator((), name)
+    except InputError:
+        return False
+    return True
+
+
+def _choose(
+    by_fold: dict[EstimatorName, tuple[float, ...]], unexplained: float, presses: float
+) -> tuple[EstimatorName, str]:
     """The estimator whose worst fold is best, and why; the paper's is never chosen.
 
-    Where the model explains all there is, its inverse carries over to loads that nobody applied: it comes first, unless
-    clearly worse. What follows no better than the static curve is not worth its memory: a tenth is left to chance.
+    The static curve is kept unless another estimator beats it on the worst of all folds, and by a margin on the worst
+    of the last ones, which had most to learn from. The margin grows as the recording has fewer presses: the folds of a
+    single press say little of the next one. The exact inverse follows the model wherever that
+    leads. It comes first where the model explains all there is, since it carries over to loads that nobody applied. It
+    has to be far better where the model explains nearly all, and is not chosen where the model leaves more.
+
+    Args:
+        by_fold: error of each estimator on each fold, % of full scale.
+        unexplained: error of the model on its worst fold beyond noise, over the range of r.
+        presses: how many presses to full scale the path of the load amounts to.
     """
     worst = {name: max(percent) for name, percent in by_fold.items()}
     chosen: EstimatorName = "distilled" if worst["distilled"] <= 1.1 * worst["play"] else "play"
-    if worst[chosen] > worst["static"]:
-        chosen = "static"
     why = ""
-    if unexplained < EXACT and worst.get("inverse", np.inf) < 1.25 * worst[chosen] + 0.25:
+    inverse = worst.get("inverse", np.inf)
+    if unexplained < EXACT and inverse <= worst[chosen] + INVERSE_SLACK:
         chosen = "inverse"
         why = f"the model explains the resistance but for {100 * unexplained:.1f} % of its range and noise; "
+    elif unexplained < NEARLY and inverse < INVERSE_BETTER * worst[chosen]:
+        chosen = "inverse"
+    late = {name: max(percent[-training.TELLING :]) for name, percent in by_fold.items()}
+    margin = BEATS - FEW_PRESSES / max(presses, 1.0)
+    if worst[chosen] > worst["static"] or late[chosen] > margin * late["static"]:
+        chosen = "static"
+        why = "nothing beats the static curve by enough; "
     others = ", ".join(f"{name} {value:.1f} %" for name, value in worst.items() if name != chosen)
     return chosen, f"{why}{worst[chosen]:.1f} % of full scale on the worst of {len(by_fold[chosen])} folds ({others})"
 

@@ -11,12 +11,12 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from ..arrays import FloatArray
-from ..config import Positive, Section, load, write_toml
+from ..config import NotNegative, Positive, Section, load, write_toml
 from ..errors import InputError
 from ._estimator import Conditions, Estimator
 from ._forward import Forward, make_forward
 from ._inverse import InverseEstimator, margin
-from ._learned import DRIFT, Learned, LearnedEstimator, Numbers, Seen, StaticCurve
+from ._learned import DRIFT, UNKNOWN_DRIFT, Learned, LearnedEstimator, Numbers, Seen, StaticCurve
 from ._models import AsymmetricModel, M10Model, Model, PaperModel
 from ._paper import PaperEstimator, TurningEstimator
 from ._static import EquilibriumEstimator, StaticCurveEstimator, equilibrium_gain
@@ -39,6 +39,8 @@ class Calibrated(Section):
     """rms error on the worst fold of the recording after learning from what comes before it, % of full scale"""
     fold_percent: dict[EstimatorName, Numbers] = Field(default_factory=dict)
     """the same on each fold"""
+    drift_percent: NotNegative = 0.0
+    """mean error of the static curve on the fold where it is largest, % of full scale: creep beyond what was learned"""
     seen: Seen = Seen()
     static: StaticCurve
     play: Learned | None = None
@@ -152,8 +154,9 @@ class Cell(Section):
         if learned is None:
             return Conditions(noise=noise)
         percent = learned.held_out_percent.get(name) if name in ("paper", "inverse") else None  # type: ignore[call-overload]
+        least = max(SUREST_PERCENT, UNKNOWN_DRIFT * learned.drift_percent)
         return Conditions(
-            model_std_kpa=0.0 if percent is None else DRIFT * max(percent, SUREST_PERCENT) / 100 * self.full_scale_kpa,
+            model_std_kpa=0.0 if percent is None else DRIFT * max(percent, least) / 100 * self.full_scale_kpa,
             noise=(learned.seen.noise or None) if noise is None else noise,
             speed_kpa_per_s=learned.seen.speed_kpa_per_s,
         )

@@ -72,6 +72,8 @@ class Fit:
     """jittered cells like it"""
     simulate_folds: tuple[Simulation, ...]
     """the same as fitted before each fold"""
+    before_folds: tuple[tuple[Model, float] | None, ...] = ()
+    """model and R0 in ohm as fitted before each fold; None: what was found is no valid cell"""
 
     @property
     def held_out_error(self) -> float:
@@ -111,7 +113,9 @@ class _Kind:
     size: float
     """range of r in the recording"""
     run: Callable[[FloatArray, FloatArray, float], FloatArray]
-    """parameters (p, m), load (n,), dt -> r (n, m), without the offset of R0"""
+    """parameters (p, m), load (n,) or (n, m) as ``felt``, dt -> r (n, m), without the offset of R0"""
+    felt: Callable[[FloatArray], FloatArray] = lambda load: load
+    """the load (n, m) or (n,) as this kind takes it: worked out once, for any number of parameters"""
 
 
 def rest_resistance(recording: Recording, full_scale_kpa: float) -> tuple[float, float]:
@@ -129,16 +133,24 @@ def rest_resistance(recording: Recording, full_scale_kpa: float) -> tuple[float,
     return float(np.min(recording.resistance_ohm[light])), NEVER_AT_REST
 
 
-def folds(recording: Recording, full_scale_kpa: float) -> tuple[Fold, ...]:
-    """Consecutive folds that each have a share of all pressing, however long the rests between.
+def pressing(recording: Recording, full_scale_kpa: float) -> FloatArray:
+    """(n,) path length of the normalised load up to each sample: a press to full scale and its release add 2.
 
-    Pressing is measured by the path length of the load behind a play (Prandtl's), which noise does not add to.
+    The load passes a play (Prandtl's) first, so that noise does not add to the path.
+    """
+    load = recording.quiet.pressure_kpa[:, None] / full_scale_kpa
+    followed = play_follow(load, PRESSED)[:, 0]
+    path: FloatArray = np.cumsum(np.abs(np.diff(followed, prepend=followed[0])))
+    return path
+
+
+def folds(recording: Recording, full_scale_kpa: float) -> tuple[Fold, ...]:
+    """Consecutive folds that each have a share of all :func:`pressing`, however long the rests between.
 
     Raises:
         InputError: a fold, or what comes before the first, has hardly any readings: most of the time is a gap.
     """
-    load = recording.quiet.pressure_kpa[:, None] / full_scale_kpa
-    moved = np.cumsum(np.abs(np.diff(play_follow(load, PRESSED)[:, 0], prepend=load[0, 0])))
+    moved = pressing(recording, full_scale_kpa)
     moved += 1e-9 * np.arange(len(moved))
     at = np.searchsorted(moved, np.array(ORIGINS) * moved[-1]).clip(1, len(moved) - 1)
     time = recording.time_s
@@ -314,6 +326,7 @@ def _fit(kind: _Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit
         fold_errors=tuple(errors),
         simulate=_simulation(kind, found, rest),
         simulate_folds=tuple(_simulation(kind, solution, rest) for solution in solutions),
+        before_folds=tuple(_valid_model(kind, solution, task) for solution in solutions),
     )
     return fit, [tuple(map(float, solution)) for solution in (*solutions, found)]
 
@@ -329,7 +342,8 @@ def _too_slow(name: str, value: float, duration_s: float) -> bool:
 
 
 def _predict(kind: _Kind, parameters: FloatArray, grid: _Grid) -> FloatArray:
-    predicted: FloatArray = kind.run(parameters[:-1, None], grid.load, grid.dt_s)[:, 0] + parameters[-1]
+    load = kind.felt(grid.load)
+    predicted: FloatArray = kind.run(parameters[:-1, None], load, grid.dt_s)[:, 0] + parameters[-1]
     return predicted
 
 
@@ -338,6 +352,7 @@ def _solve(kind: _Kind, grid: _Grid, starts: list[tuple[float, ...]], lower: flo
     low, high = np.array([*kind.low, -lower]), np.array([*kind.high, 0.15])
     positive = low > 0
     fitted = slice(0, grid.fitted)
+    load = kind.felt(grid.load[fitted])
     step = 1e-5
 
     def natural(q: FloatArray) -> FloatArray:
@@ -348,7 +363,7 @@ def _solve(kind: _Kind, grid: _Grid, starts: list[tuple[float, ...]], lower: flo
 
     def responses(q: FloatArray) -> FloatArray:
         p = natural(q)
-        fit = kind.run(p[:-1], grid.load[fitted], grid.dt_s) + p[-1]
+        fit = kind.run(p[:-1], load, grid.dt_s) + p[-1]
         unusual = PRIOR * spread * (q - centre[:, None]) / width[:, None]
         return np.concatenate([fit, _falling(kind, p) * np.sqrt(grid.fitted) * 0.3, unusual])
 
@@ -470,10 +485,13 @@ def _asymmetric_kind(start: tuple[float, ...], size: float) -> _Kind:
 def _paper_kind(start: tuple[float, ...], size: float) -> _Kind:
     g1, g2, g3, t2, t3 = start
 
-    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+    def felt(load: FloatArray) -> FloatArray:
         columns = _columns(load)
         noise = 4 * simulate.white_noise(columns[:, 0])  # would hand over at every sample
-        return simulate.paper(parameters, play_follow(columns, noise), dt)
+        return play_follow(columns, noise)
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        return simulate.paper(parameters, _columns(load), dt)
 
     return _Kind(
         kind="paper",
@@ -483,6 +501,7 @@ def _paper_kind(start: tuple[float, ...], size: float) -> _Kind:
         starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0, 0.2, 5.0), (g1, g2, t2, g3, t3, 0.2, 5.0)),
         size=size,
         run=run,
+        felt=felt,
     )
 
 
@@ -515,6 +534,14 @@ def _model(kind: str, found: FloatArray, full_scale_kpa: float) -> Model:
         raise InputError(f"no {kind} cell fits the recording: {error.errors()[0]['msg']}") from error
 
 
+def _valid_model(kind: _Kind, found: FloatArray, task: _Task) -> tuple[Model, float] | None:
+    """The model and R0 in ohm, or None if the parameters make no valid cell."""
+    try:
+        return _model(kind.kind, found, task.full_scale_kpa), task.rest_ohm * (1 + float(found[-1]))
+    except InputError:
+        return None
+
+
 def _simulation(kind: _Kind, found: FloatArray, rest: float) -> Simulation:
     """Cells like the identified one, gains known to 6 %, times to 12 %."""
 
@@ -524,7 +551,7 @@ def _simulation(kind: _Kind, found: FloatArray, rest: float) -> Simulation:
         for place, name in enumerate(kind.names):
             noise = rng.standard_normal(cells)
             jittered[place] *= np.exp(0.12 * noise) if name.endswith("_s") else 1 + 0.06 * noise
-        resistance: FloatArray = rest * (1 + found[-1] + kind.run(jittered, load, dt))
+        resistance: FloatArray = rest * (1 + found[-1] + kind.run(jittered, kind.felt(load), dt))
         return resistance
 
     return run

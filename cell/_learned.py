@@ -22,6 +22,8 @@ CLIP = 3.5
 """standard deviations to which a feature is limited: beyond, nothing was learned"""
 DRIFT = 1.5
 """by which a standard deviation exceeds the error held out at calibration: creep goes on for hours after it"""
+UNKNOWN_DRIFT = 0.6
+"""share of the drift seen at calibration that is taken for the standard deviation of the drift afterwards"""
 STILL = 0.01
 """a cell is estimated afresh when a feature has moved by this many standard deviations since the last time"""
 BLOCK = 512

@@ -6,14 +6,17 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import median_filter
 
 from ..arrays import FloatArray
 from ..errors import InputError
 from ..tables import read_columns
-from ._simulate import smoothed, smoothing_s
+from ._simulate import smoothed, smoothing_s, white_noise
 
 COLUMNS = ("time_s", "pressure_kpa", "resistance_ohm")
 SHORTEST_S, FEWEST = 20.0, 100
+SPARK, SPARK_SIGMAS = 0.08, 8.0
+"""jump of a single reading, over the range of the readings and in standard deviations of noise, that no load made"""
 LONGEST_PRESS_S = 3600.0
 """median length of a press beyond which time is hardly in seconds"""
 PRESSURES_KPA, RESISTANCES_OHM = (0.01, 1e4), (0.1, 1e10)
@@ -52,6 +55,27 @@ class Recording:
             self,
             pressure_kpa=smoothed(self.pressure_kpa, self.step_s, seconds),
             resistance_ohm=smoothed(self.resistance_ohm, self.step_s, seconds),
+        )
+
+    @property
+    def without_sparks(self) -> Recording:
+        """Without single readings that jump from both neighbours while the load does not: bad contacts.
+
+        A jump counts from :data:`SPARK` of the range of the readings on, and from :data:`SPARK_SIGMAS` standard
+        deviations of their noise.
+        """
+        log_ohm = np.log(self.resistance_ohm)
+        low, high = np.percentile(log_ohm, [0.5, 99.5])
+        clear = max(SPARK * (high - low), SPARK_SIGMAS * white_noise(log_ohm))
+        steady = SPARK * float(np.ptp(self.pressure_kpa))
+        jumps = np.abs(log_ohm - median_filter(log_ohm, 3)) > clear
+        moves = np.abs(self.pressure_kpa - median_filter(self.pressure_kpa, 3)) > steady
+        kept = ~jumps | moves
+        return replace(
+            self,
+            time_s=self.time_s[kept],
+            pressure_kpa=self.pressure_kpa[kept],
+            resistance_ohm=self.resistance_ohm[kept],
         )
 
 

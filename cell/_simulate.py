@@ -29,15 +29,19 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
     alpha = np.stack([alpha1, alpha2])
     up, up_ramp = lag.weights(dt_s, np.stack([rise1, rise2]))
     down, down_ramp = lag.weights(dt_s, np.stack([fall1, fall2]))
-    stay_up, stay_down = 1 - up, 1 - down
-    target = alpha * load[:, None, :]  # (n, 2, m)
-    into_up = target[:-1] * (up - up_ramp) + target[1:] * up_ramp
-    into_down = target[:-1] * (down - down_ramp) + target[1:] * down_ramp
+    gone, ramp = np.stack([up, down]), np.stack([up_ramp, down_ramp])  # (2, 2, m): charging or not, branch, cell
+    stay = 1 - gone
+    target = np.multiply(alpha, load[:, None, :])  # (n, 2, m)
+    into = target[:-1, None] * (gone - ramp) + target[1:, None] * ramp
     branches = np.empty((samples, 2, cells))
-    x = branches[0] = np.broadcast_to(target[0], (2, cells))
-    for n in range(1, samples):
-        x = np.where(target[n] > x, x * stay_up + into_up[n - 1], x * stay_down + into_down[n - 1])
-        branches[n] = x
+    branches[0] = target[0]
+    either, charging = np.empty(stay.shape), np.empty((2, cells), dtype=bool)
+    for now, then, x, to in zip(target[1:], into, branches[:-1], branches[1:], strict=True):
+        np.multiply(x, stay, out=either)
+        either += then
+        np.greater(now, x, out=charging)
+        to[:] = either[1]
+        np.copyto(to, either[0], where=charging)
     gone, ramp = lag.weights(dt_s, tau)
     moved = np.abs(np.diff(load, axis=0, prepend=load[:1])) * (k * (1 - ramp))
     broken = np.empty((samples, cells))
@@ -84,28 +88,29 @@ def paper(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
     moved = np.maximum.accumulate(np.where(sign != 0, np.arange(samples)[:, None], 0), axis=0)
     rising: BoolArray = np.take_along_axis(sign, moved, axis=0) > 0
     starts, ends = rising[1:] & ~rising[:-1], ~rising[1:] & rising[:-1]
-    some_start, some_end = np.asarray(starts.any(axis=1)), np.asarray(ends.any(axis=1))
 
-    r = np.empty((samples, cells))
-    r[0] = total * load[0]
-    settled, x2 = load[0], gain2 * load[0]
-    for n in range(1, samples):
-        before, last = load[n - 1], r[n - 1]
-        if some_start[n - 1]:
-            settled = np.where(starts[n - 1], before + (total * before - last) / jump, settled)
-        if some_end[n - 1]:
-            x2 = np.where(ends[n - 1], last - gain1 * before - x3[n - 1], x2)
-        settled = settled * stay_u + into_u[n - 1]
-        x2 = x2 * stay2 + into2[n - 1]
-        s = load[n]
-        r[n] = np.where(rising[n], total * s + jump * (s - settled), gain1 * s + x2 + x3[n])
+    # One free state: the load that rising has settled to, or the fast branch of recovery. A hand-over is linear in it,
+    # since the resistance is continuous, so that it follows state[n] = keep[n] state[n-1] + driven[n] all the time.
+    before, slow = load[:-1], x3[:-1]
+    start = before + ((total - gain1) * before - slow) / jump
+    end = (total + jump - gain1) * before - slow
+    risen = rising[1:]
+    stay = np.where(risen, stay_u, stay2)
+    keep = stay * np.where(starts, -1 / jump, np.where(ends, -jump, 1.0))
+    driven = stay * np.where(starts, start, np.where(ends, end, 0.0)) + np.where(risen, into_u, into2)
+    state = np.empty((samples, cells))
+    state[0] = load[0]
+    for factor, add, last, to in zip(keep, driven, state[:-1], state[1:], strict=True):
+        np.multiply(factor, last, out=to)
+        np.add(to, add, out=to)
+    r: FloatArray = np.where(rising, total * load + jump * (load - state), gain1 * load + state + x3)
     return r
 
 
 def random_loads(rng: np.random.Generator, samples: int, cells: int, dt_s: float) -> FloatArray:
     """Normalised loads (n, m): random ramps to nothing, full scale or anywhere, some cells with holds, some without.
 
-    Ramps take 1 to 40 s per full scale, holds 1 to 160 s. Every cell rests first.
+    Ramps take 0.2 to 40 s per full scale, holds 1 to 160 s. Every cell rests first.
     """
     loads = np.empty((samples, cells))
     end = samples * dt_s
@@ -115,8 +120,8 @@ def random_loads(rng: np.random.Generator, samples: int, cells: int, dt_s: float
         while times[-1] < end:
             kind = rng.random()
             level = 0.0 if kind < 0.25 else 1.0 if kind < 0.45 else rng.uniform(-0.05, 1.2)
-            seconds_per_full_scale = np.exp(rng.uniform(np.log(1), np.log(40)))
-            times.append(times[-1] + max(0.2, abs(level - levels[-1]) * seconds_per_full_scale))
+            seconds_per_full_scale = np.exp(rng.uniform(np.log(0.2), np.log(40)))
+            times.append(times[-1] + max(0.1, abs(level - levels[-1]) * seconds_per_full_scale))
             levels.append(level)
             if holds:
                 times.append(times[-1] + holds * np.exp(rng.uniform(np.log(1), np.log(160))))

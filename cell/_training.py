@@ -8,6 +8,7 @@ but is not asked to believe the model to the last digit.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,13 +17,15 @@ from ..arrays import FloatArray
 from . import _simulate as simulate
 from ._features import Bank
 from ._identify import Simulation
-from ._learned import DRIFT, Learned, Limits, StaticCurve, Terms
+from ._learned import DRIFT, UNKNOWN_DRIFT, Learned, Limits, StaticCurve, Terms
 
 LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
 """of the distilled estimator; longer ones are memories of how the recording began"""
 SMOOTHING_S = 0.1
 DIRECTIONS = 600
 CELLS, SECONDS = 96, 400.0
+STATIC_CELLS = 12
+"""simulated to see what a static curve is worth at other speeds"""
 MOST_STEPS, FEWEST_SAMPLES = 50000, 500
 """time steps that a recording may have on the grid of the simulations, and samples that a simulated cell has"""
 R0_ERROR = 0.03
@@ -31,14 +34,22 @@ CREEP = 0.08
 """of the range of r: what creep too slow for the recording, and loads before it, may add"""
 CREEP_LENGTH = (0.08, 1.33)
 """its time constants, in lengths of the recording"""
-WIDEST, FLOOR, SUREST = 2.0, 0.5, 0.02
-"""limits of the standard deviation of learned estimators, see :func:`calibrated`"""
-AT_REST = 0.3
+TELLING = 2
+"""folds, of those at the end, that the standard deviations of learned estimators are calibrated on"""
+NARROWEST, WIDEST = 0.5, 3.0
+"""factors by which held-out folds may change a learned standard deviation"""
+FLOOR, SUREST = 0.5, 0.02
+"""least standard deviation: share of the rms error of a fold, and normalised load"""
+AT_REST = 3.0
 """weight of a cell that has always read R0, for which no load is to be answered"""
 UNEXPLAINED = ((3.0, 0.5), (60.0, 0.7))
 """over how many seconds the model's error wanders, and how much of it does"""
 ROWS = 20000
 """of synthetic samples that enter the regression"""
+
+
+Judged = tuple[FloatArray, FloatArray]
+"""errors of an estimator within a fold, and the standard deviations that it stated with them"""
 
 
 @dataclass(frozen=True)
@@ -97,6 +108,19 @@ def static_curve(calibration: NormalisedRecording, full_scale_kpa: float, *, log
     error = np.clip(curve.load(r), curve.limits.lowest, curve.limits.highest) - load
     std = max(float(np.sqrt(np.mean(error**2))), 1e-6) * full_scale_kpa
     return curve.replace(std_kpa=std)
+
+
+def error_on_other_loads(calibration: NormalisedRecording, curve: StaticCurve) -> float:
+    """Rms error of a static curve, normalised load, on loads and speeds that the recording does not have.
+
+    The identified cell is simulated under random ramps and holds. A curve does not know what the cell remembers.
+    """
+    rng = np.random.default_rng(0)
+    dt = max(float(np.median(np.diff(calibration.time_s))), calibration.seconds / MOST_STEPS)
+    load = simulate.random_loads(rng, max(round(SECONDS / dt), FEWEST_SAMPLES), STATIC_CELLS, dt)
+    r = calibration.simulation(rng, load, dt) / calibration.rest_resistance_ohm - 1
+    error = np.clip(curve.load(r), curve.limits.lowest, curve.limits.highest) - load
+    return float(np.sqrt(np.mean(error**2)))
 
 
 def variations(
@@ -171,7 +195,7 @@ def learn(
     data = rows(calibration, bank, simulated)
     mean = data.simulated.mean(axis=0)
     scale = np.maximum(data.simulated.std(axis=0), 1e-6 * max(calibration.spread, 1e-9))
-    terms = Terms(mean, scale, seed, directions)
+    terms = Terms(mean, scale, seed, directions, np.float32)  # cosines cost most; sums are in float64
     at_rest = bank.features(bank.begin(np.zeros(1)))
     rest = np.asarray(terms(terms.standardised(at_rest)), dtype=np.float64)
     real = np.asarray(terms(terms.standardised(data.real.T)), dtype=np.float64)
@@ -217,20 +241,27 @@ def distilled(
     return learn(calibration, simulated, lags_s=LAGS_S, plays=plays, directions=DIRECTIONS, ridge=5e-5, seed=seed)
 
 
-def calibrated(learned: Learned, error: FloatArray, std: FloatArray, *, most: float) -> Learned:
-    """``learned`` with the standard deviation such that 95 % of held-out ``error`` lie within 2 / ``DRIFT`` of it.
+def calibrated(learned: Learned, judged: Sequence[Judged], *, drift: float, most: float) -> Learned:
+    """``learned`` with a standard deviation that held-out folds bear out (split conformal prediction, fold by fold).
 
-    It never falls below ``FLOOR`` of that for the rms error, or for an error of ``SUREST``: calibration sees too little
-    to be surer anywhere. Nor is it widened by more than ``WIDEST``, or held up by errors above half of the static
-    curve's: two thirds of a short recording may have been too little to learn anything from, where the whole is enough.
+    On each of the last :data:`TELLING` folds, 95 % of the errors lie within two of the deviations before these are
+    multiplied by ``DRIFT``. What comes before an earlier fold may have been too little to learn from. The deviation is
+    the learned one times a factor, but not below a floor. If a factor of :data:`WIDEST` is not enough, the floor rises.
 
     Args:
-        learned: what gave ``error`` and ``std``.
-        error: held-out errors, normalised load.
-        std: the standard deviations it gave with them, normalised load.
-        most: rms error of the static curve, normalised load.
+        learned: what is to get the deviation.
+        judged: for each fold, held-out errors and the deviations stated with them, normalised load.
+        drift: mean error of the static curve on the fold where that was largest, normalised load. The estimator makes
+            up for this drift from its memory, but cannot know a drift that goes on for longer than the recording.
+        most: what the floor never exceeds, normalised load: the rms error of the static curve.
     """
-    widen = DRIFT * float(np.clip(np.quantile(np.abs(error) / std, 0.95) / 2, 0.5, WIDEST))
-    rms = min(float(np.sqrt(np.mean(error**2))), most / 2)
-    floor = max(learned.std_floor * widen, DRIFT * max(FLOOR * rms, SUREST))
-    return learned.replace(std_factor=learned.std_factor * widen, std_floor=floor)
+    last = [(np.abs(error), std) for error, std in judged[-TELLING:]]
+    rms = max(float(np.sqrt(np.mean(error**2))) for error, _ in last)
+    floor = max(FLOOR * rms, UNKNOWN_DRIFT * drift, SUREST)
+    needed = [np.where(error > 2 * floor, error / (2 * np.maximum(std, 1e-9)), 0.0) for error, std in last]
+    widen = float(np.clip(max(np.quantile(factor, 0.95) for factor in needed), NARROWEST, WIDEST))
+    for error, std in last:
+        if np.mean(error <= 2 * np.maximum(widen * std, floor)) < 0.95:
+            floor = max(floor, float(np.quantile(error, 0.95)) / 2)
+    floor = max(min(floor, most), SUREST)
+    return learned.replace(std_factor=learned.std_factor * DRIFT * widen, std_floor=DRIFT * floor)

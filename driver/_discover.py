@@ -58,13 +58,17 @@ def find_board(serial_number: str, ports: Iterable[str] | None = None, *, board:
     """The port of the board with this serial number, of its own or of its USB device.
 
     Raises:
-        LinkError: there is none; the message lists those that are there.
+        LinkError: there is none, or more than one; the message lists those that are there.
 
     """
     found = discover(ports, board=board)
-    for entry in found:
-        if serial_number in (entry.serial_number, entry.usb_serial_number):
-            return entry.port
+    matching = [entry.port for entry in found if serial_number in (entry.serial_number, entry.usb_serial_number)]
+    if len(matching) > 1:
+        raise LinkError(
+            f"{len(matching)} boards with serial number {serial_number}: at {', '.join(matching)}; give a port"
+        )
+    if matching:
+        return matching[0]
     present = ", ".join(f"{entry.serial_number or '?'} at {entry.port}" for entry in found) or "none"
     raise LinkError(f"no board with serial number {serial_number}; boards present: {present}")
 

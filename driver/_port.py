@@ -318,6 +318,19 @@ def serial_ports() -> list[str]:
     return [port.device for port in list_ports.comports()]
 
 
+def is_linked_terminal(name: str) -> bool:
+    """Whether ``name`` is a link to a pseudo-terminal: the port of an emulated board."""
+    return os.path.islink(name) and os.path.realpath(name).startswith("/dev/pts/")
+
+
+def linked_terminals(directory: Path) -> list[str]:
+    """The links to pseudo-terminals in a directory."""
+    try:
+        return [str(path) for path in sorted(directory.iterdir()) if is_linked_terminal(str(path))]
+    except OSError:
+        return []
+
+
 def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -> serial.SerialBase:
     _refuse_terminal(name)
     if name.startswith("ohmskin://") and _EMULATOR not in serial.protocol_handler_packages:

@@ -80,6 +80,7 @@ class Reader:
         self._unproven: deque[tuple[FramePacket, Arrival]] = deque(maxlen=MOST_UNPROVEN)
         """frames that came meanwhile"""
         self._away_since: float | None = None
+        self._away_because = ""
         self._received, self._reason = 0, "no end of a packet"
         """bytes since the last frame, and why the last of them were no packet"""
         self._thread = threading.Thread(target=self._run, name=f"ohmskin reader {port.name}", daemon=True)
@@ -347,7 +348,7 @@ class Reader:
         """Open the port again; raises LinkError when it has not come back in time."""
         assert self._reopen is not None
         if self._away_since is None:
-            self._away_since = time.monotonic()
+            self._away_since, self._away_because = time.monotonic(), str(error)
             self._mailbox.set_away(str(error))
         left_s = self._reconnect_s - (time.monotonic() - self._away_since)
         for _ in attempts(left_s, self._stop.wait):
@@ -364,7 +365,8 @@ class Reader:
                 self._proofs = {type(packet) for packet in known if packet is not None}
                 self._proof_until = time.monotonic() + PROOF_S
             return
-        raise LinkError(f"{error}; it has not come back within {self._reconnect_s:g} s")
+        since = "" if str(error) == self._away_because else f" ({error})"
+        raise LinkError(f"{self._away_because}; it has not come back within {self._reconnect_s:g} s{since}")
 
     def _release(self) -> None:
         with self._reading:

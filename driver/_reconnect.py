@@ -4,9 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from ..errors import LinkError
-from ._port import BytePort, open_port, ports_with, usb_serial_number
+from ._port import (
+    BytePort,
+    is_linked_terminal,
+    linked_terminals,
+    open_port,
+    ports_with,
+    serial_ports,
+    usb_serial_number,
+)
 
 FIRST_DELAY_S, LONGEST_DELAY_S = 0.1, 1.0
 
@@ -15,13 +24,22 @@ class PortFinder:
     """Opens the port of one board, and opens it again wherever the operating system has put it since.
 
     A USB device is known by its USB serial number, so that it is found under another name, and so that another device
-    that has taken its name is left alone. Any other port is known by its name.
+    that has taken its name is left alone. Many converters have no such number. A board behind one is looked for under
+    its old name and, if it says a serial number of its own, at ports that have appeared since; who opens the port again
+    must then ask the board for it. Ports that were there all the time belong to others and are not touched.
     """
 
     def __init__(self, name: str, *, baudrate: int, dtr: bool | None = None, rts: bool | None = None) -> None:
         self.name = name
         self._options = {"baudrate": baudrate, "dtr": dtr, "rts": rts}
         self._usb_serial = usb_serial_number(name)
+        self.board_is_numbered = False
+        """the board says a serial number of its own"""
+        self._directory = Path(name).parent if is_linked_terminal(name) else None
+        self._always_there = self._present()
+        """ports that have been there whenever this finder looked"""
+        self._last: str | None = None
+        """name under which the port was opened again last"""
 
     def open(self) -> BytePort:
         """Open the port where it is now; LinkError where it is not there."""
@@ -29,12 +47,33 @@ class PortFinder:
 
     def open_again(self) -> BytePort:
         """Open the port where it is now, perhaps under another name; LinkError where it is nowhere."""
-        if not self._usb_serial:
-            return self._open(self.name)
-        names = ports_with(self._usb_serial)
+        names = ports_with(self._usb_serial) if self._usb_serial else self._names_without_number()
         if not names:
             raise LinkError(f"{self.name}: no USB device with serial number {self._usb_serial} is plugged in")
-        return self._open(self.name if self.name in names else names[0])
+        failure = LinkError(f"{self.name}: no such port")
+        # The next name first: behind the last one there may have been another board.
+        names.sort(key=lambda name: name != self.name)
+        after_last = names.index(self._last) + 1 if self._last in names else 0
+        for name in names[after_last:] + names[:after_last]:
+            try:
+                port = self._open(name)
+            except LinkError as error:
+                failure = error
+                continue
+            self._last = name
+            return port
+        raise failure
+
+    def _names_without_number(self) -> list[str]:
+        """The board's name, and those of ports that have appeared since it was opened."""
+        present = self._present()
+        appeared = sorted(present - self._always_there - {self.name}) if self.board_is_numbered else []
+        self._always_there &= present
+        return [self.name, *appeared]
+
+    def _present(self) -> set[str]:
+        linked = [] if self._directory is None else linked_terminals(self._directory)
+        return {*serial_ports(), *linked}
 
     def _open(self, name: str) -> BytePort:
         return open_port(name, **self._options)  # type: ignore[arg-type]  # a dict of mixed values

@@ -278,6 +278,7 @@ class Skin:
             overwrite=overwrite,
             calibration=calibration,
         )
+        finder.board_is_numbered = bool(skin.serial_number)
         if serial_number is not None and skin.serial_number and skin.serial_number != serial_number:
             skin.close()
             raise LinkError(f"{port}: board {skin.serial_number} is there; expected {serial_number}")

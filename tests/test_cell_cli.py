@@ -49,6 +49,12 @@ def test_what_was_found_can_be_read_by_a_program(steps: Path, capsys: pytest.Cap
     (exponent,) = [item for item in found["parameters"] if item["name"] == "exponent"]
     assert exponent["value"] == pytest.approx(0.9, abs=0.05)
     assert found["estimator"] == "static"
+    folds = found["fold_percent"]["static"]
+    assert len(folds) == len(found["fits"][0]["folds"]) == 3
+    assert max(folds) == pytest.approx(found["held_out_percent"]["static"])
+    assert run(["fit", str(steps)]) == 0
+    printed = next(line for line in capsys.readouterr().out.splitlines() if line.split()[:1] == ["static"])
+    assert [float(word) for word in printed.split()[1:]] == pytest.approx(folds, abs=0.051)
 
 
 def test_a_place_that_cannot_be_written_is_refused_before_the_fit(

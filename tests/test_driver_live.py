@@ -648,6 +648,14 @@ class TestReconnection:
         assert stranger.closed
         assert larger.closed
 
+    def test_the_error_says_why_the_board_went_away_and_what_was_found_instead(self) -> None:
+        bench = Bench(Script(identity("B2"), sheet(), frame(0)))
+        with Skin(described(frame(0), last=gone), reopen=bench.reopen, reconnect=0.3, timeout=30.0) as skin:
+            next(skin)
+            said = r"gone; it has not come back within 0\.3 s \(script: board B2 is there; expected A1\)"
+            with pytest.raises(LinkError, match=said):
+                next(skin)
+
     def test_a_board_that_stays_away_is_an_error_after_the_time_given(self) -> None:
         bench = Bench()
         with Skin(described(frame(0), last=gone), reopen=bench.reopen, reconnect=0.5, timeout=30.0) as skin:
@@ -704,6 +712,41 @@ class TestReconnection:
         with skin, running(scene(), other):
             names[other.name] = "USB-1"
             assert next(frame for frame in skin if frame.reconnected).rebooted
+
+    def test_a_board_without_a_usb_number_is_found_under_another_name(self, tmp_path: Path) -> None:
+        """Many converters have no serial number; the board's own tells which of the ports that appear is its."""
+        stranger = scene(board={"serial_number": "B2", "frame_rate": 500.0})
+        unplugged = {"kind": "unplug", "at_s": 1.0, "duration_s": 0.5, "name": "skin-9"}
+        moves = scene(board={"serial_number": "A1", "frame_rate": 500.0}, link_fault=[unplugged])
+        with (
+            running(scene(board={"serial_number": "C3"}), PtyPort(tmp_path / "there-all-the-time")),
+            running(moves, PtyPort(tmp_path / "skin")),
+            Skin.open(str(tmp_path / "skin"), reconnect=60.0, timeout=30.0) as skin,
+        ):
+            opened = opened_ports(skin)
+            next(skin)
+            until(lambda: skin._mailbox.away is not None)
+            with running(stranger, PtyPort(tmp_path / "skin-1")):
+                back = next(frame for frame in skin if frame.reconnected)
+                assert back.rebooted
+                assert skin.serial_number == "A1"
+        assert str(tmp_path / "skin-9") in opened
+        assert str(tmp_path / "there-all-the-time") not in opened
+
+
+def opened_ports(skin: Skin) -> list[str]:
+    """The names under which the skin opens its port from now on."""
+    names: list[str] = []
+    reopen = skin._reader._reopen
+    assert reopen is not None
+
+    def note() -> BytePort:
+        port = reopen()
+        names.append(port.name)
+        return port
+
+    skin._reader._reopen = note
+    return names
 
 
 class TestPorts:
@@ -802,6 +845,14 @@ class TestBoards:
                 Skin.open(serial_number="middle")
             with pytest.raises(LinkError, match="board left is there; expected right"):
                 Skin.open(names[1], serial_number="right")
+
+    def test_of_two_boards_with_one_serial_number_neither_is_guessed(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        ports = [PtyPort() for _ in range(2)]
+        monkeypatch.setattr("ohmskin.driver._discover.serial_ports", lambda: [port.name for port in ports])
+        with running(scene(), ports[0]), running(scene(), ports[1]):
+            number = discover()[0].serial_number
+            with pytest.raises(LinkError, match=rf"2 boards with serial number {number}: at /dev/.*; give a port"):
+                Skin.open(serial_number=number)
 
     def test_without_a_cell_there_are_ohms_and_no_pressure(self) -> None:
         family = replace(BOARDS["ohmskin"], has_description=False)

@@ -1,0 +1,267 @@
+"""Judge calibrations with defaults on a panel of recordings: a head is learned from, the rest is held out.
+
+    python -m ohmskin.bench.panel --seed 0 1
+    python -m ohmskin.bench.panel --load speeds --material relays maxwell --seed 3
+    python -m ohmskin.bench.panel recording.csv other.csv --head 0.4
+
+The recordings come from emulated materials outside the fitted model classes (:mod:`._materials`), under each kind of
+load, and with each kind of disturbance. Every load is combined with some of the materials, which rotate with the seed;
+``--material`` chooses them instead. CSV files with the columns ``time_s,pressure_kpa,resistance_ohm`` are judged
+as they are, played three times as fast and as slow, and thinned.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from ..arrays import FloatArray
+from ..cell import CalibrationResult, Recording, calibrate, checked_recording, estimate_recording
+from ._materials import LOADS, MATERIALS
+
+DT_S = 0.1
+FULL_SCALE_KPA = 15.5
+REST_OHM = 10000.0
+NOISE = 0.002
+"""standard deviation of a reading, relative to it, unless the disturbance says otherwise"""
+RESTING, RESTING_S = 0.01, 5.0
+"""a cell is at rest that has had less than this share of full scale for that long"""
+DISTURBANCES = ("thinned", "noisy", "outliers", "R0 3 % low")
+"""what happens to random presses"""
+ONE_PRESS_S = 20.0
+"""how long after the first press of a file the head ends that has only that"""
+PER_LOAD = 2
+"""materials that each kind of load is combined with, unless they are chosen"""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One recording, of which the part before ``head_s`` is learned from."""
+
+    load: str
+    material: str
+    seed: int
+    time_s: FloatArray
+    pressure_kpa: FloatArray
+    resistance_ohm: FloatArray
+    head_s: float
+    full_scale_kpa: float | None = None
+    rest_factor: float = 1.0
+    """by which R0 is wrong when the estimator is used"""
+
+    def thinned(self, every: int, load: str) -> Scene:
+        """Every ``every``-th sample."""
+        return replace(
+            self,
+            load=load,
+            time_s=self.time_s[::every],
+            pressure_kpa=self.pressure_kpa[::every],
+            resistance_ohm=self.resistance_ohm[::every],
+        )
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How the chosen estimator does on what it has not seen."""
+
+    load: str
+    material: str
+    seed: int
+    estimator: str
+    model: str
+    rmse_percent: float
+    """of full scale, as the next ones"""
+    worst_percent: float
+    static_percent: float
+    """RMSE of the static curve on the same samples"""
+    best_percent: float
+    """RMSE of the best of the learned estimators, chosen after the fact"""
+    within_two_std: float
+    """share of the samples whose truth lies within two stated standard deviations"""
+    std_percent: float
+    """median standard deviation, of full scale"""
+    rest_kpa: float
+    """mean size of what is shown at rest; NaN if the cell never rests"""
+    folds: tuple[float, ...]
+    """error of the chosen estimator on each fold of the calibration, % of full scale"""
+
+
+def scene(load: str, material: str, seed: int) -> Scene:
+    """A recording of the panel; the same for the same arguments."""
+    rng = np.random.default_rng([seed, zlib.crc32(f"{load}, {material}".encode())])
+    disturbance = load if load in DISTURBANCES else None
+    loads, head_s = LOADS["random" if disturbance else load](rng, DT_S)
+    r = MATERIALS[material](loads, DT_S, rng)
+    noise = 0.01 if disturbance == "noisy" else NOISE
+    read = REST_OHM * (1 + r) * (1 + noise * rng.standard_normal(len(r)))
+    if disturbance == "outliers":
+        read[rng.random(len(read)) < 0.005] *= 1.3
+    found = Scene(
+        load=load,
+        material=material,
+        seed=seed,
+        time_s=DT_S * np.arange(float(len(read))),
+        pressure_kpa=FULL_SCALE_KPA * loads,
+        resistance_ohm=read,
+        head_s=head_s,
+        full_scale_kpa=FULL_SCALE_KPA,
+        rest_factor=0.97 if disturbance == "R0 3 % low" else 1.0,
+    )
+    return found.thinned(3, load) if disturbance == "thinned" else found
+
+
+def scenes_of(path: Path, head: float) -> Iterator[Scene]:
+    """A recorded file as it is, played faster and slower, thinned, and with little to learn from."""
+    of = Recording.load(path)
+    time = of.time_s - of.time_s[0]
+    plain = Scene("as it is", path.stem, 0, time, of.pressure_kpa, of.resistance_ohm, head * float(time[-1]))
+    yield plain
+    for factor in (0.3, 3.0):
+        yield replace(plain, load=f"time x {factor:g}", time_s=factor * time, head_s=factor * plain.head_s)
+    yield plain.thinned(3, "thinned")
+    yield replace(plain, load="half the head", head_s=plain.head_s / 2)
+    pressed = np.flatnonzero(of.pressure_kpa > 0.5 * of.pressure_kpa.max())
+    released = np.flatnonzero(of.pressure_kpa[pressed[0] :] < 0.1 * of.pressure_kpa.max())
+    if released.size:
+        yield replace(plain, load="one press", head_s=float(time[pressed[0] + released[0]]) + ONE_PRESS_S)
+
+
+def calibrated(of: Scene) -> CalibrationResult:
+    """The calibration with defaults on the head of a scene."""
+    head = of.time_s < of.head_s
+    name = f"{of.load}, {of.material}, seed {of.seed}"
+    recording = checked_recording(of.time_s[head], of.pressure_kpa[head], of.resistance_ohm[head], name=name)
+    return calibrate(recording, full_scale_kpa=of.full_scale_kpa)
+
+
+def judge(of: Scene, found: CalibrationResult) -> Verdict:
+    """Run the calibrated estimators over the whole recording; what follows the head counts."""
+    cell = found.cell
+    assert cell.estimators is not None
+    full, later = cell.full_scale_kpa, of.time_s >= of.head_s
+    rest = of.rest_factor * cell.rest_resistance_ohm
+
+    def errors(name: str) -> tuple[FloatArray, FloatArray]:
+        estimator = cell.estimator((), name, rest_resistance_ohm=rest)
+        pressure, std = estimate_recording(estimator, of.time_s, of.resistance_ohm)
+        stated = np.full(pressure.shape, np.nan) if std is None else std
+        return (pressure - of.pressure_kpa)[later], stated[later]
+
+    def percent(error: FloatArray) -> float:
+        return float(100 * np.sqrt(np.mean(error**2)) / full)
+
+    chosen = cell.default_estimator
+    error, std = errors(chosen)
+    static, _ = errors("static")
+    learned = [name for name in ("play", "distilled") if getattr(cell.estimators, name) is not None]
+    others = [percent(errors(name)[0]) for name in learned if name != chosen]
+    resting = at_rest(of.time_s, of.pressure_kpa / full)[later]
+    return Verdict(
+        load=of.load,
+        material=of.material,
+        seed=of.seed,
+        estimator=chosen,
+        model=cell.model.kind,
+        rmse_percent=percent(error),
+        worst_percent=float(100 * np.abs(error).max() / full),
+        static_percent=percent(static),
+        best_percent=min([percent(error), percent(static), *others]),
+        within_two_std=float(np.mean(np.abs(error) <= 2 * std)),
+        std_percent=float(100 * np.median(std) / full),
+        rest_kpa=float(np.mean(np.abs(error[resting]))) if resting.any() else np.nan,
+        folds=cell.estimators.fold_percent[cell.estimators.default],
+    )
+
+
+def at_rest(time_s: FloatArray, load: FloatArray) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """(n,) whether the cell has been without load for :data:`RESTING_S`."""
+    loaded = np.abs(load) > RESTING
+    last = np.maximum.accumulate(np.where(loaded, time_s, -np.inf))
+    return np.asarray(time_s - last > RESTING_S)
+
+
+def scenes(
+    seeds: Sequence[int], loads: Sequence[str] = (), materials: Sequence[str] = ()
+) -> Iterator[tuple[str, str, int]]:
+    """Which recordings make up the panel: load, material and seed."""
+    names = list(MATERIALS)
+    for seed in seeds:
+        for place, load in enumerate(loads or [*LOADS, *DISTURBANCES]):
+            turn = place + 2 * seed
+            chosen = materials or [names[(turn + 3 * k) % len(names)] for k in range(PER_LOAD)]
+            for material in chosen:
+                yield load, material, seed
+
+
+def line(of: Verdict) -> str:
+    """One row of the table."""
+    flag = " *" if of.rmse_percent > 1.1 * of.static_percent else ""
+    folds = " ".join(f"{value:.1f}" for value in of.folds)
+    return (
+        f"{of.load:<14}{of.material:<12.11}{of.seed:>4}  {of.estimator:<10}{of.rmse_percent:>6.1f}"
+        f"{of.static_percent:>8.1f}{of.best_percent:>6.1f}{of.worst_percent:>7.0f}{100 * of.within_two_std:>8.0f}"
+        f"{of.std_percent:>6.1f}{of.rest_kpa:>7.2f}  {folds}{flag}"
+    )
+
+
+HEADER = (
+    f"{'load':<14}{'material':<12}{'seed':>4}  {'chosen':<10}{'RMSE':>6}{'static':>8}{'best':>6}{'worst':>7}"
+    f"{'in 2 sd':>8}{'sd':>6}{'rest':>7}  folds"
+)
+
+
+def summary(verdicts: Sequence[Verdict]) -> str:
+    """Worst figures of each kind of load."""
+    lines = [f"{'load':<14}{'worst ratio to static':>23}{'RMSE':>16}{'in 2 sd, least':>16}{'all':>6}{'rest, kPa':>11}"]
+    for load in dict.fromkeys(of.load for of in verdicts):
+        some = [of for of in verdicts if of.load == load]
+        errors = [of.rmse_percent for of in some]
+        within = [100 * of.within_two_std for of in some]
+        rest = [of.rest_kpa for of in some if np.isfinite(of.rest_kpa)]
+        ratio = max(of.rmse_percent / of.static_percent for of in some)
+        span = f"{min(errors):.1f} to {max(errors):.1f}"
+        shown = f"{max(rest):>11.2f}" if rest else f"{'-':>11}"
+        lines.append(f"{load:<14}{ratio:>23.2f}{span:>16}{min(within):>16.0f}{np.mean(within):>6.0f}{shown}")
+    return "\n".join(lines)
+
+
+@click.command()
+@click.argument("files", nargs=-1, metavar="[CSV]...", type=click.Path(path_type=Path, exists=True, dir_okay=False))
+@click.option("--seed", "seeds", type=int, multiple=True, default=(0,), show_default=True, help="May be repeated.")
+@click.option("--load", "loads", multiple=True, type=click.Choice([*LOADS, *DISTURBANCES]), help="May be repeated.")
+@click.option("--material", "materials", multiple=True, type=click.Choice(list(MATERIALS)), help="May be repeated.")
+@click.option("--head", type=click.FloatRange(0.05, 0.95), default=0.4, show_default=True, help="Share of a CSV.")
+@click.option("--json", "as_json", is_flag=True, help="Print the verdicts as JSON.")
+def main(
+    files: tuple[Path, ...],
+    seeds: tuple[int, ...],
+    loads: tuple[str, ...],
+    materials: tuple[str, ...],
+    head: float,
+    as_json: bool,
+) -> None:
+    """Calibrate with defaults on the head of each recording and judge the rest; errors are % of full scale.
+
+    A star marks what is worse than the static curve by more than a tenth.
+    """
+    made = (scene(*names) for names in scenes(seeds, loads, materials))
+    recorded = (part for path in files for part in scenes_of(path, head))
+    verdicts = []
+    if not as_json:
+        click.echo(HEADER)
+    for of in recorded if files else made:
+        verdicts.append(judge(of, calibrated(of)))
+        if not as_json:
+            click.echo(line(verdicts[-1]))
+    click.echo(json.dumps([asdict(of) for of in verdicts], indent=1) if as_json else "\n" + summary(verdicts))
+
+
+if __name__ == "__main__":
+    main()
