@@ -594,6 +594,8 @@ def _same(one: Any, other: Any) -> bool:
         return len(one) == len(other) and all(map(_same, one, other))
     if isinstance(one, float) and isinstance(other, float) and math.isnan(one):
         return math.isnan(other)
+    if isinstance(one, float) and type(other) is int:
+        return abs(other) > 2**53 or one == other  # a whole number is rounded to a float, or is infinite
     return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
 
 
