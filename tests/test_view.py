@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 import signal
 import subprocess
@@ -27,11 +28,13 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
 from ohmskin.arrays import FloatArray
+from ohmskin.bench._view import measured_page, table
 from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import Board, Hand, PtyPort, Scene, running
 from ohmskin.errors import InputError, MissingExtra
 from ohmskin.view import LiveSource, RecordedSource
 from ohmskin.view._recorded import extremes
+from ohmskin.view._source import TimeAxis
 from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
 
 WIDE = {**DESIGN, "array": {"rows": 6, "columns": 8, "row_lead": 70.0}}
@@ -165,12 +168,15 @@ def test_clicked_cells_are_plotted_from_before_the_click(browser: Browser) -> No
         x, y = page.evaluate("ohmskin.map.corner(2 * 8 + 3).map((at) => (at + 4) / ohmskin.map.ratio)")
         page.click("#map", position={"x": x, "y": y})
         expect(page.locator("#chosen button")).to_have_count(1)
-        board.frame_of(paused(page))
+        values = paused(page)
+        last = board.frame_of(values)
         samples = page.evaluate(SAMPLES)
         assert len(samples) > 20
-        known = {frame.monotonic_time: frame for frame in board.frames.values()}
+        assert last.device_time is not None
+        begin_s = last.device_time - values["time_s"]
+        known = {round(frame.device_time or 0.0, 4): frame for frame in board.frames.values()}
         for time_s, kpa, std in samples:
-            frame = known[time_s]
+            frame = known[round(begin_s + time_s, 4)]
             assert [kpa, std] == [float(np.float32(a[2, 3])) for a in (frame.pressure, frame.pressure_std)]
         page.click("#chosen button")
         expect(page.locator("#chosen button")).to_have_count(0)
@@ -294,7 +300,8 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_slider_shows_the_frame_asked_for(browser: Browser, recording: Path) -> None:
     with Skin.open(str(recording)) as skin:
         frames = [frame for frame in skin if frame.contacts is not None]  # contacts are followed once asked for
-    times = np.array([frame.monotonic_time for frame in frames]) - frames[0].monotonic_time
+    device_times = np.array([frame.device_time for frame in frames], dtype=np.float64)
+    times = device_times - device_times[0]
     assert len(frames) >= 150
     assert not frames[-1].valid.all()
     with served(RecordedSource(Skin.open(str(recording)))) as url, opened(browser, url) as page:
@@ -304,7 +311,7 @@ def test_the_slider_shows_the_frame_asked_for(browser: Browser, recording: Path)
         def judge(number: int) -> None:
             until(page, "number => ohmskin.frame.number === number", number)
             values, frame = shown(page), frames[number]
-            assert values["time_s"] == times[number]
+            assert values["time_s"] == pytest.approx(times[number], abs=1e-9)
             for name, of_frame in ARRAYS.items():
                 assert values[name] == as_shown(getattr(frame, of_frame)), name
             assert values["valid"] == frame.valid.ravel().astype(int).tolist()
@@ -335,7 +342,20 @@ def test_the_slider_shows_the_frame_asked_for(browser: Browser, recording: Path)
             [time_s, frame.pressure[0, 1] if frame.valid[0, 1] else math.nan, frame.pressure_std[0, 1]]
             for time_s, frame in zip(times, frames, strict=True)
         ]
-        np.testing.assert_array_equal(np.float32(samples), np.float32(expected))
+        np.testing.assert_array_equal(np.float32(samples)[:, 1:], np.float32(expected)[:, 1:])
+        np.testing.assert_allclose(np.array(samples)[:, 0], times, atol=1e-9)
+
+
+def test_time_follows_the_board_and_over_a_reboot_the_host() -> None:
+    packets = board_says(range(3)) + board_says(range(2), boot_id=2, last=True)[2:]
+    with Skin(Script(*packets), delivery="lossless") as skin:
+        axis = TimeAxis()
+        taken = [(axis.of(frame), frame) for frame in skin]
+    times = [time_s for time_s, _ in taken]
+    assert times[:3] == pytest.approx([0.0, 0.01, 0.02])
+    assert taken[3][1].rebooted
+    assert times[3] - times[2] == pytest.approx(taken[3][1].monotonic_time - taken[2][1].monotonic_time, abs=1e-6)
+    assert times[4] - times[3] == pytest.approx(0.01)
 
 
 def test_traces_keep_every_peak_and_gap() -> None:
@@ -534,3 +554,12 @@ def test_the_command_prints_the_address_and_ends_with_ctrl_c(tmp_path: Path) -> 
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=60)
     assert (process.returncode, out, err) == (130, "", "")
+
+
+def test_the_bench_measures_a_page(browser: Browser) -> None:
+    with live() as board, opened(browser, board.url) as page:
+        row = measured_page(page, os.getpid(), 6, seconds=0.5)
+    assert row.drawn_hz > 0
+    assert row.board_hz > 0
+    assert all(0 < cost < 1000 for cost in (row.draw_ms, row.main_thread_ms, row.server_ms))
+    assert "6 x 6" in table([row])

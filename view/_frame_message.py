@@ -7,7 +7,7 @@ offset         type                           content
 4              uint32                         number of the frame, from 0 in the order of taking
 8              uint16, uint16                 rows, columns; below, n = rows x columns
 12             uint16, uint16                 number of contacts; flags, see :class:`Mark`
-16             float64                        time in s: of a recording since its start, else monotonic
+16             float64                        time in s since the first frame
 24             float64                        time on the board's clock in s; NaN where the board has none
 32             float64                        time in s since the epoch
 40             float64                        age in s when the message was made; NaN for a recording

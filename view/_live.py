@@ -13,7 +13,7 @@ from ..driver import Frame, Skin
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ._frame_message import pack_frame
 from ._orders import FrameOrder, NextFrame
-from ._source import Source, Told, statistics
+from ._source import Source, TimeAxis, Told, statistics
 
 SILENT_S = 1.0
 """a board whose last frame is older is said to be silent"""
@@ -26,6 +26,7 @@ class _Taken:
 
     number: int
     frame: Frame
+    time_s: float
     message: bytes | None = None
 
 
@@ -61,16 +62,17 @@ class LiveSource(Source):
         self._thread.join()
 
     def _take_frames(self) -> None:
-        number = -1
+        number, axis = -1, TimeAxis()
         with contextlib.suppress(OhmskinError):
             # What came before the page was served; a board that pauses since then would show nothing.
-            self._announce(_Taken(0, self.skin.latest(math.inf)))
+            frame = self.skin.latest(math.inf)
+            self._announce(_Taken(0, frame, axis.of(frame)))
             number = 0
         while self._ended is None:
             try:
                 for frame in self.skin.frames():
                     number += 1
-                    self._announce(_Taken(number, frame))
+                    self._announce(_Taken(number, frame, axis.of(frame)))
                 self._end(LinkEnded(f"{self.skin.port_name}: the board has come to the end of its frames"))
             except (LinkTimeout, OhmskinError, ProtocolError) as error:
                 self._problem = str(error)
@@ -131,7 +133,7 @@ class LiveSource(Source):
             await woken
         if newest.message is None:
             frame = newest.frame
-            newest.message = pack_frame(frame, number=newest.number, time_s=frame.monotonic_time, age_s=frame.age)
+            newest.message = pack_frame(frame, number=newest.number, time_s=newest.time_s, age_s=frame.age)
         return newest.message
 
     async def make_tare(self, *, force: bool) -> Told:

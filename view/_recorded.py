@@ -20,7 +20,7 @@ from ..driver import Frame, Skin
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
 from ._frame_message import HEADER, pack_frame
 from ._orders import FrameOrder, NextFrame, ShowTime, TraceCells
-from ._source import Source, Told, statistics
+from ._source import Source, TimeAxis, Told, statistics
 
 SAME_TIME_S = 1e-6
 """a slider of a browser rounds its value a little"""
@@ -66,12 +66,11 @@ class RecordedSource(Source):
         self._file.close()
 
     def _decode(self) -> None:
-        first_s: float | None = None
+        axis = TimeAxis()
         while True:
             try:
                 frame = self.skin.read()
-                first_s = frame.monotonic_time if first_s is None else first_s
-                self._append(frame, frame.monotonic_time - first_s)
+                self._append(frame, axis.of(frame))
             except LinkEnded:
                 break
             except (LinkTimeout, ProtocolError) as error:
@@ -88,7 +87,6 @@ class RecordedSource(Source):
 
     def _append(self, frame: Frame, time_s: float) -> None:
         number, place = len(self._times_s), self._ends[-1]
-        time_s = max(time_s, self._times_s[-1]) if number else 0.0
         message = pack_frame(frame, number=number, time_s=time_s)
         os.pwrite(self._file.fileno(), message, place)
         with self._grown:

@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Any, Self
 
-from ..driver import Skin
+from ..driver import Frame, Skin
 from ..errors import InputError
 from ..text import printable
 from ._orders import FrameOrder, TraceCells
@@ -91,6 +91,25 @@ class Source(ABC):
     async def undo_tare(self) -> Told:
         """Go back to the tare before, and say so; InputError where that is not possible."""
         raise InputError("a recording takes no tare")
+
+
+class TimeAxis:
+    """Time of frames since the first one, by the board's clock; by the host's where the board has none or reboots."""
+
+    def __init__(self) -> None:
+        self._before: Frame | None = None
+        self._time_s = 0.0
+
+    def of(self, frame: Frame) -> float:
+        """The time of the next frame in s; never less than the one before."""
+        before, self._before = self._before, frame
+        if before is not None:
+            if frame.rebooted or frame.device_time is None or before.device_time is None:
+                step_s = frame.monotonic_time - before.monotonic_time
+            else:
+                step_s = frame.device_time - before.device_time
+            self._time_s += max(step_s, 0.0)
+        return self._time_s
 
 
 def statistics(skin: Skin) -> Told:

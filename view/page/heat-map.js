@@ -20,12 +20,12 @@ export class HeatMap {
   /** Lays the map out for an array within some CSS pixels. */
   layOut(rows, columns, width, height, colours) {
     const ratio = globalThis.devicePixelRatio || 1;
-    const room = [(width - MARGIN - 2) / columns, (height - MARGIN - 2) / rows];
+    const room = [(width - 2 * MARGIN) / columns, (height - 2 * MARGIN) / rows];
     this.side = Math.max(Math.floor(Math.min(...room) * ratio), 1);
     this.margin = Math.round(MARGIN * ratio);
     Object.assign(this, { rows, columns, ratio, colours });
-    const across = this.margin + columns * this.side + 1;
-    const down = this.margin + rows * this.side + 1;
+    const across = 2 * this.margin + columns * this.side;
+    const down = 2 * this.margin + rows * this.side;
     for (const canvas of [this.cells, this.marks]) {
       canvas.width = across;
       canvas.height = down;
@@ -87,13 +87,14 @@ export class HeatMap {
   /** Draws contacts, the cells that are plotted, and the cell under the pointer. */
   drawMarks(contacts, pitch_mm, chosen, pointed) {
     const { markContext: context, ratio } = this;
-    context.clearRect(this.margin, this.margin, this.marks.width, this.marks.height);
+    context.clearRect(0, 0, this.marks.width, this.marks.height);
     chosen.forEach(({ index, colour }) => this.outline(index, colour, 2.5));
     if (pointed !== null) this.outline(pointed, "#ffffff", 1.5);
     context.font = `600 ${Math.round(12 * ratio)}${FONT}`;
     context.textAlign = "left";
     context.textBaseline = "middle";
-    for (const contact of contacts) this.drawContact(contact, pitch_mm);
+    const places = contacts.map((contact) => this.drawContact(contact, pitch_mm));
+    this.drawLabels(contacts, places);
   }
 
   drawContact(contact, pitch_mm) {
@@ -115,13 +116,34 @@ export class HeatMap {
       context.strokeStyle = colour;
       context.stroke();
     }
-    const text = `${contact.id}: ${fixed(contact.force_n, contact.force_n < 0.995 ? 2 : 1)} N`;
-    const width = context.measureText(text).width;
-    const gap = radius * 0.75 + 4 * ratio;
-    const right = x + gap + width < this.marks.width - 4 * ratio;
-    const left = right ? x + gap : Math.max(x - gap - width, this.margin + 3 * ratio);
-    const above = y - radius * 0.75 - 5 * ratio;
-    haloText(context, text, left, above > this.margin + 8 * ratio ? above : y + radius * 0.75 + 9 * ratio, ratio);
+    return [x, y, radius];
+  }
+
+  /** Writes id and force beside each contact, where no label of a stronger contact is. */
+  drawLabels(contacts, places) {
+    const { markContext: context, ratio } = this;
+    const height = 15 * ratio;
+    const taken = [];
+    contacts.forEach((contact, k) => {
+      const [x, y, radius] = places[k];
+      const text = `${contact.id}: ${fixed(contact.force_n, contact.force_n < 0.995 ? 2 : 1)} N`;
+      const width = context.measureText(text).width;
+      const [aside, off] = [0.72 * radius + 4 * ratio, 0.72 * radius + 6 * ratio];
+      const corners = [y - off, y + off].flatMap((line) => [
+        [x + aside, line],
+        [x - aside - width, line],
+      ]);
+      const boxes = corners.map(([left, line]) => [left, line - height / 2, left + width, line + height / 2]);
+      const free = boxes.findIndex((box) => this.holds(box) && !taken.some((other) => overlap(box, other)));
+      const chosen = free >= 0 ? free : Math.max(boxes.findIndex((box) => this.holds(box)), 0);
+      taken.push(boxes[chosen]);
+      haloText(context, text, ...corners[chosen], ratio);
+    });
+  }
+
+  /** Whether a box [left, top, right, bottom] lies on the canvas. */
+  holds([left, top, right, bottom]) {
+    return left >= 0 && top >= 0 && right <= this.marks.width && bottom <= this.marks.height;
   }
 
   outline(index, colour, width) {
@@ -157,12 +179,12 @@ export class HeatMap {
     if (this.side < LEAST_CELL_WITH_GAP) return null;
     const grid = new Path2D();
     const [right, bottom] = [this.margin + this.columns * this.side, this.margin + this.rows * this.side];
-    for (let column = 0; column <= this.columns; column++) {
+    for (let column = 1; column < this.columns; column++) {
       const x = this.margin + column * this.side + 0.5;
       grid.moveTo(x, this.margin);
       grid.lineTo(x, bottom);
     }
-    for (let row = 0; row <= this.rows; row++) {
+    for (let row = 1; row < this.rows; row++) {
       const y = this.margin + row * this.side + 0.5;
       grid.moveTo(this.margin, y);
       grid.lineTo(right, y);
@@ -185,6 +207,10 @@ export class HeatMap {
     for (let row = 0; row < this.rows; row += every)
       context.fillText(row, margin - 6 * ratio, margin + (row + 0.5) * side);
   }
+}
+
+function overlap(one, other) {
+  return one[0] < other[2] && other[0] < one[2] && one[1] < other[3] && other[1] < one[3];
 }
 
 /** A tile with diagonal lines on neutral grey, which the colour map does not have. */

@@ -37,7 +37,8 @@ class View {
     this.pointed = null; // index of the cell under the pointer
     this.chosen = []; // plotted cells: {index, slot, series}
     this.scale = [0, 1];
-    this.drawn = 0;
+    this.drawn = 0; // frames since the page was loaded
+    this.drawn_ms = 0; // time spent on them
     this.cost = { perSecond: NaN, mean_ms: NaN };
     this.spent = { frames: 0, ms: 0, since: performance.now() };
     this.last = { plot: 0, text: 0, trace: 0 };
@@ -190,6 +191,7 @@ class View {
     const now = performance.now();
     spent.frames++;
     spent.ms += now - started;
+    this.drawn_ms += now - started;
     if (now - spent.since < 1000) return;
     this.cost = { perSecond: (1e3 * spent.frames) / (now - spent.since), mean_ms: spent.ms / spent.frames };
     this.spent = { frames: 0, ms: 0, since: now };
@@ -316,7 +318,7 @@ class View {
     const style = getComputedStyle(holder);
     const width = holder.clientWidth - parseFloat(style.paddingLeft) - parseFloat(style.paddingRight);
     const narrow = globalThis.innerWidth <= 960;
-    const height = narrow ? 1.25 * width : Math.max(globalThis.innerHeight - 408, 340);
+    const height = narrow ? 1.25 * width : Math.max(globalThis.innerHeight - 392, 340);
     this.map.layOut(this.skin.rows, this.skin.columns, width, height, this.colours);
     this.legendWidth = Math.min(width - 100, 480);
     this.scaleKey = "";

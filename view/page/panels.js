@@ -2,6 +2,8 @@
 
 import { fixed, milliseconds, ohm } from "./numbers.js";
 
+const MOST_CONTACTS = 8;
+
 export const element = (id) => document.getElementById(id);
 
 /** Text of an element, written only when it has changed. */
@@ -25,10 +27,13 @@ export function showCell(frame, index) {
 }
 
 /** Shows the contacts of a frame, the largest force first. */
-export function showContacts(contacts) {
+export function showContacts(all) {
+  const contacts = all.slice(0, MOST_CONTACTS);
+  const more = all.length - contacts.length;
   const body = element("contacts").tBodies[0];
   element("contacts").hidden = contacts.length === 0;
-  element("no-contacts").hidden = contacts.length > 0;
+  element("no-contacts").hidden = contacts.length > 0 && more === 0;
+  write(element("no-contacts"), more ? `and ${more} with less force` : "Nothing touches the skin.");
   while (body.rows.length > contacts.length) body.deleteRow(-1);
   while (body.rows.length < contacts.length) {
     const row = body.insertRow();

@@ -17,10 +17,9 @@ export function drawScale(canvas, width, low, high, unit, colours) {
   context.font = '11px system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif';
   const unitWidth = unit ? context.measureText(unit).width + 8 : 0;
   const length = width - 2 * SIDE - unitWidth;
-  for (let k = 0; k < COLOURS.length; k++) {
-    context.fillStyle = cssColour(k);
-    const from = SIDE + (length * k) / COLOURS.length;
-    context.fillRect(from, 0, length / COLOURS.length + 0.5, BAR);
+  for (let pixel = 0; pixel < length * ratio; pixel++) {
+    context.fillStyle = cssColour(Math.floor((COLOURS.length * pixel) / (length * ratio)));
+    context.fillRect(SIDE + pixel / ratio, 0, 1 / ratio, BAR);
   }
   context.fillStyle = context.strokeStyle = colours["soft-ink"];
   context.textAlign = "center";

@@ -14,6 +14,7 @@ from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
 from ..bench import _freshness as of_skins
 from ..bench import _hard_cases as of_taps
+from ..bench import _view as of_pages
 from . import arguments
 from ._bar import progress_bar
 
@@ -52,6 +53,7 @@ class _ManyValues(click.Command):
 @click.option(
     "--driver", "of_driver", is_flag=True, help="Measure the live path instead, bytes to kPa, at these sizes."
 )
+@click.option("--view", "of_page", is_flag=True, help="Measure the page of `ohmskin view` instead, in Chromium.")
 @arguments.as_json("the measurements")
 def command(
     sizes: tuple[int, ...],
@@ -63,6 +65,7 @@ def command(
     estimators: bool,
     of_emulator: bool,
     of_driver: bool,
+    of_page: bool,
     as_json: bool,
 ) -> None:
     """Measure N x N arrays of 10 kohm to 1 Mohm with R ohm per line segment and lead: time per frame, true error,
@@ -80,6 +83,10 @@ def command(
         return
     if of_driver:
         _live_path(sizes, as_json, picture)
+        return
+    if of_page:
+        shown = list(of_pages.view(sizes))
+        click.echo(json.dumps([asdict(row) for row in shown], indent=1) if as_json else of_pages.table(shown))
         return
     arrays = [(size, segment) for size in sizes for segment in segments]
     rows = []
