@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import warnings
 from collections import deque
@@ -92,6 +93,9 @@ class Converter:
         self.on_converted: list[Callable[[RawFrame, Measurement], None]] = []
         """told of every measurement: for recorders"""
         self._rest_ohm: FloatArray | None = None
+        for _, ohm in rest_changes:
+            if ohm is not None and ohm.size != math.prod(design.array.shape):
+                raise InputError("a tare of {} cells; this skin has {} x {}".format(ohm.size, *design.array.shape))
         self._rest_changes = deque(rest_changes)
         self.on_rest: list[Callable[[FloatArray | None, float | None], None]] = []
         """told of new rest resistances and of the time of the last frame before them: for recorders"""
