@@ -10,6 +10,7 @@ import click
 
 from ..driver import Skin
 from ..errors import InputError, LinkEnded, LinkTimeout
+from ..text import one_line
 from ..wire import BOARDS
 from . import arguments
 from ._bar import progress_bar
@@ -21,9 +22,7 @@ QUEUE = 4096
 @click.command(epilog=arguments.example("ohmskin record /dev/ttyACM0 -o press.mcap --duration 60"))
 @click.argument("port", metavar="PORT")
 @click.option("-o", "output", required=True, type=click.Path(path_type=Path), metavar="FILE.mcap")
-@click.option(
-    "--duration", type=click.FloatRange(min=0, min_open=True), default=inf, metavar="S", help="Stop after S seconds."
-)
+@click.option("--duration", type=arguments.positive, default=inf, metavar="S", help="Stop after S seconds.")
 @click.option(
     "--board",
     default="ohmskin",
@@ -67,4 +66,4 @@ def command(port: str, output: Path, duration: float, board: str, calibration: P
                     tell(round(1000 * elapsed), round(1000 * duration), f"{skin.stats().frames} frames")
         stats = skin.stats()
     lost = "unknown" if stats.lost is None else str(stats.lost)
-    click.echo(f"{output}: {stats.frames} frames, {lost} lost, {stats.reconnects} reconnects", err=True)
+    click.echo(f"{one_line(str(output))}: {stats.frames} frames, {lost} lost, {stats.reconnects} reconnects", err=True)
