@@ -11,6 +11,7 @@ from ._percolation import Percolation
 from ._protocol import check_protocol, protocol_load, protocol_text
 from ._recording import Recording, check_times, checked_recording
 from ._report import calibration_figure, calibration_record, calibration_text
+from ._static import equilibrium_curve
 
 __all__ = [
     "ESTIMATORS",
@@ -32,6 +33,7 @@ __all__ = [
     "check_times",
     "checked_recording",
     "drifted_rest_resistance",
+    "equilibrium_curve",
     "estimate_recording",
     "protocol_load",
     "protocol_text",

@@ -26,6 +26,18 @@ def equilibrium_gain(model: Model, full_scale_kpa: float, rest_resistance_ohm: f
             return 1 / (1 + rest_resistance_ohm / model.full_scale_resistance_ohm) - 1
 
 
+def equilibrium_curve(model: Model, full_scale_kpa: float, rest_resistance_ohm: float, load: FloatArray) -> FloatArray:
+    """r at equilibrium under each ``load``, a share of full scale; as :func:`equilibrium_gain` at 1."""
+    match model:
+        case PaperModel() | AsymmetricModel():
+            curve = model.gain_per_kpa * full_scale_kpa * load
+        case M10Model():
+            curve = (model.a + model.alpha1 + model.alpha2) * load + model.b * load**2
+        case ContactModel():
+            curve = 1 / (1 + rest_resistance_ohm / model.full_scale_resistance_ohm * load**model.exponent) - 1
+    return curve
+
+
 def memory_share(model: Model) -> float:
     """Standard deviation over the pressure, of an answer that ignores what the model remembers.
 
@@ -58,13 +70,7 @@ class EquilibriumEstimator(Estimator):
         rest = float(np.median(rest_resistance_ohm))
         full_r = equilibrium_gain(model, full_scale_kpa, rest)
         load = np.linspace(0, 1, POINTS)
-        match model:
-            case PaperModel() | AsymmetricModel():
-                curve = full_r * load
-            case M10Model():
-                curve = (model.a + model.alpha1 + model.alpha2) * load + model.b * load**2
-            case ContactModel():
-                curve = 1 / (1 + rest / model.full_scale_resistance_ohm * load**model.exponent) - 1
+        curve = equilibrium_curve(model, full_scale_kpa, rest, load)
         # Conductance over that at rest is what contacts add to; elsewhere the curve is a table of r.
         self._sign = -1.0 if isinstance(model, ContactModel) else 1.0
         curve = np.maximum.accumulate(self._sign * curve)

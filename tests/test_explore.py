@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from verified import AMPLIFIED, complete
 
-from ohmskin.circuits import Requirement
+from ohmskin.cell import Percolation
+from ohmskin.circuits import Design, Requirement
 from ohmskin.cli import run
 from ohmskin.verification import Subject, explore, prototype, remedies, verify
-from ohmskin.verification._explore import _scaled, pareto
+from ohmskin.verification._explore import AVERAGING, KNOWN_FRACTION, _combinations, _judged, _scaled, pareto
 
 FIGURES = st.lists(st.tuples(*[st.floats(0, 10, allow_nan=False)] * 3), min_size=1, max_size=12)
 
@@ -54,6 +56,86 @@ def test_a_remedy_keeps_the_requirement_and_half_of_it_does_not() -> None:
     assert verify(mended, requirements=asked).outcome == "pass"
     assert "readout.bias_current" not in found  # not even without it
     assert "array.row_lead times" in lead.line
+
+
+FAST = prototype().replace(operation={"frame_rate": 30e3, "baudrate": 5e7})
+
+
+def test_a_frame_rate_costs_settling_until_the_line_is_full() -> None:
+    found = [_judged(Subject(FAST), {"frame rate": factor}) for factor in (0.5, 1.0, 2.0, 30.0)]
+    assert [variation.frame_rate_hz for variation in found] == [15e3, 30e3, 60e3, 9e5]
+    slow, own, fast, beyond = (variation.settling_error_percent for variation in found)
+    assert slow < 0.1 * own < 0.01 * fast < np.inf
+    assert beyond == np.inf
+    assert "frame rate" not in dict(_combinations_of(prototype().replace(operation={"frame_rate": None})))
+
+
+def _combinations_of(design: Design) -> list[tuple[str, float]]:
+    return [item for changes in _combinations(Subject(design), 40) for item in changes.items()]
+
+
+def test_cells_that_touch_have_no_percolation() -> None:
+    cells = {"rest_resistance": 10e3, "full_scale_resistance": 2e3, "full_scale_kpa": 40.0}
+    axes = {axis for axis, _ in _combinations_of(prototype().replace(cells=cells))}
+    assert "carbon black" not in axes
+    assert "carbon black" in {axis for axis, _ in _combinations_of(prototype())}
+
+
+@pytest.mark.parametrize(
+    ("quantity", "limits", "design", "parts"),
+    [
+        ("pressure_resolution", {"max": 5.0, "unit": "Pa"}, prototype(), {"adc.bits", "drive.voltage", AVERAGING}),
+        ("resolution", {"max": 2.0}, prototype(), {"adc.bits"}),
+        ("phase_margin", {"min": 85.0}, prototype(), {"readout.feedback_capacitance", "readout.column_capacitance"}),
+        ("settling_error", {"max": 0.1}, FAST, {"operation.frame_rate", "readout.gain_bandwidth"}),
+        ("lost_frames", {"max": 0.0}, FAST.replace(operation={"baudrate": 1e6}), {"operation.frame_rate"}),
+        (
+            "output_headroom",
+            {"min": 0.2},
+            prototype().replace(readout={"reference_resistance": 40e3}),
+            {"drive.voltage", "readout.reference_resistance"},
+        ),
+    ],
+)
+def test_remedies_of_other_quantities_mend_and_not_by_more_than_needed(
+    quantity: str, limits: dict[str, Any], design: Design, parts: set[str]
+) -> None:
+    asked = (Requirement.model_validate({"id": "R", "quantity": quantity} | limits),)
+    assert verify(design, requirements=asked).outcome == "fail"
+    found = {remedy.part: remedy for remedy in remedies(Subject(design), asked)}
+    assert parts <= set(found)
+    for part, remedy in found.items():
+        if part == AVERAGING:
+            assert remedy.factor == np.ceil((remedy.before / 0.005) ** 2)
+            continue
+        if part == "adc.bits":
+            mended, nearly = (design.replace(adc={"bits": int(remedy.factor) - less}) for less in (0, 1))
+        else:
+            short = 1 + 0.9 * (remedy.factor - 1)
+            mended, nearly = (_scaled(design, part, factor) for factor in (remedy.factor, short))
+        assert verify(mended, requirements=asked).outcome == "pass"
+        assert verify(nearly, requirements=asked).outcome == "fail"
+        assert remedy.line.startswith("R: ")
+
+
+def test_the_fraction_of_the_best_resolution_is_that_of_this_readout() -> None:
+    """P1: the law's own trade-off, found again by judging each mixture through the whole design."""
+    subject = Subject(prototype())
+    fractions = (0.0125, 0.015, 0.02, 0.05)
+    kpa = {f: _judged(subject, {"carbon black": f}).resolution_kpa for f in fractions}
+    assert kpa[0.015] == pytest.approx(_judged(subject, {}).resolution_kpa, rel=1e-6)  # the cell's own fraction
+    law = Percolation(KNOWN_FRACTION, subject.rest, subject.pressed / subject.rest - 1)
+    for fraction in (0.02, 0.05):
+        # Less sensitive and more conductive mixtures give larger outputs: noise over the slope dV/dp of V = Rref/R.
+        rest = float(law.rest_resistance(fraction))
+        change = float(np.asarray(law.sensitivities(np.array([fraction])))[0])
+        design = subject.design.replace(
+            cells={"rest_resistance": rest, "full_scale_resistance": rest * (1 + change), "full_scale_kpa": 15.5}
+        )
+        asked = [Requirement(id="R", quantity="pressure_resolution", max=1e9)]
+        (result,) = verify(design, requirements=asked).results
+        assert result.measurement is not None
+        assert kpa[fraction] == pytest.approx(result.measurement.value, rel=1e-6)
 
 
 def test_the_command_writes_a_table_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

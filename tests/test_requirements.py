@@ -11,12 +11,12 @@ import pytest
 from designs import amplifier
 from verified import AMPLIFIED, complete, outcomes_of
 
-from ohmskin.cell import Cell
+from ohmskin.cell import Cell, ContactModel
 from ohmskin.circuits import Adc, Array, Design, Requirement, apparent_resistance, scan
 from ohmskin.cli import run
 from ohmskin.config import parse, read_toml
 from ohmskin.errors import InputError
-from ohmskin.verification import default_requirements, load_requirements, verify
+from ohmskin.verification import default_requirements, load_requirements, prototype, verify
 from ohmskin.verification._outcome import Outcome
 
 
@@ -78,6 +78,118 @@ def test_a_converter_range_that_the_presses_leave_fails(tmp_path: Path) -> None:
     wanted = [*_asked("adc_headroom", max=None, min=0.0), *_asked("lost_readings", "reading_error", max=10.0)]
     report = verify(design, requirements=wanted)
     assert outcomes_of(report) == {"adc_headroom": "fail", "lost_readings": "fail", "reading_error": "fail"}
+
+
+def test_p9_fails_with_a_converter_range_that_its_presses_leave() -> None:
+    """[1.05, 3.3] V: the prototype's own pressed readings fall to 1.1 V, less the tolerances of its parts."""
+    (claim,) = verify(prototype().replace(adc={"range": (1.05, 3.3)}), only=["P9"]).claims
+    (sound,) = verify(only=["P9"]).claims
+    assert str(sound.outcome) == "pass"
+    assert str(claim.outcome) == "fail"
+    lost = [check for check in claim.finding.checks if "lost" in check.name]
+    assert any(check.measured for check in lost)
+
+
+def test_too_few_boards_are_not_a_failure_and_how_many_would_do_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """All of 100 boards keep the limit, which proves 96.4 %: the value alone would look like a pass."""
+    (tmp_path / "design.toml").write_text(complete(AMPLIFIED))
+    arguments = ["verify", str(tmp_path / "design.toml"), "-o", str(tmp_path / "out"), "--only", "D18"]
+    assert run([*arguments, "--samples", "100"]) == 3
+    said = capsys.readouterr().out
+    assert "100 of 100 boards keep the limit, too few to prove a yield of 99 %: --samples 368 would" in said
+    for name in ("report.html", "junit.xml", "summary.md", "report.json"):
+        assert "--samples 368 would" in (tmp_path / "out" / name).read_text()
+    assert run([*arguments, "--samples", "367"]) == 3
+    assert run([*arguments, "--samples", "368"]) == 0
+
+
+def test_a_yield_that_is_missed_fails_whatever_the_number_of_boards(tmp_path: Path) -> None:
+    design = _design(tmp_path, complete(AMPLIFIED))
+    nominal = verify(design, requirements=_asked("reading_error"), samples=200).results[0].measurement
+    assert nominal is not None
+    asked = [Requirement(id="R", quantity="reading_error", max=0.5 * nominal.value, method="monte-carlo")]
+    (result,) = verify(design, requirements=asked, samples=200).results
+    assert str(result.outcome) == "fail"
+    assert "boards keep the limit: yield" in result.why
+
+
+def test_leads_that_scatter_cost_the_pressure_something(tmp_path: Path) -> None:
+    """The host knows nominal leads only."""
+    text = complete(AMPLIFIED.replace("row_lead = 70.0", "row_lead = { nominal = 300.0, tolerance = TOL }"))
+    errors = []
+    for tolerance in ("0.0", "0.5"):
+        design = _design(tmp_path, text.replace("TOL", tolerance))
+        (result,) = verify(design, requirements=_asked("pressure_peak_error")).results
+        assert result.measurement is not None
+        errors.append(result.measurement.value)
+    assert errors[1] > 1.2 * errors[0]
+
+
+def test_a_board_that_senses_rows_is_judged_as_the_same_board_turned_by_hand(tmp_path: Path) -> None:
+    text = complete(
+        AMPLIFIED.replace("columns = 3", "columns = 5").replace("rows = 3\n", "rows = 3\ncolumn_lead = 20.0\n")
+    )
+    design = _design(tmp_path, text).replace(
+        array={"row_lead": (70.0, 60.0, 50.0), "row_segment": 2.0}, operation={"frame_rate": 9e3}
+    )
+    design = design.replace(readout={"circuit": "row-amplifier", "reference_resistance": (15e3, 18e3, 20e3)})
+    lines = {"row_lead": 20.0, "row_segment": 0.0, "column_lead": (50.0, 60.0, 70.0), "column_segment": 2.0}
+    by_hand = design.replace(
+        array={"rows": 5, "columns": 3, **lines},
+        readout={"circuit": "inverting-amplifier", "reference_resistance": (20e3, 18e3, 15e3)},
+    )
+    asked = _asked("crosstalk", "reading_error", "output_headroom", "adc_headroom", "settling_error", "fastest_scan")
+    asked += _asked("phase_margin", "noise", "switch_current", "switch_power", "valid_cells", "fault_coverage")
+    values = [
+        [r.measurement.value if r.measurement else r.reason for r in verify(board, requirements=asked).results]
+        for board in (design, by_hand)
+    ]
+    assert all(isinstance(value, float) for value in values[0]), values[0]
+    assert values[0] == pytest.approx(values[1], rel=1e-9)
+
+
+def test_an_overloaded_converter_hides_faults_and_cells(tmp_path: Path) -> None:
+    """5 V through a divider into a converter of 3.3 V: readings at rest are the last code, and stay so with faults."""
+    text = complete(
+        AMPLIFIED.replace("20000.0", "40000.0").replace("supply = [0.0, 3.3]", ""), adc="bits = 10\nrange = [0.0, 3.3]"
+    )
+    design = (
+        _design(tmp_path, text).replace(drive={"voltage": 5.0, "idle_rows": "float"}).with_circuit("voltage-divider")
+    )
+    report = verify(design, requirements=_asked("valid_cells", "fault_coverage", max=None, min=60.0))
+    assert outcomes_of(report) == {"valid_cells": "fail", "fault_coverage": "fail"}
+
+
+def test_a_divider_whose_cells_cannot_be_told_apart_says_so(tmp_path: Path) -> None:
+    """8 bits over floating lines: the readings determine cells to several per cent only."""
+    design = _design(tmp_path, complete(AMPLIFIED, adc="bits = 8\nrange = [-3.3, 0.0]"))
+    design = design.replace(array={"rows": 8, "columns": 8}, drive={"idle_rows": "float"}).with_circuit(
+        "voltage-divider"
+    )
+    (result,) = verify(design, requirements=_asked("valid_cells", max=None, min=100.0)).results
+    assert str(result.outcome) == "fail"
+    assert "not valid, all cells" in result.why
+
+
+@pytest.mark.parametrize("exponent", [0.7, 1.0])
+def test_the_pressure_of_a_contact_is_resolved_along_its_own_curve(tmp_path: Path, exponent: float) -> None:
+    """At full scale p, R = 1/(1/R0 + p^n/Rf): dR/dp = -n R^2/(Rf p)."""
+    design = _design(tmp_path, complete(AMPLIFIED.replace("20000.0", "5000.0")))
+    cell = Cell(
+        rest_resistance_ohm=20e3,
+        full_scale_kpa=40.0,
+        model=ContactModel(exponent=exponent, full_scale_resistance_ohm=5e3),
+    )
+    report = verify(design, cell=cell, requirements=_asked("noise", "pressure_resolution"))
+    noise, resolution = (r.measurement for r in report.results)
+    assert noise is not None
+    assert resolution is not None
+    pressed = 4e3
+    kpa_per_ohm = 5e3 * 40.0 / (exponent * pressed**2)
+    ohm_per_volt = pressed**2 / 5000.0  # V = Rref/R
+    assert resolution.value == pytest.approx(noise.value * ohm_per_volt * kpa_per_ohm, rel=0.1)
 
 
 def test_what_the_design_does_not_name_is_not_run_and_named(tmp_path: Path) -> None:

@@ -73,6 +73,7 @@ CATALOGUE: dict[str, Quantity] = {
         Quantity("pressure_rmse", "RMS error of the pressure", "% FS", chain.pressure_rmse),
         Quantity("pressure_peak_error", "Peak error of the pressure", "% FS", chain.pressure_peak_error),
         Quantity("lost_readings", "Readings lost to a limit", "%", chain.lost_readings),
+        Quantity("valid_cells", "Cells that the driver can tell", "%", chain.valid_cells, (NOMINAL,)),
         Quantity("spice_agreement", "Agreement with ngspice", "%", spice_agreement, (NOMINAL,)),
         Quantity("latency", "Latency", "s", link.latency),
         Quantity("lost_frames", "Frames lost on the line", "%", link.lost_frames),

@@ -14,7 +14,8 @@ import numpy as np
 
 from .. import plots
 from ..arrays import BoolArray, FloatArray
-from ..circuits import Design, Recoverer, Requirement, Status, apparent_resistance, noise, scan_batch
+from ..circuits import Design, Recoverer, Requirement, Status, adc_codes, apparent_resistance, noise, scan, scan_batch
+from ..driver import CountReader
 from ..emulator import Contact, Rectangle
 from ..errors import InputError, SolverError
 from ._dynamic import rate_of, settling_share
@@ -28,12 +29,13 @@ SECONDS = 24.0
 FASTEST_HZ = 50.0
 """frames are simulated at most this often; faster boards have the settling of their own rate"""
 SLOWEST_HZ = 2.0
-WORK = {"inverting-amplifier": 400_000}
-COSTLY_WORK = 60_000
-"""Cells times frames that are simulated at most, by circuit: larger arrays are followed at a lower rate. The inversion
-of a divider's circuit takes a dense solution per frame."""
+MOST_WORK, MOST_WORK_COUPLED = 400_000, 60_000
+"""Cells times frames that are simulated at most: larger arrays are followed at a lower rate. Without amplifiers that
+hold the sensed lines, the inversion takes a dense solution per frame."""
 FRAMES_WHEN_LOST = 60
 """frames that are simulated of a board some of whose readings are lost to a limit"""
+FRAMES_TO_SETTLE = 8
+"""equal frames within which the driver's live inversion settles"""
 TOUCHED = 0.1
 """of full scale: above it a cell counts as touched"""
 
@@ -129,7 +131,7 @@ def simulate(subject: Subject, name: str, factors: FloatArray) -> Run:
     if not subject.knows_pressure:
         raise NotRun("missing: cells.full_scale_kpa")
     declared = rate_of(subject)
-    work = WORK.get(design.readout.circuit, COSTLY_WORK)
+    work = MOST_WORK if design.board.circuit.virtual_ground else MOST_WORK_COUPLED
     most = max(work / (shape[0] * shape[1] * SECONDS), SLOWEST_HZ)
     rate = min(declared, FASTEST_HZ, most)
     time_s = np.arange(0.0, SECONDS, 1.0 / rate)
@@ -164,7 +166,8 @@ def _converted(
     board = population.boards.design(subject.design, 0)
     adc = board.adc
     found = scan_batch(board, cells)
-    volts = found.volts + share * (np.roll(found.volts, 1, axis=1) - found.volts)
+    previous = np.roll(found.volts, 1, axis=2 if subject.design.board.turned else 1)
+    volts = found.volts + share * (previous - found.volts)
     try:
         states = [noise(board, np.full(cells.shape[1:], ohms)).before_adc for ohms in (subject.rest, subject.pressed)]
         volts = volts + random.standard_normal(volts.shape) * np.maximum(*states)
@@ -254,6 +257,39 @@ def lost_readings(subject: Subject, requirement: Requirement, method: str) -> Me
     cells = np.argwhere(run.lost.any(axis=0))
     places = ", ".join(f"({i}, {j})" for i, j in cells[:6].tolist())
     return Measurement(share, "%", where=f"{len(cells)} cells of {run.board}: {places}" if len(cells) else "none")
+
+
+def valid_cells(subject: Subject, requirement: Requirement, method: str) -> Measurement:
+    """Share of cells that the driver takes for measured, at rest, pressed, and every second one pressed, %.
+
+    The board has nominal parts without offsets, which is as well as the driver can know it.
+    """
+    if subject.design.adc is None:
+        raise NotRun("missing: adc.bits, adc.range")
+    design = host_design(subject.design)
+    second = np.indices(design.array.shape).sum(axis=0) % 2 == 1
+    found = []
+    for state, pressed in (("at rest", 0.0 * second), ("every second one pressed", 1.0 * second), ("pressed", 1.0)):
+        cells = np.broadcast_to(subject.rest + (subject.pressed - subject.rest) * pressed, second.shape)
+        counts = adc_codes(design, scan(design, cells, method="exact").volts)
+        reader = CountReader(design)
+        for _ in range(FRAMES_TO_SETTLE):
+            valid = reader(counts).valid
+            if valid.all():
+                break
+        found.append((100 * float(valid.mean()), state, np.argwhere(~valid)[:4].tolist()))
+    share, state, missing = min(found)
+    places = ", ".join(f"({i}, {j})" for i, j in missing)
+    return Measurement(
+        share,
+        "%",
+        where=f"not valid, all cells {state}: {places}" if missing else "all cells are valid",
+        confidence=f"{len(found)} frames, nominal parts, without noise",
+        text=[
+            "A cell is valid if its conductance is known to 1 % or to a step of its own reading, whatever half a step "
+            "of the other readings and the cells beyond a limit make of it."
+        ],
+    )
 
 
 def _what_is_in(subject: Subject) -> str:

@@ -7,7 +7,7 @@ So the worst case is looked for at the corners of the box (vertex method):
 
 1. The derivatives of every reading by every part and cell (adjoint method, :func:`ohmskin.circuits.sensitivity`) at two
    states, all cells at rest and all pressed, name one corner per cell, per sign and per state.
-2. Those corners are solved, each with parts of its own. All cells are, or the :data:`MOST_SOLVED` that the first-order
+2. Those corners are solved, each with parts of its own. All cells are, or the :func:`most_solved` that the first-order
    estimate ranks highest.
 3. From the worst ones the derivatives are taken again, at the corner itself, until no sign changes any more. Then the
    corner is stationary: changing any single part or cell makes the value smaller to first order.
@@ -29,12 +29,20 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..circuits import Boards, Design, Sensitivity, apparent_resistance, scan, scan_population, sensitivity
 from ._parameters import SECTION, Factors, Population
 
-MOST_SOLVED = 64
-"""cells whose corners are solved, per sign and state"""
+LEAST_SOLVED, MOST_UNKNOWNS = 64, 256 * 256
+"""Corners are solved for every cell as long as cells times cells are no more than that, and for fewer of larger arrays;
+per sign and state."""
+ROUNDING = 1e-15
+"""Relative differences below this are none."""
 _REFINED = 2  # corners per sign that are improved
 _FEW_CELLS, _REFINED_OF_FEW = 16, 16  # the same for small arrays, where it costs little
 _ROUNDS = 5  # of improvement, at most
 _MOST_FLIPS = 200_000  # cells of all neighbouring corners together, up to which they are solved
+
+
+def most_solved(shape: tuple[int, int]) -> int:
+    """Cells whose corners are solved: all up to 16 x 16, fewer of larger arrays, but at least :data:`LEAST_SOLVED`."""
+    return max(LEAST_SOLVED, MOST_UNKNOWNS // (shape[0] * shape[1]))
 
 
 @dataclass(frozen=True)
@@ -212,8 +220,10 @@ class WorstCase:
     solved: int
     """corners that were solved"""
     all_cells: bool
+    neighbours_solved: bool
+    """the corners that differ in one part or cell were solved, too"""
     stationary: bool
-    """no sign changes when the derivatives are taken at the corner itself"""
+    """no neighbour is worse, or no sign changes when the derivatives are taken at the corner itself"""
     checked: float
     """relative difference between the value and that of plain scans of the same corner"""
 
@@ -247,11 +257,17 @@ class WorstCase:
     @property
     def search(self) -> str:
         """What was searched, for the report."""
-        extent = "every cell" if self.all_cells else f"the {MOST_SOLVED} cells ranked highest by first order"
-        state = "no neighbouring corner is worse" if self.stationary else "a neighbouring corner may still be worse"
+        cells = self.by_cell.size
+        few = most_solved(self.by_cell.shape)
+        extent = "every cell" if self.all_cells else f"the {few} of {cells} cells that first order ranks highest"
+        state = "a neighbouring corner may still be worse"
+        if self.stationary:
+            state = "no neighbouring corner is worse" + (
+                "" if self.neighbours_solved else " to first order, none solved"
+            )
         if np.isinf(self.value):
             return f"{self.solved} corners solved, for {extent}; the first one beyond a limit ends the search"
-        agreement = f"plain scans of the corner agree to {self.checked:.0e}"
+        agreement = f"plain scans of the corner agree to {max(self.checked, ROUNDING):.0e}"
         return f"{self.solved} corners solved, for {extent}; {state}; {agreement}"
 
     @cached_property
@@ -290,7 +306,8 @@ def worst_case(target: Target, box: Box) -> WorstCase:
     by_cell = np.full(box.design.array.shape, np.nan)
     for row, column, value in zip(known.row, known.column, np.abs(values), strict=True):
         by_cell[row, column] = np.fmax(by_cell[row, column], value)
-    solved, best, best_value, stationary = len(values), known.some(np.array([0])), -np.inf, False
+    solved, best, best_value = len(values), known.some(np.array([0])), -np.inf
+    stationary = neighbours_solved = False
     for sign in (1.0, -1.0):
         order = np.argsort(-np.where(known.sign == sign, sign * values, -np.inf), kind="stable")
         for index in order[: _REFINED_OF_FEW if by_cell.size <= _FEW_CELLS else _REFINED]:
@@ -311,10 +328,12 @@ def worst_case(target: Target, box: Box) -> WorstCase:
                 if not further > value:
                     break
                 corner, value = moved, further
+            by_solution = False
             for _ in range(_ROUNDS):
                 neighbours = _neighbours(target, box, corner)
                 if neighbours is None or not np.isfinite(value):
                     break
+                by_solution = True
                 values_there = sign * evaluate(target, box, neighbours)
                 solved += len(values_there)
                 index_there = int(np.argmax(values_there))
@@ -324,7 +343,7 @@ def worst_case(target: Target, box: Box) -> WorstCase:
                 corner = neighbours.some(np.array([index_there]))
                 value = float(values_there[index_there])
             if value > best_value or np.isnan(value):
-                best, best_value, stationary = corner, value, settled
+                best, best_value, stationary, neighbours_solved = corner, value, settled, by_solution
     signed = best_value * float(best.sign[0])
     row, column = int(best.row[0]), int(best.column[0])
     by_cell[row, column] = np.fmax(by_cell[row, column], abs(best_value))
@@ -335,7 +354,8 @@ def worst_case(target: Target, box: Box) -> WorstCase:
         value=signed,
         by_cell=by_cell,
         solved=solved,
-        all_cells=bool(np.isfinite(by_cell).all() or by_cell.size <= MOST_SOLVED),
+        all_cells=bool(np.isfinite(by_cell).all() or by_cell.size <= most_solved(by_cell.shape)),
+        neighbours_solved=neighbours_solved,
         stationary=stationary,
         checked=_checked(target, box, best, signed),
     )
@@ -524,7 +544,7 @@ def named_corners(target: Target, box: Box, pressed: float, sign: float) -> Corn
         found = replace(found, pattern=np.where(pressed, found.pattern, 1.0 - found.pattern))
     rise = sum(np.abs(gradient).reshape(len(row), -1).sum(axis=1) for gradient in gradients)
     estimate = np.nan_to_num(sign * value + rise, nan=np.inf, posinf=np.inf)
-    return found.some(np.argsort(-estimate, kind="stable")[:MOST_SOLVED])
+    return found.some(np.argsort(-estimate, kind="stable")[: most_solved(shape)])
 
 
 def _improved(target: Target, box: Box, corner: Corners) -> Corners:

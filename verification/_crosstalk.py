@@ -56,9 +56,9 @@ def grid_resistance(subject: Subject) -> Finding:
 
 def equation_10(subject: Subject) -> Finding:
     """P12: Vout = -Vin Rref / Rij, and how far real parts depart from it."""
-    if subject.design.readout.circuit != "inverting-amplifier":
+    if not subject.design.board.circuit.virtual_ground:
         return does_not_apply(
-            f"equation (10) is that of an inverting amplifier, not of a {subject.design.readout.circuit}"
+            f"equation (10) is that of amplifiers that hold their lines, not of a {subject.design.readout.circuit}"
         )
     circuit = amplifiers(subject.design)
     rng = np.random.default_rng(12)

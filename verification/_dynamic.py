@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from .. import plots
 from ..arrays import FloatArray
-from ..cell import sensitivity as cell_sensitivity
+from ..cell import equilibrium_curve
 from ..circuits import (
     Boards,
     Design,
@@ -99,10 +100,12 @@ def _times(factor: float, value: float | tuple[float, ...]) -> float | tuple[flo
 def frames_of(subject: Subject) -> Iterator[tuple[str, FloatArray]]:
     """Frames that are hard in time: every row switch is a jump for every column, or the cells load the amplifiers."""
     low, high = subject.extremes
-    for first in (0, 1) if subject.design.array.rows > 1 else (0,):
-        cells = np.full(subject.design.array.shape, low)
+    board = subject.design.board
+    for first in (0, 1) if board.shape[0] > 1 else (0,):
+        cells = np.full(board.shape, low)
         cells[first::2] = high
-        yield f"rows alternate between {engineering(low, 'ohm')} and {engineering(high, 'ohm')}", cells
+        span = f"{engineering(low, 'ohm')} and {engineering(high, 'ohm')}"
+        yield f"{board.line_kinds[0]}s alternate between {span}", board.turn(cells)
     for ohms in (low, high):
         yield f"all cells at {engineering(ohms, 'ohm')}", np.full(subject.design.array.shape, ohms)
 
@@ -126,9 +129,18 @@ def _settlings(subject: Subject) -> list[tuple[str, Settling]]:
 
 def settling_error(subject: Subject, requirement: Requirement, method: str) -> Measurement:
     """Largest deviation of a sampled reading from the settled one at the declared rate, % of the largest signal."""
+    found = largest_settling_error(subject, requirement)
+    if not np.isfinite(found.value):
+        return found
+    period = 1.0 / (rate_of(subject, requirement) * subject.design.board.shape[0])
+    return replace(found, figures=[_settling_figure(subject, _settlings(subject)[0][1], period)])
+
+
+def largest_settling_error(subject: Subject, requirement: Requirement) -> Measurement:
+    """As :func:`settling_error`, without its figure."""
     rate = rate_of(subject, requirement)
     settlings = _settlings(subject)
-    period = 1.0 / (rate * subject.design.array.rows)
+    period = 1.0 / (rate * subject.design.board.shape[0])
     try:
         errors = [(100 * settling.error(period), where) for where, settling in settlings]
     except InputError as error:
@@ -139,15 +151,17 @@ def settling_error(subject: Subject, requirement: Requirement, method: str) -> M
         "%",
         where=where,
         confidence=f"{len(errors)} combinations of frames and ends of tolerances",
-        text=[f"At {engineering(rate, 'Hz')} each row has {engineering(period, 's')}."],
-        figures=[_settling_figure(subject, settlings[0][1], period)],
+        text=[
+            f"At {engineering(rate, 'Hz')} each {subject.design.board.line_kinds[0]} has {engineering(period, 's')}."
+        ],
     )
 
 
 def _settling_figure(subject: Subject, settling: Settling, period: float) -> Figure:
-    adc, columns = subject.design.adc, subject.design.array.columns
-    shortest = max(period / 100, (adc.acquisition_time * columns) if adc else 0.0)
-    periods = np.geomspace(max(shortest, 1e-9), 2 * period, 40)
+    adc, columns = subject.design.adc, subject.design.board.shape[1]
+    half_way = 0.5 * settling.shortest_period(0.5)
+    shortest = max(min(half_way, period / 2), (adc.acquisition_time * columns) if adc else 0.0)
+    periods = np.geomspace(max(shortest, 1e-9), 2 * period, 60)
     signal = float(np.abs(settling.settled - subject.design.readout.reference_voltage).max())
     with plots.drawing(1, 1, height=2.6) as (figure, ((panel,),)):
         panel.loglog(1e6 * periods, [100 * max(settling.error(p), 1e-12) for p in periods])
@@ -171,7 +185,7 @@ def fastest_scan(subject: Subject, requirement: Requirement, method: str) -> Mea
         for where, settling in _settlings(subject):
             signal = float(np.abs(settling.settled - design.readout.reference_voltage).max())
             period = settling.shortest_period(min(design.adc.step / 4 / signal, 0.5))
-            rates.append((1 / (period * design.array.rows) if period > 0 else np.inf, where))
+            rates.append((1 / (period * design.board.shape[0]) if period > 0 else np.inf, where))
     except SolverError as error:
         return Measurement(0.0, "Hz", where=str(error))
     slowest, where = min(rates)
@@ -192,8 +206,10 @@ def phase_margin(subject: Subject, requirement: Requirement, method: str) -> Mea
         for state, cells in frames_of(subject):
             margin = stability(variant, cells).phase_margin
             if np.isfinite(margin).any():
-                column = int(np.nanargmin(margin) % design.array.columns)
-                margins.append((float(np.nanmin(margin)), f"column {column}; {state}; {corner}"))
+                by_line = np.where(np.isnan(margin), np.inf, margin).min(axis=1 if design.board.turned else 0)
+                line = int(np.argmin(by_line))
+                kind = design.board.line_kinds[1]
+                margins.append((float(np.nanmin(margin)), f"{kind} {line}; {state}; {corner}"))
     if not margins:
         raise NotRun("the loop gain is below 1 throughout: there is no crossover")
     least, where = min(margins)
@@ -239,13 +255,13 @@ def pressure_resolution(subject: Subject, requirement: Requirement, method: str)
         raise NotRun("missing: cells.full_scale_kpa")
     worst, where = 0.0, ""
     full = subject.full_scale_kpa
-    for (state, cells, found), load in zip(noise_of(subject), (0.01 * full, 0.99 * full), strict=True):
-        near = [
-            subject.rest * (1 + cell_sensitivity(subject.cell.model, kpa, subject.rest)) for kpa in (0.99 * load, load)
-        ]
-        ohms_per_kpa = abs(near[1] - near[0]) / (0.01 * load)
+    for (state, cells, found), load in zip(noise_of(subject), (0.01, 0.99), strict=True):
+        near = np.array([0.99 * load, load])  # shares of full scale
+        change = equilibrium_curve(subject.cell.model, full, subject.rest, near)
+        ohms_per_kpa = subject.rest * abs(float(change[1] - change[0])) / (0.01 * load * full)
         volts_per_ohm = _volts_per_ohm(subject.design, cells)
-        kpa = found.volts / (volts_per_ohm * ohms_per_kpa)
+        with np.errstate(divide="ignore"):  # a curve that is flat there tells no pressure
+            kpa = found.volts / (volts_per_ohm * ohms_per_kpa)
         place = np.unravel_index(np.argmax(kpa), kpa.shape)
         if not kpa[place] <= worst:
             worst, where = float(kpa[place]), f"cell {tuple(map(int, place))}, {state}"
@@ -269,10 +285,10 @@ def settling_share(subject: Subject, rate: float) -> float:
         return 0.0
     _, settling = settlings[0]
     try:
-        sampled = settling.sampled(1.0 / (rate * subject.design.array.rows))
+        sampled = settling.sampled(1.0 / (rate * subject.design.board.shape[0]))
     except InputError:
         return 1.0
-    jump = np.abs(np.roll(settling.settled, 1, axis=0) - settling.settled)
+    jump = np.abs(np.roll(settling.settled, 1, axis=1 if subject.design.board.turned else 0) - settling.settled)
     return float(min(np.abs(sampled - settling.settled).max() / max(float(jump.max()), 1e-300), 1.0))
 
 

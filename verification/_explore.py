@@ -1,16 +1,23 @@
 """Design exploration: variations of a design, their Pareto front, and what must change to keep a requirement.
 
-Each variation is judged by three figures that pull in different directions: the worst-case reading error, the
-worst-case crosstalk, and the pressure that one standard deviation of noise stands for. A variation is on the Pareto
-front if no other one is at least as good in all three and better in one. Variations in which an output or the converter
-leaves its range are kept in the table, and are not on the front.
+Each variation is judged by figures that pull in different directions: the worst-case reading error, the worst-case
+crosstalk, the pressure that one standard deviation of noise stands for, and, where the design states a frame rate, that
+rate and the settling error that it leaves. A variation is on the Pareto front if no other one is at least as good in
+all of them and better in one. Variations in which an output or the converter leaves its range, or whose frames the line
+does not carry, are kept in the table and are not on the front.
+
+A remedy is one part that, changed alone, keeps a requirement. It is found by solving the requirement's quantity again
+with the changed part, never by extrapolation.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from math import inf
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,35 +28,82 @@ from ..circuits import Design, Requirement
 from ..errors import InputError, SolverError
 from ..progress import Progress, silent
 from ._corner import worst_case
-from ._dynamic import pressure_resolution
-from ._outcome import NotRun
+from ._dynamic import largest_settling_error, pressure_resolution
+from ._link import lost_frames
+from ._outcome import NotRun, Outcome
+from ._requirements import evaluate
 from ._static import TARGETS, box_of
 from ._subject import Subject
-from ._units import engineering
+from ._units import UNITS, conversion, engineering
 
 KNOWN_FRACTION = 0.015
 """carbon black by mass of the cell of the design; the paper's choice"""
+DOWN, UP = "down", "up"
+AVERAGING = "frames averaged"
 AXES: dict[str, tuple[float, ...]] = {
     "reference resistor": (0.25, 0.5, 2.0, 4.0),
     "drive voltage": (0.5, 0.8, 1.25, 2.0),
     "row switch": (0.1, 0.3, 3.0),
     "ADC bits": (-4.0, -2.0, 2.0, 4.0),
     "carbon black": (0.0125, 0.02, 0.03, 0.05),
+    "frame rate": (0.5, 2.0, 10.0, 100.0),
 }
 """Factors on the design's value; bits are added, the carbon-black fraction stands for itself."""
-SCALED = {
-    "array.row_lead": "down",
-    "array.row_segment": "down",
-    "array.column_lead": "down",
-    "array.column_segment": "down",
-    "readout.open_loop_gain": "up",
-    "readout.offset_voltage": "down",
-    "readout.bias_current": "down",
-    "readout.reference_resistance": "up",
-    "drive.voltage": "up",
+READINGS = (
+    ("array.row_lead", DOWN),
+    ("array.row_segment", DOWN),
+    ("array.column_lead", DOWN),
+    ("array.column_segment", DOWN),
+    ("readout.open_loop_gain", UP),
+    ("readout.offset_voltage", DOWN),
+    ("readout.bias_current", DOWN),
+    ("readout.reference_resistance", UP),
+    ("drive.voltage", UP),
+    ("adc.offset_voltage", DOWN),
+    ("adc.gain_error", DOWN),
+    ("adc.bits", UP),
+)
+FINE = (("readout.reference_resistance", UP), ("drive.voltage", UP), ("adc.bits", UP))
+QUIET = (
+    *(("readout.voltage_noise", DOWN), ("readout.current_noise", DOWN), ("readout.feedback_capacitance", UP)),
+    *(("readout.gain_bandwidth", DOWN), ("adc.sampling_capacitance", UP), ("adc.bits", UP)),
+)
+QUICK = (
+    *(("operation.frame_rate", DOWN), ("readout.gain_bandwidth", UP), ("readout.feedback_capacitance", DOWN)),
+    *(("readout.column_capacitance", DOWN), ("readout.reference_resistance", DOWN), ("adc.bits", DOWN)),
+    *(("adc.switch_resistance", DOWN), ("adc.sampling_capacitance", DOWN), ("adc.acquisition_time", DOWN)),
+)
+SMALL = (("readout.reference_resistance", DOWN), ("drive.voltage", DOWN))
+WAYS: dict[str, tuple[tuple[str, str], ...]] = {
+    **dict.fromkeys(TARGETS, READINGS),
+    "resolution": FINE,
+    "adc_range_used": FINE[:2],
+    "noise": (*QUIET, ("readout.reference_resistance", DOWN)),
+    "pressure_resolution": (*QUIET, *FINE[:2], (AVERAGING, UP)),
+    "settling_error": QUICK,
+    "fastest_scan": QUICK[1:],
+    "phase_margin": (
+        *(("readout.feedback_capacitance", UP), ("readout.column_capacitance", DOWN)),
+        *(("readout.reference_resistance", DOWN), ("readout.gain_bandwidth", DOWN)),
+    ),
+    "output_headroom": SMALL,
+    "adc_headroom": SMALL,
+    "cell_voltage": SMALL[1:],
+    "cell_power": SMALL[1:],
+    "switch_current": SMALL[1:],
+    "switch_power": (*SMALL[1:], ("array.row_lead", DOWN)),
+    "latency": (("operation.frame_rate", UP), ("operation.baudrate", UP)),
+    "lost_frames": (("operation.frame_rate", DOWN), ("operation.baudrate", UP)),
+    "valid_cells": (("adc.bits", UP), ("readout.reference_resistance", UP), ("readout.reference_resistance", DOWN)),
 }
-"""Parts that could keep a requirement if they were changed, and in which direction."""
+"""Parts that could keep a requirement if they were changed alone, by quantity, and in which direction."""
+FASTEST_STATED_HZ = 1e6
+"""the largest frame rate that a design may state"""
+MOST_BITS = 24
+MOST_AVERAGED = 1000
 _FARTHEST = 1e3  # a change beyond a factor of that is no help to anybody
+_FARTHEST_READING = 3.0  # beyond it a larger reference resistor or drive voltage saturates outputs
+_STRIDES = (1.25, 2.0, 5.0, 20.0, 100.0, _FARTHEST)  # looked at before the bisection: not all quantities are monotone
 _STEPS = 7  # of the bisection, in the logarithm of the factor
 
 
@@ -62,11 +116,17 @@ class Variation:
     reading_error_percent: float
     crosstalk_percent: float
     resolution_kpa: float
+    settling_error_percent: float = 0.0
+    """0 where no frame rate is stated, or nothing has to settle"""
+    frame_rate_hz: float = inf
+    """inf where none is stated"""
     front: bool = False
 
     @property
-    def figures(self) -> tuple[float, float, float]:
-        return self.reading_error_percent, self.crosstalk_percent, self.resolution_kpa
+    def figures(self) -> tuple[float, ...]:
+        """Smaller is better."""
+        judged = self.reading_error_percent, self.crosstalk_percent, self.resolution_kpa
+        return (*judged, self.settling_error_percent, 1.0 / self.frame_rate_hz)
 
     @property
     def name(self) -> str:
@@ -81,17 +141,22 @@ class Remedy:
     requirement: str
     part: str
     factor: float
-    """on the part's value"""
+    """on the part's value; for "adc.bits" and "frames averaged", on 1: the number itself"""
     before: float
     after: float
     """the quantity, solved again with the changed part"""
     unit: str
+    value: str = ""
+    """of the changed part, with its unit; empty where lines differ"""
 
     @property
     def line(self) -> str:
         """For a reader."""
         was, now = engineering(self.before, self.unit), engineering(self.after, self.unit)
-        return f"{self.requirement}: {self.part} times {self.factor:.3g} brings {was} to {now}"
+        if self.part in ("adc.bits", AVERAGING):
+            return f"{self.requirement}: {self.factor:.0f} {self.part} in place of {self.value} bring {was} to {now}"
+        to = f" ({self.value})" if self.value else ""
+        return f"{self.requirement}: {self.part} times {self.factor:.3g}{to} brings {was} to {now}"
 
 
 def explore(subject: Subject, *, points: int = 60, progress: Progress = silent) -> list[Variation]:
@@ -108,7 +173,7 @@ def explore(subject: Subject, *, points: int = 60, progress: Progress = silent) 
         found.append(_judged(subject, changes))
         progress(number, len(wanted), found[-1].name)
     front = pareto(np.array([variation.figures for variation in found]))
-    return [Variation(v.changes, *v.figures, front=bool(best)) for v, best in zip(found, front, strict=True)]
+    return [replace(v, front=bool(best)) for v, best in zip(found, front, strict=True)]
 
 
 def pareto(figures: np.ndarray) -> BoolArray:
@@ -123,23 +188,19 @@ def pareto(figures: np.ndarray) -> BoolArray:
 
 
 def remedies(subject: Subject, requirements: tuple[Requirement, ...]) -> list[Remedy]:
-    """For each requirement on a reading that the worst case does not keep: the parts that would mend it alone.
+    """For each requirement that nominal parts or the worst case do not keep: the parts that would mend it alone.
 
-    A part's factor is found by bisection; every step solves the worst case again.
+    Requirements without :data:`WAYS`, on the yield, and on a real board have none.
     """
     found = []
     for requirement in requirements:
-        if (
-            requirement.quantity not in TARGETS
-            or requirement.max is None
-            or requirement.method not in (None, "worst-case")
-        ):
+        if requirement.method not in (None, "worst-case", "nominal"):
             continue
-        before = _value(subject, requirement.quantity)
-        if before <= requirement.max:
+        ways = WAYS.get(requirement.quantity, ())
+        if not ways or (missed := _judge(subject, requirement)) is None or missed.kept:
             continue
-        for key, direction in SCALED.items():
-            remedy = _remedy(subject, requirement, key, direction, before)
+        for key, direction in ways:
+            remedy = _remedy(subject, requirement, key, direction, missed)
             if remedy is not None:
                 found.append(remedy)
     return found
@@ -150,7 +211,7 @@ def picture(variations: list[Variation]) -> str:
     known = [v for v in variations if np.isfinite(v.figures).all()]
     with plots.drawing(1, 1, width=7.6, height=4.2) as (figure, ((panel,),)):
         if known:
-            error, crosstalk, kpa = np.array([v.figures for v in known]).T
+            error, crosstalk, kpa = np.array([v.figures[:3] for v in known]).T
             drawn = panel.scatter(kpa, error, c=crosstalk, cmap="viridis_r", s=26)
             figure.colorbar(drawn, ax=panel, label="crosstalk / %")
             for v in known:
@@ -168,7 +229,10 @@ def picture(variations: list[Variation]) -> str:
 
 
 def _combinations(subject: Subject, points: int) -> Iterator[dict[str, float]]:
-    axes = {axis: values for axis, values in AXES.items() if not (axis == "ADC bits" and subject.design.adc is None)}
+    absent: dict[str, Any] = {"ADC bits": subject.design.adc, "frame rate": subject.design.operation.frame_rate}
+    if subject.pressed < subject.rest:  # percolation says nothing of cells whose contacts decide
+        absent["carbon black"] = None
+    axes = {axis: values for axis, values in AXES.items() if absent.get(axis, axis) is not None}
     single = [{}, *({axis: value} for axis, values in axes.items() for value in values)]
     yield from single[:points]
     random = np.random.default_rng(subject.seed)
@@ -191,6 +255,10 @@ def varied(subject: Subject, changes: dict[str, float]) -> Subject:
             case "ADC bits":
                 assert design.adc is not None
                 design = design.replace(adc={"bits": int(np.clip(design.adc.bits + value, 4, 24))})
+            case "frame rate":
+                assert design.operation.frame_rate is not None
+                rate = min(design.operation.frame_rate * value, FASTEST_STATED_HZ)
+                design = design.replace(operation={"frame_rate": rate})
             case "carbon black":
                 law = Percolation(KNOWN_FRACTION, subject.rest, subject.pressed / subject.rest - 1)
                 rest = float(law.rest_resistance(value))
@@ -215,7 +283,24 @@ def _judged(subject: Subject, changes: dict[str, float]) -> Variation:
         kpa = pressure_resolution(here, asked, "nominal").value
     except (NotRun, InputError, SolverError):
         kpa = np.nan
-    return Variation(changes, error, crosstalk, kpa)
+    settling, rate = _in_time(here)
+    return Variation(changes, error, crosstalk, kpa, settling, rate)
+
+
+def _in_time(subject: Subject) -> tuple[float, float]:
+    """Settling error in % and frame rate in Hz; an infinite error where the line does not carry the frames."""
+    rate = subject.design.operation.frame_rate
+    if rate is None:
+        return 0.0, np.inf
+    asked = Requirement(id="explore", quantity="settling_error")
+    try:
+        error = largest_settling_error(subject, asked).value
+    except (NotRun, InputError, SolverError):
+        error = 0.0
+    with suppress(NotRun):
+        if lost_frames(subject, asked, "nominal").value > 0:
+            error = np.inf
+    return error, rate
 
 
 def _value(subject: Subject, quantity: str) -> float:
@@ -223,30 +308,101 @@ def _value(subject: Subject, quantity: str) -> float:
     return 100 * abs(worst_case(TARGETS[quantity], box_of(subject)).value)
 
 
-def _remedy(subject: Subject, requirement: Requirement, key: str, direction: str, before: float) -> Remedy | None:
+class _Judged(NamedTuple):
+    value: float
+    unit: str
+    kept: bool
+
+
+def _judge(subject: Subject, requirement: Requirement) -> _Judged | None:
+    """The quantity of a requirement, and whether it keeps the limits; None where it has no value."""
+    if requirement.quantity in (*TARGETS, "settling_error"):  # without the figures of a report
+        low, high = requirement.min, requirement.max
+        try:
+            if requirement.quantity in TARGETS:
+                value = _value(subject, requirement.quantity)
+            else:
+                value = largest_settling_error(subject, requirement).value
+        except (NotRun, InputError, SolverError):
+            return None
+        kept = (low is None or value >= low) and (high is None or value <= high)
+        return _Judged(value, "%", bool(kept and np.isfinite(value)))
+    result = evaluate(subject, requirement, Path())
+    if result.measurement is None:
+        return None
+    return _Judged(result.measurement.value, result.unit, result.outcome is Outcome.PASS)
+
+
+def _remedy(subject: Subject, requirement: Requirement, key: str, direction: str, missed: _Judged) -> Remedy | None:
+    if key == AVERAGING:
+        return _averaged(requirement, missed)
     section, name = key.split(".")
-    value = np.asarray(getattr(getattr(subject.design, section), name), dtype=np.float64)
+    part = getattr(subject.design, section)
+    if part is None or getattr(part, name) is None:
+        return None
+    if key == "adc.bits":
+        return _more_bits(subject, requirement, missed) if direction == UP else None
+    value = np.asarray(getattr(part, name), dtype=np.float64)
     if not value.any() or not np.isfinite(value).all():
         return None
-    limit = requirement.max
-    assert limit is not None
 
-    def at(factor: float) -> float:
-        return _value(Subject(_scaled(subject.design, key, factor), subject.given_cell), requirement.quantity)
+    def at(factor: float) -> _Judged | None:
+        try:
+            changed = _scaled(subject.design, key, factor)
+        except InputError:  # beyond what a design may say
+            return None
+        return _judge(replace(subject, design=changed, memo={}), requirement)
 
-    far = 1 / _FARTHEST if direction == "down" else 3.0 if key != "readout.open_loop_gain" else _FARTHEST
-    after = at(far)
-    if not after <= limit:
+    reading = requirement.quantity in TARGETS
+    strides = (_FARTHEST,) if reading else _STRIDES
+    if reading and direction == UP and key != "readout.open_loop_gain":
+        strides = (_FARTHEST_READING,)
+    missed_at, kept_at, after = 0.0, None, missed
+    for stride in strides:
+        there = at(stride if direction == UP else 1 / stride)
+        if there is not None and there.kept:
+            kept_at, after = float(np.log(stride)), there
+            break
+        missed_at = float(np.log(stride))
+    if kept_at is None:
         return None
-    kept, missed = np.log(far), 0.0
     for _ in range(_STEPS):
-        middle = (kept + missed) / 2
-        value_there = at(float(np.exp(middle)))
-        if value_there <= limit:
-            kept, after = middle, value_there
+        middle = (kept_at + missed_at) / 2
+        there = at(float(np.exp(middle if direction == UP else -middle)))
+        if there is not None and there.kept:
+            kept_at, after = middle, there
         else:
-            missed = middle
-    return Remedy(requirement.id, key, float(np.exp(kept)), before, after, "%")
+            missed_at = middle
+    factor = float(np.exp(kept_at if direction == UP else -kept_at))
+    unit = UNITS.get(section, {}).get(name, "")
+    shown = engineering(factor * float(value.flat[0]), unit, 3) if (value == value.flat[0]).all() else ""
+    return Remedy(requirement.id, key, factor, missed.value, after.value, missed.unit, shown)
+
+
+def _more_bits(subject: Subject, requirement: Requirement, missed: _Judged) -> Remedy | None:
+    adc = subject.design.adc
+    assert adc is not None
+    for bits in range(adc.bits + 1, MOST_BITS + 1):
+        changed = subject.design.replace(adc={"bits": bits})
+        there = _judge(replace(subject, design=changed, memo={}), requirement)
+        if there is None:
+            return None
+        if there.kept:
+            was = str(adc.bits)
+            return Remedy(requirement.id, "adc.bits", bits, missed.value, there.value, missed.unit, was)
+    return None
+
+
+def _averaged(requirement: Requirement, missed: _Judged) -> Remedy | None:
+    """The mean of n independent readings has the standard deviation of one, over the square root of n."""
+    if requirement.max is None or not np.isfinite(missed.value):
+        return None
+    limit = requirement.max * conversion(requirement.unit, missed.unit)
+    frames = int(np.ceil((missed.value / limit) ** 2 - 1e-9)) if limit > 0 else MOST_AVERAGED + 1
+    if frames > MOST_AVERAGED:
+        return None
+    after = missed.value / frames**0.5
+    return Remedy(requirement.id, AVERAGING, frames, missed.value, after, missed.unit, "1")
 
 
 def _scaled(design: Design, key: str, factor: float) -> Design:

@@ -23,8 +23,8 @@ LOADS = np.linspace(0.0, 1.0, 6)
 
 def fraction(subject: Subject) -> Finding:
     """Sensitivity and resolution against the carbon-black fraction."""
-    if subject.design.readout.circuit != "inverting-amplifier" or subject.design.adc is None:
-        return does_not_apply("this study needs a design with inverting amplifiers and an [adc]")
+    if not subject.design.board.circuit.virtual_ground or subject.design.adc is None:
+        return does_not_apply("this study needs a design with amplifiers that hold their lines, and an [adc]")
     law = Percolation(KNOWN, subject.rest, subject.pressed / subject.rest - 1)
     fine = np.geomspace(FRACTIONS[0], FRACTIONS[-1], 30)
     fixed, chosen = (np.array([_resolution(subject, law, f, choose=choose) for f in fine]) for choose in (False, True))

@@ -7,6 +7,7 @@ processes, the order in which blocks are done, or an interruption in between.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,3 +88,22 @@ def proportion_bounds(kept: int, count: int, confidence: float = CONFIDENCE) -> 
     low = 0.0 if kept == 0 else float(beta.ppf(tail, kept, count - kept + 1))
     high = 1.0 if kept == count else float(beta.ppf(1.0 - tail, kept + 1, count - kept))
     return low, high
+
+
+def boards_needed(wanted: float, share: float, *, most: int = 10_000_000) -> int | None:
+    """The least number of boards whose lower bound reaches the wanted yield, if ``share`` of them keep the limit.
+
+    Returns:
+        The number, by bisection; None if even ``most`` boards would not do, as when ``share`` is below ``wanted``.
+    """
+
+    def proves(count: int) -> bool:
+        return proportion_bounds(math.floor(share * count + 1e-9), count)[0] >= wanted
+
+    if share <= wanted or not proves(most):
+        return None
+    low, high = 0, most
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if proves(middle) else (middle, high)
+    return high

@@ -5,7 +5,8 @@ outcome               meaning
 ====================  =================================================================================================
 pass                  a finite number was found, and it keeps every limit
 fail                  a limit is not kept, or what was found is no finite number
-not run               no number could be found: parts are not given, a program or a board is missing, no limit is given
+not run               no number could be found: parts are not given, a program or a board is missing, no limit is given;
+                      or too few boards were drawn to decide about a yield
 does not apply        the design has nothing that the quantity describes (a divider has no phase margin)
 ====================  =================================================================================================
 """
@@ -19,6 +20,9 @@ from enum import StrEnum
 
 from ..circuits import Requirement
 from ._units import engineering
+
+_LARGEST_SHARE = 1000
+"""% of a limit beyond which a margin's share is not told exactly"""
 
 
 class Outcome(StrEnum):
@@ -152,6 +156,8 @@ class Measurement:
     """in ``unit``, one per board of the Monte Carlo analysis"""
     proven: bool | None = None
     """Monte Carlo: whether the lower confidence bound of the yield keeps the wanted yield; None: the value decides"""
+    undecided: str = ""
+    """Monte Carlo: why the boards neither prove the wanted yield nor miss it, and what would decide"""
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
 
@@ -182,8 +188,25 @@ class Result:
         if not math.isfinite(found.value):
             return Outcome.FAIL
         if found.proven is not None:
-            return Outcome.PASS if found.proven else Outcome.FAIL
+            missed = Outcome.NOT_RUN if found.undecided else Outcome.FAIL
+            return Outcome.PASS if found.proven else missed
         return Outcome.PASS if self.margin is not None and self.margin >= 0 else Outcome.FAIL
+
+    @property
+    def why(self) -> str:
+        """What decided, where the value beside its limit does not say; empty for a pass."""
+        found = self.measurement
+        if found is None or self.outcome is Outcome.PASS:
+            return self.reason
+        if found.undecided:
+            return found.undecided
+        if self.reason:
+            return self.reason
+        if found.proven is not None:
+            return found.confidence
+        if not math.isfinite(found.value):
+            return f"no finite number: {found.where}" if found.where else "no finite number"
+        return f"worst at {found.where}" if found.where else ""
 
     @property
     def margin(self) -> float | None:
@@ -215,8 +238,11 @@ class Result:
         if self.margin is None:
             return ""
         limits = [abs(limit) for limit in (self.requirement.min, self.requirement.max) if limit]
-        share = f" ({100 * self.margin / min(limits):.0f} %)" if limits else ""
-        return engineering(self.margin, self.unit) + share
+        if not limits:
+            return engineering(self.margin, self.unit)
+        share = 100 * self.margin / min(limits)
+        shown = f"{share:.0f} %" if abs(share) < _LARGEST_SHARE else f"{'>' if share > 0 else '< −'}{_LARGEST_SHARE} %"
+        return f"{engineering(self.margin, self.unit)} ({shown.replace('-', '−')})"
 
 
 def not_run(name: str, reason: str) -> Finding:

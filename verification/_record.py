@@ -39,7 +39,7 @@ class RequirementRecord(_Record):
     margin: float | None = Field(description="by how much the nearer limit is kept (positive) or missed, in `unit`")
     where: str = Field(description="cell, pattern and corner at which the value is worst")
     confidence: str
-    reason: str = Field(description="why it was not run or does not apply")
+    reason: str = Field(description="what decided against a pass, where the value and its limits do not say")
     contributions: dict[str, float] = Field(description="by kind of part, in `unit`")
     samples: list[Number] = Field(description="one per board of the Monte Carlo analysis, in `unit`")
     seconds: float

@@ -41,46 +41,10 @@ from ._record import (
 )
 from ._schematic import schematic
 from ._subject import Subject, everything_of
-from ._units import PREFIXED, engineering
+from ._units import PREFIXED, UNITS, engineering
 
 EXIT_CODES = {Outcome.PASS: 0, Outcome.FAIL: 1, Outcome.NOT_RUN: 3, Outcome.NOT_APPLICABLE: 3}
 FILES = ("report.html", "report.json", "junit.xml", "summary.md", "netlist.cir")
-UNITS = {
-    "array": {"row_segment": "ohm", "column_segment": "ohm", "row_lead": "ohm", "column_lead": "ohm"},
-    "drive": {"voltage": "V"},
-    "readout": {
-        "reference_resistance": "ohm",
-        "reference_voltage": "V",
-        "gain_bandwidth": "Hz",
-        "offset_voltage": "V",
-        "bias_current": "A",
-        "supply": "V",
-        "column_capacitance": "F",
-        "feedback_capacitance": "F",
-        "voltage_noise": "V/sqrt(Hz)",
-        "current_noise": "A/sqrt(Hz)",
-        "temperature": "K",
-    },
-    "adc": {
-        "bits": "bit",
-        "range": "V",
-        "sampling_capacitance": "F",
-        "switch_resistance": "ohm",
-        "acquisition_time": "s",
-        "offset_voltage": "V",
-        "inl_steps": "steps",
-    },
-    "sheet": {"pitch": "m", "thickness": "m", "electrode_width": "m"},
-    "cells": {"rest_resistance": "ohm", "full_scale_resistance": "ohm", "full_scale_kpa": "kPa"},
-    "operation": {
-        "frame_rate": "Hz",
-        "baudrate": "bit/s",
-        "temperature_range": "K",
-        "readings_per_calibration": "frames",
-    },
-    "requirements": {"crosstalk_percent": "%", "reading_error_percent": "%", "pressure_rmse_percent": "%"},
-}
-"""Units of the keys of DESIGN.toml; keys without one have none."""
 
 
 @dataclass(frozen=True)
@@ -156,7 +120,7 @@ class Report:
     def left_out(self) -> list[tuple[str, str, str]]:
         """(id, what, reason) of everything that was not run or does not apply."""
         found = [
-            (r.requirement.id, r.title, f"{r.outcome}: {r.reason or 'no limit is given'}")
+            (r.requirement.id, r.title, f"{r.outcome}: {r.why or 'no limit is given'}")
             for r in self.results
             if r.outcome in (Outcome.NOT_RUN, Outcome.NOT_APPLICABLE)
         ]
@@ -293,9 +257,10 @@ class Report:
                 properties.add_property(Property(name, _xml(value)))
             case.append(properties)
             if result.outcome is Outcome.FAIL:
-                case.result = [Failure(_xml(f"measured {result.found}, required {result.limit}"))]
+                why = f"; {result.why}" if result.why else ""
+                case.result = [Failure(_xml(f"measured {result.found}, required {result.limit}{why}"))]
             elif result.outcome is not Outcome.PASS:
-                case.result = [Skipped(_xml(f"{result.outcome}: {result.reason or 'no limit is given'}"))]
+                case.result = [Skipped(_xml(f"{result.outcome}: {result.why or 'no limit is given'}"))]
             suite.add_testcase(case)
         if self.results:
             xml.add_testsuite(suite)
@@ -323,11 +288,11 @@ class Report:
             f"{self.count('does not apply')} do not apply. Design {self.design_sha256[:12]}, seed {self.subject.seed}, "
             f"ohmskin {__version__}.",
             "",
-            "| requirement | outcome | limit | measured | margin | where |",
+            "| requirement | outcome | limit | measured | margin | where, or why |",
             "|---|---|---|---|---|---|",
         ]
         for r in self.results:
-            where = r.measurement.where if r.measurement else ""
+            where = "" if r.measurement is None else r.measurement.where if r.outcome is Outcome.PASS else r.why
             cells = (f"{r.requirement.id} {r.title}", r.outcome, r.limit, r.found, r.margin_shown, where)
             lines.append("| " + " | ".join(printable(str(c)).replace("|", "\\|") for c in cells) + " |")
         if self.sections:
@@ -410,7 +375,7 @@ def _requirement_record(result: Result) -> RequirementRecord:
         margin=result.margin,
         where=found.where if found else "",
         confidence=found.confidence if found else "",
-        reason=result.reason,
+        reason="" if result.outcome is Outcome.PASS else result.why,
         contributions={k: v for k, v in (found.contributions if found else {}).items() if math.isfinite(v)},
         samples=[number(value) for value in (found.samples if found else ())],
         seconds=round(result.seconds, 4),

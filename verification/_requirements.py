@@ -65,13 +65,14 @@ def default_requirements(design: Design) -> tuple[Requirement, ...]:
             18, "reading_error", "99 % of all boards keep the error.", max=limits.reading_error_percent, method=SAMPLED
         ),
         ask(19, "spice_agreement", "An independent simulator finds the same.", max=1.0),
+        ask(20, "valid_cells", "The driver can tell every cell.", min=100.0),
     )
     if design.readout.amplifier_model is None:
         return shipped
     return (
         *shipped,
-        ask(20, "phase_margin", "The maker's model is stable on its column.", min=45.0, method=SPICE),
-        ask(21, "settling_error", "The maker's model settles at the declared rate.", max=1.0, method=SPICE),
+        ask(21, "phase_margin", "The maker's model is stable on its column.", min=45.0, method=SPICE),
+        ask(22, "settling_error", "The maker's model settles at the declared rate.", max=1.0, method=SPICE),
     )
 
 

@@ -79,7 +79,9 @@ class _Drawing:
 
 def schematic(design: Design) -> str:
     """An excerpt of two rows and two columns (fewer, if the array has fewer) with the values of all parts."""
-    rows, columns = min(design.array.rows, 2), min(design.array.columns, 2)
+    board, kind = design.board, design.board.line_kinds[1]
+    rows, columns = (min(count, 2) for count in board.shape)
+    segment, lead = (getattr(design.array, f"{kind}_{part}") for part in ("segment", "lead"))
     drawing = _Drawing()
     right, bottom = LEFT + (columns - 1) * PITCH_X, TOP + (rows - 1) * PITCH_Y
     for row in range(rows):
@@ -94,17 +96,15 @@ def schematic(design: Design) -> str:
             drawing.resistor(cell_x, y + 25, vertical=True, length=26)
             drawing.dot(cell_x, y)
             drawing.dot(x, y + 45)
-            drawing.text(cell_x - 12, y + 29, f"R{row}{column}", anchor="end", size=11)
-            if row + 1 < rows and _some(design.array.column_segment):
+            drawing.text(cell_x - 12, y + 29, f"R{_place(design, row, column)}", anchor="end", size=11)
+            if row + 1 < rows and _some(segment):
                 drawing.resistor(x, y + 85, vertical=True, length=24)
                 if column == 0:
-                    drawing.text(x + 10, y + 89, _value(design.array.column_segment, "ohm"), anchor="start", size=11)
-        if _some(design.array.column_lead):
+                    drawing.text(x + 10, y + 89, _value(segment, "ohm"), anchor="start", size=11)
+        if _some(lead):
             drawing.resistor(x, bottom + 70, vertical=True, length=26)
             if column == 0:
-                drawing.text(
-                    x + 10, bottom + 74, f"lead {_value(design.array.column_lead, 'ohm')}", anchor="start", size=11
-                )
+                drawing.text(x + 10, bottom + 74, f"lead {_value(lead, 'ohm')}", anchor="start", size=11)
         _end(drawing, design, x, bottom + 90, label=column == 0)
     size = f"{design.array.rows} × {design.array.columns} cells"
     drawing.text(LEFT + 55, 22, f"{design.readout.circuit}, {size}; drawn: {_drawn(design)}", size=13)
@@ -113,29 +113,37 @@ def schematic(design: Design) -> str:
 
 def _row(drawing: _Drawing, design: Design, row: int, right: float) -> None:
     y = TOP + row * PITCH_Y
+    kind = design.board.line_kinds[0]
+    segment, lead = (getattr(design.array, f"{kind}_{part}") for part in ("segment", "lead"))
     drawing.line((140, y), (right + 20, y))
     drive = engineering(design.drive.voltage, "V")
     idle = {"ground": "at the reference", "float": "open"}[design.drive.idle_rows]
-    if design.readout.circuit == "voltage-feedback":
+    if design.board.circuit.drives_idle_lines:
         idle = "at the follower"
-    drawing.text(132, y - 3, f"row {row}", anchor="end")
+    drawing.text(132, y - 3, f"{kind} {design.board.driven_line(row)}", anchor="end")
     words = f"selected: {drive}" if row == 0 else f"idle: {idle}"
     drawing.text(132, y + 12, words, anchor="end", size=10.5)
-    if _some(design.array.row_lead):
+    if _some(lead):
         drawing.resistor(190, y)
         if row == 0:
-            drawing.text(190, y - 12, f"lead {_value(design.array.row_lead, 'ohm')}", size=11)
-    if right > LEFT and _some(design.array.row_segment):
+            drawing.text(190, y - 12, f"lead {_value(lead, 'ohm')}", size=11)
+    if right > LEFT and _some(segment):
         drawing.resistor(LEFT + PITCH_X / 2 + 25, y, length=28)
         if row == 0:
-            drawing.text(LEFT + PITCH_X / 2 + 25, y - 12, f"segment {_value(design.array.row_segment, 'ohm')}", size=11)
+            drawing.text(LEFT + PITCH_X / 2 + 25, y - 12, f"segment {_value(segment, 'ohm')}", size=11)
 
 
 def _drawn(design: Design) -> str:
     """Which lines the drawing shows; a circuit that senses the array's rows is drawn turned."""
     if design.board.turned:
-        return "turned, rows here are the array's columns, which are driven"
+        return "turned, for the array's columns are driven and its rows sensed"
     return "the first rows and columns"
+
+
+def _place(design: Design, row: int, column: int) -> str:
+    """The array's row and column of a cell that is drawn at the crosspoint of two lines."""
+    places = design.board.driven_line(row), design.board.sensed_line(column)
+    return "{},{}".format(*(places[::-1] if design.board.turned else places))
 
 
 def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) -> None:
@@ -149,7 +157,7 @@ def _end(drawing: _Drawing, design: Design, x: float, y: float, *, label: bool) 
         drawing.dot(x, y + 30)
         if label:
             drawing.text(x + 12, y + 74, _value(readout.reference_resistance, "ohm"), anchor="start", size=11)
-            if readout.circuit == "voltage-feedback":
+            if design.board.circuit.drives_idle_lines:
                 drawing.text(x + 12, y + 100, "a follower drives all idle lines", anchor="start", size=11)
         _converter(drawing, design, x + 60, y + 30, label=label)
         return

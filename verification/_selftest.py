@@ -75,16 +75,14 @@ def fault_coverage(subject: Subject, requirement: Requirement, method: str) -> M
         nominal, width = sound_interval(subject)
     except InputError as error:
         raise NotRun(f"no interval of a sound board: {error}") from error
-    low, high = design.readout.supply
+    lowest, highest = _limited(design, nominal - width), _limited(design, nominal + width)
     counts: dict[str, Counter[bool]] = {}
     missed: list[str] = []
     cells = np.full(design.array.shape, subject.rest)
     for fault in faults_of(design):
         try:
-            volts = np.clip(scan(design.replace(fault=(fault,)), cells, method="exact").volts, low, high)
-            if design.adc is not None:
-                volts = np.clip(volts, *design.adc.range)
-            told = bool((~(np.abs(volts - nominal) <= width)).any())
+            volts = _limited(design, scan(design.replace(fault=(fault,)), cells, method="exact").volts)
+            told = bool((~((volts >= lowest) & (volts <= highest))).any())
         except SolverError:  # ideal parts contradict each other: no sound reading comes of it
             told = True
         counts.setdefault(fault.kind, Counter())[told] += 1
@@ -103,3 +101,10 @@ def fault_coverage(subject: Subject, requirement: Requirement, method: str) -> M
         confidence=f"{total} single faults solved exactly; interval of a sound board to first order",
         tables=[Table(["fault", "tried", "told", "coverage"], rows, "Faults that a self-test at rest can tell.")],
     )
+
+
+def _limited(design: Design, volts: FloatArray) -> FloatArray:
+    """What supply and converter let through: of readings beyond, a self-test sees the limit only."""
+    within = np.clip(volts, *design.readout.supply)
+    limited: FloatArray = within if design.adc is None else np.clip(within, *design.adc.range)
+    return limited

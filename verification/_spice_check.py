@@ -28,8 +28,8 @@ SHARE_OF_SETTLING = 0.25
 """of the time to settle to 1 %: late enough to be near, early enough to tell a wrong model"""
 DEGREES = 90.0
 """Differences of phase margins are given relative to this."""
-SETTLED = 1e-9
-"""A sample later than the time to settle to this error says no more."""
+SETTLED, TIMES_SETTLED = 1e-9, 4.0
+"""A sample later than so many times the one-pole amplifier's time to settle to this error is not waited for."""
 SIMULATED = ("phase_margin", "settling_error", "noise")
 """quantities that a requirement can have judged in ngspice"""
 
@@ -101,7 +101,8 @@ def _simulated(subject: Subject, requirement: Requirement) -> list[tuple[float, 
         cells = frame[:rows, :columns]
         if requirement.quantity == "settling_error":
             rate = rate_of(subject, requirement)
-            period = min(1.0 / (rate * whole.array.rows), Settling(_linear(design), cells).shortest_period(SETTLED))
+            latest = TIMES_SETTLED * Settling(_linear(design), cells).shortest_period(SETTLED)
+            period = min(1.0 / (rate * whole.board.shape[0]), latest)
             reading = spice.dynamic_reading(design, cells, 0, period=period)
             signal = np.abs(reading.settled - design.readout.reference_voltage).max()
             value = float(100 * np.abs(reading.sampled - reading.settled).max() / signal)

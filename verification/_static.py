@@ -12,7 +12,7 @@ from ..circuits import Boards, Design, Requirement, apparent_resistance, scan_po
 from ..errors import InputError
 from ._corner import Box, Crosstalk, GainError, ReadingError, Target, WorstCase, named_corners, worst_case
 from ._maps import value_map
-from ._montecarlo import CONFIDENCE, Samples, blocks, proportion_bounds, sample_block
+from ._montecarlo import CONFIDENCE, Samples, blocks, boards_needed, proportion_bounds, sample_block
 from ._outcome import DoesNotApply, Figure, Measurement, NotRun
 from ._parameters import Factors
 from ._subject import Subject
@@ -122,6 +122,17 @@ def _yield(quantity: str, subject: Subject, requirement: Requirement) -> Measure
         text=[f"The value shown is the {100 * wanted:.4g} % quantile of the boards."],
         samples=tuple(values.tolist()),
         proven=bounds[0] >= wanted,
+        undecided=_more_boards(good, count, wanted) if bounds[0] < wanted <= good / count else "",
+    )
+
+
+def _more_boards(good: int, count: int, wanted: float) -> str:
+    """Why the yield is neither proven nor missed, and how many boards would decide."""
+    needed = boards_needed(wanted, good / count)
+    more = "no number of boards" if needed is None else f"--samples {max(needed, count + 1)}"
+    return (
+        f"{good} of {count} boards keep the limit, too few to prove a yield of {100 * wanted:.4g} %: "
+        f"{more} would, if as large a share keeps it"
     )
 
 

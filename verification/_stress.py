@@ -55,7 +55,7 @@ def cell_power(subject: Subject, requirement: Requirement, method: str) -> Measu
         "W",
         where=f"a cell of {engineering(least, 'ohm')} at {engineering(volts, 'V')}",
         confidence="upper bound: leads and segments take nothing",
-        text=["While its row is selected; averaged over a frame it is smaller by the number of rows."],
+        text=["While its row is selected; averaged over a frame it is smaller by the number of lines."],
     )
 
 
@@ -67,18 +67,21 @@ def switch_current(subject: Subject, requirement: Requirement, method: str) -> M
 
 def _switch_current(subject: Subject) -> tuple[float, str]:
     volts, (least, _) = _swing(subject), subject.extremes
-    columns = subject.design.array.columns
-    return columns * volts / least, f"a row of {columns} cells at {engineering(least, 'ohm')}"
+    board = subject.design.board
+    count = board.shape[1]
+    return count * volts / least, f"a {board.line_kinds[0]} of {count} cells at {engineering(least, 'ohm')}"
 
 
 def switch_power(subject: Subject, requirement: Requirement, method: str) -> Measurement:
     """Largest power in the switch and lead of a selected row, W."""
-    key = f"{SECTION['row_lead']}.row_lead"
+    driven = subject.design.board.line_kinds[0]
+    name = f"{driven}_lead"
+    key = f"{SECTION[name]}.{name}"
     lead = subject.factors.centre[key] + np.abs(subject.factors.matrix[key]).sum(axis=1)
     if not lead.any():
-        raise NotRun("missing: array.row_lead")
+        raise NotRun(f"missing: array.{name}")
     volts, (least, _) = _swing(subject), subject.extremes
-    load = least / subject.design.array.columns  # ohm: the cells of the row side by side
+    load = least / subject.design.board.shape[1]  # ohm: the cells of the line side by side
     power = np.max(volts**2 * lead / (lead + load) ** 2)
     matched = volts**2 / (4 * load)  # no resistance in series can take more
     row = int(np.argmax(lead))
@@ -86,6 +89,6 @@ def switch_power(subject: Subject, requirement: Requirement, method: str) -> Mea
     return Measurement(
         float(min(power, matched)),
         "W",
-        where=f"row {row} of {engineering(float(lead[row]), 'ohm')}; {where}",
+        where=f"{driven} {row} of {engineering(float(lead[row]), 'ohm')}; {where}",
         confidence="upper bound: the columns stand at one end of their range",
     )

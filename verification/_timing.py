@@ -17,7 +17,7 @@ def timing(subject: Subject, frame_rate_hz: float) -> Finding:
     A divider, or a design whose dynamics or noise are not named, has no such numbers: its finding is without checks.
     """
     design, adc = subject.design, subject.design.adc
-    if design.readout.circuit != "inverting-amplifier" or adc is None:
+    if not design.board.circuit.virtual_ground or adc is None:
         return Finding(checks=[])
     # The worst frame for settling: every other row pressed, so that each row switch is a jump for every column.
     cells = np.full(design.array.shape, subject.rest)
@@ -31,10 +31,10 @@ def timing(subject: Subject, frame_rate_hz: float) -> Finding:
     quarter = adc.step / 4 / signal
     period = settling.shortest_period(quarter)
     if period > 0:
-        rate = 1 / (period * design.array.rows)
+        rate = 1 / (period * design.board.shape[0])
         checks.append(Check("fastest scan settled to 1/4 ADC step", rate, frame_rate_hz, "frames/s", at_least=True))
         rows.append(["row period to settle to 1/4 ADC step", f"{1e6 * period:.3g} µs"])
-        shortest = max(0.2 * period, adc.acquisition_time * design.array.columns)
+        shortest = max(0.2 * period, adc.acquisition_time * design.board.shape[1])
         periods = np.geomspace(shortest, 3.0 * period, 40)
         with plots.drawing(1, 1, height=2.6) as (figure, axes):
             axes[0, 0].semilogy(1e6 * periods, [settling.error(p) for p in periods])

@@ -27,8 +27,14 @@ def replaced(design: Design, section: str, **values: Any) -> Design:
 
 
 def ideal(design: Design, circuit: str, idle_rows: str) -> Design:
-    """The same array, drive voltage and reference resistors with perfect wires, parts and converter."""
+    """The same array, drive voltage and reference resistors with perfect wires, parts and converter.
+
+    A circuit that senses the other lines takes the mean of the reference resistors.
+    """
     readout = design.readout
+    reference = readout.reference_resistance
+    if circuit != readout.circuit:
+        reference = float(np.mean(reference))
     return Design.model_validate(
         {
             "array": {"rows": design.array.rows, "columns": design.array.columns},
@@ -36,7 +42,7 @@ def ideal(design: Design, circuit: str, idle_rows: str) -> Design:
             "drive": {"voltage": design.drive.voltage, "idle_rows": idle_rows},
             "readout": {
                 "circuit": circuit,
-                "reference_resistance": readout.reference_resistance,
+                "reference_resistance": reference,
                 "reference_voltage": readout.reference_voltage,
             },
         }
@@ -44,8 +50,9 @@ def ideal(design: Design, circuit: str, idle_rows: str) -> Design:
 
 
 def amplifiers(design: Design) -> Design:
-    """The paper's circuit with ideal parts: grounded idle rows, an inverting amplifier on each column."""
-    return ideal(design, "inverting-amplifier", "ground")
+    """The paper's circuit with ideal parts: grounded idle lines, an inverting amplifier on each sensed line."""
+    own = design.board.circuit
+    return ideal(design, own.name if own.virtual_ground else "inverting-amplifier", "ground")
 
 
 def open_divider(design: Design) -> Design:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from math import inf
 from pathlib import Path
 
 import click
@@ -32,7 +33,9 @@ def command(design_file: Path, cell_file: str | None, output: str | None, points
         check_writable(folder / "explore.csv", folder / "explore.svg")
     with progress_bar("exploring") as progress:
         variations = explore(subject, points=points, progress=progress)
-    click.echo(f"{'reading error':>14} {'crosstalk':>10} {'resolution':>13}  the Pareto front")
+    click.echo(
+        f"{'reading error':>14} {'crosstalk':>10} {'resolution':>13} {'settling':>10} {'rate':>10}  the Pareto front"
+    )
     for variation in sorted(variations, key=lambda v: v.reading_error_percent):
         if variation.front or not variation.changes:
             click.echo(_line(variation))
@@ -51,13 +54,16 @@ def command(design_file: Path, cell_file: str | None, output: str | None, points
 def _line(v: Variation) -> str:
     mark = "*" if v.front else " "
     figures = f"{v.reading_error_percent:12.3g} % {v.crosstalk_percent:8.3g} % {v.resolution_kpa:9.3g} kPa"
+    rate = f"{v.frame_rate_hz:7.4g} Hz" if v.frame_rate_hz < inf else f"{'not given':>10}"
+    figures += f" {v.settling_error_percent:8.3g} % {rate}"
     return f"{figures} {mark} {v.name}"
 
 
 def _table(variations: list[Variation]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["variation", "reading_error_percent", "crosstalk_percent", "resolution_kpa", "pareto_front"])
+    names = ["reading_error_percent", "crosstalk_percent", "resolution_kpa", "settling_error_percent", "frame_rate_hz"]
+    writer.writerow(["variation", *names, "pareto_front"])
     for v in variations:
-        writer.writerow([v.name, *(repr(float(value)) for value in v.figures), int(v.front)])
+        writer.writerow([v.name, *(repr(float(getattr(v, name))) for name in names), int(v.front)])
     return text.getvalue()

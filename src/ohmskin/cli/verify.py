@@ -135,6 +135,8 @@ def command(
 def _say(report: Report) -> None:
     for r in report.results:
         click.echo(printable(f"{r.requirement.id:>5}  {r.outcome:<14} {r.title}: {r.found} (required {r.limit})"))
+        if r.outcome != "pass" and r.measurement is not None and r.why:
+            click.echo(printable(f"       {'':14} {r.why}"))
     for claim in report.sections:
         click.echo(f"{claim.id:>5}  {claim.outcome:<14} {claim.title}")
         for check in claim.finding.checks:
