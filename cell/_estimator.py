@@ -13,6 +13,7 @@ A frame passes these steps. Every estimator then adds its own map from smoothed 
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -34,6 +35,8 @@ BACK = 0.2
 """share of a jump within which it counts as taken back"""
 LARGE_JUMP, CLEAR_JUMP = 0.05, 12.0
 """of full scale, and in standard deviations of a reading, from which a jump may be a spark"""
+SUDDEN = 2.5
+"""times the change of the reading before it: a smaller jump is part of a press"""
 BEYOND = 0.75
 """of full scale from its middle, beyond which a jump is not shown at once"""
 AT_REST = 0.005
@@ -42,10 +45,15 @@ ASLEEP_SIGMAS = 5.0
 """standard deviations by which a single reading wakes a cell, and its mean"""
 WATCH_S = 0.5
 """time over which the mean of a sleeping cell is taken"""
-SETTLE_EVERY = 16
+MEANS = 8
+"""times in that time that the mean is renewed"""
+NO_LOAD_SIGMAS, TINY = 2.0, 1e-30
+"""standard deviations of the noise at which a load and none are as likely; keeps 0/0 from occurring"""
+SETTLE_EVERY = 32
 """frames between two looks for cells that may go to sleep"""
-UNSEEN = 0.8
-"""of the noise of a single reading: what a change could be that the smoothing has not noticed yet"""
+UNSEEN, SUMMED = 0.6, 1.0
+"""of the noise of a single reading, and of the sum of small departures: what a change could be that the smoothing has
+not noticed yet"""
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation, of a cell whose model nobody compared with a recording"""
 FIRST_READINGS = 4
@@ -97,19 +105,36 @@ class Estimator(ABC):
         self._full_scale_r = abs(full_scale_r)
         self._credible = credible
         self._exact = conditions.noise == 0.0 or not self.filters
+        self._states_std = self.states_std
+        self._model_variance = (conditions.model_std_kpa or MODEL_ERROR * full_scale_kpa) ** 2
+        self._band = AT_REST * self._full_scale_r
+        """r within which a cell counts as at rest"""
         cells = rest.size
         self._noise = NoiseMeter(cells, conditions.noise or 0.0)
-        self._memory = self._begin(np.zeros(cells))
-        self._line = smoothing.begin(np.zeros(cells))
+        self._r = np.zeros(cells)
         self._mean = np.zeros(cells)
-        self._std = np.full(cells, np.nan)
+        self._sum = np.zeros(cells)
+        self._sum_s, self._summed = 0.0, 0
+        self._pressure = np.full(cells, np.nan)
+        self._variance = np.full(cells, np.nan)
         self._readings = np.zeros(cells)
-        self._awake = np.zeros(cells, dtype=bool)
-        self._unread_s = np.zeros(cells)
-        self._gap_kpa = np.zeros(cells)
+        self._awake = np.zeros(cells, dtype=np.bool_)
+        self._gaps = _Gaps.none(cells)
         self._usual_s = 0.0
         self._frames = 0
-        self._refresh()
+        self._begun = False
+        self._wake_at = np.full(cells, np.inf)
+        self._smoothed_for = (-1.0, -1.0)
+        self._smoothed_by = smoothing.gains_for(1.0, 1.0)
+        self._all_awake = False
+        # What is remembered of each cell. The cells that are followed at present have theirs in the block.
+        self._memory = self._begin(np.zeros(cells))
+        self._line = smoothing.begin(np.zeros(cells))
+        none = np.zeros(0, dtype=np.intp)
+        self._no_block = _Block(none, self._memory.take(none, axis=1), self._line.take(none, axis=1))
+        self._block = self._no_block
+        self._followed = np.zeros(cells, dtype=np.bool_)
+        self._stale = True
         self._sparks = _Sparks.none(self._memory, self._line)
 
     # -- the frame ---------------------------------------------------------------------------------------------------
@@ -133,30 +158,21 @@ class Estimator(ABC):
         if self._frames and not 0 < elapsed_s < np.inf:
             raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
         dt = float(elapsed_s) if self._frames else 1.0
-        r = resistance.ravel() * self._per_ohm
+        r = self._r
+        np.multiply(resistance.ravel(), self._per_ohm, out=r)
         r -= 1.0
-        low, high = self._credible
-        readable = r > low
-        readable &= r < high
-        known = None if np.count_nonzero(readable) == readable.size else readable
-        if known is not None:
-            r = np.where(known, r, self._mean)
+        known = self._readable(r)
         if not self._exact:
             self._noise.update(r, known)
         if not self._begun:
-            self._start(r, readable)
-        self._watch(dt, r)
-        cells = self._moving
-        if known is not None:
-            unread = np.flatnonzero(~readable & (self._readings > 0))
-            self._pause(unread, dt)
-            cells = np.flatnonzero(readable & self._awake)
-        if self._all_moving and known is None:
-            self._follow(slice(None), dt, r)
-        elif cells.size:
-            self._follow(cells, dt, r[cells])
-        if known is not None or self._doubtful or dt > 3 * self._usual_s:
-            self._widen(dt, readable)
+            self._start(r, known)
+        if not self._exact:
+            self._watch(dt, r)
+        if self._stale or known is not None or self._gaps.open:
+            self._choose(known)
+        if self._block.cells.size:
+            self._follow(dt, r)
+        self._gaps.advance(dt, self._usual_s or dt, known, self._most_kpa, self._speed)
         self._usual_s += (dt - self._usual_s) * (0.1 if self._frames > 1 else 1.0)
         self._frames += 1
         if self._frames % SETTLE_EVERY == 0 and not self._exact:
@@ -166,212 +182,307 @@ class Estimator(ABC):
     @property
     def std_kpa(self) -> FloatArray:
         """(shape) standard deviation of the estimate of the last step, in kPa; NaN where none can be stated."""
-        std: FloatArray = self._std.reshape(self.shape).copy()
+        variance = self._variance + self._gaps.variance if self._gaps.doubtful else self._variance
+        std: FloatArray = np.sqrt(variance).reshape(self.shape)
         return std
-
-    def _shown(self) -> FloatArray:
-        """(shape) pressure in kPa. A jump beyond full scale is not shown before it has lasted longer than a spark."""
-        pressure = self._memory[PRESSURE].copy()
-        if self._sparks.cells.size:
-            now = pressure[self._sparks.cells]
-            beyond = np.abs(now - self.full_scale_kpa / 2) > BEYOND * self.full_scale_kpa
-            pressure[self._sparks.cells[beyond]] = self._sparks.memory[PRESSURE, beyond]
-        if not self._begun:
-            pressure[self._readings == 0] = np.nan
-        shown: FloatArray = pressure.reshape(self.shape)
-        return shown
 
     @property
     def states_std(self) -> bool:
         """Whether a standard deviation is stated."""
         return self.knows_errors or self.conditions.model_std_kpa > 0
 
+    def _shown(self) -> FloatArray:
+        """(shape) pressure in kPa. A jump beyond full scale is not shown before it has lasted longer than a spark."""
+        pressure = self._pressure.copy()
+        if self._sparks.cells.size:
+            now = pressure[self._sparks.cells]
+            beyond = np.abs(now - self.full_scale_kpa / 2) > BEYOND * self.full_scale_kpa
+            pressure[self._sparks.cells[beyond]] = self._sparks.memory[PRESSURE, beyond]
+        shown: FloatArray = pressure.reshape(self.shape)
+        return shown
+
     # -- steps of a frame, in their order ----------------------------------------------------------------------------
 
-    def _start(self, r: FloatArray, readable: BoolArray) -> None:
+    def _readable(self, r: FloatArray) -> BoolArray | None:
+        """(n,) which readings are credible; None: all. The others become the mean of their cell, in place."""
+        low, high = self._credible
+        if low < np.minimum.reduce(r) and np.maximum.reduce(r) < high:  # false if one of them is NaN
+            return None
+        known: BoolArray = r > low
+        known &= r < high
+        np.copyto(r, self._mean, where=~known)
+        return known
+
+    def _start(self, r: FloatArray, known: BoolArray | None) -> None:
         """Take the first readings of cells as those of a load held for ever."""
-        new = np.flatnonzero(readable & (self._readings < (1 if self._exact else FIRST_READINGS)))
+        enough = 1 if self._exact else FIRST_READINGS
+        early = self._readings < enough
+        new = np.flatnonzero(early if known is None else early & known)
         if new.size:
+            self._flush()
             self._readings[new] += 1
-            n = self._readings[new]
-            self._mean[new] += (r[new] - self._mean[new]) / n
+            self._mean[new] += (r[new] - self._mean[new]) / self._readings[new]
             self._memory[:, new] = self._begin(self._mean[new])
             self._line[:, new] = smoothing.begin(self._mean[new], 1.0)
             self._awake[new] = True
-            self._std[new] = self._deviation(self._memory[:, new], 0.0, 0.0)
-        self._refresh()
+            self._stale = True
+        self._begun = bool((self._readings >= enough).all())
 
     def _watch(self, dt: float, r: FloatArray) -> None:
         """Wake sleeping cells whose reading, or the mean of their readings, has left what noise does."""
-        if self._exact:
+        self._sum += r
+        self._sum_s += dt
+        self._summed += 1
+        means = self._sum_s >= WATCH_S / MEANS
+        if means:
+            share = -math.expm1(-self._sum_s / WATCH_S)
+            self._sum /= self._summed
+            self._sum -= self._mean
+            self._sum *= share
+            self._mean += self._sum
+            self._sum[:] = 0.0
+            self._sum_s, self._summed = 0.0, 0
+        if self._all_awake:
             return
-        share = -np.expm1(-dt / WATCH_S)
-        step = r - self._mean
-        step *= share
-        self._mean += step
-        if self._all_moving:
-            return
-        noise = self._noise.std(self._mean)
-        noise *= ASLEEP_SIGMAS
-        left = np.abs(r) > noise + self._band
-        noise *= np.sqrt(share / (2 - share))
-        left |= np.abs(self._mean) > noise + self._band
-        left &= ~self._awake
+        left = np.abs(r) > self._wake_at
+        if means:
+            share = -math.expm1(-dt / WATCH_S)
+            averaged = math.sqrt(share / (2 - share))
+            left |= np.abs(self._mean) > self._band + averaged * (self._wake_at - self._band)
         if np.count_nonzero(left):
-            woken = np.flatnonzero(left & (self._readings > 0))
+            woken = np.flatnonzero(left)
             self._memory[:, woken] = self._begin(np.zeros(woken.size))
             self._line[:, woken] = smoothing.begin(np.zeros(woken.size), 1.0)
             self._awake[woken] = True
-            self._refresh()
+            self._stale = True
 
-    def _follow(self, cells: IntArray | slice, dt: float, r: FloatArray) -> None:
-        """Smooth the readings (m,) of cells that move, and let the estimator advance."""
-        line, memory = self._line[:, cells], self._memory[:, cells]
-        if self._exact:
-            memory = self._advance(memory, dt, r, _ZERO)
-            self._memory[:, cells] = memory
-            self._std[cells] = self._deviation(memory, 0.0, 0.0)
+    def _choose(self, known: BoolArray | None) -> None:
+        """Gather the cells to follow: those that are awake and have been read.
+
+        A cell that is not read keeps its pressure: that from before, if its reading had jumped just then. Its memory
+        is brought up when it is read again, as if the load had been held.
+        """
+        wanted = self._awake if known is None else self._awake & known
+        if not self._stale and np.array_equal(wanted, self._followed):
             return
-        noise = self._noise.std(r if self._exact else line[smoothing.LEVEL], cells)
-        if self._sparks.cells.size:
-            self._put_back(cells, line, memory, dt, r)
-        was = line.copy()
-        smooth = smoothing.advance(line, dt, self._window(dt), r, noise)
-        if np.count_nonzero(smooth.jumped):
-            self._remember(cells, smooth.jumped, memory, was, r, noise)
-        memory = self._advance(memory, dt, smooth.level, smooth.std)
-        deviation = self._deviation(memory, smooth.std, noise)
-        if self._sparks.cells.size:
-            self._doubt_jumps(cells, memory, deviation)
-        self._memory[:, cells], self._line[:, cells] = memory, line
-        self._std[cells] = deviation
+        self._flush()
+        if known is not None or self._gaps.open:
+            self._part(wanted)
+        self._followed = wanted.copy()
+        cells = np.flatnonzero(wanted)
+        self._block = _Block(cells, self._memory.take(cells, axis=1), self._line.take(cells, axis=1))
+        self._all_awake = cells.size == wanted.size
+        self._wake_at[cells] = np.inf
+        self._stale = False
 
-    def _deviation(self, memory: FloatArray, smooth_std: FloatArray | float, noise: FloatArray | float) -> FloatArray:
-        """(m,) standard deviation in kPa."""
-        if not self.states_std:
+    def _part(self, wanted: BoolArray) -> None:
+        """Bring up the memory of cells that are read again, and of those that are not read any more."""
+        lost = self._followed & ~wanted
+        if np.count_nonzero(lost):
+            self._undo_jumps(lost)
+            self._interrupt(np.flatnonzero(lost))
+        back = wanted & (self._gaps.unread_s > 0)
+        for held_s in np.unique(self._gaps.unread_s[back]).tolist():
+            cells = np.flatnonzero(back & (self._gaps.unread_s == held_s))
+            self._memory[:, cells] = self._hold(self._memory[:, cells], held_s)
+
+    def _undo_jumps(self, lost: BoolArray) -> None:
+        """Put back what cells that are not read any more remembered before they jumped."""
+        gone = lost[self._sparks.cells]
+        if not np.count_nonzero(gone):
+            return
+        cells = self._sparks.cells[gone]
+        self._memory[:, cells] = self._sparks.memory[:, gone]
+        self._line[:, cells] = self._sparks.line[:, gone]
+        self._pressure[cells] = self._sparks.memory[PRESSURE, gone]
+        self._sparks = self._sparks.where(~gone)
+
+    def _interrupt(self, cells: IntArray) -> None:
+        """Let the next reading of cells begin a new line, whatever it is."""
+        line = self._line[:, cells]
+        smoothing.interrupt(line)
+        self._line[:, cells] = line
+
+    def _flush(self) -> None:
+        """Store what the cells that are followed remember with that of all cells; none is followed until they are
+        chosen anew.
+        """
+        block = self._block
+        self._memory[:, block.cells] = block.memory
+        self._line[:, block.cells] = block.line
+        self._block = self._no_block
+        self._stale = True
+
+    def _follow(self, dt: float, r: FloatArray) -> None:
+        """Smooth the readings of cells that are followed, and let the estimator advance."""
+        block = self._block
+        cells, line, noise, reading = block.cells, block.line, block.noise, block.reading
+        r.take(cells, out=reading, mode="clip")
+        if self._exact:
+            block.memory = self._advance(block.memory, dt, reading, _ZERO)
+            self._pressure[cells] = block.memory[PRESSURE]
+            self._variance[cells] = self._own_variance(block.memory, _ZERO)
+            return
+        np.add(block.scratch.level, 1.0, out=noise)
+        noise *= noise
+        noise *= self._noise.at_rest.take(cells, out=block.spare, mode="clip")
+        noise += LEAST_NOISE
+        if self._sparks.cells.size:
+            self._put_back(dt, reading)
+        np.copyto(block.line_before, line)
+        smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
+        if smooth.begun is not None:
+            self._remember(smooth.begun)
+        memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std)
+        doubt = self._doubt(noise, smooth)
+        variance = self._own_variance(memory, doubt)
+        if self._sparks.cells.size:
+            self._doubt_jumps(memory, variance)
+        pressure = memory[PRESSURE]
+        noise_kpa = np.multiply(smooth.std, memory[GAIN], out=block.spare)
+        if np.maximum.reduce(noise_kpa) > AT_REST * self.full_scale_kpa:
+            pressure = self._likely(pressure, noise_kpa, variance)
+        self._pressure[cells] = pressure
+        self._variance[cells] = variance
+
+    def _likely(self, pressure: FloatArray, noise_kpa: FloatArray, variance: FloatArray) -> FloatArray:
+        """(m,) pressures with those that noise alone could give shown nearer to none; adds the change to ``variance``.
+
+        Most cells carry no load: of a pressure below two standard deviations of the noise, no load is the likelier
+        cause. What is remembered stays as it is.
+        """
+        squared = pressure * pressure
+        squared *= squared
+        likely: FloatArray = pressure * (squared / (squared + (NO_LOAD_SIGMAS * noise_kpa) ** 4 + TINY))
+        variance += (pressure - likely) ** 2
+        return likely
+
+    def _doubt(self, noise: FloatArray, smooth: smoothing.Smoothed) -> FloatArray:
+        """(m,) standard deviation of the smoothed readings; changes ``noise``.
+
+        A reading off the line, or several that are a little off to the same side, may be noise, or the beginning of a
+        change that the line has not taken up.
+        """
+        block = self._block
+        doubt = np.maximum(block.scratch.up, block.scratch.down, out=block.spare)
+        doubt *= SUMMED
+        np.maximum(doubt, UNSEEN, out=doubt)
+        doubt *= noise
+        off = np.subtract(block.reading, smooth.level, out=noise)
+        np.abs(off, out=off)
+        np.maximum(doubt, off, out=doubt)
+        found: FloatArray = np.maximum(doubt, smooth.std, out=doubt)
+        return found
+
+    def _own_variance(self, memory: FloatArray, std: FloatArray) -> FloatArray:
+        """(m,) variance in kPa^2 of cells whose readings are known to ``std`` (m,); gaps are not counted."""
+        if not self._states_std:
             return np.full(memory.shape[1], np.nan)
-        variance = np.maximum(smooth_std, UNSEEN * np.asarray(noise)) * memory[GAIN]
+        variance: FloatArray = std * memory[GAIN]
         variance *= variance
         variance += memory[VARIANCE]
-        variance += (self.conditions.model_std_kpa or MODEL_ERROR * self.full_scale_kpa) ** 2
-        return np.asarray(np.sqrt(variance))
-
-    def _pause(self, cells: IntArray, dt: float) -> None:
-        """Cells without a reading keep their pressure: that from before, if their reading jumped just now."""
-        if cells.size:
-            lost = np.isin(self._sparks.cells, cells)
-            if lost.any():
-                self._memory[:, self._sparks.cells[lost]] = self._sparks.memory[:, lost]
-                self._line[:, self._sparks.cells[lost]] = self._sparks.line[:, lost]
-                self._sparks = self._sparks.where(~lost)
-            self._memory[:, cells] = self._hold(self._memory[:, cells], dt)
-            line = self._line[:, cells]
-            smoothing.interrupt(line)
-            self._line[:, cells] = line
-
-    def _widen(self, dt: float, readable: BoolArray) -> None:
-        """Add the doubt about cells that are not read, and what is left of it after a gap."""
-        most = self.full_scale_kpa / 2
-        speed = self.conditions.speed_kpa_per_s or self.full_scale_kpa
-        self._unread_s += dt
-        gap = np.maximum(self._unread_s - (self._usual_s or dt), 0.0)
-        doubt = -most * np.expm1(-speed * gap / most)
-        self._gap_kpa *= np.exp(-dt / AFTER_GAP_S)
-        after = np.hypot(self._gap_kpa, AFTER_GAP * doubt)
-        self._gap_kpa = np.where(readable, after, self._gap_kpa)
-        self._unread_s[readable] = 0.0
-        self._doubtful = bool((self._gap_kpa > 1e-3 * most).any() or not readable.all())
-        extra = np.where(readable, after, np.hypot(self._gap_kpa, doubt))
-        at_rest = self._deviation(self._memory, 0.0, self._noise.std(self._mean))
-        own = np.where(self._awake & readable, self._std, at_rest)
-        self._std = np.where(self._readings > 0, np.hypot(own, extra), np.nan)
+        variance += self._model_variance
+        return variance
 
     def _rest(self) -> None:
         """Let cells sleep that read as at rest and remember no load."""
-        line = self._line
-        quiet = self._band + 2 * self._noise.std(self._mean) * 0.2
-        calm = self._awake & (np.abs(self._mean) < quiet) & (np.abs(line[smoothing.LEVEL]) < 3 * quiet)
-        calm &= self._settled(self._memory, self._band) & (self._readings >= FIRST_READINGS)
-        if calm.any():
-            self._memory[:, calm] = self._begin(np.zeros(int(np.count_nonzero(calm))))
-            self._awake &= ~calm
-            self._refresh()
-        asleep = ~self._awake & (self._readings > 0)
-        if asleep.any() and not self._doubtful:
-            self._std[asleep] = self._deviation(self._memory[:, asleep], 0.0, self._noise.std(self._mean)[asleep])
+        block, cells = self._block, self._block.cells
+        if cells.size:
+            mean = self._mean[cells]
+            quiet = self._band + 0.4 * self._noise.std(mean, cells)
+            calm = (np.abs(mean) < quiet) & (np.abs(block.line[smoothing.LEVEL]) < 3 * quiet)
+            if np.count_nonzero(calm):
+                calm &= self._settled(block.memory, self._band)
+                calm &= self._readings[cells] >= FIRST_READINGS
+                self._put_to_sleep(cells[calm])
+        asleep = np.flatnonzero(~self._awake & (self._readings > 0))
+        if asleep.size:
+            self._wake_at[asleep] = self._waking()[asleep]
+            at_rest = UNSEEN * self._noise.std(self._mean[asleep], asleep)
+            memory = self._memory[:, asleep]
+            self._variance[asleep] = self._own_variance(memory, at_rest) + memory[PRESSURE] ** 2
 
-    def _refresh(self) -> None:
-        self._moving = np.flatnonzero(self._awake)
-        self._all_moving = self._moving.size == self._awake.size
-        enough = 1 if self._exact else FIRST_READINGS
-        self._begun = bool((self._readings >= enough).all())
-        self._doubtful = bool(self._gap_kpa.any())
+    def _put_to_sleep(self, cells: IntArray) -> None:
+        if not cells.size:
+            return
+        self._flush()
+        self._memory[:, cells] = self._begin(np.zeros(cells.size))
+        self._pressure[cells] = 0.0  # a calibration curve may miss that by some percent
+        self._sparks = self._sparks.where(~np.isin(self._sparks.cells, cells))
+        self._awake[cells] = False
+        self._all_awake = False
+        self._stale = True
+
+    def _waking(self) -> FloatArray:
+        """(n,) size of r from which a single reading wakes a cell."""
+        return np.asarray(ASLEEP_SIGMAS * self._noise.std(self._mean) + self._band)
 
     @property
-    def _band(self) -> float:
-        """r within which a cell counts as at rest."""
-        return AT_REST * self._full_scale_r
+    def _most_kpa(self) -> float:
+        """Standard deviation of a load of which nothing is known."""
+        return self.full_scale_kpa / 2
 
-    def _window(self, dt: float) -> float:
-        return smoothing.window_s(self._noise.typical / self._full_scale_r, dt)
+    @property
+    def _speed(self) -> float:
+        return self.conditions.speed_kpa_per_s or self.full_scale_kpa
+
+    def _gains(self, dt: float) -> smoothing.Gains:
+        """Of the smoothing, which the noise and the time between frames ask for."""
+        if (self._noise.typical, dt) != self._smoothed_for:
+            self._smoothed_for = self._noise.typical, dt
+            window_s = smoothing.window_s(self._noise.typical / self._full_scale_r, dt)
+            self._smoothed_by = smoothing.gains_for(window_s, dt)
+        return self._smoothed_by
 
     # -- sparks ------------------------------------------------------------------------------------------------------
 
-    def _remember(
-        self,
-        cells: IntArray | slice,
-        jumped: BoolArray,
-        memory: FloatArray,
-        line: FloatArray,
-        r: FloatArray,
-        noise: FloatArray,
-    ) -> None:
+    def _remember(self, begun: BoolArray) -> None:
         """Keep the memory of cells from before a jump, unless an earlier one is kept already."""
-        jump = r - line[smoothing.LEVEL]
-        least = np.maximum(CLEAR_JUMP * noise, LARGE_JUMP * self._full_scale_r)
-        place = np.flatnonzero(jumped & (np.abs(jump) > least))
-        place = place[~np.isin(self._moving_of(cells)[place], self._sparks.cells)]
+        block = self._block
+        jump = block.reading - block.line_before[smoothing.LEVEL]
+        size = np.abs(jump)
+        if float(size.max()) <= LARGE_JUMP * self._full_scale_r:
+            return
+        least = np.maximum(CLEAR_JUMP * block.noise, LARGE_JUMP * self._full_scale_r)
+        place = np.flatnonzero(begun & (size > least))
+        place = place[~np.isin(block.cells[place], self._sparks.cells)]
+        place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
         if place.size:
             self._sparks = self._sparks.with_more(
-                self._moving_of(cells)[place], memory[:, place], line[:, place], jump[place]
+                block.cells[place], block.memory[:, place], block.line_before[:, place], jump[place]
             )
 
-    def _put_back(
-        self, cells: IntArray | slice, line: FloatArray, memory: FloatArray, dt: float, r: FloatArray
-    ) -> None:
-        """Put back the memory of cells whose reading has come back; changes ``line`` and ``memory`` (.., m)."""
-        sparks = self._sparks
+    def _put_back(self, dt: float, r: FloatArray) -> None:
+        """Put back the memory of cells whose reading has come back; changes the block."""
+        sparks, block = self._sparks, self._block
         sparks.age_s += dt
         sparks.memory = self._hold(sparks.memory, dt)
-        of = self._moving_of(cells)
-        _, place, kept = np.intersect1d(of, sparks.cells, assume_unique=True, return_indices=True)
-        was = sparks.line[smoothing.LEVEL, kept]
-        back = np.abs(r[place] - was) < BACK * np.abs(sparks.jump[kept])
-        memory[:, place[back]] = sparks.memory[:, kept[back]]
-        line[:, place[back]] = sparks.line[:, kept[back]]
-        over = sparks.age_s > SPARK_S
-        over[kept[back]] = True
+        place = np.searchsorted(block.cells, sparks.cells)
+        back = np.abs(r[place] - sparks.line[smoothing.LEVEL]) < BACK * np.abs(sparks.jump)
+        back &= sparks.age_s <= SPARK_S * (1 + 1e-9)
+        if back.any():
+            block.memory[:, place[back]] = sparks.memory[:, back]
+            block.line[:, place[back]] = sparks.line[:, back]
+        over = (sparks.age_s > SPARK_S) | back
         if over.any():
             self._sparks = sparks.where(~over)
 
-    def _doubt_jumps(self, cells: IntArray | slice, memory: FloatArray, deviation: FloatArray) -> None:
-        """Half of the jump is added to the standard deviation as long as it may be a spark; changes ``deviation``."""
-        of = self._moving_of(cells)
-        _, place, kept = np.intersect1d(of, self._sparks.cells, assume_unique=True, return_indices=True)
-        jump = memory[PRESSURE, place] - self._sparks.memory[PRESSURE, kept]
-        deviation[place] = np.hypot(deviation[place], 0.5 * jump)
-
-    def _moving_of(self, cells: IntArray | slice) -> IntArray:
-        return self._moving if isinstance(cells, slice) else cells
+    def _doubt_jumps(self, memory: FloatArray, variance: FloatArray) -> None:
+        """Half of the jump counts as standard deviation as long as it may be a spark; changes ``variance``."""
+        place = np.searchsorted(self._block.cells, self._sparks.cells)
+        jump = memory[PRESSURE, place] - self._sparks.memory[PRESSURE]
+        variance[place] += (0.5 * jump) ** 2
 
     # -- saving ------------------------------------------------------------------------------------------------------
 
-    _KEPT = ("memory", "line", "mean", "std", "readings", "awake", "unread_s", "gap_kpa")
+    _KEPT = ("memory", "line", "mean", "sum", "pressure", "variance", "readings", "awake", "followed")
 
     def state(self) -> dict[str, FloatArray]:
         """Everything remembered, as a copy: arrays of float64 by name, which :meth:`restore` takes."""
-        own = {name: getattr(self, f"_{name}") for name in self._KEPT} | self._noise.state()
-        own["clock"] = np.array([self._usual_s, self._frames], dtype=np.float64)
+        self._flush()
+        own = {name: getattr(self, f"_{name}") for name in self._KEPT} | self._noise.state() | self._gaps.state()
+        clock = [self._usual_s, self._frames, self._sum_s, self._summed]
+        own["clock"] = np.array(clock, dtype=np.float64)
         return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
 
     def restore(self, state: Mapping[str, ArrayLike]) -> None:
@@ -386,12 +497,16 @@ class Estimator(ABC):
             raise InputError(f"not a saved state of this estimator for cells of shape {self.shape}")
         for name in self._KEPT:
             value = given[name]
-            setattr(self, f"_{name}", value > 0 if name == "awake" else value)
+            setattr(self, f"_{name}", value > 0 if name in ("awake", "followed") else value)
         self._noise.restore(given)
-        self._usual_s, frames = given["clock"].tolist()
-        self._frames = int(frames)
+        self._gaps.restore(given)
+        self._usual_s, frames, self._sum_s, summed = given["clock"].tolist()
+        self._frames, self._summed = int(frames), int(summed)
         self._sparks = _Sparks.none(self._memory, self._line)
-        self._refresh()
+        self._begun = bool((self._readings >= (1 if self._exact else FIRST_READINGS)).all())
+        cells = np.flatnonzero(self._followed)
+        self._block = _Block(cells, self._memory.take(cells, axis=1), self._line.take(cells, axis=1))
+        self._stale = True
 
     # -- what an estimator adds --------------------------------------------------------------------------------------
 
@@ -416,6 +531,64 @@ class Estimator(ABC):
 
 
 _ZERO = np.zeros(1)
+LEAST_NOISE = 1e-9
+"""of r: keeps a division by the noise finite"""
+
+
+class _Block:
+    """What is remembered of the cells that are followed, side by side, with arrays for intermediate results."""
+
+    def __init__(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
+        self.cells, self.memory, self.line = cells, memory, line
+        self.line_before = np.empty_like(line)
+        self.reading, self.noise, self.spare = np.empty((3, cells.size))
+        self.scratch = smoothing.Scratch(line)
+
+
+class _Gaps:
+    """How long each cell has not been read, and the variance in kPa^2 that this adds."""
+
+    def __init__(self, unread_s: FloatArray, left: FloatArray) -> None:
+        self.unread_s = unread_s
+        self._left = left
+        self.variance = left.copy()
+        self.open = False
+        """whether a cell was not read in the last frame"""
+        self.doubtful = False
+        """whether the variance is not zero"""
+
+    @classmethod
+    def none(cls, cells: int) -> _Gaps:
+        return cls(np.zeros(cells), np.zeros(cells))
+
+    def advance(self, dt: float, usual_s: float, known: BoolArray | None, most_kpa: float, speed: float) -> None:
+        """Take a frame of which ``known`` (n,) was read (None: all), ``dt`` after the last one."""
+        if known is None and not self.doubtful and not self.open and dt <= 3 * usual_s:
+            return
+        self._left *= math.exp(-2 * dt / AFTER_GAP_S)
+        self.unread_s += dt
+        gap = np.maximum(self.unread_s - usual_s, 0.0)
+        doubt = (most_kpa * np.expm1(-speed * gap / most_kpa)) ** 2
+        read: BoolArray | slice = slice(None) if known is None else known
+        self._left[read] += AFTER_GAP**2 * doubt[read]
+        doubt[read] = 0.0
+        self.unread_s[read] = 0.0
+        self.variance = self._left + doubt
+        self._renew()
+        if self.doubtful and float(self.variance.max()) < (1e-3 * most_kpa) ** 2:
+            self._left[:] = 0.0
+            self.doubtful = self.open
+
+    def _renew(self) -> None:
+        self.open = bool(self.unread_s.any())
+        self.doubtful = self.open or bool(self._left.any())
+
+    def state(self) -> dict[str, FloatArray]:
+        return {"unread_s": self.unread_s, "gap_variance": self._left, "gap_shown": self.variance}
+
+    def restore(self, state: dict[str, FloatArray]) -> None:
+        self.unread_s, self._left, self.variance = (state[n] for n in ("unread_s", "gap_variance", "gap_shown"))
+        self._renew()
 
 
 @dataclass

@@ -17,7 +17,7 @@ from . import _lag as lag
 from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
 from ._forward import as_m10
 from ._models import AsymmetricModel, M10Model
-from ._paper import LOADS
+from ._paper import LOADS, MEMORIES
 
 LOAD, BRANCHES, BROKEN, ANCHOR = 3, slice(4, 6), 6, 7
 """rows of the memory; the anchor is the load behind a play as wide as the noise"""
@@ -109,7 +109,7 @@ class InverseEstimator(Estimator):
         self._alpha = np.array([[m.alpha1], [m.alpha2]])
         self._rise_s, self._fall_s = np.array([[m.rise1_s], [m.rise2_s]]), np.array([[m.fall1_s], [m.fall2_s]])
         steepest = m.a + 2 * max(m.b, 0.0) * LOADS[1] + m.alpha1 + m.alpha2 + m.k
-        credible = (LOADS[0] * steepest, LOADS[1] * steepest)
+        credible = (LOADS[0] * steepest, MEMORIES * steepest)
         self._constants_s = np.concatenate([self._rise_s, self._fall_s, [[m.tau_s]]])
         full_r = m.a + m.b + m.alpha1 + m.alpha2
         # With b < 0 the answer grows ever steeper towards the load where a fast step has no slope left.

@@ -13,13 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from . import _lag as lag
 from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
 from ._models import PaperModel
 
 LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
+USUAL, DOUBT = 1.1, 0.1
+"""times full scale: no larger pressure is believed while its standard deviation by the memory is above the second"""
+MEMORIES = 10.0
+"""times the fast answer to full scale that r may reach: presses in quick succession add up"""
 TURN = 0.01
 """of full scale by which the pressure must have gone back for a turn"""
 EXACTLY, NEAR = 1e-9, 1e-3
@@ -30,8 +34,12 @@ SURE = 3.0
 """standard deviations of the smoothed noise by which it must have, too, and by which an extreme counts for less"""
 CONFIRMED = 3.0
 """times that much beyond the extreme that was left, until which the turn may yet be found to have been noise"""
-AGAIN_SIGMAS, AGAIN = 1.0, 0.5
-"""standard deviations from the extreme within which the other hypothesis begins anew, and by what share at a frame.
+PULL_SIGMAS = 1.0
+"""standard deviations of the smoothed noise below none, from which a pressure is an error of the memory"""
+FLAT = 0.003
+"""of full scale by which a pressure that is held may seem to go back"""
+AGAIN = 0.5
+"""share by which the other hypothesis begins anew at a frame, within one standard deviation of the extreme.
 Beginning at every extreme would take noise for part of the press, beginning late would miss some of the release; half
 and half, the two errors about cancel"""
 
@@ -90,7 +98,7 @@ class PaperEstimator(Estimator):
     ) -> None:
         self.model = model
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
-        credible = (LOADS[0] * steepest, LOADS[1] * steepest)
+        credible = (LOADS[0] * steepest, MEMORIES * steepest)
         full_r = model.gain_per_kpa * full_scale_kpa
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
 
@@ -130,13 +138,59 @@ class PaperEstimator(Estimator):
         return held
 
 
-TURNED = 3
-"""variance from turns not known to the point, which fades"""
-STATE = slice(4, 7)
-"""settled, x2, x3 of the hypothesis in force"""
-OTHER = slice(12, 16)
-"""pressure, settled, x2, x3 of the other one"""
-SIGN, EXTREME, PEAK, UNCONFIRMED, LEFT = range(7, 12)
+TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 8)
+"""rows: variance from turns not known to the point, which fades; 1 rising, -1 in recovery; the largest sign times
+pressure since the last turn, less :data:`SURE` and less one standard deviation; the extreme that was left
+at an unconfirmed turn, else ``FAR``"""
+IN_FORCE, STATE = slice(8, 10), slice(10, 17)
+"""1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
+RISING, RECOVERY = 0, 1
+HYPOTHESES = ("rising_pressure", "recovery_pressure", "settled", "x2", "rising_x3", "recovery_x3", "r")
+"""pressure, own state, and slow branch of the rising and of the recovery model in turn; the reading of both"""
+FAR = 1e12
+"""kPa: no extreme"""
+
+
+class TurnWeights(NamedTuple):
+    """What one time step does to both hypotheses; rows and columns as :data:`HYPOTHESES`."""
+
+    step: FloatArray
+    """(6, 7) hypotheses before the step, with the reading after it -> hypotheses after it"""
+    ramp: FloatArray
+    """(6,) by which they rise per kPa of their own pressure after the step"""
+    by_model: FloatArray
+    """(3, 2) in the rising and in the recovery model: pressure per r, the same of the other model, and the share of a
+    variance of the memory that is left after the step"""
+
+
+def turn_weights(model: PaperModel, dt_s: float) -> TurnWeights:
+    """The weights for steps of ``dt_s``: :func:`step_weights`, with the pressure after the step put in."""
+    w = step_weights(model, dt_s)
+    step, ramp = np.zeros((6, 7)), np.zeros(6)
+    states = np.array([[0, 2, -1, 4], [1, -1, 3, 5]])  # where the state [pressure, settled, x2, x3] is; -1: nowhere
+    for one, state in enumerate(states):
+        present = np.flatnonzero(state >= 0)
+        free = np.zeros((3, 7))
+        free[:, state[present]] = w.free[:, present]
+        pressure = w.answer[one, :3] @ free
+        pressure[6] = w.answer[one, 3]
+        after = free + w.ramp * pressure
+        step[one], ramp[one] = pressure, 1.0
+        for row in present[1:]:
+            step[state[row]], ramp[state[row]] = after[row - 1], w.ramp[row - 1, 0]
+    return TurnWeights(step, ramp, np.array([w.gain, w.gain[::-1], w.fade]))
+
+
+def taken_over(model: PaperModel) -> FloatArray:
+    """(6, 7) by which hypotheses must change to begin where the other one is, resistance and pressure continuous."""
+    m = model
+    anew = np.zeros((6, 7))
+    anew[0, 1] = anew[1, 0] = 1.0
+    anew[2, 1], anew[2, 6] = 1 + m.etau2_kpa / m.eu1_kpa, -m.etau2_kpa
+    anew[3, 0], anew[3, 4], anew[3, 6] = -1 / m.e1_kpa, -1.0, 1.0
+    anew[4, 5] = anew[5, 4] = 1.0
+    anew[:, :6] -= np.eye(6)
+    return anew
 
 
 class TurningEstimator(Estimator):
@@ -150,12 +204,14 @@ class TurningEstimator(Estimator):
 
     Nothing can add up: the pressure is limited to ``LOADS``, the memory follows the limited pressure, and a memory that
     would need a negative pressure is corrected to what the reading says at none.
+
+    Within a step both hypotheses are linear in what they remember and in the reading. A step of both is therefore one
+    matrix product. ``tests/turning.py`` writes the same estimator out for one cell.
     """
 
     rows = (
-        *("pressure", "gain", "variance", "turned", "settled", "x2", "x3", "sign"),
-        *("extreme", "peak", "unconfirmed", "left_extreme"),
-        *("other_pressure", "other_settled", "other_x2", "other_x3"),
+        *("pressure", "gain", "variance", "turned", "sign", "extreme", "peak", "left_extreme"),
+        *("is_rising", "is_recovery", *HYPOTHESES),
     )
 
     def __init__(
@@ -168,152 +224,193 @@ class TurningEstimator(Estimator):
     ) -> None:
         self.model = model
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
-        credible = (LOADS[0] * steepest, LOADS[1] * steepest)
+        credible = (LOADS[0] * steepest, MEMORIES * steepest)
         full_r = model.gain_per_kpa * full_scale_kpa
-        self._weights_of = lru_cache(maxsize=1024)(partial(step_weights, model))
+        self._weights_of = lru_cache(maxsize=1024)(partial(turn_weights, model))
+        self._taken_over = taken_over(model)
+        self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
+        self._usual = USUAL * full_scale_kpa
+        self._of = _Rows(np.zeros((len(self.rows), 0)))
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
+        # What is below zero is an error that fades, and no turn.
+        self._least_kpa = self._lowest if self._exact else 0.0
 
     def _begin(self, r: FloatArray) -> FloatArray:
         m = self.model
         p = r / m.gain_per_kpa
         memory = np.zeros((len(self.rows), *r.shape))
-        memory[PRESSURE], memory[GAIN], memory[SIGN], memory[EXTREME] = p, step_weights(m, 0.01).gain[0], 1.0, p
-        memory[PEAK] = p
-        memory[STATE] = [p, p / m.e2_kpa, p / m.e3_kpa]
-        memory[OTHER] = [p, *memory[STATE]]
+        memory[PRESSURE], memory[GAIN], memory[SIGN], memory[LEFT] = p, self._begin_gain, 1.0, FAR
+        memory[EXTREME], memory[PEAK] = p, p
+        memory[IN_FORCE.start + RISING] = 1.0
+        memory[STATE] = [p, p, p, p / m.e2_kpa, p / m.e3_kpa, p / m.e3_kpa, r]
         return memory
 
     def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
-        m, w = self.model, self._weights_of(dt_s)
-        cells = r.size
-        rising = memory[SIGN] > 0
-        # Both hypotheses side by side: (4, 2 m), the one in force first.
-        before = np.empty((4, 2, cells))
-        before[0, 0], before[1:, 0], before[:, 1] = memory[PRESSURE], memory[STATE], memory[OTHER]
-        known = np.empty((4, 2, cells))
-        np.matmul(w.free, before.reshape(4, -1), out=known[:3].reshape(3, -1))
-        known[3] = r
-        up, down = (w.answer @ known.reshape(4, -1)).reshape(2, 2, cells)
-        pressure = np.empty((2, cells))
-        pressure[0] = np.where(rising, up[0], down[0])
-        pressure[1] = np.where(rising, down[1], up[1])
-        np.maximum(pressure, self._lowest, out=pressure)
-        np.minimum(pressure, self._highest, out=pressure)
-        state = known[:3]
-        state += w.ramp[:, :, None] * pressure
+        w = self._weights_of(dt_s)
+        if memory is not self._of.memory:
+            self._of = _Rows(memory)
+        of = self._of
+        np.copyto(of.r, r)
+        np.dot(w.step, of.state, out=of.change)
+        np.copyto(of.hypotheses, of.change)
+        pressures = of.both
+        if np.minimum.reduce(pressures) < self._lowest or np.maximum.reduce(pressures) > self._usual:
+            self._limit(of, w)
 
-        unsure = std * np.where(rising, w.gain[0], w.gain[1])
-        sign = memory[SIGN]
-        least = self._lowest if self._exact else 0.0  # what is below zero is an error that fades, and no turn
-        ahead = sign * np.maximum(pressure[0], least)
-        gone_back = memory[EXTREME] - ahead
-        threshold = SURE * unsure + TURN * self.full_scale_kpa
-        turned = gone_back > threshold
-        unconfirmed = memory[UNCONFIRMED] > 0
-        if np.count_nonzero(unconfirmed):
+        self._look(of, w, std)
+        gone_back = np.subtract(of.extreme, of.ahead, out=of.spare)
+        turned = np.greater(gone_back, of.threshold, out=of.where)
+        unconfirmed = np.minimum.reduce(of.left) < FAR
+        if unconfirmed:
             # Back at the extreme that was left: the turn was noise.
-            back = -sign * pressure[1] > memory[LEFT] - std * np.where(rising, w.gain[1], w.gain[0])
-            turned |= back & unconfirmed
+            np.multiply(of.pressures, of.not_in_force, out=of.share)
+            back = np.add(of.rising_share, of.recovery_share, out=of.spare)
+            back *= of.sign
+            np.subtract(np.multiply(of.other_gain, std, out=of.again), back, out=back)
+            turned |= np.greater(back, of.left, out=of.near)
         if np.count_nonzero(turned):
-            self._turn(memory, turned, pressure, state, std, w)
-            rising, sign = memory[SIGN] > 0, memory[SIGN]
-            ahead = sign * np.maximum(pressure[0], least)
-            unconfirmed = memory[UNCONFIRMED] > 0
-        unconfirmed &= ahead + memory[LEFT] < CONFIRMED * threshold
-        memory[UNCONFIRMED] = unconfirmed
-        self._correct(pressure, state, rising, r, std, w)
+            self._turn(memory, np.flatnonzero(turned), std, w)
+            self._look(of, w, std)
+            unconfirmed = True
+        if unconfirmed:
+            np.add(of.ahead, of.left, out=of.spare)
+            np.multiply(of.threshold, CONFIRMED, out=of.again)
+            np.copyto(of.left, FAR, where=np.greater_equal(of.spare, of.again, out=of.where))
+        if not self._exact and np.minimum.reduce(of.pressure) < -NEAR * self.full_scale_kpa:
+            self._correct(of, std, w)
 
         # The other hypothesis begins anew as long as the pressure is near its extreme.
-        below_peak = memory[PEAK] - ahead
-        again = AGAIN * (below_peak < AGAIN_SIGMAS * unsure)
-        np.copyto(again, 1.0, where=below_peak <= EXACTLY * self.full_scale_kpa)
-        np.copyto(again, 0.0, where=unconfirmed)
-        p, x3 = pressure[0], state[2, 0]
-        np.maximum(memory[PEAK], ahead - AGAIN_SIGMAS * unsure, out=memory[PEAK])
-        np.maximum(memory[EXTREME], ahead - SURE * unsure, out=memory[EXTREME])
-        memory[PRESSURE], memory[STATE] = p, state[:, 0]
-        other = memory[OTHER]
-        settled = p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r
-        x2 = r - p / m.e1_kpa - x3
-        other[0], other[1:] = pressure[1], state[:, 1]
-        anew = np.empty((4, cells))
-        anew[0], anew[1], anew[2], anew[3] = p, settled, x2, x3
-        anew -= other
-        anew *= again
-        other += anew
-        memory[GAIN] = np.where(rising, w.gain[0], w.gain[1])
-        variance = memory[TURNED]
-        variance *= np.where(rising, w.fade[0], w.fade[1])
-        apart = other[0] - p
+        below_peak = np.subtract(of.peak, of.ahead, out=of.spare)
+        np.maximum(of.unsure, FLAT * self.full_scale_kpa, out=of.nearby)
+        again = np.multiply(np.less(below_peak, of.nearby, out=of.where), AGAIN, out=of.again)
+        np.copyto(again, 1.0, where=np.less_equal(below_peak, EXACTLY * self.full_scale_kpa, out=of.where))
+        if unconfirmed:
+            np.copyto(again, 0.0, where=np.less(of.left, FAR, out=of.where))
+        np.dot(self._taken_over, of.state, out=of.change)
+        np.multiply(of.not_in_force, again, out=of.share)
+        of.change_by_model *= of.share
+        of.hypotheses += of.change
+
+        np.subtract(of.ahead, of.unsure, out=of.spare)
+        np.maximum(of.peak, of.spare, out=of.peak)
+        of.unsure *= SURE
+        of.ahead -= of.unsure
+        np.maximum(of.extreme, of.ahead, out=of.extreme)
+        np.copyto(of.gain, of.gain_now)
+        of.doubt *= of.fade
+        apart = np.subtract(of.rising_kpa, of.recovery_kpa, out=of.spare)
         apart *= EITHER
-        memory[VARIANCE] = variance + apart * apart
+        apart *= apart
+        np.add(apart, of.doubt, out=of.variance)
         return memory
 
-    def _turn(
-        self,
-        memory: FloatArray,
-        turned: BoolArray,
-        pressure: FloatArray,
-        state: FloatArray,
-        std: FloatArray,
-        weights: StepWeights,
-    ) -> None:
-        """Take over the other hypothesis where the pressure ``turned``; changes all but ``turned`` and ``std``."""
-        again = memory[UNCONFIRMED, turned] > 0
-        left, extreme = memory[LEFT, turned], memory[EXTREME, turned]
-        pressure[:, turned] = pressure[::-1, turned]
-        state[:, :, turned] = state[:, ::-1][:, :, turned]
-        memory[SIGN, turned] *= -1.0
-        memory[UNCONFIRMED, turned] = ~again
-        memory[LEFT, turned] = extreme
-        noise = np.broadcast_to(std, turned.shape)[turned]
-        sign = memory[SIGN, turned]
-        now, unsure = sign * np.maximum(pressure[0, turned], 0.0), noise * np.where(sign > 0, *weights.gain)
-        memory[EXTREME, turned] = np.where(again, left, now - SURE * unsure)
-        memory[PEAK, turned] = np.where(again, left, now - AGAIN_SIGMAS * unsure)
-        memory[TURNED, turned] += (weights.gain[1] * noise + NEAR * self.full_scale_kpa) ** 2
+    def _look(self, of: _Rows, weights: TurnWeights, std: FloatArray) -> None:
+        """Of the hypothesis in force: gains, pressure, its standard deviation by noise, how far it is ahead in its
+        direction, and how far it must go back for a turn.
+        """
+        np.dot(weights.by_model, of.in_force, out=of.by_model)
+        np.multiply(of.pressures, of.in_force, out=of.share)
+        np.add(of.rising_share, of.recovery_share, out=of.pressure)
+        np.multiply(std, of.gain_now, out=of.unsure)
+        np.multiply(of.unsure, SURE, out=of.threshold)
+        of.threshold += TURN * self.full_scale_kpa
+        np.maximum(of.pressure, self._least_kpa, out=of.ahead)
+        of.ahead *= of.sign
 
-    def _correct(
-        self,
-        pressure: FloatArray,
-        state: FloatArray,
-        rising: BoolArray,
-        r: FloatArray,
-        std: FloatArray,
-        weights: StepWeights,
-    ) -> None:
-        """Where the hypothesis in force needs a pull, let it remember less instead; changes pressure and state."""
-        m = self.model
-        allowed = -weights.gain[1] * std - NEAR * self.full_scale_kpa
-        pulled = pressure[0] < allowed
-        if self._exact or not np.count_nonzero(pulled):
+    def _turn(self, memory: FloatArray, turned: IntArray, std: FloatArray, weights: TurnWeights) -> None:
+        """Take over the other hypothesis where the pressure ``turned`` (indices of cells); changes ``memory``."""
+        some = memory[:, turned]
+        again = some[LEFT] < FAR
+        left, extreme = some[LEFT], some[EXTREME].copy()
+        some[SIGN] *= -1.0
+        some[IN_FORCE] = some[IN_FORCE][::-1].copy()
+        gain = weights.by_model[0] @ some[IN_FORCE]
+        noise = np.broadcast_to(std, memory.shape[1:])[turned]
+        pressure = (some[STATE][:2] * some[IN_FORCE]).sum(axis=0)
+        now = some[SIGN] * np.maximum(pressure, 0.0)
+        some[EXTREME] = np.where(again, left, now - SURE * noise * gain)
+        some[PEAK] = np.where(again, left, now - noise * gain)
+        some[LEFT] = np.where(again, FAR, extreme)
+        # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
+        some[TURNED] = some[VARIANCE] + (weights.by_model[0, RECOVERY] * noise + NEAR * self.full_scale_kpa) ** 2
+        memory[:, turned] = some
+
+    def _limit(self, of: _Rows, weights: TurnWeights) -> None:
+        """Keep pressures within :data:`LOADS`, and what is remembered with them; changes the state.
+
+        Where the memory is in doubt, a pressure beyond full scale is an error of the memory rather than a load.
+        """
+        m, state = self.model, of.state
+        excess = np.clip(of.pressures, self._lowest, self._highest) - of.pressures
+        state[:6] += weights.ramp[:, None] * np.tile(excess, (3, 1))
+        doubtful = of.variance > (DOUBT * self.full_scale_kpa) ** 2
+        beyond = doubtful & (of.pressures > self._usual)
+        if not beyond.any():
             return
-        p = np.broadcast_to(allowed, pulled.shape)[pulled]
-        pressure[0, pulled] = p
-        state[0, 0, pulled] = p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r[pulled]
-        state[1, 0, pulled] = r[pulled] - p / m.e1_kpa - state[2, 0, pulled]
+        np.minimum(of.pressures, self._usual, where=beyond, out=of.pressures)
+        p, r = self._usual, of.r
+        np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])
+        np.copyto(state[3], r - p / m.e1_kpa - state[5], where=beyond[RECOVERY])
+
+    def _correct(self, of: _Rows, std: FloatArray, weights: TurnWeights) -> None:
+        """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure."""
+        m = self.model
+        allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * std - NEAR * self.full_scale_kpa
+        pulled = np.flatnonzero(of.pressure < allowed)
+        if not pulled.size:
+            return
+        p = np.broadcast_to(allowed, of.pressure.shape)[pulled]
+        state, r, rising = of.state, of.r[pulled], of.in_force[RISING, pulled] > 0
+        of.pressure[pulled] = p
+        state[np.where(rising, 0, 1), pulled] = p
+        state[2, pulled[rising]] = (p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r)[rising]
+        state[3, pulled[~rising]] = (r - p / m.e1_kpa - state[5, pulled])[~rising]
 
     def _hold(self, memory: FloatArray, dt_s: float) -> FloatArray:
         m = self.model
-        gone, _ = lag.weights(dt_s, np.array([[m.tu_s], [m.t2_s], [m.t3_s]]))
-        gain = np.array([[1.0], [1 / m.e2_kpa], [1 / m.e3_kpa]])
+        gone, _ = lag.weights(dt_s, np.array([m.tu_s, m.t2_s, m.t3_s, m.t3_s]))
         held = memory.copy()
-        held[STATE] += (gain * memory[PRESSURE] - memory[STATE]) * gone
-        other, (settled, x2, x3) = held[OTHER], held[STATE]
-        other[1:] += (gain * other[0] - other[1:]) * gone
-        # The other hypothesis begins where this one is, if it did before.
-        p = held[PRESSURE]
-        r = np.where(held[SIGN] > 0, p / m.eu1_kpa + (p - settled) / m.etau2_kpa, p / m.e1_kpa + x2 + x3)
-        begun = np.stack([p, p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, r - p / m.e1_kpa - x3, x3])
-        held[OTHER] = np.where(other[0] == p, begun, other)
+        state = held[STATE]
+        # A hypothesis that begins where the one in force is does so after the gap, too.
+        apart = state[0] != state[1]
+        pressures = state[[0, 1, 0, 1]] * np.array([[1.0], [1 / m.e2_kpa], [1 / m.e3_kpa], [1 / m.e3_kpa]])
+        state[2:6] += (pressures - state[2:6]) * gone[:, None]
+        settled, x2, _, x3 = state[2:6]
+        rising = state[0] / m.eu1_kpa + (state[0] - settled) / m.etau2_kpa
+        state[6] = np.where(held[SIGN] > 0, rising, state[1] / m.e1_kpa + x2 + x3)
+        share = np.where(apart, 0.0, held[IN_FORCE][::-1])
+        state[:6] += (self._taken_over @ state) * np.tile(share, (3, 1))
         return held
 
     def _settled(self, memory: FloatArray, band: float) -> BoolArray:
         m = self.model
         kpa = 2 * band / m.gain_per_kpa
         off = np.abs(memory[PRESSURE]) < kpa
-        rising = memory[SIGN] > 0
-        unsettled = np.where(rising, np.abs(memory[STATE][0]) / m.etau2_kpa, np.abs(memory[STATE][1:]).sum(axis=0))
+        _, _, settled, x2, _, x3 = memory[STATE][:6]
+        unsettled = np.where(memory[SIGN] > 0, np.abs(settled) / m.etau2_kpa, np.abs(x2) + np.abs(x3))
         found: BoolArray = off & (unsettled < band)
         return found
+
+
+class _Rows:
+    """The rows of one ``memory`` (rows, m) by name, and arrays for intermediate results."""
+
+    def __init__(self, memory: FloatArray) -> None:
+        self.memory = memory
+        cells = memory.shape[1]
+        self.pressure, self.gain, self.variance, self.doubt, self.sign, self.extreme, self.peak, self.left = memory[:8]
+        self.in_force = memory[IN_FORCE]
+        self.not_in_force = self.in_force[::-1]
+        self.state = memory[STATE]
+        self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]
+        self.both = self.pressures.reshape(-1)
+        self.change = np.empty((6, cells))
+        self.change_by_model = self.change.reshape(3, 2, cells)
+        self.by_model = np.empty((3, cells))
+        self.gain_now, self.other_gain, self.fade = self.by_model
+        self.share = np.empty((2, cells))
+        self.rising_share, self.recovery_share = self.share
+        self.rising_kpa, self.recovery_kpa = self.pressures
+        self.unsure, self.threshold, self.spare, self.again, self.ahead, self.nearby = np.empty((6, cells))
+        self.where, self.near = np.empty((2, cells), dtype=np.bool_)

@@ -16,43 +16,61 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray
 
-JUMP = 4.0
-"""standard deviations of a single reading that begin a new line"""
 ALLOWED = 0.75
 """standard deviations that a reading may be off without adding to the sum"""
-SUM = 4.0
-"""standard deviations of the sum that begin a new line"""
+SUM = 5.0
+"""standard deviations of the sum that begin a new line; a single reading that is 5.75 off does it at once"""
+FAR, NEAR = 3.5, 0.5
+"""standard deviations from which a reading begins a line by itself; the weight of a nearer one. After a run of small
+departures the last reading is a departure, too, by selection: it must not stand alone"""
 STEEPEST = 15.0
 """standard deviations of a reading by which readings usually change within the window"""
 SHORTEST_S, LONGEST_S = 0.03, 3.0
 """limits of the time in which the weight of a reading falls to 1/e"""
-LEVEL, SLOPE, COUNT = range(3)
-SUMS, RUNS = slice(3, 5), slice(5, 7)
-"""rows of the memory: the line now, readings since it began; sums of departures upwards and downwards, and readings
-since each sum was last zero"""
-ROWS = 7
+LEVEL, SLOPE, COUNT, SUMS = 0, 1, 2, slice(3, 5)
+"""rows of the memory: the line now, its slope per second, readings since it began; sums of departures upwards and
+downwards"""
+ROWS = 5
 
 
 class Smoothed(NamedTuple):
-    """What is made of a reading; all (m,)."""
+    """What is made of a reading; all (m,), overwritten by the next call with the same scratch."""
 
     level: FloatArray
     std: FloatArray
     """standard deviation of the level"""
-    jumped: BoolArray
-    """where this single reading was so far off that it began a new line"""
+    begun: BoolArray | None
+    """where the reading begins a new line; None: nowhere"""
+
+
+class Scratch:
+    """The rows of one ``line`` (ROWS, m), and arrays for intermediate results, so that a frame allocates none."""
+
+    def __init__(self, line: FloatArray) -> None:
+        cells = line.shape[1]
+        self.level, self.slope, self.count, self.sums = line[LEVEL], line[SLOPE], line[COUNT], line[SUMS]
+        self.up, self.down = self.sums
+        self.since = line[SLOPE:]
+        self.expected, self.off, self.z, self.std = np.empty((4, cells))
+        self.above = np.empty((2, cells), dtype=np.bool_)
+        self.begun, self.near = np.empty((2, cells), dtype=np.bool_)
+        self.gains = np.empty((3, cells))
+        self.steps = self.gains[:2]
+        self.level_step, self.slope_step, self.share = self.gains
+        self.n = np.empty(cells, dtype=np.intp)
 
 
 class Gains(NamedTuple):
-    """By readings since the line began, the first one included."""
+    """By readings since the line began, the first one included; (n,) each, rows of ``rows`` (3, n)."""
 
     level: FloatArray
     slope: FloatArray
-    """per second"""
+    """times the time between readings"""
     std: FloatArray
     """standard deviation of the level over that of a reading"""
+    rows: FloatArray
 
 
 @lru_cache(maxsize=1024)
@@ -84,7 +102,8 @@ def gains(steps: float) -> Gains:
         slope.append(b / total)
         a, b, c = a / total, b / total, c - b * b / total
         std.append(np.sqrt(a))
-    return Gains(np.array(level), np.array(slope), np.array(std))
+    rows = np.array([level, slope, std])
+    return Gains(rows[0], rows[1], rows[2], rows)
 
 
 def begin(level: FloatArray, readings: float = 0.0) -> FloatArray:
@@ -96,67 +115,56 @@ def begin(level: FloatArray, readings: float = 0.0) -> FloatArray:
 
 def interrupt(line: FloatArray) -> None:
     """Let the next reading begin a new line, whatever it is; changes ``line``."""
-    line[SUMS], line[RUNS] = np.inf, 0.0
+    line[SUMS] = np.inf
 
 
-def advance(line: FloatArray, dt_s: float, window: float, r: FloatArray, noise: FloatArray) -> Smoothed:
-    """Take readings ``r`` (m,) with standard deviation ``noise`` (m,); changes ``line`` (ROWS, m)."""
-    table = _table(window, dt_s)
-    expected = line[SLOPE] * dt_s
-    expected += line[LEVEL]
-    off = r - expected
-    z = off / noise
-    jumped = np.abs(z) > JUMP
-    sums, runs, count = line[SUMS], line[RUNS], line[COUNT]
-    sums[0] += z
-    sums[1] -= z
+def advance(
+    line: FloatArray, dt_s: float, gains: Gains, r: FloatArray, noise: FloatArray, scratch: Scratch | None = None
+) -> Smoothed:
+    """Take readings ``r`` (m,) with standard deviation ``noise`` (m,); changes ``line`` (ROWS, m).
+
+    ``gains`` are those of :func:`gains_for`.
+    """
+    m = scratch or Scratch(line)
+    expected, off, sums, level = m.expected, m.off, m.sums, m.level
+    np.multiply(m.slope, dt_s, out=expected)
+    expected += level
+    np.subtract(r, expected, out=off)
+    np.divide(off, noise, out=m.z)
+    m.up += m.z
+    m.down -= m.z
     sums -= ALLOWED
     np.maximum(sums, 0.0, out=sums)
-    runs += 1.0
-    runs *= sums > 0
-    count += 1.0
-    np.minimum(count, len(table.level) - 1, out=count)
-    left = np.maximum(sums[0], sums[1]) > SUM
-    left |= jumped
-    n: IntArray = count.astype(np.intp)
-    level = expected + table.level.take(n) * off
-    line[SLOPE] += table.slope.take(n) * (off / dt_s)
-    if np.count_nonzero(left):
-        _begin_again(line, np.flatnonzero(left), expected, r, noise, jumped, level)
-        n = count.astype(np.intp)
-    line[LEVEL] = level
-    return Smoothed(line[LEVEL], table.std.take(n) * noise, jumped)
+    m.count += 1.0
+    np.copyto(m.n, m.count, casting="unsafe")
+    gains.rows.take(m.n, axis=1, out=m.gains, mode="clip")  # the last entry holds from there on
+    m.level_step *= off
+    m.slope_step *= off
+    m.slope_step /= dt_s
+    np.add(expected, m.level_step, out=level)
+    m.slope += m.slope_step
+    begun = None
+    if np.count_nonzero(np.greater(sums, SUM, out=m.above)):
+        begun = np.logical_or(m.above[0], m.above[1], out=m.begun)
+        _begin_again(m, begun, r)
+    return Smoothed(level, np.multiply(m.share, noise, out=m.std), begun)
 
 
-def _begin_again(
-    line: FloatArray,
-    cells: IntArray,
-    expected: FloatArray,
-    r: FloatArray,
-    noise: FloatArray,
-    jumped: BoolArray,
-    level: FloatArray,
-) -> None:
-    """New lines for ``cells`` that left theirs; changes ``line`` and ``level``.
-
-    After a jump the reading itself begins the line. After a run of small departures to one side the mean of that run
-    does, which the sum and the length of the run give.
-    """
-    sums, runs = line[SUMS, cells], line[RUNS, cells]
-    side = np.argmax(sums, axis=0)
-    every = np.arange(cells.size)
-    run, total = np.maximum(runs[side, every], 1.0), sums[side, every]
-    mean_off = np.where(side == 0, 1.0, -1.0) * (total / run + ALLOWED) * noise[cells]
-    at_once = jumped[cells] | ~np.isfinite(total)
-    level[cells] = np.where(at_once, r[cells], expected[cells] + mean_off)
-    line[SLOPE, cells] = 0.0
-    line[COUNT, cells] = np.where(at_once, 0.0, np.minimum(run, 4.0) - 1.0)
-    line[SUMS, cells] = 0.0
-    line[RUNS, cells] = 0.0
+def _begin_again(m: Scratch, begun: BoolArray, r: FloatArray) -> None:
+    """New lines where ``begun``: a far reading begins one by itself, a near one together with the line so far."""
+    near = np.less(np.abs(m.z, out=m.z), FAR, out=m.near)
+    near &= begun
+    np.copyto(m.since, 0.0, where=begun)
+    np.copyto(m.level, r, where=begun)
+    np.copyto(m.share, 1.0, where=begun)
+    m.off *= 1.0 - NEAR
+    np.subtract(r, m.off, out=m.expected)
+    np.copyto(m.level, m.expected, where=near)
+    np.copyto(m.count, 1.0, where=near)
 
 
 @lru_cache(maxsize=1024)
-def _table(window: float, dt_s: float) -> Gains:
+def gains_for(window: float, dt_s: float) -> Gains:
     """Gains for a window on a grid of 10 %, so that time stamps that jitter share a table."""
     steps = max(window / max(dt_s, 1e-9), 0.5)
     return gains(float(1.1 ** round(math.log(steps) / math.log(1.1))))

@@ -94,7 +94,7 @@ def test_noise_is_within_the_stated_deviation(cell: Cell, volts: float) -> None:
 def test_deviations_grow_with_noise_and_where_the_cell_is_pressed(volts: float) -> None:
     load = np.full(600, 8.0)
     load[:100] = 0.0
-    std = [estimated(EXAMPLE, read_by_a_board(EXAMPLE, load, v))[1][-50:] for v in (volts, 3 * volts)]
+    std = [estimated(EXAMPLE, read_by_a_board(EXAMPLE, load, v))[1][-50:] for v in (volts, 10 * volts)]
     assert std[1].mean() > std[0].mean()
     assert std[0][:, ::2].mean() > std[0][:, 1::2].mean()
 

@@ -13,7 +13,9 @@ NOISE = 0.005
 def smoothed(dt: float, r: np.ndarray, noise: float = NOISE, window: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     line, found, std = smoothing.begin(r[0]), [r[0]], [np.full_like(r[0], noise)]
     for reading in r[1:]:
-        smooth = smoothing.advance(line, dt, window, reading, noise * (1 + line[smoothing.LEVEL]))
+        smooth = smoothing.advance(
+            line, dt, smoothing.gains_for(window, dt), reading, noise * (1 + line[smoothing.LEVEL])
+        )
         found.append(smooth.level.copy())
         std.append(smooth.std)
     return np.array(found), np.array(std)

@@ -5,6 +5,7 @@ import pytest
 from cells import EXAMPLE, FULL, sense
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from turning import OneCell
 
 from ohmskin.bench._independent import presses
 from ohmskin.cell import PaperModel
@@ -70,3 +71,33 @@ def test_wrong_time_constants_stay_bearable(kind: str, factor: float) -> None:
     load = loads(kind, rng, 0.1)
     read = sense(EXAMPLE, load) * (1 + NOISE * rng.standard_normal(len(load)))
     assert rmse(TurningEstimator(wrong, FULL, (), REST, Conditions(noise=NOISE)), read, load, 0.1) < 0.06
+
+
+@settings(max_examples=12)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    dt=st.sampled_from([0.001, 0.02, 0.5]),
+    noise=st.sampled_from([0.0, 1e-3, 0.05]),
+    jump=st.sampled_from([0.0, 2.0, -1.5]),
+)
+def test_the_matrices_do_what_one_cell_written_out_does(seed: int, dt: float, noise: float, jump: float) -> None:
+    """Loads beyond the limits, pulls and turns that were noise included."""
+    rng = np.random.default_rng(seed)
+    cells, frames = 5, 200
+    load = np.stack(
+        [np.interp(np.arange(frames), np.arange(0, frames, 9), rng.uniform(-0.1, 1, 23)) for _ in range(cells)]
+    )
+    load[:, 100:103] += jump
+    rest = np.full(cells, EXAMPLE.rest_resistance_ohm)
+    estimator = TurningEstimator(MODEL, FULL, (cells,), rest, Conditions(noise=noise))
+    forward = EXAMPLE.forward((cells,))
+    forward._check_pull = lambda pressure: None  # type: ignore[method-assign]
+    memory = estimator._begin(np.zeros(cells))
+    one_by_one = [OneCell(MODEL, FULL, 0.0, exact=noise == 0.0) for _ in range(cells)]
+    for kpa in FULL * load.T:
+        r = forward.step(dt, kpa) / rest - 1 + noise * rng.standard_normal(cells)
+        std = np.full(cells, noise)
+        memory = estimator._advance(memory, dt, r, std)
+        expected = [one.step(dt, float(x), noise) for one, x in zip(one_by_one, r, strict=True)]
+        np.testing.assert_allclose(memory[0], expected, rtol=1e-8, atol=1e-8)
+        np.testing.assert_allclose(memory[2], [one.variance for one in one_by_one], rtol=1e-6, atol=1e-8)

@@ -14,6 +14,7 @@ from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
 from ..bench import _freshness as of_skins
 from ..bench import _hard_cases as of_taps
+from ..bench import _honesty as of_deviations
 from ..bench import _view as of_pages
 from . import arguments
 from ._bar import progress_bar
@@ -76,6 +77,7 @@ def command(
         click.echo(json.dumps([asdict(row) for row in judged], indent=1) if as_json else of_cells.table(judged))
         if not as_json:
             click.echo("\n" + of_taps.hard_table(of_taps.hard_cases()))
+            click.echo("\n" + of_deviations.table(of_deviations.honesty()))
         return
     if of_emulator:
         boards = list(of_boards.emulator(sizes))

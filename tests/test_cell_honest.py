@@ -1,0 +1,127 @@
+"""Stated standard deviations against errors: loads, faults, noise, frame rates, and cells of several kinds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cells import EXAMPLE
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ohmskin.bench import _honesty as honesty
+from ohmskin.cell import AsymmetricModel, Cell, PaperModel
+from ohmskin.cell._cell import Calibrated
+from ohmskin.cell._learned import Limits, StaticCurve
+
+LOADS = st.sampled_from(["hold", "edge", "press", "slow ramp", "fast ramp", "sine", "taps", "finger"])
+NOISES = st.sampled_from([0.1, 1.0, 10.0])
+SEEDS = st.integers(0, 2**32 - 1)
+
+
+@st.composite
+def papers(draw: st.DrawFn) -> Cell:
+    """Cells of the paper's kind: how much is answered at once, what is left, and how slowly it goes are drawn."""
+    full = draw(st.floats(5.0, 200.0))
+    gain = draw(st.floats(0.3, 1.2)) / full  # r per kPa at equilibrium
+    at_once, slow = draw(st.floats(0.5, 0.8)), draw(st.floats(0.02, 0.06))
+    fast_s, overshoot = draw(st.floats(3.0, 15.0)), draw(st.floats(0.1, 0.4))
+    e2, e3, etau2 = 1 / (gain * (1 - at_once - slow)), 1 / (gain * slow), 1 / (gain * overshoot)
+    model = PaperModel(
+        eu1_kpa=1 / gain,
+        etau2_kpa=etau2,
+        eu2_kpa_per_s=etau2 / draw(st.floats(2.0, 10.0)),
+        e1_kpa=1 / (gain * at_once),
+        e2_kpa=e2,
+        e3_kpa=e3,
+        eta2_kpa_s=fast_s * e2,
+        eta3_kpa_s=draw(st.floats(50.0, 200.0)) * e3,
+    )
+    return Cell(rest_resistance_ohm=draw(st.floats(500.0, 5e4)), full_scale_kpa=full, model=model)
+
+
+@settings(max_examples=15)
+@given(cell=papers(), load=LOADS, noise=NOISES, rate=st.sampled_from([60.0, 100.0, 250.0]), seed=SEEDS)
+def test_errors_of_any_paper_cell_are_within_the_stated_deviations(
+    cell: Cell, load: honesty.Load, noise: float, rate: float, seed: int
+) -> None:
+    found = honesty.judged(cell, "drawn", load, noise, rate_hz=rate, seed=seed)
+    assert found.within_two > 0.9
+    assert found.beyond_three < 0.02
+    assert found.rmse_percent < 12.0
+
+
+@pytest.mark.parametrize("noise", [0.1, 1.0, 10.0])
+@pytest.mark.parametrize("fault", ["sparks", "lost frames", "opens"])
+def test_faults_are_within_the_stated_deviations(fault: honesty.Fault, noise: float) -> None:
+    found = honesty.judged(EXAMPLE, "example", "press", noise, fault=fault)
+    assert found.within_two > 0.98
+    assert found.beyond_three < 0.002
+    assert found.rmse_percent < 1.5
+
+
+@pytest.mark.parametrize(
+    ("load", "rate"), [("press", 20.0), ("press", 200.0), ("slow ramp", 20.0), ("slow ramp", 500.0)]
+)
+def test_any_frame_rate_is_answered_as_honestly(load: honesty.Load, rate: float) -> None:
+    for noise in (0.1, 10.0):
+        found = honesty.judged(EXAMPLE, "example", load, noise, rate_hz=rate)
+        assert found.within_two > 0.93
+        assert found.beyond_three < 0.03
+
+
+@pytest.mark.parametrize("factor", [0.97, 1.03])
+def test_a_calibrated_cell_is_judged_with_what_calibration_left_unexplained(factor: float) -> None:
+    """A calibration that is off by 3 % and says that it was off by 1.5 % of full scale on readings it had not seen."""
+    model = EXAMPLE.model
+    assert isinstance(model, PaperModel)
+    off = model.replace(eta2_kpa_s=model.eta2_kpa_s * factor, eu2_kpa_per_s=model.eu2_kpa_per_s / factor)
+    static = StaticCurve(coefficients=(0.0, 1.0), limits=Limits(lowest=0.0, highest=1.0), std_kpa=1.0)
+    calibrated = Calibrated(default="inverse", reason="", held_out_percent={"inverse": 1.5}, static=static)
+    believed = EXAMPLE.replace(model=off, estimators=calibrated)
+    dt = 1 / honesty.RATE_HZ
+    share = honesty.pressures("press", dt * np.arange(1600))
+    read = honesty.readings(EXAMPLE, share, dt, 1.0, np.random.default_rng(3))
+    pressure, std = honesty.estimated(believed, read, np.ones(len(share), dtype=bool), dt)
+    error = np.abs(pressure - EXAMPLE.full_scale_kpa * share)
+    assert np.mean(error[50:] < 2 * std[50:]) > 0.95
+
+
+def test_a_deviation_is_not_wide_for_its_own_sake() -> None:
+    """On a steady load with 10 mV of noise it is a few times the error; without noise, half a percent."""
+    assert honesty.judged(EXAMPLE, "example", "hold", 0.1).std_percent < 0.55
+    found = honesty.judged(EXAMPLE, "example", "hold", 10.0)
+    assert found.std_percent < 4.5 * found.rmse_percent
+    assert found.within_two > 0.9
+
+
+def test_a_load_that_is_not_felt_yet_is_in_the_deviation() -> None:
+    """Asymmetric cells, too: their inverse knows no turns, only the departure of readings from their line."""
+    model = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
+    for noise in (0.1, 10.0):
+        found = honesty.judged(EXAMPLE.replace(model=model), "asymmetric", "edge", noise)
+        assert found.beyond_three < 0.001
+
+
+def test_taps_in_quick_succession_do_not_run_away() -> None:
+    """Two and a half a second at 0.9 of full scale: what the cell remembers reaches six times its full scale of r."""
+    dt = 0.01
+    time = np.arange(0.0, 10.0, dt)
+    shape = np.interp((time - 1.0) % 0.4, [0.0, 0.02, 0.12, 0.15], [0.0, 1.0, 1.0, 0.0]) * ((time > 1.0) & (time < 9.0))
+    share = shape[:, None] * np.linspace(0.2, 0.9, 8)
+    for noise in (0.1, 1.0):
+        read = honesty.readings(EXAMPLE, share, dt, noise, np.random.default_rng(1))
+        pressure, std = honesty.estimated(EXAMPLE, read, np.ones(len(time), dtype=bool), dt)
+        error = np.abs(pressure - EXAMPLE.full_scale_kpa * share)[50:]
+        assert np.sqrt(np.mean(error**2)) < 0.05 * EXAMPLE.full_scale_kpa
+        assert np.mean(error < 2 * std[50:]) > 0.95
+
+
+def test_a_cell_at_rest_shows_no_load_whatever_its_curve_says() -> None:
+    """A cubic fitted to presses misses rest by 8 % of full scale: a cell that sleeps shows none."""
+    static = StaticCurve(coefficients=(0.08, 1.0), limits=Limits(lowest=0.0, highest=1.0), std_kpa=0.5)
+    calibrated = Calibrated(default="static", reason="", held_out_percent={"static": 5.0}, static=static)
+    cell = EXAMPLE.replace(estimators=calibrated)
+    read = honesty.readings(EXAMPLE, np.zeros((200, 8)), 0.01, 1.0, np.random.default_rng(0))
+    pressure, std = honesty.estimated(cell, read, np.ones(200, dtype=bool), 0.01)
+    assert not pressure[-1].any()
+    assert (std[-1] > 0.08 * EXAMPLE.full_scale_kpa).all()

@@ -1,0 +1,120 @@
+"""The two hypotheses about the paper's cell written out for one cell, slowly: the reference of TurningEstimator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ohmskin.cell import PaperModel
+from ohmskin.cell import _lag as lag
+from ohmskin.cell import _paper as paper
+
+
+@dataclass
+class Hypothesis:
+    """Pressure in kPa, and what one of the two models remembers."""
+
+    pressure: float
+    settled: float
+    x2: float
+    x3: float
+
+
+class OneCell:
+    """One cell whose first reading is that of a load held for ever."""
+
+    def __init__(self, model: PaperModel, full_scale_kpa: float, r: float, *, exact: bool) -> None:
+        self.model, self.full, self.exact = model, full_scale_kpa, exact
+        p = r / model.gain_per_kpa
+        self.now = Hypothesis(p, p, p / model.e2_kpa, p / model.e3_kpa)
+        self.other = Hypothesis(p, p, p / model.e2_kpa, p / model.e3_kpa)
+        self.rising = True
+        self.extreme = self.peak = p
+        self.left: float | None = None
+        self.doubt = self.variance = 0.0
+
+    def step(self, dt: float, r: float, std: float) -> float:
+        """Take a reading known to ``std``; the pressure."""
+        m = self.model
+        gains = {rising: self._solved(Hypothesis(0, 0, 0, 0), rising, dt, 1.0).pressure for rising in (True, False)}
+        now, other = self._solved(self.now, self.rising, dt, r), self._solved(self.other, not self.rising, dt, r)
+        if self.variance > (paper.DOUBT * self.full) ** 2:
+            now, other = self._believable(now, self.rising, r), self._believable(other, not self.rising, r)
+        threshold = paper.SURE * std * gains[self.rising] + paper.TURN * self.full
+        turned = self.extreme - self._ahead(now) > threshold
+        if self.left is not None:
+            direction = 1.0 if self.rising else -1.0
+            turned = turned or -direction * other.pressure > self.left - std * gains[not self.rising]
+        if turned:
+            now, other = other, now
+            self.rising = not self.rising
+            again, left = self.left is not None, self.left
+            unsure = std * gains[self.rising]
+            self.left = None if again else self.extreme
+            self.extreme = left if again else (1 if self.rising else -1) * max(now.pressure, 0) - paper.SURE * unsure
+            ahead = (1 if self.rising else -1) * max(now.pressure, 0)
+            self.peak = left if again else ahead - unsure
+            self.doubt = self.variance + (gains[False] * std + paper.NEAR * self.full) ** 2
+        unsure = std * gains[self.rising]
+        ahead = self._ahead(now)
+        if self.left is not None and ahead + self.left >= paper.CONFIRMED * (
+            paper.SURE * unsure + paper.TURN * self.full
+        ):
+            self.left = None
+        allowed = -paper.PULL_SIGMAS * gains[False] * std - paper.NEAR * self.full
+        if not self.exact and now.pressure < allowed:
+            begun = self._begun(allowed, r, now.x3)
+            if self.rising:
+                now = Hypothesis(allowed, begun.settled, now.x2, now.x3)
+            else:
+                now = Hypothesis(allowed, now.settled, begun.x2, now.x3)
+        below = self.peak - ahead
+        share = paper.AGAIN if below < max(unsure, paper.FLAT * self.full) else 0.0
+        share = 1.0 if below <= paper.EXACTLY * self.full else share
+        if self.left is not None:
+            share = 0.0
+        begun = self._begun(now.pressure, r, now.x3)
+        self.other = Hypothesis(
+            *(old + share * (new - old) for old, new in zip(vars(other).values(), vars(begun).values(), strict=True))
+        )
+        self.now = now
+        self.peak = max(self.peak, ahead - unsure)
+        self.extreme = max(self.extreme, ahead - paper.SURE * unsure)
+        rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
+        self.doubt *= np.exp(-2 * dt * rate)
+        self.variance = self.doubt + (paper.EITHER * (self.other.pressure - now.pressure)) ** 2
+        return now.pressure
+
+    def _ahead(self, hypothesis: Hypothesis) -> float:
+        least = paper.LOADS[0] * self.full if self.exact else 0.0
+        return (1 if self.rising else -1) * max(hypothesis.pressure, least)
+
+    def _believable(self, hypothesis: Hypothesis, rising: bool, r: float) -> Hypothesis:
+        """The same with a pressure that is not beyond the usual."""
+        most = paper.USUAL * self.full
+        if hypothesis.pressure <= most:
+            return hypothesis
+        begun = self._begun(most, r, hypothesis.x3)
+        settled, x2 = (begun.settled, hypothesis.x2) if rising else (hypothesis.settled, begun.x2)
+        return Hypothesis(most, settled, x2, hypothesis.x3)
+
+    def _begun(self, p: float, r: float, x3: float) -> Hypothesis:
+        """What a model remembers that begins at a pressure and a reading."""
+        m = self.model
+        return Hypothesis(p, p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, r - p / m.e1_kpa - x3, x3)
+
+    def _solved(self, before: Hypothesis, rising: bool, dt: float, r: float) -> Hypothesis:
+        """The hypothesis after a step whose pressure one of the models gives."""
+        m, p0 = self.model, before.pressure
+        gone, ramp = lag.weights(dt, np.array([m.tu_s, m.t2_s, m.t3_s]))
+        e2, e3 = m.e2_kpa, m.e3_kpa
+        settled = before.settled + (p0 - before.settled) * gone[0] - p0 * ramp[0]
+        x2 = before.x2 + (p0 / e2 - before.x2) * gone[1] - p0 / e2 * ramp[1]
+        x3 = before.x3 + (p0 / e3 - before.x3) * gone[2] - p0 / e3 * ramp[2]
+        if rising:  # r = p/Eu1 + (p - settled)/etau2
+            p = (r + settled / m.etau2_kpa) / (1 / m.eu1_kpa + (1 - ramp[0]) / m.etau2_kpa)
+        else:  # r = p/E1 + x2 + x3
+            p = (r - x2 - x3) / (1 / m.e1_kpa + ramp[1] / e2 + ramp[2] / e3)
+        p = float(np.clip(p, paper.LOADS[0] * self.full, paper.LOADS[1] * self.full))
+        return Hypothesis(p, settled + ramp[0] * p, x2 + ramp[1] / e2 * p, x3 + ramp[2] / e3 * p)
