@@ -164,7 +164,7 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
         decoded = process_time()
         reading = read(event.counts)
         solved = process_time()
-        found_kpa[number] = estimator.step(1.0 / FRAME_RATE_HZ, reading.resistance)
+        found_kpa[number] = estimator.step(1.0 / FRAME_RATE_HZ if number else 0.0, reading.resistance)
         times[number] = decoded - start, solved - decoded, process_time() - solved
         found_ohm[number], valid[number] = reading.resistance, reading.valid
     whole = times.sum(axis=1)
