@@ -9,11 +9,14 @@ from typing import Any
 import numpy as np
 
 from ..driver import Frame, Skin, section_hash
-from ..errors import InputError, LinkEnded
+from ..errors import InputError, LinkEnded, LinkError
+from ..wire import Order
 from ._plan import Plan
 from ._progress import Progress
 from ._watch import Event, HeldLongEnough, PressBegan, PressRefused, PressTaken, RestTaken, Watch
 
+IDENTITY_FRAMES = 200
+"""that may come before the board has said who it is"""
 PATIENCE_S = 600.0
 """without a press, by the board's time"""
 
@@ -51,6 +54,7 @@ class Guide:
             InputError: the skin does not say what its cells are made of, or the progress is of another calibration.
 
         """
+        _hear_identity(skin)
         if skin.cell is None:
             raise InputError("the board does not tell the data of its cells; give them (--cell CELL.toml)")
         self._skin, self._plan, self._tell = skin, plan, tell
@@ -162,6 +166,18 @@ class Guide:
         names = ", ".join(map(self._plan.name, missing[:4])) + (", ..." if len(missing) > 4 else "")
         kept = "" if self._progress is None else f"; what was measured is kept, go on with --resume ({self._progress})"
         return f"before {names} had borne {self._plan.loads_kpa[step]:.4g} kPa{kept}"
+
+
+def _hear_identity(skin: Skin) -> None:
+    """Wait for the board to say its serial number, where its family has one: a driver may go ahead without."""
+    if not skin.family.has_description:
+        return
+    for _ in range(IDENTITY_FRAMES):
+        if skin.identity is not None:
+            return
+        skin.request(Order.IDENTIFY)
+        skin.read()
+    raise LinkError(f"{skin.port_name}: the board does not say its serial number")
 
 
 class _Clock:

@@ -55,6 +55,8 @@ class Plan:
             height, width = int(patch[1]), int(patch[2])
         else:
             raise InputError(f"press '{press}'; expected each, all, or a patch such as 2x3 (rows x columns)")
+        if rows % height or columns % width:
+            raise InputError(f"patches of {height} x {width} cells do not fill a skin of {rows} x {columns}")
         indices = np.arange(rows * columns).reshape(shape)
         corners = product(range(0, rows, height), range(0, columns, width))
         targets = (indices[row : row + height, column : column + width].ravel() for row, column in corners)
@@ -74,7 +76,20 @@ class Plan:
 
     def pressed_target(self, load_kpa: FloatArray) -> int:
         """The target that bears the largest mean of the loads (cells,)."""
-        return int(np.argmax([load_kpa[cells].mean() for cells in self.targets]))
+        order, first = self._in_order
+        return int(np.argmax(np.add.reduceat(load_kpa[order], first)))
+
+    def target_of_cell(self, index: int) -> int:
+        """The target that a cell belongs to."""
+        order, first = self._in_order
+        place = int(np.flatnonzero(order == index)[0])
+        return int(np.searchsorted(first, place, side="right")) - 1
+
+    @property
+    def _in_order(self) -> tuple[IntArray, IntArray]:
+        """The cells of all targets one after the other, and the place of the first cell of each. All are as large."""
+        size = len(self.targets[0])
+        return np.concatenate(self.targets), np.arange(len(self.targets)) * size
 
     def outside(self, target: int) -> BoolArray:
         """(cells,) mask of the cells that the target leaves alone."""

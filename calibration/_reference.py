@@ -1,4 +1,4 @@
-"""Loads by a reference sensor: its recording is aligned in time by cross-correlation with what the skin felt."""
+"""Loads by a reference sensor, aligned in time with what the skin felt: cross-correlation, then least squares."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import least_squares
 from scipy.signal import correlate, correlation_lags
 
 from ..arrays import FloatArray
@@ -18,8 +19,6 @@ RASTER_S = 0.02
 MOST_SAMPLES = 10_000_000
 """of the common raster: two days"""
 LEAST_CORRELATION = 0.8
-SEARCH_S, SEARCH_SHARE = 0.5, 0.001
-"""how far from the common offset that of a half is looked for: s, and share of the recording's length"""
 LONGEST_DRIFT_PPM = 2000.0
 STILL = 0.1
 """relative departure of the reference from its mean while a load is held"""
@@ -84,23 +83,29 @@ def align(skin_s: FloatArray, skin_kpa: FloatArray, reference_s: FloatArray, ref
             f"the reference does not show the presses that the skin felt: correlation {correlation:.2f}; "
             f"expected at least {LEAST_CORRELATION:g}"
         )
-    # Where both overlap, on the reference's clock; then the same for each half.
-    first = max(reference_s[0], skin_s[0] - offset_s)
-    last = min(reference_s[-1], skin_s[-1] - offset_s)
+    # Where both overlap, on the reference's clock.
+    first, last = max(reference_s[0], skin_s[0] - offset_s), min(reference_s[-1], skin_s[-1] - offset_s)
     middle = (first + last) / 2
-    reach = SEARCH_S + SEARCH_SHARE * (last - first)
-    offsets = []
-    for low, high in ((first, middle), (middle, last)):
-        inside = np.arange(low, high, RASTER_S)
-        felt_at = np.arange(low - reach, high + reach, RASTER_S)
-        felt = np.interp(felt_at + offset_s, skin_s, skin_kpa)
-        shown = np.interp(inside, reference_s, reference_kpa)
-        lag, _ = _best_lag(felt - felt.mean(), shown - shown.mean(), most=2 * reach / RASTER_S)
-        offsets.append(lag * RASTER_S - reach)
-    drift = (offsets[1] - offsets[0]) / max((last - first) / 2, 1e-9)
-    if abs(drift) * 1e6 > LONGEST_DRIFT_PPM:
+    inside = (reference_s >= first) & (reference_s <= last)
+    since, shown = reference_s[inside] - middle, reference_kpa[inside]
+
+    def difference(unknowns: FloatArray) -> FloatArray:
+        shift_s, drift, scale, zero = unknowns
+        felt = np.interp(since + middle + offset_s + shift_s + drift * since, skin_s, skin_kpa)
+        missed: FloatArray = shown - scale * felt - zero
+        return missed
+
+    scale = float(np.std(shown) / max(float(np.std(skin_kpa)), 1e-12))
+    spread = np.array([0.1, 0.1 / max(last - middle, 1e-9), scale, max(float(np.std(shown)), 1e-12)])
+    start = np.array([0.0, 0.0, scale, float(shown.min())])
+    found = least_squares(difference, start, x_scale=spread)
+    jacobian = np.asarray(found.jac, dtype=np.float64)
+    shift_s, drift = found.x[:2]
+    variance = 2 * found.cost / max(len(shown) - 4, 1)
+    drift_std = float(np.sqrt(variance * np.linalg.pinv(jacobian.T @ jacobian)[1, 1]))
+    if abs(drift) > 1e-6 * LONGEST_DRIFT_PPM + 4 * drift_std:
         raise InputError(f"the reference's clock seems to drift by {drift * 1e6:.0f} ppm; no clock does")
-    return Alignment(offset_s + float(np.mean(offsets)), middle, drift * 1e6, correlation)
+    return Alignment(offset_s + float(shift_s), float(middle), float(drift * 1e6), correlation)
 
 
 def with_reference(
@@ -136,20 +141,14 @@ def _raster(time_s: FloatArray, values: FloatArray) -> FloatArray:
     return centred
 
 
-def _best_lag(skin: FloatArray, reference: FloatArray, most: float = np.inf) -> tuple[float, float]:
-    """Samples by which the reference must be delayed to fit best, between samples, and the correlation there."""
+def _best_lag(skin: FloatArray, reference: FloatArray) -> tuple[int, float]:
+    """Samples by which the reference must be delayed to fit best, and the correlation there."""
     product = correlate(skin, reference, mode="full", method="fft")
     lags = correlation_lags(len(skin), len(reference), mode="full")
-    allowed = (lags >= 0) & (lags <= most) if np.isfinite(most) else np.ones(len(lags), dtype=np.bool_)
-    best = int(np.argmax(np.where(allowed, product, -np.inf)))
+    best = int(np.argmax(product))
     low, high = max(int(lags[best]), 0), min(int(lags[best]) + len(reference), len(skin))
     overlap_skin = skin[low:high]
     overlap_reference = reference[low - int(lags[best]) : high - int(lags[best])]
     scale = np.sqrt((overlap_skin**2).sum() * (overlap_reference**2).sum())
     correlation = float(product[best] / scale) if scale > 0 else 0.0
-    shift = 0.0
-    if 0 < best < len(product) - 1:
-        before, here, after = product[best - 1 : best + 2]
-        bend = before - 2 * here + after
-        shift = float(0.5 * (before - after) / bend) if bend < 0 else 0.0
-    return float(lags[best]) + shift, correlation
+    return int(lags[best]), correlation

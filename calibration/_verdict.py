@@ -23,6 +23,8 @@ MOST_NOISE = 0.1
 """relative noise of the measured effect of a load"""
 MOST_REST_CHANGE = 0.03
 """relative: a rest resistance that is off by 3 % is 4 to 6 % of full scale (docs/cell.md)"""
+NOISE_STDS = 4.0
+"""so many standard deviations of an averaged reading more"""
 TOLERANCE = 0.1
 """of the load, rms over the presses of a cell"""
 MOST_NAMED = 4
@@ -157,7 +159,7 @@ def _reason(fit: Fit, at: tuple[int, int], rest: Rest, tolerance: float) -> str:
         return "changing less under a larger load"
     if not GAINS[0] <= gain <= GAINS[1]:
         return f"with a gain that is not believed: {gain:.3g}; expected {GAINS[0]:g} to {GAINS[1]:g}"
-    if not abs(change) <= MOST_REST_CHANGE:
+    if not abs(change) <= MOST_REST_CHANGE + NOISE_STDS * noise:
         lower = "lower" if change < 0 else "higher"
         return (
             f"with a drifting rest resistance: {100 * abs(change):.1f} % {lower} than it should be; was the skin "

@@ -167,6 +167,17 @@ def _with_small_resistances(board: Board, network: Network, shorts: BoolArray) -
     return replace(network, conductance=np.where(shorts, short, network.conductance))
 
 
+def basis_drops(board: Board, cells: FloatArray) -> FloatArray:
+    """Voltages (N + M, N, M) across the cells while one port of the grid is at 1 V and all other ports are at 0 V.
+
+    Args:
+        board: with a sliced sheet.
+        cells: (N, M) ohm, none of them a short.
+
+    """
+    return _BasisFields.of(board, cells, grid_network(board, cells)).drops
+
+
 class _BasisFields(NamedTuple):
     """Basis fields: one port of the grid at 1 V and all other ports at 0 V."""
 

@@ -18,6 +18,8 @@ GOOD_LATENCY_MS = 1
 """the least that the FTDI driver accepts; its default of 16 ms delays every frame by up to as much"""
 RULES_SOURCE = "docs/60-ohmskin.rules"
 DOCUMENT = "docs/doctor.md"
+MOST_USERS = 5
+"""programs that have a port open, of which a finding names so many"""
 GRABBERS = {
     "ModemManager": (
         "opens new serial ports to look for modems, and keeps them busy for seconds",
@@ -40,6 +42,10 @@ class System:
 
     def path(self, absolute: str) -> Path:
         return self.root / absolute.lstrip("/")
+
+    def is_device(self, path: Path) -> bool:
+        """Whether a path is a character device. Those of a test's root are files."""
+        return self.root != Path("/") or stat.S_ISCHR(path.stat().st_mode)
 
     def processes(self) -> Iterator[Path]:
         """Folders of the running processes in /proc."""
@@ -66,14 +72,19 @@ def examine_ports(system: System | None = None) -> list[Finding]:
 def examine_device(device: str, system: System | None = None, description: str = "") -> list[Finding]:
     """One serial device: whether it is there, may be opened, is free, and answers without delay."""
     system = system or System()
-    path = system.path(device)
-    if not path.exists():
-        return [Finding(State.PROBLEM, device, "is not there", "plug the board in, or see `ohmskin doctor` for others")]
+    path = system.path(os.path.abspath(device))
+    other = "see `ohmskin doctor` for the ports that there are"
+    if not device or not path.exists():
+        return [Finding(State.PROBLEM, device or "PORT", "is not there", f"plug the board in, or {other}")]
+    if not system.is_device(path):
+        kind = "folder" if path.is_dir() else "file"
+        return [Finding(State.PROBLEM, device, f"is a {kind}; expected a serial port such as /dev/ttyACM0", other)]
     named = f" ({description})" if description and description != "n/a" else ""
     findings = [_permission(device, path, system, named)]
     users = list(_users(path, system))
     if users:
-        findings.append(Finding(State.PROBLEM, device, f"in use by {', '.join(users)}", "end that program first"))
+        shown = [*users[:MOST_USERS], *([f"{len(users) - MOST_USERS} more"] if len(users) > MOST_USERS else [])]
+        findings.append(Finding(State.PROBLEM, device, f"in use by {', '.join(shown)}", "end that program first"))
     findings.extend(_latency(device, path, system))
     return findings
 

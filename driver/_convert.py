@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import threading
+import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -13,13 +15,13 @@ from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
 from ..cell import Cell, Estimator
-from ..circuits import Design
+from ..circuits import Design, Reason
 from ..errors import InputError
 from ._calibration import Calibration
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
 from ._mailbox import Mailbox
 from ._past import Block, MeasurementPast
-from ._reading import CountReader
+from ._reading import CountReader, Reading
 from ._statistics import Counters
 from ._stream import RawFrame
 
@@ -27,6 +29,9 @@ T = TypeVar("T", bound=np.generic)
 
 KEEP_STATE_S = 60.0
 """after a longer gap the estimator starts anew: what the skin bore meanwhile is not to be guessed"""
+
+SOON = 50
+"""frames without any valid cell after which the driver says why"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,10 +88,14 @@ class Converter:
         self._counters = counters
         self._accuracy = accuracy
         self._read = CountReader(design, accuracy=accuracy)
+        self._never_valid: int | None = 0  # frames so far, all without a valid cell; None: said, or not so
         self._lock = threading.RLock()
         self.on_converted: list[Callable[[RawFrame, Measurement], None]] = []
         """told of every measurement: for recorders"""
         self._rest_ohm: FloatArray | None = None
+        for _, ohm in rest_changes:
+            if ohm is not None and ohm.size != math.prod(design.array.shape):
+                raise InputError("a tare of {} cells; this skin has {} x {}".format(ohm.size, *design.array.shape))
         self._rest_changes = deque(rest_changes)
         self.on_rest: list[Callable[[FloatArray | None, float | None], None]] = []
         """told of new rest resistances and of the time of the last frame before them: for recorders"""
@@ -203,6 +212,8 @@ class Converter:
         self._counters.converted += 1
         self._counters.unsolved += not reading.solved
         self._counters.reasons = reading.reason
+        if self._never_valid is not None:
+            self._look_for_valid_cells(reading)
         while self._rest_changes and frame.monotonic_time > self._rest_changes[0][0]:
             rest = self._rest_changes.popleft()[1]
             self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
@@ -226,6 +237,26 @@ class Converter:
             view,
             self._starts,
         )
+
+    def _look_for_valid_cells(self, reading: Reading) -> None:
+        """Say once what keeps all cells of a board from being valid, where that is the accuracy asked for."""
+        assert self._never_valid is not None
+        if reading.valid.any():
+            self._never_valid = None
+            return
+        self._never_valid += 1
+        if self._never_valid < SOON:
+            return
+        self._never_valid = None
+        best = float(reading.uncertainty[reading.reason == Reason.UNCERTAIN].min(initial=np.inf))
+        if best < 1.0:
+            asked = "2 % or what the converter allows" if self._accuracy is None else f"{100 * self._accuracy:g} %"
+            self._counters.remark = (
+                f"no cell was valid in the first {SOON} frames: the best one is known to {100 * best:.2g} %, "
+                f"and {asked} was asked for; Skin.open(..., accuracy={min(1.5 * best, 0.99):.2g}) takes cells known so "
+                "well; a converter of more bits, or another reference resistor, tells more"
+            )
+            warnings.warn(self._counters.remark, RuntimeWarning, stacklevel=2)
 
     def _new_estimator(self) -> Estimator | None:
         self._starts += 1

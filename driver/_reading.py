@@ -19,6 +19,8 @@ _FORGET = 0.98  # share of a noise that is still assumed a frame later
 _MOST_CHANGE = 1.5
 _MEAN_CHANGE = 0.918  # mean of the change of a normally distributed reading, cut off so, in its standard deviations
 
+_CAUTION = 1.5  # standard deviations by which the first measurement of the noise may be too small
+
 
 @dataclass(frozen=True, slots=True)
 class Reading:
@@ -89,6 +91,7 @@ class CountReader:
         self._scatter = 0.0 if self._design_noise else _ASSUMED_NOISE * adc.step  # V, as frames show it
         self._before: FloatArray | None = None  # V, the last frame's readings
         self._frames = 0
+        self._silent = 0  # cells whose readings stood at a limit in the last frame
         self._ones = np.ones(self._shape)
         self._counts = b""
         self._reading: Reading | None = None
@@ -113,7 +116,7 @@ class CountReader:
     def forget(self) -> None:
         """Take the next frame for the first one, as far as noise is concerned."""
         self._scatter = 0.0 if self._design_noise else _ASSUMED_NOISE * self._step
-        self._frames, self._before, self._reading = 0, None, None
+        self._frames, self._silent, self._before, self._reading = 0, 0, None, None
 
     def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
         """The middle of each code, in V."""
@@ -151,12 +154,14 @@ class CountReader:
         lowest = self._first + (guard if self._guards_low else 0)
         highest = self._last - (guard if self._guards_high else 0)
         limited = faint = None
+        self._silent = 0
         most = counts.max()
         if most >= highest or counts.min() < lowest:
             if most >= self._codes:
                 bits = self._codes.bit_length() - 1
                 raise ProtocolError(f"the board sends a count of {most}; its ADC has {bits} bits")
             limited = (counts < lowest) | (counts >= highest)
+            self._silent = int(np.count_nonzero(limited))
             # At the end of the range where hardly a current flows, not knowing a cell disturbs no other.
             faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
             limited &= ~faint
@@ -189,7 +194,11 @@ class CountReader:
             change = volts - before
             np.abs(change, out=change)
             np.minimum(change, max(self._step, _MOST_CHANGE * self._scatter), out=change)
-            fresh = float(np.vdot(change, self._ones)) / (change.size * _MEAN_CHANGE)
+            # Readings at a limit do not move.
+            moving = max(change.size - self._silent, 1)
+            fresh = float(np.vdot(change, self._ones)) / (moving * _MEAN_CHANGE)
+            if self._frames == 1:  # a sample of few cells may be smaller than its deviation
+                fresh *= 1.0 + _CAUTION / np.sqrt(moving)
             self._scatter = fresh if self._frames == 1 else max(_FORGET * self._scatter, fresh)
         self._frames += 1
         return int(np.ceil(_GUARD * self.noise_volts / self._step))

@@ -7,7 +7,7 @@ import json
 import math
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,17 @@ import numpy as np
 from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design
-from ..config import parse
-from ..errors import InputError, LinkEnded, LinkError, MissingExtra
+from ..config import LEAST, MOST, parse
+from ..errors import InputError, LinkEnded, LinkError, MissingExtra, ProtocolError
+from ..text import shortened
 from ..wire import read_description, write_description
 from ._calibration import Calibration
 from ._past import Past
 from ._port import Arrival
 from ._recorder import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
+
+MOST_S = 1e12
+"""30,000 years: no time of arrival is later"""
 
 
 @dataclass(frozen=True)
@@ -61,11 +65,15 @@ class RecordedSettings:
         """The settings in a file's metadata; InputError where they are none."""
         if metadata.get("format") != FORMAT:
             raise InputError(f"{path}: a recording of format {metadata.get('format')}; expected {FORMAT}")
-        design, cell = read_description(metadata["given"].encode())
+        for name in ("board", "given"):
+            if name not in metadata:
+                raise InputError(f"{path}: the metadata '{METADATA}' lacks '{name}'")
+        try:
+            design, cell = read_description(metadata["given"].encode())
+        except ProtocolError as error:
+            raise InputError(f"{path}: given: {error}") from error
         calibration = metadata.get("calibration")
-        pitch, accuracy = (
-            float.fromhex(metadata[name]) if name in metadata else None for name in ("pitch", "accuracy")
-        )
+        pitch, accuracy = (_hexadecimal(metadata, name, path) for name in ("pitch", "accuracy"))
         return cls(
             board=metadata["board"],
             design=None if design is None else parse(design, Design, source=f"{path}: design"),
@@ -178,6 +186,20 @@ class ReplayPort:
         return (item.received_at - self.now()) / self._speed
 
 
+def _hexadecimal(metadata: Mapping[str, str], name: str, path: Path) -> float | None:
+    """A positive number in C's hexadecimal notation; None where the metadata has none."""
+    text = metadata.get(name)
+    if text is None:
+        return None
+    try:
+        value = float.fromhex(text)
+    except (ValueError, OverflowError):
+        value = math.nan
+    if not LEAST <= value <= MOST:
+        raise InputError(f"{path}: {name}: expected a positive number in hexadecimal (got {shortened(text)})")
+    return value
+
+
 def _survey(path: Path) -> tuple[RecordedSettings, Past | None, RestSchedule, int, float]:
     settings, past, rest = None, None, RestSchedule()
     arrivals, first, last = 0, None, 0.0
@@ -186,17 +208,14 @@ def _survey(path: Path) -> tuple[RecordedSettings, Past | None, RestSchedule, in
             settings = RecordedSettings.of(data, path)
         elif topic == BYTES_TOPIC:
             arrivals += 1
-            last = STAMP.unpack_from(data)[0]
+            last = _arrival(data, path).received_at
             first = last if first is None else first
         elif topic == EVENTS_TOPIC:
-            event = json.loads(data)
+            event = _event(data, path)
             if event["event"] == "joined":
                 past = Past.parse(event.get("past"), f"{path}: what was before")
             if event["event"] == "rest":
-                ohm = event["rest_ohm"]
-                values = None if ohm is None else np.frombuffer(base64.b64decode(ohm), dtype="<f8").astype(np.float64)
-                after = -math.inf if event["after"] is None else float.fromhex(event["after"])
-                rest.changes.append((after, values))
+                rest.changes.append(_rest_change(event, path))
     if settings is None:
         raise InputError(f"{path}: is no recording of ohmskin; expected the metadata '{METADATA}'")
     return settings, past, rest, arrivals, 0.0 if first is None else last - first
@@ -205,10 +224,44 @@ def _survey(path: Path) -> tuple[RecordedSettings, Past | None, RestSchedule, in
 def _items(path: Path) -> Iterator[Arrival | LinkError]:
     for topic, data in _records(path):
         if topic == BYTES_TOPIC:
-            received_at, wall_time = STAMP.unpack_from(data)
-            yield Arrival(data[STAMP.size :], received_at, wall_time)
-        elif topic == EVENTS_TOPIC and json.loads(data)["event"] == "port gone":
+            yield _arrival(data, path)
+        elif topic == EVENTS_TOPIC and _event(data, path)["event"] == "port gone":
             yield LinkError(f"{path}: the board has gone away (as it did then)")
+
+
+def _arrival(data: bytes, path: Path) -> Arrival:
+    """What arrived, and when; InputError where the message is no such thing."""
+    if len(data) < STAMP.size:
+        raise InputError(f"{path}: an arrival of {len(data)} bytes; expected at least {STAMP.size}, its times")
+    received_at, wall_time = STAMP.unpack_from(data)
+    if not (abs(received_at) <= MOST_S and abs(wall_time) <= MOST_S):
+        raise InputError(f"{path}: an arrival at {received_at:g} s, {wall_time:g} s since the epoch; expected times")
+    return Arrival(data[STAMP.size :], received_at, wall_time)
+
+
+def _event(data: bytes, path: Path) -> dict[str, Any]:
+    """A message of the events' topic; InputError where it is none."""
+    try:
+        event = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: an event that is no JSON: {shortened(str(error))}") from error
+    if not isinstance(event, dict) or not isinstance(event.get("event"), str):
+        raise InputError(f"{path}: an event without the key 'event'; expected a JSON object")
+    return event
+
+
+def _rest_change(event: Mapping[str, Any], path: Path) -> tuple[float, FloatArray | None]:
+    """The time after which rest resistances hold, and these; InputError."""
+    try:
+        after = -math.inf if event["after"] is None else float.fromhex(event["after"])
+        if event["rest_ohm"] is None:
+            return after, None
+        ohm = np.frombuffer(base64.b64decode(event["rest_ohm"], validate=True), dtype="<f8").astype(np.float64)
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise InputError(f"{path}: an event 'rest' that cannot be read: {shortened(str(error))}") from error
+    if math.isnan(after) or not ((ohm >= LEAST) & (ohm <= MOST)).all():
+        raise InputError(f"{path}: an event 'rest': expected a time and positive resistances")
+    return after, ohm
 
 
 def _records(path: Path) -> Iterator[tuple[str, Any]]:
@@ -237,4 +290,4 @@ def _records(path: Path) -> Iterator[tuple[str, Any]]:
         # A process that was killed, or a full disk, ends a file anywhere: mcap, its decompressors and struct raise
         # errors of many kinds there. What was written before is whole, as its checksums say.
         if not found:
-            raise InputError(f"{path}: is no MCAP file: {str(error) or type(error).__name__}") from error
+            raise InputError(f"{path}: is no MCAP file; expected a recording of `ohmskin record`") from error

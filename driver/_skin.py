@@ -124,6 +124,7 @@ class Skin:
             self._counters = Counters()
             self._mailbox = Mailbox(1 if delivery == "newest" else queue, drops_oldest=delivery != "lossless")
             introduction = Introduction(family, port.name, design, cell)
+            introduction.must_identify = given is not None and bool(given.serial_number)
             self._reader = Reader(
                 port,
                 protocol=lambda: _host_end(family, introduction),

@@ -2,7 +2,8 @@
 
 Options (and variables of the environment): ``--ohmskin-target`` (``OHMSKIN_TARGET``), ``--ohmskin-board``
 (``OHMSKIN_BOARD``), ``--ohmskin-scene`` (``OHMSKIN_SCENE``, and ``ohmskin_scene`` in the configuration),
-``--ohmskin-seed`` (``OHMSKIN_SEED``), ``--ohmskin-strict`` (``OHMSKIN_STRICT``). docs/hil.md describes them.
+``--ohmskin-seed`` (``OHMSKIN_SEED``), ``--ohmskin-calibration`` (``OHMSKIN_CALIBRATION``), ``--ohmskin-strict``
+(``OHMSKIN_STRICT``). docs/hil.md describes them.
 
 What cannot be run is reported as "not run" with its reason, and fails where ``--ohmskin-strict`` is given. Rooms of
 ohmskin are imported when a fixture is used, so that the plugin costs nothing to other test suites.
@@ -40,6 +41,7 @@ class Settings:
         self.seed = _whole(config, "seed")
         self.strict = bool(config.getoption("--ohmskin-strict") or os.environ.get("OHMSKIN_STRICT") in ("1", "true"))
         self.scene = _scene(config)
+        self.calibration = _option(config, "calibration") or None
         self.revision = os.environ.get("OHMSKIN_REVISION") or _revision(config.rootpath)
         self.not_run: dict[str, str] = {}
         """reason of each test that was not run, by its id"""
@@ -64,6 +66,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group.addoption("--ohmskin-target", metavar="emulated|firmware|PORT", help="the board under test [emulated]")
     group.addoption("--ohmskin-board", metavar="FAMILY", help="family of the board under test [ohmskin]")
     group.addoption("--ohmskin-scene", metavar="SCENE.toml", help="what the emulated board is [that of the examples]")
+    group.addoption("--ohmskin-calibration", metavar="FILE.toml", help="calibration of the skin under test [none]")
     group.addoption("--ohmskin-seed", metavar="K", help="seed of the emulated noise [0]")
     group.addoption(
         "--ohmskin-strict", action="store_true", help="fail where hardware is missing, and if no test ran on hardware"
@@ -140,16 +143,21 @@ def skin(request: pytest.FixtureRequest, board: BoardInService) -> Iterator[Skin
     from ..driver import Skin
     from ..errors import LinkError
 
+    calibration = request.config.stash[_settings].calibration
     try:
-        opened = Skin.open(board.port, board=board.family, delivery="every", timeout=10.0)
+        opened = Skin.open(board.port, board=board.family, delivery="every", timeout=10.0, calibration=calibration)
     except LinkError as error:
         if not board.is_hardware:
             raise
         _not_run(request, str(error))
     with opened:
         firmware = "" if opened.identity is None else opened.identity.firmware
-        _say(request, firmware=firmware, serial_number=opened.serial_number, calibration=_calibration(opened))
-        yield opened
+        _say(request, firmware=firmware, serial_number=opened.serial_number)
+        try:
+            yield opened
+        finally:
+            # The test may have tared the skin.
+            _say(request, calibration=_calibration(opened))
 
 
 @pytest.fixture
@@ -180,10 +188,15 @@ def _asker(request: pytest.FixtureRequest) -> Callable[[str], None]:
 
 
 def _calibration(skin: Skin) -> str:
-    """A hash of what turns resistance into pressure: the data of the cell. Empty where there is none."""
+    """A hash of what turns resistance into pressure: the cell's data, calibration and tare. Empty without a cell."""
     if skin.cell is None:
         return ""
-    text = json.dumps(skin.cell.model_dump(mode="json"), sort_keys=True)
+    parts: dict[str, object] = {"cell": skin.cell.model_dump(mode="json")}
+    if skin.calibration is not None:
+        parts["calibration"] = skin.calibration.hash
+    if skin.tared is not None:
+        parts["tare"] = skin.tared.rest_resistance_ohm.tolist()
+    text = json.dumps(parts, sort_keys=True)
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 

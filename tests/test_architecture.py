@@ -19,7 +19,7 @@ MAY_IMPORT = {
     "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
     "emulator": SHARED | {"circuits", "cell", "wire"},
     "driver": SHARED | {"circuits", "cell", "wire"},
-    "calibration": SHARED | {"circuits", "cell", "driver"},
+    "calibration": SHARED | {"circuits", "cell", "wire", "driver"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
     "hil": SHARED | {"driver", "emulator"},
     "view": SHARED | {"driver"},

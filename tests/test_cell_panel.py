@@ -70,7 +70,7 @@ def test_the_choice_is_by_the_worst_fold_with_the_static_curve_as_the_floor(
 ) -> None:
     parts = dict(zip(("static", "play", "distilled"), np.reshape(errors, (3, 3)).tolist(), strict=True))
     by_fold = {name: tuple(folds) for name, folds in parts.items()}
-    chosen, reason = _choose(by_fold, unexplained, presses)  # type: ignore[arg-type]
+    chosen, reason = _choose(by_fold, unexplained, presses, 1.0)  # type: ignore[arg-type]
     worst = {name: max(folds) for name, folds in by_fold.items()}
     assert worst[chosen] <= worst["static"]
     assert max(by_fold[chosen][1:]) <= max(by_fold["static"][1:])

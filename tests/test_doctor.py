@@ -206,3 +206,24 @@ def test_the_exit_code_tells_of_problems(capsys: pytest.CaptureFixture[str], mon
     assert "-> plug the board in" in capsys.readouterr().out
     assert run(["doctor", "socket://127.0.0.1:9"]) == 3
     assert "cannot be opened" in capsys.readouterr().out
+
+
+def test_a_path_may_be_relative_and_must_be_a_port(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(_listening, "LISTEN_S", 0.1)
+    (tmp_path / "notes.txt").write_text("no port")
+    with PtyPort(tmp_path / "skin"):
+        assert run(["doctor", "skin"]) == 3  # silent, since nobody plays the board
+        shown = capsys.readouterr().out
+        assert "skin: may be opened" in shown
+        assert "is not there" not in shown
+    for name, found in (
+        ("notes.txt", "is a file"),
+        (".", "is a folder"),
+        ("nowhere", "is not there"),
+        ("", "not there"),
+    ):
+        assert run(["doctor", name]) == 3
+        assert found in capsys.readouterr().out

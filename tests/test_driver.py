@@ -102,7 +102,9 @@ def settled(read: CountReader, counts: np.ndarray) -> Reading:
 def test_clipped_and_impossible_readings_are_not_valid(drive: float, counts: list[int], valid: list[bool]) -> None:
     """An output swing of 0.2 ... 3.0 V ends within codes 248 and 3723 of the converter's 0 ... 3.3 V."""
     swing = design(
-        drive={"voltage": drive}, readout=DESIGN["readout"] | {"reference_voltage": 1.65, "supply": [0.2, 3.0]}
+        array={"rows": 3, "columns": 2},  # over leads, three cells that may be shorts would cost the others
+        drive={"voltage": drive},
+        readout=DESIGN["readout"] | {"reference_voltage": 1.65, "supply": [0.2, 3.0]},
     )
     reading = settled(CountReader(swing), np.reshape(counts, (3, 2)))
     np.testing.assert_array_equal(reading.valid.ravel(), valid)

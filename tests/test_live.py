@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ohmskin.bench import _live_hunt
 from ohmskin.circuits import Design, Reason, adc_codes, live_recovery, scan
-from ohmskin.circuits.recovery import _amplified
-from ohmskin.driver import CountReader
+from ohmskin.circuits.recovery import _amplified, _coupled
+from ohmskin.driver import CountReader, Reading
 from ohmskin.errors import InputError
 
 CIRCUITS = (
@@ -175,3 +176,112 @@ def test_noise_does_not_bring_a_saturated_output_back_to_life() -> None:
         assert not reading.valid[cells < 100].any()  # in the first frame, too
         assert (relative_error(reading.resistance, cells)[reading.valid] < 0.01).all()
         assert reading.valid.sum() >= 10
+
+
+@pytest.mark.parametrize("family", ["inverting", "row", "floating", "divider", "loaded", "open divider", "feedback"])
+def test_the_hunt_finds_nothing_in_its_first_streams(family: str) -> None:
+    """Quantised streams of random boards, with and without noise, saturated cells and faults (bench.hunt --live)."""
+    tally = _live_hunt.LiveTally()
+    for number in range(2000, 2005):
+        _live_hunt.check(family, number, tally)
+    assert tally.findings == []
+    assert tally.valid > 0
+
+
+def test_the_hunt_notices_a_wrong_cell(monkeypatch: pytest.MonkeyPatch) -> None:
+    tally = _live_hunt.LiveTally()
+    real = _live_hunt.scan
+    monkeypatch.setattr(_live_hunt, "scan", lambda design, cells: real(design, 1.2 * cells))
+    for number in range(2000, 2006):
+        _live_hunt.check("inverting", number, tally)
+    assert tally.count("wrong cell") >= 3
+
+
+@pytest.mark.parametrize(("circuit", "idle_rows"), [("voltage-divider", "ground"), ("voltage-feedback", "ground")])
+def test_a_frame_of_a_coupled_board_has_a_bounded_number_of_evaluations(
+    circuit: str, idle_rows: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    design = board(circuit, 6, 6, 12, idle_rows=idle_rows)
+    counted: dict[str, int] = {}
+
+    def count(name: str) -> None:
+        real = getattr(_coupled.CoupledLive, name)
+
+        def counting(*given: Any) -> Any:
+            counted[name] = counted.get(name, 0) + 1
+            return real(*given)
+
+        monkeypatch.setattr(_coupled.CoupledLive, name, counting)
+
+    for name in ("_model", "_renew", "_based_on"):
+        count(name)
+    read = CountReader(design)
+    for number, frame in enumerate(pressed((6, 6), np.random.default_rng(0), 12, 500.0)):
+        counted.clear()
+        read(adc_codes(design, scan(design, frame).volts))
+        if number:
+            assert counted.get("_model", 0) <= _coupled.USUAL_EFFORT.evaluations
+            assert counted.get("_renew", 0) <= _coupled.USUAL_EFFORT.instalments
+            assert "_based_on" not in counted
+
+
+@pytest.mark.parametrize("sigma_steps", [0.5, 3.0])
+def test_the_noise_of_the_readings_is_in_the_uncertainty(sigma_steps: float) -> None:
+    """Measured from frame to frame, while two fingers press: 3 standard deviations, hence 0.3 % of cells beyond."""
+    design = board("inverting-amplifier", 8, 8, 12)
+    rng, read, beyond, cells = np.random.default_rng(5), CountReader(design), 0, 0
+    assert design.adc is not None
+    for number, frame in enumerate(pressed((8, 8), rng, 60, 2500.0)):
+        volts = scan(design, frame).volts + rng.normal(scale=sigma_steps * design.adc.step, size=(8, 8))
+        reading = read(adc_codes(design, volts))
+        if number:
+            off = np.abs(reading.resistance / frame - 1)[reading.valid]
+            beyond, cells = beyond + int((off > reading.uncertainty[reading.valid]).sum()), cells + off.size
+    assert cells > 3000
+    assert beyond <= 0.003 * cells
+    assert 0.8 * sigma_steps < read.noise_volts / design.adc.step < 3.0 * sigma_steps
+
+
+def test_the_noise_that_a_design_names_counts_from_the_first_frame() -> None:
+    noisy = board("inverting-amplifier", 4, 4, 16).replace(
+        readout={"voltage_noise": 1e-6, "gain_bandwidth": 1e6, "column_capacitance": 1e-10}
+    )
+    cells, quiet = np.full((4, 4), 1e4), board("inverting-amplifier", 4, 4, 16)
+    assert CountReader(noisy).noise_volts > 1e-4
+    seen = [read(adc_codes(quiet, scan(quiet, cells).volts)).uncertainty for read in map(CountReader, (quiet, noisy))]
+    assert (seen[1] > 2 * seen[0]).all()
+
+
+def test_the_accuracy_asked_for_decides_what_is_valid() -> None:
+    design = board("inverting-amplifier", 4, 4, 8)
+    counts = adc_codes(design, scan(design, np.full((4, 4), 5e3)).volts)
+    (own,) = {round(float(value), 3) for value in _second(design, counts, None).uncertainty.ravel()}
+    assert _second(design, counts, None).valid.all()
+    assert _second(design, counts, 1.2 * own).valid.all()
+    refused = _second(design, counts, 0.8 * own)
+    assert (refused.reason == Reason.UNCERTAIN).all()
+    for absurd in (0.0, 1.0, -0.1, np.nan):
+        with pytest.raises(InputError, match="accuracy"):
+            CountReader(design, accuracy=absurd)
+
+
+def _second(design: Design, counts: np.ndarray, accuracy: float | None) -> Reading:
+    read = CountReader(design, accuracy=accuracy)
+    read(counts)
+    return read(counts)
+
+
+def test_a_known_short_beside_a_cell_makes_the_cell_less_certain() -> None:
+    """A tenth of the current is the cell's: an error of the reading weighs ten times."""
+    whole = board("inverting-amplifier", 3, 3, 10)
+    shunted = whole.replace(fault=({"kind": "shorted-cell", "place": [1, 1], "resistance": 2e3},))
+    cells = np.full((3, 3), 18e3)
+    for lead in (0.0, 25.0):
+        design = shunted.replace(array={"row_lead": lead, "column_lead": lead})
+        reading = _second(design, adc_codes(design, scan(design, cells).volts), 0.5)
+        assert reading.valid[1, 1]
+        error = relative_error(reading.resistance, cells)
+        assert (error <= reading.uncertainty).all()
+        total = 1 / 18e3 + 1 / 2e3
+        own_step = 0.5 * design.adc.step / 1e3 / total  # type: ignore[union-attr]
+        assert reading.uncertainty[1, 1] > 9 * own_step

@@ -12,8 +12,8 @@ import sys
 import time
 import urllib.request
 from collections.abc import Iterator
-from contextlib import contextmanager
-from http.client import HTTPConnection
+from contextlib import contextmanager, suppress
+from http.client import HTTPConnection, RemoteDisconnected
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -426,7 +426,8 @@ def test_on_the_loopback_only_its_own_names_and_page_are_answered() -> None:
             assert status_of(url, host) == 403, host
         assert status_of(url, "localhost", "/../../etc/passwd") == 404
         assert status_of(url, "localhost", "/_server.py") == 404
-        assert status_of(url, "localhost", method="POST") == 405
+        with suppress(RemoteDisconnected):  # what older versions of websockets do
+            assert status_of(url, "localhost", method="POST") == 405
         with join(url) as socket:
             assert json.loads(socket.recv())["kind"] == "introduction"
         for origin in ("http://evil.example", f"http://localhost:{port}", "null", None):

@@ -114,7 +114,7 @@ def schema() -> str:
 def load_record(path: str | Path) -> ReportRecord:
     """An older report.json. Raises InputError."""
     try:
-        return ReportRecord.model_validate_json(read_text(path, most_bytes=1 << 28))
+        return ReportRecord.model_validate_json(read_text(path, most_bytes=1 << 28), strict=True)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))

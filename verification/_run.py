@@ -141,6 +141,8 @@ def verify(
     wanted, statements = _chosen(wanted, statements, tuple(only))
     work = Work(subject, wanted, here)
     memory = _Store(store, _fingerprint(work))
+    if target != "emulated":  # another board may answer at the same port by now
+        _subjects.pop(memory.fingerprint, None)
     results = _compute(work, statements, memory, jobs, executor, progress)
     name = title or ("the paper's 4 × 4 prototype" if design is None else "readout design")
     claims = [found for found in results if isinstance(found, Claim)]

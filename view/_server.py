@@ -85,7 +85,7 @@ async def serve(source: Source, *, host: str = "127.0.0.1", ports: Sequence[int]
             break
         except OSError as error:
             if port == ports[-1]:
-                raise InputError(f"{host}:{port}: {_why_not(error)}") from error
+                raise InputError(_why_not(error, host, port)) from error
     assert server is not None
     try:
         found = next(iter(server.sockets)).getsockname()[1]
@@ -158,12 +158,12 @@ def _files() -> dict[str, tuple[str, bytes]]:
     }
 
 
-def _why_not(error: OSError) -> str:
+def _why_not(error: OSError, host: str, port: int) -> str:
     if error.errno == errno.EADDRINUSE:
-        return "is in use by another program; --port 0 takes any that is free"
+        return f"{host}: port {port} is in use by another program; expected a free one, or 0 for any"
     if isinstance(error, socket.gaierror) or error.errno == errno.EADDRNOTAVAIL:
-        return "is no address of this machine"
-    return f"cannot be listened on: {error.strerror or error}"
+        return f"{host}: is no address of this machine"
+    return f"{host}: port {port} cannot be listened on: {error.strerror or error}"
 
 
 def _shown_host(host: str) -> str:

@@ -458,6 +458,7 @@ class AmplifiedLive:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Conductances (N, M) in S and relative uncertainties of the cells without known faults beside them."""
         cells = cell_alone(self._board, conductance, self._shunt)
+        uncertainty = np.minimum(uncertainty, _BOUNDLESS)
         most = cell_alone(self._board, conductance * (1.0 + uncertainty), self._shunt)
         least = cell_alone(self._board, conductance * np.maximum(1.0 - uncertainty, 0.0), self._shunt)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -519,7 +520,9 @@ class AmplifiedLive:
             takes = more @ (self._to_driver * most).T
             np.fill_diagonal(lifts, 0.0)
             np.fill_diagonal(takes, 0.0)
-            added = (lifts + takes) @ np.where(more, 0.0, conductance)
+            # A lifted row feeds the columns of its cells, and above all the column that a short of its own joins it to.
+            added = lifts @ np.where(more, 0.0, conductance)
+            added += takes @ np.where(more, np.minimum(short, _BOUNDLESS), conductance)
             offset = np.abs(self._source / self._board.drive)
             with np.errstate(invalid="ignore"):
                 added += np.nan_to_num(offset * short.sum(axis=0), nan=0.0, posinf=inf)

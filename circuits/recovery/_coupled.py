@@ -2,30 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from math import inf
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._adc import adc_error
-from .._board import Board, broken_off
+from .._board import Board, broken_off, cell_alone
 from .._exact import read_exactly
-from .._sensitivity import board_sensitivity
+from ..solvers import siemens
+from ._derivatives import LineResistance, derivatives
 from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
 
-EVALUATIONS = 4
-"""of the circuit model in one frame, at most"""
+_SHORT = 8.0  # half steps and noise from the reading of a short within which a cell may be one
+_SHORT_SHARE = 0.998  # of the reading of a short, likewise
 _PRIOR = 3.0  # standard deviation of the logarithm of a conductance before anything is read: a factor of 20
 _UNKNOWN = 8.0  # the same for a cell that a fault hides
 _SETTLED = 0.3  # posterior standard deviations that a further step would change a cell by
 _UNSETTLED = 3.0  # half steps between readings and model beyond which a fit says nothing yet
 _MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
 _FAR = 0.1  # relative change since the derivatives were made from which on they no longer serve
-_FIRST_EFFORT = 40, 8  # evaluations and derivatives that the first frame of all may take
-_SIGMAS = 4.0  # posterior standard deviations that an uncertainty covers
+_AT_ONCE = 100  # cells up to which the matrices of a renewal are factored in one instalment
+_SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
@@ -37,14 +39,39 @@ class _Base(NamedTuple):
 
     log: FloatArray
     """(n,) logarithm of the conductances"""
-    volts: FloatArray
-    """(n,) V that the model makes of them"""
     gain: FloatArray
     """(n, n): regularised inverse of the derivatives, from readings in standard deviations to changes of ``log``"""
     std: FloatArray
     """(n,) posterior standard deviation of ``log``"""
     others: FloatArray
     """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
+
+
+class _Effort(NamedTuple):
+    """What a frame may cost."""
+
+    evaluations: int
+    """of the circuit model"""
+    instalments: int
+    """of the renewal of the derivatives, each about as much as one to five evaluations"""
+
+
+USUAL_EFFORT = _Effort(4, 2)
+FIRST_EFFORT = _Effort(40, 60)
+"""in the first frame of all, before which nothing is known"""
+
+
+class _Fit(NamedTuple):
+    """Cells that give the readings, more or less."""
+
+    log: FloatArray
+    """(n,) logarithms of the conductances"""
+    step: FloatArray
+    """(n,) change that a further step would make"""
+    misfit: float
+    """half steps and noise between readings and model"""
+    stalled: bool
+    """the last step has hardly changed that"""
 
 
 class CoupledLive:
@@ -59,13 +86,27 @@ class CoupledLive:
 
     def __init__(self, board: Board, rule: ValidityRule) -> None:
         """For a sliced sheet with a converter."""
-        self._board, self._rule = board, rule
+        # Readings at a limit are not fitted. A model without limits has derivatives wherever the fit passes through.
+        self._board = board = board.design.replace(readout={"supply": (-inf, inf)}).board
+        self._rule = rule
         self._half_step = adc_error(board.design)
         self._noise = self._half_step / np.sqrt(3.0)  # V, standard deviation of an error within a step
         self._shape = board.shape
         self._mixes = board.circuit.mixes_cells or board.floating
         self._hidden = (broken_off(board) | np.isinf(board.series_ohms)).ravel()
+        self._shunt = np.zeros(board.shape)  # S
+        for fault in board.shorts:
+            self._shunt[fault.place] += siemens(fault.ohms)
+        self._lines = LineResistance(board)
+        leads = board.row_ohms[:, :1] + board.column_lead
+        # V of a short that is alone, inf with ideal lines and amplifiers; and the most that any cells can make of it
+        self._short_signal, self._most_signal = (
+            np.abs(board.circuit.ideal_volts(board, ohms) - board.level)
+            for ohms in (self._lines.to_ends + board.column_lead, leads + 0.0 * self._lines.to_ends)
+        )
+        self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
         self._base: _Base | None = None
+        self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._x: FloatArray | None = None  # where the last frame ended
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
@@ -85,32 +126,36 @@ class CoupledLive:
         if limited is not None or (self._mixes and self._hidden.any()):
             # A cell beyond its limit may be a short, and what that does to all others no derivative at the limit tells.
             return self._nothing(limited)
+        signal, margin = np.abs(volts - self._board.level), _SHORT * (self._half_step + SIGMAS * noise)
+        if (signal > self._most_signal + margin).any():
+            raise SolverError("readings above that of a short; check that the design is that of the board")
+        beyond = signal >= np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)
+        if beyond.any():
+            return self._nothing(beyond)
         measured = volts.ravel()
         # Noise makes readings less certain, and readings and model differ by as much more.
         coarser = float(np.hypot(1.0, noise / self._noise))
         start = self._x
         if start is None:
-            start = self._start(volts)
+            start, self._renewal = self._start(volts), None
             self._from_fresh_start = True
-        if self._base is None or self._x is None:
+        if self._base is None:
             self._base = self._based_on(start)
-        effort = (EVALUATIONS, 1) if self._begun else _FIRST_EFFORT
-        self._begun = True
-        x, left, misfit, stalled = self._solve(measured, start, *effort)
-        misfit /= coarser
-        self._x, base = x, self._base
+        fit = self._solve(measured, start, coarser, USUAL_EFFORT if self._begun else FIRST_EFFORT)
+        x, misfit = fit.log, fit.misfit
+        self._begun, self._x, base = True, x, self._base
         if misfit <= _UNSETTLED:
             self._from_fresh_start = False
-        elif misfit > _MISFIT and stalled:
+        elif misfit > _MISFIT and fit.stalled:
             self._x = None  # the next frame starts anew
             if self._from_fresh_start:
                 raise SolverError("no cell resistances give these readings; check that the design is that of the board")
-        signal = np.abs(measured - self._board.level)
+        signal = signal.ravel()
         slope = self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)
         own = ((self._half_step + SIGMAS * noise) * np.abs(slope)).ravel()
         own[slope.ravel() == 0] = 1.0
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * base.std, own) + np.abs(left)
+        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * base.std, own) + np.abs(fit.step)
         uncertainty = by_readings + base.others
         open_cells = signal <= self._half_step + SIGMAS * noise
         reason = np.full(len(measured), Reason.UNCERTAIN, dtype=np.int8)
@@ -134,36 +179,45 @@ class CoupledLive:
             lambda: (uncertainty.reshape(shape), own.reshape(shape)),
         )
 
-    def _solve(
-        self, measured: FloatArray, x: FloatArray, evaluations: int, renewals: int
-    ) -> tuple[FloatArray, FloatArray, float, bool]:
-        """Logarithms (n,) of the conductances, the change that a further step would make, the misfit, and whether the
-        last step has hardly changed it.
+    def _solve(self, measured: FloatArray, x: FloatArray, scale: float, effort: _Effort) -> _Fit:
+        """Fit the cells, starting from the logarithms x (n,) of their conductances.
 
         Args:
             measured: (n,) V.
             x: (n,) where to start.
-            evaluations: of the circuit model, at most.
-            renewals: of the derivatives, which cost many evaluations, at most.
+            scale: half steps that readings and model may differ by, for noise.
+            effort: what the frame may cost.
 
         """
-        assert self._base is not None
-        misfit, stalled = inf, False
-        for count in range(evaluations):
-            volts = self._model(x)
-            left = self._step(measured - volts)
-            last, misfit = misfit, self._misfit(measured - volts)
+        misfit, stalled, instalments = inf, False, effort.instalments
+        for left in range(effort.evaluations - 1, -1, -1):
+            assert self._base is not None
+            apart = measured - self._model(x)
+            last, misfit = misfit, self._misfit(apart) / scale
+            step = self._step(apart)
             stalled = abs(misfit - last) <= _SAME * misfit
             far = float(np.abs(x - self._base.log).max()) > _FAR
-            if misfit <= _FITS and self._serves(left) and not far:
+            if far or misfit > _FITS or self._renewal is not None:
+                while instalments:
+                    instalments -= 1
+                    if self._renew(x):
+                        step = self._step(apart)
+                        break
+            elif self._serves(step, scale):
                 break
-            if count < evaluations - 1:
-                if renewals and (far or misfit > _FITS):
-                    renewals -= 1
-                    self._base = self._based_on(x)
-                    left = self._step(measured - volts)
-                x = x + left
-        return x, left, misfit, stalled
+            if left:
+                x = x + step
+        return _Fit(x, step, misfit, stalled)
+
+    def _renew(self, x: FloatArray) -> bool:
+        """Go on with the renewal of the derivatives, or begin one at x (n,). True if they have just become new."""
+        if self._renewal is None:
+            self._renewal = self._renewed(x)
+        base = next(self._renewal)
+        if base is None:
+            return False
+        self._base, self._renewal = base, None
+        return True
 
     def _nothing(self, limited: BoolArray | None) -> LiveReading:
         """A frame that tells of no cell."""
@@ -179,12 +233,12 @@ class CoupledLive:
         steps = np.abs(apart) / self._half_step
         return max(float(np.sqrt(np.mean(steps**2))), 0.5 * float(steps.max()))
 
-    def _serves(self, left: FloatArray) -> bool:
+    def _serves(self, step: FloatArray, scale: float) -> bool:
         """Whether a further step would move no cell that the readings determine by more than its own uncertainty."""
         assert self._base is not None
-        std = self._base.std
+        std = scale * self._base.std
         determined = (std <= _LOOSE) & (self._base.others <= _LOOSE)
-        return bool((np.abs(left) <= np.maximum(_SETTLED * std, 1e-6))[determined].all())
+        return bool((np.abs(step) <= np.maximum(_SETTLED * std, 1e-6))[determined].all())
 
     def _step(self, volts: FloatArray) -> FloatArray:
         """Change (n,) of the logarithms for a difference (n,) of the readings in V."""
@@ -195,6 +249,8 @@ class CoupledLive:
     def _start(self, volts: FloatArray) -> FloatArray:
         apparent = self._board.circuit.apparent_conductance(self._board, volts - self._board.level)
         typical = float(np.median(apparent[apparent > 0])) if (apparent > 0).any() else 1e-5
+        most = 1e3 * float(apparent.max(initial=0.0)) or 1.0
+        apparent = np.minimum(cell_alone(self._board, apparent, self._shunt), most)
         start: FloatArray = np.log(np.where(apparent > 1e-3 * typical, apparent, 0.1 * typical)).ravel()
         return start
 
@@ -203,19 +259,33 @@ class CoupledLive:
         return read_exactly(self._board, np.exp(-x).reshape(self._shape))[0].volts.ravel()
 
     def _based_on(self, x: FloatArray) -> _Base:
-        """Derivatives and their regularised inverse at x (n,)."""
-        found = board_sensitivity(self._board, np.exp(-x).reshape(self._shape))
-        in_series = 1.0 / (np.exp(-x) + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
-        jacobian = found.cell_conductance.reshape(len(x), len(x)) * (in_series**2 * np.exp(-x) / self._noise)
+        """Derivatives and their regularised inverse at x (n,), at once."""
+        return next(base for base in self._renewed(x) if base is not None)
+
+    def _renewed(self, x: FloatArray) -> Iterator[_Base | None]:
+        """Derivatives and their regularised inverse at x (n,), in instalments; None until the last."""
+        cells = np.exp(-x)
+        found: FloatArray | None = None
+        for found in derivatives(self._board, cells.reshape(self._shape), self._lines):
+            if found is None:
+                yield None
+        assert found is not None
+        in_series = 1.0 / (cells + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
+        jacobian = found.reshape(len(x), len(x)) * (in_series**2 * cells / self._noise)
         prior = np.where(self._hidden, _UNKNOWN, _PRIOR)
         normal = jacobian.T @ jacobian
         normal[np.diag_indices_from(normal)] += prior**-2.0
-        try:
-            inverse = cho_solve(cho_factor(normal, overwrite_a=True), np.eye(len(x)))
-        except LinAlgError as error:
-            raise SolverError("the readings do not determine the cells at all") from error
+        if len(x) > _AT_ONCE:
+            yield None
+        factor, failed = dpotrf(normal, lower=1, overwrite_a=1)
+        if failed:
+            raise SolverError("the readings do not determine the cells at all")
+        inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
+        inverse = np.tril(inverse) + np.tril(inverse, -1).T
         std = np.sqrt(np.maximum(np.diagonal(inverse), 0.0))
+        if len(x) > _AT_ONCE:
+            yield None
         loose = self._hidden
         # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
         others = np.abs(inverse[:, loose] / std[loose] ** 2).sum(axis=1) * _UNKNOWN if loose.any() else np.zeros(len(x))
-        return _Base(x, found.volts.ravel(), inverse @ jacobian.T, std, others)
+        yield _Base(x, inverse @ jacobian.T, std, others)

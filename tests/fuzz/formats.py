@@ -6,31 +6,42 @@ it is either read as an independent reader reads it, or refused in one :class:`I
 
 from __future__ import annotations
 
+import base64
 import contextlib
+import hashlib
 import io
+import json
 import math
 import os
 import random
 import re
+import shutil
 import struct
+import tempfile
 import tomllib
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
+import jsonschema
 import numpy as np
 from pydantic import BaseModel
 
 from ohmskin.bench._reference import Indeterminate, reference_volts
+from ohmskin.calibration import Plan, Progress, calibrate_cells
 from ohmskin.cell import Cell
 from ohmskin.circuits import Design, scan
 from ohmskin.cli import run
+from ohmskin.config import parse
+from ohmskin.driver import Calibration, ReplayPort, Skin
 from ohmskin.emulator import Scene
-from ohmskin.errors import InputError, SolverError
+from ohmskin.errors import InputError, LinkEnded, LinkError, OhmskinError, SolverError
 from ohmskin.tables import read_cells, read_columns
 from ohmskin.text import one_line
+from ohmskin.verification._record import compare, load_record
 from ohmskin.wire import BOARDS, FramePacket, Order, board_protocol, host_protocol
 
 from .mutations import mutated
@@ -162,6 +173,94 @@ def _judge_scene(data: bytes, rng: random.Random, folder: Path) -> str:
     return ACCEPTED
 
 
+def _calibration_text(rng: random.Random) -> bytes:
+    where = Path(tempfile.mkdtemp()) / "calibration.toml"
+    grid = np.reshape([rng.uniform(0.5, 2.0) for _ in range(math.prod(SHAPE))], SHAPE)
+    Calibration(
+        rest_ohm=1e4 * grid,
+        gain=grid,
+        gain_std=0.01 * grid,
+        rest_std_kpa=0.01 * grid,
+        residual_kpa=0.0 * grid,
+        calibrated=grid > 0.6,
+        loads_kpa=(5.0, 12.0),
+        presses=24,
+        serial_number="A1",
+        design_hash="d",
+        cell_hash="c",
+        date="2026-01-02T03:04:05+00:00",
+        remarks=("one",),
+    ).save(where)
+    content = where.read_bytes()
+    shutil.rmtree(where.parent)
+    return content
+
+
+def _judge_calibration(data: bytes, rng: random.Random, folder: Path) -> str:
+    """What is accepted has the hash that it states, as the standard library works it out."""
+    path = folder / "calibration.toml"
+    if rng.random() < 0.7:
+        with contextlib.suppress(Exception):  # whatever the mutation has left of the tables
+            data = data.replace(_tables(data)["hash"].encode(), _calibration_hash(data).encode())
+    path.write_bytes(data)
+    found = _read(path, Calibration.load)
+    if found is None:
+        return REFUSED
+    tables = _tables(data)
+    assert _calibration_hash(data) == tables["hash"] == found.hash
+    assert found.gain.tolist() == tables["cells"]["gain"]
+    return ACCEPTED
+
+
+def _calibration_hash(data: bytes) -> str:
+    tables = _tables(data)
+    del tables["format"], tables["hash"]
+    for name in ("rest_ohm", "gain", "gain_std", "rest_std_kpa", "residual_kpa"):
+        tables["cells"][name] = [[float(value) for value in line] for line in tables["cells"][name]]
+    tables["loads_kpa"] = [float(load) for load in tables["loads_kpa"]]
+    return hashlib.sha256(json.dumps(tables, sort_keys=True).encode()).hexdigest()
+
+
+PROGRESS_PLAN = Plan.make(SHAPE, "each", [5.0, 12.0])
+
+
+def _progress_text(rng: random.Random) -> bytes:
+    grid = np.full(SHAPE, 1e4)
+    rest = {"time_s": 1.0, "resistance_ohm": grid.ravel().tolist(), "std_ohm": [1.0] * 12, "change": [0.0] * 12}
+    presses = [
+        {
+            "cells": [number],
+            "time_s": [10.0 * number + at for at in (5.0, 5.2, 9.0, 9.2)],
+            "load_kpa": [0.0, 5.0, 5.0, 0.0],
+            "window_s": [10.0 * number + at for at in (4.0, 8.0)],
+            "resistance_ohm": [[1e4], [rng.choice((None, 1.3e4))]],
+            "std_ohm": [1.0],
+            "frames": 10,
+            "step": number % 2,
+            "felt_kpa": 5.0,
+            "fault": "",
+        }
+        for number in range(rng.randrange(1, 4))
+    ]
+    content = {"format": 1, "setup": {}, "rest": rest | {"frames": 9}, "presses": presses, "trace": [[1.0, 2.0]]}
+    return json.dumps(content).encode()
+
+
+def _judge_progress(data: bytes, rng: random.Random, folder: Path) -> str:
+    """What is accepted can be gone on with."""
+    path = folder / "skin.toml.progress"
+    path.write_bytes(data)
+    found = _read(path, lambda path: Progress.load(path, {}, PROGRESS_PLAN))
+    if found is None:
+        return REFUSED
+    found.save(folder / "copy")
+    again = Progress.load(folder / "copy", {}, PROGRESS_PLAN)
+    assert [press.time_s.tolist() for press in again.presses] == [press.time_s.tolist() for press in found.presses]
+    with np.errstate(all="ignore"):
+        calibrate_cells(Cell.example(), found.rest, found.presses)
+    return ACCEPTED
+
+
 def _tables(data: bytes) -> dict[str, Any]:
     """The standard library's reading."""
     return tomllib.loads(data.decode("utf-8-sig"))
@@ -283,12 +382,15 @@ def _unusual(data: bytes) -> bool:
 # --- the protocol of the board ----------------------------------------------------------------------------------------
 
 
-def _stream(rng: random.Random) -> bytes:
+_SHAPES = ((1, 1), (2, 3), (4, 4), (16, 16))
+
+
+def _stream(rng: random.Random, shapes: Sequence[tuple[int, int]] = _SHAPES) -> bytes:
     """Frames of one board, as docs/wire.md has them, stuffed by this module's own encoder."""
     boot = rng.randrange(2**32)
     packets = []
     for number in range(rng.randrange(1, 8)):
-        rows, columns = rng.choice(((1, 1), (2, 3), (4, 4), (16, 16)))
+        rows, columns = rng.choice(shapes)
         counts = rng.randbytes(2 * rows * columns) if rng.random() < 0.7 else bytes(2 * rows * columns)
         head = struct.pack("<BBIIQ", 1, 2, boot, number, 20_000 * number)
         body = head + struct.pack("<HHH", rows, columns, 0) + counts
@@ -395,6 +497,200 @@ def _judge_commands(data: bytes, rng: random.Random, folder: Path) -> str:
     return ACCEPTED if whole else REFUSED
 
 
+# --- recordings -------------------------------------------------------------------------------------------------------
+
+MAGIC = b"\x89MCAP0\r\n"
+TOPICS = ("/ohmskin/bytes", "/ohmskin/events")
+
+
+def _mcap(metadata: Mapping[str, str], messages: Sequence[tuple[int, bytes]]) -> bytes:
+    """An MCAP file without chunks, by its specification; ``messages`` are numbers of topics, and data."""
+    records = [(1, _text("") + _text(""))]
+    for number, topic in enumerate(TOPICS, 1):
+        records.append((4, struct.pack("<HH", number, 0) + _text(topic) + _text("json") + struct.pack("<I", 0)))
+    pairs = b"".join(_text(key) + _text(value) for key, value in metadata.items())
+    records.append((12, _text("ohmskin") + struct.pack("<I", len(pairs)) + pairs))
+    records += [(5, struct.pack("<HIQQ", number, 0, 0, 0) + data) for number, data in messages]
+    records += [(15, bytes(4)), (2, bytes(20))]
+    return MAGIC + b"".join(struct.pack("<BQ", code, len(body)) + body for code, body in records) + MAGIC
+
+
+def _text(text: str) -> bytes:
+    return struct.pack("<I", len(text.encode())) + text.encode()
+
+
+def _simple_arrivals(data: bytes) -> list[bytes]:
+    """The bytes of the board in an MCAP file without chunks, up to where it is cut off."""
+    topics: dict[int, bytes] = {}
+    found, place = [], len(MAGIC)
+    while place + 9 <= len(data):
+        code, size = struct.unpack_from("<BQ", data, place)
+        body, place = data[place + 9 : place + 9 + size], place + 9 + size
+        if len(body) < size:
+            break
+        if code == 4 and len(body) >= 8:
+            number, _, length = struct.unpack_from("<HHI", body)
+            topics[number] = body[8 : 8 + length]
+        if code == 5 and len(body) >= 38 and topics.get(struct.unpack_from("<H", body)[0]) == TOPICS[0].encode():
+            found.append(body[38:])
+    return found
+
+
+def _cell(rng: random.Random) -> dict[str, Any]:
+    return tomllib.loads(_cell_text(rng).decode())
+
+
+def _arrivals(rng: random.Random) -> list[bytes]:
+    return [struct.pack("<dd", 5.0 + 0.01 * k, 1e9 + 0.01 * k) + _stream(rng, [(2, 3)]) for k in range(3)]
+
+
+def _recorded(rng: random.Random) -> bytes:
+    given = {"design": _DESIGN, "cell": _cell(rng)}
+    metadata = {"format": "1", "board": "ohmskin", "given": json.dumps(given), "pitch": (0.004).hex()}
+    gone = (2, b'{"event": "port gone"}')
+    return _mcap(metadata, [(1, data) for data in _arrivals(rng)] + [gone])
+
+
+def _judge_recorded(data: bytes, rng: random.Random, folder: Path) -> str:
+    """What the port plays is what the file has, up to where either finds it cut off; then the driver takes it."""
+    path = folder / "press.mcap"
+    path.write_bytes(data)
+    port = _read(path, ReplayPort)
+    if port is None:
+        return REFUSED
+    expected, played = _simple_arrivals(data), []
+    with contextlib.suppress(LinkEnded):
+        while True:
+            try:
+                played.append(port.read().data)
+            except InputError:
+                break
+            except LinkEnded:
+                raise
+            except LinkError:
+                continue
+    assert played == expected[: len(played)], "other bytes are played than the file has"
+    return _drive(path)
+
+
+def _drive(path: Path) -> str:
+    """Frames or an error of ours, in bounded time; never anything else."""
+    try:
+        with Skin.open(str(path), timeout=20) as skin:
+            for frame in islice(skin, 100):
+                assert frame.pressure.shape == skin.design.array.shape
+    except OhmskinError as error:
+        message = one_line(str(error))
+    else:
+        return ACCEPTED
+    assert message.isprintable()
+    assert "set up within" not in message, "opening takes for ever"
+    return REFUSED
+
+
+def _told(rng: random.Random) -> bytes:
+    """Metadata and events of a recording, a JSON text on each line."""
+    shape = _DESIGN["array"]["rows"], _DESIGN["array"]["columns"]
+    rest = base64.b64encode(np.full(shape, 2e4).tobytes()).decode()
+    block = {"shape": list(shape), "data": rest}
+    clock = {"steps": 0, "origin": [1.0, 5.0], "buckets": [[0.0, 0.0]], "bucket_ends": 0.5, "least": [0.0, 0.0]}
+    stream = {"begun": True, "expected": 0, "boot_id": None, "latest_us": None, "latest_monotonic": 5.0, "time_s": 0.0}
+    stream |= {"in_step": True, "recent": [[1, 2, 3]], "numbered": True}
+    stream |= {"clock": clock | {"drift": 0.0, "anchor": [0.0, 0.0]}}
+    measured = {"time_s": None, "rest_ohm": block, "noise_steps": 0.5, "counts": None, "restarted": False}
+    cell = _cell(rng)
+    memory = parse(cell, Cell, source="cell").estimator(shape, "static").state()
+    kept = {
+        name: {"shape": list(array.shape), "data": base64.b64encode(array.tobytes()).decode()}
+        for name, array in memory.items()
+    }
+    past = {"heard": "AAEC", "stream": stream, "measurement": measured | {"estimator": kept}}
+    given = json.dumps({"design": _DESIGN, "cell": cell})
+    lines = [
+        {"format": "1", "board": "ohmskin", "given": given, "pitch": (0.004).hex(), "estimator": "static"},
+        {"event": "joined", "past": past},
+        {"event": "rest", "rest_ohm": rest, "after": (5.0).hex()},
+        {"event": "rest", "rest_ohm": None, "after": None},
+        {"event": "port gone"},
+    ]
+    return "\n".join(map(json.dumps, lines)).encode()
+
+
+def _judge_told(data: bytes, rng: random.Random, folder: Path) -> str:
+    head, *events = data.split(b"\n")
+    try:
+        metadata = {str(key): str(value) for key, value in json.loads(head).items()}
+        _mcap(metadata, [])
+    except (ValueError, AttributeError, RecursionError):
+        return REFUSED
+    path = folder / "told.mcap"
+    path.write_bytes(_mcap(metadata, [(2, event) for event in events] + [(1, data) for data in _arrivals(rng)]))
+    if _read(path, ReplayPort) is None:
+        return REFUSED
+    return _drive(path)
+
+
+_DESIGN: dict[str, Any] = {
+    "array": {"rows": 2, "columns": 3, "row_lead": 70.0},
+    "drive": {"voltage": -1.0},
+    "readout": {"circuit": "inverting-amplifier", "reference_resistance": 20e3, "supply": [0.0, 3.3]},
+    "adc": {"bits": 16, "range": [0.0, 3.3]},
+}
+
+# --- report.json ------------------------------------------------------------------------------------------------------
+
+
+def _report(rng: random.Random) -> bytes:
+    """A report of one requirement and one claim."""
+    outcome = rng.choice(("pass", "fail", "not run"))
+    check = {"name": "droop", "outcome": outcome, "measured": 0.5, "limit": 1.0, "relation": "<=", "unit": "%"}
+    requirement: dict[str, Any] = dict.fromkeys(
+        ("text", "source", "quantity", "title", "method", "unit", "where", "confidence", "reason"), "words"
+    )
+    requirement |= {"id": "D1", "min": None, "max": 2.5, "outcome": outcome, "margin": 1.5, "seconds": 0.25}
+    requirement |= {
+        "measured": rng.choice((1.0, None, "inf")),
+        "contributions": {"switch": 0.5},
+        "samples": [1.0, "nan"],
+    }
+    claim = {"id": "P1", "title": "crosstalk", "where": "III", "outcome": outcome, "seconds": 1.0}
+    claim |= {"checks": [check | {"reason": ""}]}
+    report: dict[str, Any] = dict.fromkeys(
+        ("title", "finished", "command", "target", "design_sha256", "cell_sha256", "run_sha256", "cell_source"), "words"
+    )
+    report |= {"schema_version": 1, "outcome": outcome, "exit_code": 0, "seconds": 2.0, "seed": 0, "samples": 1000}
+    report |= {"design": _DESIGN, "cell": {}, "environment": {"numpy": "2.0"}, "not_judged": ["noise"], "changes": []}
+    report |= {"requirements": [requirement], "claims": [claim], "appendices": []}
+    return json.dumps(report, indent=1).encode()
+
+
+def _judge_report(data: bytes, rng: random.Random, folder: Path) -> str:
+    """What is accepted has the shape of docs/report.schema.json, as jsonschema reads it, and keeps its values."""
+    path = folder / "report.json"
+    path.write_bytes(data)
+    record = _read(path, load_record)
+    if record is None:
+        return REFUSED
+    tables = json.loads(data.decode("utf-8-sig"))
+    jsonschema.validate(tables, json.loads((ROOT / "docs" / "report.schema.json").read_text()))
+    kept = record.model_dump(mode="python")
+    assert _same(kept, tables), "a value was converted or dropped"
+    compare(record, record)
+    return ACCEPTED
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, dict) and isinstance(other, dict):
+        return one.keys() == other.keys() and all(_same(one[key], other[key]) for key in one)
+    if isinstance(one, list) and isinstance(other, list):
+        return len(one) == len(other) and all(map(_same, one, other))
+    if isinstance(one, float) and isinstance(other, float) and math.isnan(one):
+        return math.isnan(other)
+    if isinstance(one, float) and type(other) is int:
+        return abs(other) > 2**53 or one == other  # a whole number is rounded to a float, or is infinite
+    return bool(one == other) and isinstance(one, bool) == isinstance(other, bool)
+
+
 # --- the command line -------------------------------------------------------------------------------------------------
 
 CALLS = (
@@ -439,11 +735,16 @@ FORMATS = {
         Format("design", _design_text, _judge_design),
         Format("cell", _cell_text, _judge_cell),
         Format("scene", _scene_text, _judge_scene),
+        Format("calibration", _calibration_text, _judge_calibration),
+        Format("progress", _progress_text, _judge_progress),
         Format("cells", _cells_text, _judge_cells),
         Format("recording", _recording_text, _judge_recording),
         Format("frames", _stream, _judge_stream, text=False),
         Format("families", _family_stream, _judge_families, text=False),
         Format("commands", _commands, _judge_commands, text=False),
+        Format("mcap", _recorded, _judge_recorded, text=False),
+        Format("events", _told, _judge_told),
+        Format("report", _report, _judge_report),
         Format("call", _call, _judge_call),
     )
 }

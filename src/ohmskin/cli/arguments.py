@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,31 @@ import click
 design_file = click.argument("design_file", metavar="DESIGN.toml", type=click.Path(path_type=Path))
 cells = click.option(
     "--cells", required=True, metavar="CELLS.csv", help="N lines of M resistances in ohm; inf = open, 0 = short."
+)
+
+
+class _Positive(click.ParamType[float]):
+    """A finite number above 0. click's own ranges let NaN pass."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        try:
+            number = float(value)
+        except ValueError:
+            number = math.nan
+        if not (0 < number < math.inf or value == math.inf):  # infinite only as a default
+            self.fail(f"'{value}' is no positive number", param, ctx)
+        return number
+
+
+positive = _Positive()
+
+calibration = click.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="FILE.toml",
+    help="Rest resistance and gain of each cell, as ohmskin calibrate writes them.",
 )
 
 

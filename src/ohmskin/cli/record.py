@@ -10,6 +10,7 @@ import click
 
 from ..driver import Skin
 from ..errors import InputError, LinkEnded, LinkTimeout
+from ..text import one_line
 from ..wire import BOARDS
 from . import arguments
 from ._bar import progress_bar
@@ -21,9 +22,7 @@ QUEUE = 4096
 @click.command(epilog=arguments.example("ohmskin record /dev/ttyACM0 -o press.mcap --duration 60"))
 @click.argument("port", metavar="PORT")
 @click.option("-o", "output", required=True, type=click.Path(path_type=Path), metavar="FILE.mcap")
-@click.option(
-    "--duration", type=click.FloatRange(min=0, min_open=True), default=inf, metavar="S", help="Stop after S seconds."
-)
+@click.option("--duration", type=arguments.positive, default=inf, metavar="S", help="Stop after S seconds.")
 @click.option(
     "--board",
     default="ohmskin",
@@ -31,8 +30,9 @@ QUEUE = 4096
     metavar="NAME",
     help=f"Family of the board: {', '.join(BOARDS)}.",
 )
+@arguments.calibration
 @click.option("--overwrite", is_flag=True, help="Replace FILE.mcap if it is there already.")
-def command(port: str, output: Path, duration: float, board: str, overwrite: bool) -> None:
+def command(port: str, output: Path, duration: float, board: str, calibration: Path | None, overwrite: bool) -> None:
     """Record the skin at PORT: every byte, decoded frames for viewers, the board's description, tares and events.
 
     Ends after the duration, at the end of an emulation, or with Ctrl-C. What was recorded until then can be read,
@@ -40,7 +40,16 @@ def command(port: str, output: Path, duration: float, board: str, overwrite: boo
     """
     if output.suffix.lower() != ".mcap":
         raise InputError(f"{output}: is no name of a recording; expected FILE.mcap")
-    with Skin.open(port, board=board, delivery="every", queue=QUEUE, record=output, overwrite=overwrite) as skin:
+    skin = Skin.open(
+        port,
+        board=board,
+        delivery="every",
+        queue=QUEUE,
+        record=output,
+        overwrite=overwrite,
+        calibration=calibration,
+    )
+    with skin:
         start = time.monotonic()
         with progress_bar("recording") as tell:
             while (elapsed := time.monotonic() - start) < duration:
@@ -57,4 +66,4 @@ def command(port: str, output: Path, duration: float, board: str, overwrite: boo
                     tell(round(1000 * elapsed), round(1000 * duration), f"{skin.stats().frames} frames")
         stats = skin.stats()
     lost = "unknown" if stats.lost is None else str(stats.lost)
-    click.echo(f"{output}: {stats.frames} frames, {lost} lost, {stats.reconnects} reconnects", err=True)
+    click.echo(f"{one_line(str(output))}: {stats.frames} frames, {lost} lost, {stats.reconnects} reconnects", err=True)

@@ -20,9 +20,7 @@ LISTENER_S = 1.0
 @click.command(epilog=arguments.example("ohmskin replay press.mcap --link /tmp/skin --speed 0.5"))
 @click.argument("recording", metavar="FILE.mcap", type=click.Path(path_type=Path))
 @click.option("--link", type=click.Path(path_type=Path), metavar="PATH", help="Symbolic link to make to the pty.")
-@click.option(
-    "--speed", type=click.FloatRange(min=0, min_open=True), default=1.0, show_default=True, help="Times real time."
-)
+@click.option("--speed", type=arguments.positive, default=1.0, show_default=True, help="Times real time.")
 def command(recording: Path, link: Path | None, speed: float) -> int:
     """Play FILE.mcap on a pseudo-terminal; the port to open is printed first.
 

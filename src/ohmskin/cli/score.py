@@ -20,13 +20,13 @@ from ._recording import played_frames
 @click.argument("truth", type=click.Path(path_type=Path), metavar="TRUTH")
 @click.option(
     "--pitch",
-    type=click.FloatRange(min=0, min_open=True),
+    type=arguments.positive,
     metavar="MM",
     help="From cell to cell; else what TRUTH says.",
 )
 @click.option(
     "--full-scale",
-    type=click.FloatRange(min=0, min_open=True),
+    type=arguments.positive,
     metavar="KPA",
     help="Of the percentages; else what TRUTH says.",
 )

@@ -16,7 +16,7 @@ from ..errors import InputError, MissingExtra
 from ..files import check_writable, make_folder
 from ..tables import read_cells
 from ..text import printable
-from ..verification import CATALOGUE, Report, load_record, load_requirements, schema, verify
+from ..verification import CATALOGUE, Report, load_record, load_requirements, prototype, schema, verify
 from . import arguments
 from ._bar import progress_bar
 
@@ -84,6 +84,8 @@ def command(
     if quantities or print_schema:
         click.echo(schema() if print_schema else _catalogue(), nl=False)
         return 0
+    if jig is not None and target == "emulated":
+        raise InputError("--jig: there is no board to carry it; expected --target firmware or a port")
     if dask and jobs > 1:
         raise InputError("give --jobs or --dask, not both")
     design = None if design_file is None else Design.load(design_file)
@@ -105,7 +107,7 @@ def command(
             only=only,
             title=None if design_file is None else design_file,
             target=target,
-            jig=None if jig is None or design is None else read_cells(jig, design.array.shape),
+            jig=None if jig is None else read_cells(jig, (design or prototype()).array.shape),
             samples=samples,
             seed=seed,
             jobs=jobs,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import threading
 import webbrowser
 from collections.abc import Sequence
@@ -49,6 +50,12 @@ USUAL_PORT = 8700
 )
 @click.option("--design", "design_file", type=click.Path(path_type=Path), metavar="DESIGN.toml", help="Of the readout.")
 @click.option("--cell", "cell_file", type=click.Path(path_type=Path), metavar="CELL.toml", help="Of the skin.")
+@click.option(
+    "--calibration",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Rest resistance and gain of each cell, as `ohmskin calibrate` writes them.",
+)
 @click.option("--tare", "tare_file", type=click.Path(path_type=Path), metavar="FILE.npz", help="A saved tare.")
 @click.option("--estimator", metavar="NAME", help="static, paper, inverse, play or distilled [the cell's choice].")
 def command(
@@ -59,6 +66,7 @@ def command(
     board: str,
     design_file: Path | None,
     cell_file: Path | None,
+    calibration: Path | None,
     tare_file: Path | None,
     estimator: str | None,
 ) -> int:
@@ -71,7 +79,16 @@ def command(
     cell = None if cell_file is None else Cell.load(cell_file)
     tare = None if tare_file is None else Tare.load(tare_file)
     with stop_on_signals() as stop:
-        skin = _open(what, board=board, design=design, cell=cell, estimator=estimator)
+        name = _port_name(what, board)
+        skin = Skin.open(
+            name,
+            board=board,
+            design=design,
+            cell=cell,
+            calibration=calibration,
+            estimator=estimator,
+            reconnect=math.inf,  # the page waits for a board that is away
+        )
         if tare is not None:
             skin.use_tare(tare)
         source: Source = RecordedSource(skin) if what.endswith(".mcap") else LiveSource(skin, name=_title(what))
@@ -80,12 +97,12 @@ def command(
         return 0 if stop.signal is None else 128 + stop.signal
 
 
-def _open(what: str, *, board: str, design: Design | None, cell: Cell | None, estimator: str | None) -> Skin:
-    """The skin, which waits for ever for a board that is away."""
-    if _is_scene(what):
-        Scene.load(Path(what))  # for its own message, where the file is wrong
-        what = f"ohmskin://{quote(str(Path(what).resolve()))}?clock=real&board={quote(board)}"
-    return Skin.open(what, board=board, design=design, cell=cell, estimator=estimator, reconnect=float("inf"))
+def _port_name(what: str, board: str) -> str:
+    """What the driver opens: for a scene the emulated board, in this process."""
+    if not _is_scene(what):
+        return what
+    Scene.load(Path(what))  # for its own message, where the file is wrong
+    return f"ohmskin://{quote(str(Path(what).resolve()))}?clock=real&board={quote(board)}"
 
 
 def _is_scene(what: str) -> bool:
