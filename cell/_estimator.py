@@ -56,6 +56,8 @@ UNSEEN, SUMMED = 0.6, 1.0
 not noticed yet"""
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation, of a cell whose model nobody compared with a recording"""
+USUAL = 1.1
+"""times full scale beyond which the excess over full scale counts as standard deviation"""
 FIRST_READINGS = 4
 """averaged before the first estimate of a cell is final"""
 AFTER_GAP, AFTER_GAP_S = 0.3, 10.0
@@ -339,6 +341,9 @@ class Estimator(ABC):
         if self._sparks.cells.size:
             self._doubt_jumps(memory, variance)
         pressure = memory[PRESSURE]
+        if np.maximum.reduce(pressure) > USUAL * self.full_scale_kpa:
+            # A pressure that the cell is not meant for may as well be an error of the memory.
+            variance += np.maximum(pressure - self.full_scale_kpa, 0.0) ** 2
         noise_kpa = np.multiply(smooth.std, memory[GAIN], out=block.spare)
         if np.maximum.reduce(noise_kpa) > AT_REST * self.full_scale_kpa:
             pressure = self._likely(pressure, noise_kpa, variance)

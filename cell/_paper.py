@@ -32,9 +32,9 @@ EITHER = 0.5
 """standard deviation over the difference of the two hypotheses: either may be right until the pressure has turned"""
 SURE = 3.0
 """standard deviations of the smoothed noise by which it must have, too, and by which an extreme counts for less"""
-CONFIRMED = 1.0
+CONFIRMED_RISE, CONFIRMED_FALL = 3.0, 1.0
 """turns by which the model that was left must have gone back by its own account, too; until then the turn may yet be
-found to have been noise"""
+found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
 PULL_SIGMAS = 1.0
 """standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
 smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
@@ -235,6 +235,7 @@ class TurningEstimator(Estimator):
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
+        self._sooner, self._usually = (CONFIRMED_RISE - CONFIRMED_FALL) / 2, (CONFIRMED_RISE + CONFIRMED_FALL) / 2
         self._of = _Rows(np.zeros((len(self.rows), 0)))
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
         # What is below zero is an error that fades, and no turn.
@@ -281,7 +282,7 @@ class TurningEstimator(Estimator):
             back, noise = self._gone_back(of, std)
             noise *= SURE
             noise += TURN * self.full_scale_kpa
-            noise *= CONFIRMED
+            noise *= np.add(np.multiply(of.sign, self._sooner, out=of.nearby), self._usually, out=of.nearby)
             np.copyto(of.left, FAR, where=np.greater_equal(back, noise, out=of.where))
         if not self._exact and np.minimum.reduce(of.pressure) < -NEAR * self.full_scale_kpa:
             self._correct(of, doubt, w)

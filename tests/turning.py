@@ -35,7 +35,7 @@ class OneCell:
         self.doubt = self.variance = 0.0
 
     def step(self, dt: float, r: float, std: float, doubt: float) -> float:
-        """Take a reading that noise makes uncertain by ``std``, what may not be noticed yet by ``doubt``; the pressure."""
+        """Take a reading, uncertain by ``std`` by noise and by ``doubt`` in all; the pressure."""
         m = self.model
         gains = {rising: self._solved(Hypothesis(0, 0, 0, 0), rising, dt, 1.0).pressure for rising in (True, False)}
         now, other = self._solved(self.now, self.rising, dt, r), self._solved(self.other, not self.rising, dt, r)
@@ -60,7 +60,8 @@ class OneCell:
         ahead = self._ahead(now)
         if self.left is not None:
             back = self.left + (1.0 if self.rising else -1.0) * other.pressure
-            if back >= paper.CONFIRMED * (paper.SURE * std * gains[not self.rising] + paper.TURN * self.full):
+            times = paper.CONFIRMED_RISE if self.rising else paper.CONFIRMED_FALL
+            if back >= times * (paper.SURE * std * gains[not self.rising] + paper.TURN * self.full):
                 self.left = None
         allowed = -paper.PULL_SIGMAS * gains[False] * doubt - paper.NEAR * self.full
         if not self.exact and now.pressure < allowed:
