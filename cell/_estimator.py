@@ -161,8 +161,7 @@ class Estimator(ABC):
             raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
         dt = float(elapsed_s) if self._frames else 1.0
         r = self._r
-        np.multiply(resistance.ravel(), self._per_ohm, out=r)
-        r -= 1.0
+        self._normalise(resistance.ravel(), r)
         known = self._readable(r)
         if not self._exact:
             self._noise.update(r, known)
@@ -204,6 +203,11 @@ class Estimator(ABC):
         return shown
 
     # -- steps of a frame, in their order ----------------------------------------------------------------------------
+
+    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
+        """Write the normalised resistances (n,) of the cells into ``r``."""
+        np.multiply(resistance_ohm, self._per_ohm, out=r)
+        r -= 1.0
 
     def _readable(self, r: FloatArray) -> BoolArray | None:
         """(n,) which readings are credible; None: all. The others become the mean of their cell, in place."""

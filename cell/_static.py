@@ -56,7 +56,11 @@ def memory_share(model: Model) -> float:
 
 
 class EquilibriumEstimator(Estimator):
-    """The equilibrium of the model inverted, without memory: what a calibration curve gives."""
+    """The equilibrium of the model inverted, without memory: what a calibration curve gives.
+
+    All cells share one curve of r. A contact under load conducts beside the cell's rest resistance, so its r depends on
+    that: conductances of contacts are first taken over to a cell with the median rest resistance.
+    """
 
     def __init__(
         self,
@@ -78,7 +82,22 @@ class EquilibriumEstimator(Estimator):
         self._curve, self._load = curve[rises], load[rises]
         slope = np.gradient(self._load, self._curve) if self._curve.size > 1 else np.zeros_like(self._curve)
         self._slope = np.minimum(np.abs(slope), STEEPEST / max(abs(full_r), 1e-12))
+        self._rest_of_curve = rest
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions)
+        self._shift = 1 / rest - self._per_ohm
+        """S, to the conductance of a contact whose rest resistance is that of the curve"""
+
+    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
+        if not isinstance(self.model, ContactModel):
+            super()._normalise(resistance_ohm, r)
+            return
+        with np.errstate(divide="ignore"):
+            np.divide(1.0, resistance_ohm, out=r)
+            r += self._shift
+            r *= self._rest_of_curve
+            np.copyto(r, np.nan, where=~np.isfinite(resistance_ohm) | (r <= 0))  # no contact and no cell conducts so
+            np.divide(1.0, r, out=r)
+        r -= 1.0
 
     def _begin(self, r: FloatArray) -> FloatArray:
         x = self._sign * r
