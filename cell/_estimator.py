@@ -57,6 +57,8 @@ UNSEEN, SUMMED = 0.6, 1.0
 not noticed yet"""
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation, of a cell whose model nobody compared with a recording"""
+USUAL = 1.1
+"""times full scale beyond which the excess over full scale counts as standard deviation"""
 FIRST_READINGS = 4
 """averaged before the first estimate of a cell is final"""
 AFTER_GAP, AFTER_GAP_S = 0.3, 10.0
@@ -329,7 +331,7 @@ class Estimator(ABC):
         cells, line, noise, reading = block.cells, block.line, block.noise, block.reading
         r.take(cells, out=reading, mode="clip")
         if self._exact:
-            block.memory = self._advance(block.memory, dt, reading, _ZERO)
+            block.memory = self._advance(block.memory, dt, reading, _ZERO, _ZERO)
             self._pressure[cells] = block.memory[PRESSURE]
             self._variance[cells] = self._own_variance(block.memory, _ZERO)
             return
@@ -343,12 +345,15 @@ class Estimator(ABC):
         smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
         if smooth.begun is not None:
             self._remember(smooth.begun)
-        memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std)
         doubt = self._doubt(noise, smooth)
+        memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, doubt)
         variance = self._own_variance(memory, doubt)
         if self._sparks.cells.size:
             self._doubt_jumps(memory, variance)
         pressure = memory[PRESSURE]
+        if np.maximum.reduce(pressure) > USUAL * self.full_scale_kpa:
+            # A pressure that the cell is not meant for may as well be an error of the memory.
+            variance += np.maximum(pressure - self.full_scale_kpa, 0.0) ** 2
         noise_kpa = np.multiply(smooth.std, memory[GAIN], out=block.spare)
         if np.maximum.reduce(noise_kpa) > AT_REST * self.full_scale_kpa:
             pressure = self._likely(pressure, noise_kpa, variance)
@@ -374,7 +379,7 @@ class Estimator(ABC):
         change that the line has not taken up.
         """
         block = self._block
-        doubt = np.maximum(block.scratch.up, block.scratch.down, out=block.spare)
+        doubt = np.maximum(block.scratch.up, block.scratch.down, out=block.doubt)
         doubt *= SUMMED
         np.maximum(doubt, UNSEEN, out=doubt)
         doubt *= noise
@@ -527,9 +532,12 @@ class Estimator(ABC):
         """The memory (rows, m) of cells whose reading has been ``r`` (m,) for ever."""
 
     @abstractmethod
-    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
-        """The memory (rows, m) after the reading went to ``r`` (m,), known to ``std`` (m,), in ``dt_s``.
+    def _advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+    ) -> FloatArray:
+        """The memory (rows, m) after the reading went to ``r`` (m,) in ``dt_s``.
 
+        ``std`` (m,) is what noise leaves in it, ``doubt`` (m,) also what the smoothing may not have noticed yet.
         May change ``memory`` itself.
         """
 
@@ -553,7 +561,7 @@ class _Block:
     def __init__(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
         self.cells, self.memory, self.line = cells, memory, line
         self.line_before = np.empty_like(line)
-        self.reading, self.noise, self.spare = np.empty((3, cells.size))
+        self.reading, self.noise, self.doubt, self.spare = np.empty((4, cells.size))
         self.scratch = smoothing.Scratch(line)
 
 

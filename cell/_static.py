@@ -123,7 +123,9 @@ class EquilibriumEstimator(Estimator):
         memory[VARIANCE] = (self._share * memory[PRESSURE]) ** 2
         return memory
 
-    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+    def _advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+    ) -> FloatArray:
         return self._begin(r)
 
 
@@ -155,5 +157,7 @@ class StaticCurveEstimator(Estimator):
         memory[VARIANCE] = curve.std_kpa**2
         return memory
 
-    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+    def _advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+    ) -> FloatArray:
         return self._begin(r)
