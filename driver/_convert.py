@@ -25,6 +25,7 @@ from ._reading import CountReader, Reading
 from ._statistics import Counters
 from ._stream import RawFrame
 from ._systematic import SystematicError
+from ._tare import DRIFT as TARE_DRIFT
 
 T = TypeVar("T", bound=np.generic)
 
@@ -333,10 +334,14 @@ class Converter:
 
     def _fresh_estimator(self) -> Estimator:
         assert self.cell is not None
-        rest_ohm = self._rest_ohm
+        rest_ohm, rest_error = self._rest_ohm, None
+        if rest_ohm is not None and self.cell.estimators is not None:
+            rest_error = TARE_DRIFT
         if rest_ohm is None and self._calibration is not None:
             rest_ohm = self._calibration.rest_ohm
-        return self.cell.estimator(self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm)
+        return self.cell.estimator(
+            self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm, rest_error=rest_error
+        )
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:
