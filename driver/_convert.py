@@ -43,8 +43,8 @@ CLEAR_SPREAD = 0.01
 _WHY_NONE = {
     Reason.NO_CURRENT: "their readings show no current; the drive's voltage, the converter's range and the reference "
     "resistor of the design may not fit each other, or the skin is not connected",
-    Reason.SATURATED: "their readings stand at a limit of the converter or the output; a smaller reference resistor, or "
-    "a smaller drive voltage, lowers them",
+    Reason.SATURATED: "their readings stand at a limit of the converter or the output; a smaller reference resistor, "
+    "or a smaller drive voltage, lowers them",
     Reason.UNSOLVED: "no cells give such readings; the design is not that of this board",
 }
 

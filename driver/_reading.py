@@ -194,7 +194,8 @@ class CountReader:
         if faint is not None:
             valid = valid & ~faint
             reason = np.where(faint, np.int8(Reason.NO_CURRENT), reason)
-        return Reading(np.where(valid, found.resistance, np.nan), valid, reason, solved=True, _found=found, steps_share=self._steps_share)
+        resistance = np.where(valid, found.resistance, np.nan)
+        return Reading(resistance, valid, reason, solved=True, _found=found, steps_share=self._steps_share)
 
     def _guard_codes(self, volts: FloatArray) -> int:
         """Codes within which an output at a limit of its swing may be read, given the readings (rows, columns) in V.

@@ -80,7 +80,7 @@ class SystematicError:
         return variance
 
     def _of_steps(self, reading: Reading) -> FloatArray:
-        """Relative standard deviation of each resistance by ADC steps; of a cell that is not valid, when it last was."""
+        """Relative standard deviation of each resistance by ADC steps; of a cell not valid now, when it last was."""
         # An error that is evenly distributed over an interval has the half-width over the root of three.
         known = reading.uncertainty * (reading.steps_share / math.sqrt(3.0))
         if not reading.valid.all():

@@ -1,4 +1,4 @@
-"""Errors that no average lessens: rest resistances that nobody measured, ADC steps, and what the driver says of them."""
+"""Errors that no average lessens: unknown rest resistances and ADC steps, and what the driver says of them."""
 
 from __future__ import annotations
 
