@@ -82,7 +82,7 @@ class SwitchWeights(NamedTuple):
     """What one time step does to the memory of :class:`PaperEstimator`, with the reading after the step in row ``r``."""
 
     step: FloatArray
-    """(5, 9) memory -> pressure in the rising and in the recovery model; settled, x2, x3 if the pressure drops to 0"""
+    """(5, 9) memory -> pressure in the rising and the recovery model; settled, x2, x3 if the pressure drops to 0"""
     ramp: FloatArray
     """(3, 1) by which settled, x2 and x3 rise per kPa of pressure after the step"""
     smoothing: float

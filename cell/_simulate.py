@@ -41,7 +41,9 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
     if cells <= FEW_CELLS:
         for branch, cell in np.ndindex(2, cells):
             charging, discharging = into[:, :, branch, cell].T
-            branches[:, branch, cell] = _one_branch(target[:, branch, cell], charging, discharging, stay[:, branch, cell])
+            branches[:, branch, cell] = _one_branch(
+                target[:, branch, cell], charging, discharging, stay[:, branch, cell]
+            )
     else:
         _all_branches(target, into, stay, branches)
     gone, ramp = lag.weights(dt_s, tau)

@@ -51,9 +51,7 @@ def side_by_side(
     return dict(subject.memo[reading])
 
 
-def _side_by_side(
-    subject: Subject, time_s: FloatArray, ohms: FloatArray, rest: float | None
-) -> dict[str, FloatArray]:
+def _side_by_side(subject: Subject, time_s: FloatArray, ohms: FloatArray, rest: float | None) -> dict[str, FloatArray]:
     return {
         "the paper's": estimate(subject.cell, "paper", time_s, ohms, rest),
         f"ours ({subject.ours})": estimate(subject.calibrated, subject.ours, time_s, ohms, rest),
