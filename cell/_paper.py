@@ -79,7 +79,7 @@ def step_weights(model: PaperModel, dt_s: float) -> StepWeights:
 
 
 class SwitchWeights(NamedTuple):
-    """What one time step does to the memory of :class:`PaperEstimator`, with the reading after the step in row ``r``."""
+    """What one time step does to the memory of :class:`PaperEstimator`; row ``r`` holds the reading after it."""
 
     step: FloatArray
     """(5, 9) memory -> pressure in the rising and the recovery model; settled, x2, x3 if the pressure drops to 0"""
