@@ -119,7 +119,10 @@ class Terms:
     def standardised(self, features: FloatArray) -> FloatArray:
         """Features (count, ...) in standard deviations, limited."""
         around = (-1, *(1,) * (features.ndim - 1))
-        z: FloatArray = np.clip((features - self.mean.reshape(around)) / self.scale.reshape(around), -CLIP, CLIP)
+        z: FloatArray = features - self.mean.reshape(around)
+        z /= self.scale.reshape(around)
+        np.maximum(z, -CLIP, out=z)
+        np.minimum(z, CLIP, out=z)
         return z
 
     def __call__(self, standardised: FloatArray) -> NDArray[np.floating]:
@@ -160,7 +163,9 @@ class LearnedEstimator(Estimator):
         self._answer(memory, slice(None))
         return memory
 
-    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+    def _advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+    ) -> FloatArray:
         bank = memory[3 : self._seen.start]
         self._bank.advance(bank, dt_s, r)
         now = self._terms.standardised(self._bank.features(bank))
