@@ -8,7 +8,8 @@ A frame passes these steps. Every estimator then adds its own map from smoothed 
 3. Cells at rest sleep: only their mean is watched, until it leaves the noise. This makes large skins cheap.
 4. Readings of the other cells are smoothed as their noise demands (:mod:`._smoothing`).
 5. A reading that jumps and is back within :data:`SPARK_S` was a bad contact: the memory from before it is put back.
-6. The standard deviation sums the variances of noise, of the memory, of gaps, and of what calibration left unexplained.
+6. The standard deviation sums the variances of noise, of the memory, of gaps, of R0, and of what calibration left
+   unexplained.
 """
 
 from __future__ import annotations
@@ -75,6 +76,8 @@ class Conditions:
     nothing is measured, smoothed or put to sleep"""
     speed_kpa_per_s: float = 0.0
     """by which a load changes in a second, rms; 0: full scale"""
+    rest_std_kpa: FloatArray | None = None
+    """(n,) standard deviation that the uncertainty of R0 gives to pressures evenly from 0 to full scale; None: none"""
 
 
 class Estimator(ABC):
@@ -109,6 +112,9 @@ class Estimator(ABC):
         self._exact = conditions.noise == 0.0 or not self.filters
         self._states_std = self.states_std
         self._model_variance = (conditions.model_std_kpa or MODEL_ERROR * full_scale_kpa) ** 2
+        rest_std_kpa = conditions.rest_std_kpa
+        self._rest_variance = None if rest_std_kpa is None else rest_std_kpa**2
+        self._rest_at_kpa = np.linspace(0, full_scale_kpa, 0 if rest_std_kpa is None else rest_std_kpa.size)
         self._band = AT_REST * self._full_scale_r
         """r within which a cell counts as at rest"""
         cells = rest.size
@@ -396,8 +402,7 @@ class Estimator(ABC):
         block = self._block
         doubt = np.maximum(block.scratch.up, block.scratch.down, out=block.doubt)
         doubt *= SUMMED
-        # No average lessens the error of readings that stay on one step of the ADC.
-        np.maximum(doubt, 1.0 if self._noise.typical * UNSEEN < self._noise.typical_resolution else UNSEEN, out=doubt)
+        np.maximum(doubt, UNSEEN, out=doubt)
         doubt *= noise
         off = np.subtract(block.reading, smooth.level, out=noise)
         np.abs(off, out=off)
@@ -413,6 +418,8 @@ class Estimator(ABC):
         variance *= variance
         variance += memory[VARIANCE]
         variance += self._model_variance
+        if self._rest_variance is not None:
+            variance += np.interp(memory[PRESSURE], self._rest_at_kpa, self._rest_variance)
         return variance
 
     def _rest(self) -> None:

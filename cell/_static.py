@@ -11,6 +11,8 @@ from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 
 POINTS = 1025
 """of the tabulated equilibrium curve"""
+SLOPES, FLAT = 33, 3.0
+"""points at which the effect of an error of R0 is tabulated, and how many times its mean the effect is at most"""
 CONTACT_SHARE = 0.02
 """standard deviation over the pressure, of a contact's answer"""
 
@@ -36,6 +38,19 @@ def equilibrium_curve(model: Model, full_scale_kpa: float, rest_resistance_ohm: 
         case ContactModel():
             curve = 1 / (1 + rest_resistance_ohm / model.full_scale_resistance_ohm * load**model.exponent) - 1
     return curve
+
+
+def rest_slope(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) -> FloatArray:
+    """(:data:`SLOPES`,) pressure in kPa that a relative error of R0 is taken for, per unit of that error.
+
+    This is the slope dp/d(ln R) of the equilibrium curve, at pressures evenly from 0 to full scale. It is limited where
+    the curve is flat, since no estimator follows it there.
+    """
+    load = np.linspace(0, 1, SLOPES)
+    log_r = np.log1p(equilibrium_curve(model, full_scale_kpa, rest_resistance_ohm, load))
+    mean = max(abs(float(log_r[-1] - log_r[0])), 1e-9)
+    slope = np.maximum(np.abs(np.gradient(log_r, load)), mean / FLAT)
+    return np.asarray(full_scale_kpa / slope)
 
 
 def memory_share(model: Model) -> float:

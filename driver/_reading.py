@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ _FORGET = 0.98  # share of a noise that is still assumed a frame later
 _MOST_CHANGE = 1.5
 _MEAN_CHANGE = 0.918  # mean of the change of a normally distributed reading, cut off so, in its standard deviations
 
+_SIGMAS = 3.0  # standard deviations of the noise that Reading.uncertainty covers, beside half a step
 _CAUTION = 1.5  # standard deviations by which the first measurement of the noise may be too small
 
 
@@ -35,15 +37,17 @@ class Reading:
     solved: bool
     """False where no cell resistances give such readings: then no cell is valid"""
     _found: LiveReading | None
-    _step_share: float
+    _own_share: float
     """of what a cell's own reading leaves open: standard deviation of an ADC step"""
+    steps_share: float = 1.0
+    """part of :attr:`uncertainty` that comes from ADC steps and that no average over time lessens"""
 
     @property
     def step_std(self) -> FloatArray:
         """Relative standard deviation of a cell's conductance by the ADC's steps alone; computed when asked for."""
         if self._found is None:
             return np.full(self.resistance.shape, np.nan)
-        return self._step_share * self._found.own
+        return self._own_share * self._found.own
 
     @property
     def uncertainty(self) -> FloatArray:
@@ -109,6 +113,16 @@ class CountReader:
     def noise_volts(self) -> float:
         """V, standard deviation of the readings: the larger one of the design's and what frames have shown."""
         return max(self._design_noise, self._scatter)
+
+    @property
+    def _steps_share(self) -> float:
+        """The part of an uncertainty that is a systematic error of quantisation.
+
+        Noise of half a step or more makes the error of quantisation random: its mean falls with
+        exp(-2 (pi noise/step)^2) (Widrow and Kollar, Quantization Noise, 2008).
+        """
+        noise_steps = self.noise_volts / self._step
+        return math.exp(-2.0 * (math.pi * noise_steps) ** 2) / (1.0 + 2.0 * _SIGMAS * noise_steps)
 
     def memory(self) -> tuple[float, NDArray[np.integer] | None]:
         """What the noise is measured from: its standard deviation so far in ADC steps, and the last frame's counts."""
@@ -184,15 +198,24 @@ class CountReader:
         except SolverError:
             nothing = np.full(counts.shape, np.nan)
             reason = np.full(counts.shape, Reason.UNSOLVED, dtype=np.int8)
-            return Reading(nothing, counts < 0, reason, solved=False, _found=None, _step_share=share)
+            return Reading(nothing, counts < 0, reason, solved=False, _found=None, _own_share=share)
         valid, reason = found.valid, found.reason
         if valid.all() and faint is None:
-            return Reading(found.resistance, valid, reason, solved=True, _found=found, _step_share=share)
+            return Reading(
+                found.resistance,
+                valid,
+                reason,
+                solved=True,
+                _found=found,
+                _own_share=share,
+                steps_share=self._steps_share,
+            )
         if faint is not None:
             valid = valid & ~faint
             reason = np.where(faint, np.int8(Reason.NO_CURRENT), reason)
+        resistance = np.where(valid, found.resistance, np.nan)
         return Reading(
-            np.where(valid, found.resistance, np.nan), valid, reason, solved=True, _found=found, _step_share=share
+            resistance, valid, reason, solved=True, _found=found, _own_share=share, steps_share=self._steps_share
         )
 
     def _guard_codes(self, volts: FloatArray) -> int:
