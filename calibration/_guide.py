@@ -97,7 +97,8 @@ class Guide:
         if watch.rest is None:
             self._tell("Leave the skin unloaded.")
         else:
-            self._tell(f"Going on after {sum(not press.fault for press in watch.presses)} presses.")
+            good = sum(not press.fault for press in watch.presses)
+            self._tell(f"Going on after {good} {'press' if good == 1 else 'presses'}.")
             self._announce()
         quiet_since_s: float | None = None
         while not watch.done:

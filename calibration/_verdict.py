@@ -90,7 +90,7 @@ class Verdict:
         """
         good, text = self.good, self.text()
         if not good.any() or (text and not allow_partial):
-            advice = " (--allow-partial leaves them out)" if good.any() else ""
+            advice = " (--allow-partial leaves them out, with --resume without new presses)" if good.any() else ""
             raise InputError(f"no calibration: {text}{advice}")
         fit = self.fit
         logs = np.log(fit.gain[good])

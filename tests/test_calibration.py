@@ -430,7 +430,7 @@ def test_a_stream_that_ends_keeps_what_was_measured(tmp_path: Path, capsys: pyte
     # The emulated board starts anew, at rest: as if the skin had had a minute to recover.
     plate_scene(tmp_path, later_s=60.0)
     assert run(["calibrate", port + "90", *words, "--resume"]) == 0
-    assert "Going on after 1 presses" in capsys.readouterr().err
+    assert "Going on after 1 press." in capsys.readouterr().err
     made = Calibration.load(output)
     sensitivity = Scene.load(tmp_path / "plate.toml").skin.spread.draw((3, 2))[1]
     np.testing.assert_allclose(made.gain, 1 / sensitivity, rtol=0.02)
