@@ -213,14 +213,14 @@ def test_a_frame_of_a_coupled_board_has_a_bounded_number_of_evaluations(
 
         monkeypatch.setattr(_coupled.CoupledLive, name, counting)
 
-    for name in ("_model", "_renew", "_based_on"):
+    for name in ("_known_at", "_renew", "_based_on"):
         count(name)
     read = CountReader(design)
     for number, frame in enumerate(pressed((6, 6), np.random.default_rng(0), 12, 500.0)):
         counted.clear()
         read(adc_codes(design, scan(design, frame).volts))
         if number:
-            assert counted.get("_model", 0) <= _coupled.USUAL_EFFORT.evaluations
+            assert counted.get("_known_at", 0) <= _coupled.USUAL_EFFORT.evaluations
             assert counted.get("_renew", 0) <= _coupled.USUAL_EFFORT.instalments
             assert "_based_on" not in counted
 

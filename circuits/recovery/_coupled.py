@@ -13,10 +13,10 @@ from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
-from .._exact import read_exactly
 from ..solvers import siemens
 from ._derivatives import LineResistance, derivatives
 from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
+from ._quick_model import QuickModel
 
 _SHORT = 8.0  # half steps and noise from the reading of a short within which a cell may be one
 _SHORT_SHARE = 0.998  # of the reading of a short, likewise
@@ -25,7 +25,11 @@ _UNKNOWN = 8.0  # the same for a cell that a fault hides
 _SETTLED = 0.3  # posterior standard deviations that a further step would change a cell by
 _UNSETTLED = 3.0  # half steps between readings and model beyond which a fit says nothing yet
 _MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
-_FAR = 0.1  # relative change since the derivatives were made from which on they no longer serve
+_FAR = 0.3  # change of a logarithm since the derivatives were made from which on they no longer serve
+_TOO_FAR = 1.0  # the same from which on they no longer tell what a misfit means for the cells
+_SLOW = 0.2  # length of a step over the one before from which on the derivatives are to blame
+_MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
+_STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
 _AT_ONCE = 100  # cells up to which the matrices of a renewal are factored in one instalment
 _SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
@@ -43,6 +47,10 @@ class _Base(NamedTuple):
     """(n, n): regularised inverse of the derivatives, from readings in standard deviations to changes of ``log``"""
     std: FloatArray
     """(n,) posterior standard deviation of ``log``"""
+    doubt: FloatArray
+    """(n,) ``std`` over :data:`_LOOSE`, at least 1"""
+    slope: FloatArray
+    """(n,) 1/V: change of the logarithm that each reading would mean if its cell were alone; 0 where that says nothing"""
     others: FloatArray
     """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
 
@@ -61,17 +69,28 @@ FIRST_EFFORT = _Effort(40, 60)
 """in the first frame of all, before which nothing is known"""
 
 
-class _Fit(NamedTuple):
-    """Cells that give the readings, more or less."""
+class _Known(NamedTuple):
+    """Cells for which the model has been evaluated."""
 
     log: FloatArray
     """(n,) logarithms of the conductances"""
+    volts: FloatArray
+    """(n,) V, the readings that the model gives for them"""
+
+
+class _Fit(NamedTuple):
+    """Cells that give the readings, more or less."""
+
+    known: _Known
+    """the cells"""
     step: FloatArray
     """(n,) change that a further step would make"""
     misfit: float
     """half steps and noise between readings and model"""
     stalled: bool
     """the last step has hardly changed that"""
+    lost: bool
+    """it does not serve, and the derivatives are from too far away to tell how uncertain it is"""
 
 
 class CoupledLive:
@@ -98,6 +117,7 @@ class CoupledLive:
         for fault in board.shorts:
             self._shunt[fault.place] += siemens(fault.ohms)
         self._lines = LineResistance(board)
+        self._model = QuickModel(board)
         leads = board.row_ohms[:, :1] + board.column_lead
         # V of a short that is alone, inf with ideal lines and amplifiers; and the most that any cells can make of it
         self._short_signal, self._most_signal = (
@@ -107,7 +127,7 @@ class CoupledLive:
         self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
-        self._x: FloatArray | None = None  # where the last frame ended
+        self._known: _Known | None = None  # where the last frame ended
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
 
@@ -135,33 +155,34 @@ class CoupledLive:
         measured = volts.ravel()
         # Noise makes readings less certain, and readings and model differ by as much more.
         coarser = float(np.hypot(1.0, noise / self._noise))
-        start = self._x
+        start = self._known
         if start is None:
-            start, self._renewal = self._start(volts), None
+            start, self._renewal = self._known_at(self._start(volts)), None
             self._from_fresh_start = True
         if self._base is None:
             self._base = self._based_on(start)
-        fit = self._solve(measured, start, coarser, USUAL_EFFORT if self._begun else FIRST_EFFORT)
-        x, misfit = fit.log, fit.misfit
-        self._begun, self._x, base = True, x, self._base
+        slope = self._slope(volts)
+        fit = self._solve(measured, start, slope, coarser, USUAL_EFFORT if self._begun else FIRST_EFFORT)
+        x, misfit = fit.known.log, fit.misfit
+        self._begun, self._known, base = True, fit.known, self._base
         if misfit <= _UNSETTLED:
             self._from_fresh_start = False
         elif misfit > _MISFIT and fit.stalled:
-            self._x = None  # the next frame starts anew
+            self._known = None  # the next frame starts anew
             if self._from_fresh_start:
                 raise SolverError("no cell resistances give these readings; check that the design is that of the board")
         signal = signal.ravel()
-        slope = self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)
-        own = ((self._half_step + SIGMAS * noise) * np.abs(slope)).ravel()
-        own[slope.ravel() == 0] = 1.0
+        own = (self._half_step + SIGMAS * noise) * slope
+        own[slope == 0] = 1.0
+        spread = base.std * np.maximum(self._steeper(slope), 1.0)
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * base.std, own) + np.abs(fit.step)
+        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own) + np.abs(fit.step)
         uncertainty = by_readings + base.others
         open_cells = signal <= self._half_step + SIGMAS * noise
         reason = np.full(len(measured), Reason.UNCERTAIN, dtype=np.int8)
         reason[base.others > 0.5 * uncertainty] = Reason.DISTURBED
         reason[open_cells] = Reason.NO_CURRENT
-        if misfit > _UNSETTLED:  # the frame's budget did not suffice, or no cells give quite these readings
+        if misfit > _UNSETTLED or fit.lost:  # the frame's budget did not suffice, or no cells give quite these readings
             reason[:], uncertainty[:] = Reason.UNSETTLED, inf
         gone = self._hidden
         reason[gone] = Reason.HIDDEN
@@ -179,40 +200,54 @@ class CoupledLive:
             lambda: (uncertainty.reshape(shape), own.reshape(shape)),
         )
 
-    def _solve(self, measured: FloatArray, x: FloatArray, scale: float, effort: _Effort) -> _Fit:
-        """Fit the cells, starting from the logarithms x (n,) of their conductances.
+    def _solve(self, measured: FloatArray, known: _Known, slope: FloatArray, scale: float, effort: _Effort) -> _Fit:
+        """Fit the cells, starting from a point where the model is known.
 
         Args:
             measured: (n,) V.
-            x: (n,) where to start.
+            known: where to start.
+            slope: (n,) 1/V, as :attr:`_Base.slope`, of these readings.
             scale: half steps that readings and model may differ by, for noise.
             effort: what the frame may cost.
 
         """
-        misfit, stalled, instalments = inf, False, effort.instalments
+        apart = measured - known.volts
+        misfit, stalled, instalments = self._misfit(apart) / scale, False, effort.instalments
+        step = self._step(apart, slope)
         for left in range(effort.evaluations - 1, -1, -1):
-            assert self._base is not None
-            apart = measured - self._model(x)
+            known = self._known_at(known.log + step)
+            apart = measured - known.volts
             last, misfit = misfit, self._misfit(apart) / scale
-            step = self._step(apart)
             stalled = abs(misfit - last) <= _SAME * misfit
-            far = float(np.abs(x - self._base.log).max()) > _FAR
-            if far or misfit > _FITS or self._renewal is not None:
+            before, step = step, self._step(apart, slope)
+            serves = misfit <= _FITS and self._serves(step, scale)
+            moved = self._moved(known.log)
+            slow = float(np.abs(step).max()) > _SLOW * float(np.abs(before).max())
+            if moved > _FAR or self._renewal is not None or (slow and not serves and moved > _MOVED):
+                if serves:
+                    instalments = min(instalments, 1)  # no need to hurry
                 while instalments:
                     instalments -= 1
-                    if self._renew(x):
-                        step = self._step(apart)
+                    if self._renew(known):
+                        step = self._step(apart, slope)
+                        serves = misfit <= _FITS and self._serves(step, scale)
+                        moved = self._moved(known.log)
                         break
-            elif self._serves(step, scale):
+            if serves or not left:
                 break
-            if left:
-                x = x + step
-        return _Fit(x, step, misfit, stalled)
+        return _Fit(known, step, misfit, stalled, not serves and moved > _TOO_FAR)
 
-    def _renew(self, x: FloatArray) -> bool:
-        """Go on with the renewal of the derivatives, or begin one at x (n,). True if they have just become new."""
+    def _moved(self, x: FloatArray) -> float:
+        """Largest change of the logarithms x (n,) since the derivatives were made; doubtful cells count less."""
+        assert self._base is not None
+        change = np.abs(x - self._base.log)
+        change /= self._base.doubt
+        return float(change.max())
+
+    def _renew(self, at: _Known) -> bool:
+        """Go on with the renewal of the derivatives, or begin one at these cells. True if they have just become new."""
         if self._renewal is None:
-            self._renewal = self._renewed(x)
+            self._renewal = self._renewed(at)
         base = next(self._renewal)
         if base is None:
             return False
@@ -240,11 +275,27 @@ class CoupledLive:
         determined = (std <= _LOOSE) & (self._base.others <= _LOOSE)
         return bool((np.abs(step) <= np.maximum(_SETTLED * std, 1e-6))[determined].all())
 
-    def _step(self, volts: FloatArray) -> FloatArray:
-        """Change (n,) of the logarithms for a difference (n,) of the readings in V."""
+    def _step(self, volts: FloatArray, slope: FloatArray) -> FloatArray:
+        """Change (n,) of the logarithms for a difference (n,) of the readings in V, where the readings' slope is ``slope``.
+
+        A cell's own nonlinearity is known in closed form. Readings therefore count by what they would mean for a cell
+        alone at present, in place of what they meant when the derivatives were made.
+        """
         assert self._base is not None
-        change: FloatArray = self._base.gain @ (volts / self._noise)
-        return np.clip(change, -_STRIDE, _STRIDE)
+        change: FloatArray = self._base.gain @ (volts * self._steeper(slope) / self._noise)
+        return np.clip(change, -_STRIDE, _STRIDE, out=change)
+
+    def _steeper(self, slope: FloatArray) -> FloatArray:
+        """Slopes (n,) in 1/V over those at the base, up to a factor of _STEEPER."""
+        assert self._base is not None
+        before = self._base.slope
+        ratio = np.divide(slope, before, out=np.ones_like(slope), where=(before > 0) & (slope > 0))
+        return np.clip(ratio, 1.0 / _STEEPER, _STEEPER, out=ratio)
+
+    def _slope(self, volts: FloatArray) -> FloatArray:
+        """As :attr:`_Base.slope`, for readings (N, M) in V."""
+        slope = self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)
+        return np.abs(slope).ravel()
 
     def _start(self, volts: FloatArray) -> FloatArray:
         apparent = self._board.circuit.apparent_conductance(self._board, volts - self._board.level)
@@ -254,16 +305,17 @@ class CoupledLive:
         start: FloatArray = np.log(np.where(apparent > 1e-3 * typical, apparent, 0.1 * typical)).ravel()
         return start
 
-    def _model(self, x: FloatArray) -> FloatArray:
-        """V (n,) of the readings."""
-        return read_exactly(self._board, np.exp(-x).reshape(self._shape))[0].volts.ravel()
+    def _known_at(self, x: FloatArray) -> _Known:
+        """Evaluate the model for the logarithms x (n,) of the conductances."""
+        return _Known(x, self._model(np.exp(-x).reshape(self._shape)).ravel())
 
-    def _based_on(self, x: FloatArray) -> _Base:
-        """Derivatives and their regularised inverse at x (n,), at once."""
-        return next(base for base in self._renewed(x) if base is not None)
+    def _based_on(self, at: _Known) -> _Base:
+        """Derivatives and their regularised inverse there, at once."""
+        return next(base for base in self._renewed(at) if base is not None)
 
-    def _renewed(self, x: FloatArray) -> Iterator[_Base | None]:
-        """Derivatives and their regularised inverse at x (n,), in instalments; None until the last."""
+    def _renewed(self, at: _Known) -> Iterator[_Base | None]:
+        """Derivatives and their regularised inverse there, in instalments; None until the last."""
+        x = at.log
         cells = np.exp(-x)
         found: FloatArray | None = None
         for found in derivatives(self._board, cells.reshape(self._shape), self._lines):
@@ -288,4 +340,5 @@ class CoupledLive:
         loose = self._hidden
         # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
         others = np.abs(inverse[:, loose] / std[loose] ** 2).sum(axis=1) * _UNKNOWN if loose.any() else np.zeros(len(x))
-        yield _Base(x, inverse @ jacobian.T, std, others)
+        slope = self._slope(at.volts.reshape(self._shape))
+        yield _Base(x, inverse @ jacobian.T, std, np.maximum(std / _LOOSE, 1.0), slope, others)
