@@ -65,7 +65,7 @@ def behind_leads(driven: FloatArray, across: FloatArray, lead: FloatArray) -> tu
     impedance = np.linalg.inv(_grounded(driven, across, into_lead))
     impedance *= into_lead
     across = into_lead[:, None] * impedance
-    np.fill_diagonal(across, 0.0)
+    across.flat[:: len(across) + 1] = 0.0
     return driven @ impedance, across
 
 
@@ -75,7 +75,7 @@ _LEAST_LEAD = 1e-5  # ohm: stands for an ideal lead beside others that are not
 def _grounded(driven: FloatArray, across: FloatArray, to_ground: FloatArray | float) -> FloatArray:
     """Nodal matrix (M, M) in S of the columns, row terminals at ground."""
     matrix = -across
-    matrix[np.diag_indices_from(matrix)] += across.sum(axis=0) + driven.sum(axis=0) + to_ground
+    matrix.flat[:: len(matrix) + 1] += across.sum(axis=0) + driven.sum(axis=0) + to_ground
     return matrix
 
 
@@ -87,5 +87,5 @@ def _floating(driven: FloatArray, across: FloatArray, to_ground: FloatArray) -> 
     matrix[rows:, :rows] = -driven.T
     matrix[rows:, rows:] = -across
     total = np.concatenate([driven.sum(axis=1), driven.sum(axis=0) + across.sum(axis=0) + to_ground])
-    matrix[np.diag_indices_from(matrix)] += total
+    matrix.flat[:: len(matrix) + 1] += total
     return matrix

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import inf
+from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -26,10 +26,12 @@ _SETTLED = 0.3  # posterior standard deviations that a further step would change
 _UNSETTLED = 3.0  # half steps between readings and model beyond which a fit says nothing yet
 _MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
 _FAR = 0.3  # change of a logarithm since the derivatives were made from which on they no longer serve
+_BY_NOISE = 4.0  # standard deviations by which noise and rounding move a cell without new derivatives being due
 _TOO_FAR = 1.0  # the same from which on they no longer tell what a misfit means for the cells
 _SLOW = 0.2  # length of a step over the one before from which on the derivatives are to blame
 _MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
 _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
+_PIECE = 2**25  # multiplications of a matrix product in one instalment
 _AT_ONCE = 100  # cells up to which the matrices of a renewal are factored in one instalment
 _SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
@@ -38,17 +40,28 @@ _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
 
 
+_SATURATED, _NO_CURRENT, _UNCERTAIN, _DISTURBED, _HIDDEN, _UNSETTLED_CELL = (
+    int(reason)
+    for reason in (
+        Reason.SATURATED,
+        Reason.NO_CURRENT,
+        Reason.UNCERTAIN,
+        Reason.DISTURBED,
+        Reason.HIDDEN,
+        Reason.UNSETTLED,
+    )
+)  # as integers: numpy takes 10 us to look one up
+
+
 class _Base(NamedTuple):
     """Where a coupled board's frames start from, in line coordinates; n = N M, flattened."""
 
     log: FloatArray
     """(n,) logarithm of the conductances"""
     gain: FloatArray
-    """(n, n): regularised inverse of the derivatives, from readings in standard deviations to changes of ``log``"""
+    """(n, n) 1/V: regularised inverse of the derivatives, from readings to changes of ``log``"""
     std: FloatArray
     """(n,) posterior standard deviation of ``log``"""
-    doubt: FloatArray
-    """(n,) ``std`` over :data:`_LOOSE`, at least 1"""
     slope: FloatArray
     """(n,) 1/V: change of the logarithm that each reading would mean if its cell were alone; 0 where that says nothing"""
     others: FloatArray
@@ -65,7 +78,7 @@ class _Effort(NamedTuple):
 
 
 USUAL_EFFORT = _Effort(4, 2)
-FIRST_EFFORT = _Effort(40, 60)
+FIRST_EFFORT = _Effort(40, 700)
 """in the first frame of all, before which nothing is known"""
 
 
@@ -89,8 +102,12 @@ class _Fit(NamedTuple):
     """half steps and noise between readings and model"""
     stalled: bool
     """the last step has hardly changed that"""
+    near: bool
+    """the derivatives are from cells like these"""
     lost: bool
     """it does not serve, and the derivatives are from too far away to tell how uncertain it is"""
+    steeper: FloatArray
+    """(n,) present slopes over those at the base"""
 
 
 class CoupledLive:
@@ -130,6 +147,7 @@ class CoupledLive:
         self._known: _Known | None = None  # where the last frame ended
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
+        self._astray = False  # the last frame did not settle
 
     def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
         """As :class:`.LiveRecovery`."""
@@ -174,21 +192,23 @@ class CoupledLive:
         signal = signal.ravel()
         own = (self._half_step + SIGMAS * noise) * slope
         own[slope == 0] = 1.0
-        spread = base.std * np.maximum(self._steeper(slope), 1.0)
+        spread = base.std * np.maximum(fit.steeper, 1.0)
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
         by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own) + np.abs(fit.step)
         uncertainty = by_readings + base.others
         open_cells = signal <= self._half_step + SIGMAS * noise
-        reason = np.full(len(measured), Reason.UNCERTAIN, dtype=np.int8)
-        reason[base.others > 0.5 * uncertainty] = Reason.DISTURBED
-        reason[open_cells] = Reason.NO_CURRENT
-        if misfit > _UNSETTLED or fit.lost:  # the frame's budget did not suffice, or no cells give quite these readings
-            reason[:], uncertainty[:] = Reason.UNSETTLED, inf
+        reason = np.full(len(measured), _UNCERTAIN, dtype=np.int8)
+        reason[base.others > 0.5 * uncertainty] = _DISTURBED
+        reason[open_cells] = _NO_CURRENT
+        # After a frame that did not settle, nothing is valid before there are derivatives from near the cells found.
+        self._astray = misfit > _UNSETTLED or fit.lost or (self._astray and not fit.near)
+        if self._astray:  # the frame's budget did not suffice, or no cells give quite these readings
+            reason[:], uncertainty[:] = _UNSETTLED_CELL, inf
         gone = self._hidden
-        reason[gone] = Reason.HIDDEN
+        reason[gone] = _HIDDEN
         uncertainty[gone | (uncertainty > 1.0)] = inf
         valid = self._rule.accepts(uncertainty, own) & ~open_cells
-        reason[valid] = Reason.VALID
+        reason[valid] = 0
         resistance = np.exp(-x)
         resistance[gone] = np.nan
         resistance[open_cells & ~gone] = inf
@@ -213,35 +233,38 @@ class CoupledLive:
         """
         apart = measured - known.volts
         misfit, stalled, instalments = self._misfit(apart) / scale, False, effort.instalments
-        step = self._step(apart, slope)
+        steeper = self._steeper(slope)
+        step = self._step(apart, steeper)
         for left in range(effort.evaluations - 1, -1, -1):
             known = self._known_at(known.log + step)
             apart = measured - known.volts
             last, misfit = misfit, self._misfit(apart) / scale
             stalled = abs(misfit - last) <= _SAME * misfit
-            before, step = step, self._step(apart, slope)
+            before, step = step, self._step(apart, steeper)
             serves = misfit <= _FITS and self._serves(step, scale)
-            moved = self._moved(known.log)
-            slow = float(np.abs(step).max()) > _SLOW * float(np.abs(before).max())
-            if moved > _FAR or self._renewal is not None or (slow and not serves and moved > _MOVED):
+            moved = self._moved(known.log, scale)
+            blamed = not serves and moved > _MOVED and np.abs(step).max() > _SLOW * np.abs(before).max()
+            if moved > _FAR or blamed or self._renewal is not None:
                 if serves:
                     instalments = min(instalments, 1)  # no need to hurry
                 while instalments:
                     instalments -= 1
                     if self._renew(known):
-                        step = self._step(apart, slope)
+                        steeper = self._steeper(slope)
+                        step = self._step(apart, steeper)
                         serves = misfit <= _FITS and self._serves(step, scale)
-                        moved = self._moved(known.log)
+                        moved = self._moved(known.log, scale)
                         break
             if serves or not left:
                 break
-        return _Fit(known, step, misfit, stalled, not serves and moved > _TOO_FAR)
+        lost = not serves and moved > _TOO_FAR
+        return _Fit(known, step, misfit, stalled, near=moved <= _FAR, lost=lost, steeper=steeper)
 
-    def _moved(self, x: FloatArray) -> float:
-        """Largest change of the logarithms x (n,) since the derivatives were made; doubtful cells count less."""
+    def _moved(self, x: FloatArray, scale: float) -> float:
+        """Largest change of the logarithms x (n,) since the derivatives were made; what noise does counts less."""
         assert self._base is not None
         change = np.abs(x - self._base.log)
-        change /= self._base.doubt
+        change /= np.maximum((_BY_NOISE * scale / _FAR) * self._base.std, 1.0)
         return float(change.max())
 
     def _renew(self, at: _Known) -> bool:
@@ -256,41 +279,45 @@ class CoupledLive:
 
     def _nothing(self, limited: BoolArray | None) -> LiveReading:
         """A frame that tells of no cell."""
-        reason = np.full(self._shape, Reason.DISTURBED, dtype=np.int8)
+        reason = np.full(self._shape, _DISTURBED, dtype=np.int8)
         if limited is not None:
-            reason[limited] = Reason.SATURATED
-        reason[self._hidden.reshape(self._shape)] = Reason.HIDDEN
+            reason[limited] = _SATURATED
+        reason[self._hidden.reshape(self._shape)] = _HIDDEN
         unknown, nowhere = np.full(self._shape, inf), np.zeros(self._shape, dtype=np.bool_)
         return LiveReading(np.full(self._shape, np.nan), nowhere, reason, lambda: (unknown, np.ones(self._shape)))
 
     def _misfit(self, apart: FloatArray) -> float:
         """Half steps between readings and model (n,): root mean square, or half of the largest if that is more."""
-        steps = np.abs(apart) / self._half_step
-        return max(float(np.sqrt(np.mean(steps**2))), 0.5 * float(steps.max()))
+        most = max(float(apart.max()), -float(apart.min()))
+        return max(sqrt(float(apart @ apart) / len(apart)), 0.5 * most) / self._half_step
 
     def _serves(self, step: FloatArray, scale: float) -> bool:
         """Whether a further step would move no cell that the readings determine by more than its own uncertainty."""
         assert self._base is not None
         std = scale * self._base.std
         determined = (std <= _LOOSE) & (self._base.others <= _LOOSE)
-        return bool((np.abs(step) <= np.maximum(_SETTLED * std, 1e-6))[determined].all())
+        return bool(((np.abs(step) <= np.maximum(_SETTLED * std, 1e-6)) | ~determined).all())
 
-    def _step(self, volts: FloatArray, slope: FloatArray) -> FloatArray:
-        """Change (n,) of the logarithms for a difference (n,) of the readings in V, where the readings' slope is ``slope``.
+    def _step(self, volts: FloatArray, steeper: FloatArray) -> FloatArray:
+        """Change (n,) of the logarithms for a difference (n,) of the readings in V.
 
         A cell's own nonlinearity is known in closed form. Readings therefore count by what they would mean for a cell
-        alone at present, in place of what they meant when the derivatives were made.
+        alone at present, ``steeper`` times what they meant when the derivatives were made.
         """
         assert self._base is not None
-        change: FloatArray = self._base.gain @ (volts * self._steeper(slope) / self._noise)
-        return np.clip(change, -_STRIDE, _STRIDE, out=change)
+        change: FloatArray = self._base.gain @ (volts * steeper)
+        if max(change.max(), -change.min()) > _STRIDE:
+            np.clip(change, -_STRIDE, _STRIDE, out=change)
+        return change
 
     def _steeper(self, slope: FloatArray) -> FloatArray:
-        """Slopes (n,) in 1/V over those at the base, up to a factor of _STEEPER."""
+        """Slopes (n,) in 1/V over those at the base, up to a factor of _STEEPER; 1 where there is none."""
         assert self._base is not None
         before = self._base.slope
-        ratio = np.divide(slope, before, out=np.ones_like(slope), where=(before > 0) & (slope > 0))
-        return np.clip(ratio, 1.0 / _STEEPER, _STEEPER, out=ratio)
+        both = (before > 0) & (slope > 0)
+        ratio = np.divide(slope, before, out=np.ones(len(slope)), where=both)
+        np.minimum(ratio, _STEEPER, out=ratio)
+        return np.maximum(ratio, 1.0 / _STEEPER, out=ratio)
 
     def _slope(self, volts: FloatArray) -> FloatArray:
         """As :attr:`_Base.slope`, for readings (N, M) in V."""
@@ -325,7 +352,13 @@ class CoupledLive:
         in_series = 1.0 / (cells + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
         jacobian = found.reshape(len(x), len(x)) * (in_series**2 * cells / self._noise)
         prior = np.where(self._hidden, _UNKNOWN, _PRIOR)
-        normal = jacobian.T @ jacobian
+        pieces = np.array_split(np.arange(len(x)), max(1, len(x) ** 3 // _PIECE))
+        normal = np.zeros_like(jacobian)
+        for number, piece in enumerate(pieces):
+            if number:
+                yield None
+            some = jacobian[piece[0] : piece[-1] + 1]
+            normal += some.T @ some
         normal[np.diag_indices_from(normal)] += prior**-2.0
         if len(x) > _AT_ONCE:
             yield None
@@ -341,4 +374,9 @@ class CoupledLive:
         # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
         others = np.abs(inverse[:, loose] / std[loose] ** 2).sum(axis=1) * _UNKNOWN if loose.any() else np.zeros(len(x))
         slope = self._slope(at.volts.reshape(self._shape))
-        yield _Base(x, inverse @ jacobian.T, std, np.maximum(std / _LOOSE, 1.0), slope, others)
+        gain, per_volt = np.empty_like(jacobian), inverse / self._noise
+        for piece in pieces:
+            np.matmul(per_volt[piece[0] : piece[-1] + 1], jacobian.T, out=gain[piece[0] : piece[-1] + 1])
+            if len(pieces) > 1:
+                yield None
+        yield _Base(x, gain, std, slope, others)
