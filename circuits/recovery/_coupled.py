@@ -25,7 +25,7 @@ _UNKNOWN = 8.0  # the same for a cell that a fault hides
 _SETTLED = 0.3  # posterior standard deviations that a further step would change a cell by
 _UNSETTLED = 3.0  # half steps between readings and model beyond which a fit says nothing yet
 _MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
-_FAR = 0.3  # change of a logarithm since the derivatives were made from which on they no longer serve
+_FAR = 0.5  # change of a logarithm since the derivatives were made from which on they no longer serve
 _BY_NOISE = 4.0  # standard deviations by which noise and rounding move a cell without new derivatives being due
 _TOO_FAR = 1.0  # the same from which on they no longer tell what a misfit means for the cells
 _SLOW = 0.2  # length of a step over the one before from which on the derivatives are to blame
@@ -245,7 +245,7 @@ class CoupledLive:
             moved = self._moved(known.log, scale)
             blamed = not serves and moved > _MOVED and np.abs(step).max() > _SLOW * np.abs(before).max()
             if moved > _FAR or blamed or self._renewal is not None:
-                if serves:
+                if serves and not self._astray:
                     instalments = min(instalments, 1)  # no need to hurry
                 while instalments:
                     instalments -= 1
