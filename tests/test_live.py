@@ -307,7 +307,8 @@ def test_the_quick_model_gives_the_exact_outputs(family: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("circuit", "idle_rows"), [("voltage-divider", "ground"), ("voltage-divider", "float"), ("voltage-feedback", "ground")]
+    ("circuit", "idle_rows"),
+    [("voltage-divider", "ground"), ("voltage-divider", "float"), ("voltage-feedback", "ground")],
 )
 def test_a_usual_frame_of_a_coupled_board_needs_one_or_two_evaluations(
     circuit: str, idle_rows: str, monkeypatch: pytest.MonkeyPatch

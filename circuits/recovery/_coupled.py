@@ -63,7 +63,7 @@ class _Base(NamedTuple):
     std: FloatArray
     """(n,) posterior standard deviation of ``log``"""
     slope: FloatArray
-    """(n,) 1/V: change of the logarithm that each reading would mean if its cell were alone; 0 where that says nothing"""
+    """(n,) 1/V: change of ``log`` per volt if each cell were alone; 0 where its reading says nothing"""
     others: FloatArray
     """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
 
