@@ -37,6 +37,8 @@ _SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
+_CONVERGED = 0.2  # the same after steps that have come to their end
+_STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
 
 
@@ -102,8 +104,8 @@ class _Fit(NamedTuple):
     """half steps and noise between readings and model"""
     stalled: bool
     """the last step has hardly changed that"""
-    near: bool
-    """the derivatives are from cells like these"""
+    proven: bool
+    """no further step would change what matters, by derivatives from cells like these"""
     lost: bool
     """it does not serve, and the derivatives are from too far away to tell how uncertain it is"""
     steeper: FloatArray
@@ -194,14 +196,15 @@ class CoupledLive:
         own[slope == 0] = 1.0
         spread = base.std * np.maximum(fit.steeper, 1.0)
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own) + np.abs(fit.step)
+        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own)
+        by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else 1.0)
         uncertainty = by_readings + base.others
         open_cells = signal <= self._half_step + SIGMAS * noise
         reason = np.full(len(measured), _UNCERTAIN, dtype=np.int8)
         reason[base.others > 0.5 * uncertainty] = _DISTURBED
         reason[open_cells] = _NO_CURRENT
-        # After a frame that did not settle, nothing is valid before there are derivatives from near the cells found.
-        self._astray = misfit > _UNSETTLED or fit.lost or (self._astray and not fit.near)
+        # After a frame that did not settle, nothing is valid before derivatives from near by confirm the cells.
+        self._astray = misfit > _UNSETTLED or fit.lost or (self._astray and not fit.proven)
         if self._astray:  # the frame's budget did not suffice, or no cells give quite these readings
             reason[:], uncertainty[:] = _UNSETTLED_CELL, inf
         gone = self._hidden
@@ -258,7 +261,8 @@ class CoupledLive:
             if serves or not left:
                 break
         lost = not serves and moved > _TOO_FAR
-        return _Fit(known, step, misfit, stalled, near=moved <= _FAR, lost=lost, steeper=steeper)
+        proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
+        return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, steeper=steeper)
 
     def _moved(self, x: FloatArray, scale: float) -> float:
         """Largest change of the logarithms x (n,) since the derivatives were made; what noise does counts less."""
