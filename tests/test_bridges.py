@@ -7,7 +7,10 @@ import asyncio
 import base64
 import importlib.util
 import json
+import signal
 import struct
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -256,6 +259,27 @@ def test_foxglove_receives_the_frames(pressed: list[Frame]) -> None:
 
 
 # --- ROS 2 ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(find_spec("foxglove") is None, reason="foxglove-sdk is not installed")
+def test_the_foxglove_program_says_in_one_line_what_is_wrong() -> None:
+    words = [sys.executable, str(EXAMPLES / "bridges" / "foxglove_live.py"), "/dev/nothing-here", "--listen", "0"]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("/dev/nothing-here: no such port")
+    assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(find_spec("foxglove") is None, reason="foxglove-sdk is not installed")
+def test_the_foxglove_program_is_ended_by_an_interrupt_without_a_traceback(board: str) -> None:
+    words = [sys.executable, str(EXAMPLES / "bridges" / "foxglove_live.py"), board, "--listen", "0"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline().startswith("ws://127.0.0.1:")
+        program.send_signal(signal.SIGINT)
+        _, errors = program.communicate(timeout=120)
+    assert program.returncode == 130
+    assert "Traceback" not in errors
 
 
 def test_ros_messages_survive_their_wire_format(pressed: list[Frame]) -> None:
