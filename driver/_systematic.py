@@ -82,10 +82,12 @@ class SystematicError:
     def _of_steps(self, reading: Reading) -> FloatArray:
         """Relative standard deviation of each resistance by ADC steps; of a cell not valid now, when it last was."""
         # An error that is evenly distributed over an interval has the half-width over the root of three.
-        known = reading.uncertainty * (reading.steps_share / math.sqrt(3.0))
-        if not reading.valid.all():
-            last = np.zeros_like(known) if self._uncertainty is None else self._uncertainty
-            known = np.where(reading.valid, known, last)
+        share, uncertainty = reading.steps_share / math.sqrt(3.0), reading.uncertainty
+        if reading.valid.all():
+            known = uncertainty * share
+        else:
+            known = np.zeros_like(uncertainty) if self._uncertainty is None else self._uncertainty.copy()
+            known[reading.valid] = uncertainty[reading.valid] * share
         self._uncertainty = known
         return known
 

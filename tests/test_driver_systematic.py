@@ -135,6 +135,16 @@ def test_steps_of_a_quiet_converter_are_in_the_deviation() -> None:
     assert error.max() < 5
 
 
+@pytest.mark.parametrize(("noise", "ohms"), [(0.0, 32.5e3), (0.02, 31e3)])
+def test_cells_of_which_nothing_is_known_leave_the_deviation_a_number(noise: float, ohms: float) -> None:
+    """Saturated cells have an infinite uncertainty; much noise leaves no share of it to ADC steps."""
+    with lossless(Wire(board(rest_percent=2.0, noise=noise, reference_resistance=ohms))) as skin:
+        frames = list(islice(skin, 80))
+    valid = frames[-1].valid
+    assert 0 < valid.sum() < valid.size
+    assert np.isfinite(frames[-1].pressure_std[valid]).all()
+
+
 @pytest.mark.parametrize("kind", ["paper", "asymmetric", "contact"])
 def test_the_slope_by_rest_resistance_is_that_of_the_static_curve(kind: str) -> None:
     model: dict[str, Any] = {"kind": kind, "exponent": 1.0, "full_scale_resistance_ohm": 500.0}
