@@ -90,7 +90,7 @@ def table(rows: list[Row]) -> str:
 def noisy(cell: Cell, load: FloatArray, dt_s: float, rng: np.random.Generator) -> FloatArray:
     """Ohm (n,) of one cell under normalised loads ``dt_s`` apart, with noise of :data:`NOISE`."""
     forward = cell.forward(())
-    ohms = np.array([float(forward.step(dt_s, cell.full_scale_kpa * s)) for s in load.tolist()])
+    ohms = forward.run(np.full(len(load), dt_s), cell.full_scale_kpa * load)
     return ohms + NOISE * cell.rest_resistance_ohm * rng.standard_normal(len(load))
 
 

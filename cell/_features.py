@@ -8,6 +8,7 @@ and at zero for a cell that has been read at one value for ever.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -49,10 +50,10 @@ class Bank:
         memory[0:2] = memory[1:3].copy()
         memory[2] = r
         smooth = memory[3]
-        smooth += (median - smooth) * _gone(dt_s, self.smoothing_s)
+        smoothing, gone, width = _constants(self, dt_s, r.ndim)
+        smooth += (median - smooth) * smoothing
         lags, plays = self.lags(memory)[1:], memory[4 + len(self.lags_s) :]
-        lags += (smooth - lags) * _gone(dt_s, _column(self.lags_s, r.ndim))
-        width = _column(self.plays, r.ndim)
+        lags += (smooth - lags) * gone
         np.maximum(plays, smooth - width, out=plays)
         np.minimum(plays, smooth + width, out=plays)
 
@@ -79,6 +80,13 @@ def play_follow(signal: FloatArray, width: float) -> FloatArray:
     for n in range(1, len(signal)):
         last = followed[n] = np.clip(last, signal[n] - width, signal[n] + width)
     return followed
+
+
+@lru_cache(maxsize=1024)
+def _constants(bank: Bank, dt_s: float, dimensions: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Share that the smoothing and the lags forget in a step, and the half widths of the plays, as columns."""
+    gone = _gone(dt_s, _column(bank.lags_s, dimensions))
+    return _gone(dt_s, bank.smoothing_s), gone, _column(bank.plays, dimensions)
 
 
 def _gone(dt_s: float, seconds: FloatArray | float) -> FloatArray:

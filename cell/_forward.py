@@ -360,6 +360,12 @@ def _recurrence(keep: FloatArray, driven: FloatArray, first: FloatArray) -> Floa
     The frames follow each other one by one, so that the rounding errors do not depend on how a history is cut.
     """
     result = np.array(driven)
+    if first.size == 1:  # plain numbers are faster than arrays of one cell
+        x, states = float(first.item()), []
+        for factor, add in zip(keep.ravel().tolist(), result.ravel().tolist(), strict=True):
+            x = factor * x + add
+            states.append(x)
+        return np.reshape(states, result.shape)
     last = first
     carried = np.empty_like(first)
     for factor, state in zip(keep, result, strict=True):

@@ -119,7 +119,10 @@ class Terms:
     def standardised(self, features: FloatArray) -> FloatArray:
         """Features (count, ...) in standard deviations, limited."""
         around = (-1, *(1,) * (features.ndim - 1))
-        z: FloatArray = np.clip((features - self.mean.reshape(around)) / self.scale.reshape(around), -CLIP, CLIP)
+        z: FloatArray = features - self.mean.reshape(around)
+        z /= self.scale.reshape(around)
+        np.maximum(z, -CLIP, out=z)
+        np.minimum(z, CLIP, out=z)
         return z
 
     def __call__(self, standardised: FloatArray) -> NDArray[np.floating]:

@@ -78,6 +78,31 @@ def step_weights(model: PaperModel, dt_s: float) -> StepWeights:
     return StepWeights(free, ramps[:, None], answer, np.array([rising, falling]), np.exp(-2 * dt_s * zeros))
 
 
+class SwitchWeights(NamedTuple):
+    """What one time step does to the memory of :class:`PaperEstimator`; row ``r`` holds the reading after it."""
+
+    step: FloatArray
+    """(5, 9) memory -> pressure in the rising and the recovery model; settled, x2, x3 if the pressure drops to 0"""
+    ramp: FloatArray
+    """(3, 1) by which settled, x2 and x3 rise per kPa of pressure after the step"""
+    smoothing: float
+    """share by which the lag behind the derivative follows the reading"""
+
+
+def switch_weights(model: PaperModel, dt_s: float) -> SwitchWeights:
+    """The weights for steps of ``dt_s``: :func:`step_weights`, for the rows of the memory."""
+    w = step_weights(model, dt_s)
+    step = np.zeros((5, 9))
+    step[2:, STATE_ROWS] = w.free
+    step[:2] = w.answer[:, :3] @ step[2:]
+    step[:2, R_ROW] = w.answer[:, 3]
+    return SwitchWeights(step, w.ramp, float(-np.expm1(-dt_s / max(model.derivative_s, 1e-9))))
+
+
+STATE_ROWS, R_ROW = [PRESSURE, 5, 6, 7], 3
+"""rows of the memory of :class:`PaperEstimator`: pressure, settled, x2, x3; and the reading"""
+
+
 class PaperEstimator(Estimator):
     """The paper's estimator (P8): invert the rising or the recovery model, as dr/dt and two thresholds say.
 
@@ -99,6 +124,8 @@ class PaperEstimator(Estimator):
         conditions: Conditions,
     ) -> None:
         self.model = model
+        self._weights_of = lru_cache(maxsize=1024)(partial(switch_weights, model))
+        self._thresholds_per_s = model.thresholds_per_s(full_scale_kpa)
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, MEMORIES * steepest)
         full_r = model.gain_per_kpa * full_scale_kpa
@@ -113,22 +140,30 @@ class PaperEstimator(Estimator):
     def _advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
     ) -> FloatArray:
+        weights = self._weights_of(dt_s)
+        rises, falls = self._thresholds_per_s
+        was_rising = memory[4] > 0
+        followed = (r - memory[8]) * weights.smoothing
+        slope = followed / dt_s
+        rising = (slope > rises) | (was_rising & (slope >= falls))
+        changed = rising != was_rising
+        if np.count_nonzero(changed):
+            self._hand_over(memory, changed & rising, changed & was_rising)
+        memory[R_ROW] = r
+        after = weights.step @ memory
+        p = np.where(rising, after[0], after[1])
+        memory[PRESSURE], memory[4] = p, rising
+        np.multiply(weights.ramp, p, out=memory[5:8])
+        memory[5:8] += after[2:]
+        memory[8] += followed
+        return memory
+
+    def _hand_over(self, memory: FloatArray, starts: BoolArray, ends: BoolArray) -> None:
+        """Let cells (m,) change to the rising or to the recovery model; changes ``memory``."""
         m = self.model
-        p, _, _, r_before, was_rising, settled, x2, x3, lagged = memory
-        rises, falls = m.thresholds_per_s(self.full_scale_kpa)
-        smoothing = -np.expm1(-dt_s / max(m.derivative_s, 1e-9))
-        slope = (r - lagged) * smoothing / dt_s
-        rising = (slope > rises) | ((was_rising > 0) & (slope >= falls))
-        starts, ends = rising & ~(was_rising > 0), ~rising & (was_rising > 0)
-        settled = np.where(starts, p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r_before, settled)
-        x2 = np.where(ends, r_before - p / m.e1_kpa - x3, x2)
-        weights = step_weights(m, dt_s)
-        free = weights.free @ np.stack([p, settled, x2, x3])
-        both = weights.answer @ np.concatenate([free, r[None]])
-        p = np.where(rising, both[0], both[1])
-        after = free + weights.ramp * p
-        new = np.concatenate([[p], memory[1:3], [r], [rising], after, [lagged + (r - lagged) * smoothing]])
-        return np.asarray(new, dtype=np.float64)
+        p, r = memory[PRESSURE], memory[R_ROW]
+        np.copyto(memory[5], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=starts)
+        np.copyto(memory[6], r - p / m.e1_kpa - memory[7], where=ends)
 
     def _hold(self, memory: FloatArray, dt_s: float) -> FloatArray:
         m = self.model

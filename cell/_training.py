@@ -8,7 +8,7 @@ but is not asked to believe the model to the last digit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,6 +46,8 @@ UNEXPLAINED = ((3.0, 0.5), (60.0, 0.7))
 """over how many seconds the model's error wanders, and how much of it does"""
 ROWS = 20000
 """of synthetic samples that enter the regression"""
+TOGETHER = 512
+"""rows of the regression whose terms are worked out at once"""
 
 
 Judged = tuple[FloatArray, FloatArray]
@@ -198,19 +200,27 @@ def learn(
     terms = Terms(mean, scale, seed, directions, np.float32)  # cosines cost most; sums are in float64
     at_rest = bank.features(bank.begin(np.zeros(1)))
     rest = np.asarray(terms(terms.standardised(at_rest)), dtype=np.float64)
-    real = np.asarray(terms(terms.standardised(data.real.T)), dtype=np.float64)
-    made = np.asarray(terms(terms.standardised(data.simulated.T)), dtype=np.float64)
-    penalty = ridge * np.eye(real.shape[1])
+    penalty = ridge * np.eye(rest.shape[1])
     penalty[0, 0] = 0.0
-    normal = made.T @ made / len(made) + real.T @ real / len(real) + penalty
-    normal += AT_REST * rest.T @ rest
+    sets = (data.simulated, data.simulated_load), (data.real, data.real_load)
+    normal = penalty + AT_REST * rest.T @ rest
+    for features, _ in sets:
+        part = np.zeros_like(normal)
+        for _, block in _blocks(terms, features):
+            part += block.T @ block
+        normal += part / len(features)
 
-    def solve(of_made: FloatArray, of_real: FloatArray) -> FloatArray:
-        moments = made.T @ of_made / len(made) + real.T @ of_real / len(real)
+    def solve(answers: Callable[[FloatArray, FloatArray], FloatArray]) -> FloatArray:
+        moments = np.zeros(len(normal))
+        for features, load in sets:
+            part = np.zeros_like(moments)
+            for place, block in _blocks(terms, features):
+                part += block.T @ answers(block, load[place])
+            moments += part / len(features)
         return np.asarray(np.linalg.solve(normal, moments), dtype=np.float64)
 
-    weights = solve(data.simulated_load, data.real_load)
-    errors = solve(np.abs(made @ weights - data.simulated_load), np.abs(real @ weights - data.real_load))
+    weights = solve(lambda block, load: load)
+    errors = solve(lambda block, load: np.abs(block @ weights - load))
     return Learned(
         smoothing_s=SMOOTHING_S,
         lags_s=lags_s,
@@ -225,6 +235,13 @@ def learn(
         std_floor=0.005,
         limits=calibration.limits,
     )
+
+
+def _blocks(terms: Terms, features: FloatArray) -> Iterator[tuple[slice, FloatArray]]:
+    """All terms (rows, terms) of features (rows, count) in float64, in blocks that stay in the processor's cache."""
+    for start in range(0, len(features), TOGETHER):
+        place = slice(start, start + TOGETHER)
+        yield place, np.asarray(terms(terms.standardised(features[place].T)), dtype=np.float64)
 
 
 def play(calibration: NormalisedRecording, simulated: tuple[FloatArray, FloatArray, float]) -> Learned:

@@ -144,7 +144,7 @@ def simulate(subject: Subject, name: str, factors: FloatArray) -> Run:
     scale = 1.0 + subject.cell_spread * random.uniform(-1.0, 1.0, shape)
     forward = subject.cell.forward(shape, rest_resistance_ohm=subject.rest * scale)
     steps = np.diff(time_s, prepend=time_s[0])
-    cells = np.array([forward.step(float(dt), kpa) for dt, kpa in zip(steps, applied, strict=True)])
+    cells = forward.run(steps, applied)
     volts, lost = _converted(subject, subject.factors, factors, cells, settling_share(subject, declared), random)
     if lost.any():  # the intervals of cells that are not known take long, and the verdict is sure
         kept = slice(None, None, -(-len(time_s) // FRAMES_WHEN_LOST))

@@ -37,6 +37,7 @@ ROUNDING = 1e-15
 _REFINED = 2  # corners per sign that are improved
 _FEW_CELLS, _REFINED_OF_FEW = 16, 16  # the same for small arrays, where it costs little
 _ROUNDS = 5  # of improvement, at most
+_MOST_REMEMBERED = 4_000_000  # numbers of the derivatives that a search keeps
 _MOST_FLIPS = 200_000  # cells of all neighbouring corners together, up to which they are solved
 
 
@@ -204,6 +205,14 @@ class Corners:
     def some(self, which: IntArray | BoolArray) -> Corners:
         return Corners(**{name: getattr(self, name)[which] for name in self.__dataclass_fields__})
 
+    def distinct(self) -> Corners:
+        """The corners without repetitions, in the order of their first appearance."""
+        first: dict[bytes, int] = {}
+        for index in range(len(self.row)):
+            key = b"".join(np.asarray(getattr(self, name)[index]).tobytes() for name in self.__dataclass_fields__)
+            first.setdefault(key, index)
+        return self.some(np.array(list(first.values()), dtype=np.intp))
+
 
 @dataclass(frozen=True)
 class WorstCase:
@@ -302,7 +311,9 @@ def worst_case(target: Target, box: Box) -> WorstCase:
     known = Corners(
         **{name: np.concatenate([getattr(s, name) for s in starts]) for name in Corners.__dataclass_fields__}
     )
+    known = known.distinct()
     values = evaluate(target, box, known)
+    memory = _Linearisations(box)
     by_cell = np.full(box.design.array.shape, np.nan)
     for row, column, value in zip(known.row, known.column, np.abs(values), strict=True):
         by_cell[row, column] = np.fmax(by_cell[row, column], value)
@@ -316,7 +327,7 @@ def worst_case(target: Target, box: Box) -> WorstCase:
             for _ in range(_ROUNDS):
                 if not np.isfinite(value):
                     break
-                moved = _improved(target, box, corner)
+                moved = _improved(target, memory, corner)
                 settled = all(
                     np.array_equal(getattr(moved, name), getattr(corner, name))
                     for name in ("factors", "pattern", "scale")
@@ -547,10 +558,30 @@ def named_corners(target: Target, box: Box, pressed: float, sign: float) -> Corn
     return found.some(np.argsort(-estimate, kind="stable")[: most_solved(shape)])
 
 
-def _improved(target: Target, box: Box, corner: Corners) -> Corners:
+class _Linearisations:
+    """Derivatives at corners of one box. Searches from several cells often come to the same corner."""
+
+    def __init__(self, box: Box) -> None:
+        self.box = box
+        self._known: dict[tuple[bytes, bytes], _Linear] = {}
+        values = box.design.array.rows * box.design.array.columns
+        self._most = _MOST_REMEMBERED // (values * (values + len(box.factors)))
+
+    def at(self, factors: FloatArray, cells: FloatArray) -> _Linear:
+        """Derivatives for one board (F,) and its cells (N, M) in ohm."""
+        key = factors.tobytes(), cells.tobytes()
+        if key not in self._known:
+            if len(self._known) >= self._most:
+                self._known.clear()
+            self._known[key] = _linearised(self.box, factors, cells)
+        return self._known[key]
+
+
+def _improved(target: Target, memory: _Linearisations, corner: Corners) -> Corners:
     """The corner that the derivatives at ``corner`` (one) name."""
+    box = memory.box
     cells = [frame[0] for frame in _frames(target, box, corner)]
-    linear = [_linearised(box, corner.factors[0], frame) for frame in cells]
+    linear = [memory.at(corner.factors[0], frame) for frame in cells]
     _, *gradients = _gradients(target, box, linear, cells, (corner.row, corner.column))
     found = _corners(float(corner.sign[0]), corner.row, corner.column, (gradients[0], gradients[1], gradients[2]))
     row, column = int(corner.row[0]), int(corner.column[0])

@@ -37,7 +37,9 @@ def heat_maps(
             if rows * columns <= 36:
                 for (i, j), value in np.ndenumerate(array):
                     colour = "w" if abs(value) > 0.55 * limit else plots.INK
-                    panel.text(j, i, values.format(value), ha="center", va="center", fontsize=7, color=colour)
+                    panel.text(
+                        j, i, values.format(value), ha="center", va="center", fontsize=7, color=colour, in_layout=False
+                    )
             if marked is not None:
                 for i, j in np.argwhere(marked):
                     panel.add_patch(_outline(j, i))
@@ -61,7 +63,9 @@ def value_map(array: FloatArray, *, label: str, top: float, limit: float | None)
             for (i, j), value in np.ndenumerate(array):
                 if np.isfinite(value):
                     colour = "w" if value > 0.6 * top else plots.INK
-                    panel.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=colour)
+                    panel.text(
+                        j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color=colour, in_layout=False
+                    )
         bar = figure.colorbar(image, ax=panel, shrink=0.9, label=label)
         if limit is not None:
             bar.ax.axhline(limit, color=plots.RED, lw=2)

@@ -16,6 +16,7 @@ from ._subject import Subject
 STEP_KPA = 15.5  # 10.0 N on one square inch (V.A)
 RATE_HZ = 50.0
 EDGE_S = 0.1  # time in which a press is applied and released
+SETTLED_S = 1e-6  # time before the first sample in which the first pressure is applied
 
 
 def pressed(presses: list[tuple[float, float, float]], duration_s: float) -> tuple[FloatArray, FloatArray]:
@@ -32,17 +33,25 @@ def respond(cell: Cell, time_s: FloatArray, pressure: FloatArray, rest: FloatArr
     """Resistance (samples,) of one cell, or (samples, cells) of several with their own R0."""
     shape = (1,) if rest is None else rest.shape
     forward = cell.forward(shape, rest_resistance_ohm=rest)
-    first = forward.step(1e-6, np.full(shape, pressure[0]))
-    samples = [first] + [
-        forward.step(dt, np.full(shape, kpa)) for dt, kpa in zip(np.diff(time_s), pressure[1:], strict=True)
-    ]
-    return np.array(samples)[:, 0] if rest is None else np.array(samples)
+    loads = np.broadcast_to(pressure[:, None], (len(pressure), *shape))
+    ohms = forward.run(np.diff(time_s, prepend=time_s[0] - SETTLED_S), loads)
+    return ohms[:, 0] if rest is None else ohms
 
 
 def side_by_side(
     subject: Subject, time_s: FloatArray, ohms: FloatArray, rest: float | None = None
 ) -> dict[str, FloatArray]:
-    """kPa (samples,) by label, from a reading of the subject's cell; ``rest`` replaces R0."""
+    """kPa (samples,) by label, from a reading of the subject's cell; ``rest`` replaces R0.
+
+    Several experiments look at the same press. The estimates of a reading are therefore kept with the subject.
+    """
+    reading = ("side by side", time_s.tobytes(), ohms.tobytes(), rest)
+    if reading not in subject.memo:
+        subject.memo[reading] = _side_by_side(subject, time_s, ohms, rest)
+    return dict(subject.memo[reading])
+
+
+def _side_by_side(subject: Subject, time_s: FloatArray, ohms: FloatArray, rest: float | None) -> dict[str, FloatArray]:
     return {
         "the paper's": estimate(subject.cell, "paper", time_s, ohms, rest),
         f"ours ({subject.ours})": estimate(subject.calibrated, subject.ours, time_s, ohms, rest),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import dataclass, field
 from functools import cache, cached_property
 from typing import Any
@@ -40,7 +41,7 @@ class Subject:
     """boards of the Monte Carlo analysis"""
     jig: FloatArray | None = field(default=None, compare=False)
     """(rows, columns) ohm of known resistors on the board, if there are any"""
-    memo: dict[str, Any] = field(default_factory=dict, compare=False, repr=False)
+    memo: dict[Hashable, Any] = field(default_factory=dict, compare=False, repr=False)
     """intermediate results that several requirements share"""
 
     def __getstate__(self) -> dict[str, Any]:
