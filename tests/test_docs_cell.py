@@ -1,0 +1,28 @@
+"""The CELL.toml of docs/cell.md is a cell, and the table beside it names the keys of every kind."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import get_args
+
+from ohmskin.cell import Cell
+from ohmskin.cell._models import AsymmetricModel, ContactModel, M10Model, PaperModel
+
+PAGE = (Path(__file__).parents[1] / "docs" / "cell.md").read_text(encoding="utf-8")
+
+
+def test_the_cell_of_the_page_can_be_estimated() -> None:
+    text = PAGE.split("```toml\n", 1)[1].split("```", 1)[0]
+    cell = Cell.model_validate(tomllib.loads(text))
+    assert cell.model.kind == "asymmetric"
+    assert cell.estimator((2, 2)).shape == (2, 2)
+
+
+def test_the_table_names_every_key() -> None:
+    table = PAGE.split("keys of `[model]` |\n", 1)[1].split("\n\n", 1)[0]
+    for model in (PaperModel, AsymmetricModel, M10Model, ContactModel):
+        (kind,) = get_args(model.model_fields["kind"].annotation)
+        (line,) = [line for line in table.splitlines() if line.startswith(f"| `{kind}` |")]
+        needed = {name for name, key in model.model_fields.items() if name != "kind" and key.is_required()}
+        assert {name for name in needed if f"`{name}`" not in line} == set()
