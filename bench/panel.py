@@ -89,6 +89,10 @@ class Verdict:
     """median standard deviation, of full scale"""
     rest_kpa: float
     """mean size of what is shown at rest; NaN if the cell never rests"""
+    static_rest_kpa: float
+    """the same of the static curve"""
+    rest_within_two_std: float
+    """share of the samples at rest within two stated standard deviations"""
     folds: tuple[float, ...]
     """error of the chosen estimator on each fold of the calibration, % of full scale"""
 
@@ -163,6 +167,11 @@ def judge(of: Scene, found: CalibrationResult) -> Verdict:
     learned = [name for name in ("play", "distilled") if getattr(cell.estimators, name) is not None]
     others = [percent(errors(name)[0]) for name in learned if name != chosen]
     resting = at_rest(of.time_s, of.pressure_kpa / full)[later]
+    within = np.abs(error) <= 2 * std
+
+    def at_rest_mean(values: FloatArray) -> float:
+        return float(np.mean(values[resting])) if resting.any() else np.nan
+
     return Verdict(
         load=of.load,
         material=of.material,
@@ -173,9 +182,11 @@ def judge(of: Scene, found: CalibrationResult) -> Verdict:
         worst_percent=float(100 * np.abs(error).max() / full),
         static_percent=percent(static),
         best_percent=min([percent(error), percent(static), *others]),
-        within_two_std=float(np.mean(np.abs(error) <= 2 * std)),
+        within_two_std=float(np.mean(within)),
         std_percent=float(100 * np.median(std) / full),
-        rest_kpa=float(np.mean(np.abs(error[resting]))) if resting.any() else np.nan,
+        rest_kpa=at_rest_mean(np.abs(error)),
+        static_rest_kpa=at_rest_mean(np.abs(static)),
+        rest_within_two_std=at_rest_mean(within.astype(np.float64)),
         folds=cell.estimators.fold_percent[cell.estimators.default],
     )
 
@@ -207,13 +218,14 @@ def line(of: Verdict) -> str:
     return (
         f"{of.load:<14}{of.material:<12.11}{of.seed:>4}  {of.estimator:<10}{of.rmse_percent:>6.1f}"
         f"{of.static_percent:>8.1f}{of.best_percent:>6.1f}{of.worst_percent:>7.0f}{100 * of.within_two_std:>8.0f}"
-        f"{of.std_percent:>6.1f}{of.rest_kpa:>7.2f}  {folds}{flag}"
+        f"{of.std_percent:>6.1f}{of.rest_kpa:>7.2f}{of.static_rest_kpa:>8.2f}{100 * of.rest_within_two_std:>8.0f}"
+        f"  {folds}{flag}"
     )
 
 
 HEADER = (
     f"{'load':<14}{'material':<12}{'seed':>4}  {'chosen':<10}{'RMSE':>6}{'static':>8}{'best':>6}{'worst':>7}"
-    f"{'in 2 sd':>8}{'sd':>6}{'rest':>7}  folds"
+    f"{'in 2 sd':>8}{'sd':>6}{'rest':>7}{'static':>8}{'in 2 sd':>8}  folds"
 )
 
 
@@ -249,7 +261,8 @@ def main(
 ) -> None:
     """Calibrate with defaults on the head of each recording and judge the rest; errors are % of full scale.
 
-    A star marks what is worse than the static curve by more than a tenth.
+    Rest is what is shown without load in kPa, by the chosen estimator and by the static curve, and the share of it
+    that the stated deviations cover. A star marks what is worse than the static curve by more than a tenth.
     """
     made = (scene(*names) for names in scenes(seeds, loads, materials))
     recorded = (part for path in files for part in scenes_of(path, head))

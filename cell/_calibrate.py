@@ -217,16 +217,9 @@ FROM_MODEL: tuple[EstimatorName, ...] = ("paper", "inverse")
 
 
 def _judge(cell: Cell, name: EstimatorName, recording: Recording, fold: Fold) -> Judged:
-    """Of an estimator that was learned before the fold."""
+    """Of an estimator that was learned before the fold, run as it will be used: smoothed, and asleep at rest."""
     until = int(np.searchsorted(recording.time_s, fold.end_s))
     part = slice(int(np.searchsorted(recording.time_s, fold.start_s)), until)
-    learned = cell.estimators
-    if name == "static" and learned is not None:
-        curve = learned.static
-        load = curve.load(recording.resistance_ohm[part] / cell.rest_resistance_ohm - 1)
-        load = np.clip(load, curve.limits.lowest, curve.limits.highest)
-        error = load * cell.full_scale_kpa - recording.pressure_kpa[part]
-        return error, np.full(error.shape, curve.std_kpa)
     estimator = cell.estimator((), name)
     pressure, std = estimate_recording(estimator, recording.time_s[:until], recording.resistance_ohm[:until])
     error = (pressure - recording.pressure_kpa[:until])[part]

@@ -12,11 +12,17 @@ from hypothesis import strategies as st
 
 from ohmskin.bench import panel
 from ohmskin.bench._materials import LOADS, MATERIALS
-from ohmskin.cell import CalibrationResult, checked_recording
+from ohmskin.cell import AsymmetricModel, CalibrationResult, Cell, checked_recording, estimate_recording
 from ohmskin.cell import _training as training
-from ohmskin.cell._calibrate import _choose
-from ohmskin.cell._identify import fits
+from ohmskin.cell._calibrate import _choose, _judge, _seen
+from ohmskin.cell._cell import Calibrated
+from ohmskin.cell._identify import Fold, fits
 from ohmskin.cell._learned import DRIFT
+
+
+def _unused(rng: np.random.Generator, loads: np.ndarray, dt: float) -> np.ndarray:
+    raise AssertionError("a static curve needs no simulation")
+
 
 SUBSET = (("random", "relays", 1), ("new speeds", "maxwell", 0))
 
@@ -92,6 +98,29 @@ def test_the_choice_is_by_the_worst_fold_with_the_static_curve_as_the_floor(
     assert max(by_fold[chosen][1:]) <= max(by_fold["static"][1:])
     assert chosen == "static" or worst[chosen] <= 1.1 * min(worst["play"], worst["distilled"])
     assert f"{worst[chosen]:.1f} % of full scale on the worst of 3 folds" in reason
+
+
+def test_the_static_curve_is_judged_as_it_will_run() -> None:
+    """A fold's error is that of the estimator with its smoothing, not that of the curve on single noisy readings."""
+    rng = np.random.default_rng(5)
+    time = np.arange(0, 120, 0.05)
+    load = np.clip(1.2 * np.sin(2 * np.pi * time / 40), 0, 1)
+    read = 1e4 * (1 + 0.3 * load) * (1 + 0.02 * rng.standard_normal(len(time)))
+    recording = checked_recording(time, 15.5 * load, read)
+    curve = training.static_curve(training.NormalisedRecording(time, read / 1e4 - 1, load, 1e4, _unused, 0.0), 15.5)
+    model = AsymmetricModel(e1_kpa=60, e2_kpa=600, e3_kpa=600, eta2_kpa_s=3000, eta3_kpa_s=6e4)
+    cell = Cell(rest_resistance_ohm=1e4, full_scale_kpa=15.5, model=model)
+    trial = cell.replace(
+        estimators=Calibrated(default="static", reason="", held_out_percent={}, seen=_seen(recording), static=curve)
+    )
+    error, std = _judge(trial, "static", recording, Fold(60.0, 120.0))
+    pressure, stated = estimate_recording(trial.estimator(()), time, read)
+    later = time >= 60
+    assert stated is not None
+    assert np.array_equal(error, (pressure - 15.5 * load)[later])
+    assert np.array_equal(std, stated[later])
+    raw = 15.5 * (np.clip(curve.load(read / 1e4 - 1), 0, 1.2) - load)[later]
+    assert np.std(error) < 0.9 * np.std(raw)
 
 
 @given(scale=st.floats(0.05, 20), seed=st.integers(0, 100))
