@@ -187,6 +187,27 @@ class Estimator(ABC):
         return self._shown()
 
     @property
+    def resolved(self) -> bool:
+        """Whether :meth:`resolve` has been called."""
+        return self._noise.typical_resolution > 0.0
+
+    def resolve(self, step_std: ArrayLike, resistance_ohm: ArrayLike) -> None:
+        """Take the resolution of the readings, which the readings themselves do not show where noise is small.
+
+        Args:
+            step_std: (shape) relative standard deviation of a conductance by the steps of the ADC.
+            resistance_ohm: (shape) the readings in ohm for which that holds. Where one of them is not finite the median
+                of the others is taken; if all are not, nothing happens.
+        """
+        step = np.asarray(step_std, dtype=np.float64).ravel()
+        resistance = np.asarray(resistance_ohm, dtype=np.float64).ravel()
+        # A step of current is one of conductance: that of r is proportional to (1 + r)^2, as noise is.
+        at_rest = np.divide(step, resistance * self._per_ohm, out=np.full(step.size, np.nan), where=resistance > 0)
+        found = np.isfinite(at_rest) & (at_rest > 0)
+        if found.any():
+            self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])))
+
+    @property
     def std_kpa(self) -> FloatArray:
         """(shape) standard deviation of the estimate of the last step, in kPa; NaN where none can be stated."""
         variance = self._variance + self._gaps.variance if self._gaps.doubtful else self._variance

@@ -43,7 +43,11 @@ _COEFFICIENTS = [np.roll(_THIRD, shift) for shift in range(4)]
 
 
 class NoiseMeter:
-    """Standard deviation of the readings of n cells, from one reading to the next."""
+    """Standard deviation of the readings of n cells, from one reading to the next.
+
+    Noise below the step of an ADC does not show in the readings, and the step itself does only while they change.
+    Where the step is known it is therefore the least that is stated (:meth:`resolve`).
+    """
 
     def __init__(self, cells: int, expected: float = 0.0) -> None:
         """``expected``: standard deviation of r at rest that an earlier recording had; 0 if there is none."""
@@ -58,6 +62,16 @@ class NoiseMeter:
         """standard deviation of the median cell at rest"""
         self.at_rest = np.sqrt(self._variance + LEAST**2)
         """(n,) standard deviation of r of a cell at rest; renewed in place"""
+        self.resolution = np.zeros(cells)
+        """(n,) the part of it that the steps of the ADC make; 0: not known"""
+        self.typical_resolution = 0.0
+        """that of the median cell"""
+
+    def resolve(self, resolution: FloatArray) -> None:
+        """Take the standard deviation (n,) of r at rest that the steps of the ADC make."""
+        self.resolution = resolution
+        self.typical_resolution = float(np.median(resolution))
+        np.maximum(self.at_rest, resolution, out=self.at_rest)
 
     def update(self, r: FloatArray, known: BoolArray | None) -> None:
         """Take normalised resistances (n,); ``known`` (n,) marks those that were read, None: all."""
@@ -101,6 +115,8 @@ class NoiseMeter:
             self._pool()
         np.add(self._variance, LEAST**2, out=self.at_rest)
         np.sqrt(self.at_rest, out=self.at_rest)
+        if self.typical_resolution:
+            np.maximum(self.at_rest, self.resolution, out=self.at_rest)
 
     def _pool(self) -> None:
         middle = float(np.median(self._variance[:: 1 + self._variance.size // ENOUGH]))
@@ -127,6 +143,7 @@ class NoiseMeter:
             "noise_ring": self._ring,
             "noise_blind": self._blind,
             "noise_variance": self._variance,
+            "noise_resolution": self.resolution,
             "noise_counts": np.array([self._looks, self._seen, self._any_blind, self.typical], dtype=np.float64),
         }
 
@@ -136,3 +153,4 @@ class NoiseMeter:
         looks, seen, any_blind, self.typical = state["noise_counts"].tolist()
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
         self.at_rest = np.sqrt(self._variance + LEAST**2)
+        self.resolve(state["noise_resolution"])

@@ -31,10 +31,13 @@ EXACTLY, NEAR = 1e-9, 1e-3
 EITHER = 0.5
 """standard deviation over the difference of the two hypotheses: either may be right until the pressure has turned"""
 SURE = 3.0
-"""standard deviations of the smoothed noise by which it must have, too, and by which an extreme counts for less"""
+"""standard deviations of the smoothed noise by which it must have, too"""
 CONFIRMED_RISE, CONFIRMED_FALL = 3.0, 1.0
 """turns by which the model that was left must have gone back by its own account, too; until then the turn may yet be
 found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
+LESS = 2.0
+"""standard deviations of the smoothed noise by which an extreme counts for less. The largest of many readings is too
+large by about as many; with more, the end of a tap of few frames would be missed"""
 PULL_SIGMAS = 1.0
 """standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
 smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
@@ -179,7 +182,7 @@ class PaperEstimator(Estimator):
 
 TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 8)
 """rows: variance from turns not known to the point, which fades; 1 rising, -1 in recovery; the largest sign times
-pressure since the last turn, less :data:`SURE` and less one standard deviation; the extreme that was left
+pressure since the last turn, less :data:`LESS` and less one standard deviation; the extreme that was left
 at an unconfirmed turn, else ``FAR``"""
 IN_FORCE, STATE = slice(8, 10), slice(10, 17)
 """1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
@@ -336,7 +339,7 @@ class TurningEstimator(Estimator):
 
         np.subtract(of.ahead, of.unsure, out=of.spare)
         np.maximum(of.peak, of.spare, out=of.peak)
-        of.unsure *= SURE
+        of.unsure *= LESS
         of.ahead -= of.unsure
         np.maximum(of.extreme, of.ahead, out=of.extreme)
         np.copyto(of.gain, of.gain_now)
@@ -379,7 +382,7 @@ class TurningEstimator(Estimator):
         noise = np.broadcast_to(std, memory.shape[1:])[turned]
         pressure = (some[STATE][:2] * some[IN_FORCE]).sum(axis=0)
         now = some[SIGN] * np.maximum(pressure, 0.0)
-        some[EXTREME] = np.where(again, left, now - SURE * noise * gain)
+        some[EXTREME] = np.where(again, left, now - LESS * noise * gain)
         some[PEAK] = np.where(again, left, now - noise * gain)
         some[LEFT] = np.where(again, FAR, extreme)
         # When the pressure turned is as doubtful as it was in the last frame whether it had turned.

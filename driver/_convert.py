@@ -245,6 +245,8 @@ class Converter:
             self._estimator = self._new_estimator()
         pressure = std = np.full(frame.counts.shape, np.nan)
         if self._estimator is not None:
+            if not self._estimator.resolved:
+                self._estimator.resolve(reading.step_std, reading.resistance)
             pressure = self._estimator.step(gap_s, reading.resistance)
             std = self._std(reading, pressure)
             if self._calibration is not None:

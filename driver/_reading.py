@@ -37,8 +37,17 @@ class Reading:
     solved: bool
     """False where no cell resistances give such readings: then no cell is valid"""
     _found: LiveReading | None
+    _own_share: float
+    """of what a cell's own reading leaves open: standard deviation of an ADC step"""
     steps_share: float = 1.0
     """part of :attr:`uncertainty` that comes from ADC steps and that no average over time lessens"""
+
+    @property
+    def step_std(self) -> FloatArray:
+        """Relative standard deviation of a cell's conductance by the ADC's steps alone; computed when asked for."""
+        if self._found is None:
+            return np.full(self.resistance.shape, np.nan)
+        return self._own_share * self._found.own
 
     @property
     def uncertainty(self) -> FloatArray:
@@ -182,20 +191,32 @@ class CountReader:
             if not limited.any():
                 limited = None
         self._before = volts
+        noise = self.noise_volts
+        share = self._step / 12**0.5 / (self._step / 2 + LiveReading.sigmas * noise)
         try:
-            found = self._recover(volts, limited, self.noise_volts)
+            found = self._recover(volts, limited, noise)
         except SolverError:
             nothing = np.full(counts.shape, np.nan)
             reason = np.full(counts.shape, Reason.UNSOLVED, dtype=np.int8)
-            return Reading(nothing, counts < 0, reason, solved=False, _found=None)
+            return Reading(nothing, counts < 0, reason, solved=False, _found=None, _own_share=share)
         valid, reason = found.valid, found.reason
         if valid.all() and faint is None:
-            return Reading(found.resistance, valid, reason, solved=True, _found=found, steps_share=self._steps_share)
+            return Reading(
+                found.resistance,
+                valid,
+                reason,
+                solved=True,
+                _found=found,
+                _own_share=share,
+                steps_share=self._steps_share,
+            )
         if faint is not None:
             valid = valid & ~faint
             reason = np.where(faint, np.int8(Reason.NO_CURRENT), reason)
         resistance = np.where(valid, found.resistance, np.nan)
-        return Reading(resistance, valid, reason, solved=True, _found=found, steps_share=self._steps_share)
+        return Reading(
+            resistance, valid, reason, solved=True, _found=found, _own_share=share, steps_share=self._steps_share
+        )
 
     def _guard_codes(self, volts: FloatArray) -> int:
         """Codes within which an output at a limit of its swing may be read, given the readings (rows, columns) in V.

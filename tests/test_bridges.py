@@ -7,7 +7,10 @@ import asyncio
 import base64
 import importlib.util
 import json
+import signal
 import struct
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from importlib.util import find_spec
@@ -206,6 +209,7 @@ def test_foxglove_receives_the_frames(pressed: list[Frame]) -> None:
     pytest.importorskip("foxglove")
     client = pytest.importorskip("websockets.asyncio.client")
     server = bridge("foxglove_live").FoxgloveServer("test", port=0)
+    last_ns = round(pressed[-1].host_time * 1e9)
 
     async def listen() -> dict[str, list[dict[str, Any]]]:
         received: dict[str, list[dict[str, Any]]] = {"/ohmskin/pressure": [], "/ohmskin/frame": []}
@@ -222,7 +226,8 @@ def test_foxglove_receives_the_frames(pressed: list[Frame]) -> None:
             wanted = [{"id": number, "channelId": number} for number in channels]
             await connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
             sender = asyncio.create_task(send_until(received))
-            while min(map(len, received.values())) < len(pressed):
+            # Not a number of messages: the first frame may have arrived more than once.
+            while not all(messages and messages[-1]["log_time"] == last_ns for messages in received.values()):
                 data = await asyncio.wait_for(connection.recv(), 20)
                 if isinstance(data, bytes) and data[0] == 1:
                     number, moment_ns = struct.unpack_from("<IQ", data, 1)
@@ -256,6 +261,27 @@ def test_foxglove_receives_the_frames(pressed: list[Frame]) -> None:
 
 
 # --- ROS 2 ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(find_spec("foxglove") is None, reason="foxglove-sdk is not installed")
+def test_the_foxglove_program_says_in_one_line_what_is_wrong() -> None:
+    words = [sys.executable, str(EXAMPLES / "bridges" / "foxglove_live.py"), "/dev/nothing-here", "--listen", "0"]
+    ended = subprocess.run(words, capture_output=True, text=True, check=False, timeout=120)
+    assert ended.returncode == 1
+    assert ended.stderr.startswith("/dev/nothing-here: no such port")
+    assert ended.stderr.count("\n") == 1
+
+
+@pytest.mark.skipif(find_spec("foxglove") is None, reason="foxglove-sdk is not installed")
+def test_the_foxglove_program_is_ended_by_an_interrupt_without_a_traceback(board: str) -> None:
+    words = [sys.executable, str(EXAMPLES / "bridges" / "foxglove_live.py"), board, "--listen", "0"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        assert program.stdout.readline().startswith("ws://127.0.0.1:")
+        program.send_signal(signal.SIGINT)
+        _, errors = program.communicate(timeout=120)
+    assert program.returncode == 130
+    assert "Traceback" not in errors
 
 
 def test_ros_messages_survive_their_wire_format(pressed: list[Frame]) -> None:

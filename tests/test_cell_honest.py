@@ -39,6 +39,23 @@ def papers(draw: st.DrawFn) -> Cell:
     return Cell(rest_resistance_ohm=draw(st.floats(500.0, 5e4)), full_scale_kpa=full, model=model)
 
 
+def test_taps_of_a_few_frames_are_within_the_stated_deviations() -> None:
+    """Two and a half a second, six frames each, of 20 to 95 % of full scale; all fades after the last one."""
+    dt = 0.02
+    time = np.arange(0.0, 24.0, dt)
+    shape = np.interp((time - 1.0) % 0.4, [0.0, 0.02, 0.12, 0.15], [0.0, 1.0, 1.0, 0.0]) * (
+        (time > 1.0) & (time < 14.0)
+    )
+    share = shape[:, None] * np.linspace(0.2, 0.95, 8)
+    for noise in (0.1, 1.0):
+        read = honesty.readings(EXAMPLE, share, dt, noise, np.random.default_rng(1))
+        pressure, std = honesty.estimated(EXAMPLE, read, np.ones(len(time), dtype=bool), dt)
+        over = (np.abs(pressure - EXAMPLE.full_scale_kpa * share) / std)[25:]
+        assert np.mean(over < 2) > 0.9
+        assert over.max() < 4
+        assert np.abs(pressure[-1]).max() < 0.2 * EXAMPLE.full_scale_kpa
+
+
 @settings(max_examples=15)
 @given(cell=papers(), load=LOADS, noise=NOISES, rate=st.sampled_from([60.0, 100.0, 250.0]), seed=SEEDS)
 def test_errors_of_any_paper_cell_are_within_the_stated_deviations(
@@ -67,6 +84,26 @@ def test_any_frame_rate_is_answered_as_honestly(load: honesty.Load, rate: float)
         found = honesty.judged(EXAMPLE, "example", load, noise, rate_hz=rate)
         assert found.within_two > 0.93
         assert found.beyond_three < 0.03
+
+
+@pytest.mark.parametrize("load", ["hold", "press", "taps"])
+def test_the_step_of_a_coarse_converter_is_in_the_deviation(load: honesty.Load) -> None:
+    """8 bits and hardly any noise: readings stay on one step, and what they show of their noise is nothing."""
+    dt, bits = 1 / honesty.RATE_HZ, 8
+    share = honesty.pressures(load, dt * np.arange(1200))
+    read = honesty.readings(EXAMPLE, share, dt, 0.1, np.random.default_rng(0), bits=bits)
+    step_std = 3.3 / 2**bits / np.sqrt(12) * read[0] / (honesty.VOLTS_AT_REST * EXAMPLE.rest_resistance_ohm)
+    estimator = EXAMPLE.estimator(share.shape[1:])
+    read[0, 0] = step_std[0] = np.nan  # a cell that the first frame does not show is as coarse as the others
+    estimator.resolve(step_std, read[0])
+    error, std = np.empty((2, *share.shape))
+    for n, row in enumerate(read):
+        error[n] = np.abs(estimator.step(dt, row) - EXAMPLE.full_scale_kpa * share[n])
+        std[n] = estimator.std_kpa
+    over = (error / std)[60:]
+    assert np.mean(over < 2) > 0.97
+    assert over.max() < 4
+    assert np.sqrt(np.mean(error[60:] ** 2)) < 0.02 * EXAMPLE.full_scale_kpa
 
 
 @pytest.mark.parametrize("factor", [0.97, 1.03])

@@ -83,6 +83,7 @@ def test_counts_become_the_ohms_that_gave_them(ohms: float) -> None:
     step = ohms**2 * plain.adc.step / 20e3
     assert reading.valid.all()
     np.testing.assert_allclose(reading.resistance, cells, atol=0.5 * step / (1 - 0.5 * step / ohms) * (1 + 1e-9))
+    np.testing.assert_allclose(reading.step_std, step / ohms / 12**0.5, rtol=0.3)
 
 
 def settled(read: CountReader, counts: np.ndarray) -> Reading:
@@ -214,6 +215,38 @@ def test_readings_that_no_cells_can_give_are_counted_and_not_valid() -> None:
     for frame in frames:
         assert not frame.valid.any()
         assert np.isnan(frame.resistance).all()
+
+
+def test_a_skin_without_a_valid_cell_says_once_why_and_what_would_help() -> None:
+    """After 50 frames; the accuracy that the remark proposes makes cells valid."""
+    sent = [encode(FramePacket.of(np.full((3, 2), 2000), sequence=n, time_us=1000 * n)) for n in range(120)]
+    with lossless(Script(*sent), design=design(), cell=Cell.example(), accuracy=1e-5) as skin:
+        assert not any(frame.valid.any() for frame in islice(skin, 49))
+        assert skin.stats().remark is None
+        with pytest.warns(RuntimeWarning, match=r"no cell was valid in the first 50 frames") as said:
+            list(islice(skin, 71))
+        assert len(said) == 1
+        remark = skin.stats().remark
+    assert remark is not None
+    assert remark == str(said[0].message)
+    assert "0.001 % was asked for" in remark
+    proposed = re.search(r"accuracy=([\d.e-]+)\)", remark)
+    assert proposed is not None
+    with lossless(Script(*sent), design=design(), cell=Cell.example(), accuracy=float(proposed[1])) as skin:
+        frames = list(islice(skin, 60))
+        assert skin.stats().remark is None
+    assert frames[-1].valid.any()
+
+
+def test_one_valid_cell_among_the_first_frames_silences_the_remark() -> None:
+    narrow = design(adc={"bits": 12, "range": [0.0, 3.3]})
+    silent, heard = np.full((3, 2), 4095), np.full((3, 2), 2000)
+    counts = [heard if n == 30 else silent for n in range(120)]
+    sent = [encode(FramePacket.of(each, sequence=n, time_us=1000 * n)) for n, each in enumerate(counts)]
+    with lossless(Script(*sent), design=narrow, cell=Cell.example()) as skin:
+        frames = list(islice(skin, 120))
+        assert skin.stats().remark is None
+    assert sum(bool(frame.valid.any()) for frame in frames) == 1
 
 
 def test_an_invalid_cell_keeps_its_last_pressure() -> None:

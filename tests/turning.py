@@ -52,7 +52,7 @@ class OneCell:
             again, left = self.left is not None, self.left
             unsure = std * gains[self.rising]
             self.left = None if again else self.extreme
-            self.extreme = left if again else (1 if self.rising else -1) * max(now.pressure, 0) - paper.SURE * unsure
+            self.extreme = left if again else (1 if self.rising else -1) * max(now.pressure, 0) - paper.LESS * unsure
             ahead = (1 if self.rising else -1) * max(now.pressure, 0)
             self.peak = left if again else ahead - unsure
             self.doubt = self.variance + (gains[False] * std + paper.NEAR * self.full) ** 2
@@ -81,7 +81,7 @@ class OneCell:
         )
         self.now = now
         self.peak = max(self.peak, ahead - unsure)
-        self.extreme = max(self.extreme, ahead - paper.SURE * unsure)
+        self.extreme = max(self.extreme, ahead - paper.LESS * unsure)
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         self.doubt *= np.exp(-2 * dt * rate)
         self.variance = self.doubt + (paper.EITHER * (self.other.pressure - now.pressure)) ** 2

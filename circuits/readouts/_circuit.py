@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
+from ._quick import terminated_outputs
 from ._rounding import energy_bound
 
 if TYPE_CHECKING:
@@ -73,6 +74,20 @@ class ReadoutCircuit(ABC):
             SolverError: no consistent state was found.
 
         """
+
+    def quick_outputs(self, board: Board, driven: FloatArray, across: FloatArray) -> FloatArray | None:
+        """V (N, M) of one frame without limits, to about ten digits; None where there is no short way (:mod:`._quick`).
+
+        Args:
+            board: parts of the readout.
+            driven: (N, M) S between row terminals and column terminals; row leads are inside, column leads are not.
+            across: (M, M) S between column terminals, zero on the diagonal. Row terminals are joined by nothing.
+
+        """
+        ends = self.ends(board)
+        if ends is None or not (ends.resistance + board.column_lead).all():
+            return None
+        return terminated_outputs(board, driven, across, ends)
 
     @abstractmethod
     def end_resistance(self, board: Board) -> FloatArray:

@@ -18,6 +18,7 @@ from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._circuit import Reading, ReadoutCircuit, rounding_floor
 from ._ends import Ends, column_currents, terminate
 from ._inverting_amplifier import drive_over_signal
+from ._quick import open_column_outputs, terminated_outputs
 
 if TYPE_CHECKING:
     from .._board import Board
@@ -56,6 +57,11 @@ class VoltageDivider(ReadoutCircuit):
             relative=float(relative.max(initial=0.0)),
         )
 
+    def quick_outputs(self, board: Board, driven: FloatArray, across: FloatArray) -> FloatArray | None:
+        if self.columns_one_by_one(board):
+            return open_column_outputs(board, driven, across)
+        return board.level + terminated_outputs(board, driven, across, _loads(board))
+
     def end_resistance(self, board: Board) -> FloatArray:
         return board.reference
 
@@ -84,12 +90,11 @@ class VoltageDivider(ReadoutCircuit):
 
     def sensitivity_groups(self, board: Board, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         rows, columns = board.shape
-        nothing = np.zeros(columns)
         loads = TerminatedColumns(
             rows=np.arange(rows),
             columns=np.arange(columns),
             one_by_one=self.columns_one_by_one(board),
-            ends=Ends(resistance=board.reference, source=nothing, output=nothing, slope=board.reference),
+            ends=_loads(board),
             own_parts=_by_loads,
         )
         yield from terminated_groups(board, ports, loads)
@@ -110,6 +115,12 @@ class VoltageDivider(ReadoutCircuit):
                 yield f"Bload_{j} {end} {writer.reference} I = {writer.chosen(j)} ? v({end})/{ohm!r} : 0"
             else:
                 yield f"Rload_{j} {end} {writer.reference} {ohm!r}"
+
+
+def _loads(board: Board) -> Ends:
+    """The loads alone; outputs count from the reference voltage."""
+    nothing = np.zeros(board.shape[1])
+    return Ends(resistance=board.reference, source=nothing, output=nothing, slope=board.reference)
 
 
 def _by_loads(some: IntArray, current: FloatArray, adjoint: FloatArray) -> dict[str, FloatArray]:

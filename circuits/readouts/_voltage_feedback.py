@@ -18,6 +18,7 @@ from ..solvers import ULP, siemens
 from ._adjoint import SensitivityGroup, TiedPorts
 from ._circuit import Contradiction, Reading
 from ._ends import sum_of_others, terminate
+from ._quick import behind_leads
 from ._rounding import conductance_into_rows
 from ._voltage_divider import VoltageDivider
 
@@ -43,8 +44,13 @@ class _Balance(NamedTuple):
         network, relative = terminate(ports, rows, board.column_lead)
         driven = network[..., :rows, rows:]
         idle = sum_of_others(driven) + network[..., rows:, rows:].sum(axis=-1)[..., None, :]
+        return cls.between(board, driven, idle, float(relative.max(initial=0.0)))
+
+    @classmethod
+    def between(cls, board: Board, driven: FloatArray, idle: FloatArray, relative: float) -> _Balance:
+        """For the conductances ``driven`` and ``idle``, with the relative error of theirs."""
         slope = driven + idle * board.inverse_gain + siemens(board.reference)
-        return cls(driven, idle, slope, float(relative.max(initial=0.0)))
+        return cls(driven, idle, slope, relative)
 
     def column(self, board: Board) -> FloatArray:
         """V of the sensed column's end against the reference."""
@@ -84,6 +90,12 @@ class VoltageFeedback(VoltageDivider):
         magnitude = board.loop_share * (from_row + from_idle) / balance.slope
         lifted = board.loop_share * balance.idle * follower / balance.slope
         return Reading(np.clip(volts, low, high), saturated, magnitude, lifted, balance.relative)
+
+    def quick_outputs(self, board: Board, driven: FloatArray, across: FloatArray) -> FloatArray | None:
+        driven, across = behind_leads(driven, across, board.column_lead)
+        balance = _Balance.between(board, driven, driven.sum(axis=0) - driven + across.sum(axis=0), 0.0)
+        volts: FloatArray = board.loop_share * (board.level + balance.column(board) + board.offset)
+        return volts
 
     def energy_bound(self, board: Board, ports: FloatArray, relative: float) -> FloatArray:
         """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.

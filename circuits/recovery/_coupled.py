@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import inf
+from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -13,10 +13,10 @@ from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
-from .._exact import read_exactly
 from ..solvers import siemens
 from ._derivatives import LineResistance, derivatives
 from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
+from ._quick_model import QuickModel
 
 _SHORT = 8.0  # half steps and noise from the reading of a short within which a cell may be one
 _SHORT_SHARE = 0.998  # of the reading of a short, likewise
@@ -25,13 +25,34 @@ _UNKNOWN = 8.0  # the same for a cell that a fault hides
 _SETTLED = 0.3  # posterior standard deviations that a further step would change a cell by
 _UNSETTLED = 3.0  # half steps between readings and model beyond which a fit says nothing yet
 _MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
-_FAR = 0.1  # relative change since the derivatives were made from which on they no longer serve
+_FAR = 0.5  # change of a logarithm since the derivatives were made from which on they no longer serve
+_BY_NOISE = 4.0  # standard deviations by which noise and rounding move a cell without new derivatives being due
+_TOO_FAR = 1.0  # the same from which on they no longer tell what a misfit means for the cells
+_SLOW = 0.2  # length of a step over the one before from which on the derivatives are to blame
+_MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
+_STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
+_PIECE = 2**25  # multiplications of a matrix product in one instalment
 _AT_ONCE = 100  # cells up to which the matrices of a renewal are factored in one instalment
 _SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
+_CONVERGED = 0.2  # the same after steps that have come to their end
+_STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
+
+
+_SATURATED, _NO_CURRENT, _UNCERTAIN, _DISTURBED, _HIDDEN, _UNSETTLED_CELL = (
+    int(reason)
+    for reason in (
+        Reason.SATURATED,
+        Reason.NO_CURRENT,
+        Reason.UNCERTAIN,
+        Reason.DISTURBED,
+        Reason.HIDDEN,
+        Reason.UNSETTLED,
+    )
+)  # as integers: numpy takes 10 us to look one up
 
 
 class _Base(NamedTuple):
@@ -40,9 +61,11 @@ class _Base(NamedTuple):
     log: FloatArray
     """(n,) logarithm of the conductances"""
     gain: FloatArray
-    """(n, n): regularised inverse of the derivatives, from readings in standard deviations to changes of ``log``"""
+    """(n, n) 1/V: regularised inverse of the derivatives, from readings to changes of ``log``"""
     std: FloatArray
     """(n,) posterior standard deviation of ``log``"""
+    slope: FloatArray
+    """(n,) 1/V: change of ``log`` per volt if each cell were alone; 0 where its reading says nothing"""
     others: FloatArray
     """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
 
@@ -57,21 +80,36 @@ class _Effort(NamedTuple):
 
 
 USUAL_EFFORT = _Effort(4, 2)
-FIRST_EFFORT = _Effort(40, 60)
+FIRST_EFFORT = _Effort(40, 700)
 """in the first frame of all, before which nothing is known"""
+
+
+class _Known(NamedTuple):
+    """Cells for which the model has been evaluated."""
+
+    log: FloatArray
+    """(n,) logarithms of the conductances"""
+    volts: FloatArray
+    """(n,) V, the readings that the model gives for them"""
 
 
 class _Fit(NamedTuple):
     """Cells that give the readings, more or less."""
 
-    log: FloatArray
-    """(n,) logarithms of the conductances"""
+    known: _Known
+    """the cells"""
     step: FloatArray
     """(n,) change that a further step would make"""
     misfit: float
     """half steps and noise between readings and model"""
     stalled: bool
     """the last step has hardly changed that"""
+    proven: bool
+    """no further step would change what matters, by derivatives from cells like these"""
+    lost: bool
+    """it does not serve, and the derivatives are from too far away to tell how uncertain it is"""
+    steeper: FloatArray
+    """(n,) present slopes over those at the base"""
 
 
 class CoupledLive:
@@ -98,6 +136,7 @@ class CoupledLive:
         for fault in board.shorts:
             self._shunt[fault.place] += siemens(fault.ohms)
         self._lines = LineResistance(board)
+        self._model = QuickModel(board)
         leads = board.row_ohms[:, :1] + board.column_lead
         # V of a short that is alone, inf with ideal lines and amplifiers; and the most that any cells can make of it
         self._short_signal, self._most_signal = (
@@ -107,9 +146,10 @@ class CoupledLive:
         self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
-        self._x: FloatArray | None = None  # where the last frame ended
+        self._known: _Known | None = None  # where the last frame ended
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
+        self._astray = False  # the last frame did not settle
 
     def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
         """As :class:`.LiveRecovery`."""
@@ -135,39 +175,43 @@ class CoupledLive:
         measured = volts.ravel()
         # Noise makes readings less certain, and readings and model differ by as much more.
         coarser = float(np.hypot(1.0, noise / self._noise))
-        start = self._x
+        start = self._known
         if start is None:
-            start, self._renewal = self._start(volts), None
+            start, self._renewal = self._known_at(self._start(volts)), None
             self._from_fresh_start = True
         if self._base is None:
             self._base = self._based_on(start)
-        fit = self._solve(measured, start, coarser, USUAL_EFFORT if self._begun else FIRST_EFFORT)
-        x, misfit = fit.log, fit.misfit
-        self._begun, self._x, base = True, x, self._base
+        slope = self._slope(volts)
+        fit = self._solve(measured, start, slope, coarser, USUAL_EFFORT if self._begun else FIRST_EFFORT)
+        x, misfit = fit.known.log, fit.misfit
+        self._begun, self._known, base = True, fit.known, self._base
         if misfit <= _UNSETTLED:
             self._from_fresh_start = False
         elif misfit > _MISFIT and fit.stalled:
-            self._x = None  # the next frame starts anew
+            self._known = None  # the next frame starts anew
             if self._from_fresh_start:
                 raise SolverError("no cell resistances give these readings; check that the design is that of the board")
         signal = signal.ravel()
-        slope = self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)
-        own = ((self._half_step + SIGMAS * noise) * np.abs(slope)).ravel()
-        own[slope.ravel() == 0] = 1.0
+        own = (self._half_step + SIGMAS * noise) * slope
+        own[slope == 0] = 1.0
+        spread = base.std * np.maximum(fit.steeper, 1.0)
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * base.std, own) + np.abs(fit.step)
+        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own)
+        by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else 1.0)
         uncertainty = by_readings + base.others
         open_cells = signal <= self._half_step + SIGMAS * noise
-        reason = np.full(len(measured), Reason.UNCERTAIN, dtype=np.int8)
-        reason[base.others > 0.5 * uncertainty] = Reason.DISTURBED
-        reason[open_cells] = Reason.NO_CURRENT
-        if misfit > _UNSETTLED:  # the frame's budget did not suffice, or no cells give quite these readings
-            reason[:], uncertainty[:] = Reason.UNSETTLED, inf
+        reason = np.full(len(measured), _UNCERTAIN, dtype=np.int8)
+        reason[base.others > 0.5 * uncertainty] = _DISTURBED
+        reason[open_cells] = _NO_CURRENT
+        # After a frame that did not settle, nothing is valid before derivatives from near by confirm the cells.
+        self._astray = misfit > _UNSETTLED or fit.lost or (self._astray and not fit.proven)
+        if self._astray:  # the frame's budget did not suffice, or no cells give quite these readings
+            reason[:], uncertainty[:] = _UNSETTLED_CELL, inf
         gone = self._hidden
-        reason[gone] = Reason.HIDDEN
+        reason[gone] = _HIDDEN
         uncertainty[gone | (uncertainty > 1.0)] = inf
         valid = self._rule.accepts(uncertainty, own) & ~open_cells
-        reason[valid] = Reason.VALID
+        reason[valid] = 0
         resistance = np.exp(-x)
         resistance[gone] = np.nan
         resistance[open_cells & ~gone] = inf
@@ -179,40 +223,58 @@ class CoupledLive:
             lambda: (uncertainty.reshape(shape), own.reshape(shape)),
         )
 
-    def _solve(self, measured: FloatArray, x: FloatArray, scale: float, effort: _Effort) -> _Fit:
-        """Fit the cells, starting from the logarithms x (n,) of their conductances.
+    def _solve(self, measured: FloatArray, known: _Known, slope: FloatArray, scale: float, effort: _Effort) -> _Fit:
+        """Fit the cells, starting from a point where the model is known.
 
         Args:
             measured: (n,) V.
-            x: (n,) where to start.
+            known: where to start.
+            slope: (n,) 1/V, as :attr:`_Base.slope`, of these readings.
             scale: half steps that readings and model may differ by, for noise.
             effort: what the frame may cost.
 
         """
-        misfit, stalled, instalments = inf, False, effort.instalments
+        apart = measured - known.volts
+        misfit, stalled, instalments = self._misfit(apart) / scale, False, effort.instalments
+        steeper = self._steeper(slope)
+        step = self._step(apart, steeper)
         for left in range(effort.evaluations - 1, -1, -1):
-            assert self._base is not None
-            apart = measured - self._model(x)
+            known = self._known_at(known.log + step)
+            apart = measured - known.volts
             last, misfit = misfit, self._misfit(apart) / scale
-            step = self._step(apart)
             stalled = abs(misfit - last) <= _SAME * misfit
-            far = float(np.abs(x - self._base.log).max()) > _FAR
-            if far or misfit > _FITS or self._renewal is not None:
+            before, step = step, self._step(apart, steeper)
+            serves = misfit <= _FITS and self._serves(step, scale)
+            moved = self._moved(known.log, scale)
+            blamed = not serves and moved > _MOVED and np.abs(step).max() > _SLOW * np.abs(before).max()
+            if moved > _FAR or blamed or self._renewal is not None:
+                if serves and not self._astray:
+                    instalments = min(instalments, 1)  # no need to hurry
                 while instalments:
                     instalments -= 1
-                    if self._renew(x):
-                        step = self._step(apart)
+                    if self._renew(known):
+                        steeper = self._steeper(slope)
+                        step = self._step(apart, steeper)
+                        serves = misfit <= _FITS and self._serves(step, scale)
+                        moved = self._moved(known.log, scale)
                         break
-            elif self._serves(step, scale):
+            if serves or not left:
                 break
-            if left:
-                x = x + step
-        return _Fit(x, step, misfit, stalled)
+        lost = not serves and moved > _TOO_FAR
+        proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
+        return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, steeper=steeper)
 
-    def _renew(self, x: FloatArray) -> bool:
-        """Go on with the renewal of the derivatives, or begin one at x (n,). True if they have just become new."""
+    def _moved(self, x: FloatArray, scale: float) -> float:
+        """Largest change of the logarithms x (n,) since the derivatives were made; what noise does counts less."""
+        assert self._base is not None
+        change = np.abs(x - self._base.log)
+        change /= np.maximum((_BY_NOISE * scale / _FAR) * self._base.std, 1.0)
+        return float(change.max())
+
+    def _renew(self, at: _Known) -> bool:
+        """Go on with the renewal of the derivatives, or begin one at these cells. True if they have just become new."""
         if self._renewal is None:
-            self._renewal = self._renewed(x)
+            self._renewal = self._renewed(at)
         base = next(self._renewal)
         if base is None:
             return False
@@ -221,30 +283,50 @@ class CoupledLive:
 
     def _nothing(self, limited: BoolArray | None) -> LiveReading:
         """A frame that tells of no cell."""
-        reason = np.full(self._shape, Reason.DISTURBED, dtype=np.int8)
+        reason = np.full(self._shape, _DISTURBED, dtype=np.int8)
         if limited is not None:
-            reason[limited] = Reason.SATURATED
-        reason[self._hidden.reshape(self._shape)] = Reason.HIDDEN
+            reason[limited] = _SATURATED
+        reason[self._hidden.reshape(self._shape)] = _HIDDEN
         unknown, nowhere = np.full(self._shape, inf), np.zeros(self._shape, dtype=np.bool_)
         return LiveReading(np.full(self._shape, np.nan), nowhere, reason, lambda: (unknown, np.ones(self._shape)))
 
     def _misfit(self, apart: FloatArray) -> float:
         """Half steps between readings and model (n,): root mean square, or half of the largest if that is more."""
-        steps = np.abs(apart) / self._half_step
-        return max(float(np.sqrt(np.mean(steps**2))), 0.5 * float(steps.max()))
+        most = max(float(apart.max()), -float(apart.min()))
+        return max(sqrt(float(apart @ apart) / len(apart)), 0.5 * most) / self._half_step
 
     def _serves(self, step: FloatArray, scale: float) -> bool:
         """Whether a further step would move no cell that the readings determine by more than its own uncertainty."""
         assert self._base is not None
         std = scale * self._base.std
         determined = (std <= _LOOSE) & (self._base.others <= _LOOSE)
-        return bool((np.abs(step) <= np.maximum(_SETTLED * std, 1e-6))[determined].all())
+        return bool(((np.abs(step) <= np.maximum(_SETTLED * std, 1e-6)) | ~determined).all())
 
-    def _step(self, volts: FloatArray) -> FloatArray:
-        """Change (n,) of the logarithms for a difference (n,) of the readings in V."""
+    def _step(self, volts: FloatArray, steeper: FloatArray) -> FloatArray:
+        """Change (n,) of the logarithms for a difference (n,) of the readings in V.
+
+        A cell's own nonlinearity is known in closed form. Readings therefore count by what they would mean for a cell
+        alone at present, ``steeper`` times what they meant when the derivatives were made.
+        """
         assert self._base is not None
-        change: FloatArray = self._base.gain @ (volts / self._noise)
-        return np.clip(change, -_STRIDE, _STRIDE)
+        change: FloatArray = self._base.gain @ (volts * steeper)
+        if max(change.max(), -change.min()) > _STRIDE:
+            np.clip(change, -_STRIDE, _STRIDE, out=change)
+        return change
+
+    def _steeper(self, slope: FloatArray) -> FloatArray:
+        """Slopes (n,) in 1/V over those at the base, up to a factor of _STEEPER; 1 where there is none."""
+        assert self._base is not None
+        before = self._base.slope
+        both = (before > 0) & (slope > 0)
+        ratio = np.divide(slope, before, out=np.ones(len(slope)), where=both)
+        np.minimum(ratio, _STEEPER, out=ratio)
+        return np.maximum(ratio, 1.0 / _STEEPER, out=ratio)
+
+    def _slope(self, volts: FloatArray) -> FloatArray:
+        """As :attr:`_Base.slope`, for readings (N, M) in V."""
+        slope = self._board.circuit.log_conductance_slope(self._board, volts - self._board.level)
+        return np.abs(slope).ravel()
 
     def _start(self, volts: FloatArray) -> FloatArray:
         apparent = self._board.circuit.apparent_conductance(self._board, volts - self._board.level)
@@ -254,16 +336,17 @@ class CoupledLive:
         start: FloatArray = np.log(np.where(apparent > 1e-3 * typical, apparent, 0.1 * typical)).ravel()
         return start
 
-    def _model(self, x: FloatArray) -> FloatArray:
-        """V (n,) of the readings."""
-        return read_exactly(self._board, np.exp(-x).reshape(self._shape))[0].volts.ravel()
+    def _known_at(self, x: FloatArray) -> _Known:
+        """Evaluate the model for the logarithms x (n,) of the conductances."""
+        return _Known(x, self._model(np.exp(-x).reshape(self._shape)).ravel())
 
-    def _based_on(self, x: FloatArray) -> _Base:
-        """Derivatives and their regularised inverse at x (n,), at once."""
-        return next(base for base in self._renewed(x) if base is not None)
+    def _based_on(self, at: _Known) -> _Base:
+        """Derivatives and their regularised inverse there, at once."""
+        return next(base for base in self._renewed(at) if base is not None)
 
-    def _renewed(self, x: FloatArray) -> Iterator[_Base | None]:
-        """Derivatives and their regularised inverse at x (n,), in instalments; None until the last."""
+    def _renewed(self, at: _Known) -> Iterator[_Base | None]:
+        """Derivatives and their regularised inverse there, in instalments; None until the last."""
+        x = at.log
         cells = np.exp(-x)
         found: FloatArray | None = None
         for found in derivatives(self._board, cells.reshape(self._shape), self._lines):
@@ -273,7 +356,13 @@ class CoupledLive:
         in_series = 1.0 / (cells + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
         jacobian = found.reshape(len(x), len(x)) * (in_series**2 * cells / self._noise)
         prior = np.where(self._hidden, _UNKNOWN, _PRIOR)
-        normal = jacobian.T @ jacobian
+        pieces = np.array_split(np.arange(len(x)), max(1, len(x) ** 3 // _PIECE))
+        normal = np.zeros_like(jacobian)
+        for number, piece in enumerate(pieces):
+            if number:
+                yield None
+            some = jacobian[piece[0] : piece[-1] + 1]
+            normal += some.T @ some
         normal[np.diag_indices_from(normal)] += prior**-2.0
         if len(x) > _AT_ONCE:
             yield None
@@ -288,4 +377,10 @@ class CoupledLive:
         loose = self._hidden
         # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
         others = np.abs(inverse[:, loose] / std[loose] ** 2).sum(axis=1) * _UNKNOWN if loose.any() else np.zeros(len(x))
-        yield _Base(x, inverse @ jacobian.T, std, others)
+        slope = self._slope(at.volts.reshape(self._shape))
+        gain, per_volt = np.empty_like(jacobian), inverse / self._noise
+        for piece in pieces:
+            np.matmul(per_volt[piece[0] : piece[-1] + 1], jacobian.T, out=gain[piece[0] : piece[-1] + 1])
+            if len(pieces) > 1:
+                yield None
+        yield _Base(x, gain, std, slope, others)

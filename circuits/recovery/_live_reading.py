@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +88,9 @@ class ValidityRule:
 
 class LiveReading:
     """Cells of one frame. Arrays are (rows, columns)."""
+
+    sigmas: ClassVar[float] = SIGMAS
+    """standard deviations of the noise in :attr:`uncertainty` and in :attr:`own`, beside half an ADC step"""
 
     def __init__(
         self,

@@ -10,12 +10,14 @@ in kPa; ``/ohmskin/frame`` has numbers and contacts. The messages are those of a
 from __future__ import annotations
 
 import argparse
+import sys
 from types import TracebackType
 from typing import Self
 
 import foxglove
 
 from ohmskin.driver import MESSAGE_SCHEMAS, Frame, Skin, messages_of
+from ohmskin.errors import OhmskinError
 
 
 class FoxgloveServer:
@@ -55,8 +57,22 @@ def main() -> None:
     parser.add_argument("port", help="serial device, pty, socket://HOST:PORT or FILE.mcap")
     parser.add_argument("--host", default="127.0.0.1", help="address to listen on (default: this machine only)")
     parser.add_argument("--listen", type=int, default=8765, help="TCP port to listen on (default: 8765)")
+    parser.add_argument("--calibration", metavar="FILE.toml", help="of the cells, as `ohmskin calibrate` writes it")
     given = parser.parse_args()
-    with Skin.open(given.port) as skin, FoxgloveServer(skin.port_name, given.host, given.listen) as server:
+    try:
+        show(given)
+    except OhmskinError as error:
+        sys.exit(str(error))
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def show(given: argparse.Namespace) -> None:
+    """Serve the frames of a port as they come, or those of a recording at the speed at which they came."""
+    with (
+        Skin.open(given.port, calibration=given.calibration, speed=1.0) as skin,
+        FoxgloveServer(skin.port_name, given.host, given.listen) as server,
+    ):
         print(f"ws://{given.host}:{server.port}", flush=True)
         for frame in skin:
             server.show(frame)

@@ -8,12 +8,14 @@ python examples/bridges/rerun_log.py press.mcap --save press.rrd
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 
 import numpy as np
 import rerun as rr
 
 from ohmskin.driver import Frame, Skin
+from ohmskin.errors import OhmskinError
 
 
 def log(frame: Frame, full_scale_kpa: float) -> None:
@@ -33,11 +35,22 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Show a skin in Rerun.")
     parser.add_argument("port", help="serial device, pty, socket://HOST:PORT or FILE.mcap")
     parser.add_argument("--save", type=Path, help="write FILE.rrd instead of starting the viewer")
+    parser.add_argument("--calibration", metavar="FILE.toml", help="of the cells, as `ohmskin calibrate` writes it")
     given = parser.parse_args()
+    try:
+        log_all(given)
+    except OhmskinError as error:
+        sys.exit(str(error))
+    except KeyboardInterrupt:
+        sys.exit(130)
+
+
+def log_all(given: argparse.Namespace) -> None:
+    """Log the frames of a port as they come, or all those of a recording."""
     rr.init("ohmskin", spawn=given.save is None)
     if given.save is not None:
         rr.save(given.save)
-    with Skin.open(given.port) as skin:
+    with Skin.open(given.port, calibration=given.calibration) as skin:
         full_scale_kpa = 100.0 if skin.cell is None else skin.cell.full_scale_kpa
         for frame in skin:
             log(frame, full_scale_kpa)

@@ -85,6 +85,7 @@ def main() -> None:
     node = rclpy.create_node("ohmskin")
     port = node.declare_parameter("port", "/dev/ttyACM0").value
     board = node.declare_parameter("board", "ohmskin").value
+    calibration = node.declare_parameter("calibration", "").value or None
     frame_id = node.declare_parameter("frame_id", "skin").value
     kinds = {"pressure": Image, "contacts": PoseArray, "frame": String}
     publishers = {topic: node.create_publisher(kind, f"~/{topic}", QUEUE) for topic, kind in kinds.items()}
@@ -93,7 +94,7 @@ def main() -> None:
         for topic, fields in messages(frame, frame_id).items():
             publishers[topic].publish(fill(kinds[topic](), fields, Pose))
 
-    with Skin.open(port, board=board) as skin:
+    with Skin.open(port, board=board, calibration=calibration) as skin:
         skin.on_frame(publish)
         try:
             rclpy.spin(node)
