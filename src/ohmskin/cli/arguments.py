@@ -15,7 +15,7 @@ cells = click.option(
 )
 
 
-class _Positive(click.ParamType[float]):
+class _Positive(click.ParamType):  # type: ignore[type-arg]  # generic in later versions only
     """A finite number above 0. click's own ranges let NaN pass."""
 
     name = "number"

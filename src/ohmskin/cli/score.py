@@ -39,8 +39,8 @@ def command(recording: Path, truth: Path, pitch: float | None, full_scale: float
 
     Prints errors of pressure, of the places of contacts, latency and lost frames.
     """
-    known = emulator.Truth.load(truth)
-    result = emulator.score(_load(recording), known, pitch_mm=pitch, full_scale_kpa=full_scale)
+    taken = _load(recording)
+    result = emulator.score(taken, emulator.Truth.load(truth), pitch_mm=pitch, full_scale_kpa=full_scale)
     if as_json:
         fields = asdict(result).items()
         shown = {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in fields}
