@@ -146,7 +146,7 @@ def judge(of: Scene, found: CalibrationResult) -> Verdict:
     cell = found.cell
     assert cell.estimators is not None
     full, later = cell.full_scale_kpa, of.time_s >= of.head_s
-    rest = of.rest_factor * cell.rest_resistance_ohm
+    rest = None if of.rest_factor == 1.0 else of.rest_factor * cell.rest_resistance_ohm
 
     def errors(name: str) -> tuple[FloatArray, FloatArray]:
         estimator = cell.estimator((), name, rest_resistance_ohm=rest)

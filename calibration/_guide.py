@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..driver import Frame, Skin, section_hash
+from ..config import fingerprint
+from ..driver import Frame, Skin
 from ..errors import InputError, LinkEnded, LinkError
 from ..wire import Order
 from ._plan import Plan
@@ -61,8 +62,8 @@ class Guide:
         self._progress, self._keep_trace = progress, keep_trace
         self._setup: dict[str, Any] = {
             "serial_number": skin.serial_number,
-            "design_hash": section_hash(skin.design),
-            "cell_hash": section_hash(skin.cell),
+            "design_hash": fingerprint(skin.design),
+            "cell_hash": fingerprint(skin.cell),
             "loads_kpa": list(plan.loads_kpa),
             "targets": len(plan.targets),
             "hold_s": hold_s,
@@ -96,7 +97,8 @@ class Guide:
         if watch.rest is None:
             self._tell("Leave the skin unloaded.")
         else:
-            self._tell(f"Going on after {sum(not press.fault for press in watch.presses)} presses.")
+            good = sum(not press.fault for press in watch.presses)
+            self._tell(f"Going on after {good} {'press' if good == 1 else 'presses'}.")
             self._announce()
         quiet_since_s: float | None = None
         while not watch.done:

@@ -11,7 +11,8 @@ import numpy as np
 from ..arrays import BoolArray
 from ..cell import Cell
 from ..circuits import Design
-from ..driver import Calibration, section_hash
+from ..config import fingerprint
+from ..driver import Calibration
 from ..errors import InputError
 from ._fit import Fit, fit_cells
 from ._plan import LEAST_PRESSES
@@ -89,7 +90,7 @@ class Verdict:
         """
         good, text = self.good, self.text()
         if not good.any() or (text and not allow_partial):
-            advice = " (--allow-partial leaves them out)" if good.any() else ""
+            advice = " (--allow-partial leaves them out, with --resume without new presses)" if good.any() else ""
             raise InputError(f"no calibration: {text}{advice}")
         fit = self.fit
         logs = np.log(fit.gain[good])
@@ -108,8 +109,8 @@ class Verdict:
             loads_kpa=self.loads_kpa,
             presses=self.presses,
             serial_number=serial_number,
-            design_hash=section_hash(design),
-            cell_hash=section_hash(cell),
+            design_hash=fingerprint(design),
+            cell_hash=fingerprint(cell),
             date=(date or datetime.now(UTC)).isoformat(timespec="seconds"),
             remarks=(text,) if text else (),
         )

@@ -35,6 +35,8 @@ INVERSE_SLACK = 0.25
 """% of full scale by which such an inverse may be worse than a learned estimator on its worst fold"""
 NEARLY, INVERSE_BETTER = 0.025, 0.7
 """held-out error below which an inverse is trusted that has less than this share of a learned estimator's error"""
+STIFF = 0.25
+"""least slope of a fast step over that at equilibrium that such an inverse needs; below, its small errors add up"""
 BEATS, FEW_PRESSES = 0.9, 0.1
 """share of the static curve's error on the last folds that another estimator must stay below, and what a recording of
 one press takes from that share"""
@@ -118,7 +120,8 @@ def calibrate(
     }
     noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
     presses = float(pressing(thin, full)[-1]) / 2
-    default, reason = _choose(by_fold, float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0))), presses)
+    unexplained = float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0)))
+    default, reason = _choose(by_fold, unexplained, presses, 1.0 if inverse is None else inverse)
     worst = {name: max(percent) for name, percent in by_fold.items()}
     drift = max(abs(float(np.mean(error))) for error, _ in judged["static"]) / full
     final = _learned(whole, full, cells=training.CELLS)
@@ -259,7 +262,7 @@ def _has(cell: Cell, name: EstimatorName) -> bool:
 
 
 def _choose(
-    by_fold: dict[EstimatorName, tuple[float, ...]], unexplained: float, presses: float
+    by_fold: dict[EstimatorName, tuple[float, ...]], unexplained: float, presses: float, least_slope: float
 ) -> tuple[EstimatorName, str]:
     """The estimator whose worst fold is best, and why; the paper's is never chosen.
 
@@ -273,6 +276,7 @@ def _choose(
         by_fold: error of each estimator on each fold, % of full scale.
         unexplained: error of the model on its worst fold beyond noise, over the range of r.
         presses: how many presses to full scale the path of the load amounts to.
+        least_slope: of a fast step over that at equilibrium; the inverse amplifies errors by up to 1 over it.
     """
     worst = {name: max(percent) for name, percent in by_fold.items()}
     chosen: EstimatorName = "distilled" if worst["distilled"] <= 1.1 * worst["play"] else "play"
@@ -281,7 +285,7 @@ def _choose(
     if unexplained < EXACT and inverse <= worst[chosen] + INVERSE_SLACK:
         chosen = "inverse"
         why = f"the model explains the resistance but for {100 * unexplained:.1f} % of its range and noise; "
-    elif unexplained < NEARLY and inverse < INVERSE_BETTER * worst[chosen]:
+    elif unexplained < NEARLY and least_slope > STIFF and inverse < INVERSE_BETTER * worst[chosen]:
         chosen = "inverse"
     late = {name: max(percent[-training.TELLING :]) for name, percent in by_fold.items()}
     margin = BEATS - FEW_PRESSES / max(presses, 1.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.resources
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -19,7 +20,7 @@ from ._inverse import InverseEstimator, margin
 from ._learned import DRIFT, UNKNOWN_DRIFT, Learned, LearnedEstimator, Numbers, Seen, StaticCurve
 from ._models import AsymmetricModel, M10Model, Model, PaperModel
 from ._paper import PaperEstimator, TurningEstimator
-from ._static import EquilibriumEstimator, StaticCurveEstimator, equilibrium_gain
+from ._static import EquilibriumEstimator, StaticCurveEstimator, equilibrium_gain, rest_slope
 
 EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
@@ -27,6 +28,8 @@ ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
 
 SUREST_PERCENT = 1.0
 """of full scale: no held-out error below that is believed, as presses unlike those recorded are answered worse"""
+REST_ERROR = 0.02
+"""standard deviation of an R0 that is given, relative, unless the caller knows better; the project's own choice"""
 
 
 class Calibrated(Section):
@@ -99,6 +102,7 @@ class Cell(Section):
         *,
         rest_resistance_ohm: ArrayLike | None = None,
         noise: float | None = None,
+        rest_error: float | None = None,
     ) -> Estimator:
         """A causal estimator for cells of ``shape``.
 
@@ -108,15 +112,27 @@ class Cell(Section):
             rest_resistance_ohm: R0, broadcast to ``shape``; None: the cell's.
             noise: standard deviation of R/R0 at rest to begin with; it is then measured. None: that of the
                 calibration, if there is one. 0: readings are exact and taken as they are.
+            rest_error: relative standard deviation of R0, which widens the stated deviations. None: for a calibrated
+                cell with an R0 that is given, :data:`REST_ERROR`; else 0, since errors that the calibration was judged
+                by include those of its own R0.
 
         Raises:
-            InputError: no such estimator, or not one for this cell; R0 does not fit ``shape``.
+            InputError: no such estimator, or not one for this cell; R0 does not fit ``shape``; ``rest_error`` is not
+                a number from 0 to 1.
         """
         name = name or self.default_estimator
         if name not in ESTIMATORS:
             raise InputError(f"no estimator '{name}'; expected one of {', '.join(ESTIMATORS)}")
         rest, full, learned = self._rest(rest_resistance_ohm), self.full_scale_kpa, self.estimators
-        conditions, model = self._conditions(name, noise), self.model
+        model = self.model
+        if rest_error is None:
+            rest_error = 0.0 if learned is None or rest_resistance_ohm is None else REST_ERROR
+        if not 0 <= rest_error <= 1:
+            raise InputError(f"the relative error of R0 is {rest_error}; expected a number from 0 to 1")
+        conditions = self._conditions(name, noise)
+        if rest_error:
+            slope = rest_slope(model, full, self.rest_resistance_ohm)
+            conditions = replace(conditions, rest_std_kpa=rest_error * slope)
         full_r = equilibrium_gain(model, full, self.rest_resistance_ohm)
         match name:
             case "static":

@@ -8,7 +8,8 @@ A frame passes these steps. Every estimator then adds its own map from smoothed 
 3. Cells at rest sleep: only their mean is watched, until it leaves the noise. This makes large skins cheap.
 4. Readings of the other cells are smoothed as their noise demands (:mod:`._smoothing`).
 5. A reading that jumps and is back within :data:`SPARK_S` was a bad contact: the memory from before it is put back.
-6. The standard deviation sums the variances of noise, of the memory, of gaps, and of what calibration left unexplained.
+6. The standard deviation sums the variances of noise, of the memory, of gaps, of R0, and of what calibration left
+   unexplained.
 """
 
 from __future__ import annotations
@@ -56,6 +57,8 @@ UNSEEN, SUMMED = 0.6, 1.0
 not noticed yet"""
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation, of a cell whose model nobody compared with a recording"""
+USUAL = 1.1
+"""times full scale beyond which the excess over full scale counts as standard deviation"""
 FIRST_READINGS = 4
 """averaged before the first estimate of a cell is final"""
 AFTER_GAP, AFTER_GAP_S = 0.3, 10.0
@@ -73,6 +76,8 @@ class Conditions:
     nothing is measured, smoothed or put to sleep"""
     speed_kpa_per_s: float = 0.0
     """by which a load changes in a second, rms; 0: full scale"""
+    rest_std_kpa: FloatArray | None = None
+    """(n,) standard deviation that the uncertainty of R0 gives to pressures evenly from 0 to full scale; None: none"""
 
 
 class Estimator(ABC):
@@ -107,6 +112,9 @@ class Estimator(ABC):
         self._exact = conditions.noise == 0.0 or not self.filters
         self._states_std = self.states_std
         self._model_variance = (conditions.model_std_kpa or MODEL_ERROR * full_scale_kpa) ** 2
+        rest_std_kpa = conditions.rest_std_kpa
+        self._rest_variance = None if rest_std_kpa is None else rest_std_kpa**2
+        self._rest_at_kpa = np.linspace(0, full_scale_kpa, 0 if rest_std_kpa is None else rest_std_kpa.size)
         self._band = AT_REST * self._full_scale_r
         """r within which a cell counts as at rest"""
         cells = rest.size
@@ -159,8 +167,7 @@ class Estimator(ABC):
             raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
         dt = float(elapsed_s) if self._frames else 1.0
         r = self._r
-        np.multiply(resistance.ravel(), self._per_ohm, out=r)
-        r -= 1.0
+        self._normalise(resistance.ravel(), r)
         known = self._readable(r)
         if not self._exact:
             self._noise.update(r, known)
@@ -202,6 +209,11 @@ class Estimator(ABC):
         return shown
 
     # -- steps of a frame, in their order ----------------------------------------------------------------------------
+
+    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
+        """Write the normalised resistances (n,) of the cells into ``r``."""
+        np.multiply(resistance_ohm, self._per_ohm, out=r)
+        r -= 1.0
 
     def _readable(self, r: FloatArray) -> BoolArray | None:
         """(n,) which readings are credible; None: all. The others become the mean of their cell, in place."""
@@ -319,7 +331,7 @@ class Estimator(ABC):
         cells, line, noise, reading = block.cells, block.line, block.noise, block.reading
         r.take(cells, out=reading, mode="clip")
         if self._exact:
-            block.memory = self._advance(block.memory, dt, reading, _ZERO)
+            block.memory = self._advance(block.memory, dt, reading, _ZERO, _ZERO)
             self._pressure[cells] = block.memory[PRESSURE]
             self._variance[cells] = self._own_variance(block.memory, _ZERO)
             return
@@ -333,12 +345,15 @@ class Estimator(ABC):
         smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
         if smooth.begun is not None:
             self._remember(smooth.begun)
-        memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std)
         doubt = self._doubt(noise, smooth)
+        memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, doubt)
         variance = self._own_variance(memory, doubt)
         if self._sparks.cells.size:
             self._doubt_jumps(memory, variance)
         pressure = memory[PRESSURE]
+        if np.maximum.reduce(pressure) > USUAL * self.full_scale_kpa:
+            # A pressure that the cell is not meant for may as well be an error of the memory.
+            variance += np.maximum(pressure - self.full_scale_kpa, 0.0) ** 2
         noise_kpa = np.multiply(smooth.std, memory[GAIN], out=block.spare)
         if np.maximum.reduce(noise_kpa) > AT_REST * self.full_scale_kpa:
             pressure = self._likely(pressure, noise_kpa, variance)
@@ -364,7 +379,7 @@ class Estimator(ABC):
         change that the line has not taken up.
         """
         block = self._block
-        doubt = np.maximum(block.scratch.up, block.scratch.down, out=block.spare)
+        doubt = np.maximum(block.scratch.up, block.scratch.down, out=block.doubt)
         doubt *= SUMMED
         np.maximum(doubt, UNSEEN, out=doubt)
         doubt *= noise
@@ -382,6 +397,8 @@ class Estimator(ABC):
         variance *= variance
         variance += memory[VARIANCE]
         variance += self._model_variance
+        if self._rest_variance is not None:
+            variance += np.interp(memory[PRESSURE], self._rest_at_kpa, self._rest_variance)
         return variance
 
     def _rest(self) -> None:
@@ -515,9 +532,12 @@ class Estimator(ABC):
         """The memory (rows, m) of cells whose reading has been ``r`` (m,) for ever."""
 
     @abstractmethod
-    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
-        """The memory (rows, m) after the reading went to ``r`` (m,), known to ``std`` (m,), in ``dt_s``.
+    def _advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+    ) -> FloatArray:
+        """The memory (rows, m) after the reading went to ``r`` (m,) in ``dt_s``.
 
+        ``std`` (m,) is what noise leaves in it, ``doubt`` (m,) also what the smoothing may not have noticed yet.
         May change ``memory`` itself.
         """
 
@@ -541,7 +561,7 @@ class _Block:
     def __init__(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
         self.cells, self.memory, self.line = cells, memory, line
         self.line_before = np.empty_like(line)
-        self.reading, self.noise, self.spare = np.empty((3, cells.size))
+        self.reading, self.noise, self.doubt, self.spare = np.empty((4, cells.size))
         self.scratch = smoothing.Scratch(line)
 
 

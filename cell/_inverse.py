@@ -125,7 +125,9 @@ class InverseEstimator(Estimator):
         memory[GAIN], memory[ANCHOR] = self.full_scale_kpa / slope, s
         return memory
 
-    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+    def _advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+    ) -> FloatArray:
         m, alpha, s0, x, broken = self.model, self._alpha, memory[LOAD], memory[BRANCHES], memory[BROKEN]
         gone, ramp = lag.weights(dt_s, self._constants_s)  # (5, 1) or (5, n)
         target = alpha * s0

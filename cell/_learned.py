@@ -160,7 +160,9 @@ class LearnedEstimator(Estimator):
         self._answer(memory, slice(None))
         return memory
 
-    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+    def _advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+    ) -> FloatArray:
         bank = memory[3 : self._seen.start]
         self._bank.advance(bank, dt_s, r)
         now = self._terms.standardised(self._bank.features(bank))

@@ -32,10 +32,12 @@ EITHER = 0.5
 """standard deviation over the difference of the two hypotheses: either may be right until the pressure has turned"""
 SURE = 3.0
 """standard deviations of the smoothed noise by which it must have, too, and by which an extreme counts for less"""
-CONFIRMED = 3.0
-"""times that much beyond the extreme that was left, until which the turn may yet be found to have been noise"""
+CONFIRMED_RISE, CONFIRMED_FALL = 3.0, 1.0
+"""turns by which the model that was left must have gone back by its own account, too; until then the turn may yet be
+found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
 PULL_SIGMAS = 1.0
-"""standard deviations of the smoothed noise below none, from which a pressure is an error of the memory"""
+"""standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
+smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
 FLAT = 0.003
 """of full scale by which a pressure that is held may seem to go back"""
 AGAIN = 0.5
@@ -108,7 +110,9 @@ class PaperEstimator(Estimator):
         none = np.zeros_like(r)
         return np.stack([p, none + 1 / m.gain_per_kpa, none, r, none + 1, p, p / m.e2_kpa, p / m.e3_kpa, r])
 
-    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+    def _advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+    ) -> FloatArray:
         m = self.model
         p, _, _, r_before, was_rising, settled, x2, x3, lagged = memory
         rises, falls = m.thresholds_per_s(self.full_scale_kpa)
@@ -231,6 +235,7 @@ class TurningEstimator(Estimator):
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
+        self._sooner, self._usually = (CONFIRMED_RISE - CONFIRMED_FALL) / 2, (CONFIRMED_RISE + CONFIRMED_FALL) / 2
         self._of = _Rows(np.zeros((len(self.rows), 0)))
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
         # What is below zero is an error that fades, and no turn.
@@ -246,7 +251,9 @@ class TurningEstimator(Estimator):
         memory[STATE] = [p, p, p, p / m.e2_kpa, p / m.e3_kpa, p / m.e3_kpa, r]
         return memory
 
-    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+    def _advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+    ) -> FloatArray:
         w = self._weights_of(dt_s)
         if memory is not self._of.memory:
             self._of = _Rows(memory)
@@ -264,21 +271,21 @@ class TurningEstimator(Estimator):
         unconfirmed = np.minimum.reduce(of.left) < FAR
         if unconfirmed:
             # Back at the extreme that was left: the turn was noise.
-            np.multiply(of.pressures, of.not_in_force, out=of.share)
-            back = np.add(of.rising_share, of.recovery_share, out=of.spare)
-            back *= of.sign
-            np.subtract(np.multiply(of.other_gain, std, out=of.again), back, out=back)
-            turned |= np.greater(back, of.left, out=of.near)
+            back, noise = self._gone_back(of, std)
+            turned |= np.less(back, noise, out=of.near)
         if np.count_nonzero(turned):
             self._turn(memory, np.flatnonzero(turned), std, w)
             self._look(of, w, std)
             unconfirmed = True
         if unconfirmed:
-            np.add(of.ahead, of.left, out=of.spare)
-            np.multiply(of.threshold, CONFIRMED, out=of.again)
-            np.copyto(of.left, FAR, where=np.greater_equal(of.spare, of.again, out=of.where))
+            # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
+            back, noise = self._gone_back(of, std)
+            noise *= SURE
+            noise += TURN * self.full_scale_kpa
+            noise *= np.add(np.multiply(of.sign, self._sooner, out=of.nearby), self._usually, out=of.nearby)
+            np.copyto(of.left, FAR, where=np.greater_equal(back, noise, out=of.where))
         if not self._exact and np.minimum.reduce(of.pressure) < -NEAR * self.full_scale_kpa:
-            self._correct(of, std, w)
+            self._correct(of, doubt, w)
 
         # The other hypothesis begins anew as long as the pressure is near its extreme.
         below_peak = np.subtract(of.peak, of.ahead, out=of.spare)
@@ -318,6 +325,14 @@ class TurningEstimator(Estimator):
         np.maximum(of.pressure, self._least_kpa, out=of.ahead)
         of.ahead *= of.sign
 
+    def _gone_back(self, of: _Rows, std: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """How far the other hypothesis is behind the extreme that was left, and its standard deviation by noise."""
+        np.multiply(of.pressures, of.not_in_force, out=of.share)
+        back = np.add(of.rising_share, of.recovery_share, out=of.spare)
+        back *= of.sign
+        back += of.left
+        return back, np.multiply(of.other_gain, std, out=of.again)
+
     def _turn(self, memory: FloatArray, turned: IntArray, std: FloatArray, weights: TurnWeights) -> None:
         """Take over the other hypothesis where the pressure ``turned`` (indices of cells); changes ``memory``."""
         some = memory[:, turned]
@@ -353,10 +368,10 @@ class TurningEstimator(Estimator):
         np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])
         np.copyto(state[3], r - p / m.e1_kpa - state[5], where=beyond[RECOVERY])
 
-    def _correct(self, of: _Rows, std: FloatArray, weights: TurnWeights) -> None:
+    def _correct(self, of: _Rows, doubt: FloatArray, weights: TurnWeights) -> None:
         """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure."""
         m = self.model
-        allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * std - NEAR * self.full_scale_kpa
+        allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * doubt - NEAR * self.full_scale_kpa
         pulled = np.flatnonzero(of.pressure < allowed)
         if not pulled.size:
             return

@@ -11,6 +11,8 @@ from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 
 POINTS = 1025
 """of the tabulated equilibrium curve"""
+SLOPES, FLAT = 33, 3.0
+"""points at which the effect of an error of R0 is tabulated, and how many times its mean the effect is at most"""
 CONTACT_SHARE = 0.02
 """standard deviation over the pressure, of a contact's answer"""
 
@@ -38,6 +40,19 @@ def equilibrium_curve(model: Model, full_scale_kpa: float, rest_resistance_ohm: 
     return curve
 
 
+def rest_slope(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) -> FloatArray:
+    """(:data:`SLOPES`,) pressure in kPa that a relative error of R0 is taken for, per unit of that error.
+
+    This is the slope dp/d(ln R) of the equilibrium curve, at pressures evenly from 0 to full scale. It is limited where
+    the curve is flat, since no estimator follows it there.
+    """
+    load = np.linspace(0, 1, SLOPES)
+    log_r = np.log1p(equilibrium_curve(model, full_scale_kpa, rest_resistance_ohm, load))
+    mean = max(abs(float(log_r[-1] - log_r[0])), 1e-9)
+    slope = np.maximum(np.abs(np.gradient(log_r, load)), mean / FLAT)
+    return np.asarray(full_scale_kpa / slope)
+
+
 def memory_share(model: Model) -> float:
     """Standard deviation over the pressure, of an answer that ignores what the model remembers.
 
@@ -56,7 +71,11 @@ def memory_share(model: Model) -> float:
 
 
 class EquilibriumEstimator(Estimator):
-    """The equilibrium of the model inverted, without memory: what a calibration curve gives."""
+    """The equilibrium of the model inverted, without memory: what a calibration curve gives.
+
+    All cells share one curve of r. A contact under load conducts beside the cell's rest resistance, so its r depends on
+    that: conductances of contacts are first taken over to a cell with the median rest resistance.
+    """
 
     def __init__(
         self,
@@ -78,7 +97,22 @@ class EquilibriumEstimator(Estimator):
         self._curve, self._load = curve[rises], load[rises]
         slope = np.gradient(self._load, self._curve) if self._curve.size > 1 else np.zeros_like(self._curve)
         self._slope = np.minimum(np.abs(slope), STEEPEST / max(abs(full_r), 1e-12))
+        self._rest_of_curve = rest
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions)
+        self._shift = 1 / rest - self._per_ohm
+        """S, to the conductance of a contact whose rest resistance is that of the curve"""
+
+    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
+        if not isinstance(self.model, ContactModel):
+            super()._normalise(resistance_ohm, r)
+            return
+        with np.errstate(divide="ignore"):
+            np.divide(1.0, resistance_ohm, out=r)
+            r += self._shift
+            r *= self._rest_of_curve
+            np.copyto(r, np.nan, where=~np.isfinite(resistance_ohm) | (r <= 0))  # no contact and no cell conducts so
+            np.divide(1.0, r, out=r)
+        r -= 1.0
 
     def _begin(self, r: FloatArray) -> FloatArray:
         x = self._sign * r
@@ -89,7 +123,9 @@ class EquilibriumEstimator(Estimator):
         memory[VARIANCE] = (self._share * memory[PRESSURE]) ** 2
         return memory
 
-    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+    def _advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+    ) -> FloatArray:
         return self._begin(r)
 
 
@@ -121,5 +157,7 @@ class StaticCurveEstimator(Estimator):
         memory[VARIANCE] = curve.std_kpa**2
         return memory
 
-    def _advance(self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray) -> FloatArray:
+    def _advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+    ) -> FloatArray:
         return self._begin(r)

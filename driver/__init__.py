@@ -8,7 +8,7 @@
 """
 
 from ._arrays import FRAME_GRIDS, FRAME_NUMBERS, stack, to_xarray
-from ._calibration import Calibration, section_hash
+from ._calibration import Calibration
 from ._contacts import Contact, ContactTracker
 from ._discover import FoundBoard, discover
 from ._frame import Frame
@@ -47,7 +47,6 @@ __all__ = [
     "discover",
     "messages_of",
     "open_port",
-    "section_hash",
     "stack",
     "to_xarray",
 ]

@@ -7,7 +7,6 @@ how sure they are, and on which board they were measured. :mod:`ohmskin.calibrat
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -21,7 +20,7 @@ from pydantic import Field, model_validator
 from ..arrays import BoolArray, FloatArray
 from ..cell import Cell
 from ..circuits import Design
-from ..config import NotNegative, Positive, Section, parse, read_toml
+from ..config import NotNegative, Positive, Section, fingerprint, parse, read_toml
 from ..errors import InputError
 from ..tables import write_text
 
@@ -97,9 +96,9 @@ class Calibration:
     serial_number: str
     """of the board; empty where it does not say"""
     design_hash: str
-    """:func:`section_hash` of the design whose inverse gave the resistances"""
+    """:func:`fingerprint` of the design whose inverse gave the resistances"""
     cell_hash: str
-    """:func:`section_hash` of the common cell"""
+    """:func:`fingerprint` of the common cell"""
     date: str
     """UTC, ISO 8601"""
     remarks: tuple[str, ...] = ()
@@ -114,7 +113,7 @@ class Calibration:
     @property
     def hash(self) -> str:
         """SHA-256 of all values, in hexadecimal."""
-        return _hash(self._values())
+        return fingerprint(self._values())
 
     def applied(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Pressures of the common model and their standard deviations, (rows, columns) kPa, as those of these cells.
@@ -134,11 +133,11 @@ class Calibration:
             raise InputError(f"a calibration of {rows} x {columns} cells; this skin has {here}")
         if self.serial_number and serial_number and self.serial_number != serial_number:
             raise InputError(f"a calibration of board {self.serial_number}; this is board {serial_number}")
-        if self.design_hash != section_hash(design):
+        if self.design_hash != fingerprint(design):
             raise InputError("a calibration made with another design of the readout; calibrate again with this one")
         if cell is None:
             raise InputError("a calibration needs the data of the cell, and this board does not tell it; give cell=")
-        if self.cell_hash != section_hash(cell):
+        if self.cell_hash != fingerprint(cell):
             raise InputError("a calibration made with other data of the cell; calibrate again with these")
 
     def save(self, path: str | Path) -> None:
@@ -203,16 +202,6 @@ class Calibration:
             "remarks": list(self.remarks),
             "cells": {name: getattr(self, name).tolist() for name in _Cells.model_fields},
         }
-
-
-def section_hash(section: Section) -> str:
-    """A hash of a design or cell: of what differs from the defaults, so that a key added later changes no hash."""
-    return _hash(section.model_dump(exclude_defaults=True))
-
-
-def _hash(values: Mapping[str, Any]) -> str:
-    text = json.dumps(values, sort_keys=True, default=str)
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _matrix(lines: list[list[float]]) -> str:

@@ -24,6 +24,8 @@ from ._past import Block, MeasurementPast
 from ._reading import CountReader, Reading
 from ._statistics import Counters
 from ._stream import RawFrame
+from ._systematic import SystematicError
+from ._tare import DRIFT as TARE_DRIFT
 
 T = TypeVar("T", bound=np.generic)
 
@@ -31,7 +33,20 @@ KEEP_STATE_S = 60.0
 """after a longer gap the estimator starts anew: what the skin bore meanwhile is not to be guessed"""
 
 SOON = 50
-"""frames without any valid cell after which the driver says why"""
+"""first frames that the driver judges board and skin by"""
+UNSETTLED_FRAMES = 10
+"""the first ones, in which the noise is hardly known, are left out of it"""
+FEW = 0.02
+"""share of valid cells in those frames below which the driver says why"""
+CLEAR_SPREAD = 0.01
+"""of full scale: what unknown rest resistances must amount to before the driver says so"""
+_WHY_NONE = {
+    Reason.NO_CURRENT: "their readings show no current; the drive's voltage, the converter's range and the reference "
+    "resistor of the design may not fit each other, or the skin is not connected",
+    Reason.SATURATED: "their readings stand at a limit of the converter or the output; a smaller reference resistor, "
+    "or a smaller drive voltage, lowers them",
+    Reason.UNSOLVED: "no cells give such readings; the design is not that of this board",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +103,10 @@ class Converter:
         self._counters = counters
         self._accuracy = accuracy
         self._read = CountReader(design, accuracy=accuracy)
-        self._never_valid: int | None = 0  # frames so far, all without a valid cell; None: said, or not so
+        self._judged: int | None = 0  # frames of the first ones that were counted; None: judged
+        self._reasons = np.zeros(len(Reason), dtype=np.int64)  # cells of those frames by reason
+        self._surest = np.inf  # least uncertainty of their cells
+        self._systematic = None if cell is None else SystematicError(cell)
         self._lock = threading.RLock()
         self.on_converted: list[Callable[[RawFrame, Measurement], None]] = []
         """told of every measurement: for recorders"""
@@ -129,6 +147,8 @@ class Converter:
         with self._lock:
             self._rest_ohm = rest_ohm
             self._estimator = self._new_estimator()
+            if self._judged is None:
+                self._counters.untared = self._why_to_tare()
             for tell in tuple(self.on_rest):
                 tell(rest_ohm, None if self._last is None else self._last.monotonic_time)
 
@@ -148,6 +168,7 @@ class Converter:
                 rest_ohm=None if self._rest_ohm is None else Block.of(self._rest_ohm),
                 noise_steps=noise_steps,
                 counts=None if counts is None else Block.of(counts.astype(np.float64)),
+                rest_spread=None if self._systematic is None else self._systematic.rest_spread,
                 estimator=estimator,
                 restarted=self._starts > self._starts_told,
             )
@@ -182,6 +203,9 @@ class Converter:
         if self.cell is not None:
             self._estimator = self._fresh_estimator()
             self._estimator.restore(past.estimator_state())
+        if self._systematic is not None:
+            self._systematic.forget()
+            self._systematic.rest_spread = past.rest_spread
 
     def measure(self, frame: RawFrame, mailbox: Mailbox) -> Measurement | None:
         """The measurement of ``frame``, and of those before it that are still queued.
@@ -212,8 +236,8 @@ class Converter:
         self._counters.converted += 1
         self._counters.unsolved += not reading.solved
         self._counters.reasons = reading.reason
-        if self._never_valid is not None:
-            self._look_for_valid_cells(reading)
+        if self._judged is not None:
+            self._judge(reading)
         while self._rest_changes and frame.monotonic_time > self._rest_changes[0][0]:
             rest = self._rest_changes.popleft()[1]
             self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
@@ -222,7 +246,7 @@ class Converter:
         pressure = std = np.full(frame.counts.shape, np.nan)
         if self._estimator is not None:
             pressure = self._estimator.step(gap_s, reading.resistance)
-            std = self._estimator.std_kpa
+            std = self._std(reading, pressure)
             if self._calibration is not None:
                 pressure, std = self._calibration.applied(pressure, std)
         view = PressureView(frame.time_s, _read_only(pressure), _read_only(std))
@@ -238,25 +262,71 @@ class Converter:
             self._starts,
         )
 
-    def _look_for_valid_cells(self, reading: Reading) -> None:
-        """Say once what keeps all cells of a board from being valid, where that is the accuracy asked for."""
-        assert self._never_valid is not None
-        if reading.valid.any():
-            self._never_valid = None
+    def _std(self, reading: Reading, pressure: FloatArray) -> FloatArray:
+        """The estimator's standard deviation, and what it cannot see: unknown rest resistances and ADC steps."""
+        assert self._estimator is not None
+        assert self._systematic is not None
+        systematic = self._systematic.variance(reading, pressure, rest_known=self._rest_known)
+        std: FloatArray = np.sqrt(self._estimator.std_kpa**2 + systematic)
+        return std
+
+    @property
+    def _rest_known(self) -> bool:
+        return self._rest_ohm is not None or self._calibration is not None
+
+    def _judge(self, reading: Reading) -> None:
+        """Say once, after the first frames, what keeps cells from being valid, or that the rest is not known."""
+        assert self._judged is not None
+        self._judged += 1
+        if self._judged <= UNSETTLED_FRAMES:
             return
-        self._never_valid += 1
-        if self._never_valid < SOON:
+        self._reasons += np.bincount(reading.reason.ravel(), minlength=len(Reason))
+        uncertain = reading.reason == Reason.UNCERTAIN
+        if uncertain.any():
+            self._surest = min(self._surest, float(reading.uncertainty[uncertain].min()))
+        if self._judged < SOON:
             return
-        self._never_valid = None
-        best = float(reading.uncertainty[reading.reason == Reason.UNCERTAIN].min(initial=np.inf))
-        if best < 1.0:
-            asked = "2 % or what the converter allows" if self._accuracy is None else f"{100 * self._accuracy:g} %"
-            self._counters.remark = (
-                f"no cell was valid in the first {SOON} frames: the best one is known to {100 * best:.2g} %, "
-                f"and {asked} was asked for; Skin.open(..., accuracy={min(1.5 * best, 0.99):.2g}) takes cells known so "
-                "well; a converter of more bits, or another reference resistor, tells more"
-            )
-            warnings.warn(self._counters.remark, RuntimeWarning, stacklevel=2)
+        self._judged = None
+        if self._reasons[Reason.VALID] <= FEW * self._reasons.sum():
+            self._counters.remark = self._why_none_valid()
+            if self._counters.remark:
+                warnings.warn(self._counters.remark, RuntimeWarning, stacklevel=2)
+        else:
+            self._counters.untared = self._why_to_tare()
+
+    def _why_none_valid(self) -> str | None:
+        cells, valid = self._reasons.sum(), self._reasons[Reason.VALID]
+        found, others = "no cell was", "the best one"
+        if valid:
+            found, others = f"{100 * valid / cells:.1g} % of the cells were", "the best of the others"
+        start = f"{found} valid in the first {SOON} frames: "
+        reasons = self._reasons.copy()
+        reasons[Reason.VALID] = 0
+        why = Reason(int(reasons.argmax()))
+        if why in _WHY_NONE:
+            return start + _WHY_NONE[why]
+        best = self._surest
+        if best >= 1.0:
+            return None
+        asked = "2 % or what the converter allows" if self._accuracy is None else f"{100 * self._accuracy:g} %"
+        return (
+            f"{start}{others} is known to {100 * best:.2g} %, and {asked} was asked for; "
+            f"Skin.open(..., accuracy={min(1.5 * best, 0.99):.2g}) takes cells known so well; a converter of more "
+            "bits, or another reference resistor, tells more"
+        )
+
+    def _why_to_tare(self) -> str | None:
+        """A remark where rest resistances that nobody measured leave pressures open by more than a little."""
+        if self.cell is None or self._systematic is None or self._rest_known:
+            return None
+        spread = self._systematic.rest_spread or 0.0
+        kpa = self._systematic.kpa_of_rest(spread)
+        if kpa < CLEAR_SPREAD * self.cell.full_scale_kpa:
+            return None
+        return (
+            f"without a tare pressures are known to {kpa:.2g} kPa at best: the cells differ from the rest resistance "
+            f"of the data sheet by {100 * spread:.2g} %, or the skin was loaded; tare() the unloaded skin"
+        )
 
     def _new_estimator(self) -> Estimator | None:
         self._starts += 1
@@ -264,10 +334,14 @@ class Converter:
 
     def _fresh_estimator(self) -> Estimator:
         assert self.cell is not None
-        rest_ohm = self._rest_ohm
+        rest_ohm, rest_error = self._rest_ohm, None
+        if rest_ohm is not None and self.cell.estimators is not None:
+            rest_error = TARE_DRIFT
         if rest_ohm is None and self._calibration is not None:
             rest_ohm = self._calibration.rest_ohm
-        return self.cell.estimator(self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm)
+        return self.cell.estimator(
+            self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm, rest_error=rest_error
+        )
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:

@@ -101,6 +101,8 @@ class MeasurementPast(_Part):
     """ADC steps, standard deviation of the readings"""
     counts: Block | None
     """(rows, columns) of that frame"""
+    rest_spread: Annotated[float, Field(ge=0, lt=math.inf)] | None = None
+    """relative, of the rest resistances about that of the data sheet; None: not seen yet"""
     restarted: bool
     """the estimator has no memory of that frame"""
     estimator: dict[str, Block] | None

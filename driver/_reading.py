@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ _FORGET = 0.98  # share of a noise that is still assumed a frame later
 _MOST_CHANGE = 1.5
 _MEAN_CHANGE = 0.918  # mean of the change of a normally distributed reading, cut off so, in its standard deviations
 
+_SIGMAS = 3.0  # standard deviations of the noise that Reading.uncertainty covers, beside half a step
 _CAUTION = 1.5  # standard deviations by which the first measurement of the noise may be too small
 
 
@@ -35,6 +37,8 @@ class Reading:
     solved: bool
     """False where no cell resistances give such readings: then no cell is valid"""
     _found: LiveReading | None
+    steps_share: float = 1.0
+    """part of :attr:`uncertainty` that comes from ADC steps and that no average over time lessens"""
 
     @property
     def uncertainty(self) -> FloatArray:
@@ -100,6 +104,16 @@ class CountReader:
     def noise_volts(self) -> float:
         """V, standard deviation of the readings: the larger one of the design's and what frames have shown."""
         return max(self._design_noise, self._scatter)
+
+    @property
+    def _steps_share(self) -> float:
+        """The part of an uncertainty that is a systematic error of quantisation.
+
+        Noise of half a step or more makes the error of quantisation random: its mean falls with
+        exp(-2 (pi noise/step)^2) (Widrow and Kollar, Quantization Noise, 2008).
+        """
+        noise_steps = self.noise_volts / self._step
+        return math.exp(-2.0 * (math.pi * noise_steps) ** 2) / (1.0 + 2.0 * _SIGMAS * noise_steps)
 
     def memory(self) -> tuple[float, NDArray[np.integer] | None]:
         """What the noise is measured from: its standard deviation so far in ADC steps, and the last frame's counts."""
@@ -176,11 +190,12 @@ class CountReader:
             return Reading(nothing, counts < 0, reason, solved=False, _found=None)
         valid, reason = found.valid, found.reason
         if valid.all() and faint is None:
-            return Reading(found.resistance, valid, reason, solved=True, _found=found)
+            return Reading(found.resistance, valid, reason, solved=True, _found=found, steps_share=self._steps_share)
         if faint is not None:
             valid = valid & ~faint
             reason = np.where(faint, np.int8(Reason.NO_CURRENT), reason)
-        return Reading(np.where(valid, found.resistance, np.nan), valid, reason, solved=True, _found=found)
+        resistance = np.where(valid, found.resistance, np.nan)
+        return Reading(resistance, valid, reason, solved=True, _found=found, steps_share=self._steps_share)
 
     def _guard_codes(self, volts: FloatArray) -> int:
         """Codes within which an output at a limit of its swing may be read, given the readings (rows, columns) in V.

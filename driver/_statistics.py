@@ -42,7 +42,7 @@ class LinkStatistics:
     not_valid: dict[str, int]
     """cells of the newest converted frame that are not valid, by the name of their :class:`ohmskin.circuits.Reason`"""
     remark: str | None
-    """what keeps all cells from being valid, and what would help, where the first frames had no valid cell"""
+    """what keeps cells from being valid, where hardly one was in the first frames; or that the skin should be tared"""
     rate_hz: float
     """frames per second of the board's time, over the last 1000 frames; NaN before the second frame"""
     age_s: dict[int, float]
@@ -76,6 +76,9 @@ class Counters:
     reasons: NDArray[np.int8] | None = None
     """of the newest converted frame, a :class:`ohmskin.circuits.Reason` for each cell"""
     remark: str | None = None
+    """why no cell is valid"""
+    untared: str | None = None
+    """why the skin should be tared"""
     times_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
     """of the last frames, on the time scale of the estimator"""
     ages_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
@@ -97,7 +100,7 @@ class Counters:
             skipped=max(self.frames - self.converted - pending, 0),
             unsolved=self.unsolved,
             not_valid=_not_valid(self.reasons),
-            remark=self.remark,
+            remark=self.remark or self.untared,
             rate_hz=(len(times) - 1) / elapsed if elapsed > 0 else float("nan"),
             age_s=_percentiles(self.ages_s),
             jitter_s=_percentiles(self.delays_s),

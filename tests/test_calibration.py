@@ -20,8 +20,8 @@ from ohmskin.arrays import FloatArray
 from ohmskin.calibration import Plan, Press, PressRefused, Progress, Watch, align, calibrate_cells
 from ohmskin.cell import Cell
 from ohmskin.cli import run
-from ohmskin.config import write_toml
-from ohmskin.driver import Calibration, Skin, section_hash
+from ohmskin.config import fingerprint, write_toml
+from ohmskin.driver import Calibration, Skin
 from ohmskin.emulator import Board, Scene
 from ohmskin.errors import InputError
 from ohmskin.tables import write_columns
@@ -242,8 +242,8 @@ def made(shape: tuple[int, int] = (3, 2), **changes: object) -> Calibration:
         "loads_kpa": (5.0, 12.0),
         "presses": 12,
         "serial_number": "EMULATED",
-        "design_hash": section_hash(where.design),
-        "cell_hash": section_hash(where.cell),
+        "design_hash": fingerprint(where.design),
+        "cell_hash": fingerprint(where.cell),
         "date": "2026-01-02T03:04:05+00:00",
         **changes,
     }
@@ -325,7 +325,7 @@ def test_a_tare_replaces_the_rest_and_keeps_the_gain() -> None:
     spread = {"design": scene().skin.design.model_dump(), "spread": {"rest_percent": 40.0, "seed": 3}}
     still = scene(skin=spread, contact=[])
     rest = still.skin.cell.rest_resistance_ohm * still.skin.spread.draw((3, 2))[0]
-    known = made(rest_ohm=rest, cell_hash=section_hash(still.skin.cell))
+    known = made(rest_ohm=rest, cell_hash=fingerprint(still.skin.cell))
     with Skin(Wire(Board(still)), delivery="lossless") as skin, pytest.raises(InputError, match="differ"):
         skin.tare(5)
     with Skin(Wire(Board(still)), delivery="lossless", calibration=known) as skin:
@@ -430,7 +430,7 @@ def test_a_stream_that_ends_keeps_what_was_measured(tmp_path: Path, capsys: pyte
     # The emulated board starts anew, at rest: as if the skin had had a minute to recover.
     plate_scene(tmp_path, later_s=60.0)
     assert run(["calibrate", port + "90", *words, "--resume"]) == 0
-    assert "Going on after 1 presses" in capsys.readouterr().err
+    assert "Going on after 1 press." in capsys.readouterr().err
     made = Calibration.load(output)
     sensitivity = Scene.load(tmp_path / "plate.toml").skin.spread.draw((3, 2))[1]
     np.testing.assert_allclose(made.gain, 1 / sensitivity, rtol=0.02)

@@ -8,7 +8,7 @@ from cells import exactly
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ohmskin.cell import AsymmetricModel, Cell, M10Model, PaperModel
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
 from ohmskin.cell._estimator import Conditions
 from ohmskin.cell._learned import Limits, StaticCurve
 from ohmskin.cell._static import StaticCurveEstimator
@@ -38,6 +38,24 @@ def sense(cell: Cell, time_s: np.ndarray, pressure_kpa: np.ndarray) -> np.ndarra
 
 def estimate(cell: Cell, name: str, time_s: np.ndarray, resistance_ohm: np.ndarray) -> np.ndarray:
     return exactly(cell, name, time_s, resistance_ohm)
+
+
+@given(
+    rest_ohm=st.lists(st.floats(1e4, 1e6), min_size=1, max_size=5),
+    pressure=st.floats(0.5, 20),
+    exponent=st.floats(0.5, 2.0),
+)
+def test_contacts_of_different_rest_resistance_show_the_same_pressure(
+    rest_ohm: list[float], pressure: float, exponent: float
+) -> None:
+    """A contact conducts beside the rest resistance of its cell; no cell may be read by the curve of another."""
+    model = ContactModel(exponent=exponent, full_scale_resistance_ohm=5e3)
+    cell = Cell(full_scale_kpa=20.0, rest_resistance_ohm=1e5, model=model)
+    shape = (len(rest_ohm),)
+    forward = cell.forward(shape, rest_resistance_ohm=rest_ohm)
+    estimator = cell.estimator(shape, rest_resistance_ohm=rest_ohm, noise=0)
+    found = estimator.step(0.01, forward.step(0.01, np.full(shape, pressure)))
+    np.testing.assert_allclose(found, pressure, rtol=2e-3, atol=0.01)
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.03, 0.1])

@@ -60,7 +60,7 @@ def test_faults_are_within_the_stated_deviations(fault: honesty.Fault, noise: fl
 
 
 @pytest.mark.parametrize(
-    ("load", "rate"), [("press", 20.0), ("press", 200.0), ("slow ramp", 20.0), ("slow ramp", 500.0)]
+    ("load", "rate"), [("press", 20.0), ("press", 500.0), ("slow ramp", 20.0), ("slow ramp", 500.0)]
 )
 def test_any_frame_rate_is_answered_as_honestly(load: honesty.Load, rate: float) -> None:
     for noise in (0.1, 10.0):

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
 from ohmskin.cell import _inverse as inverse
 from ohmskin.cell import _lag as lag
 from ohmskin.errors import InputError
@@ -149,3 +149,30 @@ def test_a_wrong_rest_resistance_costs_no_more_than_itself() -> None:
         load = 7.0 + 7.0 * np.sin(n / 150) * np.sin(n / 47)
         worst = max(worst, abs(float(estimator.step(0.1, forward.step(0.1, load))) - load))
     assert worst < 2 * 0.03 * (1 + 0.775) * 32
+
+
+@pytest.mark.parametrize("model", [EXAMPLE.model, ASYMMETRIC, SAFE], ids=["paper", "asymmetric", "m10"])
+@given(share=st.floats(0.2, 0.95), error=st.floats(0.001, 0.005))
+def test_the_deviation_counts_an_error_of_r0_as_what_it_does_to_the_answer(
+    model: PaperModel | AsymmetricModel | M10Model, share: float, error: float
+) -> None:
+    """Of a load held long: the answer with a wrong R0 differs from the one with the right R0 by that deviation."""
+    cell = EXAMPLE.replace(model=model)
+    forward = cell.forward(())
+    for _ in range(3):
+        read = forward.step(1e6, share * cell.full_scale_kpa)
+    right, wrong = (
+        cell.estimator((), "static", noise=0.0, rest_resistance_ohm=rest, rest_error=error)
+        for rest in (cell.rest_resistance_ohm, (1 + error) * cell.rest_resistance_ohm)
+    )
+    sure = cell.estimator((), "static", noise=0.0)
+    shift = abs(float(wrong.step(1.0, read)) - float(right.step(1.0, read)))
+    sure.step(1.0, read)
+    added = np.sqrt(float(right.std_kpa) ** 2 - float(sure.std_kpa) ** 2)
+    assert added == pytest.approx(shift, rel=0.1)
+
+
+def test_an_absurd_error_of_r0_is_refused() -> None:
+    for error in (-0.1, 1.5, np.nan):
+        with pytest.raises(InputError, match="error of R0"):
+            EXAMPLE.estimator((), rest_error=error)

@@ -49,6 +49,22 @@ def test_the_chosen_estimator_is_never_much_worse_than_the_static_curve(names: t
     assert verdict.within_two_std >= 0.9
 
 
+@pytest.mark.parametrize("names", SUBSET, ids=lambda names: f"{names[0]}, {names[1]}")
+@pytest.mark.parametrize("factor", [0.97, 1.03])
+def test_the_deviation_covers_an_r0_that_is_given_wrong(names: tuple[str, str, int], factor: float) -> None:
+    """It is as before for the R0 of the calibration, which the folds judged along with everything else."""
+    found, own = judged(*names)
+    scene = replace(shortened(panel.scene(*names), 120), rest_factor=factor)
+    given = panel.judge(scene, found)
+    assert given.within_two_std >= 0.9
+    assert given.std_percent > own.std_percent
+    rest = found.cell.rest_resistance_ohm
+    known, plain = found.cell.estimator((), rest_resistance_ohm=rest, rest_error=0.0), found.cell.estimator(())
+    for read in (rest, 1.2 * rest):
+        assert known.step(0.1, read) == plain.step(0.1, read)
+        assert known.std_kpa == plain.std_kpa
+
+
 @settings(max_examples=4)
 @given(material=st.sampled_from(sorted(MATERIALS)), seed=st.integers(0, 1000))
 def test_a_nested_model_never_fits_worse_than_one_it_contains(material: str, seed: int) -> None:
@@ -70,7 +86,7 @@ def test_the_choice_is_by_the_worst_fold_with_the_static_curve_as_the_floor(
 ) -> None:
     parts = dict(zip(("static", "play", "distilled"), np.reshape(errors, (3, 3)).tolist(), strict=True))
     by_fold = {name: tuple(folds) for name, folds in parts.items()}
-    chosen, reason = _choose(by_fold, unexplained, presses)  # type: ignore[arg-type]
+    chosen, reason = _choose(by_fold, unexplained, presses, 1.0)  # type: ignore[arg-type]
     worst = {name: max(folds) for name, folds in by_fold.items()}
     assert worst[chosen] <= worst["static"]
     assert max(by_fold[chosen][1:]) <= max(by_fold["static"][1:])

@@ -96,8 +96,8 @@ def test_the_matrices_do_what_one_cell_written_out_does(seed: int, dt: float, no
     one_by_one = [OneCell(MODEL, FULL, 0.0, exact=noise == 0.0) for _ in range(cells)]
     for kpa in FULL * load.T:
         r = forward.step(dt, kpa) / rest - 1 + noise * rng.standard_normal(cells)
-        std = np.full(cells, noise)
-        memory = estimator._advance(memory, dt, r, std)
-        expected = [one.step(dt, float(x), noise) for one, x in zip(one_by_one, r, strict=True)]
+        std, doubt = np.full(cells, noise), np.full(cells, 1.5 * noise)
+        memory = estimator._advance(memory, dt, r, std, doubt)
+        expected = [one.step(dt, float(x), noise, 1.5 * noise) for one, x in zip(one_by_one, r, strict=True)]
         np.testing.assert_allclose(memory[0], expected, rtol=1e-8, atol=1e-8)
         np.testing.assert_allclose(memory[2], [one.variance for one in one_by_one], rtol=1e-6, atol=1e-8)

@@ -18,7 +18,7 @@ from boards import Script, Wire, gone, scene
 
 from ohmskin.cli import run
 from ohmskin.config import fingerprint
-from ohmskin.driver import Frame, Recorder, ReplayPort, Skin, to_xarray
+from ohmskin.driver import Calibration, Frame, Recorder, ReplayPort, Skin, to_xarray
 from ohmskin.emulator import Board, PtyPort, running
 from ohmskin.errors import InputError, LinkEnded
 from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
@@ -375,6 +375,69 @@ def test_frames_become_a_dataset_with_units(tmp_path: Path) -> None:
         to_xarray([])
     with Skin.open(str(path)) as skin:
         assert dict(to_xarray([], skin).sizes) == {"time": 0, "row": 3, "column": 2}
+
+
+def test_a_netcdf_export_without_its_library_names_the_extra(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    xarray = pytest.importorskip("xarray")
+    path = tmp_path / "press.mcap"
+    recorded(path, 3)
+
+    def without_h5py(*args: object, **options: object) -> None:
+        raise ImportError("No module named 'h5py', backend not available")
+
+    monkeypatch.setattr(xarray.Dataset, "to_netcdf", without_h5py)
+    monkeypatch.setitem(sys.modules, "h5py", None)  # h5netcdf no longer brings it
+    assert run(["export", str(path), "-o", str(tmp_path / "press.nc")]) == 2
+    assert "press.nc" not in {file.name for file in tmp_path.iterdir()}
+    message = capfd.readouterr().err
+    assert "h5py" in message
+    assert "pip install 'ohmskin[data]'" in message
+
+
+def test_the_command_records_with_a_calibration_and_a_tare(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The recording holds both, so that its replay needs neither file."""
+    skin = scene().skin
+    ones = np.ones((3, 2))
+    rest = np.linspace(0.9, 1.1, 6).reshape(3, 2) * skin.cell.rest_resistance_ohm
+    made = Calibration(
+        rest_ohm=rest,
+        gain=np.linspace(0.7, 1.5, 6).reshape(3, 2),
+        gain_std=0.02 * ones,
+        rest_std_kpa=0.1 * ones,
+        residual_kpa=0.1 * ones,
+        calibrated=ones > 0,
+        loads_kpa=(5.0, 12.0),
+        presses=12,
+        serial_number="EMULATED",
+        date="2026-01-02T03:04:05+00:00",
+        design_hash=fingerprint(skin.design),
+        cell_hash=fingerprint(skin.cell),
+    )
+    calibration, tare, path = tmp_path / "left.toml", tmp_path / "rest.npz", tmp_path / "press.mcap"
+    made.save(calibration)
+    words = ["-o", str(path), "--calibration", str(calibration), "--tare", str(tare), "--json"]
+    with Skin(Wire(Board(scene(contact=[]))), delivery="lossless", calibration=calibration) as opened:
+        opened.tare(5, force=True).save(tare)
+    port = PtyPort()
+    with running(scene(contact=[]), port, clock="fast", duration_s=2.0):
+        assert run(["record", port.name, *words]) == 0
+    said = json.loads(capfd.readouterr().out)
+    assert said["file"] == str(path)
+    assert said["frames"] > 0
+    with Skin.open(str(path)) as again:
+        frames = list(again)
+        assert len(frames) == said["frames"]
+        assert again.calibration is not None
+        assert again.calibration.hash == made.hash
+    # Unloaded; by the calibration's rest resistances some cells would be pressed.
+    pressure = np.array([frame.pressure for frame in frames])
+    assert np.abs(pressure).max() < 0.1
+
+    assert run(["record", port.name, *words]) == 2  # gone by now; nothing that was recorded is touched
+    with Skin.open(str(path)) as again:
+        assert len(list(again)) == said["frames"]
 
 
 def test_a_recording_is_scored_as_its_export_is(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -34,8 +34,8 @@ class OneCell:
         self.left: float | None = None
         self.doubt = self.variance = 0.0
 
-    def step(self, dt: float, r: float, std: float) -> float:
-        """Take a reading known to ``std``; the pressure."""
+    def step(self, dt: float, r: float, std: float, doubt: float) -> float:
+        """Take a reading, uncertain by ``std`` by noise and by ``doubt`` in all; the pressure."""
         m = self.model
         gains = {rising: self._solved(Hypothesis(0, 0, 0, 0), rising, dt, 1.0).pressure for rising in (True, False)}
         now, other = self._solved(self.now, self.rising, dt, r), self._solved(self.other, not self.rising, dt, r)
@@ -58,11 +58,12 @@ class OneCell:
             self.doubt = self.variance + (gains[False] * std + paper.NEAR * self.full) ** 2
         unsure = std * gains[self.rising]
         ahead = self._ahead(now)
-        if self.left is not None and ahead + self.left >= paper.CONFIRMED * (
-            paper.SURE * unsure + paper.TURN * self.full
-        ):
-            self.left = None
-        allowed = -paper.PULL_SIGMAS * gains[False] * std - paper.NEAR * self.full
+        if self.left is not None:
+            back = self.left + (1.0 if self.rising else -1.0) * other.pressure
+            times = paper.CONFIRMED_RISE if self.rising else paper.CONFIRMED_FALL
+            if back >= times * (paper.SURE * std * gains[not self.rising] + paper.TURN * self.full):
+                self.left = None
+        allowed = -paper.PULL_SIGMAS * gains[False] * doubt - paper.NEAR * self.full
         if not self.exact and now.pressure < allowed:
             begun = self._begun(allowed, r, now.x3)
             if self.rising:

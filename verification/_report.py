@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import importlib.metadata
 import importlib.resources
 import json
@@ -20,6 +19,7 @@ import numpy as np
 
 from .. import __version__, plots
 from ..circuits import AmplifierModel, Design, spice
+from ..config import fingerprint
 from ..errors import MissingExtra, OhmskinError
 from ..files import make_folder, write_together
 from ..text import printable
@@ -259,11 +259,11 @@ class Report:
 
     @property
     def design_sha256(self) -> str:
-        return _sha256(everything_of(self.design))
+        return fingerprint(everything_of(self.design))
 
     @property
     def cell_sha256(self) -> str:
-        return _sha256(self.subject.cell.model_dump(mode="python"))
+        return fingerprint(self.subject.cell)
 
     def junit(self) -> str:
         """One case per requirement and per check, with values as properties and times; what was not run is skipped."""
@@ -492,10 +492,6 @@ def _scale(unit: str, largest: float) -> tuple[float, str]:
     value, _, prefixed = shown.partition(" ")
     factor = 10.0 ** round(math.log10(float(value) / largest)) if float(value) else 1.0
     return factor, prefixed
-
-
-def _sha256(tables: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(jsonable(tables), sort_keys=True).encode()).hexdigest()
 
 
 def environment() -> dict[str, str]:

@@ -8,7 +8,6 @@ soon as it is there, so that an interrupted run goes on where it stopped.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import importlib.resources
 import json
 import time
@@ -26,6 +25,7 @@ from .. import __version__
 from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design, Requirement
+from ..config import fingerprint
 from ..driver import Skin
 from ..errors import InputError, OhmskinError
 from ..files import make_folder, read_text
@@ -300,14 +300,14 @@ def _fingerprint(work: Work) -> str:
     told = {
         "version": __version__,
         "design": everything_of(subject.design),
-        "cell": subject.cell.model_dump(mode="python"),
+        "cell": subject.cell.model_dump(),
         "requirements": [requirement.model_dump(mode="python") for requirement in work.requirements],
         "target": subject.target,
         "jig": None if subject.jig is None else subject.jig.tolist(),
         "seed": subject.seed,
         "samples": subject.samples,
     }
-    return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+    return fingerprint(told)
 
 
 class _Store:

@@ -20,10 +20,10 @@ SEED = 1
 
 def everything_of(design: Design) -> dict[str, Any]:
     """All values of a design that a number can depend on, those included that boards do not send."""
-    tables: dict[str, Any] = design.model_dump(mode="python")
+    tables: dict[str, Any] = design.model_dump(exclude_defaults=True)
     model = design.readout.amplifier_model
     if model is not None:
-        tables["readout"]["amplifier_model"] = {**model.model_dump(mode="python"), "text": model.text}
+        tables["readout"]["amplifier_model"] = {**model.model_dump(), "text": model.text}
     return tables
 
 

@@ -140,15 +140,19 @@ def parse(tables: Mapping[str, Any], model: type[S], *, source: str) -> S:
         raise InputError(f"{source}: {describe(error, model)}") from error
 
 
-def fingerprint(model: BaseModel) -> str:
-    """SHA-256 of the values, as hexadecimal digits: the same for files that say the same in other words."""
-    return hashlib.sha256(json.dumps(_finite(model.model_dump()), sort_keys=True).encode()).hexdigest()
+def fingerprint(values: BaseModel | Mapping[str, Any]) -> str:
+    """SHA-256 of the values, in hexadecimal: the same for files that say the same in other words.
+
+    Of a model, what differs from its defaults: a key that a later version adds changes no hash.
+    """
+    tables = values.model_dump(exclude_defaults=True) if isinstance(values, BaseModel) else values
+    return hashlib.sha256(json.dumps(_finite(tables), sort_keys=True, default=str).encode()).hexdigest()
 
 
 def _finite(value: Any) -> Any:
     """Nested tables with infinities, which JSON lacks, as text."""
     match value:
-        case dict():
+        case Mapping():
             return {key: _finite(item) for key, item in value.items()}
         case list() | tuple():
             return [_finite(item) for item in value]

@@ -51,21 +51,44 @@ QUEUE = 4096
     metavar="each|all|RxC",
     help="What bears a load together: each cell by itself, all under a plate, or patches of rows x columns.",
 )
-@click.option("--hold", type=click.FloatRange(0.2, 600), default=4.0, show_default=True, metavar="S")
-@click.option("--rest", type=click.FloatRange(0.2, 600), default=3.0, show_default=True, metavar="S")
+@click.option(
+    "--hold",
+    type=click.FloatRange(0.2, 600),
+    default=4.0,
+    show_default=True,
+    metavar="S",
+    help="How long each load is held.",
+)
+@click.option(
+    "--rest",
+    type=click.FloatRange(0.2, 600),
+    default=3.0,
+    show_default=True,
+    metavar="S",
+    help="How long the unloaded skin is read at first.",
+)
 @click.option(
     "--reference",
     type=click.Path(path_type=Path),
     metavar="CSV",
     help="Loads as a sensor had them: time_s,pressure_kpa.",
 )
-@click.option("--tolerance", type=float, default=0.1, show_default=True, help="Residual up to which a cell is good.")
+@click.option(
+    "--tolerance",
+    type=float,
+    default=0.1,
+    show_default=True,
+    metavar="SHARE",
+    help="Residual up to which a cell is good, as a share of the load.",
+)
 @click.option("--allow-partial", is_flag=True, help="Give cells that failed the median gain of the others.")
 @click.option("--resume", is_flag=True, help="Go on with the progress kept beside the output.")
 @click.option("--yes", is_flag=True, help="Do not ask whether the skin is unloaded.")
-@click.option("--design", "design_file", type=click.Path(path_type=Path), metavar="DESIGN.toml")
-@click.option("--cell", "cell_file", type=click.Path(path_type=Path), metavar="CELL.toml")
-@click.option("--board", default="ohmskin", show_default=True, metavar="NAME", help=f"Family: {', '.join(BOARDS)}.")
+@click.option("--design", "design_file", type=click.Path(path_type=Path), metavar="DESIGN.toml", help="Of the readout.")
+@click.option("--cell", "cell_file", type=click.Path(path_type=Path), metavar="CELL.toml", help="Of the skin.")
+@click.option(
+    "--board", default="ohmskin", show_default=True, metavar="NAME", help=f"Family of the board: {', '.join(BOARDS)}."
+)
 @arguments.as_json("the summary")
 def command(
     port: str,

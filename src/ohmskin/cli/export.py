@@ -60,9 +60,10 @@ def _as_netcdf(frames: Iterable[Frame], skin: Skin) -> bytes:
     try:
         return bytes(data.to_netcdf(engine="h5netcdf", encoding=compressed))
     except (ImportError, ValueError) as error:
-        if find_spec("h5netcdf") is not None:
+        missing = [name for name in ("h5netcdf", "h5py") if find_spec(name) is None]
+        if not missing:
             raise
-        raise MissingExtra(".nc files need h5netcdf: pip install 'ohmskin[data]'") from error
+        raise MissingExtra(f".nc files need {' and '.join(missing)}: pip install 'ohmskin[data]'") from error
 
 
 def _columns(arrays: dict[str, AnyArray]) -> dict[str, AnyArray]:

@@ -2,54 +2,45 @@
 
 from __future__ import annotations
 
+import json
 import time
 from math import inf, isfinite
 from pathlib import Path
 
 import click
 
-from ..driver import Skin
+from ..driver import LinkStatistics
 from ..errors import InputError, LinkEnded, LinkTimeout
 from ..text import one_line
-from ..wire import BOARDS
 from . import arguments
 from ._bar import progress_bar
+from ._opening import Opening, opening_options
 
 QUEUE = 4096
 """frames that may wait while the disk is busy"""
 
 
-@click.command(epilog=arguments.example("ohmskin record /dev/ttyACM0 -o press.mcap --duration 60"))
+@click.command(
+    epilog=arguments.example(
+        "ohmskin record /dev/ttyACM0 -o press.mcap --duration 60",
+        "ohmskin record /dev/ttyACM0 -o press.mcap --calibration left-arm.toml",
+    )
+)
 @click.argument("port", metavar="PORT")
 @click.option("-o", "output", required=True, type=click.Path(path_type=Path), metavar="FILE.mcap")
 @click.option("--duration", type=arguments.positive, default=inf, metavar="S", help="Stop after S seconds.")
-@click.option(
-    "--board",
-    default="ohmskin",
-    show_default=True,
-    metavar="NAME",
-    help=f"Family of the board: {', '.join(BOARDS)}.",
-)
-@arguments.calibration
+@opening_options
 @click.option("--overwrite", is_flag=True, help="Replace FILE.mcap if it is there already.")
-def command(port: str, output: Path, duration: float, board: str, calibration: Path | None, overwrite: bool) -> None:
-    """Record the skin at PORT: every byte, decoded frames for viewers, the board's description, tares and events.
+@arguments.as_json("what was recorded")
+def command(port: str, output: Path, duration: float, opening: Opening, overwrite: bool, as_json: bool) -> None:
+    """Record the skin at PORT: every byte, decoded frames for viewers, the board's description, calibration, events.
 
     Ends after the duration, at the end of an emulation, or with Ctrl-C. What was recorded until then can be read,
     whatever ends the command.
     """
     if output.suffix.lower() != ".mcap":
         raise InputError(f"{output}: is no name of a recording; expected FILE.mcap")
-    skin = Skin.open(
-        port,
-        board=board,
-        delivery="every",
-        queue=QUEUE,
-        record=output,
-        overwrite=overwrite,
-        calibration=calibration,
-    )
-    with skin:
+    with opening.open(port, delivery="every", queue=QUEUE, record=output, overwrite=overwrite) as skin:
         start = time.monotonic()
         with progress_bar("recording") as tell:
             while (elapsed := time.monotonic() - start) < duration:
@@ -65,5 +56,19 @@ def command(port: str, output: Path, duration: float, board: str, calibration: P
                 if isfinite(duration):
                     tell(round(1000 * elapsed), round(1000 * duration), f"{skin.stats().frames} frames")
         stats = skin.stats()
-    lost = "unknown" if stats.lost is None else str(stats.lost)
-    click.echo(f"{one_line(str(output))}: {stats.frames} frames, {lost} lost, {stats.reconnects} reconnects", err=True)
+    if as_json:
+        click.echo(json.dumps(_summary(output, stats)))
+    else:
+        lost = "unknown" if stats.lost is None else str(stats.lost)
+        counts = f"{stats.frames} frames, {lost} lost, {stats.reconnects} reconnects"
+        click.echo(f"{one_line(str(output))}: {counts}", err=True)
+
+
+def _summary(output: Path, stats: LinkStatistics) -> dict[str, object]:
+    return {
+        "file": str(output),
+        "frames": stats.frames,
+        "lost": stats.lost,
+        "reconnects": stats.reconnects,
+        "reboots": stats.reboots,
+    }

@@ -12,13 +12,10 @@ from urllib.parse import quote
 
 import click
 
-from ..cell import Cell
-from ..circuits import Design
-from ..driver import Skin, Tare
 from ..emulator import Scene, Stop, stop_on_signals
 from ..view import LiveSource, RecordedSource, Source, serve
-from ..wire import BOARDS
 from . import arguments
+from ._opening import Opening, opening_options
 
 USUAL_PORT = 8700
 """a bookmark stays right from day to day; any other port where this one is in use"""
@@ -41,56 +38,22 @@ USUAL_PORT = 8700
     help="Where to listen. Other machines can then see the page, if they know the token in its address.",
 )
 @click.option("--no-browser", is_flag=True, help="Print the address, and open no browser.")
-@click.option(
-    "--board",
-    default="ohmskin",
-    show_default=True,
-    metavar="NAME",
-    help=f"Family of the board: {', '.join(BOARDS)}.",
-)
-@click.option("--design", "design_file", type=click.Path(path_type=Path), metavar="DESIGN.toml", help="Of the readout.")
-@click.option("--cell", "cell_file", type=click.Path(path_type=Path), metavar="CELL.toml", help="Of the skin.")
-@click.option(
-    "--calibration",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="Rest resistance and gain of each cell, as `ohmskin calibrate` writes them.",
-)
-@click.option("--tare", "tare_file", type=click.Path(path_type=Path), metavar="FILE.npz", help="A saved tare.")
-@click.option("--estimator", metavar="NAME", help="static, paper, inverse, play or distilled [the cell's choice].")
+@opening_options
 def command(
     what: str,
     port: int | None,
     host: str,
     no_browser: bool,
-    board: str,
-    design_file: Path | None,
-    cell_file: Path | None,
-    calibration: Path | None,
-    tare_file: Path | None,
-    estimator: str | None,
+    opening: Opening,
 ) -> int:
     """Show a skin in the browser: the board at PORT, the emulated board of SCENE.toml, or a recording.
 
     The page has a heat map, contacts, pressures over time, the state of the link, and a button for tare; for a
     recording a slider. It needs no internet. Ctrl-C ends it.
     """
-    design = None if design_file is None else Design.load(design_file)
-    cell = None if cell_file is None else Cell.load(cell_file)
-    tare = None if tare_file is None else Tare.load(tare_file)
     with stop_on_signals() as stop:
-        name = _port_name(what, board)
-        skin = Skin.open(
-            name,
-            board=board,
-            design=design,
-            cell=cell,
-            calibration=calibration,
-            estimator=estimator,
-            reconnect=math.inf,  # the page waits for a board that is away
-        )
-        if tare is not None:
-            skin.use_tare(tare)
+        # The page waits for a board that is away, however long.
+        skin = opening.open(_port_name(what, opening.board), reconnect=math.inf)
         source: Source = RecordedSource(skin) if what.endswith(".mcap") else LiveSource(skin, name=_title(what))
         ports = [USUAL_PORT, 0] if port is None else [port]
         asyncio.run(_show(source, host, ports, stop, open_browser=not no_browser))

@@ -1,0 +1,183 @@
+"""Errors that no average lessens: unknown rest resistances and ADC steps, and what the driver says of them."""
+
+from __future__ import annotations
+
+import warnings
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from boards import DESIGN, Wire, lossless, scene
+
+from ohmskin.cell import Cell
+from ohmskin.driver import Frame, Recorder, Skin
+from ohmskin.driver._systematic import SystematicError
+from ohmskin.emulator import Board
+
+SIDE = 10
+FULL_KPA = 15.5
+LOAD_KPA = 9.0
+PRESSED = (4, 5)
+
+
+def board(*, rest_percent: float, bits: int = 12, noise: float = 5e-4, **readout: Any) -> Board:
+    """A skin of 10 x 10 cells, one of which is pressed from 0.5 to 2 s."""
+    design = DESIGN | {
+        "array": {"rows": SIDE, "columns": SIDE, "row_lead": 20.0},
+        "adc": {"bits": bits, "range": [0.0, 3.3]},
+        "readout": DESIGN["readout"] | readout,
+        "sheet": {"pitch": 0.01, "electrode_width": 0.008},
+    }
+    spread = {"rest_percent": rest_percent, "seed": 11}
+    load = [[0.5, 0.0], [0.52, LOAD_KPA], [2.0, LOAD_KPA], [2.02, 0.0]]
+    return Board(
+        scene(
+            skin={"design": design, "spread": spread},
+            board={"frame_rate": 100.0, "noise": noise},
+            contact=[{"cells": [list(PRESSED)], "load_kpa": load}],
+        )
+    )
+
+
+def settled(frames: list[Frame]) -> list[tuple[Frame, np.ndarray]]:
+    """Frames whose load is not just changing, each with the true pressures in kPa."""
+    result = []
+    for frame in frames:
+        assert frame.device_time is not None
+        true = np.zeros((SIDE, SIDE))
+        if 0.7 < frame.device_time < 1.9:
+            true[PRESSED] = LOAD_KPA
+        elif 0.45 < frame.device_time < 2.5:
+            continue
+        result.append((frame, true))
+    return result
+
+
+def deviations(frames: list[Frame]) -> np.ndarray:
+    """Errors of all cells over their stated standard deviations."""
+    return np.array([(frame.pressure - true) / frame.pressure_std for frame, true in settled(frames)])
+
+
+@pytest.mark.parametrize("seen", [3.0, 0.5])
+def test_without_a_tare_the_deviation_covers_the_spread_and_there_are_no_false_contacts(seen: float) -> None:
+    with lossless(Wire(board(rest_percent=seen))) as skin:
+        frames = list(islice(skin, 300))
+        contacts = [frame.contacts for frame in frames]
+        remark = skin.stats().remark
+    error = np.abs(deviations(frames))
+    assert np.mean(error > 3) < 0.01
+    assert error.max() < 6
+    held = [found for frame, found in zip(frames, contacts, strict=True) if 1.0 < (frame.device_time or 0) < 1.9]
+    assert all([tuple(cell) for cell in found[0].cells.tolist()] == [PRESSED] for found in held)
+    assert {len(found) for found in held} == {1}
+    assert not any(contacts[:45])
+    assert (remark is not None and "tare()" in remark) == (seen == 3.0)
+
+
+def test_a_tare_takes_the_spread_out_of_the_deviation_and_undoing_it_brings_it_back() -> None:
+    with lossless(Wire(board(rest_percent=3.0))) as skin:
+        before = list(islice(skin, 60))[-1]
+    with lossless(Wire(board(rest_percent=3.0))) as skin:
+        skin.tare(20)
+        tared = list(islice(skin, 15))[-1]
+        skin.undo_tare()
+        undone = list(islice(skin, 60))[-1]
+    cell = Cell.example()
+    kpa = 0.03 / (cell.model.gain_per_kpa)  # type: ignore[union-attr]  # of kind paper: r per kPa at equilibrium
+    assert np.median(before.pressure_std) == pytest.approx(kpa, rel=0.4)
+    assert np.median(tared.pressure_std) < 0.3 * kpa
+    assert np.median(undone.pressure_std) > 0.6 * kpa
+
+
+def test_cells_that_are_alike_cost_nothing() -> None:
+    stds = []
+    for tare in (False, True):
+        with lossless(Wire(board(rest_percent=0.0))) as skin:
+            if tare:
+                skin.tare(20)
+            stds.append(list(islice(skin, 45 if tare else 65))[-1].pressure_std)
+            assert skin.stats().remark is None
+    assert (stds[0] < stds[1] + 0.01 * FULL_KPA).all()
+
+
+def test_a_data_sheet_that_is_off_makes_no_contact_of_the_whole_skin() -> None:
+    other = Cell.example().replace(rest_resistance_ohm=9000.0)
+    with lossless(Wire(board(rest_percent=1.0)), cell=other) as skin:
+        frames = list(islice(skin, 45))
+        assert not any(frame.contacts for frame in frames)
+        assert np.median(frames[-1].pressure) > 1  # 11 % of the resistance looks like this
+        assert np.mean(np.abs(deviations(frames)) > 3) < 0.01
+
+
+def test_the_least_spread_counts_since_loads_only_add_to_it() -> None:
+    """A skin that is opened while most of it is pressed begins with a large doubt, and loses it when it is left."""
+    pressed = [[i, j] for i in range(SIDE) for j in range(8)]
+    load = [[0.0, LOAD_KPA], [0.5, LOAD_KPA], [0.55, 0.0], [20.0, 0.0], [20.1, LOAD_KPA]]
+    design = DESIGN | {"array": {"rows": SIDE, "columns": SIDE, "row_lead": 20.0}}
+    skin_table = {"design": design, "spread": {"rest_percent": 1.0}}
+    contact = [{"cells": pressed, "load_kpa": load}]
+    whole = Board(scene(skin=skin_table, board={"frame_rate": 20.0, "noise": 5e-4}, contact=contact))
+    with lossless(Wire(whole)) as skin:
+        frames = list(islice(skin, 430))
+    std = [float(np.median(frame.pressure_std[:, 9])) for frame in frames]
+    assert std[8] > 5.0
+    assert std[395] < 1.0
+    assert std[425] < 1.0
+
+
+def test_steps_of_a_quiet_converter_are_in_the_deviation() -> None:
+    with lossless(Wire(board(rest_percent=0.0, bits=8, noise=0.0)), accuracy=0.5) as skin:
+        frames = list(islice(skin, 300))
+    error = np.abs(deviations(frames))
+    assert np.mean(error > 3) < 0.01
+    assert error.max() < 5
+
+
+@pytest.mark.parametrize(("noise", "ohms"), [(0.0, 32.5e3), (0.02, 31e3)])
+def test_cells_of_which_nothing_is_known_leave_the_deviation_a_number(noise: float, ohms: float) -> None:
+    """Saturated cells have an infinite uncertainty; much noise leaves no share of it to ADC steps."""
+    with lossless(Wire(board(rest_percent=2.0, noise=noise, reference_resistance=ohms))) as skin:
+        frames = list(islice(skin, 80))
+    valid = frames[-1].valid
+    assert 0 < valid.sum() < valid.size
+    assert np.isfinite(frames[-1].pressure_std[valid]).all()
+
+
+@pytest.mark.parametrize("kind", ["paper", "asymmetric", "contact"])
+def test_the_slope_by_rest_resistance_is_that_of_the_static_curve(kind: str) -> None:
+    model: dict[str, Any] = {"kind": kind, "exponent": 1.0, "full_scale_resistance_ohm": 500.0}
+    if kind != "contact":
+        burgers = {"e1_kpa": 32.0, "e2_kpa": 60.0, "e3_kpa": 480.0, "eta2_kpa_s": 505.0, "eta3_kpa_s": 48000.0}
+        rising = {"eu1_kpa": 20.0, "etau2_kpa": 80.0, "eu2_kpa_per_s": 16.0} if kind == "paper" else {}
+        model = {"kind": kind, **burgers, **rising}
+    cell = Cell.model_validate({"rest_resistance_ohm": 1e4, "full_scale_kpa": FULL_KPA, "model": model})
+    found = SystematicError(cell).kpa_of_rest(0.01)
+    # 20 kPa per unit of r. A contact adds full scale / 500 ohm to the conductance of rest, 1/10 kohm.
+    assert found == pytest.approx(0.01 * (20.0 if kind != "contact" else FULL_KPA * 500.0 / 1e4), rel=0.05)
+
+
+def test_a_replay_from_the_middle_knows_the_spread(tmp_path: Path) -> None:
+    path = tmp_path / "middle.mcap"
+    with Skin(Wire(board(rest_percent=3.0)), delivery="lossless", queue=4) as skin:
+        list(islice(skin, 40))
+        with Recorder(skin, path):
+            live = {frame.sequence: frame for frame in islice(skin, 60)}
+    with Skin.open(str(path)) as skin:
+        again = list(islice(skin, 50))
+    for frame in again:
+        np.testing.assert_array_equal(frame.pressure_std, live[frame.sequence].pressure_std)
+
+
+def test_the_driver_says_why_hardly_a_cell_is_valid() -> None:
+    """A drive of the wrong sign: all readings stand at the low end of the range."""
+    design = DESIGN | {"drive": {"voltage": 1.0}}
+    with lossless(Wire(Board(scene(skin={"design": design}))), queue=100) as skin:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            list(islice(skin, 60))
+        remark = skin.stats().remark
+    assert remark is not None
+    assert "no cell was valid" in remark
+    assert "current" in remark or "limit" in remark
