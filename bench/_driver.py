@@ -8,6 +8,7 @@ with the default estimator; :func:`live_estimators` through the estimators, on o
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from time import process_time
@@ -279,6 +280,8 @@ def live_picture(rows: Iterable[Row]) -> str:
 
     """
     shown = list(rows)
+    sizes = sorted({row.size for row in shown})
+    markers = dict(zip(sizes, itertools.cycle("osD^vP*X"), strict=False))
     with plots.drawing(1, 2, width=9.0, height=3.4) as (figure, axes):
         panels = axes[0]
         for name in dict.fromkeys(row.estimator for row in shown):
@@ -287,10 +290,12 @@ def live_picture(rows: Iterable[Row]) -> str:
             for panel, errors in zip(
                 panels, ([row.rmse_kpa for row in curve], [row.worst_kpa for row in curve]), strict=True
             ):
-                panel.plot(speeds, errors, "o-", ms=3.5, label=name)
+                (line,) = panel.plot(speeds, errors, "-", label=name)
                 for row, speed, error in zip(curve, speeds, errors, strict=True):
-                    panel.annotate(str(row.size), (speed, error), textcoords="offset points", xytext=(3, 3), fontsize=6)
+                    panel.plot([speed], [error], markers[row.size], ms=5, color=line.get_color())
         for panel, what in zip(panels, ("RMSE", "error of the worst cell"), strict=True):
             panel.set(xscale="log", yscale="log", xlabel="frames per second of processor time", ylabel=f"{what} / kPa")
+        for size, marker in markers.items():
+            panels[0].plot([], [], marker, ms=5, color=plots.INK, label=f"{size} × {size}")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside right upper", fontsize=8)
         return plots.svg(figure)

@@ -4,11 +4,11 @@
 """
 
 from ._catalogue import CATALOGUE, Quantity
-from ._explore import Remedy, Variation, explore, remedies
+from ._explore import Remedy, Variation, best_carbon_black, carbon_black_line, explore, remedies
 from ._explore import picture as explore_picture
 from ._record import ReportRecord, load_record, schema
 from ._report import Report
-from ._requirements import default_requirements, load_requirements
+from ._requirements import check_requirements, default_requirements, load_requirements
 from ._run import prototype, verify
 from ._subject import Subject
 
@@ -20,6 +20,9 @@ __all__ = [
     "ReportRecord",
     "Subject",
     "Variation",
+    "best_carbon_black",
+    "carbon_black_line",
+    "check_requirements",
     "default_requirements",
     "explore",
     "explore_picture",

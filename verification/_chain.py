@@ -18,7 +18,7 @@ from ..circuits import Design, Recoverer, Requirement, Status, adc_codes, appare
 from ..driver import CountReader
 from ..emulator import Contact, Rectangle
 from ..errors import InputError, SolverError
-from ._dynamic import rate_of, settling_share
+from ._dynamic import missing_dynamics, rate_of, settling_share
 from ._outcome import Figure, Measurement, NotRun
 from ._parameters import MAXIMA, Factors
 from ._static import box_of, worst_of
@@ -222,6 +222,7 @@ def one_cell_read(subject: Subject, ohms: FloatArray) -> tuple[FloatArray, float
 def pressure_rmse(subject: Subject, requirement: Requirement, method: str) -> Measurement:
     """RMS error of the pressure of the worst cell while it is touched, % of full scale."""
     rate_of(subject, requirement)
+    _need_dynamics(subject)
     found = [(run.rmse(), run) for run in runs(subject)]
     (error, place), run = max(found, key=lambda item: item[0][0])
     lost = float(run.lost.mean())
@@ -239,6 +240,7 @@ def pressure_rmse(subject: Subject, requirement: Requirement, method: str) -> Me
 def pressure_peak_error(subject: Subject, requirement: Requirement, method: str) -> Measurement:
     """Largest error of the pressure of any cell at any time, % of full scale."""
     rate_of(subject, requirement)
+    _need_dynamics(subject)
     found = [(run.peak(), run) for run in runs(subject)]
     (error, (frame, row, column)), run = max(found, key=lambda item: item[0][0])
     return Measurement(
@@ -248,6 +250,13 @@ def pressure_peak_error(subject: Subject, requirement: Requirement, method: str)
         confidence=f"{len(found)} boards, {len(run.time_s)} frames each, in board time",
         text=[_what_is_in(subject)],
     )
+
+
+def _need_dynamics(subject: Subject) -> None:
+    """Raise NotRun, with all missing keys, where the design does not say how noisy and how fast it is."""
+    absent = missing_dynamics(subject.design)
+    if absent:
+        raise NotRun(f"missing: {', '.join(absent)}")
 
 
 def lost_readings(subject: Subject, requirement: Requirement, method: str) -> Measurement:

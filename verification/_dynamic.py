@@ -55,6 +55,21 @@ def _need(design: Design, *keys: str) -> None:
         raise NotRun(f"missing: {', '.join(absent)}")
 
 
+SETTLING_PARTS = ("readout.gain_bandwidth", "readout.column_capacitance")
+NOISE_PARTS = ("readout.voltage_noise", "readout.temperature", "readout.gain_bandwidth")
+"""of an amplifier that holds its line"""
+PASSIVE_NOISE_PARTS = ("readout.temperature", "adc.sampling_capacitance")
+"""of a divider"""
+
+
+def missing_dynamics(design: Design) -> list[str]:
+    """Keys that noise and settling of the design's readings need, and that it leaves at their ideal value."""
+    circuit = design.board.circuit
+    if circuit.virtual_ground:
+        return missing(design, tuple(dict.fromkeys((*NOISE_PARTS, *SETTLING_PARTS))))
+    return [] if circuit.has_amplifiers else missing(design, PASSIVE_NOISE_PARTS)
+
+
 def _amplifiers_only(design: Design, quantity: str) -> None:
     if not design.board.circuit.virtual_ground:
         modelled = "amplifiers that hold all sensed lines"
@@ -113,7 +128,7 @@ def frames_of(subject: Subject) -> Iterator[tuple[str, FloatArray]]:
 def _settlings(subject: Subject) -> list[tuple[str, Settling]]:
     design = subject.design
     _amplifiers_only(design, "settling")
-    _need(design, "readout.gain_bandwidth", "readout.column_capacitance")
+    _need(design, *SETTLING_PARTS)
     if "settling" not in subject.memo:
         try:
             subject.memo["settling"] = [
@@ -221,9 +236,9 @@ def noise_of(subject: Subject) -> list[tuple[str, FloatArray, Noise]]:
     design = subject.design
     if design.board.circuit.has_amplifiers:
         _amplifiers_only(design, "noise")
-        _need(design, "readout.voltage_noise", "readout.temperature", "readout.gain_bandwidth")
+        _need(design, *NOISE_PARTS)
     else:
-        _need(design, "readout.temperature", "adc.sampling_capacitance")
+        _need(design, *PASSIVE_NOISE_PARTS)
     if "noise" not in subject.memo:
         states = (("at rest", subject.rest), ("at full scale", subject.pressed))
         try:

@@ -30,9 +30,9 @@ from ..progress import Progress, silent
 from ._corner import worst_case
 from ._dynamic import largest_settling_error, pressure_resolution
 from ._link import lost_frames
-from ._outcome import NotRun, Outcome
+from ._outcome import DoesNotApply, NotRun, Outcome
 from ._requirements import evaluate
-from ._static import TARGETS, box_of
+from ._static import TARGETS, adc_headroom, box_of, output_headroom
 from ._subject import Subject
 from ._units import UNITS, conversion, engineering
 
@@ -97,6 +97,9 @@ WAYS: dict[str, tuple[tuple[str, str], ...]] = {
     "valid_cells": (("adc.bits", UP), ("readout.reference_resistance", UP), ("readout.reference_resistance", DOWN)),
 }
 """Parts that could keep a requirement if they were changed alone, by quantity, and in which direction."""
+FRACTIONS = np.geomspace(0.009, 0.06, 25)
+"""carbon black by mass; below, full-scale pressure breaks the last path of many cells"""
+_BETWEEN = 9
 FASTEST_STATED_HZ = 1e6
 """the largest frame rate that a design may state"""
 MOST_BITS = 24
@@ -176,6 +179,57 @@ def explore(subject: Subject, *, points: int = 60, progress: Progress = silent) 
     return [replace(v, front=bool(best)) for v, best in zip(found, front, strict=True)]
 
 
+def best_carbon_black(subject: Subject) -> Variation | None:
+    """The carbon-black fraction with the best pressure resolution through this readout, all else as it is.
+
+    Searched on a grid of :data:`FRACTIONS` and then between the neighbours of the best one. Fractions whose readings
+    leave the range of an output or of the converter at some corner are no candidates.
+
+    Returns:
+        None where the percolation law does not apply (cells that conduct better when pressed), or where the pressure
+        resolution of no fraction is known.
+    """
+    if subject.pressed < subject.rest:
+        return None
+    sigma = {float(fraction): _resolution_kpa(subject, float(fraction)) for fraction in FRACTIONS}
+    best = min(sigma, key=lambda fraction: sigma[fraction])
+    if not np.isfinite(sigma[best]):
+        return None
+    place = list(sigma).index(best)
+    low, high = FRACTIONS[max(place - 1, 0)], FRACTIONS[min(place + 1, len(FRACTIONS) - 1)]
+    for fraction in np.linspace(low, high, _BETWEEN).tolist():
+        sigma[fraction] = _resolution_kpa(subject, fraction)
+    for fraction in sorted((f for f in sigma if np.isfinite(sigma[f])), key=lambda fraction: sigma[fraction]):
+        found = _judged(subject, {"carbon black": fraction})
+        if np.isfinite(found.reading_error_percent) and np.isfinite(found.crosstalk_percent):
+            return found
+    return None
+
+
+def carbon_black_line(best: Variation, own: Variation) -> str:
+    """The best fraction beside the design's own, for a reader."""
+    fraction = best.name.removeprefix("carbon black ")
+    return (
+        f"carbon black: {fraction} by mass has the best pressure resolution through this readout, "
+        f"{engineering(best.resolution_kpa, 'kPa')}; the design's cell ({100 * KNOWN_FRACTION:g} %) has "
+        f"{engineering(own.resolution_kpa, 'kPa')}"
+    )
+
+
+def _resolution_kpa(subject: Subject, fraction: float) -> float:
+    """One standard deviation of pressure, kPa; inf where it is not known or where readings leave a range."""
+    here = varied(subject, {"carbon black": fraction})
+    asked = Requirement(id="explore", quantity="pressure_resolution")
+    for headroom in (output_headroom, adc_headroom):
+        with suppress(NotRun, DoesNotApply):
+            if not headroom(here, asked, "nominal").value >= 0:
+                return inf
+    try:
+        return pressure_resolution(here, asked, "nominal").value
+    except (NotRun, InputError, SolverError):
+        return inf
+
+
 def pareto(figures: np.ndarray) -> BoolArray:
     """Which rows (points, figures) no other row dominates; smaller is better. A row with NaN or inf is dominated."""
     finite = np.isfinite(figures).all(axis=1)
@@ -194,16 +248,21 @@ def remedies(subject: Subject, requirements: tuple[Requirement, ...]) -> list[Re
     """
     found = []
     for requirement in requirements:
-        if requirement.method not in (None, "worst-case", "nominal"):
+        if not may_be_mended(requirement):
             continue
-        ways = WAYS.get(requirement.quantity, ())
-        if not ways or (missed := _judge(subject, requirement)) is None or missed.kept:
+        ways = WAYS[requirement.quantity]
+        if (missed := _judge(subject, requirement)) is None or missed.kept:
             continue
         for key, direction in ways:
             remedy = _remedy(subject, requirement, key, direction, missed)
             if remedy is not None:
                 found.append(remedy)
     return found
+
+
+def may_be_mended(requirement: Requirement) -> bool:
+    """Whether :func:`remedies` looks for parts that keep the requirement."""
+    return requirement.quantity in WAYS and requirement.method in (None, "worst-case", "nominal")
 
 
 def picture(variations: list[Variation]) -> str:
@@ -414,5 +473,5 @@ def _scaled(design: Design, key: str, factor: float) -> Design:
 
 def _shown(axis: str, value: float) -> str:
     if axis == "carbon black":
-        return f"{100 * value:g} %"
+        return f"{100 * value:.3g} %"
     return f"{value:+g}" if axis == "ADC bits" else f"× {value:g}"

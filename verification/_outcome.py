@@ -160,6 +160,20 @@ class Measurement:
     """Monte Carlo: why the boards neither prove the wanted yield nor miss it, and what would decide"""
     figures: Sequence[Figure] = ()
     tables: Sequence[Table] = ()
+    corner: Corner | None = None
+    """worst case: what to solve to find the value again"""
+
+
+@dataclass(frozen=True)
+class Corner:
+    """One corner of the tolerances, ready for ``scan``."""
+
+    cell: tuple[int, int]
+    """the cell that is judged"""
+    parts: Mapping[str, Sequence[float]]
+    """SI values, one per line, of every kind of part that has a spread; by section and key of the design"""
+    cells_ohm: Sequence[Sequence[Sequence[float]]]
+    """(frames, rows, columns)"""
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from scipy.special import erfinv
 
 from ..arrays import FloatArray
 from ..circuits import Boards, Design, Spread
+from ._units import UNITS, engineering
 
 SECTION = {
     "row_lead": "array",
@@ -161,13 +162,35 @@ class Factors:
     def describe(self, factors: FloatArray) -> str:
         """A corner in words: parts, and the sign of each line."""
         signs: dict[str, list[tuple[str, int]]] = {}
+        packaged = {factor.key for factor in self.factors if factor.package is not None}
         for factor, value in zip(self.factors, factors, strict=True):
             if value == 0:
                 continue
             place = "" if factor.line is None else str(factor.line)
-            label = f"package {factor.package}" if factor.package is not None else place
-            signs.setdefault(factor.key, []).append((label, 1 if value > 0 else -1))
-        return "; ".join(f"{key} {_signs(lines)}" for key, lines in signs.items()) or "nominal parts"
+            if factor.package is not None:
+                place = f"package {factor.package}"
+            elif factor.key in packaged:
+                place = f"line {place}"
+            signs.setdefault(factor.key, []).append((place, 1 if value > 0 else -1))
+        told = (f"{key} {_signs(lines)}{self._negative(key, factors)}" for key, lines in signs.items())
+        return "; ".join(told) or "nominal parts"
+
+    def varied(self, factors: FloatArray) -> dict[str, FloatArray]:
+        """(L,) values of every kind of part that has a spread, for factors (F,)."""
+        found = {}
+        for key, matrix in self.matrix.items():
+            if matrix.any():
+                values = self.values(key, factors[None])[0]
+                found[key] = np.maximum(values, 1.0) if key == "readout.open_loop_gain" else values
+        return found
+
+    def _negative(self, key: str, factors: FloatArray) -> str:
+        """The value of a negative part, whose "high" is its smaller magnitude; empty for others."""
+        if key not in self.centre or len(self.centre[key]) > 1 or self.centre[key][0] >= 0:
+            return ""
+        section, name = key.split(".")
+        value = float(self.values(key, factors[None])[0, 0])
+        return f" ({engineering(value, UNITS[section].get(name, ''))})"
 
 
 def _signs(lines: list[tuple[str, int]]) -> str:

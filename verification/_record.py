@@ -22,6 +22,14 @@ class _Record(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
+class CornerRecord(_Record):
+    """The worst corner, ready to be solved by `scan`: the design with `parts`, and the cells of each frame."""
+
+    cell: tuple[int, int] = Field(description="row and column of the cell that is judged")
+    parts: dict[str, list[Number]] = Field(description="SI values, one per line, by section and key of the design")
+    cells_ohm: list[list[list[Number]]] = Field(description="resistances of all cells, one table per frame")
+
+
 class RequirementRecord(_Record):
     """A requirement and its result."""
 
@@ -43,6 +51,7 @@ class RequirementRecord(_Record):
     contributions: dict[str, float] = Field(description="by kind of part, in `unit`")
     samples: list[Number] = Field(description="one per board of the Monte Carlo analysis, in `unit`")
     seconds: float
+    corner: CornerRecord | None = Field(default=None, description="of a worst case")
 
 
 class CheckRecord(_Record):

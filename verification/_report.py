@@ -25,14 +25,16 @@ from ..files import make_folder, write_together
 from ..text import printable
 from ._budget import error_budget
 from ._catalogue import CATALOGUE
+from ._explore import may_be_mended
 from ._export import export_samples
-from ._outcome import Claim, Figure, Measurement, Outcome, Result, worst
+from ._outcome import Claim, Corner, Figure, Measurement, Outcome, Result, worst
 from ._parameters import MAXIMA
 from ._record import (
     SCHEMA_VERSION,
     ChangeRecord,
     CheckRecord,
     ClaimRecord,
+    CornerRecord,
     ReportRecord,
     RequirementRecord,
     compare,
@@ -81,6 +83,8 @@ class Report:
     """the limits are the shipped defaults, not the user's"""
     changes: list[ChangeRecord] = field(default_factory=list)
     """against an older report"""
+    explore_command: str = ""
+    """that says which single parts mend failed requirements; empty: the design has no file"""
     finished: datetime = field(default_factory=lambda: datetime.now(UTC))
 
     @property
@@ -110,6 +114,11 @@ class Report:
         outcomes = [r.outcome for r in self.results] + [claim.outcome for claim in self.sections]
         return sum(found == outcome for found in outcomes)
 
+    def to_mend(self, result: Result) -> str:
+        """The command to type about a failed requirement; empty where exploration has no answer."""
+        failed = result.outcome is Outcome.FAIL and may_be_mended(result.requirement)
+        return self.explore_command if failed else ""
+
     @property
     def not_judged(self) -> list[str]:
         """Quantities of the catalogue that no requirement names."""
@@ -133,6 +142,20 @@ class Report:
                 if check.outcome is Outcome.NOT_RUN
             ]
         return found
+
+    @property
+    def left_out_by_reason(self) -> list[tuple[str, str]]:
+        """(what, reason), one line per reason: ids with their titles, or ids alone where many share it."""
+        by_reason: dict[str, list[tuple[str, str]]] = {}
+        for id, what, reason in self.left_out:
+            by_reason.setdefault(reason, []).append((id, what))
+        return [
+            (
+                ", ".join(dict.fromkeys(id for id, _ in items)) if len(items) > 2 else "; ".join(map(" ".join, items)),
+                why,
+            )
+            for why, items in by_reason.items()
+        ]
 
     def against(self, old: ReportRecord) -> Report:
         """The same report with its changes against an older one."""
@@ -295,6 +318,9 @@ class Report:
             where = "" if r.measurement is None else r.measurement.where if r.outcome is Outcome.PASS else r.why
             cells = (f"{r.requirement.id} {r.title}", r.outcome, r.limit, r.found, r.margin_shown, where)
             lines.append("| " + " | ".join(printable(str(c)).replace("|", "\\|") for c in cells) + " |")
+        mended = [r.requirement.id for r in self.results if self.to_mend(r)]
+        if mended:
+            lines += ["", f"Which single part would mend {', '.join(mended)}: `{printable(self.explore_command)}`"]
         if self.sections:
             lines += ["", "| claim | outcome |", "|---|---|"]
             lines += [f"| {claim.id} {claim.title} | {claim.outcome} |" for claim in self.sections]
@@ -379,6 +405,15 @@ def _requirement_record(result: Result) -> RequirementRecord:
         contributions={k: v for k, v in (found.contributions if found else {}).items() if math.isfinite(v)},
         samples=[number(value) for value in (found.samples if found else ())],
         seconds=round(result.seconds, 4),
+        corner=_corner_record(found.corner) if found and found.corner else None,
+    )
+
+
+def _corner_record(corner: Corner) -> CornerRecord:
+    return CornerRecord(
+        cell=corner.cell,
+        parts={key: [number(value) for value in values] for key, values in corner.parts.items()},
+        cells_ohm=[[[number(ohms) for ohms in row] for row in frame] for frame in corner.cells_ohm],
     )
 
 

@@ -176,6 +176,23 @@ def _own_function(quantity: str, folder: Path) -> Callable[..., Any]:
 def _own(subject: Subject, requirement: Requirement, folder: Path) -> Measurement:
     """A quantity of the user's own: ``function(design, cell)`` to a number, or to a number and a place."""
     function = _own_function(requirement.quantity, folder)
-    found = function(subject.design, subject.cell)
-    value, where = found if isinstance(found, tuple) else (found, "")
-    return Measurement(float(value), requirement.unit, where=str(where), confidence=f"as {requirement.quantity} says")
+    try:
+        found = function(subject.design, subject.cell)
+        value, where = found if isinstance(found, tuple) else (found, "")
+        number = float(value)
+    except NotRun:
+        raise
+    except Exception as error:
+        raise NotRun(_where_raised(error, folder / requirement.quantity.rpartition(":")[0])) from error
+    return Measurement(number, requirement.unit, where=str(where), confidence=f"as {requirement.quantity} says")
+
+
+def _where_raised(error: Exception, path: Path) -> str:
+    """The error of a user's function in one line, with the last line of the user's file that it came through."""
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if Path(frame.filename).resolve() == path.resolve()
+    ]
+    place = f"{path.name}, line {lines[-1]}" if lines else f"what {path.name} returns"
+    return " ".join(f"{place}: {type(error).__name__}: {error}".split())

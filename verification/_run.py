@@ -32,7 +32,7 @@ from ..files import make_folder, read_text
 from ..progress import Progress, silent
 from ..tables import write_text
 from ..workers import in_processes
-from ._catalogue import SAMPLED
+from ._catalogue import HARDWARE, SAMPLED
 from ._claims import APPENDICES, STATEMENTS, Statement
 from ._hardware import twins
 from ._montecarlo import BLOCK, Samples, blocks, sample_block
@@ -43,6 +43,8 @@ from ._static import box_of, patterns_of
 from ._subject import SAMPLES, SEED, Subject, everything_of
 
 NO_PORT = ("emulated", "firmware")
+ON_TARGET = ("P14",)
+"""claims that talk to the target of the run"""
 _READING = ("crosstalk", "reading_error", "gain_error")
 
 
@@ -238,13 +240,25 @@ def _run_all(
         progress(done, len(tasks), task.what)
 
     run = partial(_do, work)
+    # A port has one owner: what is measured on the board is measured here, one after the other.
+    in_processes(run, [task for task in left if _on_board(work, task)], jobs=1, done=tell)
+    apart = [task for task in left if not _on_board(work, task)]
     if executor is None:
-        in_processes(run, left, jobs=jobs, done=tell)
+        in_processes(run, apart, jobs=jobs, done=tell)
     else:
-        futures = [executor.submit(run, task) for task in left]
+        futures = [executor.submit(run, task) for task in apart]
         for future in as_completed(futures):
             tell(future.result())
     return found
+
+
+def _on_board(work: Work, task: Task) -> bool:
+    """Whether a task talks to the target of the run."""
+    if work.subject.target == "emulated":
+        return False
+    if task.kind == "requirement":
+        return work.requirements[task.number].method == HARDWARE
+    return task.kind == "claim" and [*STATEMENTS, *APPENDICES][task.number].id in ON_TARGET
 
 
 _subjects: dict[str, Subject] = {}

@@ -13,7 +13,7 @@ from ..errors import InputError
 from ._corner import Box, Crosstalk, GainError, ReadingError, Target, WorstCase, named_corners, worst_case
 from ._maps import value_map
 from ._montecarlo import CONFIDENCE, Samples, blocks, boards_needed, proportion_bounds, sample_block
-from ._outcome import DoesNotApply, Figure, Measurement, NotRun
+from ._outcome import Corner, DoesNotApply, Figure, Measurement, NotRun
 from ._parameters import Factors
 from ._subject import Subject
 from ._units import engineering
@@ -68,7 +68,8 @@ def reading_quantity(quantity: str, subject: Subject, requirement: Requirement, 
     if spread and len(subject.factors):
         where += f"; {subject.factors.describe(found.corner.factors[0])}"
     if not np.isfinite(magnitude):
-        return Measurement(inf, "%", where=f"{where}: beyond the converter's range, or an output at its limit")
+        beyond = f"{where}: beyond the converter's range, or an output at its limit"
+        return Measurement(inf, "%", where=beyond, corner=_corner_of(found))
     contributions = {key: 100 * value for key, value in found.contributions.items()} if spread else {}
     return Measurement(
         magnitude,
@@ -77,6 +78,16 @@ def reading_quantity(quantity: str, subject: Subject, requirement: Requirement, 
         confidence=found.search,
         contributions=contributions,
         figures=_maps(found, requirement),
+        corner=_corner_of(found),
+    )
+
+
+def _corner_of(found: WorstCase) -> Corner:
+    parts = found.box.factors.varied(found.corner.factors[0])
+    return Corner(
+        cell=found.cell,
+        parts={key: values.tolist() for key, values in parts.items()},
+        cells_ohm=[frame.tolist() for frame in found.frames],
     )
 
 

@@ -13,7 +13,18 @@ from ..cell import Cell
 from ..circuits import Design
 from ..errors import MissingExtra
 from ..files import check_writable, make_folder, write_together
-from ..verification import Subject, Variation, default_requirements, explore, explore_picture, remedies
+from ..verification import (
+    Subject,
+    Variation,
+    best_carbon_black,
+    carbon_black_line,
+    check_requirements,
+    default_requirements,
+    explore,
+    explore_picture,
+    load_requirements,
+    remedies,
+)
 from . import arguments
 from ._bar import progress_bar
 
@@ -21,29 +32,45 @@ from ._bar import progress_bar
 @click.command(epilog=arguments.example("ohmskin explore design.toml -o variations"))
 @arguments.design_file
 @click.option("--cell", "cell_file", metavar="CELL.toml", help="What the skin is made of.")
+@click.option(
+    "--requirements", "requirement_files", multiple=True, metavar="FILE", help="Requirements beside the design."
+)
 @click.option("-o", "--output", metavar="DIR", help="Write explore.csv and explore.svg here.")
 @click.option("--points", type=click.IntRange(min=1), default=60, show_default=True, help="Variations in all.")
 @click.option("--seed", type=click.IntRange(min=0), default=1, show_default=True, help="Of the random combinations.")
-def command(design_file: Path, cell_file: str | None, output: str | None, points: int, seed: int) -> None:
+def command(
+    design_file: Path,
+    cell_file: str | None,
+    requirement_files: tuple[str, ...],
+    output: str | None,
+    points: int,
+    seed: int,
+) -> None:
     """Vary a design: what each change buys, and what must change to keep its requirements."""
     design = Design.load(design_file)
+    beside = [requirement for file in requirement_files for requirement in load_requirements(file)]
+    requirements = (*design.requirement, *beside) or default_requirements(design)
+    check_requirements(requirements, design_file.parent)
     subject = Subject(design, None if cell_file is None else Cell.load(cell_file), seed=seed)
     folder = None if output is None else make_folder(output)
     if folder is not None:
         check_writable(folder / "explore.csv", folder / "explore.svg")
     with progress_bar("exploring") as progress:
         variations = explore(subject, points=points, progress=progress)
+    best = best_carbon_black(subject)
     click.echo(
         f"{'reading error':>14} {'crosstalk':>10} {'resolution':>13} {'settling':>10} {'rate':>10}  the Pareto front"
     )
     for variation in sorted(variations, key=lambda v: v.reading_error_percent):
         if variation.front or not variation.changes:
             click.echo(_line(variation))
-    for remedy in remedies(subject, design.requirement or default_requirements(design)):
+    if best is not None:
+        click.echo(carbon_black_line(best, variations[0]))
+    for remedy in remedies(subject, requirements):
         click.echo(remedy.line)
     if folder is None:
         return
-    contents: dict[str | Path, bytes | None] = {folder / "explore.csv": _table(variations).encode()}
+    contents: dict[str | Path, bytes | None] = {folder / "explore.csv": _table(variations, best).encode()}
     try:
         contents[folder / "explore.svg"] = explore_picture(variations).encode()
     except MissingExtra as error:
@@ -59,11 +86,12 @@ def _line(v: Variation) -> str:
     return f"{figures} {mark} {v.name}"
 
 
-def _table(variations: list[Variation]) -> str:
+def _table(variations: list[Variation], best: Variation | None) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     names = ["reading_error_percent", "crosstalk_percent", "resolution_kpa", "settling_error_percent", "frame_rate_hz"]
-    writer.writerow(["variation", *names, "pareto_front"])
-    for v in variations:
-        writer.writerow([v.name, *(repr(float(getattr(v, name))) for name in names), int(v.front)])
+    writer.writerow(["variation", *names, "pareto_front", "best_carbon_black"])
+    for v in [*variations, *([] if best is None else [best])]:
+        figures = (repr(float(getattr(v, name))) for name in names)
+        writer.writerow([v.name, *figures, int(v.front), int(v is best)])
     return text.getvalue()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +120,7 @@ def command(
             command=_command(design_file, cell_file, requirement_files, paper, seed, samples),
             progress=progress,
         )
+    report = replace(report, explore_command=_explore_command(design_file, cell_file, requirement_files))
     if old is not None:
         report = report.against(old)
     paths, missing = report.write(folder)
@@ -145,6 +148,9 @@ def _say(report: Report) -> None:
             if check.outcome != "pass":
                 reason = check.found.splitlines()[-1] if check.found else ""
                 click.echo(printable(f"       {'':14} {check.name}: {reason}"))
+    mended = [r.requirement.id for r in report.results if report.to_mend(r)]
+    if mended:
+        click.echo(printable(f"Which single part would mend {', '.join(mended)}: {report.explore_command}"))
     for change in report.changes:
         if change.change != "same":
             click.echo(
@@ -159,6 +165,14 @@ def _command(
     parts += [f"--requirements {file}" for file in requirements]
     parts += ["--paper" if paper else "", f"--seed {seed} --samples {samples}"]
     return " ".join(part for part in parts if part)
+
+
+def _explore_command(design: str | None, cell: str | None, requirements: tuple[str, ...]) -> str:
+    if design is None:
+        return ""
+    options = [f"--cell {shlex.quote(cell)}"] if cell else []
+    options += [f"--requirements {shlex.quote(file)}" for file in requirements]
+    return " ".join(["ohmskin explore", shlex.quote(design), *options])
 
 
 def _catalogue() -> str:

@@ -1,0 +1,180 @@
+"""What an engineer who signs a design asks of its verification: corners to solve alone, reasons, commands to type."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from threading import get_ident
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ohmskin.circuits import Design, Requirement, apparent_resistance, scan
+from ohmskin.verification import Report, Subject, _run, best_carbon_black, verify
+from ohmskin.verification._explore import _judged
+from ohmskin.verification._requirements import evaluate
+
+WRITTEN = """
+[array]
+rows = 5
+columns = 3
+row_segment = 0.4
+row_lead = { nominal = 12.0, tolerance = 0.4, matching = 0.05, package = 2, temperature_coefficient = 0.003 }
+[drive]
+voltage = { nominal = -0.6, tolerance = 0.005 }
+[readout]
+circuit = "inverting-amplifier"
+reference_voltage = 0.7
+reference_resistance = { nominal = 33e3, tolerance = 0.01, temperature_coefficient = 50e-6 }
+offset_voltage = 0.5e-3
+bias_current = 1e-9
+supply = [0.02, 3.28]
+[adc]
+bits = 10
+range = [0.0, 3.3]
+offset_voltage = 2e-3
+gain_error = 0.002
+inl_steps = 1.0
+[cells]
+rest_resistance = { nominal = 15000.0, tolerance = 0.08 }
+full_scale_resistance = 24000.0
+full_scale_kpa = 40.0
+[operation]
+frame_rate = 100.0
+baudrate = 921600
+temperature_range = [263.15, 333.15]
+"""
+
+
+@pytest.fixture
+def design(tmp_path: Path) -> Design:
+    path = tmp_path / "design.toml"
+    path.write_text(WRITTEN)
+    return Design.load(path)
+
+
+def _verified(design: Design, **asked: Any) -> Report:
+    return verify(design, requirements=[Requirement(id="R", **asked)])
+
+
+def _solved_alone(design: Design, corner: Any) -> list[tuple[float, float, float]]:
+    """(true ohm, lowest and highest ohm read within half an ADC step) of the judged cell, frame by frame."""
+    sections: dict[str, dict[str, Any]] = {}
+    for key, values in corner.parts.items():
+        section, name = key.split(".")
+        sections.setdefault(section, {})[name] = tuple(values) if len(values) > 1 else values[0]
+    board = design.replace(**sections)
+    adc = board.adc
+    assert adc is not None
+    found = []
+    for frame in corner.cells_ohm:
+        cells = np.array(frame)
+        volts = scan(board, cells, method="exact").volts
+        line = volts * (1.0 + adc.gain_error) + adc.offset_voltage
+        share = line / adc.range[1]
+        converted = line + adc.inl_steps * adc.step * 4.0 * share * (1.0 - share)
+        ends = [
+            apparent_resistance(design, converted + half * adc.step)[corner.cell[0], corner.cell[1]]
+            for half in (-0.5, 0.5)
+        ]
+        found.append((float(cells[corner.cell[0], corner.cell[1]]), min(ends), max(ends)))
+    return found
+
+
+def test_named_corner_solved_alone_gives_stated_error(design: Design) -> None:
+    record = _verified(design, quantity="reading_error", max=5.0, unit="%").record().requirements[0]
+    assert record.corner is not None
+    ((true, low, high),) = _solved_alone(design, record.corner)
+    assert record.measured == pytest.approx(100 * max(abs(low / true - 1), abs(high / true - 1)), rel=1e-9)
+
+
+def test_named_corner_solved_alone_gives_stated_crosstalk(design: Design) -> None:
+    record = _verified(design, quantity="crosstalk", max=5.0, unit="%").record().requirements[0]
+    assert record.corner is not None
+    (_, low, high), (_, low_after, high_after) = _solved_alone(design, record.corner)
+    expected = max(high_after / low - 1, 1 - low_after / high)
+    assert record.measured == pytest.approx(100 * expected, rel=1e-9)
+
+
+def test_corner_says_which_package_and_what_a_negative_part_is(design: Design) -> None:
+    where = _verified(design, quantity="reading_error", max=5.0, unit="%").record().requirements[0].where
+    assert "drive.voltage high (−597 mV)" in where or "drive.voltage low (−603 mV)" in where
+
+
+def test_pressure_is_not_judged_without_noise_and_speed(design: Design) -> None:
+    for quantity in ("pressure_rmse", "pressure_peak_error"):
+        result = _verified(design, quantity=quantity, max=5.0, unit="%").results[0]
+        assert result.outcome == "not run"
+        for key in ("voltage_noise", "gain_bandwidth", "column_capacitance", "temperature"):
+            assert f"readout.{key}" in result.reason
+
+
+def test_error_in_own_quantity_names_its_line(design: Design, tmp_path: Path) -> None:
+    (tmp_path / "own.py").write_text(
+        "def crash(design, cell):\n    return 1 / 0\n\ndef words(design, cell):\n    return 'a'\n"
+    )
+    crash, words = (
+        evaluate(Subject(design, None), Requirement(id="R", quantity=f"own.py:{name}", max=1.0), tmp_path)
+        for name in ("crash", "words")
+    )
+    assert crash.outcome == words.outcome == "not run"
+    assert crash.reason == "own.py, line 2: ZeroDivisionError: division by zero"
+    assert words.reason.startswith("what own.py returns: ValueError")
+
+
+def test_what_a_board_measures_is_measured_by_the_process_that_owns_its_port(
+    design: Design, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = (
+        Requirement(id="sim", quantity="noise", max=1.0, unit="V"),
+        Requirement(id="board", quantity="noise", max=1.0, unit="V", method="hardware"),
+    )
+    work = _run.Work(Subject(design, None, "/dev/board"), asked, Path())
+    tasks = [_run.Task(f"requirement-{k}", "", "requirement", k) for k in range(2)]
+    seen: dict[str, list[str]] = {"here": [], "apart": []}
+
+    def noted(function: Any, items: Any, *, jobs: int, done: Any) -> list[Any]:
+        seen["here" if jobs == 1 else "apart"] += [item.key for item in items]
+        for item in items:
+            done((item, get_ident()))
+        return []
+
+    monkeypatch.setattr(_run, "in_processes", noted)
+    _run._run_all(work, tasks, _run._Store(None, ""), 2, None, lambda *_: None)
+    assert seen == {"here": ["requirement-1"], "apart": ["requirement-0"]}
+
+
+def test_failed_requirement_says_the_command_to_type(design: Design) -> None:
+    report = replace(
+        _verified(design, quantity="reading_error", max=0.1, unit="%"), explore_command="ohmskin explore design.toml"
+    )
+    assert report.to_mend(report.results[0]) == "ohmskin explore design.toml"
+    assert "ohmskin explore design.toml" in report.markdown()
+    kept = _verified(design, quantity="reading_error", max=50.0, unit="%")
+    assert not replace(kept, explore_command="x").to_mend(kept.results[0])
+
+
+def test_many_requirements_with_one_reason_take_one_line(design: Design) -> None:
+    asked = [Requirement(id=f"R{k}", quantity="phase_margin", min=45.0) for k in range(5)]
+    report = verify(design, requirements=asked)
+    ((what, why),) = report.left_out_by_reason
+    assert what == "R0, R1, R2, R3, R4"
+    assert "readout.gain_bandwidth" in why
+
+
+def test_best_carbon_black_is_finer_than_its_neighbours(design: Design) -> None:
+    noisy = design.replace(
+        readout={"voltage_noise": 16e-9, "temperature": 300.0, "gain_bandwidth": 3e6, "column_capacitance": 1e-10}
+    )
+    subject = Subject(noisy, None)
+    best = best_carbon_black(subject)
+    assert best is not None
+    assert np.isfinite(best.figures[:3]).all()
+    fraction = best.changes["carbon black"]
+    for factor in (0.8, 1.25):
+        other = _judged(subject, {"carbon black": factor * fraction})
+        beyond = not np.isfinite(other.figures[:3]).all()
+        assert beyond or other.resolution_kpa >= best.resolution_kpa
+    pressed_conducts = noisy.replace(cells={"rest_resistance": 24e3, "full_scale_resistance": 15e3})
+    assert best_carbon_black(Subject(pressed_conducts, None)) is None
