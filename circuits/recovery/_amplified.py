@@ -78,6 +78,10 @@ class _Base(NamedTuple):
     off: FloatArray | None
     """S by which the model may be wrong; None where that is below the tolerance"""
 
+    def own_part(self, transfer: FloatArray) -> FloatArray:
+        """S (N, M) of transfer conductances that is the cells' own current: an ADC step is a share of that."""
+        return transfer if self.shift is None else np.maximum(transfer + self.shift / self.gain, 0.0)
+
 
 class _Anchor(NamedTuple):
     """An exact solution: what attenuation misses there, and the certified bound on it. Arrays are (N, M) in S."""
@@ -222,6 +226,7 @@ class AmplifiedLive:
             conductance, off = self._settle(transfer)
             assert self._base is not None
             gain = self._base.gain
+            transfer = self._base.own_part(transfer)
         levels = self._levels_at(gain, noise)
         if limited is None and off is None and levels.least is not None and not self._faulty:
             valid = transfer >= levels.least
