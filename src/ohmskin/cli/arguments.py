@@ -32,13 +32,6 @@ class _Positive(click.ParamType):  # type: ignore[type-arg]  # generic in later 
 
 positive = _Positive()
 
-calibration = click.option(
-    "--calibration",
-    type=click.Path(path_type=Path),
-    metavar="FILE.toml",
-    help="Rest resistance and gain of each cell, as ohmskin calibrate writes them.",
-)
-
 
 def as_json(what: str) -> Callable[[Any], Any]:
     """The option ``--json``, for commands whose answer a program may read."""
