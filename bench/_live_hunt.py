@@ -231,7 +231,7 @@ def table(tallies: dict[str, LiveTally]) -> str:
         kinds = ", ".join(str(tally.count(kind)) for kind in KINDS)
         valid = 100.0 * tally.valid / max(tally.cells, 1)
         lines.append(
-            f"{family:13} {tally.boards:7} {tally.unreadable:7} {tally.frames:7} {valid:6.1f}% {tally.used:6.2f} {tally.slowest:8.1f}"
-            f"  {len(tally.findings)}: {kinds}"
+            f"{family:13} {tally.boards:7} {tally.unreadable:7} {tally.frames:7} {valid:6.1f}% {tally.used:6.2f}"
+            f" {tally.slowest:8.1f}  {len(tally.findings)}: {kinds}"
         )
     return "\n".join(lines)
