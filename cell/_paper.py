@@ -347,8 +347,8 @@ class TurningEstimator(Estimator):
         np.dot(self._taken_over, of.state, of.change)
         np.multiply(of.not_rising, again, of.rising_share)
         np.multiply(of.not_recovery, again, of.recovery_share)
-        for change in of.changes_by_model:
-            change *= of.share
+        for pair in of.changes_by_model:
+            np.multiply(pair, of.share, pair)
         of.hypotheses += of.change
 
         np.subtract(of.ahead, of.unsure, of.spare)
