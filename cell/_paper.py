@@ -338,7 +338,7 @@ class TurningEstimator(Estimator):
 
         # The other hypothesis begins anew as long as the pressure is near its extreme.
         below_peak = np.subtract(of.peak, of.ahead, of.spare)
-        np.maximum(of.unsure, self._flat_kpa, of.nearby)
+        np.maximum(of.unsure, self._flat_kpa, out=of.nearby)
         again = np.less(below_peak, of.nearby, of.where).astype(np.float64)
         again *= self._again
         np.copyto(again, 1.0, where=np.less_equal(below_peak, self._exact_kpa, of.where))
@@ -352,10 +352,10 @@ class TurningEstimator(Estimator):
         of.hypotheses += of.change
 
         np.subtract(of.ahead, of.unsure, of.spare)
-        np.maximum(of.peak, of.spare, of.peak)
+        np.maximum(of.peak, of.spare, out=of.peak)
         of.unsure *= self._less
         of.ahead -= of.unsure
-        np.maximum(of.extreme, of.ahead, of.extreme)
+        np.maximum(of.extreme, of.ahead, out=of.extreme)
         of.doubt *= of.fade
         apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
         apart *= self._either
@@ -372,7 +372,7 @@ class TurningEstimator(Estimator):
         np.multiply(std, of.gain, of.unsure)
         np.multiply(of.unsure, self._sure, of.threshold)
         of.threshold += self._turn_kpa
-        np.maximum(of.pressure, self._least_kpa, of.ahead)
+        np.maximum(of.pressure, self._least_kpa, out=of.ahead)
         of.ahead *= of.sign
 
     def _gone_back(self, of: _Rows, std: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -136,7 +136,7 @@ def advance(
     m.up += m.z
     m.down -= m.z
     sums -= _ALLOWED
-    np.maximum(sums, _ZERO, sums)
+    np.maximum(sums, _ZERO, out=sums)
     m.count += _ONE
     np.copyto(m.n, m.count, casting="unsafe")
     gains.rows.take(m.n, axis=1, out=m.gains, mode="clip")  # the last entry holds from there on
