@@ -245,7 +245,7 @@ def test_the_pressure_suffers_from_noise_offsets_and_haste(
 
 
 def test_the_skin_is_untouched_while_it_is_tared(sound: dict[str, float]) -> None:
-    """However long a tare takes, or however slowly large arrays are followed, no press gets into the rest resistance."""
+    """However long a tare takes, or however slowly an array is followed, no press gets into the rest resistance."""
     design = parse(tomllib.loads(complete(AMPLIFIED)), Design, source="complete")
     slow = design.replace(operation={"readings_per_calibration": 400})  # 8 s; the first press comes after 2 s
     found = verify(slow, requirements=_asked("pressure_rmse")).results[0].measurement
