@@ -9,6 +9,7 @@
 :mod:`._ends`                      columns that end in a Thevenin equivalent
 :mod:`._linear`                    outputs as a linear function of transfer conductances
 :mod:`._adjoint`                   what the derivatives of readings are made of
+:mod:`._quick`                     outputs and their fields by plain nodal analysis, without bounds
 =================================  =====================================================================
 """
 
@@ -17,6 +18,7 @@ from ._circuit import Reading, ReadoutCircuit
 from ._ends import sum_of_others
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
+from ._quick import QuickFields, QuickNetwork
 from ._row_amplifier import RowAmplifier
 from ._voltage_divider import VoltageDivider
 from ._voltage_feedback import VoltageFeedback
@@ -29,6 +31,8 @@ CIRCUITS: dict[str, ReadoutCircuit] = {
 __all__ = [
     "CIRCUITS",
     "LinearReadout",
+    "QuickFields",
+    "QuickNetwork",
     "Reading",
     "ReadoutCircuit",
     "SensitivityGroup",

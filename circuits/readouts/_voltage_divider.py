@@ -18,7 +18,14 @@ from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
 from ._circuit import Reading, ReadoutCircuit, rounding_floor
 from ._ends import Ends, column_currents, terminate
 from ._inverting_amplifier import drive_over_signal
-from ._quick import open_column_outputs, terminated_outputs
+from ._quick import (
+    QuickFields,
+    QuickNetwork,
+    open_column_fields,
+    open_column_outputs,
+    terminated_fields,
+    terminated_outputs,
+)
 
 if TYPE_CHECKING:
     from .._board import Board
@@ -57,10 +64,23 @@ class VoltageDivider(ReadoutCircuit):
             relative=float(relative.max(initial=0.0)),
         )
 
-    def quick_outputs(self, board: Board, driven: FloatArray, across: FloatArray) -> FloatArray | None:
+    def quick_outputs(self, board: Board, network: QuickNetwork) -> FloatArray | None:
         if self.columns_one_by_one(board):
-            return open_column_outputs(board, driven, across)
-        return board.level + terminated_outputs(board, driven, across, _loads(board))
+            return open_column_outputs(board, network)
+        return board.level + terminated_outputs(board, network, _loads(board))
+
+    def quick_fields(self, board: Board, network: QuickNetwork) -> Iterator[QuickFields] | None:
+        if self.columns_one_by_one(board):
+            return open_column_fields(board, network)
+        return terminated_fields(board, network, _loads(board))
+
+    def column_slopes(
+        self, board: Board, driven: FloatArray, total: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        behind = board.reference + board.column_lead
+        by_own = board.drive * board.reference / (1.0 + total * behind)
+        by_sum = by_own * driven * behind / (1.0 + total * behind)
+        return np.broadcast_to(by_own, driven.shape), -by_sum
 
     def end_resistance(self, board: Board) -> FloatArray:
         return board.reference
