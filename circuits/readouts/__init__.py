@@ -10,10 +10,12 @@
 :mod:`._linear`                    outputs as a linear function of transfer conductances
 :mod:`._adjoint`                   what the derivatives of readings are made of
 :mod:`._quick`                     outputs and their fields by plain nodal analysis, without bounds
+:mod:`._cards`                     names of nodes for their SPICE cards
 =================================  =====================================================================
 """
 
 from ._adjoint import SensitivityGroup
+from ._cards import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 from ._circuit import Reading, ReadoutCircuit
 from ._ends import sum_of_others
 from ._inverting_amplifier import InvertingAmplifier
@@ -30,6 +32,11 @@ CIRCUITS: dict[str, ReadoutCircuit] = {
 
 __all__ = [
     "CIRCUITS",
+    "COLUMN_INDEX",
+    "FOLLOWER",
+    "REFERENCE",
+    "ROW_INDEX",
+    "CardWriter",
     "LinearReadout",
     "QuickFields",
     "QuickNetwork",

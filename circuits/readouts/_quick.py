@@ -9,15 +9,13 @@ All take the network between the ports of a grid (:class:`QuickNetwork`), as :mo
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ...arrays import FloatArray
+from .._parts import Parts
 from ._ends import Ends
-
-if TYPE_CHECKING:
-    from .._board import Board
 
 
 class QuickNetwork(NamedTuple):
@@ -31,7 +29,7 @@ class QuickNetwork(NamedTuple):
     """(N, N) S between row terminals, zero on the diagonal; None where nothing joins them"""
 
 
-def terminated_outputs(board: Board, network: QuickNetwork, ends: Ends) -> FloatArray:
+def terminated_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> FloatArray:
     """V (N, M) where all columns end in resistances and sources at once."""
     driven = network.driven
     into_end = 1.0 / (ends.resistance + board.column_lead)  # S (M,)
@@ -47,7 +45,7 @@ def terminated_outputs(board: Board, network: QuickNetwork, ends: Ends) -> Float
     return volts
 
 
-def open_column_outputs(board: Board, network: QuickNetwork) -> FloatArray:
+def open_column_outputs(board: Parts, network: QuickNetwork) -> FloatArray:
     """V (N, M) of a divider whose columns are open while they are not read: Thevenin equivalents of all columns."""
     driven = network.driven
     rows, load = len(driven), board.reference
@@ -79,7 +77,7 @@ class QuickFields(NamedTuple):
     """(M, N + M) V at the ports per unit of the reading"""
 
 
-def terminated_fields(board: Board, network: QuickNetwork, ends: Ends) -> Iterator[QuickFields]:
+def terminated_fields(board: Parts, network: QuickNetwork, ends: Ends) -> Iterator[QuickFields]:
     """Fields of the readings of :func:`terminated_outputs`, row by row."""
     driven = network.driven
     into_end = 1.0 / (ends.resistance + board.column_lead)  # S (M,)
@@ -103,7 +101,7 @@ def terminated_fields(board: Board, network: QuickNetwork, ends: Ends) -> Iterat
         yield QuickFields(field[None], by_columns - by_columns[:, row, None] * held)
 
 
-def open_column_fields(board: Board, network: QuickNetwork) -> Iterator[QuickFields]:
+def open_column_fields(board: Parts, network: QuickNetwork) -> Iterator[QuickFields]:
     """Fields of the readings of :func:`open_column_outputs`, row by row."""
     driven = network.driven
     (rows, columns), load = driven.shape, board.reference

@@ -54,7 +54,7 @@ class Step(NamedTuple):
     noise: float
     """V, standard deviation of a reading"""
 
-    def __call__(self, volts: FloatArray) -> FloatArray:
+    def solve(self, volts: FloatArray) -> FloatArray:
         """Change (n,) of the logarithms for a difference (n,) of the readings in V."""
         apart = volts.reshape(self.driven.shape) / self.noise
         normal = self.own * apart + self.driven * np.einsum("ij,ij->j", self.by_sum, apart)
