@@ -14,6 +14,8 @@ from ..errors import InputError, ProtocolError, SolverError
 from ._scatter import Scatter
 
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
+_ALIKE = 1.5  # ratio of noises with which a reading is judged about alike
+_FAINT = 0.05  # ADC steps of noise that hardly count beside the half step
 _SIGMAS = 3.0  # standard deviations of the noise that Reading.uncertainty covers, beside half a step
 
 
@@ -67,7 +69,7 @@ class CountReader:
 
         Args:
             design: the board.
-            accuracy: relative uncertainty of a conductance up to which a cell is valid; None: as the converter allows
+            accuracy: relative uncertainty of a conductance up to which a cell is valid; None: 0.5
                 (:class:`ohmskin.circuits.ValidityRule`).
 
         Raises:
@@ -102,11 +104,17 @@ class CountReader:
         self._silent = 0  # cells whose readings stood at a limit in the last frame
         self._counts = b""
         self._reading: Reading | None = None
+        self._judged_with = 0.0  # V, noise in the uncertainties of the last reading
 
     @property
     def noise_volts(self) -> float:
         """V, standard deviation of the readings: the larger one of the design's and what frames have shown."""
         return max(self._design_noise, self._scatter.std)
+
+    @property
+    def _alike_noise(self) -> float:
+        """V, noise with which a reading would be judged about as with the present one."""
+        return max(_ALIKE * self.noise_volts, _FAINT * self._step)
 
     @property
     def _steps_share(self) -> float:
@@ -153,7 +161,8 @@ class CountReader:
 
         """
         same = counts.tobytes()
-        if self._reading is not None and same == self._counts:
+        if self._reading is not None and same == self._counts and self._judged_with <= self._alike_noise:
+            self._scatter.still()
             return self._reading
         if counts.shape != self._shape:
             sent, expected = "{} x {}".format(*counts.shape), "{} x {}".format(*self._shape)
@@ -184,7 +193,7 @@ class CountReader:
             limited &= ~faint
             if not limited.any():
                 limited = None
-        noise = self.noise_volts
+        noise = self._judged_with = self.noise_volts
         share = self._step / 12**0.5 / (self._step / 2 + LiveReading.sigmas * noise)
         try:
             found = self._recover(volts, limited, noise)

@@ -25,6 +25,10 @@ MOST_CHANGE = 1.5
 """standard deviations of a reading up to which its change counts"""
 MEAN_CHANGE, AUTOCOVARIANCE = 0.918, 0.516
 """of normally distributed readings, changes cut off so: mean change in their s, and minus the autocovariance in s^2"""
+MEDIAN_CHANGE = 0.954
+"""median of the absolute change, in their s"""
+GROWING = 1.3
+"""times the noise so far from which on it has become another one"""
 CAUTION = 1.5
 """standard deviations by which the first measurement of the noise may be too small"""
 ASSUMED = 0.5
@@ -50,8 +54,7 @@ class Scatter:
         """V, the last frame's readings"""
         self.frames = 0
         """changes seen so far, and one"""
-        self._change: FloatArray | None = None  # V, cut off, from the last frame but one to the last
-        self._ones = np.ones(0)
+        self._change: FloatArray | None = None  # V, from the last frame but one to the last
         self.forget()
 
     def forget(self) -> None:
@@ -71,20 +74,47 @@ class Scatter:
         if before is None:
             return
         change = volts - before
-        most = max(self._step, MOST_CHANGE * self.std)
-        np.clip(change, -most, most, out=change)
-        if self._ones.shape != change.shape:
-            self._ones = np.ones(change.shape)
         moving = max(change.size - silent, 1)  # readings at a limit do not move
-        fresh = float(np.vdot(np.abs(change), self._ones)) / (moving * MEAN_CHANGE)
-        if self._shared:
-            if self._change is not None:
-                covariance = float(np.vdot(change, self._change)) / moving
-                fresh = min(fresh, math.sqrt(max(-covariance, 0.0) / AUTOCOVARIANCE))
-            elif self.frames > 2:  # the change before is not known
-                fresh = 0.0
-            self._change = change
-        if self.frames == 2:  # a sample of few cells may be smaller than its deviation
+        first = self.frames == 2
+        fresh = self._least(change, self.std, moving)
+        if first or fresh > GROWING * self.std:
+            # What was known so far cuts too much off. Half of the readings may be pressed, and the median is of noise.
+            about = max(self.std, float(np.median(np.abs(change))) / MEDIAN_CHANGE)
+            if first or self._shared:
+                fresh = self._least(change, about, moving)
+            else:  # a press of all cells in one frame is no noise
+                fresh = max(fresh, self._by_autocovariance(change, about, moving))
+        self._change = change
+        if first:  # a sample of few cells may be smaller than its deviation
             self.std = fresh * (1.0 + CAUTION / math.sqrt(moving))
         else:
             self.std = max(FORGET * self.std, fresh)
+
+    def still(self) -> None:
+        """Take a frame whose readings are those of the last one."""
+        self.frames += 1
+        self._change = None  # the next product of two changes is 0
+        self.std *= FORGET
+
+    def _least(self, change: FloatArray, about: float, moving: int) -> float:
+        """V, the estimate that a press raises least.
+
+        Args:
+            change: (N, M) V, since the last frame.
+            about: V, standard deviation that is expected; larger changes are cut off.
+            moving: readings that can change.
+
+        """
+        most = max(self._step, MOST_CHANGE * about)
+        fresh = float(np.minimum(np.abs(change), most).sum()) / (moving * MEAN_CHANGE)
+        if not self._shared or self.frames == 2:
+            return fresh
+        return min(fresh, self._by_autocovariance(change, about, moving))
+
+    def _by_autocovariance(self, change: FloatArray, about: float, moving: int) -> float:
+        """V, from this change and the one before; 0 if that was not kept. Arguments as in :meth:`_least`."""
+        if self._change is None:
+            return 0.0
+        most = max(self._step, MOST_CHANGE * about)
+        covariance = float(np.vdot(np.clip(change, -most, most), np.clip(self._change, -most, most))) / moving
+        return math.sqrt(max(-covariance, 0.0) / AUTOCOVARIANCE)
