@@ -90,7 +90,8 @@ def main() -> None:
                     at_rest, under, rest, press, rms, most = row(board, rest_ohm, noise_v)
                     click.echo(
                         f"{name:24} {bits:4}  {rest_ohm / 1e3:6g}/{reference_ohm / 1e3:<6g} {1e3 * noise_v:9g} "
-                        f"{100 * at_rest:14.0f} {100 * under:7.0f}  {100 * rest:16.1f} {100 * press:7.1f}  {rms:10.2f} {most:4.2f}"
+                        f"{100 * at_rest:14.0f} {100 * under:7.0f}  {100 * rest:16.1f} {100 * press:7.1f}  "
+                        f"{rms:10.2f} {most:4.2f}"
                     )
 
 
