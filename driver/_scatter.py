@@ -25,6 +25,8 @@ MOST_CHANGE = 1.5
 """standard deviations of a reading up to which its change counts"""
 MEAN_CHANGE, AUTOCOVARIANCE = 0.918, 0.516
 """of normally distributed readings, changes cut off so: mean change in their s, and minus the autocovariance in s^2"""
+AT_FIRST = 4.0
+"""ADC steps, the most that is seen in the first two frames: they may also differ because all cells were pressed"""
 MEDIAN_CHANGE = 0.954
 """median of the absolute change, in their s"""
 GROWING = 1.3
@@ -75,20 +77,30 @@ class Scatter:
             return
         change = volts - before
         moving = max(change.size - silent, 1)  # readings at a limit do not move
-        first = self.frames == 2
-        fresh = self._least(change, self.std, moving)
-        if first or fresh > GROWING * self.std:
-            # What was known so far cuts too much off. Half of the readings may be pressed, and the median is of noise.
-            about = max(self.std, float(np.median(np.abs(change))) / MEDIAN_CHANGE)
-            if first or self._shared:
-                fresh = self._least(change, about, moving)
-            else:  # a press of all cells in one frame is no noise
-                fresh = max(fresh, self._by_autocovariance(change, about, moving))
-        self._change = change
-        if first:  # a sample of few cells may be smaller than its deviation
-            self.std = fresh * (1.0 + CAUTION / math.sqrt(moving))
+        if self.frames == 2:
+            size = np.abs(change)
+            about = max(self.std, min(_median(size), AT_FIRST * self._step))
+            # A sample of few cells may be smaller than its deviation.
+            self.std = self._by_mean(size, about, moving) * (1.0 + CAUTION / math.sqrt(moving))
         else:
-            self.std = max(FORGET * self.std, fresh)
+            self.std = max(FORGET * self.std, self._shown_by(change, moving))
+        self._change = change
+
+    def _shown_by(self, change: FloatArray, moving: int) -> float:
+        """V, by this change (N, M) in V and the one before; ``moving`` readings can change."""
+        size = np.abs(change)
+        mean = self._by_mean(size, self.std, moving)
+        if not self._shared and mean <= GROWING * self.std:
+            return mean
+        alternating = self._by_autocovariance(change, self.std, moving)
+        if alternating > self.std:
+            # What was known so far cuts too much off. The median is of noise unless half of the cells move.
+            about = max(self.std, _median(size))
+            alternating = self._by_autocovariance(change, about, moving)
+            if self._shared:
+                mean = self._by_mean(size, about, moving)
+        # On boards whose cells are read apart, a press raises the mean of few cells only.
+        return min(mean, alternating) if self._shared else max(mean, alternating)
 
     def still(self) -> None:
         """Take a frame whose readings are those of the last one."""
@@ -96,25 +108,27 @@ class Scatter:
         self._change = None  # the next product of two changes is 0
         self.std *= FORGET
 
-    def _least(self, change: FloatArray, about: float, moving: int) -> float:
-        """V, the estimate that a press raises least.
+    def _by_mean(self, size: FloatArray, about: float, moving: int) -> float:
+        """V, standard deviation by the mean absolute change.
 
         Args:
-            change: (N, M) V, since the last frame.
+            size: (N, M) V, absolute changes since the last frame.
             about: V, standard deviation that is expected; larger changes are cut off.
             moving: readings that can change.
 
         """
         most = max(self._step, MOST_CHANGE * about)
-        fresh = float(np.minimum(np.abs(change), most).sum()) / (moving * MEAN_CHANGE)
-        if not self._shared or self.frames == 2:
-            return fresh
-        return min(fresh, self._by_autocovariance(change, about, moving))
+        return float(np.minimum(size, most).sum()) / (moving * MEAN_CHANGE)
 
     def _by_autocovariance(self, change: FloatArray, about: float, moving: int) -> float:
-        """V, from this change and the one before; 0 if that was not kept. Arguments as in :meth:`_least`."""
+        """V, by this change (N, M) in V and the one before; 0 if that was not kept. Else as :meth:`_by_mean`."""
         if self._change is None:
             return 0.0
         most = max(self._step, MOST_CHANGE * about)
         covariance = float(np.vdot(np.clip(change, -most, most), np.clip(self._change, -most, most))) / moving
         return math.sqrt(max(-covariance, 0.0) / AUTOCOVARIANCE)
+
+
+def _median(size: FloatArray) -> float:
+    """V, standard deviation by the median of absolute changes in V."""
+    return float(np.median(size)) / MEDIAN_CHANGE
