@@ -340,7 +340,7 @@ class AmplifiedLive:
             shift=(own - transfer) * gain,
             loss=max(1.0 - 1.0 / float(gain.max()), 1e-9),
             missing=max(float((transfer - own).max()), 0.0),
-            off=None if settled else off + transfer * self._by_lines(off * gain),
+            off=None if settled else _MARGIN * (off + transfer * self._by_lines(off * gain)),
         )
         self._heavy = self._base.loss > 0.5 * _HEAVY
         return True
@@ -563,7 +563,8 @@ class AmplifiedLive:
           output is at a limit, its column ends in the reference resistor instead, which leaves it little current;
         * down its column, a short into an idle row takes their current: to_amplifier / to_driver;
         * a column that the current of row k lifts also lifts the short's row, whose cells then add to row k's readings;
-        * the offset of its column's amplifier drives a current through it, in all steps alike, and lifts its row;
+        * the offset of its column's amplifier drives a current through it, in all steps alike, and lifts its row, whose
+          cells feed the other columns; these offsets drive currents through those cells, which seem to conduct less;
         * in its own step, the short lifts its column, and that the other rows, whose cells add to its row's readings.
 
         Args:
@@ -595,7 +596,10 @@ class AmplifiedLive:
             offset = np.abs(self._source / self._board.drive)
             with np.errstate(invalid="ignore"):
                 added += np.nan_to_num(offset * short.sum(axis=0), nan=0.0, posinf=inf)
-            added += offset * (more.any(axis=1) @ conductance)
+            # Cells that a short takes the drive from conduct more than they seem to, and pass on what lifts their row.
+            misjudged = conductance * (1.0 + np.minimum(fixed, _BOUNDLESS))
+            added += offset * (more.any(axis=1) @ misjudged)
+            added += np.where(more, offset, 0.0).max(axis=1) @ misjudged
             added *= _MARGIN
             # Misjudged cells load their lines otherwise than the model has it, and that concerns all cells there.
             direct = fixed + added / np.maximum(conductance, floor)

@@ -22,8 +22,10 @@ from scipy.linalg.lapack import dgesv
 
 from ...arrays import FloatArray
 
-ROUNDS = 6
+ROUNDS = 8
 """at most, in one inversion"""
+_SHORT = 1e4  # conductance over that of its leads, at which a cell is a short
+_LEAST_OHM = 1e-6  # of a line, in that
 _ENOUGH = 1e-6  # relative change of a line's conductance in the last round
 
 
@@ -57,6 +59,7 @@ def invert_leads(
     column = transfer * column_ohm  # W, (steps, M)
     delivered = row_ohm * transfer.sum(axis=1)
     ratio = np.divide.outer(row_ohm, np.maximum(row_ohm, 1e-300))  # R_i / R_k
+    most = _SHORT / np.maximum(np.add.outer(row_ohm, column_ohm), _LEAST_OHM)
     conductance, diagonal = start, np.arange(count)
     sides = np.concatenate([transfer, column], axis=1)
     for _ in range(ROUNDS):
@@ -72,7 +75,7 @@ def invert_leads(
             return None
         by_current, by_column = solved[:, : transfer.shape[1]], solved[:, transfer.shape[1] :]
         found = by_current + by_column * (by_current.sum(axis=0) / (1.0 - by_column.sum(axis=0)))
-        found = np.maximum(found, 0.0)
+        found = np.clip(found, 0.0, most)
         moved = np.abs(found - conductance).sum(axis=1)
         conductance = found
         settled = bool((moved <= _ENOUGH * loads).all())
