@@ -565,6 +565,7 @@ class AmplifiedLive:
         * a column that the current of row k lifts also lifts the short's row, whose cells then add to row k's readings;
         * the offset of its column's amplifier drives a current through it, in all steps alike, and lifts its row, whose
           cells feed the other columns; these offsets drive currents through those cells, which seem to conduct less;
+        * two shorts on one row join their columns, and the difference of the amplifiers' offsets drives a current;
         * in its own step, the short lifts its column, and that the other rows, whose cells add to its row's readings.
 
         Args:
@@ -596,6 +597,7 @@ class AmplifiedLive:
             offset = np.abs(self._source / self._board.drive)
             with np.errstate(invalid="ignore"):
                 added += np.nan_to_num(offset * short.sum(axis=0), nan=0.0, posinf=inf)
+            added += self._between_shorts(more)
             # Cells that a short takes the drive from conduct more than they seem to, and pass on what lifts their row.
             misjudged = conductance * (1.0 + np.minimum(fixed, _BOUNDLESS))
             added += offset * (more.any(axis=1) @ misjudged)
@@ -605,6 +607,20 @@ class AmplifiedLive:
             direct = fixed + added / np.maximum(conductance, floor)
             by_lines += self._by_lines(np.where(more, 0.0, np.minimum(direct, _BOUNDLESS) * conductance))
         return _Beside(limited, more, conductance, floor, fixed, added, by_lines)
+
+    def _between_shorts(self, more: BoolArray) -> FloatArray:
+        """S (M,) that a column may add to each of its readings for the columns that shorts (N, M) join it to."""
+        source, added = self._source / self._board.drive, np.zeros(self._board.shape[1])
+        if self._alike:
+            return added
+        for row in np.flatnonzero(more.sum(axis=1) > 1):
+            joined = np.flatnonzero(more[row])
+            wire = np.add.outer(self._to_amplifier[row, joined], self._to_amplifier[row, joined])
+            wire += np.abs(np.subtract.outer(self._to_driver[row, joined], self._to_driver[row, joined]))
+            apart = np.abs(np.subtract.outer(source[joined], source[joined]))
+            current = np.divide(apart, wire, out=np.full(wire.shape, inf), where=wire > 0)
+            added[joined] += np.where(apart > 0, current, 0.0).sum(axis=1)
+        return added
 
 
 def _uncertainties(transfer: FloatArray, levels: _Levels) -> tuple[FloatArray, FloatArray]:
