@@ -90,6 +90,8 @@ class CountReader:
         self._codes = 2**adc.bits
         self._recover = live_recovery(design, accuracy=accuracy)
         self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
+        # As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
+        self._step_array, self._lowest_array = np.array(self._step), np.array(self._lowest_volts)
         # The middle of a code is half a step away from what may have been read; a limit on an edge belongs to both.
         half = adc.step / 2 * (1 + 1e-9)
         low, high = design.readout.supply
@@ -144,8 +146,9 @@ class CountReader:
 
     def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
         """The middle of each code, in V."""
-        volts: FloatArray = np.multiply(counts, self._step, dtype=np.float64)
-        volts += self._lowest_volts
+        volts: FloatArray = counts.astype(np.float64)
+        volts *= self._step_array
+        volts += self._lowest_array
         return volts
 
     def __call__(self, counts: NDArray[np.integer]) -> Reading:
@@ -179,8 +182,9 @@ class CountReader:
         highest = self._last - (guard if self._guards_high else 0)
         limited = faint = None
         self._silent = 0
-        most = counts.max()
-        if most >= highest or counts.min() < lowest:
+        # The place of an extreme is found several times as fast as its value.
+        most = counts.item(counts.argmax())
+        if most >= highest or counts.item(counts.argmin()) < lowest:
             if most >= self._codes:
                 bits = self._codes.bit_length() - 1
                 raise ProtocolError(f"the board sends a count of {most}; its ADC has {bits} bits")
@@ -201,7 +205,7 @@ class CountReader:
             reason = np.full(counts.shape, Reason.UNSOLVED, dtype=np.int8)
             return Reading(nothing, counts < 0, reason, solved=False, all_valid=False, _found=None, _own_share=share)
         valid, reason = found.valid, found.reason
-        if valid.all() and faint is None:
+        if faint is None and np.count_nonzero(valid) == valid.size:
             return Reading(
                 found.resistance,
                 valid,
@@ -243,10 +247,10 @@ class CountReader:
             moving = max(change.size - self._silent, 1)
             fresh = float(np.vdot(change, self._ones)) / (moving * _MEAN_CHANGE)
             if self._frames == 1:  # a sample of few cells may be smaller than its deviation
-                fresh *= 1.0 + _CAUTION / np.sqrt(moving)
+                fresh *= 1.0 + _CAUTION / math.sqrt(moving)
             self._scatter = fresh if self._frames == 1 else max(_FORGET * self._scatter, fresh)
         self._frames += 1
-        return int(np.ceil(_GUARD * self.noise_volts / self._step))
+        return math.ceil(_GUARD * self.noise_volts / self._step)
 
 
 def _noise_of(design: Design) -> float:
