@@ -505,7 +505,7 @@ class Estimator(ABC):
         block = self._block
         jump = reading - block.line_before[smoothing.LEVEL]
         size = np.abs(jump)
-        if float(size.max()) <= LARGE_JUMP * self._full_scale_r:
+        if size.item(size.argmax()) <= LARGE_JUMP * self._full_scale_r:
             return
         least = np.maximum(CLEAR_JUMP * noise, LARGE_JUMP * self._full_scale_r)
         place = np.flatnonzero(begun & (size > least))

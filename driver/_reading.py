@@ -35,8 +35,18 @@ class Reading:
     _found: LiveReading | None
     _own_share: float
     """of what a cell's own reading leaves open: standard deviation of an ADC step"""
-    steps_share: float = 1.0
-    """part of :attr:`uncertainty` that comes from ADC steps and that no average over time lessens"""
+    _noise_steps: float = 0.0
+    """standard deviation of the readings' noise in ADC steps"""
+
+    @property
+    def steps_share(self) -> float:
+        """The part of :attr:`uncertainty` that is a systematic error of quantisation: no average over time lessens it.
+
+        Noise of half a step or more makes the error of quantisation random: its mean falls with
+        exp(-2 (pi noise/step)^2) (Widrow and Kollar, Quantization Noise, 2008).
+        """
+        noise = self._noise_steps
+        return math.exp(-2.0 * (math.pi * noise) ** 2) / (1.0 + 2.0 * _SIGMAS * noise)
 
     @property
     def step_std(self) -> FloatArray:
@@ -119,16 +129,6 @@ class CountReader:
         """V, noise with which a reading would be judged about as with the present one."""
         return max(_ALIKE * self.noise_volts, _FAINT * self._step)
 
-    @property
-    def _steps_share(self) -> float:
-        """The part of an uncertainty that is a systematic error of quantisation.
-
-        Noise of half a step or more makes the error of quantisation random: its mean falls with
-        exp(-2 (pi noise/step)^2) (Widrow and Kollar, Quantization Noise, 2008).
-        """
-        noise_steps = self.noise_volts / self._step
-        return math.exp(-2.0 * (math.pi * noise_steps) ** 2) / (1.0 + 2.0 * _SIGMAS * noise_steps)
-
     def memory(self) -> tuple[float, NDArray[np.integer] | None]:
         """What the noise is measured from: its standard deviation so far in ADC steps, and the last frame's counts."""
         noise_steps, before = self._scatter.std / self._step, self._scatter.before
@@ -180,7 +180,8 @@ class CountReader:
     def _read(self, counts: NDArray[np.integer]) -> Reading:
         volts = self._volts(counts)
         self._scatter.update(volts, self._silent)
-        guard = math.ceil(_GUARD * self.noise_volts / self._step)  # codes
+        noise = self._judged_with = self.noise_volts
+        guard = math.ceil(_GUARD * noise / self._step)  # codes
         lowest = self._first + (guard if self._guards_low else 0)
         highest = self._last - (guard if self._guards_high else 0)
         limited = faint = None
@@ -198,7 +199,6 @@ class CountReader:
             limited &= ~faint
             if not limited.any():
                 limited = None
-        noise = self._judged_with = self.noise_volts
         share = self._step / 12**0.5 / (self._step / 2 + LiveReading.sigmas * noise)
         try:
             found = self._recover(volts, limited, noise)
@@ -216,7 +216,7 @@ class CountReader:
                 all_valid=True,
                 _found=found,
                 _own_share=share,
-                steps_share=self._steps_share,
+                _noise_steps=noise / self._step,
             )
         if faint is not None:
             valid = valid & ~faint
@@ -230,7 +230,7 @@ class CountReader:
             all_valid=False,
             _found=found,
             _own_share=share,
-            steps_share=self._steps_share,
+            _noise_steps=noise / self._step,
         )
 
 

@@ -259,7 +259,8 @@ class AmplifiedLive:
             if self._between is not None:
                 transfer -= self._between
             transfer += self._per_sum * (self._ones @ transfer)
-        return np.maximum(transfer, _NONE, out=transfer)
+        np.maximum(transfer, _NONE, out=transfer)
+        return transfer
 
     def _between_columns(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:
         """S (M,) that currents between columns of different sources add to each T of a column, and how far that is off.
@@ -345,14 +346,16 @@ class AmplifiedLive:
     def _drop_along_rows(self, current: FloatArray) -> FloatArray:
         """V (N, M) along the rows for currents (N, M) in A that leave them at the crosspoints."""
         if self._along_row is not None:
-            return np.dot(current, self._along_row)
+            drop: FloatArray = np.dot(current, self._along_row)
+            return drop
         flow = np.cumsum(current[:, ::-1], axis=1)[:, ::-1]
         return np.cumsum(self._board.row_ohms * flow, axis=1)
 
     def _drop_along_columns(self, current: FloatArray) -> FloatArray:
         """V (N, M) along the columns for currents (N, M) in A into them at the crosspoints."""
         if self._along_column is not None:
-            return np.dot(self._along_column, current)
+            drop: FloatArray = np.dot(self._along_column, current)
+            return drop
         flow = np.cumsum(current, axis=0)
         return np.cumsum((self._behind * flow)[::-1], axis=0)[::-1]
 
