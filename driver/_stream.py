@@ -111,6 +111,15 @@ class FrameStream:
         self.counters.corrupt += 1
         self._in_step = False
 
+    def end(self, sequence: int, boot_id: int | None) -> None:
+        """Count what the line lost of the frames before ``sequence``, the number that would have come next."""
+        if self._begun and boot_id != self._boot_id:
+            self.counters.reboots += 1
+            self._expected = 0
+        if self._expected is not None and (sequence - self._expected) % 2**32 < HALF_RANGE:
+            self.counters.lost = (self.counters.lost or 0) + (sequence - self._expected) % 2**32
+            self._expected = sequence
+
     def take(self, packet: FramePacket, arrival: Arrival) -> RawFrame | None:
         """The next frame; None where the packet is one that came before.
 
