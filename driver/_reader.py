@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 import time
 from collections import deque
@@ -100,7 +101,7 @@ class Reader:
             LinkError: the port is gone.
 
         """
-        if not self.introduced.wait(timeout_s):
+        if not self.introduced.wait(min(timeout_s, threading.TIMEOUT_MAX)):
             raise self.nothing_came("description", timeout_s)
         if not self.introduction.complete:
             end = self._mailbox.end
@@ -109,6 +110,8 @@ class Reader:
     def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
         """The error for a wait that brought nothing of the kind wanted."""
         where = f"{self.port_name}: no {what} within {timeout_s:g} s"
+        if self._lossless and self._mailbox.is_full():
+            return LinkTimeout(f"{where}: the queue is full of frames for another reader of this skin, who takes none")
         if self._mailbox.away is not None:
             return LinkTimeout(f"{where}: {self._mailbox.away}; trying to open the port again")
         if not self._received:
@@ -171,6 +174,17 @@ class Reader:
                 self.introduction.hear(event)
         self._heard_since += heard
         self.stream.restore(stream)
+
+    def disown(self) -> None:
+        """In a forked process, which has no part in the link: leave port and mailbox to the process that opened it."""
+        self._reading, self._port = threading.RLock(), None
+        self._stop = threading.Event()
+        self._mailbox.disown(
+            LinkError(
+                f"{self.port_name}: was opened by process {os.getppid()}, from which this one was forked; take frames "
+                "there, or open the skin here (multiprocessing: start method 'spawn')"
+            )
+        )
 
     def stop(self) -> None:
         """End the thread, which closes the port. From another thread or from a callback."""

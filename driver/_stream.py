@@ -17,7 +17,7 @@ from ._spacing import ArrivalTimes
 from ._statistics import Counters
 
 REMEMBERED = 64
-"""frames among which a duplicate is looked for"""
+"""frames among which a duplicate is looked for, and by which a packet may come too late"""
 HALF_RANGE = 2**31
 LEAST_STEP_S = 1e-6
 """the estimator needs times that increase"""
@@ -50,8 +50,18 @@ class RawFrame:
 class FrameStream:
     """Packets of one board in order, over reboots and reconnections.
 
-    A frame number that follows the last one says how many frames were lost. Another boot id, or a time that goes
-    backwards, is a reboot: numbers and time then start from 0. A frame that came already is dropped.
+    A frame number that follows the last one says how many frames were lost. Another boot id is a reboot: numbers and
+    time then start from 0. A frame that came already is dropped. With the boot id of before:
+
+    ================  ==================  =================================================================
+    number            time                taken for
+    ================  ==================  =================================================================
+    goes on           goes on             the next frame
+    goes on           goes back           the next frame; the board's clock was set, or has wrapped
+    back by up to 64  goes back           a packet that was overtaken: dropped, and one of the lost
+    further back      goes back           a reboot of a board that does not change its boot id
+    goes back         goes on             a fault
+    ================  ==================  =================================================================
     """
 
     def __init__(self, name: str, counters: Counters) -> None:
@@ -136,13 +146,22 @@ class FrameStream:
         if packet.sequence is not None and stamp in self._recent:
             counters.duplicates += 1
             return None
+        if self._was_overtaken(packet):
+            counters.late += 1
+            self._recent.append(stamp)
+            return None
         rebooted = self._has_rebooted(packet)
+        clock_set = not rebooted and self._time_goes_back(packet)
+        if clock_set:
+            counters.clock_steps += 1
+        if clock_set or rebooted:
+            counters.clock_steps += self.clock.steps
+            self.clock = ClockMap()
         if rebooted:
             counters.reboots += 1
             counters.times_s.clear()
             self._recent.clear()
             self._expected = None if packet.sequence is None else 0
-            self.clock = ClockMap()
         self._recent.append(stamp)
         self._boot_id = packet.boot_id
         self._count_lost(packet)
@@ -150,7 +169,7 @@ class FrameStream:
         counters.overruns += bool(packet.flags & Flag.OVERRUN)
         device_s = None if packet.time_us is None else packet.time_us / 1e6
         monotonic = self._map_time(device_s, arrival)
-        self._advance(packet.time_us, monotonic, rebooted)
+        self._advance(packet.time_us, monotonic, time_runs_through=not (rebooted or clock_set))
         self._begun = True
         return RawFrame(
             index=counters.frames,
@@ -166,10 +185,29 @@ class FrameStream:
             reboots=counters.reboots,
         )
 
-    def _has_rebooted(self, packet: FramePacket) -> bool:
-        if packet.boot_id is not None and self._boot_id is not None and packet.boot_id != self._boot_id:
-            return True
+    def _time_goes_back(self, packet: FramePacket) -> bool:
         return packet.time_us is not None and self._latest_us is not None and packet.time_us < self._latest_us
+
+    def _behind(self, packet: FramePacket) -> int | None:
+        """By how much the frame's number lies before the one expected; None where it goes on, or is not known."""
+        if packet.sequence is None or self._expected is None:
+            return None
+        behind = (self._expected - packet.sequence) % 2**32
+        return behind if 0 < behind <= HALF_RANGE else None
+
+    def _is_another_boot(self, packet: FramePacket) -> bool:
+        return packet.boot_id is not None and self._boot_id is not None and packet.boot_id != self._boot_id
+
+    def _was_overtaken(self, packet: FramePacket) -> bool:
+        behind = self._behind(packet)
+        near = behind is not None and behind <= REMEMBERED
+        return near and not self._is_another_boot(packet) and self._time_goes_back(packet)
+
+    def _has_rebooted(self, packet: FramePacket) -> bool:
+        if self._is_another_boot(packet):
+            return True
+        numbers_go_on = packet.sequence is not None and self._expected is not None and self._behind(packet) is None
+        return self._time_goes_back(packet) and not numbers_go_on
 
     def _count_lost(self, packet: FramePacket) -> None:
         if packet.sequence is None:
@@ -191,10 +229,10 @@ class FrameStream:
         self.counters.delays_s.append(arrival.received_at - monotonic)
         return monotonic
 
-    def _advance(self, time_us: int | None, monotonic: float, rebooted: bool) -> None:
+    def _advance(self, time_us: int | None, monotonic: float, *, time_runs_through: bool) -> None:
         """Let the estimator's time pass: by the board's clock where it runs through, else by the host's."""
         if self._begun:
-            if time_us is None or self._latest_us is None or rebooted:
+            if time_us is None or self._latest_us is None or not time_runs_through:
                 step = monotonic - self._latest_monotonic
             else:
                 step = (time_us - self._latest_us) / 1e6

@@ -224,6 +224,7 @@ class _Session:
             return  # the board was switched off, and may come back
         said = self._device.say_over(self._pace.now_us())
         say_again_until = time.monotonic() + (OVER_S if self._device.may_lose else 0.0)
+
         def to_do() -> tuple[int, int]:
             still_to_say = not said or time.monotonic() < say_again_until
             return len(self._device.transmission) + still_to_say, self._port.unread()
