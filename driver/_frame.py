@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..arrays import AnyArray, BoolArray, FloatArray
 from ._contacts import Contact
+from ._later import Later
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,8 +52,7 @@ class Frame:
     """ohm of the cells, with what the circuit adds taken out; NaN where not valid"""
     pressure: FloatArray = field(repr=False)
     """kPa, estimated from this and earlier frames; where not valid the last estimate, NaN before the first"""
-    pressure_std: FloatArray = field(repr=False)
-    """kPa, standard deviation of ``pressure``; NaN where the estimator states none"""
+    _std: Later = field(repr=False)
     _contacts: Callable[[], tuple[Contact, ...]] = field(repr=False)
     _now: Callable[[], float] = field(repr=False)
 
@@ -75,6 +75,14 @@ class Frame:
         )
 
     @property
+    def pressure_std(self) -> FloatArray:
+        """kPa (rows, columns), standard deviation of ``pressure``; NaN where the estimator states none.
+
+        Computed when asked for, and then kept.
+        """
+        return self._std()
+
+    @property
     def contacts(self) -> tuple[Contact, ...]:
         """What touches the skin, the largest force first. Computed when asked for; ids last from frame to frame."""
         return self._contacts()
@@ -82,7 +90,7 @@ class Frame:
     def __reduce__(self) -> tuple[Callable[..., Frame], tuple[dict[str, Any], float]]:
         """For pickle and copy: contacts are computed now, and the age goes on with this machine's monotonic clock."""
         values = {item.name: getattr(self, item.name) for item in fields(self) if item.name[0] != "_"}
-        values["contacts"] = self.contacts
+        values |= {"pressure_std": self.pressure_std, "contacts": self.contacts}
         return _restored, (values, self._now() - time.monotonic())
 
     def as_dict(self) -> dict[str, AnyArray]:
@@ -91,6 +99,7 @@ class Frame:
         Missing numbers are NaN, missing counts (``sequence``, ``lost_before``) are -1. ``age`` is that of the call.
         """
         values: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self) if item.name[0] != "_"}
+        values["pressure_std"] = self.pressure_std
         for name in ("sequence", "lost_before"):
             values[name] = -1 if values[name] is None else values[name]
         values["device_time"] = np.nan if self.device_time is None else self.device_time
@@ -100,5 +109,7 @@ class Frame:
 
 def _restored(values: dict[str, Any], clock_ahead_s: float) -> Frame:
     """A frame that was pickled: ``clock_ahead_s`` is what its clock showed beside the monotonic clock."""
-    contacts = values.pop("contacts")
-    return Frame(**values, _contacts=lambda: contacts, _now=lambda: time.monotonic() + clock_ahead_s)
+    std, contacts = values.pop("pressure_std"), values.pop("contacts")
+    return Frame(
+        **values, _std=Later(lambda: std), _contacts=lambda: contacts, _now=lambda: time.monotonic() + clock_ahead_s
+    )

@@ -110,6 +110,8 @@ class Mailbox:
 
     def between(self, index: int, end: int) -> list[RawFrame]:
         """The frames beyond ``index`` and before ``end``, in order."""
+        if index + 1 >= end:
+            return []
         with self.lock:
             return [frame for frame in self._frames if index < frame.index < end]
 
@@ -152,8 +154,13 @@ class Mailbox:
                 return self._frames[0].index
             return 1 if self.newest is None else self.newest.index + 1
 
+    def _passed(self) -> int:
+        """Number of the last frame that all takers have passed; 0 where there are none."""
+        places = self._places
+        return places[0].index if len(places) == 1 else min((place.index for place in places), default=0)
+
     def _drop_passed(self) -> None:
-        self._drop_to(min((place.index for place in self._places), default=0))
+        self._drop_to(self._passed())
         if self._room_wanted and self._has_room():
             self.condition.notify_all()
 

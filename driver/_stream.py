@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import deque
+import enum
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from ._statistics import Counters
 REMEMBERED = 64
 """frames among which a duplicate is looked for, and by which a packet may come too late"""
 HALF_RANGE = 2**31
+_NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
 LEAST_STEP_S = 1e-6
 """the estimator needs times that increase"""
 
@@ -45,6 +46,15 @@ class RawFrame:
     """total"""
     reboots: int
     """total"""
+
+
+class _Succession(enum.Enum):
+    """What a packet is after the one before it."""
+
+    NEXT = enum.auto()
+    CLOCK_SET = enum.auto()
+    OVERTAKEN = enum.auto()
+    REBOOT = enum.auto()
 
 
 class FrameStream:
@@ -78,7 +88,8 @@ class FrameStream:
         self._latest_us: int | None = None
         self._latest_monotonic = 0.0
         self._time_s = 0.0
-        self._recent: deque[tuple[int | None, int | None, int | None]] = deque(maxlen=REMEMBERED)
+        self._recent: dict[tuple[int | None, int | None, int | None], None] = {}
+        """boot ids, sequence numbers and times of the last numbered frames, in order: a dict, for a quick look-up"""
         self._in_step = True
 
     def announce(self, sequence: int | None, boot_id: int | None) -> None:
@@ -111,7 +122,7 @@ class FrameStream:
         self._begun, self._expected, self._boot_id = past.begun, past.expected, past.boot_id
         self._latest_us, self._latest_monotonic = past.latest_us, past.latest_monotonic
         self._time_s, self._in_step = past.time_s, past.in_step
-        self._recent = deque(past.recent, maxlen=REMEMBERED)
+        self._recent = dict.fromkeys(past.recent)
         self.counters.lost = 0 if past.numbered else None
         self.clock.restore(past.clock)
         self._arrivals.restore(past.arrivals)
@@ -146,30 +157,23 @@ class FrameStream:
         if packet.sequence is not None and stamp in self._recent:
             counters.duplicates += 1
             return None
-        if self._was_overtaken(packet):
+        found = self._succession(packet)
+        if found is _Succession.OVERTAKEN:
             counters.late += 1
-            self._recent.append(stamp)
+            self._remember(stamp)
             return None
-        rebooted = self._has_rebooted(packet)
-        clock_set = not rebooted and self._time_goes_back(packet)
-        if clock_set:
-            counters.clock_steps += 1
-        if clock_set or rebooted:
-            counters.clock_steps += self.clock.steps
-            self.clock = ClockMap()
-        if rebooted:
-            counters.reboots += 1
-            counters.times_s.clear()
-            self._recent.clear()
-            self._expected = None if packet.sequence is None else 0
-        self._recent.append(stamp)
+        if found is not _Succession.NEXT:
+            self._begin_anew(packet, found)
+        if packet.sequence is not None:
+            self._remember(stamp)
         self._boot_id = packet.boot_id
         self._count_lost(packet)
         counters.frames += 1
-        counters.overruns += bool(packet.flags & Flag.OVERRUN)
+        if packet.flags is not _NO_FLAGS:
+            counters.overruns += bool(packet.flags & Flag.OVERRUN)
         device_s = None if packet.time_us is None else packet.time_us / 1e6
         monotonic = self._map_time(device_s, arrival)
-        self._advance(packet.time_us, monotonic, time_runs_through=not (rebooted or clock_set))
+        self._advance(packet.time_us, monotonic, time_runs_through=found is _Succession.NEXT)
         self._begun = True
         return RawFrame(
             index=counters.frames,
@@ -185,29 +189,34 @@ class FrameStream:
             reboots=counters.reboots,
         )
 
-    def _time_goes_back(self, packet: FramePacket) -> bool:
-        return packet.time_us is not None and self._latest_us is not None and packet.time_us < self._latest_us
+    def _remember(self, stamp: tuple[int | None, int | None, int | None]) -> None:
+        self._recent[stamp] = None
+        if len(self._recent) > REMEMBERED:
+            del self._recent[next(iter(self._recent))]
 
-    def _behind(self, packet: FramePacket) -> int | None:
-        """By how much the frame's number lies before the one expected; None where it goes on, or is not known."""
+    def _succession(self, packet: FramePacket) -> _Succession:
+        """What a packet is after the one before: the table of this class."""
+        if packet.boot_id != self._boot_id and None not in (packet.boot_id, self._boot_id):
+            return _Succession.REBOOT
+        if packet.time_us is None or self._latest_us is None or packet.time_us >= self._latest_us:
+            return _Succession.NEXT
         if packet.sequence is None or self._expected is None:
-            return None
+            return _Succession.REBOOT
         behind = (self._expected - packet.sequence) % 2**32
-        return behind if 0 < behind <= HALF_RANGE else None
+        if not 0 < behind <= HALF_RANGE:
+            return _Succession.CLOCK_SET
+        return _Succession.OVERTAKEN if behind <= REMEMBERED else _Succession.REBOOT
 
-    def _is_another_boot(self, packet: FramePacket) -> bool:
-        return packet.boot_id is not None and self._boot_id is not None and packet.boot_id != self._boot_id
-
-    def _was_overtaken(self, packet: FramePacket) -> bool:
-        behind = self._behind(packet)
-        near = behind is not None and behind <= REMEMBERED
-        return near and not self._is_another_boot(packet) and self._time_goes_back(packet)
-
-    def _has_rebooted(self, packet: FramePacket) -> bool:
-        if self._is_another_boot(packet):
-            return True
-        numbers_go_on = packet.sequence is not None and self._expected is not None and self._behind(packet) is None
-        return self._time_goes_back(packet) and not numbers_go_on
+    def _begin_anew(self, packet: FramePacket, found: _Succession) -> None:
+        """The board's clock begins anew, and after a reboot its numbers do, too."""
+        counters = self.counters
+        counters.clock_steps += self.clock.steps + (found is _Succession.CLOCK_SET)
+        self.clock = ClockMap()
+        if found is _Succession.REBOOT:
+            counters.reboots += 1
+            counters.times_s.clear()
+            self._recent.clear()
+            self._expected = None if packet.sequence is None else 0
 
     def _count_lost(self, packet: FramePacket) -> None:
         if packet.sequence is None:

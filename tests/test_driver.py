@@ -29,6 +29,7 @@ from ohmskin.wire import (
     HostProtocol,
     Order,
     encode,
+    host_protocol,
     write_description,
 )
 
