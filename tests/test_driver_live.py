@@ -462,7 +462,7 @@ class TestDamage:
         stats = skin.stats()
         sent = sum(piece in SIX_FRAMES for piece in pieces)
         assert len(taken) == stats.frames
-        assert stats.frames + stats.duplicates + faults == sent
+        assert stats.frames + stats.duplicates + stats.late + faults == sent
         assert stats.skipped == 0
 
 
