@@ -7,8 +7,8 @@
 Solvers: :mod:`._measurement` beside :mod:`._peers`, with :mod:`._memory` in a process of its own; :mod:`._show` prints.
 
 Estimators: :mod:`._estimators` on a material of nobody's (:mod:`._independent`); :mod:`._honesty` of their standard
-deviations; :mod:`._hard_cases`, taps and sparks. ``python -m ohmskin.bench.panel`` judges calibrations on the specimens of
-:mod:`._materials`.
+deviations; :mod:`._hard_cases`, taps and sparks. ``python -m ohmskin.bench.panel`` judges calibrations on the specimens
+of :mod:`._materials`.
 
 The live path: :mod:`._driver`, the age of frames (:mod:`._freshness`, over a :mod:`._paced_port`) and
 :mod:`._worst_frames`. The emulator: :mod:`._emulator`. The page: :mod:`._view`.
