@@ -36,8 +36,12 @@ BACK = 0.2
 """share of a jump within which it counts as taken back"""
 LARGE_JUMP, CLEAR_JUMP = 0.05, 12.0
 """of full scale, and in standard deviations of a reading, from which a jump may be a spark"""
+CLEAR = 2.0
+"""standard deviations of a reading by which a jump that was taken back may be off and still be a bad contact"""
 SUDDEN = 2.5
 """times the change of the reading before it: a smaller jump is part of a press"""
+SUDDENLY = 0.6
+"""share of a jump that must be taken back from one frame to the next"""
 BEYOND = 0.75
 """of full scale from its middle, beyond which a jump is not shown at once"""
 AT_REST = 0.005
@@ -52,9 +56,10 @@ NO_LOAD_SIGMAS, TINY = 2.0, 1e-30
 """standard deviations of the noise at which a load and none are as likely; keeps 0/0 from occurring"""
 SETTLE_EVERY = 32
 """frames between two looks for cells that may go to sleep"""
-UNSEEN, SUMMED = 0.6, 1.0
-"""of the noise of a single reading, and of the sum of small departures: what a change could be that the smoothing has
-not noticed yet"""
+HIDDEN, SIGMAS = 3.3, 3.0
+"""standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
+a change could be that the smoothing has not noticed yet"""
+UNSEEN = 0.6
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation, of a cell whose model nobody compared with a recording"""
 USUAL = 1.1
@@ -107,7 +112,7 @@ class Estimator(ABC):
         self.shape, self.full_scale_kpa, self.conditions = shape, full_scale_kpa, conditions
         rest = resistance_of(shape, rest_resistance_ohm).ravel()
         self._per_ohm = 1 / rest
-        self._full_scale_r = abs(full_scale_r)
+        self._full_scale_r, self._side = abs(full_scale_r), math.copysign(1.0, full_scale_r)
         self._credible = credible
         self._exact = conditions.noise == 0.0 or not self.filters
         self._states_std = self.states_std
@@ -396,17 +401,15 @@ class Estimator(ABC):
     def _doubt(self, noise: FloatArray, smooth: smoothing.Smoothed) -> FloatArray:
         """(m,) standard deviation of the smoothed readings; changes ``noise``.
 
-        A reading off the line, or several that are a little off to the same side, may be noise, or the beginning of a
-        change that the line has not taken up.
+        A change of the load that the line has not taken up is anything between the line and a little beyond the
+        reading, since noise may hide as much: errors up to there are to stay within :data:`SIGMAS` deviations.
         """
         block = self._block
-        doubt = np.maximum(block.scratch.up, block.scratch.down, out=block.doubt)
-        doubt *= SUMMED
-        np.maximum(doubt, UNSEEN, out=doubt)
-        doubt *= noise
-        off = np.subtract(block.reading, smooth.level, out=noise)
-        np.abs(off, out=off)
-        np.maximum(doubt, off, out=doubt)
+        doubt = np.subtract(block.reading, smooth.level, out=block.doubt)
+        np.abs(doubt, out=doubt)
+        noise *= HIDDEN
+        doubt += noise
+        doubt *= 1.0 / SIGMAS
         found: FloatArray = np.maximum(doubt, smooth.std, out=doubt)
         return found
 
@@ -482,7 +485,8 @@ class Estimator(ABC):
         if float(size.max()) <= LARGE_JUMP * self._full_scale_r:
             return
         least = np.maximum(CLEAR_JUMP * block.noise, LARGE_JUMP * self._full_scale_r)
-        place = np.flatnonzero(begun & (size > least))
+        released = (self._side * jump < 0) & (self._side * block.reading > -CLEAR * block.noise)
+        place = np.flatnonzero(begun & (size > least) & ~released)
         place = place[~np.isin(block.cells[place], self._sparks.cells)]
         place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
         if place.size:
@@ -496,14 +500,31 @@ class Estimator(ABC):
         sparks.age_s += dt
         sparks.memory = self._hold(sparks.memory, dt)
         place = np.searchsorted(block.cells, sparks.cells)
-        back = np.abs(r[place] - sparks.line[smoothing.LEVEL]) < BACK * np.abs(sparks.jump)
-        back &= sparks.age_s <= SPARK_S * (1 + 1e-9)
+        off = np.abs(r[place] - sparks.line[smoothing.LEVEL])
+        over = sparks.age_s > SPARK_S * (1 + 1e-9)
+        back = (off < BACK * np.abs(sparks.jump)) & ~over
+        over |= back
+        back &= np.abs(block.line[smoothing.LEVEL, place] - r[place]) > SUDDENLY * np.abs(sparks.jump)
         if back.any():
+            back[back] = self._was_spark(place[back], dt, sparks.where(back), off[back])
             block.memory[:, place[back]] = sparks.memory[:, back]
             block.line[:, place[back]] = sparks.line[:, back]
-        over = (sparks.age_s > SPARK_S) | back
         if over.any():
             self._sparks = sparks.where(~over)
+
+    def _was_spark(self, place: IntArray, dt: float, sparks: _Sparks, off: FloatArray) -> BoolArray:
+        """Whether jumps that were taken back were bad contacts rather than taps; ``place`` (m,) of them in the block.
+
+        A cell remembers a tap. After one, the pressure that follows from the memory of the tap is the one from before,
+        and the reading is not; after a bad contact it is the other way round. What is nearer decides.
+        """
+        block = self._block
+        reading, noise = block.reading[place], block.noise[place]
+        before, top = sparks.memory[PRESSURE], block.memory[PRESSURE, place]
+        tapped = self._advance(block.memory[:, place], dt, reading, noise, noise)
+        moved = np.maximum(np.abs(top - before), TINY)
+        found: BoolArray = off * moved <= np.abs(tapped[PRESSURE] - before) * np.abs(sparks.jump) + CLEAR * noise * moved
+        return found
 
     def _doubt_jumps(self, memory: FloatArray, variance: FloatArray) -> None:
         """Half of the jump counts as standard deviation as long as it may be a spark; changes ``variance``."""
