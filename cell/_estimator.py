@@ -16,8 +16,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +32,8 @@ from ._noise import NoiseMeter
 
 PRESSURE, GAIN, VARIANCE = range(3)
 """first rows of every memory: kPa; kPa per unit of r by which noise enters it; kPa^2 by which memory adds to it"""
+SHARED = 3
+"""number of these rows"""
 SPARK_S = 0.1
 """a jump that is taken back sooner is no load"""
 BACK = 0.2
@@ -40,6 +44,8 @@ CLEAR = 2.0
 """standard deviations of a reading by which a jump that was taken back may be off and still be a bad contact"""
 SUDDEN = 2.5
 """times the change of the reading before it: a smaller jump is part of a press"""
+NEARER = 0.5
+"""share of the distance to a tap within which a bad contact must be"""
 SUDDENLY = 0.6
 """share of a jump that must be taken back from one frame to the next"""
 BEYOND = 0.75
@@ -59,7 +65,6 @@ SETTLE_EVERY = 32
 HIDDEN, SIGMAS = 3.3, 3.0
 """standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
 a change could be that the smoothing has not noticed yet"""
-UNSEEN = 0.6
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation, of a cell whose model nobody compared with a recording"""
 USUAL = 1.1
@@ -124,12 +129,14 @@ class Estimator(ABC):
         """r within which a cell counts as at rest"""
         cells = rest.size
         self._noise = NoiseMeter(cells, conditions.noise or 0.0)
-        self._r = np.zeros(cells)
         self._mean = np.zeros(cells)
         self._sum = np.zeros(cells)
         self._sum_s, self._summed = 0.0, 0
         self._pressure = np.full(cells, np.nan)
-        self._variance = np.full(cells, np.nan)
+        self._variance = np.full(cells, np.nan)  # kPa^2; without the cells of _left_open; replaced, never changed
+        self._left_open: _LeftOpen | None = None
+        self._asleep: _Asleep | None = None
+        self._reading = np.zeros(cells)
         self._readings = np.zeros(cells)
         self._awake = np.zeros(cells, dtype=np.bool_)
         self._gaps = _Gaps.none(cells)
@@ -171,7 +178,7 @@ class Estimator(ABC):
         if self._frames and not 0 < elapsed_s < np.inf:
             raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
         dt = float(elapsed_s) if self._frames else 1.0
-        r = self._r
+        r = self._reading = np.empty(resistance.size)
         self._normalise(resistance.ravel(), r)
         known = self._readable(r)
         if not self._exact:
@@ -215,9 +222,39 @@ class Estimator(ABC):
     @property
     def std_kpa(self) -> FloatArray:
         """(shape) standard deviation of the estimate of the last step, in kPa; NaN where none can be stated."""
-        variance = self._variance + self._gaps.variance if self._gaps.doubtful else self._variance
-        std: FloatArray = np.sqrt(variance).reshape(self.shape)
+        return self.std_of_last_step()()
+
+    def std_of_last_step(self) -> Callable[[], FloatArray]:
+        """A function that gives :attr:`std_kpa` of the last step, whenever and in whatever thread it is called.
+
+        The function holds what it needs, so that a step whose standard deviation nobody asks for hardly pays for it.
+        """
+        by_gaps = self._gaps.variance if self._gaps.doubtful else None
+        return partial(self._std_of, self._variance, self._asleep, self._reading, self._left_open, by_gaps)
+
+    def _std_of(
+        self,
+        before: FloatArray,
+        asleep: _Asleep | None,
+        reading: FloatArray,
+        left_open: _LeftOpen | None,
+        by_gaps: FloatArray | None,
+    ) -> FloatArray:
+        """(shape) kPa, from variances (n,) in kPa^2: from before the step, of sleeping cells, of the step, by gaps."""
+        variance = self._with(before if asleep is None else asleep.added_to(before, reading), left_open)
+        std: FloatArray = np.sqrt(variance if by_gaps is None else variance + by_gaps).reshape(self.shape)
         return std
+
+    def _with(self, variance: FloatArray, left_open: _LeftOpen | None) -> FloatArray:
+        """(n,) variances in kPa^2 with those of the cells that were followed in a step."""
+        if left_open is None:
+            return variance
+        found = self._variance_of(left_open)
+        if found.size == variance.size:
+            return found
+        all_cells = variance.copy()
+        all_cells[left_open.cells] = found
+        return all_cells
 
     @property
     def states_std(self) -> bool:
@@ -346,6 +383,7 @@ class Estimator(ABC):
         chosen anew.
         """
         block = self._block
+        self._variance, self._left_open = self._with(self._variance, self._left_open), None
         self._memory[:, block.cells] = block.memory
         self._line[:, block.cells] = block.line
         self._block = self._no_block
@@ -354,40 +392,46 @@ class Estimator(ABC):
     def _follow(self, dt: float, r: FloatArray) -> None:
         """Smooth the readings of cells that are followed, and let the estimator advance."""
         block = self._block
-        cells, line, noise, reading = block.cells, block.line, block.noise, block.reading
-        r.take(cells, out=reading, mode="clip")
+        cells, line = block.cells, block.line
+        every = cells.size == r.size
+        reading = r if every else r.take(cells, mode="clip")
         if self._exact:
-            block.memory = self._advance(block.memory, dt, reading, _ZERO, _ZERO)
-            self._pressure[cells] = block.memory[PRESSURE]
-            self._variance[cells] = self._own_variance(block.memory, _ZERO)
+            memory = block.memory = self._advance(block.memory, dt, reading, _ZERO, _no_doubt)
+            self._left_open = _LeftOpen(cells, memory[:SHARED].copy(), None, None)
+            self._pressure[cells] = memory[PRESSURE]
             return
-        np.add(block.scratch.level, 1.0, out=noise)
+        at_rest = self._noise.at_rest
+        noise = line[smoothing.LEVEL] + 1.0
         noise *= noise
-        noise *= self._noise.at_rest.take(cells, out=block.spare, mode="clip")
+        noise *= at_rest if every else at_rest.take(cells, mode="clip")
         noise += LEAST_NOISE
         if self._sparks.cells.size:
-            self._put_back(dt, reading)
-        np.copyto(block.line_before, line)
+            self._put_back(dt, reading, noise)
         smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
         if smooth.begun is not None:
-            self._remember(smooth.begun)
-        doubt = self._doubt(noise, smooth)
-        memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, doubt)
-        variance = self._own_variance(memory, doubt)
+            self._remember(smooth.begun, reading, noise)
+        block.line_before = line.copy()
+        looked = _Looked(reading, noise, smooth.std, block.line_before)
+        memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
+        pressure, added = memory[PRESSURE], None
         if self._sparks.cells.size:
-            self._doubt_jumps(memory, variance)
-        pressure = memory[PRESSURE]
+            added = self._variance_of_jumps(memory)
         if np.maximum.reduce(pressure) > USUAL * self.full_scale_kpa:
             # A pressure that the cell is not meant for may as well be an error of the memory.
-            variance += np.maximum(pressure - self.full_scale_kpa, 0.0) ** 2
-        noise_kpa = np.multiply(smooth.std, memory[GAIN], out=block.spare)
+            added = _sum(added, np.maximum(pressure - self.full_scale_kpa, 0.0) ** 2)
+        noise_kpa = smooth.std * memory[GAIN]
         if np.maximum.reduce(noise_kpa) > AT_REST * self.full_scale_kpa:
-            pressure = self._likely(pressure, noise_kpa, variance)
-        self._pressure[cells] = pressure
-        self._variance[cells] = variance
+            likely = self._likely(pressure, noise_kpa)
+            added = _sum(added, (pressure - likely) ** 2)
+            pressure = likely
+        self._left_open = _LeftOpen(cells, memory[:SHARED].copy(), looked, added)
+        if every:
+            np.copyto(self._pressure, pressure)
+        else:
+            self._pressure[cells] = pressure
 
-    def _likely(self, pressure: FloatArray, noise_kpa: FloatArray, variance: FloatArray) -> FloatArray:
-        """(m,) pressures with those that noise alone could give shown nearer to none; adds the change to ``variance``.
+    def _likely(self, pressure: FloatArray, noise_kpa: FloatArray) -> FloatArray:
+        """(m,) pressures with those that noise alone could give shown nearer to none.
 
         Most cells carry no load: of a pressure below two standard deviations of the noise, no load is the likelier
         cause. What is remembered stays as it is.
@@ -395,23 +439,15 @@ class Estimator(ABC):
         squared = pressure * pressure
         squared *= squared
         likely: FloatArray = pressure * (squared / (squared + (NO_LOAD_SIGMAS * noise_kpa) ** 4 + TINY))
-        variance += (pressure - likely) ** 2
         return likely
 
-    def _doubt(self, noise: FloatArray, smooth: smoothing.Smoothed) -> FloatArray:
-        """(m,) standard deviation of the smoothed readings; changes ``noise``.
-
-        A change of the load that the line has not taken up is anything between the line and a little beyond the
-        reading, since noise may hide as much: errors up to there are to stay within :data:`SIGMAS` deviations.
-        """
-        block = self._block
-        doubt = np.subtract(block.reading, smooth.level, out=block.doubt)
-        np.abs(doubt, out=doubt)
-        noise *= HIDDEN
-        doubt += noise
-        doubt *= 1.0 / SIGMAS
-        found: FloatArray = np.maximum(doubt, smooth.std, out=doubt)
-        return found
+    def _variance_of(self, left_open: _LeftOpen) -> FloatArray:
+        """(m,) variance in kPa^2 of the cells that were followed in a step; gaps are not counted."""
+        doubt = _ZERO if left_open.looked is None else left_open.looked.doubt()
+        variance = self._own_variance(left_open.memory, doubt)
+        if left_open.added is not None:
+            variance += left_open.added
+        return variance
 
     def _own_variance(self, memory: FloatArray, std: FloatArray) -> FloatArray:
         """(m,) variance in kPa^2 of cells whose readings are known to ``std`` (m,); gaps are not counted."""
@@ -439,9 +475,11 @@ class Estimator(ABC):
         asleep = np.flatnonzero(~self._awake & (self._readings > 0))
         if asleep.size:
             self._wake_at[asleep] = self._waking()[asleep]
-            at_rest = UNSEEN * self._noise.std(self._mean[asleep], asleep)
             memory = self._memory[:, asleep]
-            self._variance[asleep] = self._own_variance(memory, at_rest) + memory[PRESSURE] ** 2
+            noise = self._noise.std(self._mean[asleep], asleep)
+            self._asleep = _Asleep(asleep, memory[GAIN] / SIGMAS, memory[GAIN] * (HIDDEN / SIGMAS) * noise)
+            self._variance = self._variance.copy()
+            self._variance[asleep] = self._own_variance(memory, _ZERO) + memory[PRESSURE] ** 2
 
     def _put_to_sleep(self, cells: IntArray) -> None:
         if not cells.size:
@@ -477,15 +515,15 @@ class Estimator(ABC):
 
     # -- sparks ------------------------------------------------------------------------------------------------------
 
-    def _remember(self, begun: BoolArray) -> None:
+    def _remember(self, begun: BoolArray, reading: FloatArray, noise: FloatArray) -> None:
         """Keep the memory of cells from before a jump, unless an earlier one is kept already."""
         block = self._block
-        jump = block.reading - block.line_before[smoothing.LEVEL]
+        jump = reading - block.line_before[smoothing.LEVEL]
         size = np.abs(jump)
         if float(size.max()) <= LARGE_JUMP * self._full_scale_r:
             return
-        least = np.maximum(CLEAR_JUMP * block.noise, LARGE_JUMP * self._full_scale_r)
-        released = (self._side * jump < 0) & (self._side * block.reading > -CLEAR * block.noise)
+        least = np.maximum(CLEAR_JUMP * noise, LARGE_JUMP * self._full_scale_r)
+        released = (self._side * jump < 0) & (self._side * reading > -CLEAR * noise)
         place = np.flatnonzero(begun & (size > least) & ~released)
         place = place[~np.isin(block.cells[place], self._sparks.cells)]
         place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
@@ -494,7 +532,7 @@ class Estimator(ABC):
                 block.cells[place], block.memory[:, place], block.line_before[:, place], jump[place]
             )
 
-    def _put_back(self, dt: float, r: FloatArray) -> None:
+    def _put_back(self, dt: float, r: FloatArray, noise: FloatArray) -> None:
         """Put back the memory of cells whose reading has come back; changes the block."""
         sparks, block = self._sparks, self._block
         sparks.age_s += dt
@@ -506,31 +544,36 @@ class Estimator(ABC):
         over |= back
         back &= np.abs(block.line[smoothing.LEVEL, place] - r[place]) > SUDDENLY * np.abs(sparks.jump)
         if back.any():
-            back[back] = self._was_spark(place[back], dt, sparks.where(back), off[back])
+            some = place[back]
+            back[back] = self._was_spark(some, dt, sparks.where(back), r[some], noise[some])
             block.memory[:, place[back]] = sparks.memory[:, back]
             block.line[:, place[back]] = sparks.line[:, back]
+            block.line_before = block.line.copy()
         if over.any():
             self._sparks = sparks.where(~over)
 
-    def _was_spark(self, place: IntArray, dt: float, sparks: _Sparks, off: FloatArray) -> BoolArray:
-        """Whether jumps that were taken back were bad contacts rather than taps; ``place`` (m,) of them in the block.
+    def _was_spark(
+        self, place: IntArray, dt: float, sparks: _Sparks, reading: FloatArray, noise: FloatArray
+    ) -> BoolArray:
+        """Whether jumps (m,) that were taken back were bad contacts rather than taps; ``place`` of them in the block.
 
         A cell remembers a tap. After one, the pressure that follows from the memory of the tap is the one from before,
-        and the reading is not; after a bad contact it is the other way round. What is nearer decides.
+        and the reading is not; after a bad contact it is the other way round. Taps are the rule.
         """
-        block = self._block
-        reading, noise = block.reading[place], block.noise[place]
-        before, top = sparks.memory[PRESSURE], block.memory[PRESSURE, place]
-        tapped = self._advance(block.memory[:, place], dt, reading, noise, noise)
-        moved = np.maximum(np.abs(top - before), TINY)
-        found: BoolArray = off * moved <= np.abs(tapped[PRESSURE] - before) * np.abs(sparks.jump) + CLEAR * noise * moved
+        before, top = sparks.memory[PRESSURE], self._block.memory[PRESSURE, place]
+        tapped = self._advance(self._block.memory[:, place], dt, reading, noise, lambda: noise)
+        off = np.abs(reading - sparks.line[smoothing.LEVEL]) - CLEAR * noise
+        off_if_tapped = np.abs(tapped[PRESSURE] - before)
+        found: BoolArray = off * np.abs(top - before) <= NEARER * off_if_tapped * np.abs(sparks.jump)
         return found
 
-    def _doubt_jumps(self, memory: FloatArray, variance: FloatArray) -> None:
-        """Half of the jump counts as standard deviation as long as it may be a spark; changes ``variance``."""
+    def _variance_of_jumps(self, memory: FloatArray) -> FloatArray:
+        """(m,) kPa^2: half of a jump counts as standard deviation as long as it may be a spark."""
         place = np.searchsorted(self._block.cells, self._sparks.cells)
         jump = memory[PRESSURE, place] - self._sparks.memory[PRESSURE]
-        variance[place] += (0.5 * jump) ** 2
+        variance = np.zeros(memory.shape[1])
+        variance[place] = (0.5 * jump) ** 2
+        return variance
 
     # -- saving ------------------------------------------------------------------------------------------------------
 
@@ -575,11 +618,11 @@ class Estimator(ABC):
 
     @abstractmethod
     def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         """The memory (rows, m) after the reading went to ``r`` (m,) in ``dt_s``.
 
-        ``std`` (m,) is what noise leaves in it, ``doubt`` (m,) also what the smoothing may not have noticed yet.
+        ``std`` (m,) is what noise leaves in it, ``doubt()`` (m,) also what the smoothing may not have noticed yet.
         May change ``memory`` itself.
         """
 
@@ -597,13 +640,78 @@ LEAST_NOISE = 1e-9
 """of r: keeps a division by the noise finite"""
 
 
+def _no_doubt() -> FloatArray:
+    return _ZERO
+
+
+def _sum(one: FloatArray | None, other: FloatArray) -> FloatArray:
+    return other if one is None else one + other
+
+
+class _Looked(NamedTuple):
+    """The readings of one step as the smoothing took them. Arrays (m,), which never change again."""
+
+    reading: FloatArray
+    noise: FloatArray
+    """standard deviation of a reading"""
+    std: FloatArray
+    """standard deviation of the smoothed readings by the noise"""
+    line: FloatArray
+    """(smoothing.ROWS, m) memory of the smoothing after the reading"""
+
+    def doubt(self) -> FloatArray:
+        """(m,) standard deviation of the smoothed readings.
+
+        A change of the load that the line has not taken up is anything between the line and a little beyond the
+        reading, since noise may hide as much: errors up to there are to stay within :data:`SIGMAS` deviations.
+        """
+        doubt: FloatArray = self.reading - self.line[smoothing.LEVEL]
+        np.abs(doubt, out=doubt)
+        doubt += HIDDEN * self.noise
+        doubt *= 1.0 / SIGMAS
+        return np.maximum(doubt, self.std, out=doubt)
+
+
+class _Asleep(NamedTuple):
+    """What the readings of sleeping cells leave open. Arrays never change again."""
+
+    cells: IntArray
+    """(m,) that sleep, or have done so a few frames ago"""
+    per_reading: FloatArray
+    """(m,) kPa of standard deviation per r: the load may be the reading's, though none is shown"""
+    hidden_kpa: FloatArray
+    """(m,) what the noise may hide beyond, as standard deviation"""
+
+    def added_to(self, variance: FloatArray, reading: FloatArray) -> FloatArray:
+        """Variances (n,) in kPa^2 with those that the present readings (n,) leave open."""
+        std = np.abs(reading[self.cells])
+        std *= self.per_reading
+        std += self.hidden_kpa
+        found = variance.copy()
+        found[self.cells] += std**2
+        return found
+
+
+class _LeftOpen(NamedTuple):
+    """All that the variances of one step follow from. Arrays never change again."""
+
+    cells: IntArray
+    """(m,) that were followed"""
+    memory: FloatArray
+    """(SHARED, m) first rows of their memory after the step"""
+    looked: _Looked | None
+    """None: readings are exact"""
+    added: FloatArray | None
+    """(m,) kPa^2 beside that of noise and memory"""
+
+
 class _Block:
-    """What is remembered of the cells that are followed, side by side, with arrays for intermediate results."""
+    """What is remembered of the cells that are followed, side by side."""
 
     def __init__(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
         self.cells, self.memory, self.line = cells, memory, line
-        self.line_before = np.empty_like(line)
-        self.reading, self.noise, self.doubt, self.spare = np.empty((4, cells.size))
+        self.line_before = line.copy()
+        """the line after the last step; replaced, never changed"""
         self.scratch = smoothing.Scratch(line)
 
 

@@ -7,6 +7,7 @@ with a rise of resistance has no such cell; there the inverse is refused.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +20,10 @@ from ._forward import as_m10
 from ._models import AsymmetricModel, M10Model
 from ._paper import LOADS, MEMORIES
 
-LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, ERRORS = 3, slice(4, 6), 6, 7, 8, slice(9, 12)
-"""rows of the memory; the anchor is the load behind a play as wide as the noise, then the last step of the load, and
-standard deviations, in r, of what the branches and the broken chains are remembered to be"""
-BETWEEN, MISSED = 0.58, 0.25
+LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, ERRORS, MISSED = 3, slice(4, 6), 6, 7, 8, slice(9, 12), 12
+"""rows of the memory; the anchor is the load behind a play as wide as the noise, then the last step of the load,
+variances of what the branches and the broken chains are remembered to be, in r, and chains that may have broken unseen"""
+BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.25
 """of a bend of the load, its change of change from frame to frame: the standard deviation of what a lag makes of the way
 between two frames, over ramp (1 - ramp); and of the way that the load went to and fro between them"""
 STILL_SIGMAS = 3.0
@@ -95,7 +96,7 @@ class InverseEstimator(Estimator):
 
     rows = (
         *("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor", "moved"),
-        *("error1", "error2", "broken_error"),
+        *("error1", "error2", "broken_error", "missed"),
     )
 
     def __init__(
@@ -133,7 +134,7 @@ class InverseEstimator(Estimator):
         return memory
 
     def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         m, alpha, s0, x, broken = self.model, self._alpha, memory[LOAD], memory[BRANCHES], memory[BROKEN]
         gone, ramp = lag.weights(dt_s, self._constants_s)  # (5, 1) or (5, n)
@@ -208,12 +209,15 @@ class InverseEstimator(Estimator):
         bend = np.abs(step - memory[MOVED]) - STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
         np.maximum(bend, 0.0, out=bend)
         errors = memory[ERRORS]
-        errors[:2] *= 1 - forgets
-        errors[2] *= 1 - heals
-        errors[:2] += BETWEEN * bend * follows * (1 - follows / np.maximum(self._alpha, 1e-9))
-        errors[2] += MISSED * self.model.k * bend
+        errors[:2] *= (1 - forgets) ** 2
+        errors[2] *= (1 - heals) ** 2
+        errors[:2] += (BETWEEN * bend * follows * (1 - follows / np.maximum(self._alpha, 1e-9))) ** 2
+        errors[2] += (AROUND * self.model.k * bend) ** 2
+        memory[MISSED] *= 1 - heals
+        memory[MISSED] += TO_AND_FRO * self.model.k * bend * (step * memory[MOVED] < 0)
         memory[MOVED] = step
-        memory[VARIANCE] = (errors.sum(axis=0) * memory[GAIN]) ** 2
+        variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2
+        memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within :data:`LOADS`; where the model needs a pull, let it remember less instead."""

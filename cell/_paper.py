@@ -8,6 +8,7 @@ the material's own time. What is hard is to know which model holds.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -141,7 +142,7 @@ class PaperEstimator(Estimator):
         return np.stack([p, none + 1 / m.gain_per_kpa, none, r, none + 1, p, p / m.e2_kpa, p / m.e3_kpa, r])
 
     def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         weights = self._weights_of(dt_s)
         rises, falls = self._thresholds_per_s
@@ -290,7 +291,7 @@ class TurningEstimator(Estimator):
         return memory
 
     def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         w = self._weights_of(dt_s)
         if memory is not self._of.memory:
@@ -315,15 +316,15 @@ class TurningEstimator(Estimator):
             self._turn(memory, np.flatnonzero(turned), std, w)
             self._look(of, w, std)
             unconfirmed = True
+            back, noise = self._gone_back(of, std)
         if unconfirmed:
             # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
-            back, noise = self._gone_back(of, std)
             noise *= SURE
             noise += TURN * self.full_scale_kpa
             noise *= np.add(np.multiply(of.sign, self._sooner, out=of.nearby), self._usually, out=of.nearby)
             np.copyto(of.left, FAR, where=np.greater_equal(back, noise, out=of.where))
         if not self._exact and np.minimum.reduce(of.pressure) < -NEAR * self.full_scale_kpa:
-            self._correct(of, doubt, w)
+            self._correct(of, doubt(), w)
 
         # The other hypothesis begins anew as long as the pressure is near its extreme.
         below_peak = np.subtract(of.peak, of.ahead, out=of.spare)

@@ -36,7 +36,7 @@ ROWS = 5
 
 
 class Smoothed(NamedTuple):
-    """What is made of a reading; all (m,), overwritten by the next call with the same scratch."""
+    """What is made of a reading; all (m,). The next call with the same scratch overwrites ``level`` and ``begun``."""
 
     level: FloatArray
     std: FloatArray
@@ -53,7 +53,7 @@ class Scratch:
         self.level, self.slope, self.count, self.sums = line[LEVEL], line[SLOPE], line[COUNT], line[SUMS]
         self.up, self.down = self.sums
         self.since = line[SLOPE:]
-        self.expected, self.off, self.z, self.std = np.empty((4, cells))
+        self.expected, self.off, self.z = np.empty((3, cells))
         self.above = np.empty((2, cells), dtype=np.bool_)
         self.begun, self.near = np.empty((2, cells), dtype=np.bool_)
         self.gains = np.empty((3, cells))
@@ -147,7 +147,7 @@ def advance(
     if np.count_nonzero(np.greater(sums, SUM, out=m.above)):
         begun = np.logical_or(m.above[0], m.above[1], out=m.begun)
         _begin_again(m, begun, r)
-    return Smoothed(level, np.multiply(m.share, noise, out=m.std), begun)
+    return Smoothed(level, m.share * noise, begun)
 
 
 def _begin_again(m: Scratch, begun: BoolArray, r: FloatArray) -> None:
