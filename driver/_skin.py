@@ -29,7 +29,7 @@ from ._past import Past
 from ._port import Arrival, BytePort
 from ._reader import Reader
 from ._reconnect import PortFinder
-from ._recorder import Recording
+from ._recording import Recording
 from ._replay import RecordedSettings, ReplayPort
 from ._statistics import Counters, LinkStatistics
 from ._stream import RawFrame

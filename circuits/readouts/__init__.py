@@ -9,10 +9,12 @@
 :mod:`._ends`                      columns that end in a Thevenin equivalent
 :mod:`._linear`                    outputs as a linear function of transfer conductances
 :mod:`._adjoint`                   what the derivatives of readings are made of
+:mod:`._cards`                     names of nodes for their SPICE cards
 =================================  =====================================================================
 """
 
 from ._adjoint import SensitivityGroup
+from ._cards import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 from ._circuit import Reading, ReadoutCircuit
 from ._ends import sum_of_others
 from ._inverting_amplifier import InvertingAmplifier
@@ -28,6 +30,11 @@ CIRCUITS: dict[str, ReadoutCircuit] = {
 
 __all__ = [
     "CIRCUITS",
+    "COLUMN_INDEX",
+    "FOLLOWER",
+    "REFERENCE",
+    "ROW_INDEX",
+    "CardWriter",
     "LinearReadout",
     "Reading",
     "ReadoutCircuit",

@@ -12,18 +12,14 @@ All take the network of a grid with ideal lines, whose row terminals are joined 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from ...arrays import FloatArray
+from .._parts import Parts
 from ._ends import Ends
 
-if TYPE_CHECKING:
-    from .._board import Board
 
-
-def terminated_outputs(board: Board, driven: FloatArray, across: FloatArray, ends: Ends) -> FloatArray:
+def terminated_outputs(board: Parts, driven: FloatArray, across: FloatArray, ends: Ends) -> FloatArray:
     """V (N, M) where all columns end in resistances and sources at once."""
     into_end = 1.0 / (ends.resistance + board.column_lead)  # S (M,)
     rows = len(driven)
@@ -38,7 +34,7 @@ def terminated_outputs(board: Board, driven: FloatArray, across: FloatArray, end
     return volts
 
 
-def open_column_outputs(board: Board, driven: FloatArray, across: FloatArray) -> FloatArray:
+def open_column_outputs(board: Parts, driven: FloatArray, across: FloatArray) -> FloatArray:
     """V (N, M) of a divider whose columns are open while they are not read: Thevenin equivalents of all columns."""
     rows, load = len(driven), board.reference
     if board.floating:

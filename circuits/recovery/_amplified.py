@@ -145,7 +145,7 @@ class AmplifiedLive:
 
     def __init__(self, board: Board, rule: ValidityRule) -> None:
         """For a board whose circuit has ends (:meth:`.ReadoutCircuit.ends`) and whose design has a converter."""
-        adc, ends = board.design.adc, board.circuit.ends(board)
+        adc, ends = board.adc, board.circuit.ends(board)
         assert adc is not None
         assert ends is not None
         self._board, self._rule = board, rule
@@ -173,7 +173,7 @@ class AmplifiedLive:
         self._along_row = _shared_wire(self._to_driver)
         self._along_column = _shared_wire(self._to_amplifier.T)
         self._step, self._middle = adc.step, sum(adc.range) / 2
-        self._half_step = adc_error(board.design) * np.abs(self._scale)  # S (M,), of T
+        self._half_step = adc_error(board) * np.abs(self._scale)  # S (M,), of T
         self._tolerance = _SHARE_OF_STEP * adc.step * np.abs(self._scale)  # S (M,), of T
         self._least_tolerance = float(self._tolerance.min())
         swing = max((abs(limit - board.level) for limit in board.supply if np.isfinite(limit)), default=inf)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from math import inf, sqrt
 from typing import NamedTuple
 
@@ -125,9 +126,9 @@ class CoupledLive:
     def __init__(self, board: Board, rule: ValidityRule) -> None:
         """For a sliced sheet with a converter."""
         # Readings at a limit are not fitted. A model without limits has derivatives wherever the fit passes through.
-        self._board = board = board.design.replace(readout={"supply": (-inf, inf)}).board
+        self._board = board = replace(board, supply=(-inf, inf))
         self._rule = rule
-        self._half_step = adc_error(board.design)
+        self._half_step = adc_error(board)
         self._noise = self._half_step / np.sqrt(3.0)  # V, standard deviation of an error within a step
         self._shape = board.shape
         self._mixes = board.circuit.mixes_cells or board.floating
