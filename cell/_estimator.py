@@ -36,11 +36,11 @@ SHARED = 3
 """number of these rows"""
 SPARK_S = 0.1
 """a jump that is taken back sooner is no load"""
-BACK = 0.2
+BACK = 0.05
 """share of a jump within which it counts as taken back"""
 LARGE_JUMP, CLEAR_JUMP = 0.05, 12.0
 """of full scale, and in standard deviations of a reading, from which a jump may be a spark"""
-CLEAR = 2.0
+CLEAR = 3.0
 """standard deviations of a reading by which a jump that was taken back may be off and still be a bad contact"""
 SUDDEN = 2.5
 """times the change of the reading before it: a smaller jump is part of a press"""
@@ -538,11 +538,14 @@ class Estimator(ABC):
         sparks.age_s += dt
         sparks.memory = self._hold(sparks.memory, dt)
         place = np.searchsorted(block.cells, sparks.cells)
-        off = np.abs(r[place] - sparks.line[smoothing.LEVEL])
+        off = r[place] - sparks.line[smoothing.LEVEL]
+        np.copyto(sparks.jump, off, where=np.abs(off) > np.abs(sparks.jump))
+        jump, moved = np.abs(sparks.jump), sparks.line[smoothing.SLOPE] * sparks.age_s
         over = sparks.age_s > SPARK_S * (1 + 1e-9)
-        back = (off < BACK * np.abs(sparks.jump)) & ~over
+        back = np.abs(off - moved) < BACK * jump + CLEAR * noise[place] + np.abs(moved)
+        back &= np.abs(block.line[smoothing.LEVEL, place] - r[place]) > SUDDENLY * jump
+        back &= ~over
         over |= back
-        back &= np.abs(block.line[smoothing.LEVEL, place] - r[place]) > SUDDENLY * np.abs(sparks.jump)
         if back.any():
             some = place[back]
             back[back] = self._was_spark(some, dt, sparks.where(back), r[some], noise[some])
