@@ -281,7 +281,7 @@ class Estimator(ABC):
     def _readable(self, r: FloatArray) -> BoolArray | None:
         """(n,) which readings are credible; None: all. The others become the mean of their cell, in place."""
         low, high = self._credible
-        if low < np.minimum.reduce(r) and np.maximum.reduce(r) < high:  # false if one of them is NaN
+        if low < r.item(r.argmin()) and r.item(r.argmax()) < high:  # false if one of them is NaN
             return None
         known: BoolArray = r > low
         known &= r < high
@@ -416,11 +416,11 @@ class Estimator(ABC):
         pressure, added = memory[PRESSURE], None
         if self._sparks.cells.size:
             added = self._variance_of_jumps(memory)
-        if np.maximum.reduce(pressure) > USUAL * self.full_scale_kpa:
+        if pressure.item(pressure.argmax()) > USUAL * self.full_scale_kpa:
             # A pressure that the cell is not meant for may as well be an error of the memory.
             added = _sum(added, np.maximum(pressure - self.full_scale_kpa, 0.0) ** 2)
         noise_kpa = smooth.std * memory[GAIN]
-        if np.maximum.reduce(noise_kpa) > AT_REST * self.full_scale_kpa:
+        if noise_kpa.item(noise_kpa.argmax()) > AT_REST * self.full_scale_kpa:
             likely = self._likely(pressure, noise_kpa)
             added = _sum(added, (pressure - likely) ** 2)
             pressure = likely
@@ -549,6 +549,7 @@ class Estimator(ABC):
         if back.any():
             some = place[back]
             back[back] = self._was_spark(some, dt, sparks.where(back), r[some], noise[some])
+            block.memory = block.memory.copy()  # another array, as sign that it has changed
             block.memory[:, place[back]] = sparks.memory[:, back]
             block.line[:, place[back]] = sparks.line[:, back]
             block.line_before = block.line.copy()

@@ -36,6 +36,7 @@ class Reading:
     """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each, 0 where it is"""
     solved: bool
     """False where no cell resistances give such readings: then no cell is valid"""
+    all_valid: bool
     _found: LiveReading | None
     _own_share: float
     """of what a cell's own reading leaves open: standard deviation of an ADC step"""
@@ -167,7 +168,7 @@ class CountReader:
             raise ProtocolError(f"the board sends {sent} cells; its design has {expected}")
         reading = self._read(counts)
         # What is not settled yet, or judged without a measured noise, may be otherwise after another frame like this.
-        final = self._frames > 1 and (reading.valid.all() or not (reading.reason == Reason.UNSETTLED).any())
+        final = self._frames > 1 and (reading.all_valid or not (reading.reason == Reason.UNSETTLED).any())
         self._counts, self._reading = same, reading if final else None
         return reading
 
@@ -198,7 +199,7 @@ class CountReader:
         except SolverError:
             nothing = np.full(counts.shape, np.nan)
             reason = np.full(counts.shape, Reason.UNSOLVED, dtype=np.int8)
-            return Reading(nothing, counts < 0, reason, solved=False, _found=None, _own_share=share)
+            return Reading(nothing, counts < 0, reason, solved=False, all_valid=False, _found=None, _own_share=share)
         valid, reason = found.valid, found.reason
         if valid.all() and faint is None:
             return Reading(
@@ -206,6 +207,7 @@ class CountReader:
                 valid,
                 reason,
                 solved=True,
+                all_valid=True,
                 _found=found,
                 _own_share=share,
                 steps_share=self._steps_share,
@@ -215,7 +217,14 @@ class CountReader:
             reason = np.where(faint, np.int8(Reason.NO_CURRENT), reason)
         resistance = np.where(valid, found.resistance, np.nan)
         return Reading(
-            resistance, valid, reason, solved=True, _found=found, _own_share=share, steps_share=self._steps_share
+            resistance,
+            valid,
+            reason,
+            solved=True,
+            all_valid=False,
+            _found=found,
+            _own_share=share,
+            steps_share=self._steps_share,
         )
 
     def _guard_codes(self, volts: FloatArray) -> int:

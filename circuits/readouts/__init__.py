@@ -9,6 +9,7 @@
 :mod:`._ends`                      columns that end in a Thevenin equivalent
 :mod:`._linear`                    outputs as a linear function of transfer conductances
 :mod:`._adjoint`                   what the derivatives of readings are made of
+:mod:`._quick`                     outputs and their fields by plain nodal analysis, without bounds
 :mod:`._cards`                     names of nodes for their SPICE cards
 =================================  =====================================================================
 """
@@ -19,6 +20,7 @@ from ._circuit import Reading, ReadoutCircuit
 from ._ends import sum_of_others
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
+from ._quick import QuickFields, QuickNetwork
 from ._row_amplifier import RowAmplifier
 from ._voltage_divider import VoltageDivider
 from ._voltage_feedback import VoltageFeedback
@@ -36,6 +38,8 @@ __all__ = [
     "ROW_INDEX",
     "CardWriter",
     "LinearReadout",
+    "QuickFields",
+    "QuickNetwork",
     "Reading",
     "ReadoutCircuit",
     "SensitivityGroup",

@@ -19,7 +19,7 @@ from ._adjoint import SensitivityGroup
 from ._cards import CardWriter
 from ._ends import Ends
 from ._linear import LinearReadout
-from ._quick import terminated_outputs
+from ._quick import QuickFields, QuickNetwork, terminated_fields, terminated_outputs
 from ._rounding import energy_bound
 
 
@@ -73,19 +73,47 @@ class ReadoutCircuit(ABC):
 
         """
 
-    def quick_outputs(self, board: Parts, driven: FloatArray, across: FloatArray) -> FloatArray | None:
+    def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
         """V (N, M) of one frame without limits, to about ten digits; None where there is no short way (:mod:`._quick`).
 
         Args:
             board: parts of the readout.
-            driven: (N, M) S between row terminals and column terminals; row leads are inside, column leads are not.
-            across: (M, M) S between column terminals, zero on the diagonal. Row terminals are joined by nothing.
+            network: the grid between its ports.
 
         """
         ends = self.ends(board)
         if ends is None or not (ends.resistance + board.column_lead).all():
             return None
-        return terminated_outputs(board, driven, across, ends)
+        return terminated_outputs(board, network, ends)
+
+    def quick_fields(self, board: Parts, network: QuickNetwork) -> Iterator[QuickFields] | None:
+        """Fields of all readings, row by row, from which :mod:`..recovery` makes derivatives; None as above.
+
+        Arguments as of :meth:`quick_outputs`.
+        """
+        ends = self.ends(board)
+        if ends is None or not (ends.resistance + board.column_lead).all():
+            return None
+        return terminated_fields(board, network, ends)
+
+    def column_slopes(
+        self, board: Parts, driven: FloatArray, total: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Derivatives of readings that depend on their own conductance and their column's sum alone.
+
+        Idle rows are at ground, and row terminals as well as columns are joined by nothing.
+
+        Args:
+            board: parts of the readout.
+            driven: (N, M) S between row terminals and columns.
+            total: (M,) S, the sum of that over the rows.
+
+        Returns:
+            V/S (N, M) of each reading by its own conductance with the sum kept, and by the sum; None for circuits whose
+            readings depend on more.
+
+        """
+        return None
 
     @abstractmethod
     def end_resistance(self, board: Parts) -> FloatArray:

@@ -19,7 +19,14 @@ from ._cards import CardWriter
 from ._circuit import Reading, ReadoutCircuit, rounding_floor
 from ._ends import Ends, column_currents, terminate
 from ._inverting_amplifier import drive_over_signal
-from ._quick import open_column_outputs, terminated_outputs
+from ._quick import (
+    QuickFields,
+    QuickNetwork,
+    open_column_fields,
+    open_column_outputs,
+    terminated_fields,
+    terminated_outputs,
+)
 
 _FULL_RATIO = 1 - 1e-9  # of signal to drive: beyond it the cell is a short, for all that a divider tells
 
@@ -54,10 +61,23 @@ class VoltageDivider(ReadoutCircuit):
             relative=float(relative.max(initial=0.0)),
         )
 
-    def quick_outputs(self, board: Parts, driven: FloatArray, across: FloatArray) -> FloatArray | None:
+    def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
         if self.columns_one_by_one(board):
-            return open_column_outputs(board, driven, across)
-        return board.level + terminated_outputs(board, driven, across, _loads(board))
+            return open_column_outputs(board, network)
+        return board.level + terminated_outputs(board, network, _loads(board))
+
+    def quick_fields(self, board: Parts, network: QuickNetwork) -> Iterator[QuickFields] | None:
+        if self.columns_one_by_one(board):
+            return open_column_fields(board, network)
+        return terminated_fields(board, network, _loads(board))
+
+    def column_slopes(
+        self, board: Parts, driven: FloatArray, total: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        behind = board.reference + board.column_lead
+        by_own = board.drive * board.reference / (1.0 + total * behind)
+        by_sum = by_own * driven * behind / (1.0 + total * behind)
+        return np.broadcast_to(by_own, driven.shape), -by_sum
 
     def end_resistance(self, board: Parts) -> FloatArray:
         return board.reference

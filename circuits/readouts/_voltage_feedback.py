@@ -20,7 +20,7 @@ from ._adjoint import SensitivityGroup, TiedPorts
 from ._cards import CardWriter
 from ._circuit import Contradiction, Reading
 from ._ends import sum_of_others, terminate
-from ._quick import behind_leads
+from ._quick import QuickFields, QuickNetwork, behind_leads
 from ._rounding import conductance_into_rows
 from ._voltage_divider import VoltageDivider
 
@@ -89,11 +89,26 @@ class VoltageFeedback(VoltageDivider):
         lifted = board.loop_share * balance.idle * follower / balance.slope
         return Reading(np.clip(volts, low, high), saturated, magnitude, lifted, balance.relative)
 
-    def quick_outputs(self, board: Parts, driven: FloatArray, across: FloatArray) -> FloatArray | None:
-        driven, across = behind_leads(driven, across, board.column_lead)
+    def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
+        driven, across = behind_leads(network, board.column_lead)
         balance = _Balance.between(board, driven, driven.sum(axis=0) - driven + across.sum(axis=0), 0.0)
         volts: FloatArray = board.loop_share * (board.level + balance.column(board) + board.offset)
         return volts
+
+    def quick_fields(self, board: Parts, network: QuickNetwork) -> Iterator[QuickFields] | None:
+        return None  # each reading has fields of its own: :meth:`sensitivity_groups`
+
+    def column_slopes(
+        self, board: Parts, driven: FloatArray, total: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        behind_lead = 1.0 / (1.0 + board.column_lead * total)
+        driven = driven * behind_lead
+        balance = _Balance.between(board, driven, total * behind_lead - driven, 0.0)
+        column = balance.column(board)
+        lift = board.loop_share * board.offset - board.inverse_gain * board.level
+        per_siemens = board.loop_share * behind_lead / balance.slope
+        by_sum = per_siemens * (lift - board.inverse_gain * column)
+        return per_siemens * (board.drive - column) - by_sum, by_sum
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.
