@@ -44,8 +44,11 @@ CLEAR = 3.0
 """standard deviations of a reading by which a jump that was taken back may be off and still be a bad contact"""
 SUDDEN = 2.5
 """times the change of the reading before it: a smaller jump is part of a press"""
-NEARER = 0.5
-"""share of the distance to a tap within which a bad contact must be"""
+SETTLED = 2
+"""readings on a line before a jump that may be a spark: a jump that follows another one is part of a press"""
+NEARER, EITHER, SMALL = 0.5, 0.25, 0.15
+"""share of the distance to a tap within which a bad contact must be; share of the jump, and of full scale, within which
+the pressure after a tap is usually that from before it"""
 SUDDENLY = 0.6
 """share of a jump that must be taken back from one frame to the next"""
 BEYOND = 0.75
@@ -524,7 +527,8 @@ class Estimator(ABC):
             return
         least = np.maximum(CLEAR_JUMP * noise, LARGE_JUMP * self._full_scale_r)
         released = (self._side * jump < 0) & (self._side * reading > -CLEAR * noise)
-        place = np.flatnonzero(begun & (size > least) & ~released)
+        held = block.line_before[smoothing.COUNT] >= SETTLED
+        place = np.flatnonzero(begun & (size > least) & ~released & held)
         place = place[~np.isin(block.cells[place], self._sparks.cells)]
         place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
         if place.size:
@@ -562,13 +566,18 @@ class Estimator(ABC):
         """Whether jumps (m,) that were taken back were bad contacts rather than taps; ``place`` of them in the block.
 
         A cell remembers a tap. After one, the pressure that follows from the memory of the tap is the one from before,
-        and the reading is not; after a bad contact it is the other way round. Taps are the rule.
+        and the reading is not; after a bad contact it is the other way round. Taps are the rule. Where both may be, the
+        difference counts as standard deviation, until it has faded.
         """
         before, top = sparks.memory[PRESSURE], self._block.memory[PRESSURE, place]
         tapped = self._advance(self._block.memory[:, place], dt, reading, noise, lambda: noise)
         off = np.abs(reading - sparks.line[smoothing.LEVEL]) - CLEAR * noise
         off_if_tapped = np.abs(tapped[PRESSURE] - before)
-        found: BoolArray = off * np.abs(top - before) <= NEARER * off_if_tapped * np.abs(sparks.jump)
+        moved = np.abs(top - before)
+        found: BoolArray = off * moved <= NEARER * off_if_tapped * np.abs(sparks.jump)
+        plausible = np.maximum(EITHER * moved, SMALL * self.full_scale_kpa)
+        either = found & (off_if_tapped < plausible) & (tapped[PRESSURE] > -LARGE_JUMP * self.full_scale_kpa)
+        self._gaps.doubt(sparks.cells[either], off_if_tapped[either] ** 2)
         return found
 
     def _variance_of_jumps(self, memory: FloatArray) -> FloatArray:
@@ -752,6 +761,12 @@ class _Gaps:
         if self.doubtful and float(self.variance.max()) < (1e-3 * most_kpa) ** 2:
             self._left[:] = 0.0
             self.doubtful = self.open
+
+    def doubt(self, cells: IntArray, variance: FloatArray) -> None:
+        """Add a variance (m,) in kPa^2 to that of ``cells``; it fades as that of a gap."""
+        if cells.size:
+            self._left[cells] += variance
+            self.doubtful = True
 
     def _renew(self) -> None:
         self.open = bool(self.unread_s.any())
