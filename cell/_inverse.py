@@ -21,11 +21,13 @@ from ._models import AsymmetricModel, M10Model
 from ._paper import LOADS, MEMORIES
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, ERRORS, MISSED = 3, slice(4, 6), 6, 7, 8, slice(9, 12), 12
-"""rows of the memory; the anchor is the load behind a play as wide as the noise, then the last step of the load,
-variances of what the branches and the broken chains are remembered to be, in r, and chains that may have broken unseen"""
+"""rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last step of the load,
+variances in r of what is remembered of the branches and of the broken chains, and the r of chains that may have broken
+unseen"""
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.25
-"""of a bend of the load, its change of change from frame to frame: the standard deviation of what a lag makes of the way
-between two frames, over ramp (1 - ramp); and of the way that the load went to and fro between them"""
+"""of a bend of the load, its change of change from frame to frame. The first makes the standard deviation of a lag, over
+ramp (1 - ramp), as the load may go straight or by a step. The second makes that of the way to and fro between two
+frames, the third its mean where the load turns"""
 STILL_SIGMAS = 3.0
 """half width of that play, in standard deviations: noise within it breaks no chains"""
 
