@@ -25,7 +25,7 @@ LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, ERRORS, MISSED = 3, slice(4, 6), 6, 7, 8,
 variances in r of what is remembered of the branches and of the broken chains, and the r of chains that may have broken
 unseen"""
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.25
-"""of a bend of the load, its change of change from frame to frame. The first makes the standard deviation of a lag, over
+"""of a bend of the load, its change of change between frames. The first makes the standard deviation of a lag, over
 ramp (1 - ramp), as the load may go straight or by a step. The second makes that of the way to and fro between two
 frames, the third its mean where the load turns"""
 STILL_SIGMAS = 3.0
