@@ -42,10 +42,8 @@ LARGE_JUMP, CLEAR_JUMP = 0.05, 12.0
 """of full scale, and in standard deviations of a reading, from which a jump may be a spark"""
 CLEAR = 3.0
 """standard deviations of a reading by which a jump that was taken back may be off and still be a bad contact"""
-SUDDEN = 2.5
+SUDDEN = 6.0
 """times the change of the reading before it: a smaller jump is part of a press"""
-SETTLED = 2
-"""readings on a line before a jump that may be a spark: a jump that follows another one is part of a press"""
 NEARER, EITHER, SMALL = 0.5, 0.25, 0.15
 """share of the distance to a tap within which a bad contact must be; share of the jump, and of full scale, within which
 the pressure after a tap is usually that from before it"""
@@ -534,8 +532,7 @@ class Estimator(ABC):
             return
         least = np.maximum(CLEAR_JUMP * noise, LARGE_JUMP * self._full_scale_r)
         released = (self._side * jump < 0) & (self._side * reading > -CLEAR * noise)
-        held = block.line_before[smoothing.COUNT] >= SETTLED
-        place = np.flatnonzero(begun & (size > least) & ~released & held)
+        place = np.flatnonzero(begun & (size > least) & ~released)
         place = place[~np.isin(block.cells[place], self._sparks.cells)]
         place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
         if place.size:
