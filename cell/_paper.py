@@ -44,7 +44,7 @@ BETWEEN = 0.3
 LESS = 2.0
 """standard deviations of the smoothed noise by which an extreme counts for less. The largest of many readings is too
 large by about as many; with more, the end of a tap of few frames would be missed"""
-PULL_SIGMAS = 1.0
+PULL_SIGMAS = 0.7
 """standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
 smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
 FLAT = 0.003
