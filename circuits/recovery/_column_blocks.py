@@ -78,10 +78,11 @@ class ColumnBlocks:
     def __init__(self, board: Board, to_driver: FloatArray, to_end: FloatArray, noise: float) -> None:
         """Take the board, ohm (N, M) of wire from each crosspoint to the row driver and to its column's end."""
         self._board, self._noise = board, noise
-        self._lead = to_driver.mean(axis=1)  # a line with segments counts as one lead
-        self._to_driver, self._to_end = to_driver, to_end
-        finite = bool(np.isfinite(to_driver).all() and np.isfinite(to_end + board.column_lead).all())
-        self.applies = board.plain and finite and not board.floating
+        # Cells beyond a complete break take no part. A line with segments counts as one lead.
+        self._reached = np.isfinite(to_driver + to_end + board.column_lead)
+        self._to_driver, self._to_end = (np.where(self._reached, ohms, 0.0) for ohms in (to_driver, to_end))
+        self._lead = self._to_driver.sum(axis=1) / np.maximum(self._reached.sum(axis=1), 1)
+        self.applies = board.plain and not board.floating
         """whether the board's readings have this form at all"""
         if self.applies:
             some = np.full(board.shape, 1e-4)
@@ -102,15 +103,16 @@ class ColumnBlocks:
 
         """
         board, lead = self._board, self._lead[:, None]
-        conductance = board.cell_conductance(cells)
+        conductance = np.where(self._reached, board.cell_conductance(cells), 0.0)
         factor = np.ones(board.shape)
         if board.faults:
             own_part = cells / (cells + board.series_ohms) ** 2
             factor = np.maximum(own_part / np.maximum(conductance, np.finfo(np.float64).tiny), _LEAST_FACTOR)
         driven = conductance / (1.0 + lead * conductance.sum(axis=1, keepdims=True))
-        slopes = board.circuit.column_slopes(board, driven, driven.sum(axis=0))
+        with np.errstate(invalid="ignore"):  # an endless resistance behind a column without conductance
+            slopes = board.circuit.column_slopes(board, driven, driven.sum(axis=0))
         assert slopes is not None
-        own, by_sum = driven * slopes[0] / self._noise, slopes[1] / self._noise
+        own, by_sum = np.nan_to_num(driven * slopes[0] / self._noise), np.nan_to_num(slopes[1] / self._noise)
         spread = spread * factor
         free = 1.0 / (own**2 + spread**-2.0)
         second_vector = own * by_sum

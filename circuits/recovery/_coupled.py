@@ -10,9 +10,10 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...errors import SolverError
+from ...errors import InputError, SolverError
 from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
+from .._sections import Fault
 from ..solvers import siemens
 from ._column_blocks import ColumnBlocks
 from ._derivatives import derivatives
@@ -20,6 +21,7 @@ from ._lines import LineResistance
 from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
 from ._normal_matrix import Meter, NormalMatrix
 from ._quick_model import QuickModel
+from ._sheet_model import SheetModel
 
 _SHORT = 8.0  # half steps and noise from the reading of a short within which a cell may be one
 _SHORT_SHARE = 0.998  # of the reading of a short, likewise
@@ -37,6 +39,7 @@ _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
 _SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
+_COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
 _FAR_BELOW = 0.02  # share of its leads' resistance below which a cell that does not fit may as well be a short
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _CONVERGED = 0.2  # the same after steps that have come to their end
@@ -90,10 +93,12 @@ class _Effort(NamedTuple):
     """of the circuit model"""
     instalments: int
     """of the renewal of the derivatives, each about as much as one to five evaluations"""
+    solutions: int
+    """of a continuous sheet"""
 
 
-USUAL_EFFORT = _Effort(4, 1)
-FIRST_EFFORT = _Effort(40, 700)
+USUAL_EFFORT = _Effort(evaluations=4, instalments=1, solutions=1)
+FIRST_EFFORT = _Effort(evaluations=40, instalments=700, solutions=4)
 """in the first frame of all, before which nothing is known"""
 
 
@@ -125,6 +130,11 @@ class _Fit(NamedTuple):
     """(n,) present slopes over those at the base"""
 
 
+def _with_resistance(fault: Fault) -> Fault:
+    """The fault, with a resistance far below that of any wire where it has none."""
+    return fault.replace(resistance=_COMPLETE_SHORT) if fault.kind == "shorted-cell" and fault.ohms == 0 else fault
+
+
 def _far(base: _Base, at: _Known) -> bool:
     """Whether the base is from too far away to serve at these cells."""
     return float(np.abs(base.log - at.log).max()) > _FAR
@@ -141,9 +151,15 @@ class CoupledLive:
     """
 
     def __init__(self, board: Board, rule: ValidityRule) -> None:
-        """For a sliced sheet with a converter."""
+        """For a board with a converter.
+
+        Raises:
+            InputError: the board is too large.
+
+        """
         # Readings at a limit are not fitted. A model without limits has derivatives wherever the fit passes through.
-        self._board = board = replace(board, supply=(-inf, inf))
+        whole = replace(board, supply=(-inf, inf))
+        self._board = board = replace(whole, continuous=False, faults=tuple(map(_with_resistance, board.faults)))
         self._rule = rule
         self._half_step = adc_error(board)
         self._noise = self._half_step / np.sqrt(3.0)  # V, standard deviation of an error within a step
@@ -156,10 +172,21 @@ class CoupledLive:
         self._prior = np.where(self._hidden, _UNKNOWN, _PRIOR)
         self._lines = LineResistance(board)
         self._columns = ColumnBlocks(board, self._lines.to_driver, self._lines.to_end, self._noise)
-        self._has_matrix = board.shape[0] * board.shape[1] <= (
-            LARGEST_BESIDE if self._columns.applies else LARGEST_MATRIX
-        )
-        self._model = QuickModel(board, self._lines)
+        cells = board.shape[0] * board.shape[1]
+        if cells > LARGEST_MATRIX and not self._columns.applies:
+            raise InputError(
+                f"the live recovery of boards with floating rows or bridged lines is for at most {LARGEST_MATRIX} "
+                f'cells, and the array has {cells}; expected a smaller array, or drive.idle_rows = "ground"'
+            )
+        self._shorted = np.zeros(board.shape, dtype=np.bool_)  # by faults of 0 ohm
+        for fault in whole.shorts:
+            self._shorted[fault.place] |= fault.ohms == 0
+        self._gone = self._hidden | self._shorted.ravel()  # cells that no reading tells of
+        nearly_independent = self._columns.applies and not self._shorted.any()
+        self._has_matrix = cells <= (LARGEST_BESIDE if nearly_independent else LARGEST_MATRIX)
+        self._quick = QuickModel(board, self._lines)
+        self._sheet = SheetModel(whole, self._quick) if whole.continuous else None
+        self._model = self._quick if self._sheet is None else self._sheet
         leads = board.row_ohms[:, :1] + board.column_lead
         self._leads = self._lines.to_ends + board.column_lead  # ohm in series with each cell
         # V of a short that is alone, inf with ideal lines and amplifiers; and the most that any cells can make of it
@@ -206,7 +233,15 @@ class CoupledLive:
         if self._base is None:
             self._base = self._based_on(start)
         slope = self._slope(volts)
-        fit = self._solve(measured, start, slope, coarser, USUAL_EFFORT if self._begun else FIRST_EFFORT)
+        effort = USUAL_EFFORT if self._begun else FIRST_EFFORT
+        fit, doubt = self._solve(measured, start, slope, coarser, effort), 0.0
+        if self._sheet is not None:
+            for _ in range(effort.solutions):
+                if self._sheet.serves(fit.known.log, SIGMAS * coarser * self._base.std):
+                    break
+                self._sheet.solve(fit.known.log)
+                fit = self._solve(measured, self._known_at(fit.known.log), slope, coarser, effort)
+            doubt = self._sheet.doubt(fit.known.log)
         x, misfit = fit.known.log, fit.misfit
         self._begun, self._known, base = True, fit.known, self._base
         if misfit <= _UNSETTLED:
@@ -225,7 +260,7 @@ class CoupledLive:
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
         by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own)
         by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else 1.0)
-        uncertainty = by_readings + base.others
+        uncertainty = by_readings + base.others + doubt
         open_cells = signal <= self._half_step + SIGMAS * noise
         reason = np.full(len(measured), _UNCERTAIN, dtype=np.int8)
         reason[base.others > 0.5 * uncertainty] = _DISTURBED
@@ -234,7 +269,7 @@ class CoupledLive:
         self._astray = misfit > _UNSETTLED or fit.lost or (self._astray and not fit.proven)
         if self._astray:  # the frame's budget did not suffice, or no cells give quite these readings
             reason[:], uncertainty[:] = _UNSETTLED_CELL, inf
-        gone = self._hidden
+        gone = self._gone
         reason[gone] = _HIDDEN
         uncertainty[gone | (uncertainty > 1.0)] = inf
         valid = self._rule.accepts(uncertainty, own) & ~open_cells
@@ -325,7 +360,7 @@ class CoupledLive:
         reason = np.full(self._shape, _DISTURBED, dtype=np.int8)
         if limited is not None:
             reason[limited] = _SATURATED
-        reason[self._hidden.reshape(self._shape)] = _HIDDEN
+        reason[self._gone.reshape(self._shape)] = _HIDDEN
         unknown, nowhere = np.full(self._shape, inf), np.zeros(self._shape, dtype=np.bool_)
         return LiveReading(np.full(self._shape, np.nan), nowhere, reason, lambda: (unknown, np.ones(self._shape)))
 
@@ -407,7 +442,7 @@ class CoupledLive:
         jacobian = np.empty((len(x), len(x)))
         meter = Meter(len(x), beside=self._columns.applies)
         at_cells = cells.reshape(self._shape)
-        for _ in derivatives(self._board, at_cells, self._model, meter, out=jacobian):
+        for _ in derivatives(self._board, at_cells, self._quick, meter, out=jacobian):
             yield None
         in_series = 1.0 / (cells + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
         jacobian *= in_series**2 * cells / self._noise
