@@ -107,7 +107,7 @@ class ColumnBlocks:
         factor = np.ones(board.shape)
         if board.faults:
             own_part = cells / (cells + board.series_ohms) ** 2
-            factor = np.maximum(own_part / np.maximum(conductance, np.finfo(np.float64).tiny), _LEAST_FACTOR)
+            factor = np.clip(own_part / np.maximum(conductance, np.finfo(np.float64).tiny), _LEAST_FACTOR, 1.0)
         driven = conductance / (1.0 + lead * conductance.sum(axis=1, keepdims=True))
         with np.errstate(invalid="ignore"):  # an endless resistance behind a column without conductance
             slopes = board.circuit.column_slopes(board, driven, driven.sum(axis=0))

@@ -40,6 +40,7 @@ _SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
 _COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
+_ROUGHLY = 0.05  # change of a logarithm that matters for cells which only load others
 _FAR_BELOW = 0.02  # share of its leads' resistance below which a cell that does not fit may as well be a short
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _CONVERGED = 0.2  # the same after steps that have come to their end
@@ -192,12 +193,13 @@ class CoupledLive:
         # V of a short that is alone, inf with ideal lines and amplifiers; and the most that any cells can make of it
         self._short_signal, self._most_signal = (
             np.abs(board.circuit.ideal_volts(board, ohms) - board.level)
-            for ohms in (self._leads, leads + 0.0 * self._lines.to_ends)
+            for ohms in (self._leads, np.broadcast_to(leads, board.shape))
         )
         self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._known: _Known | None = None  # where the last frame ended
+        self._ignored: BoolArray | None = None  # (n,) readings at limits, of cells that faults hide
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
         self._astray = False  # the last frame did not settle
@@ -214,15 +216,26 @@ class CoupledLive:
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
-        if limited is not None or (self._mixes and self._hidden.any()):
+        gone = self._gone.reshape(self._shape)
+        known_limits = None if limited is None else limited & gone
+        if (limited is not None and (limited & ~gone).any()) or (self._mixes and self._hidden.any()):
             # A cell beyond its limit may be a short, and what that does to all others no derivative at the limit tells.
             return self._nothing(limited)
         signal, margin = np.abs(volts - self._board.level), _SHORT * (self._half_step + SIGMAS * noise)
-        if (signal > self._most_signal + margin).any():
+        if ((signal > self._most_signal + margin) & ~gone).any():
             raise SolverError("readings above that of a short; check that the design is that of the board")
-        beyond = signal >= np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)
+        beyond = (signal >= np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)) & ~gone
         if beyond.any():
             return self._nothing(beyond)
+        beside = np.zeros(self._shape, dtype=np.bool_)
+        self._ignored = None
+        if known_limits is not None:
+            if self._board.circuit.has_amplifiers:
+                # While a known short's amplifier stands at its limit, it does not hold its column: others notice.
+                beside |= np.any(known_limits & self._shorted, axis=1, keepdims=True)
+                if self._board.floating and beside.any():
+                    return self._nothing(limited)
+            self._ignored = (known_limits | beside).ravel()
         measured = volts.ravel()
         # Noise makes readings less certain, and readings and model differ by as much more.
         coarser = float(np.hypot(1.0, noise / self._noise))
@@ -230,6 +243,10 @@ class CoupledLive:
         if start is None:
             start, self._renewal = self._known_at(self._start(volts)), None
             self._from_fresh_start = True
+        if beside.any():
+            apparent = np.where(beside.ravel(), self._start(volts), start.log)
+            if np.abs(apparent - start.log).max() > _ROUGHLY:
+                start = self._known_at(apparent)
         if self._base is None:
             self._base = self._based_on(start)
         slope = self._slope(volts)
@@ -269,6 +286,8 @@ class CoupledLive:
         self._astray = misfit > _UNSETTLED or fit.lost or (self._astray and not fit.proven)
         if self._astray:  # the frame's budget did not suffice, or no cells give quite these readings
             reason[:], uncertainty[:] = _UNSETTLED_CELL, inf
+        uncertainty[beside.ravel()] = inf
+        reason[beside.ravel()] = _DISTURBED
         gone = self._gone
         reason[gone] = _HIDDEN
         uncertainty[gone | (uncertainty > 1.0)] = inf
@@ -297,13 +316,13 @@ class CoupledLive:
 
         """
         assert self._base is not None
-        apart = measured - known.volts
+        apart = self._apart(measured, known)
         misfit, stalled, instalments = self._misfit(apart) / scale, False, effort.instalments
         steeper = self._steeper(slope)
         step = self._step(apart, steeper)
         for left in range(effort.evaluations - 1, -1, -1):
             known = self._known_at(known.log + step)
-            apart = measured - known.volts
+            apart = self._apart(measured, known)
             last, misfit = misfit, self._misfit(apart) / scale
             stalled = abs(misfit - last) <= _SAME * misfit
             before, step = step, self._step(apart, steeper)
@@ -326,6 +345,13 @@ class CoupledLive:
         lost = not serves and moved > _TOO_FAR
         proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
         return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, steeper=steeper)
+
+    def _apart(self, measured: FloatArray, known: _Known) -> FloatArray:
+        """V (n,) between readings and model, where the readings count."""
+        apart = measured - known.volts
+        if self._ignored is not None:
+            apart[self._ignored] = 0.0
+        return apart
 
     def _moved(self, x: FloatArray, scale: float) -> float:
         """Largest change of the logarithms x (n,) since the derivatives were made; what noise does counts less."""
