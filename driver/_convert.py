@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
 from ..cell import Cell, Estimator
-from ..circuits import Design, Reason
+from ..circuits import Design, Reason, ValidityRule
 from ..errors import InputError
 from ._calibration import Calibration
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
@@ -316,7 +316,7 @@ class Converter:
         best = self._surest
         if best >= 1.0:
             return None
-        asked = "2 % or what the converter allows" if self._accuracy is None else f"{100 * self._accuracy:g} %"
+        asked = f"{100 * ValidityRule.of(self._accuracy).limit:g} %"
         return (
             f"{start}{others} is known to {100 * best:.2g} %, and {asked} was asked for; "
             f"Skin.open(..., accuracy={min(1.5 * best, 0.99):.2g}) takes cells known so well; a converter of more "

@@ -110,8 +110,8 @@ class _Levels(NamedTuple):
     """S by which a cell's own transfer conductance may be off: half a step, noise, and what the model leaves"""
     others: FloatArray
     """relative uncertainty by the readings of other cells"""
-    least: FloatArray | None
-    """S, transfer conductance from which on a cell is valid; None if these are no single range"""
+    least: FloatArray
+    """S, transfer conductance from which on a cell is valid"""
 
 
 class _Beside(NamedTuple):
@@ -228,7 +228,7 @@ class AmplifiedLive:
             gain = self._base.gain
             transfer = self._base.own_part(transfer)
         levels = self._levels_at(gain, noise)
-        if limited is None and off is None and levels.least is not None and not self._faulty:
+        if limited is None and off is None and not self._faulty:
             valid = transfer >= levels.least
             if valid.all():
                 return LiveReading(
@@ -451,7 +451,7 @@ class AmplifiedLive:
             uncertainty[limited], reason[limited] = inf, _SATURATED
         if self._faulty:
             uncertainty[self._hidden], reason[self._hidden] = inf, _HIDDEN
-        valid = self._rule.accepts(uncertainty, own)
+        valid = self._rule.accepts(uncertainty)
         valid &= conductance > 0.0
         reason[valid] = 0
         resistance = np.divide(1.0, conductance, out=np.full_like(conductance, inf), where=conductance > 0)

@@ -291,7 +291,7 @@ class CoupledLive:
         gone = self._gone
         reason[gone] = _HIDDEN
         uncertainty[gone | (uncertainty > 1.0)] = inf
-        valid = self._rule.accepts(uncertainty, own) & ~open_cells
+        valid = self._rule.accepts(uncertainty) & ~open_cells
         reason[valid] = 0
         resistance = np.exp(-x)
         resistance[gone] = np.nan

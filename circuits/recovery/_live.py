@@ -32,8 +32,8 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
 
     Args:
         design: the board.
-        accuracy: relative uncertainty of a conductance up to which a cell is valid; None: as the converter allows, see
-            :class:`ValidityRule`.
+        accuracy: relative uncertainty of a conductance up to which a cell is valid; None:
+            :data:`._live_reading.ACCURACY`.
 
     Raises:
         InputError: the design has no [adc], the accuracy is not between 0 and 1, or the board is too large.
@@ -41,7 +41,7 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
     """
     if design.adc is None:
         raise InputError("the design has no [adc] section; expected bits and range")
-    board, rule = design.board, ValidityRule(accuracy)
+    board, rule = design.board, ValidityRule.of(accuracy)
     complete_short = any(fault.ohms == 0 for fault in board.shorts)
     amplified = board.circuit.ends(board) is not None and not board.floating and board.plain and not complete_short
     lines = (board.row_ohms, board.column_ohms, board.column_lead)
