@@ -30,6 +30,17 @@ from .._board import Board
 _LEAST_FACTOR = 1e-6  # of a cell in its crosspoint's conductance: beside a fault, below which no reading tells of it
 
 
+def beyond_linear(std: FloatArray) -> FloatArray:
+    """Further variance of a conductance that is known within ``std`` of its logarithm, over what a linear law gives.
+
+    A logarithm's standard deviation up multiplies a conductance by exp(std), not by 1 + std. What a cell that is hardly
+    known may add to the current of its lines is therefore more than the derivatives say.
+    """
+    std = np.clip(std, 1e-3, 4.0)
+    more: FloatArray = (np.expm1(std) / std) ** 2 - 1.0
+    return more
+
+
 class Step(NamedTuple):
     """The regularised inverse of the derivatives at one point. Arrays are (N, M), logarithms those of the cells."""
 
@@ -127,6 +138,16 @@ class ColumnBlocks:
         information = 1.0 / free + squares * driven**2 + 2.0 * driven * second_vector
         # No cell is known better than if all others were: rounding must not say so.
         variance = np.maximum(free - free**2 * lessened, 1.0 / information)
+        # What cells that are hardly known make of the others, see beyond_linear().
+        weight = free**2 * beyond_linear(np.sqrt(variance) / factor) / variance
+        by_first = np.einsum("ij,ij,ij->j", driven, weight, driven)
+        by_both = np.einsum("ij,ij,ij->j", driven, weight, second_vector)
+        by_second = np.einsum("ij,ij,ij->j", second_vector, weight, second_vector)
+        along_driven = first * driven + both * second_vector
+        along_other = both * driven + second * second_vector
+        variance = variance + free**2 * (
+            by_first * along_driven**2 + 2.0 * by_both * along_driven * along_other + by_second * along_other**2
+        )
         through_lead = lead * conductance
         along = np.einsum("ij,ij,ij->i", through_lead, through_lead, variance)[:, None]
         spread_of_rows = variance * (1.0 + 2.0 * through_lead) + along

@@ -15,7 +15,7 @@ from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
 from .._sections import Fault
 from ..solvers import siemens
-from ._column_blocks import ColumnBlocks
+from ._column_blocks import ColumnBlocks, beyond_linear
 from ._derivatives import derivatives
 from ._lines import LineResistance
 from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
@@ -37,11 +37,14 @@ _SLOW = 0.2  # length of a step over the one before from which on the derivative
 _MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
 _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
 _SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
+_MOST_WITHOUT_FIT = 2  # frames in a row until steps column by column are given up
+_STUCK = 300  # frames until they are tried again
+_AT_REST = 0.3  # most change by a further step after a fresh start
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
 _COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
 _ROUGHLY = 0.05  # change of a logarithm that matters for cells which only load others
-_FAR_BELOW = 0.02  # share of its leads' resistance below which a cell that does not fit may as well be a short
+_FAR_BELOW = 0.05  # share of its leads' resistance below which a cell is as good as a short
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _CONVERGED = 0.2  # the same after steps that have come to their end
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
@@ -199,9 +202,11 @@ class CoupledLive:
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._known: _Known | None = None  # where the last frame ended
-        self._ignored: BoolArray | None = None  # (n,) readings at limits, of cells that faults hide
+        self._ignored: BoolArray | None = None  # (n,) readings of cells that faults hide
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
+        self._stuck = 0  # frames for which steps column by column are not tried, since they led to no fit
+        self._without_fit = 0  # frames
         self._astray = False  # the last frame did not settle
 
     def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
@@ -228,14 +233,14 @@ class CoupledLive:
         if beyond.any():
             return self._nothing(beyond)
         beside = np.zeros(self._shape, dtype=np.bool_)
-        self._ignored = None
+        self._ignored = self._hidden if self._hidden.any() else None
         if known_limits is not None:
             if self._board.circuit.has_amplifiers:
                 # While a known short's amplifier stands at its limit, it does not hold its column: others notice.
                 beside |= np.any(known_limits & self._shorted, axis=1, keepdims=True)
                 if self._board.floating and beside.any():
                     return self._nothing(limited)
-            self._ignored = (known_limits | beside).ravel()
+            self._ignored = (known_limits | beside).ravel() | self._hidden
         measured = volts.ravel()
         # Noise makes readings less certain, and readings and model differ by as much more.
         coarser = float(np.hypot(1.0, noise / self._noise))
@@ -261,11 +266,16 @@ class CoupledLive:
             doubt = self._sheet.doubt(fit.known.log)
         x, misfit = fit.known.log, fit.misfit
         self._begun, self._known, base = True, fit.known, self._base
+        fresh = self._from_fresh_start
+        self._without_fit = 0 if misfit <= _UNSETTLED else self._without_fit + 1
+        self._stuck = max(self._stuck - 1, 0)
+        if self._has_matrix and not base.whole and self._without_fit >= _MOST_WITHOUT_FIT:
+            self._stuck = _STUCK
         if misfit <= _UNSETTLED:
             self._from_fresh_start = False
         elif misfit > _MISFIT and fit.stalled:
             self._known = None  # the next frame starts anew
-            short: BoolArray = np.exp(-x).reshape(self._shape) < _FAR_BELOW * self._leads
+            short = self._as_good_as_short(x)
             if short.any():  # readings hardly tell such a cell from a short
                 return self._nothing(short)
             if self._from_fresh_start:
@@ -283,9 +293,12 @@ class CoupledLive:
         reason[base.others > 0.5 * uncertainty] = _DISTURBED
         reason[open_cells] = _NO_CURRENT
         # After a frame that did not settle, nothing is valid before derivatives from near by confirm the cells.
-        self._astray = misfit > _UNSETTLED or fit.lost or (self._astray and not fit.proven)
+        self._astray = misfit > _UNSETTLED or fit.lost or ((self._astray or fresh) and not fit.proven)
         if self._astray:  # the frame's budget did not suffice, or no cells give quite these readings
             reason[:], uncertainty[:] = _UNSETTLED_CELL, inf
+        short = self._as_good_as_short(x)
+        if short.any():  # its lines carry what no derivative tells
+            beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
         uncertainty[beside.ravel()] = inf
         reason[beside.ravel()] = _DISTURBED
         gone = self._gone
@@ -329,7 +342,10 @@ class CoupledLive:
             serves = misfit <= _FITS and self._serves(step, scale)
             moved = self._moved(known.log, scale)
             blamed = not serves and moved > _MOVED and np.abs(step).max() > _SLOW * np.abs(before).max()
-            if moved > _FAR or blamed or self._base.coarse or self._renewal is not None:
+            if stalled and misfit > _UNSETTLED and self._has_matrix and not self._base.whole:
+                self._stuck = _STUCK
+            due = self._stuck > 0 and not self._base.whole
+            if due or moved > _FAR or blamed or self._base.coarse or self._renewal is not None:
                 if serves and not self._astray:
                     instalments = min(instalments, 1)  # no need to hurry
                 while instalments:
@@ -345,6 +361,12 @@ class CoupledLive:
         lost = not serves and moved > _TOO_FAR
         proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
         return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, steeper=steeper)
+
+    def _as_good_as_short(self, x: FloatArray) -> BoolArray:
+        """(N, M) where a cell of the logarithm x (n,) is far below its leads and no fault explains that."""
+        leads = np.where(self._gone.reshape(self._shape), 0.0, self._leads)
+        found: BoolArray = np.exp(-x).reshape(self._shape) < _FAR_BELOW * leads
+        return found
 
     def _apart(self, measured: FloatArray, known: _Known) -> FloatArray:
         """V (n,) between readings and model, where the readings count."""
@@ -364,7 +386,7 @@ class CoupledLive:
         """Derivatives at these cells, or a further instalment of them. True if the base has just become new."""
         assert self._base is not None
         loss, new = self._loss(at.log), False
-        if loss <= _HEAVY or not self._has_matrix:
+        if not self._has_matrix or (loss <= _HEAVY and not self._stuck):
             if not self._base.whole or _far(self._base, at):
                 self._base, new = self._based_on_columns(at, loss), True
             if not self._base.whole and not self._base.coarse:
@@ -376,7 +398,7 @@ class CoupledLive:
         if base is None:
             return new
         self._renewal = None
-        if loss <= _HEAVY and _far(base, at):
+        if loss <= _HEAVY and not self._stuck and _far(base, at):
             return new  # made for cells that are no more
         self._base = base
         return True
@@ -396,8 +418,13 @@ class CoupledLive:
         return max(sqrt(float(apart @ apart) / len(apart)), 0.5 * most) / self._half_step
 
     def _serves(self, step: FloatArray, scale: float) -> bool:
-        """Whether a further step would move no cell that the readings determine by more than its own uncertainty."""
+        """Whether a further step would move no cell that the readings determine by more than its own uncertainty.
+
+        After a fresh start the other cells have to come to rest as well: what they carry shifts the readings of all.
+        """
         assert self._base is not None
+        if self._from_fresh_start and np.abs(step).max(where=~self._gone, initial=0.0) > _AT_REST:
+            return False
         std = scale * self._base.std
         determined = (std <= _LOOSE) & (self._base.others <= _LOOSE)
         return bool(((np.abs(step) <= np.maximum(_SETTLED * std, 1e-6)) | ~determined).all())
@@ -475,7 +502,8 @@ class CoupledLive:
         normal = NormalMatrix(jacobian, self._prior)
         for _ in normal.instalments(meter):
             yield None
-        std = np.sqrt(np.maximum(np.diagonal(normal.inverse), 0.0))
+        variance = np.maximum(np.diagonal(normal.inverse), np.finfo(np.float64).tiny)
+        std = np.sqrt(variance + normal.inverse**2 @ (beyond_linear(np.sqrt(variance)) / variance))
         loose = self._hidden
         # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
         others = np.zeros(len(x))
