@@ -7,9 +7,8 @@ import threading
 import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,8 +54,7 @@ _WHY_NONE = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Measurement:
+class Measurement(NamedTuple):
     """What one frame says about the cells. Arrays are (rows, columns) and read-only."""
 
     valid: BoolArray
@@ -133,6 +131,11 @@ class Converter:
         """of the last frame, on the time scale of the estimator; also of a frame before the recording that is played"""
         self._measured: dict[int, Measurement] = {}
         self._retained = Retained(SMALL_AFTER)
+
+    @property
+    def last_index(self) -> int:
+        """Number of the newest frame that was converted; 0 before the first."""
+        return 0 if self._last is None else self._last.index
 
     @property
     def starts(self) -> int:
@@ -225,7 +228,7 @@ class Converter:
 
         """
         with self._lock:
-            done = 0 if self._last is None else self._last.index
+            done = self.last_index
             if frame.index > done:
                 for queued in [*mailbox.between(done, frame.index), frame]:
                     measurement = self._convert(queued)
@@ -233,8 +236,10 @@ class Converter:
                     for tell in tuple(self.on_converted):
                         tell(queued, measurement)
                 if len(self._measured) > KEPT_MEASUREMENTS:
-                    passed = mailbox.passed()
-                    self._measured = {k: value for k, value in self._measured.items() if k > passed or k == frame.index}
+                    oldest = mailbox.oldest()
+                    self._measured = {
+                        k: value for k, value in self._measured.items() if k >= oldest or k == frame.index
+                    }
             return self._measured.get(frame.index)
 
     def _convert(self, frame: RawFrame) -> Measurement:

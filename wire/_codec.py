@@ -41,6 +41,8 @@ _CRC = struct.Struct("<I")
 _FRAME = struct.Struct("<HHH")  # rows, columns, flags
 _PIECE = struct.Struct("<II")  # offset, total
 _IDENTITY = struct.Struct("<HHBBII")  # rows, columns, ADC bits, streaming, period in us, bytes of description
+_OVER = 2
+"""in the place of ``streaming``: no frame follows"""
 _SELF_TEST = struct.Struct("<HHH")  # rows, columns, reference resistors
 _REFERENCE = struct.Struct("<ff")  # nominal ohm, measured ohm
 _REPLY = struct.Struct("<BBI")  # packet type of the command, status, sequence number of the command
@@ -139,6 +141,9 @@ class PacketDecoder:
         found: list[Packet | BadCommand | Corrupt] = []
         *completed, rest = bytes(data).split(b"\0")
         for piece in completed:
+            if piece and not self._stretch and not self._too_long and len(piece) <= _MAX_STUFFED:
+                found.append(_decoded(piece, received_at))  # the usual case: a packet that came in one piece
+                continue
             self._collect(piece, found)
             self._finish(found, received_at)
         self._collect(rest, found)
@@ -160,10 +165,14 @@ class PacketDecoder:
         if too_long:
             found.append(Corrupt(len(stretch), "the end of a stretch longer than any packet"))
             return
-        try:
-            found.append(decode(stretch, received_at))
-        except ProtocolError as error:
-            found.append(Corrupt(len(stretch), str(error)))
+        found.append(_decoded(stretch, received_at))
+
+
+def _decoded(stretch: bytes, received_at: float) -> Packet | BadCommand | Corrupt:
+    try:
+        return decode(stretch, received_at)
+    except ProtocolError as error:
+        return Corrupt(len(stretch), str(error))
 
 
 class _Header:
@@ -212,7 +221,7 @@ def _write_identity(identity: Identity) -> bytes:
             identity.rows,
             identity.columns,
             identity.adc_bits,
-            identity.streaming,
+            _OVER if identity.over else identity.streaming,
             identity.period_us,
             identity.description_bytes,
         )
@@ -239,12 +248,13 @@ def _read_identity(header: _Header, payload: bytes) -> Identity:
         rows,
         columns,
         adc_bits,
-        bool(streaming),
+        streaming not in (0, _OVER),
         period_us,
         description_bytes,
         serial_number,
         firmware,
         header.boot_id,
+        streaming == _OVER,
         received_at=header.received_at,
     )
 
