@@ -7,7 +7,6 @@ and a line add is left out (``examples/link_latency.py`` measures a real port).
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from math import inf
@@ -18,8 +17,9 @@ import numpy as np
 from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design
-from ..driver import Arrival, Skin
+from ..driver import Skin
 from ._driver import design, packets_of, pressed
+from ._paced_port import PacedPort
 
 RATE_HZ = 1000.0
 WORK_S = 0.0104
@@ -39,7 +39,7 @@ class Freshness:
     come_us: float
     """processor time per frame that comes: packets, and numbering and timing of the frame"""
     taken_us: float
-    """per frame that is taken: counts to ohms to kPa, and handing over"""
+    """per frame that is taken: counts to ohms to kPa with standard deviations, and handing over"""
     contacts_us: float
     """besides, per frame that is taken once contacts have been asked for, with about five fingers on the skin"""
     median_age: float
@@ -49,46 +49,6 @@ class Freshness:
     """frames that this reader did not take, as the frames say"""
     unaccounted: int
     """frames that the board sent and that are in no count; 0 unless the driver has a fault"""
-
-
-class PacedPort:
-    """A port in memory: packet k comes at ``k * period_s``. Only the reader who asks reads; the thread rests."""
-
-    name = "memory"
-
-    def __init__(self, packets: list[bytes], period_s: float) -> None:
-        self._packets, self._period_s = packets, period_s
-        self._began, self._worked_s = process_time(), 0.0
-        self._sent = 0
-        self._interrupted = threading.Event()
-
-    def work(self, seconds: float) -> None:
-        """Let time pass."""
-        self._worked_s += seconds
-
-    def now(self) -> float:
-        return process_time() - self._began + self._worked_s
-
-    def wait(self, timeout_s: float) -> bool:
-        self._interrupted.wait(max(timeout_s, 0.0))
-        self._interrupted.clear()
-        return False
-
-    def read(self) -> Arrival:
-        now = self.now()
-        come = min(int(now / self._period_s), len(self._packets))
-        data = b"".join(self._packets[self._sent : come])
-        self._sent = come
-        return Arrival(data, now, 1e9 + now)
-
-    def write(self, data: bytes) -> None:
-        pass
-
-    def interrupt(self) -> None:
-        self._interrupted.set()
-
-    def close(self) -> None:
-        pass
 
 
 def freshness(sizes: Iterable[int], *, cycles: int = CYCLES) -> Iterator[Freshness]:
@@ -132,7 +92,7 @@ def _costs(board: Design, cells: FloatArray, cycles: int) -> tuple[float, float,
             for kind, (skin, port, step) in enumerate(kinds):
                 port.work(step)
                 began = process_time()
-                skin.latest(inf)
+                _ = skin.latest(inf).pressure_std
                 times[cycle, kind] = process_time() - began
     times[:, 1:] -= times[:, :1]
     one, ten_more, contacts = (max(float(part), 0.0) for part in 1e6 * np.median(times, axis=0))

@@ -144,6 +144,7 @@ class LiveTally:
 
     boards: int = 0
     unreadable: int = 0
+    """boards that cannot be read, so that no stream was made"""
     frames: int = 0
     valid: int = 0
     """cells"""
@@ -223,14 +224,14 @@ def run(seed: int, seconds: float) -> int:
 def table(tallies: dict[str, LiveTally]) -> str:
     """The tallies as text."""
     lines = [
-        f"{'family':13} {'boards':>7} {'frames':>7} {'valid':>7} {'used':>6} {'slowest':>8}  findings: "
+        f"{'family':13} {'boards':>7} {'unread':>7} {'frames':>7} {'valid':>7} {'used':>6} {'slowest':>8}  findings: "
         + ", ".join(KINDS)
     ]
     for family, tally in tallies.items():
         kinds = ", ".join(str(tally.count(kind)) for kind in KINDS)
         valid = 100.0 * tally.valid / max(tally.cells, 1)
         lines.append(
-            f"{family:13} {tally.boards:7} {tally.frames:7} {valid:6.1f}% {tally.used:6.2f} {tally.slowest:8.1f}"
-            f"  {len(tally.findings)}: {kinds}"
+            f"{family:13} {tally.boards:7} {tally.unreadable:7} {tally.frames:7} {valid:6.1f}% {tally.used:6.2f}"
+            f" {tally.slowest:8.1f}  {len(tally.findings)}: {kinds}"
         )
     return "\n".join(lines)

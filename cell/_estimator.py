@@ -16,8 +16,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +32,8 @@ from ._noise import NoiseMeter
 
 PRESSURE, GAIN, VARIANCE = range(3)
 """first rows of every memory: kPa; kPa per unit of r by which noise enters it; kPa^2 by which memory adds to it"""
+SHARED = 3
+"""number of these rows"""
 SPARK_S = 0.1
 """a jump that is taken back sooner is no load"""
 BACK = 0.2
@@ -119,12 +123,12 @@ class Estimator(ABC):
         """r within which a cell counts as at rest"""
         cells = rest.size
         self._noise = NoiseMeter(cells, conditions.noise or 0.0)
-        self._r = np.zeros(cells)
         self._mean = np.zeros(cells)
         self._sum = np.zeros(cells)
         self._sum_s, self._summed = 0.0, 0
         self._pressure = np.full(cells, np.nan)
-        self._variance = np.full(cells, np.nan)
+        self._variance = np.full(cells, np.nan)  # kPa^2; without the cells of _left_open; replaced, never changed
+        self._left_open: _LeftOpen | None = None
         self._readings = np.zeros(cells)
         self._awake = np.zeros(cells, dtype=np.bool_)
         self._gaps = _Gaps.none(cells)
@@ -166,7 +170,7 @@ class Estimator(ABC):
         if self._frames and not 0 < elapsed_s < np.inf:
             raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
         dt = float(elapsed_s) if self._frames else 1.0
-        r = self._r
+        r = np.empty(resistance.size)
         self._normalise(resistance.ravel(), r)
         known = self._readable(r)
         if not self._exact:
@@ -210,9 +214,33 @@ class Estimator(ABC):
     @property
     def std_kpa(self) -> FloatArray:
         """(shape) standard deviation of the estimate of the last step, in kPa; NaN where none can be stated."""
-        variance = self._variance + self._gaps.variance if self._gaps.doubtful else self._variance
-        std: FloatArray = np.sqrt(variance).reshape(self.shape)
+        return self.std_of_last_step()()
+
+    def std_of_last_step(self) -> Callable[[], FloatArray]:
+        """A function that gives :attr:`std_kpa` of the last step, whenever and in whatever thread it is called.
+
+        The function holds what it needs, so that a step whose standard deviation nobody asks for hardly pays for it.
+        """
+        return partial(
+            self._std_of, self._variance, self._left_open, self._gaps.variance if self._gaps.doubtful else None
+        )
+
+    def _std_of(self, before: FloatArray, left_open: _LeftOpen | None, by_gaps: FloatArray | None) -> FloatArray:
+        """(shape) kPa, from variances (n,) in kPa^2: from before the step, of the step, and by gaps."""
+        variance = self._with(before, left_open)
+        std: FloatArray = np.sqrt(variance if by_gaps is None else variance + by_gaps).reshape(self.shape)
         return std
+
+    def _with(self, variance: FloatArray, left_open: _LeftOpen | None) -> FloatArray:
+        """(n,) variances in kPa^2 with those of the cells that were followed in a step."""
+        if left_open is None:
+            return variance
+        found = self._variance_of(left_open)
+        if found.size == variance.size:
+            return found
+        all_cells = variance.copy()
+        all_cells[left_open.cells] = found
+        return all_cells
 
     @property
     def states_std(self) -> bool:
@@ -239,7 +267,7 @@ class Estimator(ABC):
     def _readable(self, r: FloatArray) -> BoolArray | None:
         """(n,) which readings are credible; None: all. The others become the mean of their cell, in place."""
         low, high = self._credible
-        if low < np.minimum.reduce(r) and np.maximum.reduce(r) < high:  # false if one of them is NaN
+        if low < r.item(r.argmin()) and r.item(r.argmax()) < high:  # false if one of them is NaN
             return None
         known: BoolArray = r > low
         known &= r < high
@@ -341,6 +369,7 @@ class Estimator(ABC):
         chosen anew.
         """
         block = self._block
+        self._variance, self._left_open = self._with(self._variance, self._left_open), None
         self._memory[:, block.cells] = block.memory
         self._line[:, block.cells] = block.line
         self._block = self._no_block
@@ -349,40 +378,46 @@ class Estimator(ABC):
     def _follow(self, dt: float, r: FloatArray) -> None:
         """Smooth the readings of cells that are followed, and let the estimator advance."""
         block = self._block
-        cells, line, noise, reading = block.cells, block.line, block.noise, block.reading
-        r.take(cells, out=reading, mode="clip")
+        cells, line = block.cells, block.line
+        every = cells.size == r.size
+        reading = r if every else r.take(cells, mode="clip")
         if self._exact:
-            block.memory = self._advance(block.memory, dt, reading, _ZERO, _ZERO)
-            self._pressure[cells] = block.memory[PRESSURE]
-            self._variance[cells] = self._own_variance(block.memory, _ZERO)
+            memory = block.memory = self._advance(block.memory, dt, reading, _ZERO, _no_doubt)
+            self._left_open = _LeftOpen(cells, memory[:SHARED].copy(), None, None)
+            self._pressure[cells] = memory[PRESSURE]
             return
-        np.add(block.scratch.level, 1.0, out=noise)
+        at_rest = self._noise.at_rest
+        noise = line[smoothing.LEVEL] + 1.0
         noise *= noise
-        noise *= self._noise.at_rest.take(cells, out=block.spare, mode="clip")
+        noise *= at_rest if every else at_rest.take(cells, mode="clip")
         noise += LEAST_NOISE
         if self._sparks.cells.size:
             self._put_back(dt, reading)
-        np.copyto(block.line_before, line)
         smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
         if smooth.begun is not None:
-            self._remember(smooth.begun)
-        doubt = self._doubt(noise, smooth)
-        memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, doubt)
-        variance = self._own_variance(memory, doubt)
+            self._remember(smooth.begun, reading, noise)
+        block.line_before = line.copy()
+        looked = _Looked(reading, noise, smooth.std, block.line_before)
+        memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
+        pressure, added = memory[PRESSURE], None
         if self._sparks.cells.size:
-            self._doubt_jumps(memory, variance)
-        pressure = memory[PRESSURE]
-        if np.maximum.reduce(pressure) > USUAL * self.full_scale_kpa:
+            added = self._variance_of_jumps(memory)
+        if pressure.item(pressure.argmax()) > USUAL * self.full_scale_kpa:
             # A pressure that the cell is not meant for may as well be an error of the memory.
-            variance += np.maximum(pressure - self.full_scale_kpa, 0.0) ** 2
-        noise_kpa = np.multiply(smooth.std, memory[GAIN], out=block.spare)
-        if np.maximum.reduce(noise_kpa) > AT_REST * self.full_scale_kpa:
-            pressure = self._likely(pressure, noise_kpa, variance)
-        self._pressure[cells] = pressure
-        self._variance[cells] = variance
+            added = _sum(added, np.maximum(pressure - self.full_scale_kpa, 0.0) ** 2)
+        noise_kpa = smooth.std * memory[GAIN]
+        if noise_kpa.item(noise_kpa.argmax()) > AT_REST * self.full_scale_kpa:
+            likely = self._likely(pressure, noise_kpa)
+            added = _sum(added, (pressure - likely) ** 2)
+            pressure = likely
+        self._left_open = _LeftOpen(cells, memory[:SHARED].copy(), looked, added)
+        if every:
+            np.copyto(self._pressure, pressure)
+        else:
+            self._pressure[cells] = pressure
 
-    def _likely(self, pressure: FloatArray, noise_kpa: FloatArray, variance: FloatArray) -> FloatArray:
-        """(m,) pressures with those that noise alone could give shown nearer to none; adds the change to ``variance``.
+    def _likely(self, pressure: FloatArray, noise_kpa: FloatArray) -> FloatArray:
+        """(m,) pressures with those that noise alone could give shown nearer to none.
 
         Most cells carry no load: of a pressure below two standard deviations of the noise, no load is the likelier
         cause. What is remembered stays as it is.
@@ -390,25 +425,15 @@ class Estimator(ABC):
         squared = pressure * pressure
         squared *= squared
         likely: FloatArray = pressure * (squared / (squared + (NO_LOAD_SIGMAS * noise_kpa) ** 4 + TINY))
-        variance += (pressure - likely) ** 2
         return likely
 
-    def _doubt(self, noise: FloatArray, smooth: smoothing.Smoothed) -> FloatArray:
-        """(m,) standard deviation of the smoothed readings; changes ``noise``.
-
-        A reading off the line, or several that are a little off to the same side, may be noise, or the beginning of a
-        change that the line has not taken up.
-        """
-        block = self._block
-        doubt = np.maximum(block.scratch.up, block.scratch.down, out=block.doubt)
-        doubt *= SUMMED
-        np.maximum(doubt, UNSEEN, out=doubt)
-        doubt *= noise
-        off = np.subtract(block.reading, smooth.level, out=noise)
-        np.abs(off, out=off)
-        np.maximum(doubt, off, out=doubt)
-        found: FloatArray = np.maximum(doubt, smooth.std, out=doubt)
-        return found
+    def _variance_of(self, left_open: _LeftOpen) -> FloatArray:
+        """(m,) variance in kPa^2 of the cells that were followed in a step; gaps are not counted."""
+        doubt = _ZERO if left_open.looked is None else left_open.looked.doubt()
+        variance = self._own_variance(left_open.memory, doubt)
+        if left_open.added is not None:
+            variance += left_open.added
+        return variance
 
     def _own_variance(self, memory: FloatArray, std: FloatArray) -> FloatArray:
         """(m,) variance in kPa^2 of cells whose readings are known to ``std`` (m,); gaps are not counted."""
@@ -438,6 +463,7 @@ class Estimator(ABC):
             self._wake_at[asleep] = self._waking()[asleep]
             at_rest = UNSEEN * self._noise.std(self._mean[asleep], asleep)
             memory = self._memory[:, asleep]
+            self._variance = self._variance.copy()
             self._variance[asleep] = self._own_variance(memory, at_rest) + memory[PRESSURE] ** 2
 
     def _put_to_sleep(self, cells: IntArray) -> None:
@@ -474,14 +500,14 @@ class Estimator(ABC):
 
     # -- sparks ------------------------------------------------------------------------------------------------------
 
-    def _remember(self, begun: BoolArray) -> None:
+    def _remember(self, begun: BoolArray, reading: FloatArray, noise: FloatArray) -> None:
         """Keep the memory of cells from before a jump, unless an earlier one is kept already."""
         block = self._block
-        jump = block.reading - block.line_before[smoothing.LEVEL]
+        jump = reading - block.line_before[smoothing.LEVEL]
         size = np.abs(jump)
         if float(size.max()) <= LARGE_JUMP * self._full_scale_r:
             return
-        least = np.maximum(CLEAR_JUMP * block.noise, LARGE_JUMP * self._full_scale_r)
+        least = np.maximum(CLEAR_JUMP * noise, LARGE_JUMP * self._full_scale_r)
         place = np.flatnonzero(begun & (size > least))
         place = place[~np.isin(block.cells[place], self._sparks.cells)]
         place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
@@ -499,17 +525,21 @@ class Estimator(ABC):
         back = np.abs(r[place] - sparks.line[smoothing.LEVEL]) < BACK * np.abs(sparks.jump)
         back &= sparks.age_s <= SPARK_S * (1 + 1e-9)
         if back.any():
+            block.memory = block.memory.copy()  # another array, as sign that it has changed
             block.memory[:, place[back]] = sparks.memory[:, back]
             block.line[:, place[back]] = sparks.line[:, back]
+            block.line_before = block.line.copy()
         over = (sparks.age_s > SPARK_S) | back
         if over.any():
             self._sparks = sparks.where(~over)
 
-    def _doubt_jumps(self, memory: FloatArray, variance: FloatArray) -> None:
-        """Half of the jump counts as standard deviation as long as it may be a spark; changes ``variance``."""
+    def _variance_of_jumps(self, memory: FloatArray) -> FloatArray:
+        """(m,) kPa^2: half of a jump counts as standard deviation as long as it may be a spark."""
         place = np.searchsorted(self._block.cells, self._sparks.cells)
         jump = memory[PRESSURE, place] - self._sparks.memory[PRESSURE]
-        variance[place] += (0.5 * jump) ** 2
+        variance = np.zeros(memory.shape[1])
+        variance[place] = (0.5 * jump) ** 2
+        return variance
 
     # -- saving ------------------------------------------------------------------------------------------------------
 
@@ -554,11 +584,11 @@ class Estimator(ABC):
 
     @abstractmethod
     def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         """The memory (rows, m) after the reading went to ``r`` (m,) in ``dt_s``.
 
-        ``std`` (m,) is what noise leaves in it, ``doubt`` (m,) also what the smoothing may not have noticed yet.
+        ``std`` (m,) is what noise leaves in it, ``doubt()`` (m,) also what the smoothing may not have noticed yet.
         May change ``memory`` itself.
         """
 
@@ -576,13 +606,62 @@ LEAST_NOISE = 1e-9
 """of r: keeps a division by the noise finite"""
 
 
+def _no_doubt() -> FloatArray:
+    return _ZERO
+
+
+def _sum(one: FloatArray | None, other: FloatArray) -> FloatArray:
+    return other if one is None else one + other
+
+
+class _Looked(NamedTuple):
+    """The readings of one step as the smoothing took them. Arrays (m,), which never change again."""
+
+    reading: FloatArray
+    noise: FloatArray
+    """standard deviation of a reading"""
+    std: FloatArray
+    """standard deviation of the smoothed readings by the noise"""
+    line: FloatArray
+    """(smoothing.ROWS, m) memory of the smoothing after the reading"""
+
+    def doubt(self) -> FloatArray:
+        """(m,) standard deviation of the smoothed readings.
+
+        A reading off the line, or several that are a little off to the same side, may be noise, or the beginning of a
+        change that the line has not taken up.
+        """
+        up, down = self.line[smoothing.SUMS]
+        doubt: FloatArray = np.maximum(up, down)
+        doubt *= SUMMED
+        np.maximum(doubt, UNSEEN, out=doubt)
+        doubt *= self.noise
+        off = np.subtract(self.reading, self.line[smoothing.LEVEL])
+        np.abs(off, out=off)
+        np.maximum(doubt, off, out=doubt)
+        return np.maximum(doubt, self.std, out=doubt)
+
+
+class _LeftOpen(NamedTuple):
+    """All that the variances of one step follow from. Arrays never change again."""
+
+    cells: IntArray
+    """(m,) that were followed"""
+    memory: FloatArray
+    """(SHARED, m) first rows of their memory after the step"""
+    looked: _Looked | None
+    """None: readings are exact"""
+    added: FloatArray | None
+    """(m,) kPa^2 beside that of noise and memory"""
+
+
 class _Block:
-    """What is remembered of the cells that are followed, side by side, with arrays for intermediate results."""
+    """What is remembered of the cells that are followed, side by side."""
 
     def __init__(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
         self.cells, self.memory, self.line = cells, memory, line
-        self.line_before = np.empty_like(line)
-        self.reading, self.noise, self.doubt, self.spare = np.empty((4, cells.size))
+        self.line_before = line.copy()
+        """the line after the last step; replaced, never changed"""
         self.scratch = smoothing.Scratch(line)
 
 

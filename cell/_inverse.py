@@ -7,6 +7,7 @@ with a rise of resistance has no such cell; there the inverse is refused.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -126,7 +127,7 @@ class InverseEstimator(Estimator):
         return memory
 
     def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         m, alpha, s0, x, broken = self.model, self._alpha, memory[LOAD], memory[BRANCHES], memory[BROKEN]
         gone, ramp = lag.weights(dt_s, self._constants_s)  # (5, 1) or (5, n)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Self
 
 import numpy as np
@@ -222,7 +223,7 @@ class LearnedEstimator(Estimator):
         return memory
 
     def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         bank = memory[3 : self._seen.start]
         self._bank.advance(bank, dt_s, r)

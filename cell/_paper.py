@@ -8,6 +8,7 @@ the material's own time. What is hard is to know which model holds.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import NamedTuple
 
@@ -141,7 +142,7 @@ class PaperEstimator(Estimator):
         return np.stack([p, none + 1 / m.gain_per_kpa, none, r, none + 1, p, p / m.e2_kpa, p / m.e3_kpa, r])
 
     def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         weights = self._weights_of(dt_s)
         rises, falls = self._thresholds_per_s
@@ -273,11 +274,17 @@ class TurningEstimator(Estimator):
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
-        self._sooner, self._usually = (CONFIRMED_RISE - CONFIRMED_FALL) / 2, (CONFIRMED_RISE + CONFIRMED_FALL) / 2
         self._of = _Rows(np.zeros((len(self.rows), 0)))
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
+        # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
+        self._sure, self._less, self._again, self._either = (np.array(x) for x in (SURE, LESS, AGAIN, EITHER))
+        self._turn_kpa, self._flat_kpa, self._exact_kpa = (
+            np.array(share * full_scale_kpa) for share in (TURN, FLAT, EXACTLY)
+        )
+        self._sooner = np.array((CONFIRMED_RISE - CONFIRMED_FALL) / 2)
+        self._usually = np.array((CONFIRMED_RISE + CONFIRMED_FALL) / 2)
         # What is below zero is an error that fades, and no turn.
-        self._least_kpa = self._lowest if self._exact else 0.0
+        self._least_kpa = np.array(self._lowest if self._exact else 0.0)
 
     def _begin(self, r: FloatArray) -> FloatArray:
         m = self.model
@@ -290,103 +297,114 @@ class TurningEstimator(Estimator):
         return memory
 
     def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         w = self._weights_of(dt_s)
-        if memory is not self._of.memory:
-            self._of = _Rows(memory)
         of = self._of
+        if memory is not of.memory:
+            of = self._of = _Rows(memory)
         np.copyto(of.r, r)
-        np.dot(w.step, of.state, out=of.change)
+        np.dot(w.step, of.state, of.change)
         np.copyto(of.hypotheses, of.change)
-        pressures = of.both
-        if np.minimum.reduce(pressures) < self._lowest or np.maximum.reduce(pressures) > self._usual:
+        both = of.both
+        if both.item(both.argmin()) < self._lowest or both.item(both.argmax()) > self._usual:
             self._limit(of, w)
 
-        self._look(of, w, std)
-        gone_back = np.subtract(of.extreme, of.ahead, out=of.spare)
-        turned = np.greater(gone_back, of.threshold, out=of.where)
-        unconfirmed = np.minimum.reduce(of.left) < FAR
+        of.take_gains(w)
+        self._look(of, std)
+        gone_back = np.subtract(of.extreme, of.ahead, of.spare)
+        turned = np.greater(gone_back, of.threshold, of.where)
+        unconfirmed = of.left.item(of.left.argmin()) < FAR
         if unconfirmed:
             # Back at the extreme that was left: the turn was noise.
             back, noise = self._gone_back(of, std)
-            turned |= np.less(back, noise, out=of.near)
+            turned |= np.less(back, noise, of.near)
         if np.count_nonzero(turned):
-            self._turn(memory, np.flatnonzero(turned), std, w)
-            self._look(of, w, std)
+            self._turn(memory, turned.nonzero()[0], std, w)
+            of.take_gains(w, anew=True)
+            self._look(of, std)
             unconfirmed = True
+            back, noise = self._gone_back(of, std)
         if unconfirmed:
             # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
-            back, noise = self._gone_back(of, std)
-            noise *= SURE
-            noise += TURN * self.full_scale_kpa
-            noise *= np.add(np.multiply(of.sign, self._sooner, out=of.nearby), self._usually, out=of.nearby)
-            np.copyto(of.left, FAR, where=np.greater_equal(back, noise, out=of.where))
-        if not self._exact and np.minimum.reduce(of.pressure) < -NEAR * self.full_scale_kpa:
-            self._correct(of, doubt, w)
+            noise *= self._sure
+            noise += self._turn_kpa
+            np.multiply(of.sign, self._sooner, of.nearby)
+            of.nearby += self._usually
+            noise *= of.nearby
+            np.copyto(of.left, FAR, where=np.greater_equal(back, noise, of.where))
+        if not self._exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
+            self._correct(of, doubt(), w)
 
         # The other hypothesis begins anew as long as the pressure is near its extreme.
-        below_peak = np.subtract(of.peak, of.ahead, out=of.spare)
-        np.maximum(of.unsure, FLAT * self.full_scale_kpa, out=of.nearby)
-        again = np.multiply(np.less(below_peak, of.nearby, out=of.where), AGAIN, out=of.again)
-        np.copyto(again, 1.0, where=np.less_equal(below_peak, EXACTLY * self.full_scale_kpa, out=of.where))
+        below_peak = np.subtract(of.peak, of.ahead, of.spare)
+        np.maximum(of.unsure, self._flat_kpa, out=of.nearby)
+        again = np.less(below_peak, of.nearby, of.where).astype(np.float64)
+        again *= self._again
+        np.copyto(again, 1.0, where=np.less_equal(below_peak, self._exact_kpa, of.where))
         if unconfirmed:
-            np.copyto(again, 0.0, where=np.less(of.left, FAR, out=of.where))
-        np.dot(self._taken_over, of.state, out=of.change)
-        np.multiply(of.not_in_force, again, out=of.share)
-        of.change_by_model *= of.share
+            np.copyto(again, 0.0, where=np.less(of.left, FAR, of.where))
+        np.dot(self._taken_over, of.state, of.change)
+        np.multiply(of.not_rising, again, of.rising_share)
+        np.multiply(of.not_recovery, again, of.recovery_share)
+        for pair in of.changes_by_model:
+            np.multiply(pair, of.share, pair)
         of.hypotheses += of.change
 
-        np.subtract(of.ahead, of.unsure, out=of.spare)
+        np.subtract(of.ahead, of.unsure, of.spare)
         np.maximum(of.peak, of.spare, out=of.peak)
-        of.unsure *= LESS
+        of.unsure *= self._less
         of.ahead -= of.unsure
         np.maximum(of.extreme, of.ahead, out=of.extreme)
-        np.copyto(of.gain, of.gain_now)
         of.doubt *= of.fade
-        apart = np.subtract(of.rising_kpa, of.recovery_kpa, out=of.spare)
-        apart *= EITHER
+        apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
+        apart *= self._either
         apart *= apart
-        np.add(apart, of.doubt, out=of.variance)
+        np.add(apart, of.doubt, of.variance)
         return memory
 
-    def _look(self, of: _Rows, weights: TurnWeights, std: FloatArray) -> None:
-        """Of the hypothesis in force: gains, pressure, its standard deviation by noise, how far it is ahead in its
-        direction, and how far it must go back for a turn.
+    def _look(self, of: _Rows, std: FloatArray) -> None:
+        """Of the hypothesis in force: pressure, its standard deviation by noise, how far it is ahead in its direction,
+        and how far it must go back for a turn.
         """
-        np.dot(weights.by_model, of.in_force, out=of.by_model)
-        np.multiply(of.pressures, of.in_force, out=of.share)
-        np.add(of.rising_share, of.recovery_share, out=of.pressure)
-        np.multiply(std, of.gain_now, out=of.unsure)
-        np.multiply(of.unsure, SURE, out=of.threshold)
-        of.threshold += TURN * self.full_scale_kpa
+        np.multiply(of.pressures, of.in_force, of.share)
+        np.add(of.rising_share, of.recovery_share, of.pressure)
+        np.multiply(std, of.gain, of.unsure)
+        np.multiply(of.unsure, self._sure, of.threshold)
+        of.threshold += self._turn_kpa
         np.maximum(of.pressure, self._least_kpa, out=of.ahead)
         of.ahead *= of.sign
 
     def _gone_back(self, of: _Rows, std: FloatArray) -> tuple[FloatArray, FloatArray]:
         """How far the other hypothesis is behind the extreme that was left, and its standard deviation by noise."""
-        np.multiply(of.pressures, of.not_in_force, out=of.share)
-        back = np.add(of.rising_share, of.recovery_share, out=of.spare)
+        np.multiply(of.pressures, of.not_in_force, of.share)
+        back = np.add(of.rising_share, of.recovery_share, of.spare)
         back *= of.sign
         back += of.left
-        return back, np.multiply(of.other_gain, std, out=of.again)
+        return back, np.multiply(of.other_gain, std, of.noise)
 
     def _turn(self, memory: FloatArray, turned: IntArray, std: FloatArray, weights: TurnWeights) -> None:
         """Take over the other hypothesis where the pressure ``turned`` (indices of cells); changes ``memory``."""
-        some = memory[:, turned]
+        some = memory.take(turned, axis=1)
         again = some[LEFT] < FAR
         left, extreme = some[LEFT], some[EXTREME].copy()
         some[SIGN] *= -1.0
         some[IN_FORCE] = some[IN_FORCE][::-1].copy()
         gain = weights.by_model[0] @ some[IN_FORCE]
-        noise = np.broadcast_to(std, memory.shape[1:])[turned]
-        pressure = (some[STATE][:2] * some[IN_FORCE]).sum(axis=0)
+        noise = std.take(turned) if std.size > 1 else std
+        pressure = some[STATE.start] * some[IN_FORCE.start]
+        pressure += some[STATE.start + 1] * some[IN_FORCE.start + 1]
         now = some[SIGN] * np.maximum(pressure, 0.0)
-        some[EXTREME] = np.where(again, left, now - LESS * noise * gain)
-        some[PEAK] = np.where(again, left, now - noise * gain)
-        some[LEFT] = np.where(again, FAR, extreme)
+        unsure = noise * gain
+        some[EXTREME] = now - LESS * unsure
+        some[PEAK] = now - unsure
         # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
         some[TURNED] = some[VARIANCE] + (weights.by_model[0, RECOVERY] * noise + NEAR * self.full_scale_kpa) ** 2
+        if np.count_nonzero(again):
+            np.copyto(some[EXTREME], left, where=again)
+            np.copyto(some[PEAK], left, where=again)
+            np.copyto(extreme, FAR, where=again)
+        some[LEFT] = extreme
         memory[:, turned] = some
 
     def _limit(self, of: _Rows, weights: TurnWeights) -> None:
@@ -410,9 +428,10 @@ class TurningEstimator(Estimator):
         """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure."""
         m = self.model
         allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * doubt - NEAR * self.full_scale_kpa
-        pulled = np.flatnonzero(of.pressure < allowed)
-        if not pulled.size:
+        below = of.pressure < allowed
+        if not np.count_nonzero(below):
             return
+        pulled = below.nonzero()[0]
         p = np.broadcast_to(allowed, of.pressure.shape)[pulled]
         state, r, rising = of.state, of.r[pulled], of.in_force[RISING, pulled] > 0
         of.pressure[pulled] = p
@@ -454,16 +473,27 @@ class _Rows:
         cells = memory.shape[1]
         self.pressure, self.gain, self.variance, self.doubt, self.sign, self.extreme, self.peak, self.left = memory[:8]
         self.in_force = memory[IN_FORCE]
-        self.not_in_force = self.in_force[::-1]
         self.state = memory[STATE]
         self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]
         self.both = self.pressures.reshape(-1)
         self.change = np.empty((6, cells))
-        self.change_by_model = self.change.reshape(3, 2, cells)
-        self.by_model = np.empty((3, cells))
-        self.gain_now, self.other_gain, self.fade = self.by_model
+        self.changes_by_model = self.change[:2], self.change[2:4], self.change[4:]
         self.share = np.empty((2, cells))
         self.rising_share, self.recovery_share = self.share
         self.rising_kpa, self.recovery_kpa = self.pressures
-        self.unsure, self.threshold, self.spare, self.again, self.ahead, self.nearby = np.empty((6, cells))
+        self.unsure, self.threshold, self.spare, self.noise, self.ahead, self.nearby = np.empty((6, cells))
         self.where, self.near = np.empty((2, cells), dtype=np.bool_)
+        self.not_in_force = np.empty((2, cells))
+        self.not_rising, self.not_recovery = self.not_in_force
+        self._of_model = np.empty((3, cells))
+        self._gain, self.other_gain, self.fade = self._of_model
+        self._weights: TurnWeights | None = None
+
+    def take_gains(self, weights: TurnWeights, *, anew: bool = False) -> None:
+        """Gains of the hypothesis in force and of the other one; ``anew``: another hypothesis may be in force."""
+        if weights is self._weights and not anew:
+            return
+        np.dot(weights.by_model, self.in_force, self._of_model)
+        np.copyto(self.gain, self._gain)
+        np.copyto(self.not_in_force, self.in_force[::-1])
+        self._weights = weights

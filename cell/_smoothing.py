@@ -33,10 +33,12 @@ LEVEL, SLOPE, COUNT, SUMS = 0, 1, 2, slice(3, 5)
 """rows of the memory: the line now, its slope per second, readings since it began; sums of departures upwards and
 downwards"""
 ROWS = 5
+_ALLOWED, _ZERO, _ONE = np.array(ALLOWED), np.array(0.0), np.array(1.0)
+# NumPy makes an array of a float in every call.
 
 
 class Smoothed(NamedTuple):
-    """What is made of a reading; all (m,), overwritten by the next call with the same scratch."""
+    """What is made of a reading; all (m,). The next call with the same scratch overwrites ``level`` and ``begun``."""
 
     level: FloatArray
     std: FloatArray
@@ -53,7 +55,7 @@ class Scratch:
         self.level, self.slope, self.count, self.sums = line[LEVEL], line[SLOPE], line[COUNT], line[SUMS]
         self.up, self.down = self.sums
         self.since = line[SLOPE:]
-        self.expected, self.off, self.z, self.std = np.empty((4, cells))
+        self.expected, self.off, self.z = np.empty((3, cells))
         self.above = np.empty((2, cells), dtype=np.bool_)
         self.begun, self.near = np.empty((2, cells), dtype=np.bool_)
         self.gains = np.empty((3, cells))
@@ -127,27 +129,28 @@ def advance(
     """
     m = scratch or Scratch(line)
     expected, off, sums, level = m.expected, m.off, m.sums, m.level
-    np.multiply(m.slope, dt_s, out=expected)
+    np.multiply(m.slope, dt_s, expected)
     expected += level
-    np.subtract(r, expected, out=off)
-    np.divide(off, noise, out=m.z)
+    np.subtract(r, expected, off)
+    np.divide(off, noise, m.z)
     m.up += m.z
     m.down -= m.z
-    sums -= ALLOWED
-    np.maximum(sums, 0.0, out=sums)
-    m.count += 1.0
+    sums -= _ALLOWED
+    np.maximum(sums, _ZERO, out=sums)
+    m.count += _ONE
     np.copyto(m.n, m.count, casting="unsafe")
     gains.rows.take(m.n, axis=1, out=m.gains, mode="clip")  # the last entry holds from there on
     m.level_step *= off
     m.slope_step *= off
     m.slope_step /= dt_s
-    np.add(expected, m.level_step, out=level)
+    np.add(expected, m.level_step, level)
     m.slope += m.slope_step
     begun = None
-    if np.count_nonzero(np.greater(sums, SUM, out=m.above)):
-        begun = np.logical_or(m.above[0], m.above[1], out=m.begun)
+    if sums.item(sums.argmax()) > SUM:
+        np.greater(sums, SUM, m.above)
+        begun = np.logical_or(m.above[0], m.above[1], m.begun)
         _begin_again(m, begun, r)
-    return Smoothed(level, np.multiply(m.share, noise, out=m.std), begun)
+    return Smoothed(level, m.share * noise, begun)
 
 
 def _begin_again(m: Scratch, begun: BoolArray, r: FloatArray) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from ..arrays import FloatArray
@@ -124,7 +126,7 @@ class EquilibriumEstimator(Estimator):
         return memory
 
     def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         return self._begin(r)
 
@@ -163,6 +165,6 @@ class StaticCurveEstimator(Estimator):
         return memory
 
     def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: FloatArray
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         return self._begin(r)

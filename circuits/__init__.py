@@ -7,12 +7,14 @@ from ._adc import adc_codes, adc_error, clipped, conversion_changes, conversion_
 from ._amplifier_model import AmplifierModel
 from ._batch import BatchResult, scan_batch
 from ._board import Board
-from ._design import Adc, Array, Cells, Design, Drive, Fault, Operation, Readout, Requirements, Sheet
+from ._design import Design
 from ._effects import Effect, effects
 from ._ideal import apparent_resistance, ideal_volts
 from ._population import Boards, PopulationReading, scan_population
+from ._readout import Readout
 from ._requirement import Conditions, Requirement
 from ._scan import METHODS, ScanResult, scan
+from ._sections import Adc, Array, Cells, Drive, Fault, Operation, Requirements, Sheet
 from ._sensitivity import Sensitivity, sensitivity
 from ._sequence import interpolates, scan_sequence
 from ._spread import Spread

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, CodeArray, FloatArray
 from ..errors import InputError
-from ._design import Adc, Design
+from ._sections import Adc
 
 
-def adc_codes(design: Design, volts: FloatArray) -> CodeArray:
+class Converts(Protocol):
+    """What has an [adc] section: a design, or its board."""
+
+    @property
+    def adc(self) -> Adc | None: ...
+
+
+def adc_codes(design: Converts, volts: FloatArray) -> CodeArray:
     """Codes of the converter: code k covers [k, k + 1) steps above the lower end; clipped at both ends.
 
     Offset and gain error move the input; the integral nonlinearity is a parabola over the range, since a data sheet
@@ -34,7 +43,7 @@ def _steps(adc: Adc, volts: FloatArray) -> FloatArray:
     return steps
 
 
-def volts_of_codes(design: Design, codes: NDArray[np.integer]) -> FloatArray:
+def volts_of_codes(design: Converts, codes: NDArray[np.integer]) -> FloatArray:
     """What a host makes of codes, in V: the middle of each code's interval in an ideal converter.
 
     For that one the error of an unclipped code is at most half a step; the design's offset, gain and INL errors are
@@ -44,14 +53,14 @@ def volts_of_codes(design: Design, codes: NDArray[np.integer]) -> FloatArray:
     return adc.range[0] + (np.asarray(codes, dtype=np.float64) + 0.5) * adc.step
 
 
-def adc_error(design: Design) -> float:
+def adc_error(design: Converts) -> float:
     """Largest difference in V between an input within range and what a host makes of its code."""
     adc = _adc(design)
     span = adc.range[1] - adc.range[0]
     return (0.5 + abs(adc.inl_steps)) * adc.step + abs(adc.offset_voltage) + abs(adc.gain_error) * span
 
 
-def conversion_limits(design: Design, volts: FloatArray) -> FloatArray:
+def conversion_limits(design: Converts, volts: FloatArray) -> FloatArray:
     """The lowest and the highest volts that a host can make of outputs, wherever these lie within an ADC step.
 
     How an output lies to the converter's thresholds is chance: a millivolt of drift moves it by a step. The converter's
@@ -72,7 +81,7 @@ def conversion_limits(design: Design, volts: FloatArray) -> FloatArray:
     return _host_volts(adc, _steps(adc, volts) + _HALF_A_STEP.reshape(2, *[1] * np.ndim(volts)))
 
 
-def conversion_changes(design: Design, before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
+def conversion_changes(design: Converts, before: FloatArray, after: FloatArray) -> tuple[FloatArray, FloatArray]:
     """What a host can make of two readings of the same outputs, at the extreme places within an ADC step.
 
     Both readings meet the same thresholds, so the place of the first determines that of the second. A change of d steps
@@ -117,12 +126,12 @@ def _host_volts(adc: Adc, steps: FloatArray) -> FloatArray:
     return adc.range[0] + np.clip(steps, 0.5, 2.0**adc.bits - 0.5) * adc.step
 
 
-def clipped(design: Design, codes: NDArray[np.integer]) -> BoolArray:
+def clipped(design: Converts, codes: NDArray[np.integer]) -> BoolArray:
     """Where a code is the first or the last one, so that the volts are only known to lie at or beyond it."""
     return np.isin(codes, (0, 2 ** _adc(design).bits - 1))
 
 
-def _adc(design: Design) -> Adc:
+def _adc(design: Converts) -> Adc:
     if design.adc is None:
         raise InputError("the design has no [adc] section; expected bits and range")
     return design.adc

@@ -19,7 +19,7 @@ Other circuits have no closed formulas. Their estimates come from the derivative
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, pi
 
 import numpy as np
@@ -28,8 +28,9 @@ from numpy.typing import ArrayLike
 from ..arrays import BoolArray, FloatArray
 from ._adc import adc_error
 from ._board import Board
-from ._design import Adc, Design
+from ._design import Design
 from ._grid import exact_ports
+from ._sections import Adc
 from ._sensitivity import board_sensitivity
 
 EffectSize = Callable[[str, object], float | None]
@@ -79,16 +80,17 @@ def effects(design: Design, resistance: ArrayLike) -> tuple[Effect, ...]:
 
     """
     board = design.board
-    return tuple(_effects(board, board.turn(design.resistance(resistance))))
+    return tuple(_effects(design, board.turn(design.resistance(resistance))))
 
 
-def _effects(board: Board, cells: FloatArray) -> Iterator[Effect]:
+def _effects(design: Design, cells: FloatArray) -> Iterator[Effect]:
     """Yield the effects for cells (N, M) in ohm, in line coordinates.
 
     Line coordinates call the driven lines rows. The keys are those of the design, so on a board that drives columns the
     key of a row part is looked up under columns.
     """
-    design, estimate = board.design, _effect_size(board, cells)
+    board = design.board
+    estimate = _effect_size(board, cells)
     of_row, of_column = board.line_kinds
     for table, key, part_key, ideal in (
         (design.array, f"{of_row}_lead", "row_lead", 0.0),
@@ -196,15 +198,15 @@ def _limits(board: Board, cells: FloatArray) -> Iterator[Effect]:
         yield Effect(
             "supply", named, _largest_relative(beyond, signal, live), _basis("supply", [low, high], named=named)
         )
-    adc = board.design.adc or _ORDINARY_ADC
-    error = np.full_like(signal, adc_error(board.design.replace(adc=adc)))
-    basis = f"{adc.bits} bits over {list(adc.range)} V, " + ("by adc_codes()" if board.design.adc else "assumed")
+    adc = board.adc or _ORDINARY_ADC
+    error = np.full_like(signal, adc_error(replace(board, adc=adc)))
+    basis = f"{adc.bits} bits over {list(adc.range)} V, " + ("by adc_codes()" if board.adc else "assumed")
     yield Effect("converter", False, _largest_relative(error, signal, live), basis)
 
 
 def _dynamic_effects(board: Board, cells: FloatArray) -> Iterator[Effect]:
     """Effects of time: noise and settling. A scan has neither; :mod:`.timing` models both."""
-    part, live = board.design.readout, _ordinary_cells(cells)
+    part, live = board.readout, _ordinary_cells(cells)
     if not board.circuit.virtual_ground:
         yield Effect("noise", False, None, "no simple law")
         yield Effect("settling", False, None, "no simple law")

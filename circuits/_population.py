@@ -25,8 +25,9 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
-from ._design import Design, PerLine
+from ._design import Design
 from ._scan import scan
+from ._sections import PerLine
 
 _TOGETHER = 1 << 14
 """matrix entries per temporary array: few enough for the processor's cache"""

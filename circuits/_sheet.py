@@ -28,15 +28,13 @@ then joins these reduced pieces, each scaled by the inverse of its resistivity.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
+from ._sections import Sheet
 from .solvers import Element, Network, Rounded, reduce, siemens
-
-if TYPE_CHECKING:
-    from ._design import Sheet
 
 
 class Sides(NamedTuple):

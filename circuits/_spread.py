@@ -17,9 +17,6 @@ from pydantic import Field, model_validator
 
 from ..config import Finite, NotNegative, Section
 
-ROOM_TEMPERATURE_K = 298.15
-"""at which nominal values hold; temperature coefficients count from here"""
-
 
 class Spread(Section):
     """How the values of one kind of part scatter from line to line and from board to board."""
@@ -37,7 +34,7 @@ class Spread(Section):
     """within the tolerance; "normal": the tolerance is three standard deviations, parts beyond it are sorted out;
     "two-point": always at one end or the other"""
     temperature_coefficient: Finite = 0.0
-    """1/K, relative to the nominal value"""
+    """1/K, relative to the nominal value, which holds at 298.15 K"""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

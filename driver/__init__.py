@@ -15,7 +15,8 @@ from ._frame import Frame
 from ._messages import MESSAGE_SCHEMAS, messages_of
 from ._port import BAUDRATE, Arrival, BytePort, SerialPort, SocketPort, open_port
 from ._reading import CountReader, Reading
-from ._recorder import Recorder, Recording
+from ._recorder import Recorder
+from ._recording import Recording
 from ._replay import ReplayPort
 from ._skin import Delivery, Skin
 from ._statistics import LinkStatistics

@@ -115,15 +115,20 @@ class Calibration:
         """SHA-256 of all values, in hexadecimal."""
         return fingerprint(self._values())
 
-    def applied(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Pressures of the common model and their standard deviations, (rows, columns) kPa, as those of these cells.
+    def applied(self, pressure_kpa: FloatArray) -> FloatArray:
+        """Pressures of the common model, (rows, columns) kPa, as those of these cells."""
+        return self.gain * pressure_kpa
 
-        The standard deviations add up as independent ones: that of the estimate (times the gain), of the gain (times
-        the pressure), and of R0.
+    def applied_std(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> FloatArray:
+        """Standard deviations (rows, columns) in kPa of :meth:`applied`, from those of the common model.
+
+        They add up as independent ones: that of the estimate (times the gain), of the gain (times the pressure), and
+        of R0.
         """
         pressure = self.gain * pressure_kpa
         variance = (self.gain * std_kpa) ** 2 + (self.gain_std * pressure) ** 2 + self.rest_std_kpa**2
-        return pressure, np.sqrt(variance)
+        std: FloatArray = np.sqrt(variance)
+        return std
 
     def check_board(self, design: Design, cell: Cell | None, serial_number: str) -> None:
         """Raises InputError where the calibration is not that of this board and cell."""

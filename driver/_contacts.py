@@ -14,6 +14,7 @@ from scipy import ndimage
 from scipy.optimize import linear_sum_assignment
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ._later import Later
 
 START_STDS, STAY_STDS = 5.0, 2.5
 """a contact begins and stays at so many standard deviations of a cell's pressure"""
@@ -177,9 +178,9 @@ class ContactsOfFrames:
             if view.time_s < self._time_s:
                 # Older than frames looked at already, hence from before the first question: its contacts are
                 # named after those of now, which it does not change.
-                view.contacts = self._tracker.look_back(view.pressure_kpa, view.std_kpa, self._time_s - view.time_s)
+                view.contacts = self._tracker.look_back(view.pressure_kpa, view.std_kpa(), self._time_s - view.time_s)
             else:
-                view.contacts = self._tracker.update(view.time_s, view.pressure_kpa, view.std_kpa)
+                view.contacts = self._tracker.update(view.time_s, view.pressure_kpa, view.std_kpa())
                 self._time_s = view.time_s
         return view.contacts
 
@@ -190,7 +191,7 @@ class PressureView:
 
     time_s: float
     pressure_kpa: FloatArray
-    std_kpa: FloatArray
+    std_kpa: Later
     contacts: tuple[Contact, ...] | None = None
 
 

@@ -8,6 +8,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -15,10 +16,11 @@ from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
 from ..cell import Cell, Estimator
-from ..circuits import Design, Reason
+from ..circuits import Design, Reason, ValidityRule
 from ..errors import InputError
 from ._calibration import Calibration
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
+from ._later import Later, Retained
 from ._mailbox import Mailbox
 from ._past import Block, MeasurementPast
 from ._reading import CountReader, Reading
@@ -29,6 +31,10 @@ from ._tare import DRIFT as TARE_DRIFT
 
 T = TypeVar("T", bound=np.generic)
 
+KEPT_MEASUREMENTS = 8
+"""that are not thrown away at once when all takers have passed them"""
+SMALL_AFTER = 32
+"""frames after which a frame that somebody keeps has its standard deviation computed"""
 KEEP_STATE_S = 60.0
 """after a longer gap the estimator starts anew: what the skin bore meanwhile is not to be guessed"""
 
@@ -60,7 +66,7 @@ class Measurement:
     """ohm"""
     pressure: FloatArray
     """kPa"""
-    pressure_std: FloatArray
+    pressure_std: Later
     """kPa"""
     view: PressureView
     estimator_starts: int
@@ -126,6 +132,7 @@ class Converter:
         self._last_s: float | None = None
         """of the last frame, on the time scale of the estimator; also of a frame before the recording that is played"""
         self._measured: dict[int, Measurement] = {}
+        self._retained = Retained(SMALL_AFTER)
 
     @property
     def starts(self) -> int:
@@ -225,8 +232,9 @@ class Converter:
                     self._measured[queued.index] = measurement
                     for tell in tuple(self.on_converted):
                         tell(queued, measurement)
-                passed = mailbox.passed()
-                self._measured = {k: value for k, value in self._measured.items() if k > passed or k == frame.index}
+                if len(self._measured) > KEPT_MEASUREMENTS:
+                    passed = mailbox.passed()
+                    self._measured = {k: value for k, value in self._measured.items() if k > passed or k == frame.index}
             return self._measured.get(frame.index)
 
     def _convert(self, frame: RawFrame) -> Measurement:
@@ -243,15 +251,8 @@ class Converter:
             self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
         if gap_s > KEEP_STATE_S:
             self._estimator = self._new_estimator()
-        pressure = std = np.full(frame.counts.shape, np.nan)
-        if self._estimator is not None:
-            if not self._estimator.resolved:
-                self._estimator.resolve(reading.step_std, reading.resistance)
-            pressure = self._estimator.step(gap_s, reading.resistance)
-            std = self._std(reading, pressure)
-            if self._calibration is not None:
-                pressure, std = self._calibration.applied(pressure, std)
-        view = PressureView(frame.time_s, _read_only(pressure), _read_only(std))
+        pressure, std = self._estimate(gap_s, reading)
+        view = PressureView(frame.time_s, _read_only(pressure), std)
         self.contacts.pass_by(view)
         self._starts_told = self._starts
         return Measurement(
@@ -264,13 +265,18 @@ class Converter:
             self._starts,
         )
 
-    def _std(self, reading: Reading, pressure: FloatArray) -> FloatArray:
-        """The estimator's standard deviation, and what it cannot see: unknown rest resistances and ADC steps."""
-        assert self._estimator is not None
-        assert self._systematic is not None
-        systematic = self._systematic.variance(reading, pressure, rest_known=self._rest_known)
-        std: FloatArray = np.sqrt(self._estimator.std_kpa**2 + systematic)
-        return std
+    def _estimate(self, gap_s: float, reading: Reading) -> tuple[FloatArray, Later]:
+        """Pressures (rows, columns) in kPa and their standard deviations."""
+        if self._estimator is None or self._systematic is None:
+            unknown = np.full(reading.valid.shape, np.nan)
+            return unknown, Later(unknown.copy)
+        if not self._estimator.resolved:
+            self._estimator.resolve(reading.step_std, reading.resistance)
+        common = self._estimator.step(gap_s, reading.resistance)
+        systematic = self._systematic.take(reading, rest_known=self._rest_known)
+        std = Later(partial(_std, self._estimator.std_of_last_step(), systematic, common, self._calibration))
+        self._retained.add(std)
+        return common if self._calibration is None else self._calibration.applied(common), std
 
     @property
     def _rest_known(self) -> bool:
@@ -310,7 +316,7 @@ class Converter:
         best = self._surest
         if best >= 1.0:
             return None
-        asked = "2 % or what the converter allows" if self._accuracy is None else f"{100 * self._accuracy:g} %"
+        asked = f"{100 * ValidityRule.of(self._accuracy).limit:g} %"
         return (
             f"{start}{others} is known to {100 * best:.2g} %, and {asked} was asked for; "
             f"Skin.open(..., accuracy={min(1.5 * best, 0.99):.2g}) takes cells known so well; a converter of more "
@@ -344,6 +350,17 @@ class Converter:
         return self.cell.estimator(
             self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm, rest_error=rest_error
         )
+
+
+def _std(
+    of_estimate: Callable[[], FloatArray],
+    systematic: Callable[[FloatArray], FloatArray],
+    pressure_kpa: FloatArray,
+    calibration: Calibration | None,
+) -> FloatArray:
+    """The estimator's standard deviation, and what it cannot see: unknown rest resistances and ADC steps."""
+    std: FloatArray = np.sqrt(of_estimate() ** 2 + systematic(pressure_kpa))
+    return std if calibration is None else calibration.applied_std(pressure_kpa, std)
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from ..arrays import AnyArray, BoolArray, FloatArray
 from ._contacts import Contact
+from ._later import Later
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,8 +51,7 @@ class Frame:
     """ohm of the cells, with what the circuit adds taken out; NaN where not valid"""
     pressure: FloatArray = field(repr=False)
     """kPa, estimated from this and earlier frames; where not valid the last estimate, NaN before the first"""
-    pressure_std: FloatArray = field(repr=False)
-    """kPa, standard deviation of ``pressure``; NaN where the estimator states none"""
+    _std: Later = field(repr=False)
     _contacts: Callable[[], tuple[Contact, ...]] = field(repr=False)
     _now: Callable[[], float] = field(repr=False)
 
@@ -74,6 +74,14 @@ class Frame:
         )
 
     @property
+    def pressure_std(self) -> FloatArray:
+        """kPa (rows, columns), standard deviation of ``pressure``; NaN where the estimator states none.
+
+        Computed when asked for, and then kept.
+        """
+        return self._std()
+
+    @property
     def contacts(self) -> tuple[Contact, ...]:
         """What touches the skin, the largest force first. Computed when asked for; ids last from frame to frame."""
         return self._contacts()
@@ -84,6 +92,7 @@ class Frame:
         Missing numbers are NaN, missing counts (``sequence``, ``lost_before``) are -1. ``age`` is that of the call.
         """
         values: dict[str, Any] = {item.name: getattr(self, item.name) for item in fields(self) if item.name[0] != "_"}
+        values["pressure_std"] = self.pressure_std
         for name in ("sequence", "lost_before"):
             values[name] = -1 if values[name] is None else values[name]
         values["device_time"] = np.nan if self.device_time is None else self.device_time

@@ -106,6 +106,8 @@ class Mailbox:
 
     def between(self, index: int, end: int) -> list[RawFrame]:
         """The frames beyond ``index`` and before ``end``, in order."""
+        if index + 1 >= end:
+            return []
         with self.lock:
             return [frame for frame in self._frames if index < frame.index < end]
 
@@ -132,10 +134,14 @@ class Mailbox:
     def passed(self) -> int:
         """Number of the last frame that all takers have passed; 0 where there are none."""
         with self.lock:
-            return min((place.index for place in self._places), default=0)
+            return self._passed()
+
+    def _passed(self) -> int:
+        places = self._places
+        return places[0].index if len(places) == 1 else min((place.index for place in places), default=0)
 
     def _drop_passed(self) -> None:
-        passed = min((place.index for place in self._places), default=0)
+        passed = self._passed()
         while self._frames and self._frames[0].index <= passed:
             self._frames.popleft()
         if self._room_wanted and self._has_room():

@@ -11,17 +11,12 @@ from numpy.typing import NDArray
 from ..arrays import BoolArray, FloatArray
 from ..circuits import Design, LiveReading, Reason, live_recovery, noise, volts_of_codes
 from ..errors import InputError, ProtocolError, SolverError
+from ._scatter import Scatter
 
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
-_ASSUMED_NOISE = 0.5  # ADC steps, in the first frame, if the design tells no noise
-_FORGET = 0.98  # share of a noise that is still assumed a frame later
-# Changes from frame to frame count up to 1.5 standard deviations of a reading. Cells that are being pressed therefore
-# weigh little: 30 % of them raise the estimate by 60 %.
-_MOST_CHANGE = 1.5
-_MEAN_CHANGE = 0.918  # mean of the change of a normally distributed reading, cut off so, in its standard deviations
-
+_ALIKE = 1.5  # ratio of noises with which a reading is judged about alike
+_FAINT = 0.05  # ADC steps of noise that hardly count beside the half step
 _SIGMAS = 3.0  # standard deviations of the noise that Reading.uncertainty covers, beside half a step
-_CAUTION = 1.5  # standard deviations by which the first measurement of the noise may be too small
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,6 +31,7 @@ class Reading:
     """why a cell is not valid: a :class:`ohmskin.circuits.Reason` each, 0 where it is"""
     solved: bool
     """False where no cell resistances give such readings: then no cell is valid"""
+    all_valid: bool
     _found: LiveReading | None
     _own_share: float
     """of what a cell's own reading leaves open: standard deviation of an ADC step"""
@@ -74,7 +70,7 @@ class CountReader:
 
         Args:
             design: the board.
-            accuracy: relative uncertainty of a conductance up to which a cell is valid; None: as the converter allows
+            accuracy: relative uncertainty of a conductance up to which a cell is valid; None: 0.5
                 (:class:`ohmskin.circuits.ValidityRule`).
 
         Raises:
@@ -101,18 +97,25 @@ class CountReader:
         rising = (design.drive.voltage > 0) != design.board.circuit.inverts  # whether more current raises the output
         self._guards_low, self._guards_high = not rising and low >= adc.range[0], rising and high <= adc.range[1]
         self._design_noise = _noise_of(design)  # V
-        self._scatter = 0.0 if self._design_noise else _ASSUMED_NOISE * adc.step  # V, as frames show it
-        self._before: FloatArray | None = None  # V, the last frame's readings
-        self._frames = 0
+        self._scatter = Scatter(
+            adc.step,
+            assumed=not self._design_noise,
+            shared=design.board.circuit.mixes_cells or design.board.floating,
+        )
         self._silent = 0  # cells whose readings stood at a limit in the last frame
-        self._ones = np.ones(self._shape)
         self._counts = b""
         self._reading: Reading | None = None
+        self._judged_with = 0.0  # V, noise in the uncertainties of the last reading
 
     @property
     def noise_volts(self) -> float:
         """V, standard deviation of the readings: the larger one of the design's and what frames have shown."""
-        return max(self._design_noise, self._scatter)
+        return max(self._design_noise, self._scatter.std)
+
+    @property
+    def _alike_noise(self) -> float:
+        """V, noise with which a reading would be judged about as with the present one."""
+        return max(_ALIKE * self.noise_volts, _FAINT * self._step)
 
     @property
     def _steps_share(self) -> float:
@@ -126,20 +129,19 @@ class CountReader:
 
     def memory(self) -> tuple[float, NDArray[np.integer] | None]:
         """What the noise is measured from: its standard deviation so far in ADC steps, and the last frame's counts."""
-        if self._before is None:
-            return self._scatter / self._step, None
-        return self._scatter / self._step, np.rint((self._before - self._lowest_volts) / self._step).astype(np.int64)
+        noise_steps, before = self._scatter.std / self._step, self._scatter.before
+        if before is None:
+            return noise_steps, None
+        return noise_steps, np.rint((before - self._lowest_volts) / self._step).astype(np.int64)
 
     def remember(self, noise_steps: float, counts: NDArray[np.integer] | None) -> None:
         """Go on with the :meth:`memory` of another reader of the same design. The inversion begins anew."""
-        self._scatter = noise_steps * self._step
-        self._before = None if counts is None else self._volts(counts)
-        self._frames = 0 if counts is None else 2
+        self._scatter.resume(noise_steps * self._step, None if counts is None else self._volts(counts))
 
     def forget(self) -> None:
         """Take the next frame for the first one, as far as noise is concerned."""
-        self._scatter = 0.0 if self._design_noise else _ASSUMED_NOISE * self._step
-        self._frames, self._silent, self._before, self._reading = 0, 0, None, None
+        self._scatter.forget()
+        self._silent, self._reading = 0, None
 
     def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
         """The middle of each code, in V."""
@@ -160,20 +162,22 @@ class CountReader:
 
         """
         same = counts.tobytes()
-        if self._reading is not None and same == self._counts:
+        if self._reading is not None and same == self._counts and self._judged_with <= self._alike_noise:
+            self._scatter.still()
             return self._reading
         if counts.shape != self._shape:
             sent, expected = "{} x {}".format(*counts.shape), "{} x {}".format(*self._shape)
             raise ProtocolError(f"the board sends {sent} cells; its design has {expected}")
         reading = self._read(counts)
         # What is not settled yet, or judged without a measured noise, may be otherwise after another frame like this.
-        final = self._frames > 1 and (reading.valid.all() or not (reading.reason == Reason.UNSETTLED).any())
+        final = self._scatter.frames > 1 and (reading.all_valid or not (reading.reason == Reason.UNSETTLED).any())
         self._counts, self._reading = same, reading if final else None
         return reading
 
     def _read(self, counts: NDArray[np.integer]) -> Reading:
         volts = self._volts(counts)
-        guard = self._guard_codes(volts)
+        self._scatter.update(volts, self._silent)
+        guard = math.ceil(_GUARD * self.noise_volts / self._step)  # codes
         lowest = self._first + (guard if self._guards_low else 0)
         highest = self._last - (guard if self._guards_high else 0)
         limited = faint = None
@@ -190,15 +194,14 @@ class CountReader:
             limited &= ~faint
             if not limited.any():
                 limited = None
-        self._before = volts
-        noise = self.noise_volts
+        noise = self._judged_with = self.noise_volts
         share = self._step / 12**0.5 / (self._step / 2 + LiveReading.sigmas * noise)
         try:
             found = self._recover(volts, limited, noise)
         except SolverError:
             nothing = np.full(counts.shape, np.nan)
             reason = np.full(counts.shape, Reason.UNSOLVED, dtype=np.int8)
-            return Reading(nothing, counts < 0, reason, solved=False, _found=None, _own_share=share)
+            return Reading(nothing, counts < 0, reason, solved=False, all_valid=False, _found=None, _own_share=share)
         valid, reason = found.valid, found.reason
         if valid.all() and faint is None:
             return Reading(
@@ -206,6 +209,7 @@ class CountReader:
                 valid,
                 reason,
                 solved=True,
+                all_valid=True,
                 _found=found,
                 _own_share=share,
                 steps_share=self._steps_share,
@@ -215,29 +219,15 @@ class CountReader:
             reason = np.where(faint, np.int8(Reason.NO_CURRENT), reason)
         resistance = np.where(valid, found.resistance, np.nan)
         return Reading(
-            resistance, valid, reason, solved=True, _found=found, _own_share=share, steps_share=self._steps_share
+            resistance,
+            valid,
+            reason,
+            solved=True,
+            all_valid=False,
+            _found=found,
+            _own_share=share,
+            steps_share=self._steps_share,
         )
-
-    def _guard_codes(self, volts: FloatArray) -> int:
-        """Codes within which an output at a limit of its swing may be read, given the readings (rows, columns) in V.
-
-        The scatter of readings from frame to frame is measured on the way. Pressing changes readings as well; changes
-        far above the scatter are therefore cut off, and the estimate is rather too large. It forgets within a hundred
-        frames.
-        """
-        before = self._before
-        if before is not None:
-            change = volts - before
-            np.abs(change, out=change)
-            np.minimum(change, max(self._step, _MOST_CHANGE * self._scatter), out=change)
-            # Readings at a limit do not move.
-            moving = max(change.size - self._silent, 1)
-            fresh = float(np.vdot(change, self._ones)) / (moving * _MEAN_CHANGE)
-            if self._frames == 1:  # a sample of few cells may be smaller than its deviation
-                fresh *= 1.0 + _CAUTION / np.sqrt(moving)
-            self._scatter = fresh if self._frames == 1 else max(_FORGET * self._scatter, fresh)
-        self._frames += 1
-        return int(np.ceil(_GUARD * self.noise_volts / self._step))
 
 
 def _noise_of(design: Design) -> float:

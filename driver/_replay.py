@@ -24,7 +24,7 @@ from ..wire import read_description, write_description
 from ._calibration import Calibration
 from ._past import Past
 from ._port import Arrival
-from ._recorder import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
+from ._recording import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
 
 MOST_S = 1e12
 """30,000 years: no time of arrival is later"""

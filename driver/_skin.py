@@ -29,7 +29,7 @@ from ._past import Past
 from ._port import Arrival, BytePort
 from ._reader import Reader
 from ._reconnect import PortFinder
-from ._recorder import Recording
+from ._recording import Recording
 from ._replay import RecordedSettings, ReplayPort
 from ._statistics import Counters, LinkStatistics
 from ._stream import RawFrame
@@ -92,8 +92,8 @@ class Skin:
             reconnect: s to try to open a port again that has gone away.
             reopen: opens the port again; None: a port that has gone away is not opened again.
             pitch: distance of neighbouring cells in m, for contacts; None: that of the design's ``[sheet]``.
-            accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 2 %, or as well
-                as a converter of few bits and the noise allow (:class:`ohmskin.circuits.ValidityRule`).
+            accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 0.5, see
+                :class:`ohmskin.circuits.ValidityRule`.
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
             overwrite: replace a recording that is there already.
             calibration: rest resistance and gain of each cell, or the file that holds them. A tare replaces its rest

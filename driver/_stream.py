@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +18,7 @@ from ._statistics import Counters
 REMEMBERED = 64
 """frames among which a duplicate is looked for"""
 HALF_RANGE = 2**31
+_NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
 LEAST_STEP_S = 1e-6
 """the estimator needs times that increase"""
 
@@ -68,7 +68,8 @@ class FrameStream:
         self._latest_us: int | None = None
         self._latest_monotonic = 0.0
         self._time_s = 0.0
-        self._recent: deque[tuple[int | None, int | None, int | None]] = deque(maxlen=REMEMBERED)
+        self._recent: dict[tuple[int | None, int | None, int | None], None] = {}
+        """boot ids, sequence numbers and times of the last numbered frames, in order: a dict, for a quick look-up"""
         self._in_step = True
 
     def announce(self, sequence: int | None, boot_id: int | None) -> None:
@@ -101,7 +102,7 @@ class FrameStream:
         self._begun, self._expected, self._boot_id = past.begun, past.expected, past.boot_id
         self._latest_us, self._latest_monotonic = past.latest_us, past.latest_monotonic
         self._time_s, self._in_step = past.time_s, past.in_step
-        self._recent = deque(past.recent, maxlen=REMEMBERED)
+        self._recent = dict.fromkeys(past.recent)
         self.counters.lost = 0 if past.numbered else None
         self.clock.restore(past.clock)
         self._arrivals.restore(past.arrivals)
@@ -134,11 +135,15 @@ class FrameStream:
             self._recent.clear()
             self._expected = None if packet.sequence is None else 0
             self.clock = ClockMap()
-        self._recent.append(stamp)
+        if packet.sequence is not None:
+            self._recent[stamp] = None
+            if len(self._recent) > REMEMBERED:
+                del self._recent[next(iter(self._recent))]
         self._boot_id = packet.boot_id
         self._count_lost(packet)
         counters.frames += 1
-        counters.overruns += bool(packet.flags & Flag.OVERRUN)
+        if packet.flags is not _NO_FLAGS:
+            counters.overruns += bool(packet.flags & Flag.OVERRUN)
         device_s = None if packet.time_us is None else packet.time_us / 1e6
         monotonic = self._map_time(device_s, arrival)
         self._advance(packet.time_us, monotonic, rebooted)

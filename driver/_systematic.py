@@ -11,10 +11,13 @@ Both are relative errors of a resistance. The static curve of the cell says how 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..cell import Cell
 from ._reading import Reading
 
@@ -50,46 +53,44 @@ class SystematicError:
         """relative, of the cells' rest resistances about that of the data sheet: the least that was seen"""
         self._before: FloatArray | None = None
         self._frames = 0
-        self._uncertainty: FloatArray | None = None
+        self._steps: _Steps | None = None
 
     def forget(self) -> None:
         """Drop what is remembered of the last frames; the spread stays."""
-        self._before, self._frames, self._uncertainty = None, 0, None
+        self._before, self._frames, self._steps = None, 0, None
 
     def kpa_of_rest(self, relative: float) -> float:
         """The pressure that an unloaded cell shows when its rest resistance is off by ``relative``."""
         return relative * float(self._by_rest[0]) if self._by_rest.size else 0.0
 
-    def variance(self, reading: Reading, pressure_kpa: FloatArray, *, rest_known: bool) -> FloatArray:
-        """The variance in kPa^2 (rows, columns) of pressures estimated from this reading and earlier ones.
+    def take(self, reading: Reading, *, rest_known: bool) -> Callable[[FloatArray], FloatArray]:
+        """Take the next frame.
 
         Args:
             reading: of the frame.
-            pressure_kpa: (rows, columns) estimated from it; NaN where there is none yet.
             rest_known: the rest resistances were measured, by a tare or a calibration.
 
+        Returns:
+            A function from pressures in kPa (rows, columns) that were estimated from this reading and earlier ones, NaN
+            where there is none yet, to their variance in kPa^2. It may be called at any time, in any thread.
+
         """
+        self._steps = _Steps.of(reading, self._steps)
+        spread = 0.0
+        if not rest_known and self._pressure.size:
+            self._look(reading.resistance)
+            spread = self.rest_spread or 0.0
+        return partial(self._variance, self._steps, spread)
+
+    def _variance(self, steps: _Steps, spread: float, pressure_kpa: FloatArray) -> FloatArray:
         if not self._pressure.size:
             return np.zeros_like(pressure_kpa)
-        error = np.interp(pressure_kpa, self._pressure, self._by_reading) * self._of_steps(reading)
-        variance = error * error
-        if not rest_known:
-            self._look(reading.resistance)
-            if self.rest_spread:
-                variance += (np.interp(pressure_kpa, self._pressure, self._by_rest) * self.rest_spread) ** 2
-        return variance
-
-    def _of_steps(self, reading: Reading) -> FloatArray:
-        """Relative standard deviation of each resistance by ADC steps; of a cell not valid now, when it last was."""
-        # An error that is evenly distributed over an interval has the half-width over the root of three.
-        share, uncertainty = reading.steps_share / math.sqrt(3.0), reading.uncertainty
-        if reading.valid.all():
-            known = uncertainty * share
-        else:
-            known = np.zeros_like(uncertainty) if self._uncertainty is None else self._uncertainty.copy()
-            known[reading.valid] = uncertainty[reading.valid] * share
-        self._uncertainty = known
-        return known
+        error = np.interp(pressure_kpa, self._pressure, self._by_reading)
+        error *= steps.relative_std()
+        error *= error
+        if spread:
+            error += (np.interp(pressure_kpa, self._pressure, self._by_rest) * spread) ** 2
+        return error
 
     def _look(self, resistance_ohm: FloatArray) -> None:
         """Measure the spread of the cells every few frames, and keep the least: loads only add to it."""
@@ -97,18 +98,61 @@ class SystematicError:
         if (self._frames - 1) % LOOK_EVERY:
             return
         deviation = np.log(resistance_ohm / self._rest_ohm)
-        present = deviation[np.isfinite(deviation)]
         before, self._before = self._before, deviation
-        if present.size < LEAST_CELLS:
+        present = _median_size(deviation)
+        if present is None:
             return
-        variance = (NORMAL * float(np.median(np.abs(present)))) ** 2
-        if before is not None:
-            change = deviation - before
-            change = change[np.isfinite(change)]
-            if change.size >= LEAST_CELLS:
-                variance -= (NORMAL * float(np.median(np.abs(change)))) ** 2 / 2
+        variance = (NORMAL * present) ** 2
+        change = None if before is None else _median_size(deviation - before)
+        if change is not None:
+            variance -= (NORMAL * change) ** 2 / 2
         spread = math.sqrt(max(variance, 0.0))
         self.rest_spread = spread if self.rest_spread is None else min(spread, self.rest_spread)
+
+
+class _Steps(NamedTuple):
+    """What one frame says of the errors by ADC steps. Nothing of it changes again. Arrays are (rows, columns)."""
+
+    reading: Reading
+    valid: BoolArray
+    earlier: FloatArray | None
+    """relative standard deviation of cells that are not valid; None: all are"""
+
+    @classmethod
+    def of(cls, reading: Reading, before: _Steps | None) -> _Steps:
+        """Of a frame after ``before``."""
+        valid = reading.valid
+        if reading.all_valid:
+            return cls(reading, valid, None)
+        if before is None:
+            earlier = np.zeros(valid.shape)
+        elif before.earlier is not None and np.array_equal(before.valid, valid):
+            earlier = before.earlier
+        else:
+            earlier = before.relative_std()
+        return cls(reading, valid, earlier)
+
+    def relative_std(self) -> FloatArray:
+        """Relative standard deviation of each resistance by ADC steps; of a cell not valid now, when it last was."""
+        # An error that is evenly distributed over an interval has the half-width over the root of three.
+        share = self.reading.steps_share / math.sqrt(3.0)
+        if self.earlier is None:
+            return self.reading.uncertainty * share
+        known = self.earlier.copy()
+        known[self.valid] = self.reading.uncertainty[self.valid] * share
+        return known
+
+
+def _median_size(values: FloatArray) -> float | None:
+    """Median of the finite absolute values; None where they are too few."""
+    sizes = np.abs(values).ravel()
+    sizes = sizes[np.isfinite(sizes)]
+    if sizes.size < LEAST_CELLS:
+        return None
+    middle = sizes.size // 2
+    # numpy.median, without what it does for axes and NaN: several times the work on a small array.
+    sizes.partition((middle - 1, middle) if sizes.size % 2 == 0 else (middle,))
+    return float(sizes[middle] if sizes.size % 2 else (sizes[middle - 1] + sizes[middle]) / 2)
 
 
 def _static(cell: Cell, ohms: FloatArray, rest_ohm: float) -> FloatArray:

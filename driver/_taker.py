@@ -8,7 +8,7 @@ import copy
 import threading
 import time
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
@@ -54,7 +54,7 @@ class FrameTaker:
         self._newest = self._place.index
         """number of the last frame delivered, or of the last one before the first"""
         self._frame: Frame | None = None
-        """the frame delivered last, without what was told with it"""
+        """the frame delivered last, as it was delivered or as it was repeated"""
         weakref.finalize(self, mailbox.leave, self._place)
 
     @property
@@ -76,16 +76,12 @@ class FrameTaker:
             ProtocolError: what came breaks the format, or does not fit the design.
 
         """
-        with self._interruptible():
-            return self._await(time.monotonic() + timeout_s, timeout_s, while_away)
-
-    @contextlib.contextmanager
-    def _interruptible(self) -> Iterator[None]:
-        """After Ctrl-C the frame in hand does not reach the caller; the next one counts it as skipped."""
         told = self._told
         try:
-            yield
+            frame = self.try_take()
+            return self._await(time.monotonic() + timeout_s, timeout_s, while_away) if frame is None else frame
         except KeyboardInterrupt:
+            # The frame in hand does not reach the caller; the next one counts it as skipped.
             self._told = told
             raise
 
@@ -108,8 +104,12 @@ class FrameTaker:
             LinkEnded, LinkError, ProtocolError: as for :meth:`take`, where no young frame is left.
 
         """
-        with self._interruptible():
+        told = self._told
+        try:
             return self._await_young(max_age_s, timeout_s)
+        except KeyboardInterrupt:
+            self._told = told  # as in take()
+            raise
 
     def _await_young(self, max_age_s: float, timeout_s: float) -> Frame:
         deadline = time.monotonic() + timeout_s
@@ -151,8 +151,7 @@ class FrameTaker:
             if source.newest_only or self._place.index >= source.mailbox.fault.after:
                 self._check_fault()
             with source.mailbox.lock:
-                newest = source.mailbox.newest
-                frame = newest if source.newest_only else source.mailbox.after(self._place.index)
+                frame = source.mailbox.newest if source.newest_only else source.mailbox.after(self._place.index)
             if frame is None or frame.index <= self._place.index:
                 self._check()
                 return None
@@ -199,7 +198,12 @@ class FrameTaker:
     def _repeat(self, newest: RawFrame) -> Frame | None:
         """The frame taken last, if it is still the newest."""
         with self._lock:
-            return self._frame if self._newest == newest.index else None
+            frame = self._frame
+            if frame is None or self._newest != newest.index:
+                return None
+            if not frame.repeated:
+                frame = self._frame = frame.again()
+            return frame
 
     def _claim(self, raw: RawFrame) -> Frame | None:
         """Convert a frame and make it the last one taken; None where this taker, or all others, are beyond it."""
@@ -215,7 +219,7 @@ class FrameTaker:
                 source.mailbox.move(self._place, raw.index)
                 return None
             frame = self._deliver(raw, measurement)
-            self._newest, self._frame = raw.index, frame.again()
+            self._newest, self._frame = raw.index, frame
             source.mailbox.move(self._place, raw.index)
         source.counters.ages_s.append(frame.age)
         return frame
@@ -375,7 +379,7 @@ def _frame(raw: RawFrame, measurement: Measurement, before: _Totals, source: Sou
         reason=measurement.reason,
         resistance=measurement.resistance,
         pressure=measurement.pressure,
-        pressure_std=measurement.pressure_std,
+        _std=measurement.pressure_std,
         _contacts=lambda: contacts.of(view),
         _now=source.now,
     )

@@ -12,7 +12,6 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 
 BYTE_FAULTS = ("flipped-bits", "dropped-bytes", "inserted-bytes", "duplicated-bytes")
 PACKET_FAULTS = ("dropped-packets", "duplicated-packets")
-LASTING_FAULTS = ("split-bytes", "stall", "unplug", "second-host")
 FaultKind = Literal[
     "flipped-bits",
     "dropped-bytes",

@@ -11,8 +11,6 @@ ohmskin are imported when a fixture is used, so that the plugin costs nothing to
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
 import subprocess
 import sys
@@ -191,13 +189,14 @@ def _calibration(skin: Skin) -> str:
     """A hash of what turns resistance into pressure: the cell's data, calibration and tare. Empty without a cell."""
     if skin.cell is None:
         return ""
-    parts: dict[str, object] = {"cell": skin.cell.model_dump(mode="json")}
+    from ..config import fingerprint
+
+    parts: dict[str, object] = {"cell": fingerprint(skin.cell)}
     if skin.calibration is not None:
         parts["calibration"] = skin.calibration.hash
     if skin.tared is not None:
         parts["tare"] = skin.tared.rest_resistance_ohm.tolist()
-    text = json.dumps(parts, sort_keys=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+    return fingerprint(parts)[:16]
 
 
 def _say(request: pytest.FixtureRequest, **properties: str) -> None:

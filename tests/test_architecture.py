@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -27,9 +28,15 @@ MAY_IMPORT = {
 }
 
 
+def _place(file: Path) -> tuple[str, ...]:
+    """Folders and name of a module below the package, whose root is src/ohmskin and the rooms beside it."""
+    top = ROOT / "src/ohmskin"
+    return file.relative_to(top if file.is_relative_to(top) else ROOT).parts
+
+
 def _imports(file: Path) -> set[str]:
     """First names below ``ohmskin`` that a module imports, and the top-level modules of other packages."""
-    package = ["ohmskin", *file.relative_to(ROOT).parts[:-1]]
+    package = ["ohmskin", *_place(file)[:-1]]
     found = set()
     for node in ast.walk(ast.parse(file.read_text())):
         if isinstance(node, ast.Import):
@@ -83,6 +90,33 @@ def test_only_the_table_of_circuits_knows_their_names() -> None:
             if isinstance(node, ast.Compare):
                 said = {part.value for part in ast.walk(node) if isinstance(part, ast.Constant)} & names
                 assert not said, f"{file.relative_to(ROOT)}:{node.lineno} compares the name of a circuit: {said}"
+
+
+def _modules() -> dict[str, Path]:
+    """Every module of the package by its name; a face by the name of its folder."""
+    top = ROOT / "src/ohmskin"
+    files = [
+        *top.glob("*.py"),
+        *top.glob("cli/*.py"),
+        *(file for room in MAY_IMPORT for file in (ROOT / room).rglob("*.py")),
+    ]
+    return {".".join(["ohmskin", *_place(file)]).removesuffix(".py").removesuffix(".__init__"): file for file in files}
+
+
+def test_no_module_imports_itself_by_way_of_others() -> None:
+    """Imports within functions and for the type checker count: they hide a circle and do not open it."""
+    modules = _modules()
+    graph = {}
+    for name, file in modules.items():
+        imported = {whole if whole in modules else whole.rpartition(".")[0] for whole in _imports(file)}
+        graph[name] = imported & modules.keys() - {name}
+    assert "ohmskin.circuits._board" in graph["ohmskin.circuits._design"]
+    assert "ohmskin.driver" in graph["ohmskin.hil.plugin"], "an import within a function"
+    assert "ohmskin.cli._opening" in graph["ohmskin.cli.view"]
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        pytest.fail(f"circle of imports: {' <- '.join(error.args[1])}")
 
 
 @pytest.mark.parametrize("room", MAY_IMPORT)

@@ -486,7 +486,7 @@ def test_pressures_after_a_calibration_are_within_their_deviations() -> None:
     errors, deviations, plain = [], [], []
     for frame, true in zip(later, swinging, strict=True):
         common = calibrated_cells.step(STEP_S, frame)
-        pressure, std = made.applied(common, calibrated_cells.std_kpa)
+        pressure, std = made.applied(common), made.applied_std(common, calibrated_cells.std_kpa)
         errors.append(pressure - true)
         deviations.append(std)
         plain.append(plain_cells.step(STEP_S, frame) - true)

@@ -160,3 +160,25 @@ def test_a_skin_at_rest_sleeps_and_wakes() -> None:
     pressed[4] *= 1.3
     found = estimator.step(0.01, pressed)
     assert np.flatnonzero(found > 1.0).tolist() == [4]
+
+
+@CELLS
+def test_a_deviation_is_that_of_its_step_however_late_it_is_asked_for(cell: Cell) -> None:
+    """With sparks, gaps, cells that sleep and wake, and a state that is saved and restored meanwhile."""
+    time = np.arange(0, 12, DT)
+    read = read_by_a_board(cell, taps(time, 0.5 * cell.full_scale_kpa), 1e-4)
+    rng = np.random.default_rng(3)
+    read[rng.random(read.shape) < 0.01] *= 0.4
+    read[rng.random(read.shape) < 0.02] = np.nan
+    read[300:330, 2] = np.nan
+    plain, lazy = cell.estimator((COUNT,)), cell.estimator((COUNT,))
+    at_once, later = [], []
+    for number, frame in enumerate(read):
+        for estimator in (plain, lazy):
+            estimator.step(DT if number != 400 else 2.0, frame)
+            if number in (250, 315):
+                estimator.restore(estimator.state())
+        at_once.append(plain.std_kpa.copy())
+        later.append(lazy.std_of_last_step())
+    for expected, ask in reversed(list(zip(at_once, later, strict=True))):
+        np.testing.assert_array_equal(ask(), expected)

@@ -15,7 +15,7 @@ from verified import AMPLIFIED, complete
 from ohmskin.cell import Percolation
 from ohmskin.circuits import Design, Requirement
 from ohmskin.cli import run
-from ohmskin.verification import Subject, explore, prototype, remedies, verify
+from ohmskin.verification import Subject, Variation, explore, prototype, remedies, verify
 from ohmskin.verification._explore import AVERAGING, KNOWN_FRACTION, _combinations, _judged, _scaled, pareto
 
 FIGURES = st.lists(st.tuples(*[st.floats(0, 10, allow_nan=False)] * 3), min_size=1, max_size=12)
@@ -72,6 +72,19 @@ def test_a_frame_rate_costs_settling_until_the_line_is_full() -> None:
 
 def _combinations_of(design: Design) -> list[tuple[str, float]]:
     return [item for changes in _combinations(Subject(design), 40) for item in changes.items()]
+
+
+def test_no_combination_is_judged_twice() -> None:
+    tried = list(_combinations(Subject(FAST), 60))
+    assert len(tried) == 60
+    assert len({frozenset(changes.items()) for changes in tried}) == 60
+
+
+def test_settling_that_nobody_can_see_decides_nothing_and_prints_as_little() -> None:
+    one, other = (Variation({"row switch": share}, 1.0, 1.0, 1.0, share * 1e-85) for share in (0.1, 3.0))
+    assert one.figures == other.figures
+    assert "< 1·10⁻⁹ %" in one.line
+    assert "0.25 %" in Variation({}, 1.0, 1.0, 1.0, 0.25).line
 
 
 def test_cells_that_touch_have_no_percolation() -> None:

@@ -11,6 +11,7 @@ from ohmskin.bench import _live_hunt
 from ohmskin.circuits import Design, Reason, adc_codes, live_recovery, scan
 from ohmskin.circuits._exact import read_exactly
 from ohmskin.circuits.recovery import _amplified, _coupled, _quick_model
+from ohmskin.circuits.recovery._lines import LineResistance
 from ohmskin.driver import CountReader, Reading
 from ohmskin.errors import InputError
 
@@ -290,12 +291,12 @@ def test_a_known_short_beside_a_cell_makes_the_cell_less_certain() -> None:
 
 @pytest.mark.parametrize("family", list(_live_hunt.FAMILIES))
 def test_the_quick_model_gives_the_exact_outputs(family: str) -> None:
-    """On the hunt's boards, those with resistive segments and bridges included, which it leaves to the exact solver."""
+    """On the hunt's boards, with ideal lines and with resistive segments."""
     rng, quick = np.random.default_rng(0), 0
     for _ in range(40):
         design = _live_hunt._design(rng, *_live_hunt.FAMILIES[family])
         board = design.replace(readout={"supply": (-np.inf, np.inf)}).board
-        model = _quick_model.QuickModel(board)
+        model = _quick_model.QuickModel(board, LineResistance(board))
         cells = 10 ** rng.uniform(0, 6, board.shape)
         exact = read_exactly(board, cells)[0].volts
         assert design.adc is not None

@@ -244,6 +244,15 @@ def test_the_pressure_suffers_from_noise_offsets_and_haste(
     assert found.value > 1.2 * sound[quantity]
 
 
+def test_the_skin_is_untouched_while_it_is_tared(sound: dict[str, float]) -> None:
+    """However long a tare takes, or however slowly an array is followed, no press gets into the rest resistance."""
+    design = parse(tomllib.loads(complete(AMPLIFIED)), Design, source="complete")
+    slow = design.replace(operation={"readings_per_calibration": 400})  # 8 s; the first press comes after 2 s
+    found = verify(slow, requirements=_asked("pressure_rmse")).results[0].measurement
+    assert found is not None
+    assert found.value < 1.05 * sound["pressure_rmse"]
+
+
 def test_a_saturating_board_fails_at_once(tmp_path: Path) -> None:
     design = _design(tmp_path, complete(AMPLIFIED.replace("20000.0", "60000.0")))
     failing = ("D2", "D4", "D5", "D13", "D14", "D15", "D18")

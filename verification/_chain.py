@@ -1,8 +1,8 @@
 """End to end in board time: pressure, cells, a real board, noise, settling, converter, and a host of nominal parts.
 
 Nothing here depends on the speed of this machine: time is that of the board. The host inverts the circuit with the
-nominal parts of the design; what it learns beside these is each cell's resistance at rest, averaged over the first
-frames of the untouched skin (``operation.readings_per_calibration``). It knows no offset, no lead and no gain.
+nominal parts of the design; what it learns beside these is each cell's resistance at rest, averaged over frames of the
+untouched skin before the presses (``operation.readings_per_calibration``). It knows no offset, no lead and no gain.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SLOWEST_HZ = 2.0
 MOST_WORK, MOST_WORK_COUPLED = 400_000, 60_000
 """Cells times frames that are simulated at most: larger arrays are followed at a lower rate. Without amplifiers that
 hold the sensed lines, the inversion takes a dense solution per frame."""
-FRAMES_WHEN_LOST = 60
+FRAMES_WHEN_LOST = 40
 """frames that are simulated of a board some of whose readings are lost to a limit"""
 FRAMES_TO_SETTLE = 8
 """equal frames within which the driver's live inversion settles"""
@@ -131,8 +131,9 @@ def simulate(subject: Subject, name: str, factors: FloatArray) -> Run:
     if not subject.knows_pressure:
         raise NotRun("missing: cells.full_scale_kpa")
     declared = rate_of(subject)
+    tare = design.operation.readings_per_calibration
     work = MOST_WORK if design.board.circuit.virtual_ground else MOST_WORK_COUPLED
-    most = max(work / (shape[0] * shape[1] * SECONDS), SLOWEST_HZ)
+    most = max((work / (shape[0] * shape[1]) - tare) / SECONDS, SLOWEST_HZ)
     rate = min(declared, FASTEST_HZ, most)
     time_s = np.arange(0.0, SECONDS, 1.0 / rate)
     random = np.random.default_rng(np.random.SeedSequence([subject.seed, 1 << 21]))
@@ -145,11 +146,20 @@ def simulate(subject: Subject, name: str, factors: FloatArray) -> Run:
     forward = subject.cell.forward(shape, rest_resistance_ohm=subject.rest * scale)
     steps = np.diff(time_s, prepend=time_s[0])
     cells = forward.run(steps, applied)
-    volts, lost = _converted(subject, subject.factors, factors, cells, settling_share(subject, declared), random)
+    # The host tares at its own rate before anything presses, however slowly the presses are followed.
+    frames = np.concatenate([np.repeat(cells[:1], tare, axis=0), cells])
+    read, beyond = _converted(subject, subject.factors, factors, frames, settling_share(subject, declared), random)
+    untouched, volts, lost = read[:tare], read[tare:], beyond[tare:]
     if lost.any():  # the intervals of cells that are not known take long, and the verdict is sure
         kept = slice(None, None, -(-len(time_s) // FRAMES_WHEN_LOST))
         time_s, applied, volts, lost = time_s[kept], applied[kept], volts[kept], lost[kept]
-    return Run(name, time_s, applied, _estimated(subject, time_s, volts, lost), lost, full)
+    recover = Recoverer(host_design(design), accuracy=1e-6)
+    rest = _rest(recover, untouched, beyond[:tare], subject.rest)
+    ohms = _recovered(recover, volts, lost)
+    estimator = subject.cell.estimator(shape, rest_resistance_ohm=rest)
+    steps = np.diff(time_s, prepend=time_s[0])
+    estimated = np.array([estimator.step(float(dt), frame) for dt, frame in zip(steps, ohms, strict=True)])
+    return Run(name, time_s, applied, estimated, lost, full)
 
 
 def _converted(
@@ -181,10 +191,8 @@ def _converted(
     return adc.range[0] + (codes + 0.5) * adc.step, lost
 
 
-def _estimated(subject: Subject, time_s: FloatArray, volts: FloatArray, lost: BoolArray) -> FloatArray:
-    """kPa: circuit inversion with nominal parts, resistance at rest from the first frames, the cell's estimator."""
-    design = host_design(subject.design)
-    recover = Recoverer(design, accuracy=1e-6)
+def _recovered(recover: Recoverer, volts: FloatArray, lost: BoolArray) -> FloatArray:
+    """Ohm (frames, rows, columns) by inversion of the circuit with nominal parts; NaN where a cell is not known."""
     ohms = np.full(volts.shape, np.nan)
     for frame, (reading, clipped) in enumerate(zip(volts, lost, strict=True)):
         try:
@@ -193,12 +201,14 @@ def _estimated(subject: Subject, time_s: FloatArray, volts: FloatArray, lost: Bo
             continue
         known = np.isin(recovery.status, (Status.READ, Status.DISTURBED)) & (recovery.resistance > 0) & ~clipped
         ohms[frame] = np.where(known, recovery.resistance, np.nan)
-    first = ohms[: design.operation.readings_per_calibration]
-    counted = np.isfinite(first).sum(axis=0)
-    rest = np.where(counted > 0, np.nansum(first, axis=0) / np.maximum(counted, 1), subject.rest)
-    estimator = subject.cell.estimator(volts.shape[1:], rest_resistance_ohm=rest)
-    steps = np.diff(time_s, prepend=time_s[0])
-    return np.array([estimator.step(float(dt), frame) for dt, frame in zip(steps, ohms, strict=True)])
+    return ohms
+
+
+def _rest(recover: Recoverer, volts: FloatArray, lost: BoolArray, data_sheet: float) -> FloatArray:
+    """Mean ohm (rows, columns) over frames of the untouched skin; the data sheet's for cells that no frame knows."""
+    ohms = _recovered(recover, volts, lost)
+    counted = np.isfinite(ohms).sum(axis=0)
+    return np.where(counted > 0, np.nansum(ohms, axis=0) / np.maximum(counted, 1), data_sheet)
 
 
 def one_cell_read(subject: Subject, ohms: FloatArray) -> tuple[FloatArray, float]:
@@ -309,8 +319,9 @@ def _what_is_in(subject: Subject) -> str:
     )
     return (
         f"Declared rate {engineering(rate, 'Hz')}: {settled}. Noise, converter and parts are those of the design; the "
-        "host knows nominal parts and takes each cell's resistance at rest from the first "
-        f"{subject.design.operation.readings_per_calibration} frames. Estimator: {subject.cell.default_estimator}."
+        "host knows nominal parts and takes each cell's resistance at rest from "
+        f"{subject.design.operation.readings_per_calibration} frames before the presses. Estimator: "
+        f"{subject.cell.default_estimator}."
     )
 
 

@@ -20,7 +20,6 @@ from ..circuits import (
     Settling,
     apparent_resistance,
     noise,
-    scan,
     scan_population,
     stability,
 )
@@ -305,8 +304,3 @@ def settling_share(subject: Subject, rate: float) -> float:
         return 1.0
     jump = np.abs(np.roll(settling.settled, 1, axis=1 if subject.design.board.turned else 0) - settling.settled)
     return float(min(np.abs(sampled - settling.settled).max() / max(float(jump.max()), 1e-300), 1.0))
-
-
-def saturates_at_rest(subject: Subject) -> bool:
-    """Whether some output of the nominal board stands at its limit with all cells at rest."""
-    return bool(scan(subject.design, np.full(subject.design.array.shape, subject.rest), method="exact").saturated.any())

@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -34,7 +34,7 @@ from ._outcome import DoesNotApply, NotRun, Outcome
 from ._requirements import evaluate
 from ._static import TARGETS, adc_headroom, box_of, output_headroom
 from ._subject import Subject
-from ._units import UNITS, conversion, engineering
+from ._units import LEAST_SHOWN, UNITS, conversion, engineering
 
 KNOWN_FRACTION = 0.015
 """carbon black by mass of the cell of the design; the paper's choice"""
@@ -103,6 +103,8 @@ _BETWEEN = 9
 FASTEST_STATED_HZ = 1e6
 """the largest frame rate that a design may state"""
 MOST_BITS = 24
+_TRIES = 20
+"""random draws for each combination wanted"""
 MOST_AVERAGED = 1000
 _FARTHEST = 1e3  # a change beyond a factor of that is no help to anybody
 _FARTHEST_READING = 3.0  # beyond it a larger reference resistor or drive voltage saturates outputs
@@ -113,6 +115,11 @@ _STEPS = 7  # of the bisection, in the logarithm of the factor
 @dataclass(frozen=True)
 class Variation:
     """One varied design and its figures; NaN where there is none."""
+
+    HEAD: ClassVar[str] = (
+        f"{'reading error':>14} {'crosstalk':>10} {'resolution':>13} {'settling':>11} {'rate':>10}  the Pareto front"
+    )
+    """of a table whose rows are :attr:`line`"""
 
     changes: dict[str, float]
     """by axis, as in :data:`AXES`; empty: the design itself"""
@@ -129,12 +136,24 @@ class Variation:
     def figures(self) -> tuple[float, ...]:
         """Smaller is better."""
         judged = self.reading_error_percent, self.crosstalk_percent, self.resolution_kpa
-        return (*judged, self.settling_error_percent, 1.0 / self.frame_rate_hz)
+        # Nobody would pay for a settling error that is smaller than what can be told from none.
+        return (*judged, max(self.settling_error_percent, LEAST_SHOWN), 1.0 / self.frame_rate_hz)
 
     @property
     def name(self) -> str:
         """For a reader."""
         return ", ".join(f"{axis} {_shown(axis, value)}" for axis, value in self.changes.items()) or "the design itself"
+
+    @property
+    def line(self) -> str:
+        """The figures and the changes in a row of a table; a star marks the Pareto front."""
+        error, crosstalk, settling = (
+            engineering(percent, "%", digits=3)
+            for percent in (self.reading_error_percent, self.crosstalk_percent, self.settling_error_percent)
+        )
+        rate = f"{self.frame_rate_hz:7.4g} Hz" if self.frame_rate_hz < inf else "not given"
+        figures = f"{error:>14} {crosstalk:>10} {self.resolution_kpa:9.3g} kPa {settling:>11} {rate:>10}"
+        return f"{figures} {'*' if self.front else ' '} {self.name}"
 
 
 @dataclass(frozen=True)
@@ -295,9 +314,15 @@ def _combinations(subject: Subject, points: int) -> Iterator[dict[str, float]]:
     single = [{}, *({axis: value} for axis, values in axes.items() for value in values)]
     yield from single[:points]
     random = np.random.default_rng(subject.seed)
-    for _ in range(points - len(single)):
-        chosen = random.choice(list(axes), size=int(random.integers(2, 4)), replace=False)
-        yield {str(axis): float(random.choice(axes[str(axis)])) for axis in chosen}
+    seen: list[dict[str, float]] = []
+    for _ in range(_TRIES * points):  # a design with few axes may have fewer combinations than points
+        if len(single) + len(seen) >= points:
+            return
+        chosen = random.choice(list(axes), size=min(int(random.integers(2, 4)), len(axes)), replace=False)
+        changes = {axis: float(random.choice(axes[axis])) for axis in axes if axis in chosen}
+        if changes not in seen:
+            seen.append(changes)
+            yield changes
 
 
 def varied(subject: Subject, changes: dict[str, float]) -> Subject:

@@ -108,7 +108,7 @@ def verify(
         paper: whether the paper's claims P1 to P14 are run too; None: for the prototype and its own requirements.
         speed: whether S1, S2 and S3 are run: what a digit costs, of solvers, estimators and the live path. They take a
             minute.
-        only: ids of requirements and claims; empty: all.
+        only: ids of requirements and claims, or several in one text, separated by commas; empty: all.
         title: what the report calls the design.
         target: the board that is measured: "emulated", "firmware", or a serial port.
         jig: (rows, columns) ohm of known resistors on the board; None: the skin is untouched.
@@ -172,10 +172,11 @@ def _chosen(
         return requirements, statements
     every = {statement.id: statement for statement in [*STATEMENTS, *APPENDICES]}
     known = {requirement.id for requirement in requirements}
-    for id in only:
-        if id not in known and id not in every:
-            raise InputError(f"--only {id}: no such requirement; expected one of {', '.join([*sorted(known), *every])}")
-    return tuple(r for r in requirements if r.id in only), [s for s in every.values() if s.id in only]
+    there = known | every.keys()
+    chosen = {id for given in only for id in ([given] if given in there else given.split(","))}
+    for id in sorted(chosen - there):
+        raise InputError(f"--only {id}: no such requirement; expected one of {', '.join([*sorted(known), *every])}")
+    return tuple(r for r in requirements if r.id in chosen), [s for s in every.values() if s.id in chosen]
 
 
 def _compute(

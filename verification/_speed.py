@@ -126,7 +126,8 @@ def live_path(_: Subject) -> Finding:
         text=[
             "Five fingers wander over the shipped example cell, on boards with inverting amplifiers, 12 bits and "
             "noise. Errors are those of valid cells, against the pressures that the fingers had. Frames per "
-            "second are per second of processor time on one core. The age is that of the newest frame of a board "
+            "second are per second of processor time on one core, of a reader of a skin who takes every frame with "
+            "its standard deviations. The age is that of the newest frame of a board "
             "at 1 kHz when a reader gets it who works for 10 ms in each cycle, without what line and operating "
             "system add. "
             "`ohmskin bench --driver` measures more sizes, other circuits and the estimators that learn."
@@ -136,7 +137,7 @@ def live_path(_: Subject) -> Finding:
         ],
         tables=[
             Table(
-                ["array", "estimator", "frames/s", "packets", "ohms", "kPa", "RMSE, kPa", "worst, kPa"],
+                ["array", "estimator", "frames/s", "packets", "ohms", "kPa", "skin", "RMSE, kPa", "worst, kPa"],
                 [
                     [
                         f"{row.size} x {row.size}",
@@ -148,7 +149,8 @@ def live_path(_: Subject) -> Finding:
                     ]
                     for row in rows
                 ],
-                "Measured in this run, on this machine. Packets, ohms and kPa are shares of a frame's time.",
+                "Measured in this run, on this machine. Packets, ohms and kPa, each alone, are shares of a frame's "
+                "time; skin is the rest: bookkeeping, hand-over, standard deviations.",
             ),
             Table(
                 ["array", "µs per frame that comes", "taken", "contacts besides", "age in frames, median", "worst"],

@@ -7,6 +7,7 @@ import numpy as np
 from ..circuits import Requirement
 from ._outcome import Measurement, NotRun
 from ._parameters import SECTION
+from ._static import output_extremes
 from ._subject import Subject
 from ._units import engineering
 
@@ -30,8 +31,6 @@ def _swing(subject: Subject) -> float:
 
 
 def _saturates(subject: Subject) -> bool:
-    from ._static import output_extremes
-
     (low, _), (high, _) = output_extremes(subject)
     limits = subject.design.readout.supply
     return low < limits[0] or high > limits[1]

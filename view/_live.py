@@ -31,10 +31,7 @@ class _Taken:
 
 
 class LiveSource(Source):
-    """The frames of an open skin. Nothing is queued: a slow browser skips frames and holds nobody up.
-
-    The skin belongs to the source, which closes it.
-    """
+    """The frames of an open skin. Nothing is queued: a slow browser skips frames and holds nobody up."""
 
     live = True
 
@@ -50,16 +47,6 @@ class LiveSource(Source):
         self._tares = 0
         """that can be undone"""
         self._taring = False
-        self._thread = threading.Thread(target=self._take_frames, name=f"ohmskin view {skin.port_name}", daemon=True)
-
-    def begin(self) -> None:
-        """Start to take frames."""
-        self._thread.start()
-
-    def close(self) -> None:
-        """Close the skin; those who wait for a frame are told."""
-        self.skin.close()
-        self._thread.join()
 
     def _take_frames(self) -> None:
         number, axis = -1, TimeAxis()

@@ -53,19 +53,13 @@ class RecordedSource(Source):
         self._grown = threading.Condition()
         self._complete = False
         self._problem = ""
-        self._thread = threading.Thread(target=self._decode, name=f"ohmskin view {skin.port_name}", daemon=True)
-
-    def begin(self) -> None:
-        """Start to decode."""
-        self._thread.start()
 
     def close(self) -> None:
         """Stop decoding, and give the temporary file up."""
-        self.skin.close()
-        self._thread.join()
+        super().close()
         self._file.close()
 
-    def _decode(self) -> None:
+    def _take_frames(self) -> None:
         axis = TimeAxis()
         while True:
             try:

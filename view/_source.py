@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from abc import ABC, abstractmethod
 from types import TracebackType
 from typing import Any, Self
@@ -17,12 +18,16 @@ Told = dict[str, Any]
 
 
 class Source(ABC):
-    """Frames for any number of browsers. Methods are called in the thread of the event loop."""
+    """Frames for any number of browsers. Methods are called in the thread of the event loop.
+
+    The skin belongs to the source, which closes it.
+    """
 
     def __init__(self, skin: Skin, *, name: str = "") -> None:
         """``name``: for the page's head; empty: the name of the skin's port."""
         self.skin = skin
         self.name = name or skin.port_name
+        self._thread = threading.Thread(target=self._take_frames, name=f"ohmskin view {skin.port_name}", daemon=True)
 
     def __enter__(self) -> Self:
         self.begin()
@@ -33,13 +38,18 @@ class Source(ABC):
     ) -> None:
         self.close()
 
-    @abstractmethod
     def begin(self) -> None:
         """Start to take frames, in a thread."""
+        self._thread.start()
 
-    @abstractmethod
     def close(self) -> None:
         """Give back the port or the file. Those who wait for a frame are told by LinkEnded."""
+        self.skin.close()
+        self._thread.join()
+
+    @abstractmethod
+    def _take_frames(self) -> None:
+        """Take frames of the skin until it ends or is closed; runs in the thread."""
 
     def introduction(self) -> Told:
         """What stays as it is: array, board, cell, scales."""

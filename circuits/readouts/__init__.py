@@ -9,14 +9,18 @@
 :mod:`._ends`                      columns that end in a Thevenin equivalent
 :mod:`._linear`                    outputs as a linear function of transfer conductances
 :mod:`._adjoint`                   what the derivatives of readings are made of
+:mod:`._quick`                     outputs and their fields by plain nodal analysis, without bounds
+:mod:`._cards`                     names of nodes for their SPICE cards
 =================================  =====================================================================
 """
 
 from ._adjoint import SensitivityGroup
+from ._cards import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 from ._circuit import Reading, ReadoutCircuit
 from ._ends import sum_of_others
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
+from ._quick import QuickFields, QuickNetwork
 from ._row_amplifier import RowAmplifier
 from ._voltage_divider import VoltageDivider
 from ._voltage_feedback import VoltageFeedback
@@ -28,7 +32,14 @@ CIRCUITS: dict[str, ReadoutCircuit] = {
 
 __all__ = [
     "CIRCUITS",
+    "COLUMN_INDEX",
+    "FOLLOWER",
+    "REFERENCE",
+    "ROW_INDEX",
+    "CardWriter",
     "LinearReadout",
+    "QuickFields",
+    "QuickNetwork",
     "Reading",
     "ReadoutCircuit",
     "SensitivityGroup",

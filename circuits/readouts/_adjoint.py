@@ -7,16 +7,14 @@ field (the step as it is) and of the adjoint field (the step's sources off, a un
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
+from .._parts import Parts
 from ..solvers import IDEAL_WIRE, inverted, siemens
 from ._ends import Ends
-
-if TYPE_CHECKING:
-    from .._board import Board
 
 
 class SensitivityGroup(NamedTuple):
@@ -83,7 +81,7 @@ class TerminatedColumns(NamedTuple):
     """from columns, currents (rows, 1, M) and adjoint currents (1, columns, M) to :attr:`SensitivityGroup.own_parts`"""
 
 
-def terminated_groups(board: Board, ports: FloatArray, steps: TerminatedColumns) -> Iterator[SensitivityGroup]:
+def terminated_groups(board: Parts, ports: FloatArray, steps: TerminatedColumns) -> Iterator[SensitivityGroup]:
     """The groups of readings of such steps: with open idle rows each row is one, with open idle columns each column."""
     rows, columns = board.shape
     ends = steps.ends

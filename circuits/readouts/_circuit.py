@@ -1,6 +1,6 @@
 """What a readout circuit is to the rest of the package: the base class of all of them.
 
-A circuit is an object without state. Each method takes the :class:`.._board.Board` that it is asked about, whose arrays
+A circuit is an object without state. Each method takes the :class:`.._parts.Parts` that it is asked about, whose arrays
 are in line coordinates: N rows are driven, M columns are sensed. To add a circuit, write one module with a subclass and
 name it in the table in ``readouts/__init__.py``; docs/design.md lists what else knows the circuits apart.
 """
@@ -9,20 +9,18 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
-from ._quick import terminated_outputs
+from .._parts import Parts
+from ._adjoint import SensitivityGroup
+from ._cards import CardWriter
+from ._ends import Ends
+from ._linear import LinearReadout
+from ._quick import QuickFields, QuickNetwork, terminated_fields, terminated_outputs
 from ._rounding import energy_bound
-
-if TYPE_CHECKING:
-    from .._board import Board
-    from ..spice import DeckWriter
-    from ._adjoint import SensitivityGroup
-    from ._ends import Ends
-    from ._linear import LinearReadout
 
 
 class Reading(NamedTuple):
@@ -62,7 +60,7 @@ class ReadoutCircuit(ABC):
     # Reading
 
     @abstractmethod
-    def read(self, board: Board, ports: FloatArray) -> Reading:
+    def read(self, board: Parts, ports: FloatArray) -> Reading:
         """The outputs in all scan steps.
 
         Args:
@@ -75,45 +73,73 @@ class ReadoutCircuit(ABC):
 
         """
 
-    def quick_outputs(self, board: Board, driven: FloatArray, across: FloatArray) -> FloatArray | None:
+    def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
         """V (N, M) of one frame without limits, to about ten digits; None where there is no short way (:mod:`._quick`).
 
         Args:
             board: parts of the readout.
-            driven: (N, M) S between row terminals and column terminals; row leads are inside, column leads are not.
-            across: (M, M) S between column terminals, zero on the diagonal. Row terminals are joined by nothing.
+            network: the grid between its ports.
 
         """
         ends = self.ends(board)
         if ends is None or not (ends.resistance + board.column_lead).all():
             return None
-        return terminated_outputs(board, driven, across, ends)
+        return terminated_outputs(board, network, ends)
+
+    def quick_fields(self, board: Parts, network: QuickNetwork) -> Iterator[QuickFields] | None:
+        """Fields of all readings, row by row, from which :mod:`..recovery` makes derivatives; None as above.
+
+        Arguments as of :meth:`quick_outputs`.
+        """
+        ends = self.ends(board)
+        if ends is None or not (ends.resistance + board.column_lead).all():
+            return None
+        return terminated_fields(board, network, ends)
+
+    def column_slopes(
+        self, board: Parts, driven: FloatArray, total: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Derivatives of readings that depend on their own conductance and their column's sum alone.
+
+        Idle rows are at ground, and row terminals as well as columns are joined by nothing.
+
+        Args:
+            board: parts of the readout.
+            driven: (N, M) S between row terminals and columns.
+            total: (M,) S, the sum of that over the rows.
+
+        Returns:
+            V/S (N, M) of each reading by its own conductance with the sum kept, and by the sum; None for circuits whose
+            readings depend on more.
+
+        """
+        return None
 
     @abstractmethod
-    def end_resistance(self, board: Board) -> FloatArray:
+    def end_resistance(self, board: Parts) -> FloatArray:
         """(M,) ohm that the circuit presents behind each column lead; the bound on rounding errors is made of it."""
 
-    def energy_bound(self, board: Board, ports: FloatArray, relative: float) -> FloatArray:
+    def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """V (..., N, M) by which a relative error of all conductances can move the outputs, by the ports' energies."""
         return energy_bound(board, ports, relative, self.end_resistance(board))
 
-    def ends(self, board: Board) -> Ends | None:
+    def ends(self, board: Parts) -> Ends | None:
         """What the columns end in where all are read at once and none is at a limit; None for other circuits."""
         return None
 
-    def linear(self, board: Board) -> LinearReadout | None:
+    def linear(self, board: Parts) -> LinearReadout | None:
         """The outputs as a linear function of transfer conductances; None where they are not one."""
         return None
 
-    def columns_one_by_one(self, board: Board) -> bool:
+    def columns_one_by_one(self, board: Parts) -> bool:
         """Whether each column of a row is a measurement of its own, because the others end in something else."""
         return False
 
-    def ideal_inputs(self, board: Board) -> BoolArray:
+    def ideal_inputs(self, board: Parts) -> BoolArray:
         """(M,) column ends that the circuit holds like an ideal voltage source."""
         return np.zeros(board.shape[1], dtype=np.bool_)
 
-    def contradiction(self, board: Board, rows: IntArray, columns: IntArray) -> Contradiction | None:
+    def contradiction(self, board: Parts, rows: IntArray, columns: IntArray) -> Contradiction | None:
         """Two ideal sources that parts of 0 ohm join with each other; None if there are none.
 
         One driver joined with one ideal amplifier is not reported: its reading is infinite, or at a supply limit.
@@ -138,37 +164,37 @@ class ReadoutCircuit(ABC):
             )
         return None
 
-    def undetermined(self, board: Board, rows: IntArray, columns: IntArray) -> BoolArray | None:
+    def undetermined(self, board: Parts, rows: IntArray, columns: IntArray) -> BoolArray | None:
         """(N, M) outputs that ideal parts of 0 ohm leave open; None if there are none. Arguments as above."""
         return None
 
-    def in_the_limit(self, board: Board, cells: FloatArray, volts: FloatArray) -> FloatArray:
+    def in_the_limit(self, board: Parts, cells: FloatArray, volts: FloatArray) -> FloatArray:
         """``volts`` (..., N, M) with the limits in place of what large stand-ins for ideal parts gave."""
         return volts
 
     # One cell alone, with ideal parts
 
     @abstractmethod
-    def ideal_volts(self, board: Board, cells: FloatArray) -> FloatArray:
+    def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         """(..., N, M) V if each of the cells, in ohm, were alone and all parts ideal: the paper's equation (10)."""
 
     @abstractmethod
-    def apparent_resistance(self, board: Board, volts: FloatArray) -> FloatArray:
+    def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
         """(..., N, M) ohm: the inverse of :meth:`ideal_volts`; inf where the output stands at the reference."""
 
     @abstractmethod
-    def apparent_conductance(self, board: Board, signal: FloatArray) -> FloatArray:
+    def apparent_conductance(self, board: Parts, signal: FloatArray) -> FloatArray:
         """(..., N, M) S that the ideal circuit would need for a signal in V above the reference; 0 for the wrong sign.
 
         Signals below a few ulp of the reference voltage are rounding, and count as none.
         """
 
     @abstractmethod
-    def conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+    def conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
         """(..., N, M) S/V: derivative of :meth:`apparent_conductance` by the signal."""
 
     @abstractmethod
-    def log_conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+    def log_conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
         """(..., N, M) 1/V: derivative of the logarithm of :meth:`apparent_conductance`; 0 where there is no signal."""
 
     @property
@@ -179,7 +205,7 @@ class ReadoutCircuit(ABC):
     # Derivatives
 
     @abstractmethod
-    def sensitivity_groups(self, board: Board, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
+    def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         """Forward and adjoint port potentials of all readings, and their derivatives by the circuit's own parts."""
 
     # SPICE
@@ -189,14 +215,14 @@ class ReadoutCircuit(ABC):
         """SPICE name of the node behind column j's lead."""
 
     @abstractmethod
-    def output_node(self, writer: DeckWriter, j: int) -> str:
+    def output_node(self, writer: CardWriter, j: int) -> str:
         """SPICE name of column j's output."""
 
     @abstractmethod
-    def cards(self, writer: DeckWriter) -> Iterator[str]:
+    def cards(self, writer: CardWriter) -> Iterator[str]:
         """SPICE cards of everything behind the column leads."""
 
-    def refuse_cards(self, writer: DeckWriter) -> None:
+    def refuse_cards(self, writer: CardWriter) -> None:
         """Raise SolverError where ideal parts contradict each other, or a netlist cannot express them."""
         return
 
@@ -219,6 +245,6 @@ def _same_island(islands: IntArray) -> tuple[int, int] | None:
     return None
 
 
-def rounding_floor(board: Board) -> float:
+def rounding_floor(board: Parts) -> float:
     """Relative size of a signal below which it is rounding of the reference voltage."""
     return float(4 * np.finfo(np.float64).eps * (abs(board.level / board.drive) + 1e-12))

@@ -6,15 +6,13 @@ network with these ends; the currents into the ends then follow for all scan ste
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ...arrays import FloatArray
+from .._parts import Parts
 from ..solvers import IDEAL_WIRE, Rounded, eliminate_leading, siemens
-
-if TYPE_CHECKING:
-    from .._board import Board
 
 
 class Ends(NamedTuple):
@@ -69,7 +67,7 @@ class Currents(NamedTuple):
     """(...,) of the network's conductances and of the eliminations that followed"""
 
 
-def column_currents(board: Board, terminated: Rounded, source: FloatArray) -> Currents:
+def column_currents(board: Parts, terminated: Rounded, source: FloatArray) -> Currents:
     """Currents into the columns' sources (M,) in V, in every scan step.
 
     Args:

@@ -11,22 +11,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import inf, isfinite, isinf
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
+from .._parts import Parts
 from ..solvers import IDEAL_WIRE, LARGEST_PART, Lines, Wires
 from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
+from ._cards import CardWriter
 from ._circuit import Reading, ReadoutCircuit, rounding_floor
 from ._ends import Ends, column_currents, terminate
 from ._linear import LinearReadout
-
-if TYPE_CHECKING:
-    from .._board import Board
-    from ..spice import DeckWriter
 
 SignArray = NDArray[np.int8]
 
@@ -41,7 +38,7 @@ class InvertingAmplifier(ReadoutCircuit):
     virtual_ground = True
     in_populations = True
 
-    def read(self, board: Board, ports: FloatArray) -> Reading:
+    def read(self, board: Parts, ports: FloatArray) -> Reading:
         rows, columns = board.shape
         ends = amplifier_ends(board)
         network = terminate(ports, rows, ends.resistance + board.column_lead)
@@ -61,13 +58,13 @@ class InvertingAmplifier(ReadoutCircuit):
                 relative = max(relative, own)
         return Reading(volts, saturated, magnitude, cancelled, relative)
 
-    def end_resistance(self, board: Board) -> FloatArray:
+    def end_resistance(self, board: Parts) -> FloatArray:
         return amplifier_ends(board).resistance
 
-    def ends(self, board: Board) -> Ends | None:
+    def ends(self, board: Parts) -> Ends | None:
         return amplifier_ends(board)
 
-    def linear(self, board: Board) -> LinearReadout | None:
+    def linear(self, board: Parts) -> LinearReadout | None:
         """With grounded idle rows and inputs that all stand at one potential."""
         if board.floating or not board.plain:
             return None
@@ -87,11 +84,11 @@ class InvertingAmplifier(ReadoutCircuit):
             wires=Wires.of(ended),
         )
 
-    def ideal_inputs(self, board: Board) -> BoolArray:
+    def ideal_inputs(self, board: Parts) -> BoolArray:
         ideal: BoolArray = (board.column_lead == 0) & np.isinf(board.gain)
         return ideal
 
-    def undetermined(self, board: Board, rows: IntArray, columns: IntArray) -> BoolArray | None:
+    def undetermined(self, board: Parts, rows: IntArray, columns: IntArray) -> BoolArray | None:
         """Outputs of ideal amplifiers whose inputs a driver holds, while that driver is idle.
 
         Driver and amplifier then hold the same potential, and nothing says how they share the column's current.
@@ -102,7 +99,7 @@ class InvertingAmplifier(ReadoutCircuit):
         outputs: BoolArray = joined.any(axis=0) & ~joined
         return outputs if outputs.any() else None
 
-    def in_the_limit(self, board: Board, cells: FloatArray, volts: FloatArray) -> FloatArray:
+    def in_the_limit(self, board: Parts, cells: FloatArray, volts: FloatArray) -> FloatArray:
         """What the large conductances that stand for ideal wires and shorts mean in the limit.
 
         The output of an ideal amplifier on a shorted cell with ideal lines has no finite value: a current far above
@@ -120,26 +117,26 @@ class InvertingAmplifier(ReadoutCircuit):
     def inverts(self) -> bool:
         return True
 
-    def ideal_volts(self, board: Board, cells: FloatArray) -> FloatArray:
+    def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         with np.errstate(divide="ignore"):  # a short gives an infinite output
             volts: FloatArray = board.level - board.drive * board.reference / cells
         return volts
 
-    def apparent_resistance(self, board: Board, volts: FloatArray) -> FloatArray:
+    def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
         return -board.reference * drive_over_signal(board, volts)
 
-    def apparent_conductance(self, board: Board, signal: FloatArray) -> FloatArray:
+    def apparent_conductance(self, board: Parts, signal: FloatArray) -> FloatArray:
         ratio = -signal / board.drive
         conductance: FloatArray = np.where(ratio > rounding_floor(board), ratio, 0.0) / board.reference
         return conductance
 
-    def conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+    def conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
         return np.broadcast_to(-1.0 / (board.drive * board.reference), signal.shape)
 
-    def log_conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+    def log_conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
         return np.divide(1.0, signal, out=np.zeros_like(signal), where=signal != 0)
 
-    def sensitivity_groups(self, board: Board, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
+    def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         at_high = reading.volts >= board.supply[1]
         state = np.where(reading.saturated, np.where(at_high, 1, -1), 0).astype(np.int8)
         patterns, pattern_of = np.unique(state, axis=0, return_inverse=True)
@@ -158,10 +155,10 @@ class InvertingAmplifier(ReadoutCircuit):
     def column_end(self, j: int) -> str:
         return f"minus_{j}"
 
-    def output_node(self, writer: DeckWriter, j: int) -> str:
+    def output_node(self, writer: CardWriter, j: int) -> str:
         return f"out_{j}"
 
-    def refuse_cards(self, writer: DeckWriter) -> None:
+    def refuse_cards(self, writer: CardWriter) -> None:
         ends = [writer.name[self.column_end(j)] for j in range(writer.columns)]
         for j, end in enumerate(ends):
             if isinf(writer.board.gain[j]) and end in ends[:j] and end not in writer.drivers:
@@ -170,7 +167,7 @@ class InvertingAmplifier(ReadoutCircuit):
                     "amplifiers share one input; give readout.open_loop_gain a finite value"
                 )
 
-    def cards(self, writer: DeckWriter) -> Iterator[str]:
+    def cards(self, writer: CardWriter) -> Iterator[str]:
         """One amplifier per column.
 
         An amplifier of finite gain is a voltage-controlled source with its feedback resistor. With a gain above 1e8 or
@@ -187,7 +184,7 @@ class InvertingAmplifier(ReadoutCircuit):
         for j in range(writer.columns):
             yield from self._amplifier(writer, j)
 
-    def _amplifier(self, writer: DeckWriter, j: int) -> Iterator[str]:
+    def _amplifier(self, writer: CardWriter, j: int) -> Iterator[str]:
         board, reference = writer.board, writer.reference
         minus, out = writer.name[self.column_end(j)], f"out_{j}"
         gain, rref, vos, bias = writer.amplifier_parts(j)
@@ -221,7 +218,7 @@ class InvertingAmplifier(ReadoutCircuit):
         offset = share * vos - board.level / (1.0 + gain)
         yield f"Voffset_{j} {at} {reference} DC {offset!r}"
 
-    def _comparator(self, writer: DeckWriter, j: int) -> float:
+    def _comparator(self, writer: CardWriter, j: int) -> float:
         """V: the output of amplifier j, whose inverting input sits on an ideal source."""
         end = writer.name[self.column_end(j)]
         gain, _, vos, _ = writer.amplifier_parts(j)
@@ -242,7 +239,7 @@ class InvertingAmplifier(ReadoutCircuit):
         return min(max(output, low), high)
 
 
-def drive_over_signal(board: Board, volts: FloatArray) -> FloatArray:
+def drive_over_signal(board: Parts, volts: FloatArray) -> FloatArray:
     """(..., N, M) drive over signal; inf where there is no signal, or one so small that the quotient overflows."""
     signal = np.asarray(volts, dtype=np.float64) - board.level
     with np.errstate(over="ignore"):
@@ -250,7 +247,7 @@ def drive_over_signal(board: Board, volts: FloatArray) -> FloatArray:
     return ratio
 
 
-def amplifier_ends(board: Board, state: SignArray | None = None) -> Ends:
+def amplifier_ends(board: Parts, state: SignArray | None = None) -> Ends:
     """What the columns end in.
 
     Args:
@@ -271,7 +268,7 @@ def amplifier_ends(board: Board, state: SignArray | None = None) -> Ends:
     )
 
 
-def _read_saturated(board: Board, ports: FloatArray, unlimited: Reading) -> Reading:
+def _read_saturated(board: Parts, ports: FloatArray, unlimited: Reading) -> Reading:
     """One frame in which some output hits its limit: find for each step which columns do, by principal pivoting."""
     rows, columns = board.shape
     low, high = board.supply
@@ -312,7 +309,7 @@ def _read_saturated(board: Board, ports: FloatArray, unlimited: Reading) -> Read
 
 
 def _by_own_parts(
-    board: Board, linear: BoolArray, some: IntArray, current: FloatArray, adjoint: FloatArray
+    board: Parts, linear: BoolArray, some: IntArray, current: FloatArray, adjoint: FloatArray
 ) -> dict[str, FloatArray]:
     """Derivatives of readings by the amplifiers' parts, (rows, columns, M) by name.
 

@@ -8,19 +8,16 @@ Y_ii of all ports therefore bound the error of every output.
 from __future__ import annotations
 
 from math import isfinite
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...arrays import FloatArray
+from .._parts import Parts
 from ..solvers import series_conductance, siemens
 from ._ends import sum_of_others
 
-if TYPE_CHECKING:
-    from .._board import Board
 
-
-def energy_bound(board: Board, ports: FloatArray, relative: float, end_resistance: FloatArray) -> FloatArray:
+def energy_bound(board: Parts, ports: FloatArray, relative: float, end_resistance: FloatArray) -> FloatArray:
     """V (..., N, M) by which a relative error of all conductances can have moved the outputs.
 
     Args:

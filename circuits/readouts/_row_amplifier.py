@@ -2,7 +2,7 @@
 
 The array is the same, but its columns are driven one at a time and each of its rows ends in an amplifier. Column j is
 driven behind its ``column_lead``, from the end after row N - 1; row i is sensed behind its ``row_lead``, at column 0.
-In line coordinates (:mod:`.._board`) this is :class:`.InvertingAmplifier`, and nothing else has to be said.
+In line coordinates (:mod:`.._parts`) this is :class:`.InvertingAmplifier`, and nothing else has to be said.
 """
 
 from __future__ import annotations

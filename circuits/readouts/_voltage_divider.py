@@ -7,22 +7,26 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import inf
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse.csgraph import connected_components
 
 from ...arrays import FloatArray, IntArray
+from .._parts import Parts
 from ..solvers import Rounded, inverted
 from ._adjoint import SensitivityGroup, TerminatedColumns, terminated_groups
+from ._cards import CardWriter
 from ._circuit import Reading, ReadoutCircuit, rounding_floor
 from ._ends import Ends, column_currents, terminate
 from ._inverting_amplifier import drive_over_signal
-from ._quick import open_column_outputs, terminated_outputs
-
-if TYPE_CHECKING:
-    from .._board import Board
-    from ..spice import DeckWriter
+from ._quick import (
+    QuickFields,
+    QuickNetwork,
+    open_column_fields,
+    open_column_outputs,
+    terminated_fields,
+    terminated_outputs,
+)
 
 _FULL_RATIO = 1 - 1e-9  # of signal to drive: beyond it the cell is a short, for all that a divider tells
 
@@ -35,7 +39,7 @@ class VoltageDivider(ReadoutCircuit):
     mixes_cells = True
     in_populations = True
 
-    def read(self, board: Board, ports: FloatArray) -> Reading:
+    def read(self, board: Parts, ports: FloatArray) -> Reading:
         rows, columns = board.shape
         load, behind = board.reference, board.reference + board.column_lead
         if not self.columns_one_by_one(board):
@@ -57,38 +61,51 @@ class VoltageDivider(ReadoutCircuit):
             relative=float(relative.max(initial=0.0)),
         )
 
-    def quick_outputs(self, board: Board, driven: FloatArray, across: FloatArray) -> FloatArray | None:
+    def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
         if self.columns_one_by_one(board):
-            return open_column_outputs(board, driven, across)
-        return board.level + terminated_outputs(board, driven, across, _loads(board))
+            return open_column_outputs(board, network)
+        return board.level + terminated_outputs(board, network, _loads(board))
 
-    def end_resistance(self, board: Board) -> FloatArray:
+    def quick_fields(self, board: Parts, network: QuickNetwork) -> Iterator[QuickFields] | None:
+        if self.columns_one_by_one(board):
+            return open_column_fields(board, network)
+        return terminated_fields(board, network, _loads(board))
+
+    def column_slopes(
+        self, board: Parts, driven: FloatArray, total: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        behind = board.reference + board.column_lead
+        by_own = board.drive * board.reference / (1.0 + total * behind)
+        by_sum = by_own * driven * behind / (1.0 + total * behind)
+        return np.broadcast_to(by_own, driven.shape), -by_sum
+
+    def end_resistance(self, board: Parts) -> FloatArray:
         return board.reference
 
-    def columns_one_by_one(self, board: Board) -> bool:
-        return board.design.readout.idle_columns == "float"
+    def columns_one_by_one(self, board: Parts) -> bool:
+        return board.idle_columns == "float"
 
-    def ideal_volts(self, board: Board, cells: FloatArray) -> FloatArray:
+    def ideal_volts(self, board: Parts, cells: FloatArray) -> FloatArray:
         volts: FloatArray = board.level + board.drive * board.reference / (board.reference + cells)
         return volts
 
-    def apparent_resistance(self, board: Board, volts: FloatArray) -> FloatArray:
+    def apparent_resistance(self, board: Parts, volts: FloatArray) -> FloatArray:
         return board.reference * (drive_over_signal(board, volts) - 1.0)
 
-    def apparent_conductance(self, board: Board, signal: FloatArray) -> FloatArray:
+    def apparent_conductance(self, board: Parts, signal: FloatArray) -> FloatArray:
         ratio = signal / board.drive
         conductance: FloatArray = np.where(ratio > rounding_floor(board), ratio, 0.0) / board.reference
         return conductance / (1.0 - np.minimum(ratio, _FULL_RATIO))
 
-    def conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+    def conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
         steepness = 1.0 / (board.drive * board.reference)
         return steepness / (1.0 - np.minimum(signal / board.drive, _FULL_RATIO)) ** 2
 
-    def log_conductance_slope(self, board: Board, signal: FloatArray) -> FloatArray:
+    def log_conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
         slope = signal * (1.0 - signal / board.drive)
         return np.divide(1.0, slope, out=np.zeros_like(signal), where=slope != 0)
 
-    def sensitivity_groups(self, board: Board, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
+    def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         rows, columns = board.shape
         loads = TerminatedColumns(
             rows=np.arange(rows),
@@ -102,10 +119,10 @@ class VoltageDivider(ReadoutCircuit):
     def column_end(self, j: int) -> str:
         return f"end_{j}"
 
-    def output_node(self, writer: DeckWriter, j: int) -> str:
+    def output_node(self, writer: CardWriter, j: int) -> str:
         return writer.name[self.column_end(j)]
 
-    def cards(self, writer: DeckWriter) -> Iterator[str]:
+    def cards(self, writer: CardWriter) -> Iterator[str]:
         yield "* Loads; what is across them is read."
         for j in range(writer.columns):
             end, ohm = writer.name[self.column_end(j)], float(writer.board.reference[j])
@@ -117,7 +134,7 @@ class VoltageDivider(ReadoutCircuit):
                 yield f"Rload_{j} {end} {writer.reference} {ohm!r}"
 
 
-def _loads(board: Board) -> Ends:
+def _loads(board: Parts) -> Ends:
     """The loads alone; outputs count from the reference voltage."""
     nothing = np.zeros(board.shape[1])
     return Ends(resistance=board.reference, source=nothing, output=nothing, slope=board.reference)

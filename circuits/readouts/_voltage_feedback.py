@@ -8,23 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from math import inf
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
+from .._parts import Parts
 from ..solvers import ULP, siemens
 from ._adjoint import SensitivityGroup, TiedPorts
+from ._cards import CardWriter
 from ._circuit import Contradiction, Reading
 from ._ends import sum_of_others, terminate
-from ._quick import behind_leads
+from ._quick import QuickFields, QuickNetwork, behind_leads
 from ._rounding import conductance_into_rows
 from ._voltage_divider import VoltageDivider
-
-if TYPE_CHECKING:
-    from .._board import Board
-    from ..spice import DeckWriter
 
 
 class _Balance(NamedTuple):
@@ -39,7 +37,7 @@ class _Balance(NamedTuple):
     relative: float
 
     @classmethod
-    def of(cls, board: Board, ports: FloatArray) -> _Balance:
+    def of(cls, board: Parts, ports: FloatArray) -> _Balance:
         rows, _ = board.shape
         network, relative = terminate(ports, rows, board.column_lead)
         driven = network[..., :rows, rows:]
@@ -47,12 +45,12 @@ class _Balance(NamedTuple):
         return cls.between(board, driven, idle, float(relative.max(initial=0.0)))
 
     @classmethod
-    def between(cls, board: Board, driven: FloatArray, idle: FloatArray, relative: float) -> _Balance:
+    def between(cls, board: Parts, driven: FloatArray, idle: FloatArray, relative: float) -> _Balance:
         """For the conductances ``driven`` and ``idle``, with the relative error of theirs."""
         slope = driven + idle * board.inverse_gain + siemens(board.reference)
         return cls(driven, idle, slope, relative)
 
-    def column(self, board: Board) -> FloatArray:
+    def column(self, board: Parts) -> FloatArray:
         """V of the sensed column's end against the reference."""
         lift = board.loop_share * board.offset - board.inverse_gain * board.level
         current = self.driven * board.drive - board.bias + self.idle * lift
@@ -69,7 +67,7 @@ class VoltageFeedback(VoltageDivider):
     in_populations = False
     drives_idle_lines = True
 
-    def read(self, board: Board, ports: FloatArray) -> Reading:
+    def read(self, board: Parts, ports: FloatArray) -> Reading:
         """Output of the follower, every (row, column) pair a measurement.
 
         With V and F the potentials of the sensed column's end and of the follower (both against the reference), Y the
@@ -91,13 +89,28 @@ class VoltageFeedback(VoltageDivider):
         lifted = board.loop_share * balance.idle * follower / balance.slope
         return Reading(np.clip(volts, low, high), saturated, magnitude, lifted, balance.relative)
 
-    def quick_outputs(self, board: Board, driven: FloatArray, across: FloatArray) -> FloatArray | None:
-        driven, across = behind_leads(driven, across, board.column_lead)
+    def quick_outputs(self, board: Parts, network: QuickNetwork) -> FloatArray | None:
+        driven, across = behind_leads(network, board.column_lead)
         balance = _Balance.between(board, driven, driven.sum(axis=0) - driven + across.sum(axis=0), 0.0)
         volts: FloatArray = board.loop_share * (board.level + balance.column(board) + board.offset)
         return volts
 
-    def energy_bound(self, board: Board, ports: FloatArray, relative: float) -> FloatArray:
+    def quick_fields(self, board: Parts, network: QuickNetwork) -> Iterator[QuickFields] | None:
+        return None  # each reading has fields of its own: :meth:`sensitivity_groups`
+
+    def column_slopes(
+        self, board: Parts, driven: FloatArray, total: FloatArray
+    ) -> tuple[FloatArray, FloatArray] | None:
+        behind_lead = 1.0 / (1.0 + board.column_lead * total)
+        driven = driven * behind_lead
+        balance = _Balance.between(board, driven, total * behind_lead - driven, 0.0)
+        column = balance.column(board)
+        lift = board.loop_share * board.offset - board.inverse_gain * board.level
+        per_siemens = board.loop_share * behind_lead / balance.slope
+        by_sum = per_siemens * (lift - board.inverse_gain * column)
+        return per_siemens * (board.drive - column) - by_sum, by_sum
+
+    def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.
 
         The first is that of Y, the column's conductance to all other lines; the second is at most the sum of that of
@@ -113,12 +126,12 @@ class VoltageFeedback(VoltageDivider):
             error: FloatArray = board.loop_share * relative * own * field / balance.slope
         return error
 
-    def ideal_inputs(self, board: Board) -> BoolArray:
+    def ideal_inputs(self, board: Parts) -> BoolArray:
         """The follower holds every idle column."""
         ideal: BoolArray = np.isinf(siemens(board.column_lead))
         return ideal
 
-    def contradiction(self, board: Board, rows: IntArray, columns: IntArray) -> Contradiction | None:
+    def contradiction(self, board: Parts, rows: IntArray, columns: IntArray) -> Contradiction | None:
         """Joined sources: two row drivers; a driver and the follower; an ideal follower's output and its input.
 
         In each step one row is driven by its driver and one column is sensed; the follower holds all other lines.
@@ -146,10 +159,10 @@ class VoltageFeedback(VoltageDivider):
                     )
         return None
 
-    def columns_one_by_one(self, board: Board) -> bool:
+    def columns_one_by_one(self, board: Parts) -> bool:
         return True
 
-    def sensitivity_groups(self, board: Board, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
+    def sensitivity_groups(self, board: Parts, ports: FloatArray, reading: Reading) -> Iterator[SensitivityGroup]:
         """The sensed column's potential V is the one unknown (:meth:`read`).
 
         The derivative of V's equation by a conductance is that of the current into a column held at V while the idle
@@ -192,10 +205,10 @@ class VoltageFeedback(VoltageDivider):
             own_parts=own,
         )
 
-    def output_node(self, writer: DeckWriter, j: int) -> str:
+    def output_node(self, writer: CardWriter, j: int) -> str:
         return writer.follower
 
-    def refuse_cards(self, writer: DeckWriter) -> None:
+    def refuse_cards(self, writer: CardWriter) -> None:
         ends = [writer.name[self.column_end(j)] for j in range(writer.columns)]
         if len({*ends, *writer.drivers, writer.follower}) < len(ends) + len({*writer.drivers, writer.follower}):
             raise SolverError(
@@ -203,7 +216,7 @@ class VoltageFeedback(VoltageDivider):
                 "voltage-feedback circuit cannot express; give array.column_lead a resistance"
             )
 
-    def cards(self, writer: DeckWriter) -> Iterator[str]:
+    def cards(self, writer: CardWriter) -> Iterator[str]:
         """One follower, switched from column to column with its load.
 
         Its law is written with the loop closed, so that no large gain appears. The current of an end, through Vend_J,

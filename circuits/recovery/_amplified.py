@@ -110,8 +110,8 @@ class _Levels(NamedTuple):
     """S by which a cell's own transfer conductance may be off: half a step, noise, and what the model leaves"""
     others: FloatArray
     """relative uncertainty by the readings of other cells"""
-    least: FloatArray | None
-    """S, transfer conductance from which on a cell is valid; None if these are no single range"""
+    least: FloatArray
+    """S, transfer conductance from which on a cell is valid"""
 
 
 class _Beside(NamedTuple):
@@ -145,7 +145,7 @@ class AmplifiedLive:
 
     def __init__(self, board: Board, rule: ValidityRule) -> None:
         """For a board whose circuit has ends (:meth:`.ReadoutCircuit.ends`) and whose design has a converter."""
-        adc, ends = board.design.adc, board.circuit.ends(board)
+        adc, ends = board.adc, board.circuit.ends(board)
         assert adc is not None
         assert ends is not None
         self._board, self._rule = board, rule
@@ -173,7 +173,7 @@ class AmplifiedLive:
         self._along_row = _shared_wire(self._to_driver)
         self._along_column = _shared_wire(self._to_amplifier.T)
         self._step, self._middle = adc.step, sum(adc.range) / 2
-        self._half_step = adc_error(board.design) * np.abs(self._scale)  # S (M,), of T
+        self._half_step = adc_error(board) * np.abs(self._scale)  # S (M,), of T
         self._tolerance = _SHARE_OF_STEP * adc.step * np.abs(self._scale)  # S (M,), of T
         self._least_tolerance = float(self._tolerance.min())
         swing = max((abs(limit - board.level) for limit in board.supply if np.isfinite(limit)), default=inf)
@@ -228,7 +228,7 @@ class AmplifiedLive:
             gain = self._base.gain
             transfer = self._base.own_part(transfer)
         levels = self._levels_at(gain, noise)
-        if limited is None and off is None and levels.least is not None and not self._faulty:
+        if limited is None and off is None and not self._faulty:
             valid = transfer >= levels.least
             if valid.all():
                 return LiveReading(
@@ -451,7 +451,7 @@ class AmplifiedLive:
             uncertainty[limited], reason[limited] = inf, _SATURATED
         if self._faulty:
             uncertainty[self._hidden], reason[self._hidden] = inf, _HIDDEN
-        valid = self._rule.accepts(uncertainty, own)
+        valid = self._rule.accepts(uncertainty)
         valid &= conductance > 0.0
         reason[valid] = 0
         resistance = np.divide(1.0, conductance, out=np.full_like(conductance, inf), where=conductance > 0)

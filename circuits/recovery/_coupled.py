@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from math import inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotri
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
 from ..solvers import siemens
-from ._derivatives import LineResistance, derivatives
+from ._column_blocks import ColumnBlocks
+from ._derivatives import derivatives
+from ._lines import LineResistance
 from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
+from ._normal_matrix import Meter, NormalMatrix
 from ._quick_model import QuickModel
 
 _SHORT = 8.0  # half steps and noise from the reading of a short within which a cell may be one
@@ -31,16 +34,22 @@ _TOO_FAR = 1.0  # the same from which on they no longer tell what a misfit means
 _SLOW = 0.2  # length of a step over the one before from which on the derivatives are to blame
 _MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
 _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
-_PIECE = 2**25  # multiplications of a matrix product in one instalment
-_AT_ONCE = 100  # cells up to which the matrices of a renewal are factored in one instalment
 _SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
+_FAR_BELOW = 0.02  # share of its leads' resistance below which a cell that does not fit may as well be a short
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _CONVERGED = 0.2  # the same after steps that have come to their end
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
+_LIGHT = 0.3  # share of a voltage in the lines up to which derivatives in closed form are as good as any
+_HEAVY = 3.0  # the same up to which steps by them converge
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
 
+
+LARGEST_MATRIX = 4096
+"""cells up to which a matrix of all readings by all cells is made: 0.3 GB"""
+LARGEST_BESIDE = 1024
+"""the same where columns are nearly independent: beyond, a step by that matrix costs ten without it"""
 
 _SATURATED, _NO_CURRENT, _UNCERTAIN, _DISTURBED, _HIDDEN, _UNSETTLED_CELL = (
     int(reason)
@@ -60,14 +69,18 @@ class _Base(NamedTuple):
 
     log: FloatArray
     """(n,) logarithm of the conductances"""
-    gain: FloatArray
-    """(n, n) 1/V: regularised inverse of the derivatives, from readings to changes of ``log``"""
+    step: Callable[[FloatArray], FloatArray]
+    """regularised inverse of the derivatives, from readings (n,) in V to changes (n,) of ``log``"""
     std: FloatArray
     """(n,) posterior standard deviation of ``log``"""
     slope: FloatArray
     """(n,) 1/V: change of ``log`` per volt if each cell were alone; 0 where its reading says nothing"""
     others: FloatArray
     """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
+    whole: bool
+    """by the matrix of all readings by all cells, not column by column"""
+    coarse: bool
+    """column by column where that is good for convergence, but makes cells less certain than they are"""
 
 
 class _Effort(NamedTuple):
@@ -79,7 +92,7 @@ class _Effort(NamedTuple):
     """of the renewal of the derivatives, each about as much as one to five evaluations"""
 
 
-USUAL_EFFORT = _Effort(4, 2)
+USUAL_EFFORT = _Effort(4, 1)
 FIRST_EFFORT = _Effort(40, 700)
 """in the first frame of all, before which nothing is known"""
 
@@ -112,6 +125,11 @@ class _Fit(NamedTuple):
     """(n,) present slopes over those at the base"""
 
 
+def _far(base: _Base, at: _Known) -> bool:
+    """Whether the base is from too far away to serve at these cells."""
+    return float(np.abs(base.log - at.log).max()) > _FAR
+
+
 class CoupledLive:
     """Regularised Gauss-Newton steps for boards on which each reading depends on many cells.
 
@@ -125,9 +143,9 @@ class CoupledLive:
     def __init__(self, board: Board, rule: ValidityRule) -> None:
         """For a sliced sheet with a converter."""
         # Readings at a limit are not fitted. A model without limits has derivatives wherever the fit passes through.
-        self._board = board = board.design.replace(readout={"supply": (-inf, inf)}).board
+        self._board = board = replace(board, supply=(-inf, inf))
         self._rule = rule
-        self._half_step = adc_error(board.design)
+        self._half_step = adc_error(board)
         self._noise = self._half_step / np.sqrt(3.0)  # V, standard deviation of an error within a step
         self._shape = board.shape
         self._mixes = board.circuit.mixes_cells or board.floating
@@ -135,13 +153,19 @@ class CoupledLive:
         self._shunt = np.zeros(board.shape)  # S
         for fault in board.shorts:
             self._shunt[fault.place] += siemens(fault.ohms)
+        self._prior = np.where(self._hidden, _UNKNOWN, _PRIOR)
         self._lines = LineResistance(board)
-        self._model = QuickModel(board)
+        self._columns = ColumnBlocks(board, self._lines.to_driver, self._lines.to_end, self._noise)
+        self._has_matrix = board.shape[0] * board.shape[1] <= (
+            LARGEST_BESIDE if self._columns.applies else LARGEST_MATRIX
+        )
+        self._model = QuickModel(board, self._lines)
         leads = board.row_ohms[:, :1] + board.column_lead
+        self._leads = self._lines.to_ends + board.column_lead  # ohm in series with each cell
         # V of a short that is alone, inf with ideal lines and amplifiers; and the most that any cells can make of it
         self._short_signal, self._most_signal = (
             np.abs(board.circuit.ideal_volts(board, ohms) - board.level)
-            for ohms in (self._lines.to_ends + board.column_lead, leads + 0.0 * self._lines.to_ends)
+            for ohms in (self._leads, leads + 0.0 * self._lines.to_ends)
         )
         self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
         self._base: _Base | None = None
@@ -189,6 +213,9 @@ class CoupledLive:
             self._from_fresh_start = False
         elif misfit > _MISFIT and fit.stalled:
             self._known = None  # the next frame starts anew
+            short: BoolArray = np.exp(-x).reshape(self._shape) < _FAR_BELOW * self._leads
+            if short.any():  # readings hardly tell such a cell from a short
+                return self._nothing(short)
             if self._from_fresh_start:
                 raise SolverError("no cell resistances give these readings; check that the design is that of the board")
         signal = signal.ravel()
@@ -210,7 +237,7 @@ class CoupledLive:
         gone = self._hidden
         reason[gone] = _HIDDEN
         uncertainty[gone | (uncertainty > 1.0)] = inf
-        valid = self._rule.accepts(uncertainty, own) & ~open_cells
+        valid = self._rule.accepts(uncertainty) & ~open_cells
         reason[valid] = 0
         resistance = np.exp(-x)
         resistance[gone] = np.nan
@@ -234,6 +261,7 @@ class CoupledLive:
             effort: what the frame may cost.
 
         """
+        assert self._base is not None
         apart = measured - known.volts
         misfit, stalled, instalments = self._misfit(apart) / scale, False, effort.instalments
         steeper = self._steeper(slope)
@@ -247,7 +275,7 @@ class CoupledLive:
             serves = misfit <= _FITS and self._serves(step, scale)
             moved = self._moved(known.log, scale)
             blamed = not serves and moved > _MOVED and np.abs(step).max() > _SLOW * np.abs(before).max()
-            if moved > _FAR or blamed or self._renewal is not None:
+            if moved > _FAR or blamed or self._base.coarse or self._renewal is not None:
                 if serves and not self._astray:
                     instalments = min(instalments, 1)  # no need to hurry
                 while instalments:
@@ -272,13 +300,24 @@ class CoupledLive:
         return float(change.max())
 
     def _renew(self, at: _Known) -> bool:
-        """Go on with the renewal of the derivatives, or begin one at these cells. True if they have just become new."""
+        """Derivatives at these cells, or a further instalment of them. True if the base has just become new."""
+        assert self._base is not None
+        loss, new = self._loss(at.log), False
+        if loss <= _HEAVY or not self._has_matrix:
+            if not self._base.whole or _far(self._base, at):
+                self._base, new = self._based_on_columns(at, loss), True
+            if not self._base.whole and not self._base.coarse:
+                self._renewal = None
+                return new
         if self._renewal is None:
             self._renewal = self._renewed(at)
         base = next(self._renewal)
         if base is None:
-            return False
-        self._base, self._renewal = base, None
+            return new
+        self._renewal = None
+        if loss <= _HEAVY and _far(base, at):
+            return new  # made for cells that are no more
+        self._base = base
         return True
 
     def _nothing(self, limited: BoolArray | None) -> LiveReading:
@@ -309,7 +348,7 @@ class CoupledLive:
         alone at present, ``steeper`` times what they meant when the derivatives were made.
         """
         assert self._base is not None
-        change: FloatArray = self._base.gain @ (volts * steeper)
+        change = self._base.step(volts * steeper)
         if max(change.max(), -change.min()) > _STRIDE:
             np.clip(change, -_STRIDE, _STRIDE, out=change)
         return change
@@ -340,47 +379,46 @@ class CoupledLive:
         """Evaluate the model for the logarithms x (n,) of the conductances."""
         return _Known(x, self._model(np.exp(-x).reshape(self._shape)).ravel())
 
+    def _loss(self, x: FloatArray) -> float:
+        """Share of a voltage in the lines at logarithms x (n,); inf where columns depend on each other anyway."""
+        if not self._columns.applies:
+            return inf
+        return self._columns.loss(self._board.cell_conductance(np.exp(-x).reshape(self._shape)))
+
     def _based_on(self, at: _Known) -> _Base:
         """Derivatives and their regularised inverse there, at once."""
+        loss = self._loss(at.log)
+        if loss <= _HEAVY or not self._has_matrix:
+            return self._based_on_columns(at, loss)
         return next(base for base in self._renewed(at) if base is not None)
+
+    def _based_on_columns(self, at: _Known, loss: float) -> _Base:
+        """Derivatives in closed form there."""
+        cells, prior = (values.reshape(self._shape) for values in (np.exp(-at.log), self._prior))
+        step = self._columns.at(cells, prior, self._hidden.reshape(self._shape))
+        slope = self._slope(at.volts.reshape(self._shape))
+        coarse = loss > _LIGHT and self._has_matrix
+        return _Base(at.log, step.solve, step.std.ravel(), slope, step.others.ravel(), whole=False, coarse=coarse)
 
     def _renewed(self, at: _Known) -> Iterator[_Base | None]:
         """Derivatives and their regularised inverse there, in instalments; None until the last."""
         x = at.log
         cells = np.exp(-x)
-        found: FloatArray | None = None
-        for found in derivatives(self._board, cells.reshape(self._shape), self._lines):
-            if found is None:
-                yield None
-        assert found is not None
+        jacobian = np.empty((len(x), len(x)))
+        meter = Meter(len(x), beside=self._columns.applies)
+        at_cells = cells.reshape(self._shape)
+        for _ in derivatives(self._board, at_cells, self._model, meter, out=jacobian):
+            yield None
         in_series = 1.0 / (cells + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
-        jacobian = found.reshape(len(x), len(x)) * (in_series**2 * cells / self._noise)
-        prior = np.where(self._hidden, _UNKNOWN, _PRIOR)
-        pieces = np.array_split(np.arange(len(x)), max(1, len(x) ** 3 // _PIECE))
-        normal = np.zeros_like(jacobian)
-        for number, piece in enumerate(pieces):
-            if number:
-                yield None
-            some = jacobian[piece[0] : piece[-1] + 1]
-            normal += some.T @ some
-        normal[np.diag_indices_from(normal)] += prior**-2.0
-        if len(x) > _AT_ONCE:
+        jacobian *= in_series**2 * cells / self._noise
+        normal = NormalMatrix(jacobian, self._prior)
+        for _ in normal.instalments(meter):
             yield None
-        factor, failed = dpotrf(normal, lower=1, overwrite_a=1)
-        if failed:
-            raise SolverError("the readings do not determine the cells at all")
-        inverse, _ = dpotri(factor, lower=1, overwrite_c=1)
-        inverse = np.tril(inverse) + np.tril(inverse, -1).T
-        std = np.sqrt(np.maximum(np.diagonal(inverse), 0.0))
-        if len(x) > _AT_ONCE:
-            yield None
+        std = np.sqrt(np.maximum(np.diagonal(normal.inverse), 0.0))
         loose = self._hidden
         # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
-        others = np.abs(inverse[:, loose] / std[loose] ** 2).sum(axis=1) * _UNKNOWN if loose.any() else np.zeros(len(x))
+        others = np.zeros(len(x))
+        if loose.any():
+            others = np.abs(normal.inverse[:, loose] / std[loose] ** 2).sum(axis=1) * _UNKNOWN
         slope = self._slope(at.volts.reshape(self._shape))
-        gain, per_volt = np.empty_like(jacobian), inverse / self._noise
-        for piece in pieces:
-            np.matmul(per_volt[piece[0] : piece[-1] + 1], jacobian.T, out=gain[piece[0] : piece[-1] + 1])
-            if len(pieces) > 1:
-                yield None
-        yield _Base(x, gain, std, slope, others)
+        yield _Base(x, lambda volts: normal.step(volts / self._noise), std, slope, others, whole=True, coarse=False)

@@ -2,14 +2,7 @@
 
 A live recovery renews its derivatives while frames come in, and no frame may wait for all of them. So the work is an
 iterator, and each frame takes one instalment of it. The method is that of :mod:`.._sensitivity`, for the cells alone.
-
-Newton's method needs no exact derivatives. On light lines the fields inside the grid therefore come from a few sweeps
-of the lines' equations, instead of a sparse factorisation:
-
-    u = e_row - (G (u - w)) K_row,        w = e_column + K_column (G (u - w)),
-
-with u and w the potentials along the rows and the columns, e those of the ports, and K the resistances of shared wire.
-Each sweep gains the factor that the lines' losses are.
+Where :class:`.QuickModel` knows the fields by nodal analysis of the ports, no digit is certified and little is spent.
 """
 
 from __future__ import annotations
@@ -22,78 +15,59 @@ from ...arrays import FloatArray
 from .._board import Board
 from .._grid import exact_ports
 from .._sensitivity import basis_drops
+from ._normal_matrix import Meter
+from ._quick_model import QuickModel
 
-_SWEEPS = 4
-_LIGHT = 0.25  # largest loss in the lines for which that many sweeps are good to a percent
 _LEAST_GROUPS = 8  # groups of readings per instalment, at least
-_INSTALMENTS = 4  # of groups, at most
+_INSTALMENTS = 16  # of groups, at most
+_PER_ENTRY = 256  # multiplications of a matrix product that take as long as one entry of the derivatives
 
 
-class LineResistance:
-    """Shared wire of all lines of a plain grid, for :func:`derivatives`."""
-
-    def __init__(self, board: Board) -> None:
-        """Sum up the board's lines."""
-        to_driver = np.cumsum(board.row_ohms, axis=1)
-        to_end = np.zeros(board.shape)  # to the last crosspoint; column leads are outside of the grid's ports
-        to_end[:-1] = np.cumsum(board.column_ohms[:0:-1], axis=0)[::-1]
-        self.finite = bool(np.isfinite(to_driver).all() and np.isfinite(to_end).all())
-        self.row = np.minimum(to_driver[:, :, None], to_driver[:, None, :])
-        """(N, M, M) ohm"""
-        self.column = np.minimum(to_end.T[:, :, None], to_end.T[:, None, :])
-        """(M, N, N) ohm"""
-        self._to_driver, self._to_end = to_driver, to_end
-        self.to_ends = to_driver + to_end
-        """(N, M) ohm of wire in series with each cell, up to the grid's ports"""
-
-    def loss(self, conductance: FloatArray) -> float:
-        """Largest share of a voltage that is lost along a line with cells (N, M) in S, to first order."""
-        along = (self._to_driver * conductance).sum(axis=1).max()
-        return float(along + (self._to_end * conductance).sum(axis=0).max())
-
-
-def derivatives(board: Board, cells: FloatArray, lines: LineResistance) -> Iterator[FloatArray | None]:
+def derivatives(board: Board, cells: FloatArray, model: QuickModel, meter: Meter, *, out: FloatArray) -> Iterator[None]:
     """Derivatives of the readings by the conductances of the crosspoints' branches.
 
     Args:
         board: with a sliced sheet and no complete short.
         cells: (N, M) ohm.
-        lines: of the board.
+        model: of the board; where it knows a short way to the derivatives, this is taken.
+        meter: of the instalments.
+        out: (N M, N M) V/S, where they are written.
 
     Yields:
-        None after each instalment of the work, and last the derivatives (N, M, N, M) in V/S.
+        After each instalment of the work but the last.
 
     """
+    by_row = model.derivatives(cells)
+    if by_row is not None:
+        try:
+            yield from _quick_derivatives(by_row, meter, out)
+        except np.linalg.LinAlgError:  # parts of the grid that nothing is connected to
+            by_row = None
+    if by_row is None:
+        yield from _exact_derivatives(board, cells, out)
+
+
+def _quick_derivatives(by_row: Iterator[FloatArray], meter: Meter, out: FloatArray) -> Iterator[None]:
+    size, written = len(out), 0
+    for some in by_row:
+        if meter.is_full(_PER_ENTRY * some.size):
+            yield
+        out[written : written + len(some)] = some.reshape(len(some), size)
+        written += len(some)
+
+
+def _exact_derivatives(board: Board, cells: FloatArray, out: FloatArray) -> Iterator[None]:
     ports = exact_ports(board, cells).value
     reading = board.circuit.read(board, ports)
-    conductance = board.cell_conductance(cells)
-    light = board.plain and lines.finite and lines.loss(conductance) <= _LIGHT
-    drops = _swept_drops(conductance, lines) if light else basis_drops(board, cells)
-    yield None
+    yield
+    drops = basis_drops(board, cells)
     rows, columns = board.shape
-    result = np.zeros((rows, columns, rows, columns))
-    groups = board.circuit.sensitivity_groups(board, ports, reading)
+    result = out.reshape(rows, columns, rows, columns)
     count = (rows if board.floating else 1) * (columns if board.circuit.columns_one_by_one(board) else 1)
-    instalment = max(_LEAST_GROUPS, -(-count // _INSTALMENTS))
-    for number, group in enumerate(groups, start=1):
+    together = max(_LEAST_GROUPS, -(-count // _INSTALMENTS))
+    for number, group in enumerate(board.circuit.sensitivity_groups(board, ports, reading)):
+        if number % together == 0:
+            yield
         forward = np.tensordot(group.forward, drops, axes=1)
         adjoint = np.tensordot(group.adjoint, drops, axes=1)
         result[np.ix_(group.rows, group.columns)] = -forward * adjoint
-        if number % instalment == 0:
-            yield None
-    yield result
-
-
-def _swept_drops(conductance: FloatArray, lines: LineResistance) -> FloatArray:
-    """As :func:`.basis_drops`, by sweeps over the lines."""
-    rows, columns = conductance.shape
-    at_rows, at_columns = (np.zeros((rows + columns, rows, columns)) for _ in range(2))
-    at_rows[np.arange(rows), np.arange(rows)] = 1.0
-    at_columns[rows + np.arange(columns), :, np.arange(columns)] = 1.0
-    drops: FloatArray = at_rows - at_columns
-    for _ in range(_SWEEPS):
-        current = conductance * drops
-        along = np.einsum("fij,ijk->fik", current, lines.row, optimize=True)
-        down = np.einsum("fij,jik->fkj", current, lines.column, optimize=True)
-        drops = at_rows - along - at_columns - down
-    return drops

@@ -41,8 +41,8 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
 
     Args:
         design: the board.
-        accuracy: relative uncertainty of a conductance up to which a cell is valid; None: as the converter allows, see
-            :class:`ValidityRule`.
+        accuracy: relative uncertainty of a conductance up to which a cell is valid; None:
+            :data:`._live_reading.ACCURACY`.
 
     Raises:
         InputError: the design has no [adc], or the accuracy is not between 0 and 1.
@@ -50,7 +50,7 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
     """
     if design.adc is None:
         raise InputError("the design has no [adc] section; expected bits and range")
-    board, rule = design.board, ValidityRule(accuracy)
+    board, rule = design.board, ValidityRule.of(accuracy)
     complete_short = any(fault.ohms == 0 for fault in board.shorts)
     amplified = board.circuit.ends(board) is not None and not board.floating and board.plain and not complete_short
     lines = (board.row_ohms, board.column_ohms, board.column_lead)
@@ -76,7 +76,7 @@ class _ThoroughLive:
         slope = board.turn(board.circuit.log_conductance_slope(board, board.turn(volts) - board.level))
         own = (self._half_step + SIGMAS * noise) * np.abs(slope)
         uncertainty = found.uncertainty + own
-        valid = self._rule.accepts(uncertainty, own) & (found.resistance < np.inf) & (found.resistance > 0)
+        valid = self._rule.accepts(uncertainty) & (found.resistance < np.inf) & (found.resistance > 0)
         doubtful = Reason.UNCERTAIN if limited is None else Reason.DISTURBED
         reason = np.where(valid, Reason.VALID, doubtful).astype(np.int8)
         for status, why in _REASON_OF_STATUS.items():

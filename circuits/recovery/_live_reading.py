@@ -14,12 +14,10 @@ from numpy.typing import NDArray
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
 
-ACCURACY = 0.02
-"""relative uncertainty of a conductance up to which a cell is valid in any case; the project's own choice"""
-OWN_SHARE = 4.0
-"""an uncertainty above :data:`ACCURACY` is accepted up to this multiple of what the cell's own reading leaves open"""
-MOST = 0.6
-"""relative uncertainty from which on a cell is not valid, however coarse its own reading is"""
+ACCURACY = 0.5
+"""relative uncertainty of a conductance up to which a cell is valid unless another one is asked for: an uncertainty
+bounds the error, so a resistance is never off by a factor of two; the root mean square of errors is about a sixth of it
+"""
 SIGMAS = 3.0
 """standard deviations of the readings' noise that an uncertainty covers"""
 
@@ -47,43 +45,35 @@ class Reason(IntEnum):
 
 @dataclass(frozen=True)
 class ValidityRule:
-    """Up to which uncertainty a cell is valid.
+    """A cell is valid if the relative uncertainty of its conductance is at most ``limit``."""
 
-    With a ``limit`` a cell is valid if its uncertainty is at most that. Without one the rule follows the converter: the
-    uncertainty may be :data:`ACCURACY`, or :data:`OWN_SHARE` times what the cell's own reading leaves open (half an ADC
-    step and noise) if that is more, but stays below :data:`MOST`.
-    """
-
-    limit: float | None = None
+    limit: float = ACCURACY
 
     def __post_init__(self) -> None:
         """Raises InputError where the limit is no share of a conductance."""
-        if self.limit is not None and not 0 < self.limit < 1:
+        if not 0 < self.limit < 1:
             raise InputError(
                 f"accuracy is {self.limit:g}; expected a relative uncertainty above 0 and below 1, or None"
             )
 
-    def accepts(self, uncertainty: FloatArray, own: FloatArray) -> BoolArray:
-        """Where a relative uncertainty is small enough; ``own`` is the part that the cell's own reading leaves."""
-        if self.limit is not None:
-            return uncertainty <= self.limit
-        accepted: BoolArray = uncertainty <= np.maximum(OWN_SHARE * own, ACCURACY)
-        accepted &= uncertainty < MOST
+    @classmethod
+    def of(cls, accuracy: float | None) -> ValidityRule:
+        """The rule for an accuracy that a user asks for; None: :data:`ACCURACY`."""
+        return cls() if accuracy is None else cls(accuracy)
+
+    def accepts(self, uncertainty: FloatArray) -> BoolArray:
+        """Where a relative uncertainty is small enough."""
+        accepted: BoolArray = uncertainty <= self.limit
         return accepted
 
-    def least_reading(self, own: FloatArray, others: FloatArray) -> FloatArray | None:
+    def least_reading(self, own: FloatArray, others: FloatArray) -> FloatArray:
         """The reading from which on a cell is valid, if its uncertainty is ``own / reading + others``.
 
-        Arguments and result broadcast; inf where no reading is large enough. None where the valid readings are no
-        single range, because cells with a middling reading are not valid and fainter ones are.
+        Arguments and result broadcast; inf where no reading is large enough.
         """
+        room = np.maximum(self.limit - others, 0.0)
         with np.errstate(divide="ignore"):
-            if self.limit is not None:
-                return np.where(others < self.limit, own / np.maximum(self.limit - others, 0.0), np.inf)
-            faintest = np.where(others < MOST, own / np.maximum(MOST * (1 - 1e-9) - others, 0.0), np.inf)
-            up_to = (OWN_SHARE - 1.0) * own / np.maximum(others, 1e-12)
-            again_from = np.where(others < ACCURACY, own / np.maximum(ACCURACY - others, 0.0), np.inf)
-        return faintest if (again_from <= up_to).all() else None
+            return np.where(room > 0.0, own / room, np.inf)
 
 
 class LiveReading:

@@ -1,35 +1,49 @@
-"""Outputs of a grid with ideal lines and resistive leads, by nodal analysis with one node per column.
+"""Outputs and derivatives of a plain grid by nodal analysis of its ports, without bounds on rounding errors.
 
-The rows' own nodes are eliminated in closed form: row i with the lead r_i and cells of the sum S_i passes
+With ideal lines and resistive leads there is one node per row and one per column. The rows' own nodes are eliminated in
+closed form: row i with the lead r_i and cells of the sum S_i passes
 
     D_ij = g_ij / (1 + r_i S_i)        from its terminal to column j,
     C_jk = sum_i r_i D_ij g_ik         from column to column.
 
-What the readout makes of that network is the circuit's to say (:meth:`.ReadoutCircuit.quick_outputs`).
+Other lines are reduced to their ports exactly (:func:`..solvers.port_conductances`), at about ten times the cost. What
+the readout makes of either network is the circuit's to say (:meth:`.ReadoutCircuit.quick_outputs`).
 """
 
 from __future__ import annotations
+
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
 from ...arrays import FloatArray
 from .._board import Board
 from .._exact import read_exactly
-from ..solvers import has_ideal_lines
+from .._sensitivity import basis_drops
+from ..readouts import QuickFields, QuickNetwork
+from ..solvers import has_ideal_lines, port_conductances
+from ._lines import LineResistance
+
+_LIGHT = 0.25  # largest loss in the lines for which sweeps are good to a percent
 
 
 class QuickModel:
     """A board's outputs for one frame of cells: quickly where the board allows it, else exactly."""
 
-    def __init__(self, board: Board) -> None:
-        """For a sliced sheet."""
-        self._board = board
+    def __init__(self, board: Board, lines: LineResistance) -> None:
+        """For a sliced sheet, and the shared wire of its lines."""
+        self._board, self._lines = board, lines
         lead = board.row_ohms[:, 0]
-        finite = bool(np.isfinite(lead).all() and np.isfinite(board.column_lead).all())
         self._lead = lead
+        finite = lines.finite and bool(np.isfinite(board.column_lead).all())
         self.is_quick = board.plain and finite and has_ideal_lines(board.lines)
-        """whether the shortcut is taken"""
-        self.is_quick = self.is_quick and self._quick(np.full(board.shape, 1e-4)) is not None
+        """whether the network is known in closed form"""
+        self.has_network = board.plain
+        """whether the network's ports give the outputs by plain nodal analysis"""
+        if self.has_network:
+            some = np.full(board.shape, 1e-4)
+            self.has_network = self._quick(some) is not None
+        self.is_quick = self.is_quick and self.has_network
 
     def __call__(self, cells: FloatArray) -> FloatArray:
         """V (N, M) for ``cells`` (N, M) in ohm, in line coordinates.
@@ -38,7 +52,7 @@ class QuickModel:
             SolverError: parts of no resistance join sources that contradict each other.
 
         """
-        if self.is_quick:
+        if self.has_network:
             try:
                 volts = self._quick(self._board.cell_conductance(cells))
             except np.linalg.LinAlgError:  # parts of the grid that nothing is connected to
@@ -47,8 +61,63 @@ class QuickModel:
                 return volts
         return read_exactly(self._board, cells)[0].volts
 
+    def derivatives(self, cells: FloatArray) -> Iterator[FloatArray] | None:
+        """Derivatives (M, N, M) in V/S of the readings of each selected row by all crosspoints, row by row.
+
+        Args:
+            cells: (N, M) ohm.
+
+        Returns:
+            None where there is no short way.
+
+        """
+        if not self.has_network:
+            return None
+        conductance = self._board.cell_conductance(cells)
+        fields = self._board.circuit.quick_fields(self._board, self._network(conductance))
+        if fields is None:
+            return None
+        return _products(fields, self._behind_leads(conductance) if self.is_quick else self._inside(cells, conductance))
+
+    def _behind_leads(self, conductance: FloatArray) -> Callable[[FloatArray], FloatArray]:
+        """The voltages (..., N, M) across the crosspoints for port potentials (..., N + M), lines being ideal."""
+        rows = len(conductance)
+        share = 1.0 / (1.0 + self._lead * conductance.sum(axis=1))
+        lift = (conductance * (self._lead * share)[:, None]).T  # of the rows behind their leads, by the columns
+
+        def across(field: FloatArray) -> FloatArray:
+            at_rows = field[:, :rows] * share + field[:, rows:] @ lift
+            drop: FloatArray = at_rows[:, :, None] - field[:, None, rows:]
+            return drop
+
+        return across
+
+    def _inside(self, cells: FloatArray, conductance: FloatArray) -> Callable[[FloatArray], FloatArray]:
+        """The same for any lines."""
+        light = self._lines.finite and self._lines.loss(conductance) <= _LIGHT
+        drops = self._lines.swept_drops(conductance) if light else basis_drops(self._board, cells)
+
+        def across(field: FloatArray) -> FloatArray:
+            drop: FloatArray = np.tensordot(field, drops, axes=1)
+            return drop
+
+        return across
+
+    def _network(self, conductance: FloatArray) -> QuickNetwork:
+        if self.is_quick:
+            driven = conductance / (1.0 + self._lead * conductance.sum(axis=1))[:, None]
+            across = conductance.T @ (driven * self._lead[:, None])
+            across.flat[:: len(across) + 1] = 0.0
+            return QuickNetwork(driven, across, None)
+        rows = len(conductance)
+        ports = port_conductances(conductance, self._board.lines).value
+        return QuickNetwork(ports[:rows, rows:], ports[rows:, rows:], ports[:rows, :rows])
+
     def _quick(self, conductance: FloatArray) -> FloatArray | None:
-        driven = conductance / (1.0 + self._lead * conductance.sum(axis=1))[:, None]
-        across = conductance.T @ (driven * self._lead[:, None])
-        across.flat[:: len(across) + 1] = 0.0
-        return self._board.circuit.quick_outputs(self._board, driven, across)
+        return self._board.circuit.quick_outputs(self._board, self._network(conductance))
+
+
+def _products(fields: Iterator[QuickFields], across: Callable[[FloatArray], FloatArray]) -> Iterator[FloatArray]:
+    for field in fields:
+        derivative = across(field.forward) * across(field.adjoint)
+        yield np.negative(derivative, out=derivative)

@@ -120,10 +120,10 @@ def dynamic_reading(
 
 
 class _Writer:
-    """Writes one netlist. Rows and columns are in line coordinates (:mod:`.._board`)."""
+    """Writes one netlist. Rows and columns are in line coordinates (:mod:`.._parts`)."""
 
     def __init__(self, board: Board, cells: FloatArray, row: int, column: int, period: float | None) -> None:
-        self.board, self.design, self.cells = board, board.design, cells
+        self.board, self.cells = board, cells
         self.row, self.column = row, column
         self.rows, self.columns = board.shape
         self.slow = 20.0 * self._slowest()
@@ -131,7 +131,7 @@ class _Writer:
 
     def _slowest(self) -> float:
         """s: an upper estimate of the largest time constant."""
-        readout, adc = self.design.readout, self.design.adc
+        readout, adc = self.board.readout, self.board.adc
         reference = float(self.board.reference.max())
         gain = 1.0 + reference * float((1.0 / self.cells).sum(axis=0).max())
         sampling = adc.switch_resistance * adc.sampling_capacitance if adc else 0.0
@@ -146,7 +146,7 @@ class _Writer:
         return "\n".join([*cards, *self._analyses(), ".end", ""])
 
     def _head(self) -> Iterator[str]:
-        readout = self.design.readout
+        readout = self.board.readout
         kelvin = readout.temperature or 300.0
         driven, sensed = self.board.line_kinds
         selected, judged = self.board.driven_line(self.row), self.board.sensed_line(self.column)
@@ -160,7 +160,7 @@ class _Writer:
         if model is not None:
             yield from self._model_cards(model)
         yield f"Vreference ref 0 DC {readout.reference_voltage!r}"
-        final = readout.reference_voltage + self.design.drive.voltage
+        final = readout.reference_voltage + self.board.drive
         rise = min(self.period, self.slow) * 1e-6
         yield (
             f"Vdrive drive 0 DC {readout.reference_voltage!r} AC 1 "
@@ -180,9 +180,9 @@ class _Writer:
     @property
     def rails(self) -> tuple[float, float]:
         """V that the macro-model is supplied with. Raises InputError where neither model nor design says."""
-        model = self.design.readout.amplifier_model
+        model = self.board.readout.amplifier_model
         assert model is not None
-        low, high = model.rails or self.design.readout.supply
+        low, high = model.rails or self.board.readout.supply
         if ("v-" in model.pins and isinf(low)) or ("v+" in model.pins and isinf(high)):
             raise InputError("readout.amplifier_model.rails: not given, and readout.supply has no finite limits")
         return low, high
@@ -205,7 +205,7 @@ class _Writer:
 
     def _feedback(self, j: int) -> Iterator[str]:
         """What is around the amplifier, and in the judged column the sources that its loop gain is found with."""
-        readout = self.design.readout
+        readout = self.board.readout
         yield f"* column {j}"
         yield f"Rref{j} minus{j} out{j} {float(self.board.reference[j])!r}"
         if readout.feedback_capacitance:
@@ -221,7 +221,7 @@ class _Writer:
         return f"input{j}" if j == self.column else f"minus{j}"
 
     def _amplifier(self, j: int) -> Iterator[str]:
-        readout = self.design.readout
+        readout = self.board.readout
         if readout.amplifier_model is not None:
             yield self._macro_model(readout.amplifier_model, j)
             return
@@ -258,7 +258,7 @@ class _Writer:
         return f"Xamplifier{j} {' '.join(pins)} {model.subcircuit}"
 
     def _sample(self, j: int) -> Iterator[str]:
-        adc = self.design.adc
+        adc = self.board.adc
         if adc and adc.sampling_capacitance:
             yield f"Rswitch{j} out{j} sample{j} {max(adc.switch_resistance, LEAST_OHM)!r}"
             yield f"Csample{j} sample{j} 0 {adc.sampling_capacitance!r}"
@@ -267,7 +267,7 @@ class _Writer:
 
     def _noise(self, j: int, plus: str) -> Iterator[str]:
         """The amplifier's noise voltage in series with its input, and its noise current into the column."""
-        readout = self.design.readout
+        readout = self.board.readout
         thermal = 4.0 * Boltzmann * (readout.temperature or 300.0)
         if readout.voltage_noise:
             yield f"Rnv{j} nv{j} 0 {readout.voltage_noise**2 / thermal!r}"
@@ -289,7 +289,7 @@ class _Writer:
             for j in range(self.columns)
             for name, at in (("sampled", self.period), ("settled", 0.999 * stop))
         ]
-        noise = f"noise v(sample{self.column}) Vdrive dec 100 1 {1e4 * self.design.readout.gain_bandwidth!r}"
+        noise = f"noise v(sample{self.column}) Vdrive dec 100 1 {1e4 * self.board.readout.gain_bandwidth!r}"
         yield f".{transient}"
         yield from (f".{line}" for line in measured)
         yield f"* For LTspice, in place of .tran: .{noise}"
@@ -301,7 +301,7 @@ class _Writer:
         for line in measured:
             yield f"*# {line}"
             yield f"*# print {line.split()[2]}"
-        final = self.design.readout.reference_voltage + self.design.drive.voltage
+        final = self.board.readout.reference_voltage + self.board.drive
         yield f"*# alter vdrive dc = {final!r}"
         # ngspice's own onoise_total is now and then no number: its integration divides by zero for some slopes.
         yield from (f"*# {noise}", "*# setplot noise1", "*# let density = onoise_spectrum*onoise_spectrum")
@@ -312,7 +312,7 @@ class _Writer:
 
     def _loop_gain(self) -> Iterator[str]:
         """ngspice's commands for Middlebrook's double injection, at the operating point of the selected row."""
-        width = self.design.readout.gain_bandwidth
+        width = self.board.readout.gain_bandwidth
         sweep = f"ac dec {POINTS_PER_DECADE} {1e-5 * width!r} {1e3 * width!r}"
         source = f"v({self._input(self.column)})"
         yield from ("alter vdrive ac = 0", "alter vloop ac = 1", sweep, "set voltage_run = $curplot")

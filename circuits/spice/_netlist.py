@@ -9,7 +9,7 @@ them exactly:
 
 Node 0 is the reference voltage, so a reference at mid-supply costs no digits. Board ground is the node ``agnd``.
 
-Node names follow line coordinates (:mod:`.._board`): ``row_I_J`` is the crosspoint on a driven line, and ``col_I_J``
+Node names follow line coordinates (:mod:`.._parts`): ``row_I_J`` is the crosspoint on a driven line, and ``col_I_J``
 the crosspoint on a sensed line.
 """
 
@@ -26,10 +26,8 @@ from ...arrays import FloatArray
 from ...errors import InputError, SolverError
 from .._board import Board
 from .._design import Design
+from ..readouts import COLUMN_INDEX, FOLLOWER, REFERENCE, ROW_INDEX, CardWriter
 
-REFERENCE = "0"  # SPICE's node 0
-FOLLOWER = "follower"
-ROW_INDEX, COLUMN_INDEX = "row_index", "column_index"
 NONLINEAR_OPTIONS = ".options reltol=1e-9 vntol=1e-12 abstol=1e-15"
 
 
@@ -121,15 +119,14 @@ def frame_deck(design: Design, resistance: ArrayLike) -> Deck:
     return DeckWriter(board, board.turn(design.resistance(resistance)), None).deck()
 
 
-class DeckWriter:
+class DeckWriter(CardWriter):
     """Writes the SPICE cards of one board.
 
     The cards of the readout circuit come from :meth:`.ReadoutCircuit.cards`, which asks this object for node names and
     values of parts.
     """
 
-    reference = REFERENCE
-    follower = FOLLOWER
+    board: Board
 
     def __init__(self, board: Board, cells: FloatArray, row: int | None) -> None:
         """Name the nodes of the circuit.
@@ -156,19 +153,8 @@ class DeckWriter:
         self.driven = [i for i in range(self.rows) if row in {None, i} or not self.floating]
         self.ground = "agnd" if board.level else REFERENCE
         self.name = self._merged_node_names()
-        """name of each node in the cards, after parts of 0 ohm have merged nodes"""
         self.drivers = {self.name[self._driver(i)]: i for i in self.driven}
-        """row number by the name of its driving node"""
         self._refuse_contradictions()
-
-    def chosen(self, j: int) -> str:
-        """SPICE condition that is true while column ``j`` is read."""
-        return f"abs(v({COLUMN_INDEX})-{j})<0.5"
-
-    def amplifier_parts(self, j: int) -> tuple[float, float, float, float]:
-        """Open-loop gain, Rref in ohm, offset voltage in V and bias current in A of column j's amplifier."""
-        board = self.board
-        return float(board.gain[j]), float(board.reference[j]), float(board.offset[j]), float(board.bias[j])
 
     def deck(self) -> Deck:
         """The circuit with its analysis."""
@@ -186,7 +172,7 @@ class DeckWriter:
             sweep.append(f"Vrow 0 {self.rows - 1} 1")
         outputs = tuple(self.circuit.output_node(self, j) for j in range(self.columns))
         step = "all rows in turn" if self.row is None else f"row {self.row} selected"
-        rows, columns = self.board.design.array.shape
+        rows, columns = self.board.array_shape
         title = f"ohmskin: {rows} x {columns} cells, {self.circuit.name}, {step}"
         if self.board.turned:
             title += "; columns are driven: row I, column J here are the array's column, row counted from the end"

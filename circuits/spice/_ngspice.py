@@ -26,7 +26,8 @@ from numpy.typing import ArrayLike, NDArray
 from ...arrays import FloatArray
 from ...errors import MissingExtra, SolverError
 from .._design import Design
-from ._netlist import REFERENCE, Deck, frame_deck, step_deck
+from ..readouts import REFERENCE
+from ._netlist import Deck, frame_deck, step_deck
 
 PATIENCE_S = 600.0
 """for one run of the command: a macro-model may find no convergence for ever"""

@@ -88,7 +88,7 @@ def column_dynamics(board: Board, conductance: FloatArray) -> Dynamics:
 
     """
     require_amplifiers(board)
-    part = board.design.readout
+    part = board.readout
     columns = len(conductance)
     one, none = np.eye(columns), np.zeros((columns, columns))
     feedback, slack = 1 / board.reference, 1 / board.gain  # (M,): multiplying a matrix scales its columns

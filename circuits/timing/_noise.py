@@ -118,7 +118,7 @@ def noise(design: Design, resistance: ArrayLike) -> Noise:
 
 def _amplified_noise(board: Board, cells: FloatArray, thermal_energy: float) -> dict[str, FloatArray]:
     """Standard deviations (N, M) in V by origin: amplifiers, grid and reference resistors."""
-    part, one = board.design.readout, np.eye(board.shape[1])
+    part, one = board.readout, np.eye(board.shape[1])
     rows = []
     for conductance in column_conductances(board, cells):
         # The intensity of white noise is its two-sided density, half the one-sided density.
@@ -128,7 +128,7 @@ def _amplified_noise(board: Board, cells: FloatArray, thermal_energy: float) -> 
             "grid": 2 * thermal_energy * conductance,
             "reference resistor": 2 * thermal_energy / board.reference * one,
         }
-        rows.append(_variances(board.design, column_dynamics(board, conductance), voltage, current))
+        rows.append(_variances(board, column_dynamics(board, conductance), voltage, current))
     parts = {}
     for name in dict.fromkeys(name for row in rows for name in row):
         variance = [row.get(name, np.zeros(board.shape[1])) for row in rows]
@@ -137,12 +137,12 @@ def _amplified_noise(board: Board, cells: FloatArray, thermal_energy: float) -> 
 
 
 def _variances(
-    design: Design, dynamics: Dynamics, voltage: dict[str, FloatArray], current: dict[str, FloatArray]
+    board: Board, dynamics: Dynamics, voltage: dict[str, FloatArray], current: dict[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """Variances (M,) in V^2 of the sampled outputs, by the name of the noise.
 
     Args:
-        design: the board.
+        board: its converter's sampling capacitor filters the noise.
         dynamics: of the column amplifiers.
         voltage: intensities (M, M) of white noise voltages at the non-inverting inputs, by name.
         current: intensities (M, M) of white noise currents into the inverting inputs, by name.
@@ -151,7 +151,7 @@ def _variances(
         InputError: nothing limits the bandwidth of a noise.
 
     """
-    adc = design.adc
+    adc = board.adc
     sampling = adc.switch_resistance * adc.sampling_capacitance if adc else 0.0
     matrix, output = dynamics.matrix, dynamics.output
     states, columns = len(matrix), len(output)

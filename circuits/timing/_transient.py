@@ -28,7 +28,7 @@ _SLOW_ENOUGH = 1e-6
 class Transient:
     """Outputs of all columns and charge of the ADC's sampling capacitor over time, V.
 
-    Rows and columns are those of :mod:`.._board`: driven and sensed lines. Outputs that reach a supply limit are cut
+    Rows and columns are those of :mod:`.._parts`: driven and sensed lines. Outputs that reach a supply limit are cut
     off there; how an amplifier comes out of saturation is not modelled.
 
     Example::

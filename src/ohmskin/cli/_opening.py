@@ -20,12 +20,12 @@ from ..wire import BOARDS
 class Opening:
     """What the command line says of a skin, with its files read; None: as the board or the driver says."""
 
-    board: str
-    design: Design | None
-    cell: Cell | None
-    calibration: Path | None
-    tare: Tare | None
-    estimator: str | None
+    board: str = "ohmskin"
+    design: Design | None = None
+    cell: Cell | None = None
+    calibration: Path | None = None
+    tare: Tare | None = None
+    estimator: str | None = None
 
     def open(self, port: str, **more: Any) -> Skin:
         """The skin at a port or in a recording, tared; ``more`` goes to ``Skin.open``."""
@@ -48,51 +48,49 @@ class Opening:
 
 
 _file = click.Path(path_type=Path)
-_OPTIONS = (
-    click.option(
+_OPTIONS = {
+    "board": click.option(
         "--board",
         default="ohmskin",
         show_default=True,
         metavar="NAME",
         help=f"Family of the board: {', '.join(BOARDS)}.",
     ),
-    click.option("--design", type=_file, metavar="DESIGN.toml", help="Of the readout."),
-    click.option("--cell", type=_file, metavar="CELL.toml", help="Of the skin."),
-    click.option(
+    "design": click.option("--design", type=_file, metavar="DESIGN.toml", help="Of the readout."),
+    "cell": click.option("--cell", type=_file, metavar="CELL.toml", help="Of the skin."),
+    "calibration": click.option(
         "--calibration",
         type=_file,
         metavar="FILE",
         help="Rest resistance and gain of each cell, as `ohmskin calibrate` writes them.",
     ),
-    click.option("--tare", type=_file, metavar="FILE.npz", help="A saved tare."),
-    click.option("--estimator", metavar="NAME", help="static, paper, inverse, play or distilled [the cell's choice]."),
-)
+    "tare": click.option("--tare", type=_file, metavar="FILE.npz", help="A saved tare."),
+    "estimator": click.option(
+        "--estimator", metavar="NAME", help="static, paper, inverse, play or distilled [the cell's choice]."
+    ),
+}
+_READ: dict[str, Callable[[Path], Any]] = {"design": Design.load, "cell": Cell.load, "tare": Tare.load}
+"""how the file of an option is read; other options are passed on as they are"""
 
 
-def opening_options(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command these options, and its function an argument ``opening`` in their place."""
+def opening_options(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Give a command the named options, and its function an argument ``opening`` in their place.
 
-    @wraps(command)
-    def with_opening(
-        *,
-        board: str,
-        design: Path | None,
-        cell: Path | None,
-        calibration: Path | None,
-        tare: Path | None,
-        estimator: str | None,
-        **others: Any,
-    ) -> Any:
-        opening = Opening(
-            board=board,
-            design=None if design is None else Design.load(design),
-            cell=None if cell is None else Cell.load(cell),
-            calibration=calibration,
-            tare=None if tare is None else Tare.load(tare),
-            estimator=estimator,
-        )
-        return command(opening=opening, **others)
+    Args:
+        names: fields of :class:`Opening`, in the order of the help text; none: all of them.
 
-    for option in reversed(_OPTIONS):
-        with_opening = option(with_opening)
-    return with_opening
+    """
+    chosen = names or tuple(_OPTIONS)
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        @wraps(command)
+        def with_opening(**arguments: Any) -> Any:
+            given = {name: value for name in chosen if (value := arguments.pop(name)) is not None}
+            read = {name: _READ[name](value) if name in _READ else value for name, value in given.items()}
+            return command(opening=Opening(**read), **arguments)
+
+        for name in reversed(chosen):
+            with_opening = _OPTIONS[name](with_opening)
+        return with_opening
+
+    return decorate

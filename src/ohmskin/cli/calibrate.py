@@ -10,13 +10,11 @@ import click
 import numpy as np
 
 from ..calibration import Guide, Plan, Press, Verdict, align, calibrate_cells, read_reference, with_reference
-from ..cell import Cell
-from ..circuits import Design
-from ..driver import Calibration, Skin
+from ..driver import Calibration
 from ..errors import InputError
 from ..files import check_writable
-from ..wire import BOARDS
 from . import arguments
+from ._opening import Opening, opening_options
 
 STANDARD_GRAVITY = 9.80665
 """m/s^2"""
@@ -84,11 +82,7 @@ QUEUE = 4096
 @click.option("--allow-partial", is_flag=True, help="Give cells that failed the median gain of the others.")
 @click.option("--resume", is_flag=True, help="Go on with the progress kept beside the output.")
 @click.option("--yes", is_flag=True, help="Do not ask whether the skin is unloaded.")
-@click.option("--design", "design_file", type=click.Path(path_type=Path), metavar="DESIGN.toml", help="Of the readout.")
-@click.option("--cell", "cell_file", type=click.Path(path_type=Path), metavar="CELL.toml", help="Of the skin.")
-@click.option(
-    "--board", default="ohmskin", show_default=True, metavar="NAME", help=f"Family of the board: {', '.join(BOARDS)}."
-)
+@opening_options("board", "design", "cell")
 @arguments.as_json("the summary")
 def command(
     port: str,
@@ -105,9 +99,7 @@ def command(
     allow_partial: bool,
     resume: bool,
     yes: bool,
-    design_file: Path | None,
-    cell_file: Path | None,
-    board: str,
+    opening: Opening,
     as_json: bool,
 ) -> None:
     """Measure rest resistance and gain of every cell of the skin at PORT, by presses with known loads.
@@ -126,11 +118,9 @@ def command(
     check_writable(output, progress)
     if reference is not None and port.endswith(".mcap"):
         read_reference(reference)
-    design = None if design_file is None else Design.load(design_file)
-    cell = None if cell_file is None else Cell.load(cell_file)
     if not (yes or port.endswith(".mcap")):
         _ask_for_rest()
-    with Skin.open(port, board=board, design=design, cell=cell, delivery="lossless", queue=QUEUE) as skin:
+    with opening.open(port, delivery="lossless", queue=QUEUE) as skin:
         shape = skin.design.array.shape
         given = loads or tuple(mass * STANDARD_GRAVITY / (area or 1.0) / 1000.0 for mass in masses)
         share = 1.0 if area is None else _share(press, shape, area, pitch or skin.design.sheet.pitch)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-from math import inf
 from pathlib import Path
 
 import click
@@ -58,12 +57,10 @@ def command(
     with progress_bar("exploring") as progress:
         variations = explore(subject, points=points, progress=progress)
     best = best_carbon_black(subject)
-    click.echo(
-        f"{'reading error':>14} {'crosstalk':>10} {'resolution':>13} {'settling':>10} {'rate':>10}  the Pareto front"
-    )
+    click.echo(Variation.HEAD)
     for variation in sorted(variations, key=lambda v: v.reading_error_percent):
         if variation.front or not variation.changes:
-            click.echo(_line(variation))
+            click.echo(variation.line)
     if best is not None:
         click.echo(carbon_black_line(best, variations[0]))
     for remedy in remedies(subject, requirements):
@@ -76,14 +73,6 @@ def command(
     except MissingExtra as error:
         click.echo(f"ohmskin: explore.svg not written: {error}", err=True)
     write_together(contents)
-
-
-def _line(v: Variation) -> str:
-    mark = "*" if v.front else " "
-    figures = f"{v.reading_error_percent:12.3g} % {v.crosstalk_percent:8.3g} % {v.resolution_kpa:9.3g} kPa"
-    rate = f"{v.frame_rate_hz:7.4g} Hz" if v.frame_rate_hz < inf else f"{'not given':>10}"
-    figures += f" {v.settling_error_percent:8.3g} % {rate}"
-    return f"{figures} {mark} {v.name}"
 
 
 def _table(variations: list[Variation], best: Variation | None) -> str:

@@ -29,7 +29,7 @@ QUEUE = 4096
 @click.argument("port", metavar="PORT")
 @click.option("-o", "output", required=True, type=click.Path(path_type=Path), metavar="FILE.mcap")
 @click.option("--duration", type=arguments.positive, default=inf, metavar="S", help="Stop after S seconds.")
-@opening_options
+@opening_options()
 @click.option("--overwrite", is_flag=True, help="Replace FILE.mcap if it is there already.")
 @arguments.as_json("what was recorded")
 def command(port: str, output: Path, duration: float, opening: Opening, overwrite: bool, as_json: bool) -> None:

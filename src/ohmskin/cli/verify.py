@@ -46,7 +46,9 @@ EXPORTS = (".parquet", ".nc", ".csv")
     help="The board that is measured.",
 )
 @click.option("--jig", metavar="CELLS.csv", help="Known resistors on the board of --target, in ohm.")
-@click.option("--only", multiple=True, metavar="ID", help="Run only this requirement or claim; may be repeated.")
+@click.option(
+    "--only", multiple=True, metavar="ID[,ID]", help="Run only these requirements and claims; may be repeated."
+)
 @click.option("--require-all", is_flag=True, help="What could not be run fails the verification (for CI).")
 @click.option("--against", metavar="OLD.json", help="Say what is better, worse, new or gone since that report.")
 @click.option("--samples", type=click.IntRange(min=1), default=1000, show_default=True, help="Monte Carlo boards.")

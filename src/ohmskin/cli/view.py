@@ -38,7 +38,7 @@ USUAL_PORT = 8700
     help="Where to listen. Other machines can then see the page, if they know the token in its address.",
 )
 @click.option("--no-browser", is_flag=True, help="Print the address, and open no browser.")
-@opening_options
+@opening_options()
 def command(
     what: str,
     port: int | None,

@@ -1,0 +1,173 @@
+"""Longest calls of the live recovery: what sudden changes cost on every kind of board, in usual frames.
+
+The driver promises that a frame never costs more than ten usual ones. Five fingers that wander over the skin give the
+usual frame (median), and each of :data:`EVENTS` changes much at once. The recovery is deterministic. Each stream is
+therefore read twice, and of each frame the shorter processor time counts, so that a loaded machine does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from time import process_time
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..circuits import Design, adc_codes, scan
+from ..driver import CountReader
+
+LIMIT = 10.0
+"""usual frames that a frame may cost"""
+HARD_OHM = 5.0
+"""of cells that are held at a short, so that their readings stand at a limit"""
+PRESS_SHARE = 0.12
+"""of its resistance at rest that a hard press leaves of a cell"""
+NOISE_STEPS = 0.5
+"""standard deviation of the outputs' noise in ADC steps"""
+BEFORE, DURING, AFTER = 8, 12, 12
+"""frames of an event"""
+USUAL = 40
+"""frames with wandering fingers"""
+
+Change = Callable[[FloatArray, np.random.Generator], FloatArray]
+
+
+def _hard_press(rest: FloatArray, draw: np.random.Generator) -> FloatArray:
+    return rest * PRESS_SHARE * 10 ** draw.uniform(-0.1, 0.1, rest.shape)
+
+
+def _saturated(rest: FloatArray, draw: np.random.Generator) -> FloatArray:
+    cells = rest.copy()
+    cells.flat[draw.choice(rest.size, min(7, rest.size // 2), replace=False)] = HARD_OHM
+    return cells
+
+
+def _half_pressed(rest: FloatArray, draw: np.random.Generator) -> FloatArray:
+    cells = rest.copy()
+    cells[:, : max(1, rest.shape[1] // 2)] *= PRESS_SHARE
+    return cells
+
+
+def _open_cell(rest: FloatArray, draw: np.random.Generator) -> FloatArray:
+    cells = rest.copy()
+    cells.flat[int(draw.integers(rest.size))] = np.inf
+    return cells
+
+
+def _dead_row(rest: FloatArray, draw: np.random.Generator) -> FloatArray:
+    cells = rest.copy()
+    cells[int(draw.integers(len(rest)))] = np.inf
+    return cells
+
+
+EVENTS: dict[str, Change] = {
+    "press": _hard_press,
+    "half": _half_pressed,
+    "saturated": _saturated,
+    "open": _open_cell,
+    "dead row": _dead_row,
+}
+"""hard press of all cells at once, and of half of them; seven cells at a limit; a cell without a contact; a row without
+a driver. Each begins from rest and ends at once."""
+
+
+@dataclass(frozen=True)
+class WorstFrames:
+    """One board."""
+
+    board: str
+    rows: int
+    columns: int
+    first_ms: float
+    """processor time of the first frame of all"""
+    usual_us: float
+    """median processor time of a frame with wandering fingers, counts to ohms"""
+    wandering: float
+    """longest of these frames, in usual ones"""
+    events: dict[str, float]
+    """longest frame of each event, in usual frames; frames after the first"""
+    back: dict[str, float]
+    """percent of the cells valid in the last frame of the event, and in the last frame after it, the less of both"""
+    valid_percent: float
+    """of the cells, while fingers wander"""
+
+    @property
+    def worst(self) -> float:
+        """Longest frame of all after the first, in usual frames."""
+        return max(self.wandering, *self.events.values())
+
+
+def worst_frames(name: str, board: Design) -> WorstFrames:
+    """Measure one board with a converter."""
+    draw = np.random.default_rng(0)
+    shape = board.array.shape
+    rest = 10e3 * 10 ** draw.uniform(-0.05, 0.05, shape)
+    wandering = list(_wandering(rest, draw))
+    times, valid = _read(board, wandering)
+    usual = float(np.median(times[5:]))
+    events, back = {}, {}
+    for event, change in EVENTS.items():
+        pressed = change(rest, draw)
+        frames = [rest] * BEFORE + [pressed] * DURING + [rest] * AFTER
+        spent, share = _read(board, frames)
+        events[event] = float(spent[1:].max()) / usual
+        back[event] = 100.0 * min(share[BEFORE + DURING - 1], share[-1])
+    return WorstFrames(
+        board=name,
+        rows=shape[0],
+        columns=shape[1],
+        first_ms=1e3 * float(times[0]),
+        usual_us=1e6 * usual,
+        wandering=float(times[5:].max()) / usual,
+        events=events,
+        back=back,
+        valid_percent=100.0 * float(valid[5:].mean()),
+    )
+
+
+def _wandering(rest: FloatArray, draw: np.random.Generator) -> Iterator[FloatArray]:
+    row, column = np.indices(rest.shape)
+    place, way = draw.uniform(0.0, 1.0, (5, 2)) * rest.shape, draw.uniform(-0.02, 0.02, (5, 2))
+    for number in range(USUAL):
+        load = np.zeros(rest.shape)
+        for finger, at in enumerate(place + number * way):
+            strength = 0.5 + 0.5 * np.sin(number / 8.0 + finger)
+            load += strength * np.exp(-((row - at[0]) ** 2 + (column - at[1]) ** 2) / 2.0)
+        yield rest / (1.0 + 2.0 * load)
+
+
+def _read(board: Design, frames: list[FloatArray]) -> tuple[FloatArray, FloatArray]:
+    """Processor time in s and share of valid cells of each frame."""
+    assert board.adc is not None
+    noise = np.random.default_rng(1)
+    volts: dict[int, FloatArray] = {}
+    counts = []
+    for cells in frames:
+        if id(cells) not in volts:
+            volts[id(cells)] = scan(board, cells).volts
+        noisy = volts[id(cells)] + noise.normal(scale=NOISE_STEPS * board.adc.step, size=cells.shape)
+        counts.append(adc_codes(board, noisy).astype(np.uint16))
+    times, valid = np.full(len(frames), np.inf), np.empty(len(frames))
+    for _ in range(2):
+        read = CountReader(board)
+        for number, codes in enumerate(counts):
+            start = process_time()
+            reading = read(codes)
+            times[number] = min(times[number], process_time() - start)
+            valid[number] = reading.valid.mean()
+    return times, valid
+
+
+def table(rows: Iterable[WorstFrames]) -> Iterator[str]:
+    """The boards as lines of text."""
+    yield "longest call, counts to ohms, in usual frames of the same board (first frame apart); valid cells in percent"
+    names = "".join(f"{name:>10}" for name in ("fingers", *EVENTS))
+    yield f"{'board':34}{'array':>9}{'first ms':>9}{'usual us':>9}{names}   valid   afterwards"
+    for row in rows:
+        most = "".join(f"{value:>10.1f}" for value in (row.wandering, *row.events.values()))
+        afterwards = " ".join(f"{value:.0f}" for value in row.back.values())
+        size = f"{row.rows} x {row.columns}"
+        start = f"{row.board:34}{size:>9}{row.first_ms:>9.1f}{row.usual_us:>9.0f}"
+        over = "  over" if row.worst > LIMIT else ""
+        yield f"{start}{most}{row.valid_percent:>8.1f}   {afterwards}{over}"

@@ -1,0 +1,134 @@
+"""The parts of a board as arrays, with one entry per line, crosspoint or column end: a design expanded.
+
+Line coordinates
+----------------
+Inside a board the *rows* are the lines that are driven, and the *columns* are the lines that are sensed. For most
+circuits these are the array's own rows and columns. A circuit that drives columns and senses rows has its array turned:
+:meth:`Parts.turn` takes arrays of the array's shape into line coordinates and back. In line coordinates row i is always
+driven ahead of column 0, and column j is always sensed behind row N - 1.
+
+Readout circuits take :class:`Parts`. All else takes a :class:`._board.Board`, which is the parts with their circuit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from ._sections import Fault, Sheet
+from .solvers import Lines, siemens
+
+T = TypeVar("T", bound=np.generic)
+
+
+@dataclass(frozen=True, eq=False)
+class Parts:
+    """The parts of a design in line coordinates: N rows are driven, M columns are sensed."""
+
+    shape: tuple[int, int]
+    """N, M"""
+    row_ohms: FloatArray
+    """(N, M) ohm of the wire ahead of each crosspoint along its row, breaks included; ``[:, 0]`` is the row's lead"""
+    column_ohms: FloatArray
+    """(N, M) ohm of the wire ahead of each crosspoint along its column, breaks included; ``[0]`` is 0"""
+    column_lead: FloatArray
+    """(M,) ohm behind each column's last crosspoint; inf where the line is broken there"""
+    series_ohms: FloatArray
+    """(N, M) ohm that open-cell faults put in series with the cells"""
+    faults: tuple[Fault, ...]
+    """the design's faults, their places in line coordinates"""
+    reference: FloatArray
+    """(M,) ohm: the amplifiers' Rref, or the dividers' load"""
+    gain: FloatArray
+    """(M,) open-loop gain A"""
+    offset: FloatArray
+    """(M,) V, offset voltages"""
+    bias: FloatArray
+    """(M,) A, bias currents"""
+    drive: float
+    """V of the selected row against the reference"""
+    level: float
+    """V, the reference voltage"""
+    supply: tuple[float, float]
+    """V, output swing"""
+    turned: bool
+    """whether the array's rows are sensed and its columns driven"""
+    floating: bool
+    """whether rows that are not selected are left open"""
+    idle_columns: Literal["float", "load"]
+    """what the columns of a divider that are not being read end in"""
+    continuous: bool
+    """whether the sheet conducts from cell to cell"""
+    sheet: Sheet
+    """geometry of a continuous sheet"""
+
+    @property
+    def line_kinds(self) -> tuple[str, str]:
+        """What the array calls the lines that are driven and those that are sensed: "row" and "column", or reversed."""
+        return ("column", "row") if self.turned else ("row", "column")
+
+    @property
+    def array_shape(self) -> tuple[int, int]:
+        """Rows and columns of the array itself."""
+        return self.shape[::-1] if self.turned else self.shape
+
+    def driven_line(self, row: int) -> int:
+        """The array's number of the line that is row ``row`` of the board, or the other way round."""
+        return self.shape[0] - 1 - row if self.turned else row
+
+    def sensed_line(self, column: int) -> int:
+        """The array's number of the line that is column ``column`` of the board, or the other way round."""
+        return self.shape[1] - 1 - column if self.turned else column
+
+    def turn(self, values: NDArray[T]) -> NDArray[T]:
+        """Arrays (..., rows, columns) of the array in line coordinates, or from line coordinates back: a view."""
+        return values.swapaxes(-1, -2)[..., ::-1, ::-1] if self.turned else values
+
+    @cached_property
+    def inverse_gain(self) -> FloatArray:
+        """(M,) 1 / (1 + A): the share of an error that an amplifier leaves."""
+        return 1.0 / (1.0 + self.gain)
+
+    @cached_property
+    def loop_share(self) -> FloatArray:
+        """(M,) A / (1 + A): the share of its input that a unity-gain amplifier puts out."""
+        return 1.0 / (1.0 + 1.0 / self.gain)
+
+    @cached_property
+    def lift(self) -> FloatArray:
+        """(M,) V that the bias current makes across the reference resistor."""
+        return self.reference * self.bias
+
+    @cached_property
+    def lines(self) -> Lines:
+        """Series conductances along the lines in S, row leads included, column leads not."""
+        return Lines(siemens(self.row_ohms), siemens(self.column_ohms))
+
+    @cached_property
+    def bridges(self) -> tuple[Fault, ...]:
+        """Faults that join two lines."""
+        return tuple(fault for fault in self.faults if fault.bridge)
+
+    @cached_property
+    def shorts(self) -> tuple[Fault, ...]:
+        """Faults across a cell, complete or not."""
+        return tuple(fault for fault in self.faults if fault.kind == "shorted-cell")
+
+    @cached_property
+    def plain(self) -> bool:
+        """Whether the grid is nothing but cells between lines, so that the fast solvers may be used."""
+        return not self.continuous and not self.bridges
+
+    def cell_conductance(self, cells: FloatArray) -> FloatArray:
+        """S of cells (..., N, M) in ohm, open-cell and shorted-cell faults included."""
+        if not self.faults:
+            return siemens(cells)
+        conductance = siemens(cells + self.series_ohms)
+        for fault in self.shorts:
+            conductance[(..., *fault.place)] += siemens(fault.ohms)
+        return conductance

@@ -1,0 +1,38 @@
+"""Node names and values of parts that a readout circuit asks for when it writes its SPICE cards."""
+
+from __future__ import annotations
+
+from .._parts import Parts
+
+REFERENCE = "0"  # SPICE's node 0
+FOLLOWER = "follower"
+ROW_INDEX, COLUMN_INDEX = "row_index", "column_index"
+
+
+class CardWriter:
+    """What a circuit knows of the netlist that its cards go into; :class:`..spice.DeckWriter` writes the rest of it."""
+
+    reference = REFERENCE
+    follower = FOLLOWER
+    board: Parts
+    row: int | None
+    """the selected row; None: the netlist sweeps over all rows"""
+    columns: int
+    """M, sensed lines"""
+    one_by_one: bool
+    """whether each column is read at a point of its own"""
+    ground: str
+    """node of board ground"""
+    name: dict[str, str]
+    """name of each node in the cards, after parts of 0 ohm have merged nodes"""
+    drivers: dict[str, int]
+    """row number by the name of its driving node"""
+
+    def chosen(self, j: int) -> str:
+        """SPICE condition that is true while column ``j`` is read."""
+        return f"abs(v({COLUMN_INDEX})-{j})<0.5"
+
+    def amplifier_parts(self, j: int) -> tuple[float, float, float, float]:
+        """Open-loop gain, Rref in ohm, offset voltage in V and bias current in A of column j's amplifier."""
+        board = self.board
+        return float(board.gain[j]), float(board.reference[j]), float(board.offset[j]), float(board.bias[j])

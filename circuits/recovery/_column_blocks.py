@@ -1,0 +1,150 @@
+"""Gauss-Newton steps in closed form where columns hardly load each other: a diagonal and one product per column.
+
+With grounded idle rows, ideal column lines and light row leads, a reading depends on the conductance D_ij between its
+row driver and its column, and on the sum T_j of its column alone (:meth:`.ReadoutCircuit.column_slopes`). So the
+derivatives by the logarithms of D within one column are
+
+    J = diag(a) + b d',      a_i = D_ij dV_ij/dD_ij,    b_i = dV_ij/dT_j,    d_k = D_kj,
+
+and the normal matrix of a regularised step is diagonal but for two products:
+
+    J'J + 1/s^2 = diag(a^2 + 1/s^2) + Q K Q',    Q = (d, a b),    K = (b'b, 1; 1, 0).
+
+Its inverse follows from a 2 x 2 matrix per column (Woodbury). A step and the posterior variances of all cells thus cost
+a few operations per cell, and nothing needs to be kept from frame to frame.
+
+Row leads r are taken out by D_ij = g_ij / (1 + r_i S_i), S_i being the sum of a row's conductances. What is neglected
+is current that returns from the leads of the rows into other columns. It makes steps converge linearly, at a rate of
+about the largest share :meth:`ColumnBlocks.loss` of a voltage that the leads take.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from .._board import Board
+
+_LEAST_FACTOR = 1e-6  # of a cell in its crosspoint's conductance: beside a fault, below which no reading tells of it
+
+
+class Step(NamedTuple):
+    """The regularised inverse of the derivatives at one point. Arrays are (N, M), logarithms those of the cells."""
+
+    own: FloatArray
+    """standard deviations of a reading per unit of the logarithm of its own D, the column's sum kept"""
+    by_sum: FloatArray
+    """standard deviations of a reading per S of its column's sum"""
+    driven: FloatArray
+    """S, D"""
+    free: FloatArray
+    """inverse of the normal matrix' diagonal part"""
+    mixed: tuple[FloatArray, FloatArray, FloatArray]
+    """(M,) entries 11, 12 and 22 of the inverse of the 2 x 2 matrix"""
+    through_lead: FloatArray
+    """relative change of the crosspoints of a row per relative change of each of its D, by the row's lead"""
+    factor: FloatArray
+    """logarithm of a crosspoint's conductance per logarithm of its cell's"""
+    std: FloatArray
+    """posterior standard deviation of the logarithms"""
+    others: FloatArray
+    """change of the logarithms if all hidden cells go to their ends"""
+    noise: float
+    """V, standard deviation of a reading"""
+
+    def solve(self, volts: FloatArray) -> FloatArray:
+        """Change (n,) of the logarithms for a difference (n,) of the readings in V."""
+        apart = volts.reshape(self.driven.shape) / self.noise
+        normal = self.own * apart + self.driven * np.einsum("ij,ij->j", self.by_sum, apart)
+        free = self.free * normal
+        along_first = np.einsum("ij,ij->j", self.driven, free)
+        along_second = np.einsum("ij,ij->j", self.own * self.by_sum, free)
+        first, both, second = self.mixed
+        change = free - self.free * (
+            self.driven * (first * along_first + both * along_second)
+            + self.own * self.by_sum * (both * along_first + second * along_second)
+        )
+        change += np.einsum("ij,ij->i", self.through_lead, change)[:, None]
+        change /= self.factor
+        flat: FloatArray = change.ravel()
+        return flat
+
+
+class ColumnBlocks:
+    """Makes a :class:`Step` for a board at any cells."""
+
+    def __init__(self, board: Board, to_driver: FloatArray, to_end: FloatArray, noise: float) -> None:
+        """Take the board, ohm (N, M) of wire from each crosspoint to the row driver and to its column's end."""
+        self._board, self._noise = board, noise
+        self._lead = to_driver.mean(axis=1)  # a line with segments counts as one lead
+        self._to_driver, self._to_end = to_driver, to_end
+        finite = bool(np.isfinite(to_driver).all() and np.isfinite(to_end + board.column_lead).all())
+        self.applies = board.plain and finite and not board.floating
+        """whether the board's readings have this form at all"""
+        if self.applies:
+            some = np.full(board.shape, 1e-4)
+            self.applies = board.circuit.column_slopes(board, some, some.sum(axis=0)) is not None
+
+    def loss(self, conductance: FloatArray) -> float:
+        """Largest share of a voltage that is lost where the form does not hold, at crosspoints (N, M) in S."""
+        along = (self._to_driver * conductance).sum(axis=1).max(initial=0.0)
+        return float(along + (self._to_end * conductance).sum(axis=0).max(initial=0.0))
+
+    def at(self, cells: FloatArray, spread: FloatArray, hidden: BoolArray) -> Step:
+        """The step at cells (N, M) in ohm.
+
+        Args:
+            cells: where.
+            spread: (N, M) standard deviation of the logarithms before anything is read.
+            hidden: (N, M) cells whose conductance no reading tells.
+
+        """
+        board, lead = self._board, self._lead[:, None]
+        conductance = board.cell_conductance(cells)
+        factor = np.ones(board.shape)
+        if board.faults:
+            own_part = cells / (cells + board.series_ohms) ** 2
+            factor = np.maximum(own_part / np.maximum(conductance, np.finfo(np.float64).tiny), _LEAST_FACTOR)
+        driven = conductance / (1.0 + lead * conductance.sum(axis=1, keepdims=True))
+        slopes = board.circuit.column_slopes(board, driven, driven.sum(axis=0))
+        assert slopes is not None
+        own, by_sum = driven * slopes[0] / self._noise, slopes[1] / self._noise
+        spread = spread * factor
+        free = 1.0 / (own**2 + spread**-2.0)
+        second_vector = own * by_sum
+        squares = np.einsum("ij,ij->j", by_sum, by_sum)
+        # K^-1 + Q' diag(free) Q, inverted
+        at_first = np.einsum("ij,ij,ij->j", driven, free, driven)
+        at_both = 1.0 + np.einsum("ij,ij,ij->j", driven, free, second_vector)
+        at_second = np.einsum("ij,ij,ij->j", second_vector, free, second_vector) - squares
+        determinant = at_first * at_second - at_both**2
+        first, both, second = at_second / determinant, -at_both / determinant, at_first / determinant
+        lessened = first * driven**2 + 2.0 * both * driven * second_vector + second * second_vector**2
+        information = 1.0 / free + squares * driven**2 + 2.0 * driven * second_vector
+        # No cell is known better than if all others were: rounding must not say so.
+        variance = np.maximum(free - free**2 * lessened, 1.0 / information)
+        through_lead = lead * conductance
+        along = np.einsum("ij,ij,ij->i", through_lead, through_lead, variance)[:, None]
+        spread_of_rows = variance * (1.0 + 2.0 * through_lead) + along
+        std = np.sqrt(spread_of_rows) * (1.0 + 2.0 * self.loss(conductance)) / factor
+        others = np.zeros(board.shape)
+        for i, j in np.argwhere(hidden):
+            weight = np.array([[first[j], both[j]], [both[j], second[j]]])
+            vectors = np.stack([driven[:, j], second_vector[:, j]])
+            shared = -free[:, j] * (vectors.T @ weight @ vectors[:, i]) * free[i, j]
+            shared[i] = variance[i, j]
+            others[:, j] += np.abs(shared) / variance[i, j] * spread[i, j] / factor[:, j]
+        return Step(
+            own=own,
+            by_sum=by_sum,
+            driven=driven,
+            free=free,
+            mixed=(first, both, second),
+            through_lead=through_lead,
+            factor=factor,
+            std=std,
+            others=others,
+            noise=self._noise,
+        )

@@ -1,0 +1,84 @@
+"""Regularised Gauss-Newton steps with the derivatives of all readings by all cells, in instalments of bounded work.
+
+With J (n, n) the derivatives in standard deviations of a reading and s the prior's standard deviations, the inverse of
+the normal matrix P = (J'J + 1/s^2)^-1 holds the posterior covariance, and a step is P J' r. P is found by sweeping
+(block Gauss-Jordan elimination, which needs no pivoting for positive definite matrices). All work is done on panels of
+a few rows, so that it can be interrupted anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ...arrays import FloatArray
+
+_LEAST = 2**23  # multiplications in one instalment, at least
+_PER_ENTRY = 32  # the same per entry of the matrix, where each step reads all of them anyway
+_BLOCK = 32  # unknowns that are swept together
+
+
+class Meter:
+    """Counts the work of an instalment in multiplications of matrix products, so that no clock decides."""
+
+    def __init__(self, size: int, *, beside: bool = False) -> None:
+        """For a matrix of so many rows, which is made ``beside`` usual steps that do without it."""
+        self.limit = _LEAST if beside else max(_LEAST, _PER_ENTRY * size**2)
+        """multiplications in one instalment"""
+        self._spent = 0
+
+    def is_full(self, work: int) -> bool:
+        """Whether an instalment ends before so many further multiplications, which then belong to the next one."""
+        self._spent += work
+        full = self._spent > self.limit and self._spent > work
+        if full:
+            self._spent = work
+        return full
+
+
+class NormalMatrix:
+    """The inverse of the normal matrix, once :meth:`instalments` have come to their end."""
+
+    def __init__(self, jacobian: FloatArray, prior: FloatArray) -> None:
+        """Take J (n, n) and s (n,)."""
+        self._jacobian, self._prior = jacobian, prior
+        self.inverse = np.zeros_like(jacobian)
+        """(n, n): P"""
+
+    def instalments(self, meter: Meter) -> Iterator[None]:
+        """Work, and yield when an instalment is full."""
+        size, matrix = len(self._prior), self.inverse
+        for block in _slices(size, _BLOCK):
+            some = self._jacobian[block]
+            yield from _add_product(matrix, some.T, some, meter)
+        matrix.flat[:: size + 1] += self._prior**-2.0
+        for block in _slices(size, _BLOCK):
+            # One block of the sweep; after all blocks the matrix is minus its inverse.
+            inner = np.linalg.inv(matrix[block, block])
+            inner = 0.5 * (inner + inner.T)
+            across = matrix[block].copy()
+            beside = across.T @ inner
+            yield from _add_product(matrix, -beside, across, meter)
+            matrix[:, block] = beside
+            matrix[block] = beside.T
+            matrix[block, block] = -inner
+        np.negative(matrix, out=matrix)
+
+    def step(self, residual: FloatArray) -> FloatArray:
+        """Change (n,) of the unknowns for residuals (n,) in standard deviations."""
+        change: FloatArray = self.inverse @ (residual @ self._jacobian)
+        return change
+
+
+def _add_product(matrix: FloatArray, left: FloatArray, right: FloatArray, meter: Meter) -> Iterator[None]:
+    """Add ``left @ right`` panel by panel."""
+    for panel in _slices(len(matrix), max(1, meter.limit // (2 * right.size))):
+        if meter.is_full(right.size * (panel.stop - panel.start)):
+            yield
+        matrix[panel] += left[panel] @ right
+
+
+def _slices(size: int, length: int) -> Iterator[slice]:
+    for start in range(0, size, length):
+        yield slice(start, min(start + length, size))

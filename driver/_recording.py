@@ -1,0 +1,170 @@
+"""Recording of a skin to an MCAP file: every byte with its time of arrival, and decoded frames for viewers.
+
+The bytes are what :mod:`._replay` plays through the same driver. The decoded frames are JSON in schemas that Foxglove
+shows without plugins. Chunks are closed every second, so a recording that is cut short loses at most its last second.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import queue
+import struct
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from .. import __version__
+from ..arrays import FloatArray
+from ..errors import InputError, MissingExtra
+from ._frame import Frame
+from ._messages import MESSAGE_SCHEMAS, messages_of
+from ._past import Past
+from ._port import Arrival
+
+if TYPE_CHECKING:
+    from mcap.writer import Writer
+
+BYTES_TOPIC, EVENTS_TOPIC = "/ohmskin/bytes", "/ohmskin/events"
+METADATA = "ohmskin"
+FORMAT = "1"
+STAMP = struct.Struct("<dd")
+"""before the bytes of each arrival: monotonic time and time since the epoch in s, bit for bit as the driver had them"""
+FLUSH_S = 1.0
+CHUNK_BYTES = 2**20
+MOST_WAITING = 1000
+"""decoded frames that wait for the disk"""
+
+
+class Recording:
+    """Writes one recording, for ``Skin.open(port, record=...)`` or for a :class:`Recorder`.
+
+    A file that cannot be written any more (a full disk) ends the recording, not the skin: see :attr:`error`.
+    """
+
+    def __init__(self, path: str | Path, settings: Mapping[str, str], *, overwrite: bool = False) -> None:
+        """Begin a recording.
+
+        Args:
+            path: of the file.
+            settings: what a replay must know beforehand, see :class:`._replay.RecordedSettings`.
+            overwrite: replace a file that is there and not empty.
+
+        Raises:
+            InputError: the file cannot be written, or is there already.
+            MissingExtra: mcap is not installed.
+
+        """
+        try:
+            from mcap.writer import Writer
+        except ImportError as error:
+            raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
+        self.path = Path(path)
+        if not overwrite and self.path.is_file() and self.path.stat().st_size:
+            raise InputError(f"{path}: is there already; choose another name, or ask to overwrite it")
+        self.error: InputError | None = None
+        """why the recording ended before it was closed"""
+        self.frames = 0
+        """decoded frames written"""
+        try:
+            self._file: BinaryIO = self.path.open("wb")
+        except OSError as error:
+            raise self._failure(error) from error
+        self._lock = threading.Lock()
+        self._writer: Writer | None = Writer(self._file, chunk_size=CHUNK_BYTES)
+        self._flush_at = time.monotonic() + FLUSH_S
+        self._writer.start(profile="", library=f"ohmskin {__version__}")
+        self._writer.add_metadata(METADATA, {"format": FORMAT, **settings})
+        self._channels = {
+            BYTES_TOPIC: self._writer.register_channel(BYTES_TOPIC, "application/octet-stream", 0),
+            EVENTS_TOPIC: self._writer.register_channel(EVENTS_TOPIC, "json", 0),
+        }
+        for topic, schema in MESSAGE_SCHEMAS.items():
+            self._channels[topic] = self._writer.register_channel(topic, "json", self._schema(schema))
+        self._guarded(self._writer.flush)
+        self._waiting: queue.Queue[Frame | None] = queue.Queue(MOST_WAITING)
+        self._thread = threading.Thread(target=self._write_frames, name=f"ohmskin recorder {path}", daemon=True)
+        self._thread.start()
+
+    def joined(self, past: Past) -> None:
+        """Note what an open skin remembers, before its next bytes."""
+        self._event({"event": "joined", "past": past.tables()})
+        with self._lock:
+            if self._writer is not None:
+                self._guarded(self._writer.flush)
+
+    def arrived(self, arrival: Arrival) -> None:
+        """Write bytes of the board."""
+        stamp = STAMP.pack(arrival.received_at, arrival.wall_time)
+        self._write(BYTES_TOPIC, arrival.wall_time, stamp + arrival.data)
+
+    def port_gone(self) -> None:
+        """Note that the port has gone away: what follows came over another connection."""
+        self._event({"event": "port gone"})
+
+    def rest_changed(self, rest_ohm: FloatArray | None, after_s: float | None) -> None:
+        """Note new rest resistances (rows, columns), for frames later than ``after_s`` on the monotonic clock."""
+        rest = None if rest_ohm is None else base64.b64encode(rest_ohm.astype("<f8").tobytes()).decode()
+        self._event({"event": "rest", "rest_ohm": rest, "after": None if after_s is None else after_s.hex()})
+
+    def frame(self, frame: Frame) -> None:
+        """Have a decoded frame written, for viewers. Does not wait: left out when the disk is far behind."""
+        with contextlib.suppress(queue.Full):
+            self._waiting.put_nowait(frame)
+
+    def _write_frames(self) -> None:
+        while (frame := self._waiting.get()) is not None:
+            self._write_frame(frame)
+
+    def _write_frame(self, frame: Frame) -> None:
+        for topic, message in messages_of(frame).items():
+            self._write(topic, frame.host_time, json.dumps(message).encode())
+        self.frames += 1
+
+    def close(self) -> None:
+        """End the recording; a second time does nothing.
+
+        Raises:
+            InputError: the file could not be written to the end. What was written before can be read.
+
+        """
+        if self._thread.is_alive():
+            self._waiting.put(None)
+            self._thread.join()
+        with self._lock:
+            writer, self._writer = self._writer, None
+            if writer is not None:
+                self._guarded(writer.finish)
+                self._guarded(self._file.close)
+        if self.error is not None:
+            raise self.error
+
+    def _event(self, event: dict[str, Any]) -> None:
+        self._write(EVENTS_TOPIC, time.time(), json.dumps(event).encode())
+
+    def _write(self, topic: str, wall_time: float, data: bytes) -> None:
+        with self._lock:
+            writer = self._writer
+            if writer is None or self.error is not None:
+                return
+            moment = max(round(wall_time * 1e9), 0)
+            self._guarded(lambda: writer.add_message(self._channels[topic], moment, data, moment))
+            if time.monotonic() >= self._flush_at:
+                self._guarded(writer.flush)
+                self._flush_at = time.monotonic() + FLUSH_S
+
+    def _guarded(self, write: Any) -> None:
+        try:
+            write()
+        except OSError as error:
+            self.error = self.error or self._failure(error)
+
+    def _failure(self, error: OSError) -> InputError:
+        return InputError(f"{self.path}: cannot be written: {error.strerror or error}")
+
+    def _schema(self, schema: Mapping[str, Any]) -> int:
+        assert self._writer is not None
+        return int(self._writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode()))

@@ -1,0 +1,162 @@
+"""The live recovery of coupled boards: its derivatives against the certified ones, and what a frame may cost."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ohmskin.circuits import Design, Reason, adc_codes, scan, sensitivity
+from ohmskin.circuits.recovery import _coupled, _derivatives, _normal_matrix
+from ohmskin.circuits.recovery._column_blocks import ColumnBlocks
+from ohmskin.circuits.recovery._lines import LineResistance
+from ohmskin.circuits.recovery._quick_model import QuickModel
+from ohmskin.driver import CountReader
+
+KINDS = {
+    "divider": ("voltage-divider", "ground", "float"),
+    "loaded": ("voltage-divider", "ground", "load"),
+    "open divider": ("voltage-divider", "float", "float"),
+    "floating loaded": ("voltage-divider", "float", "load"),
+    "feedback": ("voltage-feedback", "ground", "float"),
+    "floating": ("inverting-amplifier", "float", "float"),
+    "floating rows": ("row-amplifier", "float", "float"),
+}
+BY_COLUMN = ("divider", "loaded", "feedback")
+
+
+def board(kind: str, rows: int, columns: int, bits: int = 12, *, fault: Any = (), **array: Any) -> Design:
+    circuit, idle_rows, idle_columns = KINDS[kind]
+    amplified = circuit.endswith("amplifier")
+    readout = {"circuit": circuit, "reference_resistance": 2e3 if amplified else 5e3, "idle_columns": idle_columns}
+    if circuit != "voltage-divider":
+        readout |= {"open_loop_gain": 1e4, "offset_voltage": 1e-3}
+    return Design.model_validate(
+        {
+            "array": {"rows": rows, "columns": columns, "row_lead": 5.0, "column_lead": 5.0} | array,
+            "drive": {"voltage": -1.0 if amplified else 3.3, "idle_rows": idle_rows},
+            "readout": readout,
+            "adc": {"bits": bits, "range": [0.0, 3.3]},
+            "fault": fault,
+        }
+    )
+
+
+FAULTS = (
+    {"kind": "shorted-cell", "place": [1, 1], "resistance": 2e3},
+    {"kind": "open-cell", "place": [2, 1], "resistance": 2e4},
+)
+
+
+@pytest.mark.parametrize("segment", [0.0, 0.5, 8.0])
+@pytest.mark.parametrize("kind", KINDS)
+def test_derivatives_are_those_of_the_adjoint_method(kind: str, segment: float) -> None:
+    design = board(kind, 5, 4, row_segment=segment, column_segment=segment, fault=FAULTS)
+    cells = 10 ** np.random.default_rng(1).uniform(2.8, 4.3, (5, 4))
+    there = design.board
+    found = np.full((20, 20), np.nan)
+    meter, model = _normal_matrix.Meter(20), QuickModel(there, LineResistance(there))
+    for _ in _derivatives.derivatives(there, there.turn(cells), model, meter, out=found):
+        pass
+    exact = sensitivity(design, cells).cell_conductance
+    if there.turned:
+        exact = exact.swapaxes(0, 1)[::-1, ::-1].swapaxes(-1, -2)[..., ::-1, ::-1]
+    # A crosspoint's branch holds the cell with what is in series; sensitivities are by the cell without a shunt.
+    np.testing.assert_allclose(found, exact.reshape(20, 20), rtol=2e-3, atol=1e-4 * np.abs(exact).max())
+
+
+@pytest.mark.parametrize("bits", [8, 12])
+@pytest.mark.parametrize("kind", BY_COLUMN)
+def test_steps_in_closed_form_are_those_of_the_whole_matrix(kind: str, bits: int) -> None:
+    """To rounding on ideal lines, and to the share that the leads take on others."""
+    for lead, agreement in ((0.0, 1e-9), (2.0, 0.05)):
+        there = board(kind, 6, 5, bits, row_lead=lead, column_lead=lead, fault=FAULTS).board
+        lines, cells = LineResistance(there), 10 ** np.random.default_rng(2).uniform(3.0, 4.3, (6, 5))
+        jacobian = np.empty((30, 30))
+        for _ in _derivatives.derivatives(
+            there, cells, QuickModel(there, lines), _normal_matrix.Meter(30), out=jacobian
+        ):
+            pass
+        noise = 3.3 / 2**bits / np.sqrt(12.0)
+        jacobian *= ((cells + there.series_ohms) ** -2.0 * cells / noise).ravel()
+        covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(30) / 9.0)
+        blocks = ColumnBlocks(there, lines.to_driver, lines.to_end, noise)
+        step = blocks.at(cells, np.full((6, 5), 3.0), np.zeros((6, 5), dtype=np.bool_))
+        apart = np.random.default_rng(3).normal(scale=noise, size=30)
+        expected = covariance @ (jacobian.T @ (apart / noise))
+        assert np.abs(step.solve(apart) - expected).max() <= agreement * np.abs(expected).max()
+        std = np.sqrt(np.diagonal(covariance)).reshape(6, 5)
+        assert (step.std >= std * (1.0 - 1e-9)).all()
+        np.testing.assert_allclose(step.std, std, rtol=max(agreement, 1e-6))
+
+
+@pytest.mark.parametrize("size", [5, 64, 200])
+def test_the_normal_matrix_is_inverted_in_instalments_of_bounded_work(
+    size: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_normal_matrix, "_LEAST", 2**14)
+    monkeypatch.setattr(_normal_matrix, "_PER_ENTRY", 4)
+    spent: list[int] = []
+    counting = _normal_matrix.Meter.is_full
+
+    def is_full(self: _normal_matrix.Meter, work: int) -> bool:
+        full = counting(self, work)
+        if full or not spent:
+            spent.append(0)
+        spent[-1] += work
+        return full
+
+    monkeypatch.setattr(_normal_matrix.Meter, "is_full", is_full)
+    draw = np.random.default_rng(size)
+    jacobian, prior = draw.normal(size=(size, size)), draw.uniform(0.5, 3.0, size)
+    normal, meter = _normal_matrix.NormalMatrix(jacobian, prior), _normal_matrix.Meter(size)
+    instalments = 1 + sum(1 for _ in normal.instalments(meter))
+    expected = np.linalg.inv(jacobian.T @ jacobian + np.diag(prior**-2.0))
+    np.testing.assert_allclose(normal.inverse, expected, rtol=1e-9, atol=1e-12)
+    residual = draw.normal(size=size)
+    np.testing.assert_allclose(normal.step(residual), expected @ jacobian.T @ residual, rtol=1e-8, atol=1e-12)
+    assert instalments == len(spent)
+    assert max(spent) <= meter.limit
+    assert sum(spent) == 2 * size**3  # nothing is left out of the account
+    if size == 200:
+        assert instalments > 20
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_event_takes_more_than_a_frame_s_work(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hard press of all cells at once, cells at a limit, a dead row, and back: counted per frame."""
+    done: dict[str, int] = {}
+
+    def count(where: Any, name: str) -> None:
+        real = getattr(where, name)
+
+        def counting(*given: Any, **named: Any) -> Any:
+            done[name] = done.get(name, 0) + 1
+            return real(*given, **named)
+
+        monkeypatch.setattr(where, name, counting)
+
+    count(_coupled.CoupledLive, "_known_at")
+    count(_coupled.CoupledLive, "_renew")
+    count(_coupled.CoupledLive, "_based_on")
+    design = board(kind, 7, 8)
+    rest = 1e4 * 10 ** np.random.default_rng(0).uniform(-0.05, 0.05, (7, 8))
+    pressed, limited, dead = 0.1 * rest, rest.copy(), rest.copy()
+    limited.flat[:49:7] = 5.0
+    dead[3] = np.inf
+    read = CountReader(design)
+    for number, cells in enumerate((rest, pressed, rest, limited, rest, dead, rest)):
+        counts = adc_codes(design, scan(design, cells).volts)
+        for again in range(6):
+            done.clear()
+            reading = read(counts)
+            if number or again:
+                assert done.get("_known_at", 0) <= _coupled.USUAL_EFFORT.evaluations + 1
+                assert done.get("_renew", 0) <= _coupled.USUAL_EFFORT.instalments
+                assert "_based_on" not in done
+            if reading.valid.any():
+                off = np.abs(reading.resistance / cells - 1.0)[reading.valid]
+                assert (off <= reading.uncertainty[reading.valid]).all()
+        if cells is rest:
+            assert not (reading.reason == Reason.UNSETTLED).any()

@@ -1,0 +1,122 @@
+"""The noise of readings, measured while a skin is pressed; and which cells are valid on boards that people build."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.driver import CountReader
+from ohmskin.driver._scatter import Scatter
+
+STEP = 1e-3
+
+
+def measured(readings: np.ndarray, *, shared: bool) -> list[float]:
+    """Standard deviations in ADC steps after each frame of (frames, rows, columns) V."""
+    scatter, seen = Scatter(STEP, assumed=True, shared=shared), []
+    for volts in readings:
+        scatter.update(STEP * np.round(volts / STEP), 0)
+        seen.append(scatter.std / STEP)
+    return seen
+
+
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize("cells", [(2, 2), (8, 8), (16, 24)])
+@pytest.mark.parametrize("steps", [0.6, 3.0, 40.0])
+def test_noise_is_known_after_a_few_frames(cells: tuple[int, int], steps: float, shared: bool) -> None:
+    """From the fourth frame on; with four cells, and far above a step, a little later."""
+    noise = np.random.default_rng(1).normal(scale=steps * STEP, size=(200, *cells))
+    seen = np.array(measured(noise, shared=shared))[3 if steps < 10 and cells != (2, 2) else 8 :] / steps
+    assert seen.min() > (0.8 if cells != (2, 2) else 0.4)
+    assert np.median(seen) < (1.3 if cells != (2, 2) else 2.2)
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_noise_that_grows_is_noticed_and_noise_that_ends_is_forgotten(shared: bool) -> None:
+    rng = np.random.default_rng(2)
+    scale = np.repeat([1.0, 10.0, 1.0], [20, 20, 80])[:, None, None]
+    seen = measured(scale * STEP * rng.normal(size=(120, 6, 6)), shared=shared)
+    assert seen[22] > 8  # the third frame of it
+    assert seen[60] > 1
+    assert seen[-1] < 1.8
+
+
+def test_a_press_that_moves_all_readings_of_a_coupled_board_is_no_noise() -> None:
+    rng = np.random.default_rng(3)
+    time = np.arange(60)
+    load = np.interp(time, [10, 18, 35, 36], [0.0, 1.0, 1.0, 0.0])[:, None, None]  # slowly on, at once off
+    volts = 0.3 * load * rng.uniform(0.2, 1.0, (8, 8)) + rng.normal(scale=0.5 * STEP, size=(60, 8, 8))
+    assert max(measured(volts, shared=True)) < 1.5
+    assert max(measured(volts, shared=False)) > 3
+
+
+def test_one_jump_of_all_readings_is_no_noise_either() -> None:
+    rng = np.random.default_rng(4)
+    volts = np.repeat([0.0, 1.0], 20)[:, None, None] + rng.normal(scale=STEP, size=(40, 8, 8))
+    assert max(measured(volts, shared=False)) < 4
+
+
+def divider(bits: int, reference_ohm: float, idle_rows: str) -> Design:
+    return Design.model_validate(
+        {
+            "array": {"rows": 8, "columns": 8, "row_lead": 25.0},
+            "drive": {"voltage": 3.3, "idle_rows": idle_rows},
+            "readout": {"circuit": "voltage-divider", "reference_resistance": reference_ohm},
+            "adc": {"bits": bits, "range": [0.0, 3.3]},
+        }
+    )
+
+
+@pytest.mark.parametrize(
+    ("bits", "reference_ohm", "idle_rows"),
+    [
+        (8, 1e3, "ground"),
+        (8, 4.7e3, "ground"),
+        (8, 1e3, "float"),
+        (10, 1e3, "float"),
+        (10, 4.7e3, "float"),
+        (12, 1e3, "float"),
+    ],
+)
+def test_cells_of_usual_dividers_are_valid_at_rest_and_pressed(bits: int, reference_ohm: float, idle_rows: str) -> None:
+    """Cells of 10 kohm, a finger that presses one of them to a tenth, noise of 1 mV; none is off by a factor of two."""
+    design, rng = divider(bits, reference_ohm, idle_rows), np.random.default_rng(5)
+    read, rest = CountReader(design), 1e4 * np.exp(rng.normal(0, 0.1, (8, 8)))
+    row, column = np.indices((8, 8))
+    finger = np.exp(-((row - 2.3) ** 2 + (column - 5.1) ** 2) / 1.3)
+    valid, within, worst = [], [], 0.0
+    for load in np.r_[np.zeros(10), np.linspace(0.0, 1.0, 10), np.ones(8)]:
+        cells = rest / (1.0 + 9.0 * load * finger)
+        reading = read(adc_codes(design, scan(design, cells).volts + rng.normal(scale=1e-3, size=(8, 8))))
+        found = reading.valid
+        off = np.abs(reading.resistance / cells - 1.0)[found]
+        worst = max(worst, float(off.max(initial=0.0)))
+        within += (off / reading.uncertainty[found]).tolist()
+        valid.append(found)
+    assert np.mean(valid[2:10]) == 1.0
+    assert np.mean(valid[-8:]) == 1.0
+    assert max(within) < 5.0 / 3.0
+    assert np.sqrt(np.mean(np.square(within))) > 0.05  # an uncertainty that tells something
+    assert worst < 0.5
+
+
+def test_cells_that_are_known_to_a_factor_of_two_are_not_valid() -> None:
+    """A reference resistor a hundredth of the cells: one step of eight bits is a third of the signal and more."""
+    design = divider(8, 1e3, "ground")
+    read = CountReader(design)
+    for _ in range(3):
+        reading = read(adc_codes(design, scan(design, np.full((8, 8), 4e5)).volts))
+    assert not reading.valid.any()
+
+
+def test_readings_that_stand_still_become_valid_again_after_noise() -> None:
+    """The noise of a second ago is forgotten, though the same counts come again and again."""
+    design, rng = divider(10, 1e3, "float"), np.random.default_rng(6)
+    read, volts = CountReader(design), scan(design, np.full((8, 8), 1e4)).volts
+    for _ in range(10):
+        noisy = read(adc_codes(design, volts + rng.normal(scale=0.04, size=(8, 8))))
+    quiet = [read(adc_codes(design, volts)) for _ in range(120)]
+    assert not noisy.valid.all()
+    assert quiet[-1].valid.all()
+    assert quiet[-1].uncertainty.max() < 0.3 * noisy.uncertainty.min()
