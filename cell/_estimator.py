@@ -65,6 +65,9 @@ USUAL = 1.1
 """times full scale beyond which the excess over full scale counts as standard deviation"""
 FIRST_READINGS = 4
 """averaged before the first estimate of a cell is final"""
+UNKNOWN_PAST = 0.25
+"""of the first pressure of a cell: its standard deviation, since a load that began just now shows as much more than one
+that has been there for long; it falls as the doubt about a gap does"""
 AFTER_GAP, AFTER_GAP_S = 0.3, 10.0
 """share of the doubt about a gap that the first reading after it leaves, and the time in which that falls to 1/e"""
 
@@ -87,7 +90,8 @@ class Conditions:
 class Estimator(ABC):
     """Pressure of an array of cells; made by :meth:`ohmskin.cell.Cell.estimator`.
 
-    Call :meth:`step` for every frame. The first reading of a cell is taken as one at rest or long held.
+    Call :meth:`step` for every frame. The first reading of a cell is taken as one at rest or long held, and the
+    standard deviation tells of the doubt (:data:`UNKNOWN_PAST`).
     """
 
     rows: tuple[str, ...] = ("pressure", "gain", "variance")
@@ -284,6 +288,9 @@ class Estimator(ABC):
             self._readings[new] += 1
             self._mean[new] += (r[new] - self._mean[new]) / self._readings[new]
             self._memory[:, new] = self._begin(self._mean[new])
+            if len(self.rows) > len(Estimator.rows):  # what the cell bore before counts
+                first = new[self._readings[new] == 1]
+                self._gaps.doubt(first, UNKNOWN_PAST * np.abs(self._memory[PRESSURE, first]))
             self._line[:, new] = smoothing.begin(self._mean[new], 1.0)
             self._awake[new] = True
             self._stale = True
@@ -698,6 +705,11 @@ class _Gaps:
         if self.doubtful and float(self.variance.max()) < (1e-3 * most_kpa) ** 2:
             self._left[:] = 0.0
             self.doubtful = self.open
+
+    def doubt(self, cells: IntArray, std_kpa: FloatArray) -> None:
+        """Add a standard deviation in kPa to what readings leave open of these cells."""
+        self._left[cells] += std_kpa**2
+        self._renew()
 
     def _renew(self) -> None:
         self.open = bool(self.unread_s.any())

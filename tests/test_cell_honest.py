@@ -162,3 +162,22 @@ def test_a_cell_at_rest_shows_no_load_whatever_its_curve_says() -> None:
     pressure, std = honesty.estimated(cell, read, np.ones(200, dtype=bool), 0.01)
     assert not pressure[-1].any()
     assert (std[-1] > 0.08 * EXAMPLE.full_scale_kpa).all()
+
+
+@pytest.mark.parametrize("kpa", [3.0, 9.0, 14.0])
+@pytest.mark.parametrize("after_s", [0.05, 0.2, 1.5])
+def test_a_first_reading_under_load_is_no_long_hold_without_a_doubt(kpa: float, after_s: float) -> None:
+    """The skin is opened after a press has begun; it lasts for two seconds, and two more follow."""
+    cell, dt = Cell.example(), 0.02
+    time = np.arange(0.0, 10.0, dt)
+    load = kpa * np.interp(time, [0.1, 0.15, 2.1, 2.15, 4.0, 4.05, 5.0, 5.05, 7.0, 7.05, 8.0, 8.05], [0, 1, 1, 0] * 3)
+    board, estimator = cell.forward((4,)), cell.estimator((4,))
+    noise = np.random.default_rng(0).normal(scale=1e-3, size=(len(time), 4))
+    ratios = []
+    for now, true, scatter in zip(time, load, noise, strict=True):
+        ohm = board.step(dt, np.full(4, true)) * (1.0 + scatter)
+        if now > 0.1 + after_s:
+            pressure = estimator.step(dt, ohm)
+            ratios.append(np.abs(pressure - true) / estimator.std_kpa)
+    assert np.mean(np.array(ratios) > 2.0) < 0.05
+    assert np.mean(np.array(ratios) > 3.0) < 0.02

@@ -10,6 +10,11 @@ import numpy as np
 from .. import plots
 from ..arrays import BoolArray, FloatArray
 
+NUMBERED_CELL_IN, CELL_IN = 0.42, 0.2
+"""side of a cell of a :func:`value_map`, with room for a number or without"""
+LARGEST_MAP_IN = 3.6
+"""longer side of a map: two fit on a printed page, with their text"""
+
 
 def heat_maps(
     maps: Mapping[str, FloatArray],
@@ -50,8 +55,9 @@ def heat_maps(
 def value_map(array: FloatArray, *, label: str, top: float, limit: float | None) -> str:
     """One array (rows, columns) of magnitudes from 0 to ``top``, the limit marked on the scale; NaN stays empty."""
     rows, columns = array.shape
-    width = min(max(3.2, 0.42 * columns + 1.6), 8.4)
-    height = min(max(2.0, (width - 1.2) * rows / columns), 7.0)
+    numbered = rows * columns <= 64
+    side = min(NUMBERED_CELL_IN if numbered else CELL_IN, LARGEST_MAP_IN / max(rows, columns))
+    width, height = max(3.2, side * columns + 1.6), max(2.0, side * rows + 0.6)
     with plots.drawing(1, 1, width=width, height=height) as (figure, ((panel,),)):
         image = panel.imshow(array, cmap="viridis_r", vmin=0.0, vmax=top, interpolation="nearest")
         panel.grid(visible=False)
@@ -59,7 +65,7 @@ def value_map(array: FloatArray, *, label: str, top: float, limit: float | None)
         panel.set_xticks(range(columns) if columns <= 16 else [0, columns - 1])
         panel.set_yticks(range(rows) if rows <= 16 else [0, rows - 1])
         panel.tick_params(length=0)
-        if rows * columns <= 64:
+        if numbered:
             for (i, j), value in np.ndenumerate(array):
                 if np.isfinite(value):
                     colour = "w" if value > 0.6 * top else plots.INK
