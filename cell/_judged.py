@@ -101,20 +101,14 @@ def mixed(judged: Sequence[Judged], reference: Sequence[Judged], share: float) -
 def best_share(judged: Sequence[Judged], reference: Sequence[Judged]) -> float:
     """The share from 0 to 1 of an estimator, beside a reference, that makes the held-out errors least (stacking).
 
-    Least squares over the folds, each with the same weight, less one standard error by the jackknife over folds: what
-    rests on one fold alone does not count.
+    Least squares over the folds, each with the same weight.
     """
-    products, squares = np.array(
-        [
-            (np.mean(other.error * (other.error - one.error)), np.mean((other.error - one.error) ** 2))
-            for one, other in zip(judged, reference, strict=True)
-        ]
-    ).T
-    count = len(squares)
-    share = products.sum() / max(squares.sum(), 1e-30)
-    without = (products.sum() - products) / np.maximum(squares.sum() - squares, 1e-30)
-    error = float(np.sqrt((count - 1) / count * np.sum((without - without.mean()) ** 2)))
-    return float(np.clip(share - error, 0.0, 1.0))
+    products = squares = 0.0
+    for one, other in zip(judged, reference, strict=True):
+        difference = other.error - one.error
+        products += float(np.mean(other.error * difference))
+        squares += float(np.mean(difference**2))
+    return float(np.clip(products / max(squares, 1e-30), 0.0, 1.0))
 
 
 def standard_errors_better(judged: Sequence[Judged], reference: Sequence[Judged]) -> float:
