@@ -4,8 +4,9 @@ A scene of fingers that wander over a skin is turned into packets beforehand, wi
 reader of a :class:`ohmskin.driver.Skin` then takes every frame with its validity, pressure and standard deviation, from
 a port in memory. The processor time of that is what frames per second are stated from. The same packets go through the
 stages alone, in turn with the skin: packets (:mod:`ohmskin.wire`), counts to ohms
-(:class:`ohmskin.driver.CountReader`), ohms to kPa (an estimator of the cell). The rest is the skin's: numbering and
-timing of frames, hand-over between threads, and standard deviations.
+(:class:`ohmskin.driver.CountReader`), ohms to kPa (an estimator of the cell). Standard deviations are
+computed when the reader asks for them, and timed there. The rest is the skin's: numbering and
+timing of frames, and hand-over between threads.
 
 :func:`driver` goes through the boards, with the default estimator; :func:`live_estimators` through the estimators, on
 one kind of board.
@@ -74,6 +75,8 @@ class Row:
     """median per frame"""
     ohms_us: float
     kpa_us: float
+    std_us: float
+    """standard deviations, which are computed when the reader asks for them"""
     skin_us: float
     """the rest of what the reader waits for"""
     worst_frame: float
@@ -88,11 +91,10 @@ class Row:
     """of a valid cell in any frame"""
 
     @property
-    def shares(self) -> tuple[float, float, float, float]:
-        """Of a usual frame's time: packets, counts to ohms, ohms to kPa, and the rest of the skin."""
-        stages = self.decode_us, self.ohms_us, self.kpa_us, self.skin_us
-        whole = sum(stages)
-        return stages[0] / whole, stages[1] / whole, stages[2] / whole, stages[3] / whole
+    def shares(self) -> tuple[float, ...]:
+        """Of a usual frame's time: packets, counts to ohms, ohms to kPa, standard deviations, the rest of the skin."""
+        stages = self.decode_us, self.ohms_us, self.kpa_us, self.std_us, self.skin_us
+        return tuple(part / sum(stages) for part in stages)
 
 
 def driver(sizes: Iterable[int], *, frames: int = FRAMES) -> Iterator[Row]:
@@ -166,7 +168,7 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
     packets = packets_of(board, cells)
     decode, read = host_protocol("ohmskin"), CountReader(board)
     estimator = cell.estimator(board.array.shape, name)
-    times = np.empty((frames, 4))
+    times = np.empty((frames, 5))
     found_ohm, valid = np.empty_like(cells), np.empty(cells.shape, dtype=np.bool_)
     found_kpa = np.empty_like(cells)
     port = PacedPort(packets, 1.0)
@@ -183,14 +185,16 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
             port.work(1.0)  # the next frame comes, and perhaps others after it: the port's clock shows no real time
             taking = process_time()
             frame = skin.read(0.0)
+            taken = process_time()
             _ = frame.pressure_std
-            times[number] = decoded - start, solved - decoded, estimated - solved, process_time() - taking
+            asked = process_time()
+            times[number] = decoded - start, solved - decoded, estimated - solved, asked - taken, asked - taking
             found_ohm[number], valid[number], found_kpa[number] = frame.resistance, frame.valid, frame.pressure
-    whole = times[:, 3]
+    whole = times[:, 4]
     usual = float(np.median(whole))
     off_ohm = np.abs(found_ohm / cells - 1.0)[valid]
     off_kpa = (found_kpa - pressure)[valid]
-    decode_s, ohms_s, kpa_s, _ = (float(part) for part in np.median(times, axis=0))
+    decode_s, ohms_s, kpa_s, std_s, _ = (float(part) for part in np.median(times, axis=0))
     return Row(
         size=board.array.rows,
         circuit=board.readout.circuit,
@@ -203,7 +207,8 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
         decode_us=1e6 * decode_s,
         ohms_us=1e6 * ohms_s,
         kpa_us=1e6 * kpa_s,
-        skin_us=1e6 * max(usual - decode_s - ohms_s - kpa_s, 0.0),
+        std_us=1e6 * std_s,
+        skin_us=1e6 * max(usual - decode_s - ohms_s - kpa_s - std_s, 0.0),
         worst_frame=float(whole[10:].max()) / usual,
         valid_percent=100.0 * float(valid.mean()),
         worst_ohm_error_percent=100.0 * float(off_ohm.max(initial=0.0)),
@@ -272,13 +277,13 @@ def table(rows: Iterable[Row]) -> str:
     head = (
         "frames per second of processor time on one core that a reader of a skin gets, bytes to kPa with standard "
         "deviations; worst frame in medians; errors of valid cells\n"
-        "    cells  circuit              idle    bits saturated  frames/s  decode   ohms    kPa  skin us  worst   valid"
-        "   ohm error   RMSE  worst kPa"
+        "    cells  circuit              idle    bits saturated  frames/s  decode   ohms    kPa    std  skin us  worst"
+        "   valid   ohm error   RMSE  worst kPa"
     )
     lines = (
         f"{row.size:>4} x {row.size:<4}{row.circuit:<20} {row.idle_rows:<7}{row.bits:>4}{row.saturated_cells:>8}"
-        f"{row.frames_per_second:>12.0f}{row.decode_us:>8.0f}{row.ohms_us:>7.0f}{row.kpa_us:>7.0f}{row.skin_us:>6.0f}"
-        f"{row.worst_frame:>10.1f}{row.valid_percent:>7.1f} %{row.worst_ohm_error_percent:>9.2f} %"
+        f"{row.frames_per_second:>12.0f}{row.decode_us:>8.0f}{row.ohms_us:>7.0f}{row.kpa_us:>7.0f}{row.std_us:>7.0f}"
+        f"{row.skin_us:>6.0f}{row.worst_frame:>10.1f}{row.valid_percent:>7.1f} %{row.worst_ohm_error_percent:>9.2f} %"
         f"{row.rmse_kpa:>9.3f}{row.worst_kpa:>9.2f}"
         for row in rows
     )
@@ -289,7 +294,7 @@ def estimator_table(rows: Iterable[Row]) -> str:
     """The estimators as text."""
     head = (
         "speed against error of the live path, by estimator: shares of the stages in a frame's time, errors in kPa\n"
-        "    cells  estimator    frames/s   decode    ohms     kPa    skin     RMSE  worst cell"
+        "    cells  estimator    frames/s   decode    ohms     kPa     std    skin     RMSE  worst cell"
     )
     lines = (
         f"{row.size:>4} x {row.size:<4}{row.estimator:<10}{row.frames_per_second:>11.0f}"

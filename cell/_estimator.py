@@ -394,10 +394,10 @@ class Estimator(ABC):
             self._pressure[cells] = memory[PRESSURE]
             return
         at_rest = self._noise.at_rest
-        noise = line[smoothing.LEVEL] + 1.0
+        noise = line[smoothing.LEVEL] + _ONE
         noise *= noise
         noise *= at_rest if every else at_rest.take(cells, mode="clip")
-        noise += LEAST_NOISE
+        noise += _LEAST_NOISE
         if self._sparks.cells.size:
             self._put_back(dt, reading)
         smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
@@ -512,7 +512,7 @@ class Estimator(ABC):
         block = self._block
         jump = reading - block.line_before[smoothing.LEVEL]
         size = np.abs(jump)
-        if float(size.max()) <= LARGE_JUMP * self._full_scale_r:
+        if size.item(size.argmax()) <= LARGE_JUMP * self._full_scale_r:
             return
         least = np.maximum(CLEAR_JUMP * noise, LARGE_JUMP * self._full_scale_r)
         place = np.flatnonzero(begun & (size > least))
@@ -611,6 +611,8 @@ class Estimator(ABC):
 _ZERO = np.zeros(1)
 LEAST_NOISE = 1e-9
 """of r: keeps a division by the noise finite"""
+_ONE, _LEAST_NOISE = np.array(1.0), np.array(LEAST_NOISE)
+# As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
 
 
 def _no_doubt() -> FloatArray:

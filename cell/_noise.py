@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray, median
 
 READINGS = 200
 """over which the variance is averaged"""
@@ -119,7 +119,7 @@ class NoiseMeter:
             np.maximum(self.at_rest, self.resolution, out=self.at_rest)
 
     def _pool(self) -> None:
-        middle = float(np.median(self._variance[:: 1 + self._variance.size // ENOUGH]))
+        middle = median(self._variance[:: 1 + self._variance.size // ENOUGH])
         if self._variance.size >= MANY:
             np.minimum(self._variance, ABOVE_POOL * middle + LEAST**2, out=self._variance)
         self.typical = middle**0.5

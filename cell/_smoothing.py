@@ -33,7 +33,7 @@ LEVEL, SLOPE, COUNT, SUMS = 0, 1, 2, slice(3, 5)
 """rows of the memory: the line now, its slope per second, readings since it began; sums of departures upwards and
 downwards"""
 ROWS = 5
-_ALLOWED, _ZERO, _ONE = np.array(ALLOWED), np.array(0.0), np.array(1.0)
+_ALLOWED, _FAR, _ZERO, _ONE = np.array(ALLOWED), np.array(FAR), np.array(0.0), np.array(1.0)
 # NumPy makes an array of a float in every call.
 
 
@@ -155,15 +155,16 @@ def advance(
 
 def _begin_again(m: Scratch, begun: BoolArray, r: FloatArray) -> None:
     """New lines where ``begun``: a far reading begins one by itself, a near one together with the line so far."""
-    near = np.less(np.abs(m.z, out=m.z), FAR, out=m.near)
+    near = np.less(np.abs(m.z, m.z), _FAR, m.near)
     near &= begun
-    np.copyto(m.since, 0.0, where=begun)
+    np.copyto(m.since, _ZERO, where=begun)
     np.copyto(m.level, r, where=begun)
-    np.copyto(m.share, 1.0, where=begun)
-    m.off *= 1.0 - NEAR
-    np.subtract(r, m.off, out=m.expected)
-    np.copyto(m.level, m.expected, where=near)
-    np.copyto(m.count, 1.0, where=near)
+    np.copyto(m.share, _ONE, where=begun)
+    if np.count_nonzero(near):
+        m.off *= 1.0 - NEAR
+        np.subtract(r, m.off, m.expected)
+        np.copyto(m.level, m.expected, where=near)
+        np.copyto(m.count, _ONE, where=near)
 
 
 @lru_cache(maxsize=1024)

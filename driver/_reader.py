@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from math import inf
 
 from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
@@ -74,7 +75,7 @@ class Reader:
         self._stop = threading.Event()
         self._heard = False
         """a frame has come since the board was last asked"""
-        self._proof_until = float("inf")
+        self._proof_until = inf
         """set while the board has yet to show that it is the one from before"""
         self._proofs: set[type[object]] = set()
         """packets that are still to come for that"""
@@ -227,7 +228,7 @@ class Reader:
             now = time.monotonic()
             if now > self._proof_until:
                 raise LinkError(f"{port.name}: the board there does not show that it is the one from before")
-            known = self.introduced.is_set() and self._proof_until == float("inf")
+            known = self.introduced.is_set() and self._proof_until == inf
             if self._heard and known:
                 ask_at, self._heard = now + ASK_AGAIN_S, False
             elif now >= ask_at:
@@ -298,7 +299,7 @@ class Reader:
             following = None if packet.sequence is None else (packet.sequence + 1) % 2**32
             self.stream.announce(following, packet.boot_id)
             return
-        if self._proof_until < float("inf"):
+        if self._proof_until < inf:
             if self._proofs:
                 self._unproven.append((packet, arrival))
                 return
@@ -322,7 +323,7 @@ class Reader:
 
     def _get_to_know(self, event: Identity | Description) -> None:
         """Take what the board says of itself; after a reconnection, compare it with what it said before."""
-        if self._proof_until < float("inf"):
+        if self._proof_until < inf:
             difference = self.introduction.difference(event)
             if difference:
                 raise LinkError(f"{self.port_name}: {difference}")
@@ -340,7 +341,7 @@ class Reader:
 
     def _prove(self) -> None:
         """The board there is the one from before."""
-        self._proof_until = float("inf")
+        self._proof_until = inf
         self._away_since = None
         self._counters.reconnects += 1
         self._counters.times_s.clear()

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, median
 from ..cell import Cell
 from ._reading import Reading
 
@@ -49,6 +49,7 @@ class SystematicError:
         inside = np.flatnonzero((pressure > MARGIN * full) & (pressure < (1 - MARGIN) * full))
         order = inside[np.argsort(pressure[inside])]
         self._pressure, self._by_reading, self._by_rest = pressure[order], by_reading[order], by_rest[order]
+        self._by_both = self._by_reading + 1j * self._by_rest  # so that one look-up gives both slopes
         self.rest_spread: float | None = None
         """relative, of the cells' rest resistances about that of the data sheet: the least that was seen"""
         self._before: FloatArray | None = None
@@ -85,12 +86,12 @@ class SystematicError:
     def _variance(self, steps: _Steps, spread: float, pressure_kpa: FloatArray) -> FloatArray:
         if not self._pressure.size:
             return np.zeros_like(pressure_kpa)
-        error = np.interp(pressure_kpa, self._pressure, self._by_reading)
-        error *= steps.relative_std()
-        error *= error
-        if spread:
-            error += (np.interp(pressure_kpa, self._pressure, self._by_rest) * spread) ** 2
-        return error
+        steps_std = steps.relative_std()
+        if not spread:
+            by_steps: FloatArray = np.interp(pressure_kpa, self._pressure, self._by_reading) * steps_std
+            return by_steps * by_steps
+        slopes = np.interp(pressure_kpa, self._pressure, self._by_both)
+        return (slopes.real * steps_std) ** 2 + (slopes.imag * spread) ** 2
 
     def _look(self, resistance_ohm: FloatArray) -> None:
         """Measure the spread of the cells every few frames, and keep the least: loads only add to it."""
@@ -145,14 +146,8 @@ class _Steps(NamedTuple):
 
 def _median_size(values: FloatArray) -> float | None:
     """Median of the finite absolute values; None where they are too few."""
-    sizes = np.abs(values).ravel()
-    sizes = sizes[np.isfinite(sizes)]
-    if sizes.size < LEAST_CELLS:
-        return None
-    middle = sizes.size // 2
-    # numpy.median, without what it does for axes and NaN: several times the work on a small array.
-    sizes.partition((middle - 1, middle) if sizes.size % 2 == 0 else (middle,))
-    return float(sizes[middle] if sizes.size % 2 else (sizes[middle - 1] + sizes[middle]) / 2)
+    sizes = np.abs(values[np.isfinite(values)])
+    return None if sizes.size < LEAST_CELLS else median(sizes)
 
 
 def _static(cell: Cell, ohms: FloatArray, rest_ohm: float) -> FloatArray:

@@ -137,7 +137,7 @@ def live_path(_: Subject) -> Finding:
         ],
         tables=[
             Table(
-                ["array", "estimator", "frames/s", "packets", "ohms", "kPa", "skin", "RMSE, kPa", "worst, kPa"],
+                ["array", "estimator", "frames/s", "packets", "ohms", "kPa", "std", "skin", "RMSE, kPa", "worst, kPa"],
                 [
                     [
                         f"{row.size} x {row.size}",
@@ -150,7 +150,7 @@ def live_path(_: Subject) -> Finding:
                     for row in rows
                 ],
                 "Measured in this run, on this machine. Packets, ohms and kPa, each alone, are shares of a frame's "
-                "time; skin is the rest: bookkeeping, hand-over, standard deviations.",
+                "time; std is that of standard deviations, skin the rest: bookkeeping and hand-over.",
             ),
             Table(
                 ["array", "µs per frame that comes", "taken", "contacts besides", "age in frames, median", "worst"],

@@ -139,6 +139,9 @@ class PacketDecoder:
         found: list[Packet | BadCommand | Corrupt] = []
         *completed, rest = bytes(data).split(b"\0")
         for piece in completed:
+            if piece and not self._stretch and not self._too_long and len(piece) <= _MAX_STUFFED:
+                found.append(_decoded(piece, received_at))  # the usual case: a packet that came in one piece
+                continue
             self._collect(piece, found)
             self._finish(found, received_at)
         self._collect(rest, found)
@@ -160,10 +163,14 @@ class PacketDecoder:
         if too_long:
             found.append(Corrupt(len(stretch), "the end of a stretch longer than any packet"))
             return
-        try:
-            found.append(decode(stretch, received_at))
-        except ProtocolError as error:
-            found.append(Corrupt(len(stretch), str(error)))
+        found.append(_decoded(stretch, received_at))
+
+
+def _decoded(stretch: bytes, received_at: float) -> Packet | BadCommand | Corrupt:
+    try:
+        return decode(stretch, received_at)
+    except ProtocolError as error:
+        return Corrupt(len(stretch), str(error))
 
 
 class _Header:

@@ -1,4 +1,4 @@
-"""Types of numpy arrays, named once for all rooms."""
+"""Types of numpy arrays, named once for all rooms, and the median of a small array."""
 
 from __future__ import annotations
 
@@ -14,3 +14,17 @@ BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.intp]
 CodeArray = NDArray[np.uint32]
 AnyArray = NDArray[Any]
+
+
+def median(values: FloatArray) -> float:
+    """Median of all values, at least one and none of them NaN.
+
+    The same number as numpy.median, which spends ten times as long on the axes, masks and NaN of a small array.
+    """
+    ordered = values.flatten()
+    half = ordered.size // 2
+    if ordered.size % 2:
+        ordered.partition(half)
+        return float(ordered[half])
+    ordered.partition((half - 1, half))
+    return float(ordered[half - 1] + ordered[half]) / 2
