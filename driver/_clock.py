@@ -86,6 +86,10 @@ class ClockMap:
             self._least = (x, y)
         elif y < self._least[1]:
             self._least = (x, y)
+        if y < self._line(x) - STEP_S:
+            # No drift does this: the clock was set forward, or all frames before had waited in a buffer.
+            self._buckets.clear()
+            self._drift = 0.0
         if y < self._line(x):
             # Less delayed than any frame before: the line is moved down to this frame.
             self._anchor = (x, y)

@@ -133,6 +133,11 @@ class Converter:
         self._retained = Retained(SMALL_AFTER)
 
     @property
+    def last_index(self) -> int:
+        """Number of the newest frame that was converted; 0 before the first."""
+        return 0 if self._last is None else self._last.index
+
+    @property
     def starts(self) -> int:
         """Times that the estimator has begun without memory."""
         return self._starts
@@ -223,7 +228,7 @@ class Converter:
 
         """
         with self._lock:
-            done = 0 if self._last is None else self._last.index
+            done = self.last_index
             if frame.index > done:
                 for queued in [*mailbox.between(done, frame.index), frame]:
                     measurement = self._convert(queued)
@@ -231,8 +236,10 @@ class Converter:
                     for tell in tuple(self.on_converted):
                         tell(queued, measurement)
                 if len(self._measured) > KEPT_MEASUREMENTS:
-                    passed = mailbox.passed()
-                    self._measured = {k: value for k, value in self._measured.items() if k > passed or k == frame.index}
+                    oldest = mailbox.oldest()
+                    self._measured = {
+                        k: value for k, value in self._measured.items() if k >= oldest or k == frame.index
+                    }
             return self._measured.get(frame.index)
 
     def _convert(self, frame: RawFrame) -> Measurement:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
@@ -86,6 +87,12 @@ class Frame:
         """What touches the skin, the largest force first. Computed when asked for; ids last from frame to frame."""
         return self._contacts()
 
+    def __reduce__(self) -> tuple[Callable[..., Frame], tuple[dict[str, Any], float]]:
+        """For pickle and copy: contacts are computed now, and the age goes on with this machine's monotonic clock."""
+        values = {item.name: getattr(self, item.name) for item in fields(self) if item.name[0] != "_"}
+        values |= {"pressure_std": self.pressure_std, "contacts": self.contacts}
+        return _restored, (values, self._now() - time.monotonic())
+
     def as_dict(self) -> dict[str, AnyArray]:
         """All fields as NumPy arrays: those per cell (rows, columns), the others without axes.
 
@@ -98,3 +105,11 @@ class Frame:
         values["device_time"] = np.nan if self.device_time is None else self.device_time
         values["age"] = self.age
         return {name: np.asarray(value) for name, value in values.items()}
+
+
+def _restored(values: dict[str, Any], clock_ahead_s: float) -> Frame:
+    """A frame that was pickled: ``clock_ahead_s`` is what its clock showed beside the monotonic clock."""
+    std, contacts = values.pop("pressure_std"), values.pop("contacts")
+    return Frame(
+        **values, _std=Later(lambda: std), _contacts=lambda: contacts, _now=lambda: time.monotonic() + clock_ahead_s
+    )

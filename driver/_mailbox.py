@@ -28,6 +28,8 @@ class Place:
 
     index: int
     """of the last frame that the taker has passed"""
+    used: bool = False
+    """the taker has asked for a frame: where nothing may be dropped, the reader thread waits for such takers only"""
 
 
 class Mailbox:
@@ -52,6 +54,8 @@ class Mailbox:
         self._closed = False
         self._room_wanted = False
         self._frames: deque[RawFrame] = deque()
+        self._dropped: RawFrame | None = None
+        """the frame before the oldest one that is kept"""
         self._places: list[Place] = []
         self._wakers: list[Callable[[], None]] = []
 
@@ -63,7 +67,7 @@ class Mailbox:
             self.newest = frame
             self._frames.append(frame)
             if self._drops_oldest and len(self._frames) > self.capacity:
-                self._frames.popleft()
+                self._dropped = self._frames.popleft()
 
     def tell(self) -> None:
         """Wake those who wait for frames: once for all frames that came together, since each wake-up costs time."""
@@ -111,12 +115,24 @@ class Mailbox:
         with self.lock:
             return [frame for frame in self._frames if index < frame.index < end]
 
-    def join(self, index: int) -> Place:
-        """A place for a new taker, who has no use for frames up to ``index``."""
+    def join(self, *, from_start: bool) -> tuple[Place, RawFrame | None]:
+        """A place for a new taker.
+
+        Args:
+            from_start: the taker wants the first frame that ever came; otherwise the frames that come from now on, and
+                where nothing may be dropped those that are kept, too.
+
+        Returns:
+            The place, and the last frame that the taker has no use for; None where there is none.
+
+        """
         with self.lock:
-            place = Place(index)
+            before = None
+            if not from_start:
+                before = self.newest if self._drops_oldest else self._dropped
+            place = Place(0 if before is None else before.index)
             self._places.append(place)
-            return place
+            return place, before
 
     def leave(self, place: Place) -> None:
         """Forget a taker."""
@@ -131,26 +147,44 @@ class Mailbox:
             place.index = max(place.index, index)
             self._drop_passed()
 
-    def passed(self) -> int:
-        """Number of the last frame that all takers have passed; 0 where there are none."""
+    def oldest(self) -> int:
+        """Number of the oldest frame that is kept, or of the next one that will be."""
         with self.lock:
-            return self._passed()
+            if self._frames:
+                return self._frames[0].index
+            return 1 if self.newest is None else self.newest.index + 1
 
     def _passed(self) -> int:
+        """Number of the last frame that all takers have passed; 0 where there are none."""
         places = self._places
         return places[0].index if len(places) == 1 else min((place.index for place in places), default=0)
 
     def _drop_passed(self) -> None:
-        passed = self._passed()
-        while self._frames and self._frames[0].index <= passed:
-            self._frames.popleft()
+        self._drop_to(self._passed())
         if self._room_wanted and self._has_room():
             self.condition.notify_all()
 
+    def _drop_to(self, index: int) -> None:
+        while self._frames and self._frames[0].index <= index:
+            self._dropped = self._frames.popleft()
+
+    def _drop_unused(self) -> None:
+        """Drop what those takers have passed who ever took a frame. The others find the oldest frame that is left."""
+        self._drop_to(min((place.index for place in self._places if place.used), default=0))
+
     def is_full(self) -> bool:
-        """Whether the queue has no room."""
+        """Whether the queue has no room, however much is dropped that nobody has asked for."""
         with self.lock:
+            if len(self._frames) >= self.capacity:
+                self._drop_unused()
             return len(self._frames) >= self.capacity
+
+    def disown(self, error: LinkError) -> None:
+        """In a forked process: forget who held the lock, and let there be no frames but ``error``."""
+        self.lock = threading.RLock()
+        self.condition = threading.Condition(self.lock)
+        self._wakers.clear()
+        self.close(error)
 
     def wait_for_room(self, timeout_s: float) -> None:
         """Wait until half of the queue is free, for at most ``timeout_s``."""
@@ -161,6 +195,7 @@ class Mailbox:
 
     def _has_room(self) -> bool:
         # Half a queue at a time: threads that take turns for every frame spend more on turns than on frames.
+        self._drop_unused()
         return 2 * len(self._frames) <= self.capacity
 
     def add_waker(self, waker: Callable[[], None]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import threading
 import time
 from collections import deque
@@ -21,6 +22,8 @@ from ._stream import FrameStream
 
 ASK_AGAIN_S = 0.5
 """a board that sends nothing for so long is asked again"""
+ASK_WHO_S = 0.25
+"""so is a board that has not said who it is: a lossy line takes several answers for a whole description"""
 PROOF_S = 3.0
 """after a reconnection: how long a board may take to show that it is the same one"""
 MOST_READS = 64
@@ -100,7 +103,7 @@ class Reader:
             LinkError: the port is gone.
 
         """
-        if not self.introduced.wait(timeout_s):
+        if not self.introduced.wait(min(timeout_s, threading.TIMEOUT_MAX)):
             raise self.nothing_came("description", timeout_s)
         if not self.introduction.complete:
             end = self._mailbox.end
@@ -109,6 +112,8 @@ class Reader:
     def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
         """The error for a wait that brought nothing of the kind wanted."""
         where = f"{self.port_name}: no {what} within {timeout_s:g} s"
+        if self._lossless and self._mailbox.is_full():
+            return LinkTimeout(f"{where}: the queue is full of frames for another reader of this skin, who takes none")
         if self._mailbox.away is not None:
             return LinkTimeout(f"{where}: {self._mailbox.away}; trying to open the port again")
         if not self._received:
@@ -174,6 +179,17 @@ class Reader:
         self._heard_since += heard
         self.stream.restore(stream)
 
+    def disown(self) -> None:
+        """In a forked process, which has no part in the link: leave port and mailbox to the process that opened it."""
+        self._reading, self._port = threading.RLock(), None
+        self._stop = threading.Event()
+        self._mailbox.disown(
+            LinkError(
+                f"{self.port_name}: was opened by process {os.getppid()}, from which this one was forked; take frames "
+                "there, or open the skin here (multiprocessing: start method 'spawn')"
+            )
+        )
+
     def stop(self) -> None:
         """End the thread, which closes the port. From another thread or from a callback."""
         self._stop.set()
@@ -217,7 +233,7 @@ class Reader:
         if self.introduction.complete:
             self.introduced.set()
         self._ask()
-        ask_at = time.monotonic() + ASK_AGAIN_S
+        ask_at = time.monotonic() + ASK_WHO_S
         while not (self._stop.is_set() or self._mailbox.end):
             if self._lossless and self._mailbox.is_full():
                 self._mailbox.wait_for_room(ASK_AGAIN_S)
@@ -233,14 +249,19 @@ class Reader:
                 ask_at, self._heard = now + ASK_AGAIN_S, False
             elif now >= ask_at:
                 self._ask()
-                ask_at = now + ASK_AGAIN_S
+                ask_at = now + (ASK_AGAIN_S if known else ASK_WHO_S)
 
     def _ask(self) -> None:
-        orders = [Order.IDENTIFY, Order.DESCRIBE, Order.START]
-        if self._family.polled:
-            orders.append(Order.ONE_FRAME)
-        for order in orders:
+        for order in (Order.IDENTIFY, Order.DESCRIBE):
             self.send(order)
+        if self.introduction.complete and not self._proofs:
+            self._start_frames()
+
+    def _start_frames(self) -> None:
+        """Order frames, once the board is known: one that waits for orders then sends none that cannot be used."""
+        self.send(Order.START)
+        if self._family.polled:
+            self.send(Order.ONE_FRAME)
 
     def _read(self) -> None:
         try:
@@ -317,12 +338,24 @@ class Reader:
         if frame is not None:
             self._mailbox.put(frame)
         if packet.flags is not _NO_FLAGS and packet.flags & Flag.LAST:
-            self._mailbox.finish(LinkEnded(f"{self.port_name}: the board has come to the end of its frames"))
-            assert self._port is not None
-            self._port.interrupt()
+            self._finish()
+
+    def _finish(self) -> None:
+        """The board has said that no frame follows."""
+        unknown = "" if self.introduction.complete else ", and has not described itself before"
+        self._mailbox.finish(LinkEnded(f"{self.port_name}: the board has come to the end of its frames{unknown}"))
+        assert self._port is not None
+        self._port.interrupt()
 
     def _get_to_know(self, event: Identity | Description) -> None:
-        """Take what the board says of itself; after a reconnection, compare it with what it said before."""
+        """Take what the board says of itself; after a reconnection, compare it with what it said before.
+
+        Raises:
+            LinkError: another board is there, or the board has changed since the skin was opened.
+            ProtocolError: the board that is being opened contradicts itself, or exceeds the limits.
+
+        """
+        first_frame_is_near = not self._unproven
         if self._proof_until < inf:
             difference = self.introduction.difference(event)
             if difference:
@@ -330,13 +363,23 @@ class Reader:
             self._proofs.discard(type(event))
             if not self._proofs:
                 self._prove()
+                self._start_frames()
+        if isinstance(event, Identity) and event.over:
+            self.stream.end(event.sequence, event.boot_id)
+            self._finish()
+            return
+        known = self.introduction.complete
         try:
             self.introduction.hear(event)
         except ProtocolError as error:
-            self._mailbox.finish(error)
-            raise
-        self.stream.announce(event.sequence, event.boot_id)
-        if self.introduction.complete:
+            # A ProtocolError of an open skin is one after which better frames may come; this is for good.
+            final = LinkError(str(error)) if known else error
+            self._mailbox.finish(final)
+            raise final from error
+        if first_frame_is_near:
+            self.stream.announce(event.sequence, event.boot_id)
+        if self.introduction.complete and not known:
+            self._start_frames()
             self.introduced.set()
 
     def _prove(self) -> None:
@@ -360,6 +403,8 @@ class Reader:
         for _ in attempts(left_s, self._stop.wait):
             try:
                 port = self._reopen()
+            except LinkEnded:
+                raise
             except LinkError:
                 continue
             with self._reading:

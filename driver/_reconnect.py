@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from ..errors import LinkError
+from ..errors import LinkEnded, LinkError
 from ._port import (
     BytePort,
     is_linked_terminal,
@@ -46,7 +46,15 @@ class PortFinder:
         return self._open(self.name)
 
     def open_again(self) -> BytePort:
-        """Open the port where it is now, perhaps under another name; LinkError where it is nowhere."""
+        """Open the port where it is now, perhaps under another name.
+
+        Raises:
+            LinkEnded: the port was a board in this process. To open such a port is to start another board.
+            LinkError: the port is nowhere.
+
+        """
+        if self.name.startswith("ohmskin://"):
+            raise LinkEnded(f"{self.name}: the emulated board has come to the end of its time")
         names = ports_with(self._usb_serial) if self._usb_serial else self._names_without_number()
         if not names:
             raise LinkError(f"{self.name}: no USB device with serial number {self._usb_serial} is plugged in")

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import math
+import os
 import threading
 import time
+import weakref
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, Self
+from typing import Literal, NoReturn, Self
 
 import numpy as np
 
@@ -63,8 +66,8 @@ class Skin:
         port: BytePort,
         *,
         board: str | Family = "ohmskin",
-        design: Design | None = None,
-        cell: Cell | None = None,
+        design: Design | str | Path | None = None,
+        cell: Cell | str | Path | None = None,
         estimator: str | None = None,
         timeout: float = 3.0,
         delivery: Delivery = "newest",
@@ -82,8 +85,10 @@ class Skin:
         Args:
             port: closed by :meth:`close`, and when this fails.
             board: family of the board, by name (``ohmskin.wire.BOARDS``) or itself.
-            design: how the board reads its array; None: as the board describes itself, or as is usual for its family.
-            cell: what the skin is made of; None: as the board describes itself. Without both, pressures are NaN.
+            design: how the board reads its array, or its DESIGN.toml; None: as the board describes itself, or as is
+                usual for its family.
+            cell: what the skin is made of, or its CELL.toml; None: as the board describes itself. Without both,
+                pressures are NaN.
             estimator: name for :meth:`ohmskin.cell.Cell.estimator`.
             timeout: s to wait for the board to introduce itself, to set up the inverse of its circuit, and later for
                 each frame.
@@ -104,8 +109,8 @@ class Skin:
             ProtocolError: it sends something else than packets, or a description that is not valid or too large.
             LinkError: the port is gone.
             InputError: there is no such family, or no such estimator for this cell, or the design is not known, or
-                the accuracy is not between 0 and 1, or the recording cannot be written or is there already, or the
-                calibration cannot be read or is another board's.
+                the accuracy is not between 0 and 1, or another number cannot be, or a file cannot be read, or the
+                recording cannot be written or is there already, or the calibration is another board's.
 
         """
         self._timeout = timeout
@@ -113,11 +118,12 @@ class Skin:
         self._recorder: Recording | None = None
         self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
         """recordings under way -> what tells them of converted frames"""
-        deadline = time.monotonic() + timeout
         try:
+            _check_numbers(timeout, queue, reconnect, pitch)
+            deadline = time.monotonic() + timeout
             family = board_family(board)
-            if queue < 1:
-                raise InputError(f"a queue of {queue} frames; expected at least 1")
+            design = design if isinstance(design, Design | None) else Design.load(design)
+            cell = cell if isinstance(cell, Cell | None) else Cell.load(cell)
             given = calibration if isinstance(calibration, Calibration | None) else Calibration.load(calibration)
             if delivery not in ("newest", "every", "lossless"):
                 raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
@@ -185,6 +191,7 @@ class Skin:
         self._taring = threading.Lock()
         if self._recorder is not None:
             self._follow_frames(self._recorder)
+        _OPEN_HERE.add(self)
 
     @classmethod
     def open(
@@ -193,8 +200,8 @@ class Skin:
         *,
         board: str | Family = "ohmskin",
         serial_number: str | None = None,
-        design: Design | None = None,
-        cell: Cell | None = None,
+        design: Design | str | Path | None = None,
+        cell: Cell | str | Path | None = None,
         estimator: str | None = None,
         timeout: float = 3.0,
         baudrate: int | None = None,
@@ -257,6 +264,8 @@ class Skin:
                 calibration=settings.calibration if calibration is None else calibration,
             )
         family = board_family(board)
+        if baudrate is not None and not baudrate > 0:
+            raise InputError(f"baudrate is {baudrate} bit/s; expected more than 0")
         if port is None:
             if serial_number is None:
                 raise InputError("neither a port nor a serial number; expected one of them")
@@ -315,6 +324,9 @@ class Skin:
         """Why the port is gone, while the driver tries to open it again; None: it is there."""
         return self._mailbox.away
 
+    def __reduce__(self) -> NoReturn:
+        raise TypeError("a Skin cannot be sent to another process or be copied; send its frames, or open it there")
+
     def __enter__(self) -> Self:
         return self
 
@@ -330,6 +342,8 @@ class Skin:
             InputError: a recording could not be written to its end.
 
         """
+        for callback in self._callbacks:
+            callback.end()
         self._reader.stop()
         for callback in self._callbacks:
             callback.close()
@@ -338,6 +352,13 @@ class Skin:
         self._followers.clear()
         for recording in recordings:
             recording.close()
+
+    def _disown(self) -> None:
+        """In a forked process: every reader is told that the skin is another process's."""
+        self._taring = threading.Lock()
+        self._callbacks.clear()
+        self._followers.clear()
+        self._reader.disown()
 
     def __iter__(self) -> Iterator[Frame]:
         return self
@@ -399,14 +420,22 @@ class Skin:
         """
         return self._taker.latest(max_age, timeout)
 
-    def on_frame(self, callback: Callable[[Frame], None]) -> FrameCallback:
+    def on_frame(
+        self, callback: Callable[[Frame], None], on_end: Callable[[OhmskinError], None] | None = None
+    ) -> FrameCallback:
         """Call ``callback`` with each frame from now on, one at a time, in a thread of its own.
+
+        Args:
+            callback: takes a frame.
+            on_end: called once in the same thread when no frame will come any more, with the reason: a
+                :class:`~ohmskin.errors.LinkEnded` at the regular end, else a :class:`~ohmskin.errors.LinkError`. Not
+                called when ``close()`` of the skin or of the returned object ends the calls.
 
         Returns:
             An object whose ``close()`` ends the calls. An exception in the callback ends them too.
 
         """
-        made = FrameCallback(self._source, callback)
+        made = FrameCallback(self._source, callback, on_end)
         self._callbacks.append(made)
         return made
 
@@ -477,7 +506,7 @@ class Skin:
         """What came, what was lost, and how old frames were."""
         with self._mailbox.lock:
             newest = self._mailbox.newest
-            pending = 0 if newest is None else newest.index - min(self._taker.index, newest.index)
+            pending = 0 if newest is None else newest.index - min(self._converter.last_index, newest.index)
         clock = self._reader.stream.clock
         return self._counters.snapshot(
             pending=min(pending, self._mailbox.capacity), drift_ppm=clock.drift_ppm, clock_steps=clock.steps
@@ -500,8 +529,8 @@ class Skin:
             LinkTimeout, LinkError, ProtocolError: as for :meth:`read`.
 
         """
-        if frames < 1:
-            raise InputError(f"tare over {frames} frames; expected at least 1")
+        if not (isinstance(frames, int) and frames >= 1):
+            raise InputError(f"tare over {frames!r} frames; expected a whole number, at least 1")
         with self._taring, self._frames_for_tare(frames) as taken:
             tare = self._rest(taken)
             if tare.remarks and not force:
@@ -560,8 +589,9 @@ class Skin:
         taken: list[Frame] = []
         used = False
         try:
-            while len(taken) < frames:
-                taken.append(self._taker.take(self._timeout))
+            with self._taker.aside():
+                while len(taken) < frames:
+                    taken.append(self._taker.take(self._timeout))
             yield taken
             used = True
         finally:
@@ -587,6 +617,31 @@ class Skin:
             f"{self._reader.port_name}: the inverse of the board's circuit was not set up within {self._timeout:g} s; "
             "give a longer timeout, if the board's description is right"
         )
+
+
+def _check_numbers(timeout: float, queue: int, reconnect: float, pitch: float | None) -> None:
+    if not timeout > 0:
+        raise InputError(f"timeout is {timeout} s; expected more than 0")
+    if not (isinstance(queue, int) and queue >= 1):
+        raise InputError(f"a queue of {queue!r} frames; expected a whole number, at least 1")
+    if not reconnect >= 0:
+        raise InputError(f"reconnect is {reconnect} s; expected at least 0")
+    if pitch is not None and not 0 < pitch < math.inf:
+        raise InputError(f"pitch is {pitch} m; expected more than 0")
+
+
+_OPEN_HERE: weakref.WeakSet[Skin] = weakref.WeakSet()
+"""skins that this process has opened"""
+
+
+def _disown_skins() -> None:
+    """In a forked process: threads do not survive a fork, and the parent's port is not the child's to read."""
+    for skin in list(_OPEN_HERE):
+        skin._disown()
+
+
+if hasattr(os, "register_at_fork"):  # POSIX
+    os.register_at_fork(after_in_child=_disown_skins)
 
 
 def _host_end(family: Family, introduction: Introduction) -> HostProtocol:
@@ -638,7 +693,7 @@ def _within(work: Callable[[], Converter], deadline: float, too_slow: Callable[[
 
     thread = threading.Thread(target=run, name="ohmskin set-up", daemon=True)
     thread.start()
-    thread.join(max(deadline - time.monotonic(), 0.0))
+    thread.join(min(max(deadline - time.monotonic(), 0.0), threading.TIMEOUT_MAX))
     if errors:
         raise errors[0]
     if not results:

@@ -35,6 +35,8 @@ class LinkStatistics:
     """times that the board started anew"""
     duplicates: int
     """frames that came a second time, and were dropped"""
+    late: int
+    """frames that others had overtaken, and that were dropped; they are among the lost, too"""
     skipped: int
     """frames that no reader of the skin took"""
     unsolved: int
@@ -71,6 +73,9 @@ class Counters:
     reconnects: int = 0
     reboots: int = 0
     duplicates: int = 0
+    late: int = 0
+    clock_steps: int = 0
+    """of the clock maps before the present one"""
     converted: int = 0
     unsolved: int = 0
     reasons: NDArray[np.int8] | None = None
@@ -97,6 +102,7 @@ class Counters:
             reconnects=self.reconnects,
             reboots=self.reboots,
             duplicates=self.duplicates,
+            late=self.late,
             skipped=max(self.frames - self.converted - pending, 0),
             unsolved=self.unsolved,
             not_valid=_not_valid(self.reasons),
@@ -105,7 +111,7 @@ class Counters:
             age_s=_percentiles(self.ages_s),
             jitter_s=_percentiles(self.delays_s),
             drift_ppm=drift_ppm,
-            clock_steps=clock_steps,
+            clock_steps=self.clock_steps + clock_steps,
         )
 
 

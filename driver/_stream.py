@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from ._spacing import ArrivalTimes
 from ._statistics import Counters
 
 REMEMBERED = 64
-"""frames among which a duplicate is looked for"""
+"""frames among which a duplicate is looked for, and by which a packet may come too late"""
 HALF_RANGE = 2**31
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
 LEAST_STEP_S = 1e-6
@@ -47,11 +48,30 @@ class RawFrame:
     """total"""
 
 
+class _Succession(enum.Enum):
+    """What a packet is after the one before it."""
+
+    NEXT = enum.auto()
+    CLOCK_SET = enum.auto()
+    OVERTAKEN = enum.auto()
+    REBOOT = enum.auto()
+
+
 class FrameStream:
     """Packets of one board in order, over reboots and reconnections.
 
-    A frame number that follows the last one says how many frames were lost. Another boot id, or a time that goes
-    backwards, is a reboot: numbers and time then start from 0. A frame that came already is dropped.
+    A frame number that follows the last one says how many frames were lost. Another boot id is a reboot: numbers and
+    time then start from 0. A frame that came already is dropped. With the boot id of before:
+
+    ================  ==================  =================================================================
+    number            time                taken for
+    ================  ==================  =================================================================
+    goes on           goes on             the next frame
+    goes on           goes back           the next frame; the board's clock was set, or has wrapped
+    back by up to 64  goes back           a packet that was overtaken: dropped, and one of the lost
+    further back      goes back           a reboot of a board that does not change its boot id
+    goes back         goes on             a fault
+    ================  ==================  =================================================================
     """
 
     def __init__(self, name: str, counters: Counters) -> None:
@@ -112,6 +132,15 @@ class FrameStream:
         self.counters.corrupt += 1
         self._in_step = False
 
+    def end(self, sequence: int, boot_id: int | None) -> None:
+        """Count what the line lost of the frames before ``sequence``, the number that would have come next."""
+        if self._begun and boot_id != self._boot_id:
+            self.counters.reboots += 1
+            self._expected = 0
+        if self._expected is not None and (sequence - self._expected) % 2**32 < HALF_RANGE:
+            self.counters.lost = (self.counters.lost or 0) + (sequence - self._expected) % 2**32
+            self._expected = sequence
+
     def take(self, packet: FramePacket, arrival: Arrival) -> RawFrame | None:
         """The next frame; None where the packet is one that came before.
 
@@ -128,17 +157,15 @@ class FrameStream:
         if packet.sequence is not None and stamp in self._recent:
             counters.duplicates += 1
             return None
-        rebooted = self._has_rebooted(packet)
-        if rebooted:
-            counters.reboots += 1
-            counters.times_s.clear()
-            self._recent.clear()
-            self._expected = None if packet.sequence is None else 0
-            self.clock = ClockMap()
+        found = self._succession(packet)
+        if found is _Succession.OVERTAKEN:
+            counters.late += 1
+            self._remember(stamp)
+            return None
+        if found is not _Succession.NEXT:
+            self._begin_anew(packet, found)
         if packet.sequence is not None:
-            self._recent[stamp] = None
-            if len(self._recent) > REMEMBERED:
-                del self._recent[next(iter(self._recent))]
+            self._remember(stamp)
         self._boot_id = packet.boot_id
         self._count_lost(packet)
         counters.frames += 1
@@ -146,7 +173,7 @@ class FrameStream:
             counters.overruns += bool(packet.flags & Flag.OVERRUN)
         device_s = None if packet.time_us is None else packet.time_us / 1e6
         monotonic = self._map_time(device_s, arrival)
-        self._advance(packet.time_us, monotonic, rebooted)
+        self._advance(packet.time_us, monotonic, time_runs_through=found is _Succession.NEXT)
         self._begun = True
         return RawFrame(
             index=counters.frames,
@@ -162,10 +189,34 @@ class FrameStream:
             reboots=counters.reboots,
         )
 
-    def _has_rebooted(self, packet: FramePacket) -> bool:
-        if packet.boot_id is not None and self._boot_id is not None and packet.boot_id != self._boot_id:
-            return True
-        return packet.time_us is not None and self._latest_us is not None and packet.time_us < self._latest_us
+    def _remember(self, stamp: tuple[int | None, int | None, int | None]) -> None:
+        self._recent[stamp] = None
+        if len(self._recent) > REMEMBERED:
+            del self._recent[next(iter(self._recent))]
+
+    def _succession(self, packet: FramePacket) -> _Succession:
+        """What a packet is after the one before: the table of this class."""
+        if packet.boot_id != self._boot_id and None not in (packet.boot_id, self._boot_id):
+            return _Succession.REBOOT
+        if packet.time_us is None or self._latest_us is None or packet.time_us >= self._latest_us:
+            return _Succession.NEXT
+        if packet.sequence is None or self._expected is None:
+            return _Succession.REBOOT
+        behind = (self._expected - packet.sequence) % 2**32
+        if not 0 < behind <= HALF_RANGE:
+            return _Succession.CLOCK_SET
+        return _Succession.OVERTAKEN if behind <= REMEMBERED else _Succession.REBOOT
+
+    def _begin_anew(self, packet: FramePacket, found: _Succession) -> None:
+        """The board's clock begins anew, and after a reboot its numbers do, too."""
+        counters = self.counters
+        counters.clock_steps += self.clock.steps + (found is _Succession.CLOCK_SET)
+        self.clock = ClockMap()
+        if found is _Succession.REBOOT:
+            counters.reboots += 1
+            counters.times_s.clear()
+            self._recent.clear()
+            self._expected = None if packet.sequence is None else 0
 
     def _count_lost(self, packet: FramePacket) -> None:
         if packet.sequence is None:
@@ -187,10 +238,10 @@ class FrameStream:
         self.counters.delays_s.append(arrival.received_at - monotonic)
         return monotonic
 
-    def _advance(self, time_us: int | None, monotonic: float, rebooted: bool) -> None:
+    def _advance(self, time_us: int | None, monotonic: float, *, time_runs_through: bool) -> None:
         """Let the estimator's time pass: by the board's clock where it runs through, else by the host's."""
         if self._begun:
-            if time_us is None or self._latest_us is None or rebooted:
+            if time_us is None or self._latest_us is None or not time_runs_through:
                 step = monotonic - self._latest_monotonic
             else:
                 step = (time_us - self._latest_us) / 1e6

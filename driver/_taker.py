@@ -8,16 +8,19 @@ import copy
 import threading
 import time
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ._convert import Converter, Measurement
 from ._frame import Frame
-from ._mailbox import Mailbox, Place
+from ._mailbox import Mailbox
 from ._statistics import Counters
 from ._stream import RawFrame
+
+CLOSE_S = 2.0
+"""how long to wait for a callback that is running when it is closed; it may itself wait for who closes it"""
 
 
 @dataclass(frozen=True)
@@ -43,12 +46,11 @@ class FrameTaker:
     """Takes frames, and counts for its reader what was lost and skipped between them."""
 
     def __init__(self, source: Source, *, from_start: bool = False) -> None:
-        """Begin with the frames that come from now on, or with the first one that ever came."""
+        """Begin with the first frame that ever came, or as :meth:`Mailbox.join` says."""
         self._source = source
         mailbox = source.mailbox
         with mailbox.lock:
-            last = None if from_start else mailbox.newest
-            self._place: Place = mailbox.join(0 if last is None else last.index)
+            self._place, last = mailbox.join(from_start=from_start)
             self._faults = 0 if from_start else mailbox.fault.number
         self._lock = threading.Lock()
         self._told = _Totals() if last is None else _Totals.of(last, source.converter.starts)
@@ -115,6 +117,7 @@ class FrameTaker:
     def _await_young(self, max_age_s: float, timeout_s: float) -> Frame:
         deadline = time.monotonic() + timeout_s
         source = self._source
+        self._place.used = True
         while True:
             source.poll()
             newest = source.mailbox.newest
@@ -147,6 +150,7 @@ class FrameTaker:
     def try_take(self) -> Frame | None:
         """The next frame if there is one already; raises as :meth:`take`."""
         source = self._source
+        self._place.used = True
         source.poll()
         while True:
             if source.newest_only or self._place.index >= source.mailbox.fault.after:
@@ -159,6 +163,15 @@ class FrameTaker:
             taken = self._claim(frame)
             if taken is not None:
                 return taken
+
+    @contextlib.contextmanager
+    def aside(self) -> Iterator[None]:
+        """Frames taken within the block do not make this taker one for whom frames are kept."""
+        used = self._place.used
+        try:
+            yield
+        finally:
+            self._place.used = used
 
     def pass_to_newest(self) -> None:
         """Pass the frames that have come; they count as skipped."""
@@ -257,7 +270,7 @@ class FrameTaker:
             )
 
         with mailbox.lock:
-            mailbox.condition.wait_for(new, timeout_s)
+            mailbox.condition.wait_for(new, min(timeout_s, threading.TIMEOUT_MAX))
 
 
 class AsyncFrames:
@@ -303,18 +316,30 @@ class AsyncFrames:
 class FrameCallback:
     """Calls a function with each new frame, in a thread of its own. :meth:`close` ends that."""
 
-    def __init__(self, source: Source, callback: Callable[[Frame], None]) -> None:
+    def __init__(
+        self,
+        source: Source,
+        callback: Callable[[Frame], None],
+        on_end: Callable[[OhmskinError], None] | None = None,
+    ) -> None:
         self._taker = FrameTaker(source)
-        self._callback = callback
+        self._callback, self._on_end = callback, on_end
         self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=f"ohmskin callback {source.name}", daemon=True)
+        self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {source.name}", daemon=True)
         self._thread.start()
 
-    def close(self) -> None:
-        """Call no more. A call that is under way is waited for, unless this is it."""
+    def end(self) -> None:
+        """Call no more, without waiting for a call that is under way."""
         self._closed.set()
-        if threading.current_thread() is not self._thread:
-            self._thread.join()
+
+    def close(self) -> None:
+        """Call no more. A call that is under way is waited for, for at most 2 s.
+
+        From within a callback nothing is waited for: two callbacks that end each other would wait for ever.
+        """
+        self.end()
+        if not isinstance(threading.current_thread(), _CallbackThread):
+            self._thread.join(CLOSE_S)
 
     def _run(self) -> None:
         try:
@@ -323,12 +348,18 @@ class FrameCallback:
                     frame = self._taker.take(0.1)
                 except (LinkTimeout, ProtocolError):
                     continue
-                except LinkError:
-                    return  # whoever reads or iterates is told why
+                except LinkError as error:
+                    if self._on_end is not None and not self._closed.is_set():
+                        self._on_end(error)
+                    return
                 if not self._closed.is_set():
                     self._callback(frame)
         finally:
             self._taker.leave()
+
+
+class _CallbackThread(threading.Thread):
+    """A thread in which a callback runs."""
 
 
 class ConvertedFrames:

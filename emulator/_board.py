@@ -235,7 +235,11 @@ class Board:
         self._sequence = (self._sequence + 1) % 2**32
         return self.protocol.frame(frame)
 
-    def _identify(self, time_us: int) -> bytes:
+    def farewell(self) -> bytes:
+        """The packet that says that no frame follows; empty where the family has none."""
+        return self._identify(self.next_us - self._booted_us, over=True)
+
+    def _identify(self, time_us: int, *, over: bool = False) -> bytes:
         design = self.scene.skin.design
         assert design.adc is not None  # a scene is refused without one
         return self.protocol.identify(
@@ -245,12 +249,13 @@ class Board:
                 rows=design.array.rows,
                 columns=design.array.columns,
                 adc_bits=design.adc.bits,
-                streaming=self.streaming,
+                streaming=self.streaming and not over,
                 period_us=min(round(self._period_us), 2**32 - 1),
                 description_bytes=len(self._description),
                 serial_number=self.scene.board.serial_number,
                 firmware=f"ohmskin emulator {__version__}",
                 boot_id=self.boot_id,
+                over=over,
             )
         )
 

@@ -79,6 +79,12 @@ class Device:
         self._baud_rate = scene.line.baud_rate
         self._random = np.random.default_rng([seed, 2])
         self._noise = np.random.default_rng([seed, 3])
+        self.may_lose = bool(
+            scene.line.packet_loss or scene.line.bit_errors or scene.line.baud_rate is not None or scene.link_fault
+        )
+        """whether a packet may fail to arrive"""
+        self._over = False
+        """no time passes any more, so a stall would not end"""
         self._line_us = 0.0
         """latest line time at which something was sent"""
         self._behind_us = 0.0
@@ -113,6 +119,11 @@ class Device:
             self.board.overrun = True
             self.dropped += 1
 
+    def say_over(self, now_us: float) -> bool:
+        """Tell the host that no frame follows; the line may lose this, too. False: the buffer had no room."""
+        self._over = True
+        return self._send([self.board.farewell()], now_us)
+
     def reset(self, text: str, now_us: float, *, boots_for_s: float = 0.0) -> None:
         """Start the board anew: text of its boot loader, another boot id, numbers and time from 0."""
         self.board.reset(boots_for_us=round(1e6 * boots_for_s))
@@ -126,7 +137,8 @@ class Device:
 
     def advance(self, now_us: float) -> None:
         """Let the bytes on the line travel until ``now_us``."""
-        self.transmission.advance(now_us, stalled=self._schedule.active("stall", self.time_s) is not None)
+        stalled = not self._over and self._schedule.active("stall", self.time_s) is not None
+        self.transmission.advance(now_us, stalled=stalled)
 
     def arrived(self) -> bytes:
         """Bytes for the host to read now; tell :meth:`Transmission.taken` how many of them were taken."""

@@ -104,7 +104,8 @@ class Transmission:
     def _waiting(self, now_us: float) -> int:
         """Bytes in the board's transmit buffer."""
         if self._us_per_byte:
-            return int(max(self._free_us - now_us, 0.0) / self._us_per_byte)
+            # At the end of an emulation both times are infinite.
+            return 0 if self._free_us <= now_us else int((self._free_us - now_us) / self._us_per_byte)
         return len(self._bridge) + len(self.host)
 
     def _to_bridge(self, data: bytes, first_us: float) -> None:

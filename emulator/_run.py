@@ -5,8 +5,8 @@
     cannot take is lost, as on a serial line. When the machine cannot keep up, board time falls behind.
 ``fast``
     Time is as fast as the host takes the bytes. It stands still while no host is there, before START, while
-    stopped, and while the buffer is full, so nothing is lost. A host that says nothing for a second after
-    opening the port is one that only listens: the board then starts by itself.
+    stopped, and while the buffer is full, so nothing is lost. A host that has said nothing for a second and has
+    given no such command yet is one that only listens: the board then starts by itself.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ from ._service import (
 )
 from ._truth import TruthFile
 
+OVER_S = 1.0
+"""for how long a host behind a line that loses packets is told that no frame follows, a hundred times at most"""
 LONGEST_WAIT_S = 0.1
 """how often to look in any case: for a second host to turn away"""
 TICKS_AT_ONCE = 64
@@ -187,6 +189,8 @@ class _Session:
             self._present = False
             self._device.transmission.clear(now_us)
             return
+        if data:
+            self._pace.host_spoke()
         if self._auto_reset and self._port.take_reset():
             self._device.reset("", now_us)
         self._device.receive(data, now_us)
@@ -210,12 +214,28 @@ class _Session:
         wait_for(readable, writable, min(max(self._pace.wait_s(), 0.0), longest))
 
     def drain(self, stop: Stop) -> None:
-        """Let a host read to the end what was written, as long as it goes on reading."""
+        """Tell the host that no frame follows, and let it read to the end, as long as it goes on reading.
+
+        A host that has understood hangs up. To one that is still there after a lossy line it is said again.
+        """
         self._pace.finish()
-        for _ in patience(lambda: (len(self._device.transmission), self._port.unread())):
+        self.exchange()
+        if stop.is_set():
+            return  # the board was switched off, and may come back
+        said = self._device.say_over(self._pace.now_us())
+        say_again_until = time.monotonic() + (OVER_S if self._device.may_lose else 0.0)
+
+        def to_do() -> tuple[int, int]:
+            still_to_say = not said or time.monotonic() < say_again_until
+            return len(self._device.transmission) + still_to_say, self._port.unread()
+
+        for _ in patience(to_do):
             self.exchange()
             if stop.is_set() or not self._present:
                 return
+            again = not said or time.monotonic() < say_again_until
+            if again and not len(self._device.transmission):
+                said = self._device.say_over(self._pace.now_us())
             wait_for([stop], [], HOST_POLL_S)
 
     def _follow_cable(self) -> bool:
@@ -261,6 +281,10 @@ class _Pace(ABC):
         """A host has opened the port."""
 
     @abstractmethod
+    def host_spoke(self) -> None:
+        """The host has sent something."""
+
+    @abstractmethod
     def due(self, *, host_present: bool) -> bool:
         """Whether the next tick is due now."""
 
@@ -282,6 +306,9 @@ class _RealPace(_Pace):
         return 1e6 * (time.monotonic() - self._start)
 
     def host_arrived(self) -> None:
+        pass
+
+    def host_spoke(self) -> None:
         pass
 
     def finish(self) -> None:
@@ -320,6 +347,9 @@ class _FastPace(_Pace):
         # Serial programs discard what came before they were ready: say nothing until they are.
         self._device.board.streaming = False
         self._orders = self._device.board.orders
+        self.host_spoke()
+
+    def host_spoke(self) -> None:
         self._silent_until = time.monotonic() + LISTENER_S
 
     def due(self, *, host_present: bool) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib
+import re
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -117,6 +118,19 @@ def test_no_module_imports_itself_by_way_of_others() -> None:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(f"circle of imports: {' <- '.join(error.args[1])}")
+
+
+def test_modules_that_docstrings_name_exist() -> None:
+    """``:mod:`._board``` and the like: a map with a wrong name leads nowhere."""
+    modules = _modules()
+    named = 0
+    for file in modules.values():
+        package = ["ohmskin", *_place(file)[:-1]]
+        for dots, name in re.findall(r":mod:`(\.+)([\w.]+)`", file.read_text()):
+            whole = ".".join([*package[: len(package) - len(dots) + 1], name])
+            assert whole in modules, f"{file.relative_to(ROOT)} names {dots}{name}"
+            named += 1
+    assert named > 50
 
 
 @pytest.mark.parametrize("room", MAY_IMPORT)

@@ -462,7 +462,7 @@ class TestDamage:
         stats = skin.stats()
         sent = sum(piece in SIX_FRAMES for piece in pieces)
         assert len(taken) == stats.frames
-        assert stats.frames + stats.duplicates + faults == sent
+        assert stats.frames + stats.duplicates + stats.late + faults == sent
         assert stats.skipped == 0
 
 
@@ -960,7 +960,7 @@ class TestDescriptions:
         port = described(frame(0), encode(DescriptionPiece(1, 1, 0, len(text), text, 1)))
         with lossless(port) as skin:
             assert next(skin).sequence == 0
-            with pytest.raises(ProtocolError, match="describes itself differently than before; open the skin again"):
+            with pytest.raises(LinkError, match="describes itself differently than before; open the skin again"):
                 next(skin)
 
 

@@ -1,6 +1,46 @@
 """The design verification report: requirements on a design, and the paper's claims P1 to P14 as experiments.
 
 ``verify(design).write("folder")`` runs them and writes ``report.html``, ``report.json``, ``junit.xml`` and more.
+
+Requirements:
+
+=======================  ==============================================================================
+:mod:`._run`             one verification: requirements and claims, in processes, kept as they come
+:mod:`._subject`         what is judged: design, cell, board under test, samples and seed
+:mod:`._requirements`    requirements from files, the shipped ones, and how one is judged
+:mod:`._catalogue`       the quantities that a requirement may limit
+:mod:`._static`          quantities of settled readings
+:mod:`._dynamic`         settling, stability, noise
+:mod:`._chain`           pressure errors, from load to estimate
+:mod:`._stress`          voltage, current and power of parts and cells
+:mod:`._link`            the line to the host
+:mod:`._self_test`       faults that a board can tell by itself
+:mod:`._hardware`        the same quantities, measured on a board
+:mod:`._spice_check`     the same quantities by ngspice
+=======================  ==============================================================================
+
+Which boards are looked at:
+
+=======================  ==============================================================================
+:mod:`._parameters`      tolerances as factors; corners and random boards made of them
+:mod:`._corner`          the worst corner, by sensitivities and solutions
+:mod:`._montecarlo`      the yield of random boards
+:mod:`._budget`          what each part costs alone
+:mod:`._explore`         variations, their trade-off, and what would mend a requirement
+=======================  ==============================================================================
+
+The paper's claims (:mod:`._claims`):
+
+=======================  ==============================================================================
+:mod:`._mixture`         P1
+:mod:`._material`        P2 to P9; :mod:`._estimates` compares estimators in them
+:mod:`._crosstalk`       P10 to P13; :mod:`._variants` has the readouts that are compared
+:mod:`._whole_skin`      P14; with :mod:`._timing`, and :mod:`._firmware` for the firmware in the loop
+:mod:`._speed`           S1 to S3: what a digit costs
+=======================  ==============================================================================
+
+The report: :mod:`._report`, :mod:`._record` (its JSON), :mod:`._outcome` (what it is made of), :mod:`._schematic` and
+:mod:`._maps` (pictures), :mod:`._units`, :mod:`._export` (tables for other programs).
 """
 
 from ._catalogue import CATALOGUE, Quantity

@@ -12,7 +12,7 @@ from ..errors import InputError
 from . import _chain as chain
 from . import _dynamic as dynamic
 from . import _link as link
-from . import _selftest as selftest
+from . import _self_test as self_test
 from . import _static as static
 from . import _stress as stress
 from ._outcome import Measurement
@@ -69,7 +69,7 @@ CATALOGUE: dict[str, Quantity] = {
         Quantity("cell_power", "Power in a cell", "W", stress.cell_power),
         Quantity("switch_current", "Current in a row switch", "A", stress.switch_current),
         Quantity("switch_power", "Power in a row switch", "W", stress.switch_power),
-        Quantity("fault_coverage", "Fault coverage of a self-test", "%", selftest.fault_coverage),
+        Quantity("fault_coverage", "Fault coverage of a self-test", "%", self_test.fault_coverage),
         Quantity("pressure_rmse", "RMS error of the pressure", "% FS", chain.pressure_rmse),
         Quantity("pressure_peak_error", "Peak error of the pressure", "% FS", chain.pressure_peak_error),
         Quantity("lost_readings", "Readings lost to a limit", "%", chain.lost_readings),

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from . import _crosstalk as crosstalk
-from . import _endtoend as skin
 from . import _material as material
 from . import _mixture as mixture
 from . import _speed as speed
+from . import _whole_skin as skin
 from ._outcome import Finding
 from ._subject import Subject
 

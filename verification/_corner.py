@@ -22,6 +22,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -322,39 +323,12 @@ def worst_case(target: Target, box: Box) -> WorstCase:
     for sign in (1.0, -1.0):
         order = np.argsort(-np.where(known.sign == sign, sign * values, -np.inf), kind="stable")
         for index in order[: _REFINED_OF_FEW if by_cell.size <= _FEW_CELLS else _REFINED]:
-            corner, value = known.some(np.array([index])), float(sign * values[index])
-            settled = False
-            for _ in range(_ROUNDS):
-                if not np.isfinite(value):
-                    break
-                moved = _improved(target, memory, corner)
-                settled = all(
-                    np.array_equal(getattr(moved, name), getattr(corner, name))
-                    for name in ("factors", "pattern", "scale")
-                )
-                if settled:
-                    break
-                further = float(sign * evaluate(target, box, moved)[0])
-                solved += 1
-                if not further > value:
-                    break
-                corner, value = moved, further
-            by_solution = False
-            for _ in range(_ROUNDS):
-                neighbours = _neighbours(target, box, corner)
-                if neighbours is None or not np.isfinite(value):
-                    break
-                by_solution = True
-                values_there = sign * evaluate(target, box, neighbours)
-                solved += len(values_there)
-                index_there = int(np.argmax(values_there))
-                settled = not values_there[index_there] > value * (1.0 + 1e-12)
-                if settled:
-                    break
-                corner = neighbours.some(np.array([index_there]))
-                value = float(values_there[index_there])
-            if value > best_value or np.isnan(value):
-                best, best_value, stationary, neighbours_solved = corner, value, settled, by_solution
+            found = _Climbed(known.some(np.array([index])), float(sign * values[index]))
+            found = _by_derivatives(target, memory, sign, found)
+            found, by_solution = _by_neighbours(target, box, sign, found)
+            solved += found.solved
+            if found.value > best_value or np.isnan(found.value):
+                best, best_value, stationary, neighbours_solved = found.corner, found.value, found.settled, by_solution
     signed = best_value * float(best.sign[0])
     row, column = int(best.row[0]), int(best.column[0])
     by_cell[row, column] = np.fmax(by_cell[row, column], abs(best_value))
@@ -370,6 +344,58 @@ def worst_case(target: Target, box: Box) -> WorstCase:
         stationary=stationary,
         checked=_checked(target, box, best, signed),
     )
+
+
+class _Climbed(NamedTuple):
+    """How far one start of the search has come."""
+
+    corner: Corners
+    """a single one"""
+    value: float
+    """the target there, times the sign that is sought"""
+    solved: int = 0
+    """corners that were solved on the way"""
+    settled: bool = False
+    """whether nothing that was tried last is worse"""
+
+
+def _by_derivatives(target: Target, memory: _Linearisations, sign: float, found: _Climbed) -> _Climbed:
+    """Go to the corner that the derivatives name, as long as its solution is worse."""
+    corner, value, solved, settled = found
+    for _ in range(_ROUNDS):
+        if not np.isfinite(value):
+            break
+        moved = _improved(target, memory, corner)
+        settled = all(
+            np.array_equal(getattr(moved, name), getattr(corner, name)) for name in ("factors", "pattern", "scale")
+        )
+        if settled:
+            break
+        further = float(sign * evaluate(target, memory.box, moved)[0])
+        solved += 1
+        if not further > value:
+            break
+        corner, value = moved, further
+    return _Climbed(corner, value, solved, settled)
+
+
+def _by_neighbours(target: Target, box: Box, sign: float, found: _Climbed) -> tuple[_Climbed, bool]:
+    """Go to the worst of the corners one part away, all solved, until none is worse; and whether any were solved."""
+    corner, value, solved, settled = found
+    any_solved = False
+    for _ in range(_ROUNDS):
+        neighbours = _neighbours(target, box, corner)
+        if neighbours is None or not np.isfinite(value):
+            break
+        any_solved = True
+        values = sign * evaluate(target, box, neighbours)
+        solved += len(values)
+        index = int(np.argmax(values))
+        settled = not values[index] > value * (1.0 + 1e-12)
+        if settled:
+            break
+        corner, value = neighbours.some(np.array([index])), float(values[index])
+    return _Climbed(corner, value, solved, settled), any_solved
 
 
 def evaluate(target: Target, box: Box, corners: Corners) -> FloatArray:

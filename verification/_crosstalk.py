@@ -1,4 +1,4 @@
-"""P11 to P13: what each readout says of cells that nobody touched."""
+"""P10 to P13: what each readout says of cells that nobody touched."""
 
 from __future__ import annotations
 

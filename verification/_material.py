@@ -14,8 +14,8 @@ from ..bench import NOISE
 from ..cell import Cell, ContactModel, PaperModel, recovery_branches
 from ..errors import InputError
 from ._chain import one_cell_read
+from ._estimates import EDGE_S, STEP_KPA, draw, errors, estimate, pressed, respond, rmse, side_by_side
 from ._outcome import Check, Figure, Finding, Table
-from ._pressure import EDGE_S, STEP_KPA, draw, errors, estimate, pressed, respond, rmse, side_by_side
 from ._subject import Subject
 
 HOLD_S = 60.0

@@ -11,13 +11,14 @@ from ..arrays import FloatArray
 from ..cell import Percolation
 from ..circuits import Design, adc_codes, clipped, noise, scan
 from ..errors import InputError
+from ._estimates import STEP_KPA, errors, pressed, respond, side_by_side
 from ._outcome import Check, Figure, Finding, Table, does_not_apply
-from ._pressure import STEP_KPA, errors, pressed, respond, side_by_side
 from ._subject import Subject
 from ._variants import replaced
 
 KNOWN = 0.015  # the fraction that the paper chose, and that the shipped example cell stands for
 FRACTIONS = np.array([0.0112, 0.0125, 0.015, 0.02, 0.025, 0.03, 0.04, 0.05])
+CURVE = np.geomspace(FRACTIONS[0], FRACTIONS[-1], 30)
 LOADS = np.linspace(0.0, 1.0, 6)
 
 
@@ -26,8 +27,7 @@ def fraction(subject: Subject) -> Finding:
     if not subject.design.board.circuit.virtual_ground or subject.design.adc is None:
         return does_not_apply("this study needs a design with amplifiers that hold their lines, and an [adc]")
     law = Percolation(KNOWN, subject.rest, subject.pressed / subject.rest - 1)
-    fine = np.geomspace(FRACTIONS[0], FRACTIONS[-1], 30)
-    fixed, chosen = (np.array([_resolution(subject, law, f, choose=choose) for f in fine]) for choose in (False, True))
+    fixed, chosen = (np.array([_resolution(subject, law, f, choose=choose) for f in CURVE]) for choose in (False, True))
     eight, free = (
         np.array([_resolution(subject, law, f, choose=choose) for f in FRACTIONS]) for choose in (False, True)
     )
@@ -36,20 +36,6 @@ def fraction(subject: Subject) -> Finding:
     best = float(FRACTIONS[np.nanargmin(eight)])
     sensitivity = law.sensitivities(FRACTIONS)
     pressures = errors(_estimated(subject, law), subject, "carbon black")
-    with plots.drawing(1, 2) as (figure, (panels,)):
-        panels[0].semilogy(100 * fine, law.rest_resistance(fine) / 1e3)
-        panels[0].set(title="Percolation", xlabel="carbon black / % by mass", ylabel="R0 / kΩ")
-        other = panels[0].twinx()
-        other.plot(100 * fine, law.sensitivities(fine), color=plots.ORANGE)
-        other.plot(100 * FRACTIONS, sensitivity, "o", color=plots.ORANGE, ms=4)
-        other.set_ylabel("sensitivity (Rmax - R0)/R0", color=plots.ORANGE)
-        other.grid(visible=False)
-        panels[1].semilogy(100 * fine, chosen, label="reference resistor chosen for each")
-        panels[1].semilogy(100 * fine, fixed, label="reference resistor of the design")
-        panels[1].semilogy(100 * FRACTIONS, eight, "o", color=plots.ORANGE, ms=4)
-        panels[1].set(title="Resolution", xlabel="carbon black / % by mass", ylabel="σ of pressure / % of full scale")
-        panels[1].legend()
-        picture = plots.svg(figure)
     return Finding(
         checks=[
             Check(
@@ -81,7 +67,12 @@ def fraction(subject: Subject) -> Finding:
             f"family goes through the example cell at 1.5 %; threshold {100 * law.threshold:g} % and exponent "
             f"{law.exponent:g} are the project's own."
         ],
-        figures=[Figure(picture, "Left: percolation law, sensitivity (Fig. 3). Right: what the readout makes of it.")],
+        figures=[
+            Figure(
+                _picture(law, fixed, chosen, eight),
+                "Left: percolation law, sensitivity (Fig. 3). Right: what the readout makes of it.",
+            )
+        ],
         tables=[
             Table(
                 ["carbon black", "R0 / ohm", "sensitivity", "σ of pressure, % of full scale", "... Rref chosen for it"],
@@ -101,6 +92,24 @@ def fraction(subject: Subject) -> Finding:
             ),
         ],
     )
+
+
+def _picture(law: Percolation, fixed: FloatArray, chosen: FloatArray, eight: FloatArray) -> str:
+    """The percolation law, and the resolution over :data:`CURVE` with the design's reference resistor or another."""
+    with plots.drawing(1, 2) as (figure, (panels,)):
+        panels[0].semilogy(100 * CURVE, law.rest_resistance(CURVE) / 1e3)
+        panels[0].set(title="Percolation", xlabel="carbon black / % by mass", ylabel="R0 / kΩ")
+        other = panels[0].twinx()
+        other.plot(100 * CURVE, law.sensitivities(CURVE), color=plots.ORANGE)
+        other.plot(100 * FRACTIONS, law.sensitivities(FRACTIONS), "o", color=plots.ORANGE, ms=4)
+        other.set_ylabel("sensitivity (Rmax - R0)/R0", color=plots.ORANGE)
+        other.grid(visible=False)
+        panels[1].semilogy(100 * CURVE, chosen, label="reference resistor chosen for each")
+        panels[1].semilogy(100 * CURVE, fixed, label="reference resistor of the design")
+        panels[1].semilogy(100 * FRACTIONS, eight, "o", color=plots.ORANGE, ms=4)
+        panels[1].set(title="Resolution", xlabel="carbon black / % by mass", ylabel="σ of pressure / % of full scale")
+        panels[1].legend()
+        return plots.svg(figure)
 
 
 def _estimated(subject: Subject, law: Percolation) -> dict[str, tuple[FloatArray, dict[str, FloatArray]]]:

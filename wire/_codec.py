@@ -41,6 +41,8 @@ _CRC = struct.Struct("<I")
 _FRAME = struct.Struct("<HHH")  # rows, columns, flags
 _PIECE = struct.Struct("<II")  # offset, total
 _IDENTITY = struct.Struct("<HHBBII")  # rows, columns, ADC bits, streaming, period in us, bytes of description
+_OVER = 2
+"""in the place of ``streaming``: no frame follows"""
 _SELF_TEST = struct.Struct("<HHH")  # rows, columns, reference resistors
 _REFERENCE = struct.Struct("<ff")  # nominal ohm, measured ohm
 _REPLY = struct.Struct("<BBI")  # packet type of the command, status, sequence number of the command
@@ -219,7 +221,7 @@ def _write_identity(identity: Identity) -> bytes:
             identity.rows,
             identity.columns,
             identity.adc_bits,
-            identity.streaming,
+            _OVER if identity.over else identity.streaming,
             identity.period_us,
             identity.description_bytes,
         )
@@ -246,12 +248,13 @@ def _read_identity(header: _Header, payload: bytes) -> Identity:
         rows,
         columns,
         adc_bits,
-        bool(streaming),
+        streaming not in (0, _OVER),
         period_us,
         description_bytes,
         serial_number,
         firmware,
         header.boot_id,
+        streaming == _OVER,
         received_at=header.received_at,
     )
 

@@ -166,10 +166,14 @@ class Identity:
     serial_number: str
     firmware: str
     boot_id: int = 0
+    over: bool = False
+    """no frame follows: an emulation is at its end. ``streaming`` is then False"""
     received_at: float = field(default=math.nan, compare=False, kw_only=True)
 
     def __post_init__(self) -> None:
         _check_header(self.sequence, self.time_us, self.boot_id)
+        if self.over and self.streaming:
+            raise InputError("an identity of a board that is at its end and streams; expected one of them")
         if "\0" in self.serial_number + self.firmware:
             raise InputError("a serial number or firmware name contains the character NUL; expected text")
 

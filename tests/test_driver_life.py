@@ -1,0 +1,382 @@
+"""A skin on a robot: boards that end, restart and change, lines that lose packets, readers that block or never read."""
+
+from __future__ import annotations
+
+import asyncio
+import copy
+import itertools
+import multiprocessing
+import pickle
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from boards import EXAMPLES, Script, Wire, gone, lossless, scene
+
+from ohmskin.driver import Delivery, Frame, Skin
+from ohmskin.driver._clock import ClockMap
+from ohmskin.emulator import Board, PtyPort, TcpPort, running
+from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
+from ohmskin.wire import (
+    DescriptionPiece,
+    Flag,
+    FramePacket,
+    Identity,
+    Order,
+    encode,
+    host_protocol,
+    write_description,
+)
+
+WHAT = scene().skin
+FORK = multiprocessing.get_context("fork")
+
+
+def sheet(boot_id: int = 1, *, sequence: int = 0) -> bytes:
+    text = write_description(WHAT.design.model_dump(), WHAT.cell.model_dump())
+    return encode(DescriptionPiece(sequence, 0, 0, len(text), text, boot_id))
+
+
+def identity(boot_id: int = 1, *, sequence: int = 0, rows: int = 3, over: bool = False) -> bytes:
+    return encode(Identity(sequence, 0, rows, 2, 12, not over, 1000, 100, "Ünï №7", "test", boot_id, over))
+
+
+def frame(sequence: int, *, boot_id: int = 1, us: int | None = None, flags: Flag = Flag.NONE) -> bytes:
+    counts, time_us = np.full((3, 2), 2000), 1000 * sequence if us is None else us
+    return encode(FramePacket.of(counts, sequence=sequence, time_us=time_us, boot_id=boot_id, flags=flags))
+
+
+def described(*pieces: bytes, last: Callable[[], bytes] | None = None) -> Script:
+    return Script(identity(), sheet(), *pieces, last=last)
+
+
+def until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
+
+
+def order(which: Order) -> bytes:
+    """The bytes by which a command of this kind is known."""
+    return host_protocol("ohmskin").request(which)[1:4]
+
+
+def take_all(skin: Skin, how: str) -> int:
+    """Frames to the end, taken in one of the ways there are; raises what the reader raises."""
+
+    async def follow() -> int:
+        return len([one async for one in skin])
+
+    match how:
+        case "iteration":
+            return len(list(skin))
+        case "frames":
+            return len(list(skin.frames()))
+        case "async":
+            return asyncio.run(follow())
+        case "callback":
+            taken: list[Frame] = []
+            ends: list[OhmskinError] = []
+            skin.on_frame(taken.append, ends.append)
+            until(lambda: bool(ends))
+            assert isinstance(ends[0], LinkEnded)
+            return len(taken)
+    read: list[Frame] = []
+
+    def read_on() -> None:
+        while True:
+            read.append(skin.read())
+
+    with pytest.raises(LinkEnded, match="end of its frames"):
+        read_on()
+    return len(read)
+
+
+class TestFiniteBoards:
+    """An emulation that is over says so, whatever the line does to its last frame."""
+
+    @pytest.mark.parametrize("how", ["iteration", "frames", "async", "callback", "read"])
+    def test_every_reader_of_a_board_at_the_fast_clock_ends_though_half_of_all_packets_are_lost(
+        self, how: str, tmp_path: Path
+    ) -> None:
+        port = PtyPort() if how in ("iteration", "async") else TcpPort.at(":0")
+        lossy = scene(line={"packet_loss": 0.5}, board={"frame_rate": 400.0})
+        truth = tmp_path / "truth.npz"
+        with (
+            running(lossy, port, clock="fast", duration_s=0.5, seed=3, truth=truth),
+            Skin.open(port.name, delivery="lossless", timeout=60.0) as skin,
+        ):
+            taken = take_all(skin, how)
+            stats = skin.stats()
+        until(truth.exists)
+        with np.load(truth) as file:
+            sent = len(file["sequence"])
+        assert sent == 200
+        assert stats.lost is not None
+        assert 0 < stats.lost < sent
+        assert (taken + stats.lost, stats.frames, stats.reboots, stats.reconnects) == (sent, taken, 0, 0)
+
+    def test_what_the_line_lost_at_the_end_is_counted(self) -> None:
+        pieces = [frame(0), frame(1), identity(sequence=5, over=True)]
+        with lossless(described(*pieces)) as skin:
+            assert len(list(skin)) == 2
+        assert (skin.stats().frames, skin.stats().lost) == (2, 3)
+
+    def test_a_reboot_that_the_line_hid_until_the_end_is_counted(self) -> None:
+        pieces = [frame(0), frame(1), identity(2, sequence=4, over=True)]
+        with lossless(described(*pieces)) as skin:
+            assert len(list(skin)) == 2
+        assert (skin.stats().lost, skin.stats().reboots) == (4, 1)
+
+    def test_a_board_that_ended_before_it_described_itself_says_so(self) -> None:
+        with pytest.raises(LinkEnded, match="come to the end of its frames, and has not described itself before"):
+            Skin(Script(identity(), frame(0), identity(over=True)), timeout=30.0)
+
+    def test_a_board_that_is_switched_off_has_not_come_to_its_end(self) -> None:
+        """An emulator that is stopped may be started again."""
+        port = PtyPort()
+        with running(scene(), port, duration_s=1e6):
+            skin = Skin.open(port.name, reconnect=0.2)
+            next(skin)
+        with skin, pytest.raises(LinkError, match=r"it has not come back within 0\.2 s"):
+            list(skin)
+
+    def test_a_board_in_this_process_is_not_started_again(self) -> None:
+        """Its family has no packet for an end."""
+        url = f"ohmskin://{EXAMPLES / 'fingers.toml'}?clock=fast&duration=1&board=fsr-array"
+        design = EXAMPLES / "prototype.toml"
+        with Skin.open(url, board="fsr-array", design=design, delivery="lossless", timeout=30.0) as skin:
+            assert len(list(skin)) == 50
+            with pytest.raises(LinkEnded, match="come to the end of its time"):
+                skin.read()
+
+    def test_a_board_is_told_to_start_once_it_is_known(self) -> None:
+        """One that waits for orders, as at the fast clock, sends no frames that cannot be used."""
+        port = Script(identity())
+        opened: list[Skin] = []
+        opening = threading.Thread(target=lambda: opened.append(Skin(port, timeout=30.0)))
+        opening.start()
+        until(lambda: sum(order(Order.DESCRIBE) in said for said in port.written) >= 3)
+        assert not any(order(Order.START) in said for said in port.written)
+        port.say(sheet())
+        opening.join(30)
+        assert any(order(Order.START) in said for said in port.written)
+        opened[0].close()
+
+
+class TestOrderOfPackets:
+    """What is made of numbers and times that go back."""
+
+    def test_packets_that_were_overtaken_are_dropped_and_counted(self) -> None:
+        sent = [0, 1, 3, 2, 4, 6, 5, 7]
+        with lossless(described(*map(frame, sent), identity(sequence=8, over=True))) as skin:
+            taken = list(skin)
+        stats = skin.stats()
+        assert [one.sequence for one in taken] == [0, 1, 3, 4, 6, 7]
+        assert [one.lost_before for one in taken] == [0, 0, 1, 0, 1, 0]
+        assert (stats.late, stats.duplicates, stats.reboots, stats.frames + (stats.lost or 0)) == (2, 0, 0, 8)
+
+    def test_a_clock_that_wraps_is_no_reboot(self) -> None:
+        """Microseconds in 32 bits, which small microcontrollers have, wrap after 72 minutes."""
+        start, wrap = 4_000_000, 2**32
+        pieces = [frame(start + k, us=(wrap - 3500 + 1000 * k) % wrap) for k in range(8)]
+        port = Script(identity(sequence=start), sheet(sequence=start), *pieces, identity(sequence=start + 8, over=True))
+        with lossless(port) as skin:
+            taken = list(skin)
+        stats = skin.stats()
+        assert len(taken) == 8
+        assert not any(one.rebooted or one.lost_before or one.estimator_restarted for one in taken[1:])
+        assert (stats.lost, stats.reboots, stats.clock_steps) == (0, 0, 1)
+        assert all(later.monotonic_time >= sooner.monotonic_time for sooner, later in itertools.pairwise(taken))
+
+    def test_a_board_whose_boot_id_never_changes_is_seen_to_start_anew(self) -> None:
+        pieces = [*(frame(k) for k in range(100)), *(frame(k) for k in range(5)), identity(sequence=5, over=True)]
+        with lossless(described(*pieces)) as skin:
+            taken = list(skin)
+        assert [k for k, one in enumerate(taken) if one.rebooted] == [100]
+        assert (skin.stats().frames, skin.stats().lost, skin.stats().reboots) == (105, 0, 1)
+
+    def test_frames_that_waited_for_their_board_to_be_known_are_in_order(self) -> None:
+        """The board tells the number of its next frame while frames before that wait."""
+        back = Script(identity(2), frame(0, boot_id=2), frame(1, boot_id=2), sheet(2, sequence=2), frame(2, boot_id=2))
+        boards = [back]
+        with Skin(described(last=gone), delivery="lossless", reopen=boards.pop, timeout=30.0) as skin:
+            assert [next(skin).sequence for _ in range(3)] == [0, 1, 2]
+            assert skin.stats().lost == 0
+
+    @pytest.mark.parametrize("seconds", [0.2, 10.0, 3600.0])
+    def test_a_clock_that_is_set_forward_makes_no_frame_older(self, seconds: float) -> None:
+        clock, ages = ClockMap(), []
+        for k in range(2000):
+            device_s = 0.01 * k + (seconds if k > 1000 else 0.0)
+            arrived_s = 50.0 + 0.01 * k + 0.0002
+            ages.append(arrived_s - clock.add(device_s, arrived_s))
+        assert max(ages) < 0.001
+        assert min(ages) > -1e-9
+
+
+class TestAnotherBoard:
+    def test_a_board_that_changed_is_the_end_and_not_a_fault_of_one_frame(self) -> None:
+        """A loop that asks again after each ProtocolError must come to an end."""
+        wide = encode(FramePacket.of(np.full((4, 2), 9), sequence=0, time_us=0, boot_id=2))
+        with lossless(described(frame(0), identity(2, rows=4), wide), reopen=None) as skin:
+            next(skin)
+            for _ in range(2):
+                with pytest.raises(
+                    LinkError, match="a board of 4 x 2 cells is there; expected 3 x 2; open the skin again"
+                ):
+                    next(skin)
+
+
+class TestReaders:
+    """Readers that block, never read, or are in another process."""
+
+    @pytest.mark.parametrize("delivery", ["newest", "every", "lossless"])
+    def test_a_program_of_callbacks_only_keeps_no_frames(self, delivery: Delivery) -> None:
+        taken: list[int | None] = []
+        with Skin(Wire(Board(scene())), delivery=delivery, queue=10) as skin:
+            skin.on_frame(lambda one: taken.append(one.sequence))
+            until(lambda: len(taken) > 100)
+            assert len(skin._converter._measured) <= 11
+        if delivery == "lossless":
+            assert taken == list(range(len(taken)))
+
+    def test_nothing_is_dropped_for_a_reader_that_begins_later_while_there_is_room(self) -> None:
+        port = described(*(frame(k) for k in range(8)))
+        seen: list[Frame] = []
+        with Skin(port, delivery="lossless", queue=10) as skin:
+            skin.on_frame(seen.append)
+            until(lambda: len(seen) == 8)
+            assert [next(skin).sequence for _ in range(8)] == list(range(8))
+
+    def test_a_reader_that_stopped_is_named_to_the_one_that_waits_for_it(self) -> None:
+        port = described(*(frame(k) for k in range(30)))
+        with Skin(port, delivery="lossless", queue=10, timeout=0.2) as skin:
+            next(skin)  # from now on frames are kept for this place
+            with pytest.raises(LinkTimeout, match="queue is full of frames for another reader of this skin"):
+                list(skin.frames())
+
+    def test_callbacks_that_close_the_skin_at_once_do_not_wait_for_each_other(self) -> None:
+        port = described()
+        skin = Skin(port)
+        both = threading.Barrier(2)
+
+        def stop(_: Frame) -> None:
+            both.wait(30)
+            skin.close()
+
+        callbacks = [skin.on_frame(stop) for _ in range(2)]
+        port.say(frame(0))
+        for callback in callbacks:
+            callback._thread.join(30)
+            assert not callback._thread.is_alive()
+        skin.close()
+
+    def test_a_callback_that_waits_for_who_closes_does_not_hold_closing_up(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr("ohmskin.driver._taker.CLOSE_S", 0.1)
+        port, called, closed = described(), threading.Event(), threading.Event()
+        with Skin(port) as skin:
+            callback = skin.on_frame(lambda _: (called.set(), closed.wait(60)))  # type: ignore[arg-type, return-value]
+            port.say(frame(0))
+            assert called.wait(30)
+        closed.set()
+        callback._thread.join(30)
+        assert not callback._thread.is_alive()
+
+    def test_the_end_is_told_to_callbacks_unless_they_were_closed(self) -> None:
+        ends: list[OhmskinError] = []
+        port = described(frame(0))
+        with Skin(port) as skin:
+            skin.on_frame(lambda _: None, ends.append)
+            closed = skin.on_frame(lambda _: None, ends.append)
+            closed.close()
+            port._last = gone
+            until(lambda: bool(ends))
+        assert [str(error) for error in ends] == ["gone"]
+        with Skin(described(frame(0))) as skin:
+            skin.on_frame(lambda _: None, ends.append)
+        assert len(ends) == 1
+
+    def test_a_forked_process_is_told_that_the_skin_is_not_its_own(self) -> None:
+        with Skin(Wire(Board(scene()))) as skin:
+            next(skin)
+            skin.on_frame(lambda _: None)
+            answers = FORK.SimpleQueue()
+
+            def child() -> None:
+                for ask in (skin.read, lambda: skin.latest(60.0), lambda: skin.tare(1), lambda: next(skin)):
+                    try:
+                        ask()
+                    except LinkError as error:
+                        answers.put(str(error))
+                skin.stats()
+                skin.close()
+                answers.put("closed")
+
+            process = FORK.Process(target=child)
+            process.start()
+            process.join(60)
+            assert process.exitcode == 0
+            said = [answers.get() for _ in range(5)]
+            assert next(skin).sequence is not None
+        assert all("from which this one was forked" in text for text in said[:4])
+        assert said[4] == "closed"
+
+    def test_a_frame_can_be_sent_to_another_process_and_a_skin_cannot(self) -> None:
+        with lossless(described(frame(0), frame(3))) as skin:
+            next(skin)
+            one = next(skin)
+            for other in (pickle.loads(pickle.dumps(one)), copy.deepcopy(one)):
+                assert (other.sequence, other.lost_before, other.contacts) == (3, 2, one.contacts)
+                assert abs(other.age - one.age) < 30
+                for name in ("counts", "valid", "resistance", "pressure", "pressure_std"):
+                    np.testing.assert_array_equal(getattr(other, name), getattr(one, name))
+            with pytest.raises(TypeError, match="send its frames, or open it there"):
+                pickle.dumps(skin)
+
+
+class TestNumbers:
+    @pytest.mark.parametrize(
+        ("options", "message"),
+        [
+            ({"timeout": 0.0}, "timeout is 0.0 s; expected more than 0"),
+            ({"timeout": float("nan")}, "timeout is nan s"),
+            ({"queue": 2.5}, "a queue of 2.5 frames; expected a whole number, at least 1"),
+            ({"reconnect": -1.0}, "reconnect is -1.0 s; expected at least 0"),
+            ({"pitch": -0.004}, "pitch is -0.004 m; expected more than 0"),
+            ({"design": "no-such.toml"}, "no-such.toml: cannot be read"),
+            ({"cell": "no-such.toml"}, "no-such.toml: cannot be read"),
+        ],
+    )
+    def test_what_cannot_be_is_refused_and_the_port_closed(self, options: dict[str, Any], message: str) -> None:
+        port = described()
+        with pytest.raises(InputError, match=message):
+            Skin(port, **options)
+        assert port.closed
+
+    def test_one_may_wait_for_ever(self) -> None:
+        forever = float("inf")
+        with lossless(described(frame(0), frame(1, flags=Flag.LAST)), timeout=forever, reconnect=forever) as skin:
+            assert skin.read(forever).sequence == 0
+            assert skin.latest(forever, forever).sequence == 1
+            assert list(skin) == []
+
+    @pytest.mark.parametrize("frames", [0, -1, 2.5, float("nan")])
+    def test_a_tare_takes_a_whole_number_of_frames(self, frames: Any) -> None:
+        with Skin(described(frame(0))) as skin, pytest.raises(InputError, match="expected a whole number"):
+            skin.tare(frames)
+
+    def test_design_and_cell_may_be_files(self) -> None:
+        cell = EXAMPLES / "cell.toml"
+        design = EXAMPLES / "prototype.toml"
+        counts = encode(FramePacket.of(np.full((4, 4), 900), sequence=0, time_us=0, boot_id=1))
+        cells = {"cell": cell} if cell.exists() else {}
+        with Skin(Script(sheet(), counts), design=str(design), timeout=30.0, **cells) as skin:  # type: ignore[arg-type]
+            assert skin.design.array.shape == next(skin).pressure.shape == (4, 4)
