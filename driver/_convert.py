@@ -143,14 +143,18 @@ class Converter:
         return self._starts
 
     def try_out(self) -> None:
-        """Convert a frame of mid-scale counts, for what shows only then: absurd values, and the cost of setting up."""
+        """Convert a frame of mid-scale counts, for what shows only then: absurd values, and the cost of setting up.
+
+        What this finds is dropped: an inversion that begins far from the skin's own readings takes many frames to come
+        near, and some of its cells may not get there.
+        """
         adc = self.design.adc
         assert adc is not None, "CountReader refuses designs without an ADC"
         counts = np.full(self.design.array.shape, 2 ** (adc.bits - 1), dtype=np.uint16)
         reading = self._read(counts)
         if self.cell is not None:
             self._fresh_estimator().step(1.0, reading.resistance)
-        self._read.forget()
+        self._read = CountReader(self.design, accuracy=self._accuracy)
 
     def use_rest(self, rest_ohm: FloatArray | None) -> None:
         """Take these rest resistances (rows, columns) from now on, None those without a tare; memory is dropped."""

@@ -140,11 +140,6 @@ class CountReader:
         """Go on with the :meth:`memory` of another reader of the same design. The inversion begins anew."""
         self._scatter.resume(noise_steps * self._step, None if counts is None else self._volts(counts))
 
-    def forget(self) -> None:
-        """Take the next frame for the first one, as far as noise is concerned."""
-        self._scatter.forget()
-        self._silent, self._reading = 0, None
-
     def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
         """The middle of each code, in V."""
         volts: FloatArray = counts.astype(np.float64)

@@ -12,9 +12,10 @@ from ohmskin.bench._driver import CASES, design, packets_of, pressed
 from ohmskin.bench._paced_port import PacedPort
 from ohmskin.cell import Cell
 from ohmskin.cli import run
-from ohmskin.driver import Skin
+from ohmskin.driver import CountReader, Skin
 from ohmskin.verification import _speed as speed
 from ohmskin.verification._outcome import Outcome
+from ohmskin.wire import host_protocol
 
 
 def test_every_estimator_of_the_data_sheet_is_judged_at_every_size() -> None:
@@ -44,6 +45,20 @@ def test_the_errors_of_the_benchmark_are_those_of_a_skin() -> None:
             shown.append(skin.read(0.0).pressure)
     (row,) = [r for r in bench.live_estimators((4,), learned=False, frames=60) if r.is_default]
     assert row.worst_kpa == pytest.approx(float(np.abs(np.array(shown) - truth).max()), rel=1e-9)
+
+
+def test_setting_up_a_skin_leaves_nothing_for_its_first_frames() -> None:
+    """A skin tries its circuit out with counts that its board never sent: the inversion must not begin there."""
+    board = design(8, "voltage-divider", "ground", 8)
+    packets = packets_of(board, pressed((8, 8), 20)[1])
+    read, decode = CountReader(board), host_protocol("ohmskin")
+    port = PacedPort(packets, 1.0)
+    with Skin(port, design=board, cell=Cell.example(), delivery="every", timeout=60.0) as skin:
+        for packet in packets:
+            port.work(1.0)
+            frame, expected = skin.read(0.0), read(decode.feed(packet, 0.0)[0].counts)  # type: ignore[union-attr]
+            np.testing.assert_array_equal(frame.reason, expected.reason)
+            np.testing.assert_array_equal(frame.resistance, expected.resistance)
 
 
 def test_a_slow_reader_s_frames_are_young_and_all_accounted_for() -> None:
