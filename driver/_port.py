@@ -392,6 +392,8 @@ def _why_not_opened(name: str, error: Exception) -> str:
             return f"permission denied; the port belongs to {_owner(name)}, which this user is not in"
         case errno.EAGAIN | errno.EBUSY:
             return "in use by another program"
+        case errno.EMFILE | errno.ENFILE:
+            return f"cannot be opened: {_reason(error)}"
     if os.path.exists(name) and not isinstance(error, ValueError):
         return f"is no serial port ({_reason(error)})"
     return f"cannot be opened: {_reason(error)}"
