@@ -36,12 +36,19 @@ SHARED = 3
 """number of these rows"""
 SPARK_S = 0.1
 """a jump that is taken back sooner is no load"""
-BACK = 0.2
+BACK = 0.05
 """share of a jump within which it counts as taken back"""
 LARGE_JUMP, CLEAR_JUMP = 0.05, 12.0
 """of full scale, and in standard deviations of a reading, from which a jump may be a spark"""
-SUDDEN = 2.5
+CLEAR = 3.0
+"""standard deviations of a reading by which a jump that was taken back may be off and still be a bad contact"""
+SUDDEN = 6.0
 """times the change of the reading before it: a smaller jump is part of a press"""
+NEARER, EITHER, SMALL = 0.5, 0.25, 0.15
+"""share of the distance to a tap within which a bad contact must be; share of the jump, and of full scale, within which
+the pressure after a tap is usually that from before it"""
+SUDDENLY = 0.6
+"""share of a jump that must be taken back from one frame to the next"""
 BEYOND = 0.75
 """of full scale from its middle, beyond which a jump is not shown at once"""
 AT_REST = 0.005
@@ -56,9 +63,9 @@ NO_LOAD_SIGMAS, TINY = 2.0, 1e-30
 """standard deviations of the noise at which a load and none are as likely; keeps 0/0 from occurring"""
 SETTLE_EVERY = 32
 """frames between two looks for cells that may go to sleep"""
-UNSEEN, SUMMED = 0.6, 1.0
-"""of the noise of a single reading, and of the sum of small departures: what a change could be that the smoothing has
-not noticed yet"""
+HIDDEN, SIGMAS = 3.3, 3.0
+"""standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
+a change could be that the smoothing has not noticed yet"""
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation, of a cell whose model nobody compared with a recording"""
 USUAL = 1.1
@@ -115,7 +122,7 @@ class Estimator(ABC):
         self.shape, self.full_scale_kpa, self.conditions = shape, full_scale_kpa, conditions
         rest = resistance_of(shape, rest_resistance_ohm).ravel()
         self._per_ohm = 1 / rest
-        self._full_scale_r = abs(full_scale_r)
+        self._full_scale_r, self._side = abs(full_scale_r), math.copysign(1.0, full_scale_r)
         self._credible = credible
         self._exact = conditions.noise == 0.0 or not self.filters
         self._states_std = self.states_std
@@ -133,6 +140,8 @@ class Estimator(ABC):
         self._pressure = np.full(cells, np.nan)
         self._variance = np.full(cells, np.nan)  # kPa^2; without the cells of _left_open; replaced, never changed
         self._left_open: _LeftOpen | None = None
+        self._asleep: _Asleep | None = None
+        self._reading = np.zeros(cells)
         self._readings = np.zeros(cells)
         self._awake = np.zeros(cells, dtype=np.bool_)
         self._gaps = _Gaps.none(cells)
@@ -174,7 +183,7 @@ class Estimator(ABC):
         if self._frames and not 0 < elapsed_s < np.inf:
             raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
         dt = float(elapsed_s) if self._frames else 1.0
-        r = np.empty(resistance.size)
+        r = self._reading = np.empty(resistance.size)
         self._normalise(resistance.ravel(), r)
         known = self._readable(r)
         if not self._exact:
@@ -225,13 +234,19 @@ class Estimator(ABC):
 
         The function holds what it needs, so that a step whose standard deviation nobody asks for hardly pays for it.
         """
-        return partial(
-            self._std_of, self._variance, self._left_open, self._gaps.variance if self._gaps.doubtful else None
-        )
+        by_gaps = self._gaps.variance if self._gaps.doubtful else None
+        return partial(self._std_of, self._variance, self._asleep, self._reading, self._left_open, by_gaps)
 
-    def _std_of(self, before: FloatArray, left_open: _LeftOpen | None, by_gaps: FloatArray | None) -> FloatArray:
-        """(shape) kPa, from variances (n,) in kPa^2: from before the step, of the step, and by gaps."""
-        variance = self._with(before, left_open)
+    def _std_of(
+        self,
+        before: FloatArray,
+        asleep: _Asleep | None,
+        reading: FloatArray,
+        left_open: _LeftOpen | None,
+        by_gaps: FloatArray | None,
+    ) -> FloatArray:
+        """(shape) kPa, from variances (n,) in kPa^2: from before the step, of sleeping cells, of the step, by gaps."""
+        variance = self._with(before if asleep is None else asleep.added_to(before, reading), left_open)
         std: FloatArray = np.sqrt(variance if by_gaps is None else variance + by_gaps).reshape(self.shape)
         return std
 
@@ -399,7 +414,7 @@ class Estimator(ABC):
         noise *= at_rest if every else at_rest.take(cells, mode="clip")
         noise += _LEAST_NOISE
         if self._sparks.cells.size:
-            self._put_back(dt, reading)
+            self._put_back(dt, reading, noise)
         smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
         if smooth.begun is not None:
             self._remember(smooth.begun, reading, noise)
@@ -468,10 +483,11 @@ class Estimator(ABC):
         asleep = np.flatnonzero(~self._awake & (self._readings > 0))
         if asleep.size:
             self._wake_at[asleep] = self._waking()[asleep]
-            at_rest = UNSEEN * self._noise.std(self._mean[asleep], asleep)
             memory = self._memory[:, asleep]
+            noise = self._noise.std(self._mean[asleep], asleep)
+            self._asleep = _Asleep(asleep, memory[GAIN] / SIGMAS, memory[GAIN] * (HIDDEN / SIGMAS) * noise)
             self._variance = self._variance.copy()
-            self._variance[asleep] = self._own_variance(memory, at_rest) + memory[PRESSURE] ** 2
+            self._variance[asleep] = self._own_variance(memory, _ZERO) + memory[PRESSURE] ** 2
 
     def _put_to_sleep(self, cells: IntArray) -> None:
         if not cells.size:
@@ -515,7 +531,8 @@ class Estimator(ABC):
         if size.item(size.argmax()) <= LARGE_JUMP * self._full_scale_r:
             return
         least = np.maximum(CLEAR_JUMP * noise, LARGE_JUMP * self._full_scale_r)
-        place = np.flatnonzero(begun & (size > least))
+        released = (self._side * jump < 0) & (self._side * reading > -CLEAR * noise)
+        place = np.flatnonzero(begun & (size > least) & ~released)
         place = place[~np.isin(block.cells[place], self._sparks.cells)]
         place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
         if place.size:
@@ -523,22 +540,49 @@ class Estimator(ABC):
                 block.cells[place], block.memory[:, place], block.line_before[:, place], jump[place]
             )
 
-    def _put_back(self, dt: float, r: FloatArray) -> None:
+    def _put_back(self, dt: float, r: FloatArray, noise: FloatArray) -> None:
         """Put back the memory of cells whose reading has come back; changes the block."""
         sparks, block = self._sparks, self._block
         sparks.age_s += dt
         sparks.memory = self._hold(sparks.memory, dt)
         place = np.searchsorted(block.cells, sparks.cells)
-        back = np.abs(r[place] - sparks.line[smoothing.LEVEL]) < BACK * np.abs(sparks.jump)
-        back &= sparks.age_s <= SPARK_S * (1 + 1e-9)
+        off = r[place] - sparks.line[smoothing.LEVEL]
+        np.copyto(sparks.jump, off, where=np.abs(off) > np.abs(sparks.jump))
+        jump, moved = np.abs(sparks.jump), sparks.line[smoothing.SLOPE] * sparks.age_s
+        over = sparks.age_s > SPARK_S * (1 + 1e-9)
+        back = np.abs(off - moved) < BACK * jump + CLEAR * noise[place] + np.abs(moved)
+        back &= np.abs(block.line[smoothing.LEVEL, place] - r[place]) > SUDDENLY * jump
+        back &= ~over
+        over |= back
         if back.any():
+            some = place[back]
+            back[back] = self._was_spark(some, dt, sparks.where(back), r[some], noise[some])
             block.memory = block.memory.copy()  # another array, as sign that it has changed
             block.memory[:, place[back]] = sparks.memory[:, back]
             block.line[:, place[back]] = sparks.line[:, back]
             block.line_before = block.line.copy()
-        over = (sparks.age_s > SPARK_S) | back
         if over.any():
             self._sparks = sparks.where(~over)
+
+    def _was_spark(
+        self, place: IntArray, dt: float, sparks: _Sparks, reading: FloatArray, noise: FloatArray
+    ) -> BoolArray:
+        """Whether jumps (m,) that were taken back were bad contacts rather than taps; ``place`` of them in the block.
+
+        A cell remembers a tap. After one, the pressure that follows from the memory of the tap is the one from before,
+        and the reading is not; after a bad contact it is the other way round. Taps are the rule. Where both may be, the
+        difference counts as standard deviation, until it has faded.
+        """
+        before, top = sparks.memory[PRESSURE], self._block.memory[PRESSURE, place]
+        tapped = self._advance(self._block.memory[:, place], dt, reading, noise, lambda: noise)
+        off = np.abs(reading - sparks.line[smoothing.LEVEL]) - CLEAR * noise
+        off_if_tapped = np.abs(tapped[PRESSURE] - before)
+        moved = np.abs(top - before)
+        found: BoolArray = off * moved <= NEARER * off_if_tapped * np.abs(sparks.jump)
+        plausible = np.maximum(EITHER * moved, SMALL * self.full_scale_kpa)
+        either = found & (off_if_tapped < plausible) & (tapped[PRESSURE] > -LARGE_JUMP * self.full_scale_kpa)
+        self._gaps.doubt(sparks.cells[either], off_if_tapped[either])
+        return found
 
     def _variance_of_jumps(self, memory: FloatArray) -> FloatArray:
         """(m,) kPa^2: half of a jump counts as standard deviation as long as it may be a spark."""
@@ -637,18 +681,34 @@ class _Looked(NamedTuple):
     def doubt(self) -> FloatArray:
         """(m,) standard deviation of the smoothed readings.
 
-        A reading off the line, or several that are a little off to the same side, may be noise, or the beginning of a
-        change that the line has not taken up.
+        A change of the load that the line has not taken up is anything between the line and a little beyond the
+        reading, since noise may hide as much: errors up to there are to stay within :data:`SIGMAS` deviations.
         """
-        up, down = self.line[smoothing.SUMS]
-        doubt: FloatArray = np.maximum(up, down)
-        doubt *= SUMMED
-        np.maximum(doubt, UNSEEN, out=doubt)
-        doubt *= self.noise
-        off = np.subtract(self.reading, self.line[smoothing.LEVEL])
-        np.abs(off, out=off)
-        np.maximum(doubt, off, out=doubt)
+        doubt: FloatArray = self.reading - self.line[smoothing.LEVEL]
+        np.abs(doubt, out=doubt)
+        doubt += HIDDEN * self.noise
+        doubt *= 1.0 / SIGMAS
         return np.maximum(doubt, self.std, out=doubt)
+
+
+class _Asleep(NamedTuple):
+    """What the readings of sleeping cells leave open. Arrays never change again."""
+
+    cells: IntArray
+    """(m,) that sleep, or have done so a few frames ago"""
+    per_reading: FloatArray
+    """(m,) kPa of standard deviation per r: the load may be the reading's, though none is shown"""
+    hidden_kpa: FloatArray
+    """(m,) what the noise may hide beyond, as standard deviation"""
+
+    def added_to(self, variance: FloatArray, reading: FloatArray) -> FloatArray:
+        """Variances (n,) in kPa^2 with those that the present readings (n,) leave open."""
+        std = np.abs(reading[self.cells])
+        std *= self.per_reading
+        std += self.hidden_kpa
+        found = variance.copy()
+        found[self.cells] += std**2
+        return found
 
 
 class _LeftOpen(NamedTuple):

@@ -20,8 +20,14 @@ from ._forward import as_m10
 from ._models import AsymmetricModel, M10Model
 from ._paper import LOADS, MEMORIES
 
-LOAD, BRANCHES, BROKEN, ANCHOR = 3, slice(4, 6), 6, 7
-"""rows of the memory; the anchor is the load behind a play as wide as the noise"""
+LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, ERRORS, MISSED = 3, slice(4, 6), 6, 7, 8, slice(9, 12), 12
+"""rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last step of the load,
+variances in r of what is remembered of the branches and of the broken chains, and the r of chains that may have broken
+unseen"""
+BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.25
+"""of a bend of the load, its change of change between frames. The first makes the standard deviation of a lag, over
+ramp (1 - ramp), as the load may go straight or by a step. The second makes that of the way to and fro between two
+frames, the third its mean where the load turns"""
 STILL_SIGMAS = 3.0
 """half width of that play, in standard deviations: noise within it breaks no chains"""
 
@@ -90,7 +96,10 @@ class InverseEstimator(Estimator):
     one side. Where b or opposite branches spoil that, what is left is bracketed.
     """
 
-    rows = ("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor")
+    rows = (
+        *("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor", "moved"),
+        *("error1", "error2", "broken_error", "missed"),
+    )
 
     def __init__(
         self,
@@ -136,7 +145,8 @@ class InverseEstimator(Estimator):
         free = broken * (1 - gone[4])
         breaking = m.k * (1 - ramp[4])
         ahead = lead > 0
-        kept = x + lead * np.where(ahead, gone[:2], gone[2:4])
+        forgets = np.where(ahead, gone[:2], gone[2:4])
+        kept = x + lead * forgets
         slope = m.a + 2 * m.b * s0
         change = r - (m.a + m.b * s0) * s0 - free - kept[0] - kept[1]
         up = change > 0  # r rises with the load, so that this is also the sign of the step
@@ -180,8 +190,36 @@ class InverseEstimator(Estimator):
         new[PRESSURE] = new[LOAD] * self.full_scale_kpa
         new[ANCHOR] = np.maximum(np.minimum(memory[ANCHOR], new[LOAD] + width), new[LOAD] - width)
         new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self._full_scale_r)
-        new[VARIANCE] = new[VARIANCE] * np.exp(-2 * dt_s / m.fall1_s)
+        if not self._exact:
+            self._err(new, forgets, gone[4], follows, step, std)
         return new
+
+    def _err(
+        self,
+        memory: FloatArray,
+        forgets: FloatArray,
+        heals: FloatArray,
+        follows: FloatArray,
+        step: FloatArray,
+        std: FloatArray,
+    ) -> None:
+        """Follow the standard deviations of what is remembered; changes ``memory``.
+
+        What a load does between two frames is not seen: it may go straight or by a step, and turn in between. How much
+        this may be, its bends from frame to frame tell. What is remembered wrong is forgotten as what is remembered.
+        """
+        bend = np.abs(step - memory[MOVED]) - STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
+        np.maximum(bend, 0.0, out=bend)
+        errors = memory[ERRORS]
+        errors[:2] *= (1 - forgets) ** 2
+        errors[2] *= (1 - heals) ** 2
+        errors[:2] += (BETWEEN * bend * follows * (1 - follows / np.maximum(self._alpha, 1e-9))) ** 2
+        errors[2] += (AROUND * self.model.k * bend) ** 2
+        memory[MISSED] *= 1 - heals
+        memory[MISSED] += TO_AND_FRO * self.model.k * bend * (step * memory[MOVED] < 0)
+        memory[MOVED] = step
+        variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2
+        memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within :data:`LOADS`; where the model needs a pull, let it remember less instead."""

@@ -23,12 +23,15 @@ LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
 USUAL, DOUBT = 1.1, 0.1
 """times full scale: no larger pressure is believed while its standard deviation by the memory is above the second"""
+BEYOND = 0.3
+"""of full scale: standard deviation of a pressure that was found to be too large to be believed"""
 MEMORIES = 10.0
 """times the fast answer to full scale that r may reach: presses in quick succession add up"""
 TURN = 0.01
 """of full scale by which the pressure must have gone back for a turn"""
-EXACTLY, NEAR = 1e-9, 1e-3
-"""of full scale: rounding; and an error of the pressure at a turn, noise aside"""
+EXACTLY, NEAR, ROUND = 1e-9, 1e-3, 2e-3
+"""of full scale: rounding; a pressure that is as good as none; and an error of the pressure at a slow turn, which is
+noticed late"""
 EITHER = 0.5
 """standard deviation over the difference of the two hypotheses: either may be right until the pressure has turned"""
 SURE = 3.0
@@ -36,10 +39,12 @@ SURE = 3.0
 CONFIRMED_RISE, CONFIRMED_FALL = 3.0, 1.0
 """turns by which the model that was left must have gone back by its own account, too; until then the turn may yet be
 found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
+BETWEEN = 0.3
+"""of the way of a load in a frame: how far beyond the frames it turned. Between none and half; the root mean square"""
 LESS = 2.0
 """standard deviations of the smoothed noise by which an extreme counts for less. The largest of many readings is too
 large by about as many; with more, the end of a tap of few frames would be missed"""
-PULL_SIGMAS = 1.0
+PULL_SIGMAS = 0.7
 """standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
 smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
 FLAT = 0.003
@@ -181,11 +186,11 @@ class PaperEstimator(Estimator):
         return held
 
 
-TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 8)
+TURNED, SIGN, EXTREME, PEAK, LEFT, LAST, BEFORE_LAST = range(3, 10)
 """rows: variance from turns not known to the point, which fades; 1 rising, -1 in recovery; the largest sign times
 pressure since the last turn, less :data:`LESS` and less one standard deviation; the extreme that was left
-at an unconfirmed turn, else ``FAR``"""
-IN_FORCE, STATE = slice(8, 10), slice(10, 17)
+at an unconfirmed turn, else ``FAR``; the pressures of the last frame and of the one before"""
+IN_FORCE, STATE = slice(10, 12), slice(12, 19)
 """1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
 RISING, RECOVERY = 0, 1
 HYPOTHESES = ("rising_pressure", "recovery_pressure", "settled", "x2", "rising_x3", "recovery_x3", "r")
@@ -254,7 +259,7 @@ class TurningEstimator(Estimator):
 
     rows = (
         *("pressure", "gain", "variance", "turned", "sign", "extreme", "peak", "left_extreme"),
-        *("is_rising", "is_recovery", *HYPOTHESES),
+        *("last", "before_last", "is_rising", "is_recovery", *HYPOTHESES),
     )
 
     def __init__(
@@ -271,6 +276,8 @@ class TurningEstimator(Estimator):
         full_r = model.gain_per_kpa * full_scale_kpa
         self._weights_of = lru_cache(maxsize=1024)(partial(turn_weights, model))
         self._taken_over = taken_over(model)
+        self._bend = 1 / model.eu1_kpa + 1 / model.etau2_kpa - 1 / model.e1_kpa
+        """r per kPa by which the answer to a fast rise exceeds that to a fast fall"""
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
@@ -291,7 +298,7 @@ class TurningEstimator(Estimator):
         p = r / m.gain_per_kpa
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[GAIN], memory[SIGN], memory[LEFT] = p, self._begin_gain, 1.0, FAR
-        memory[EXTREME], memory[PEAK] = p, p
+        memory[EXTREME], memory[PEAK], memory[LAST], memory[BEFORE_LAST] = p, p, p, p
         memory[IN_FORCE.start + RISING] = 1.0
         memory[STATE] = [p, p, p, p / m.e2_kpa, p / m.e3_kpa, p / m.e3_kpa, r]
         return memory
@@ -303,6 +310,8 @@ class TurningEstimator(Estimator):
         of = self._of
         if memory is not of.memory:
             of = self._of = _Rows(memory)
+        np.copyto(of.before_last, of.last)
+        np.copyto(of.last, of.pressure)
         np.copyto(of.r, r)
         np.dot(w.step, of.state, of.change)
         np.copyto(of.hypotheses, of.change)
@@ -399,13 +408,26 @@ class TurningEstimator(Estimator):
         some[EXTREME] = now - LESS * unsure
         some[PEAK] = now - unsure
         # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
-        some[TURNED] = some[VARIANCE] + (weights.by_model[0, RECOVERY] * noise + NEAR * self.full_scale_kpa) ** 2
+        unseen = self._unseen(some, pressure, gain) + ROUND * self.full_scale_kpa
+        some[TURNED] = (np.sqrt(some[VARIANCE]) + unseen) ** 2
+        some[TURNED] += (weights.by_model[0, RECOVERY] * noise) ** 2
         if np.count_nonzero(again):
             np.copyto(some[EXTREME], left, where=again)
             np.copyto(some[PEAK], left, where=again)
             np.copyto(extreme, FAR, where=again)
         some[LEFT] = extreme
         memory[:, turned] = some
+
+    def _unseen(self, memory: FloatArray, pressure: FloatArray, gain: FloatArray) -> FloatArray:
+        """(m,) standard deviation in kPa that turns between two frames leave in ``pressure`` (m,).
+
+        The extreme itself falls between two frames. How far it was beyond them is up to half of the way that the load
+        went in a frame before or after, whichever is less. On that way r goes up by one model and down by the other.
+        All turns err to the same side, so these errors add up like amounts rather than like variances.
+        """
+        way = np.minimum(np.abs(memory[LAST] - memory[BEFORE_LAST]), np.abs(pressure - memory[LAST]))
+        noise_free: FloatArray = BETWEEN * way * self._bend * gain
+        return noise_free
 
     def _limit(self, of: _Rows, weights: TurnWeights) -> None:
         """Keep pressures within :data:`LOADS`, and what is remembered with them; changes the state.
@@ -420,6 +442,8 @@ class TurningEstimator(Estimator):
         if not beyond.any():
             return
         np.minimum(of.pressures, self._usual, where=beyond, out=of.pressures)
+        least = (BEYOND * self.full_scale_kpa) ** 2
+        np.maximum(of.doubt, least, where=(beyond & (of.in_force > 0)).any(axis=0), out=of.doubt)
         p, r = self._usual, of.r
         np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])
         np.copyto(state[3], r - p / m.e1_kpa - state[5], where=beyond[RECOVERY])
@@ -472,6 +496,7 @@ class _Rows:
         self.memory = memory
         cells = memory.shape[1]
         self.pressure, self.gain, self.variance, self.doubt, self.sign, self.extreme, self.peak, self.left = memory[:8]
+        self.last, self.before_last = memory[LAST], memory[BEFORE_LAST]
         self.in_force = memory[IN_FORCE]
         self.state = memory[STATE]
         self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]
