@@ -20,6 +20,8 @@ from ohmskin.cell._choice import Evidence, choose
 from ohmskin.cell._identify import Fold, fits
 from ohmskin.cell._judged import MOVING, Judged, Regimes, best_share, mixed, standard_errors_better
 from ohmskin.cell._learned import DRIFT, Learned
+from ohmskin.cell._remarks import remarks
+from ohmskin.errors import InputError
 
 
 def _unused(rng: np.random.Generator, loads: np.ndarray, dt: float) -> np.ndarray:
@@ -251,3 +253,25 @@ def test_the_panel_takes_its_materials_in_turn() -> None:
     assert {material for _, material, _ in names} == set(MATERIALS)
     assert len(set(names)) == len(names)
     assert {load for load, _, _ in names} == {*LOADS, *panel.DISTURBANCES}
+
+
+def test_a_load_cell_that_is_late_and_a_converter_that_clips_are_noticed() -> None:
+    scene = panel.scene("random", "relays", 2)
+    head = scene.time_s < 120
+    time, load, read = scene.time_s[head], scene.pressure_kpa[head], scene.resistance_ohm[head]
+
+    def said(pressure: np.ndarray, resistance: np.ndarray, full_scale_kpa: float = panel.FULL_SCALE_KPA) -> str:
+        recording = checked_recording(time, pressure, resistance)
+        return " ".join(remarks(recording, full_scale_kpa, 10.0, varied=True))
+
+    assert not said(load, read)
+    assert not said(np.interp(time + 1.0, time, load), read), "a cell may follow late"
+    assert "changes 1 s before the pressure" in said(np.interp(time - 1.0, time, load), read)
+    assert "does the converter clip" in said(load, np.minimum(read, np.quantile(read, 0.8)))
+    assert "beyond it the deviation grows" in said(load, read, 2 * panel.FULL_SCALE_KPA)
+
+
+def test_a_recording_with_its_sign_turned_round_is_refused_in_words() -> None:
+    scene = panel.scene("random", "relays", 2)
+    with pytest.raises(InputError, match="is its sign turned round"):
+        checked_recording(scene.time_s, -scene.pressure_kpa, scene.resistance_ohm)
