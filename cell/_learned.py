@@ -84,9 +84,15 @@ class StaticCurve(Section):
     """range of the reading that the curve was fitted to; None: in files of earlier versions"""
 
     def load(self, r: FloatArray) -> FloatArray:
-        """The normalised load for a normalised resistance, not limited."""
-        load = np.polynomial.polynomial.polyval(self.reading(r), np.array(self.coefficients))
-        return np.asarray(load)
+        """The normalised load for a normalised resistance, not limited; a straight line beyond what was recorded."""
+        x, cubic = self.reading(r), np.polynomial.Polynomial(self.coefficients)
+        if self.reached is None:
+            return np.asarray(cubic(x))
+        # A cubic turns back beyond the readings that it was fitted to: an overload would read as none.
+        low, high = self.reached.lowest[0], self.reached.highest[0]
+        inside = np.clip(x, low, high)
+        slope = (cubic(high) - cubic(low)) / max(high - low, 1e-12)
+        return np.asarray(cubic(inside) + slope * (x - inside))
 
     def reading(self, r: FloatArray) -> FloatArray:
         """What the cubic is one of."""

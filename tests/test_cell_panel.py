@@ -149,7 +149,9 @@ def test_a_learned_map_mixed_with_the_static_curve_answers_in_between() -> None:
     rng = np.random.default_rng(3)
     limits = estimators.static.limits.replace(lowest=-1e6, highest=1e6)
     learned = estimators.distilled.replace(limits=limits)
-    reading = learned.mean[0] + learned.scale[0] * rng.uniform(-2, 2, 50)
+    reached = estimators.static.reached
+    assert reached is not None
+    reading = rng.uniform(reached.lowest[0], reached.highest[0], 50)
     resistance = found.cell.rest_resistance_ohm * (1 + reading)
 
     def answers(map_: Learned) -> np.ndarray:
@@ -217,6 +219,8 @@ def test_the_deviation_grows_beyond_what_was_learned_from() -> None:
         estimator.step(0.1, np.array([highest, highest + 1.5 * (highest - cell.rest_resistance_ohm)]))
         known, unknown = estimator.std_kpa
         assert unknown > known + 0.2 * cell.full_scale_kpa
+    overload = cell.estimator((), "static", noise=0.0).step(0.1, highest + 1.5 * (highest - cell.rest_resistance_ohm))
+    assert overload >= 0.99 * cell.full_scale_kpa
     lost = cell.estimator((), "static")
     lost.step(0.1, 1.1 * cell.rest_resistance_ohm)
     before = lost.std_kpa
