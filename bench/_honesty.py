@@ -265,9 +265,9 @@ def _cases() -> list[tuple[Load, Fault]]:
     return [(load, "") for load in loads] + [("press", fault) for fault in faults]
 
 
-def specimens() -> dict[str, tuple[Cell, Cell]]:
-    """Cells of every kind, other than the shipped one in R0, full scale and time constants, as they are and as they are
-    believed to be: the same, or what the calibration protocol makes of them.
+def specimens_uncalibrated() -> dict[str, tuple[Cell, Cell]]:
+    """Cells of every kind, other than the shipped one in R0, full scale and time constants; twice, as :func:`specimens`
+    has them.
     """
     own = PaperModel(
         eu1_kpa=100.0,
@@ -288,9 +288,15 @@ def specimens() -> dict[str, tuple[Cell, Cell]]:
         "m10": Cell(rest_resistance_ohm=5600.0, full_scale_kpa=150.0, model=m10),
         "contact": Cell(rest_resistance_ohm=3300.0, full_scale_kpa=20.0, model=falling),
     }
-    found = {name: (cell, cell) for name, cell in cells.items()}
+    return {name: (cell, cell) for name, cell in cells.items()}
+
+
+def specimens() -> dict[str, tuple[Cell, Cell]]:
+    """Cells as they are and as they are believed to be: the same, or what the calibration protocol makes of them."""
+    found = specimens_uncalibrated()
     for name in ("paper", "m10"):
-        found[f"{name}, calibrated"] = cells[name], calibrated(cells[name])
+        cell, _ = found[name]
+        found[f"{name}, calibrated"] = cell, calibrated(cell)
     return found
 
 
