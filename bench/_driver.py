@@ -48,12 +48,16 @@ CASES: tuple[tuple[str, str, int, int], ...] = (
     ("inverting-amplifier", "ground", 8, 0),
     ("row-amplifier", "ground", 12, 0),
     ("voltage-feedback", "ground", 12, 0),
+    ("voltage-feedback", "ground", 12, 7),
+    ("voltage-divider", "ground", 8, 0),
     ("voltage-divider", "ground", 10, 0),
+    ("voltage-divider", "ground", 10, 7),
     ("voltage-divider", "float", 10, 0),
+    ("inverting-amplifier", "float", 12, 0),
 )
 """circuit, idle rows, ADC bits, saturated cells"""
 _PROTOCOL_STEP_S = 0.05  # between the samples of the calibration
-_LARGEST_COUPLED = 16  # side beyond which dividers and followers are left out: minutes
+_LARGEST_FLOATING = 32  # side beyond which boards with floating rows are left out: minutes
 
 
 @dataclass(frozen=True)
@@ -103,7 +107,7 @@ def driver(sizes: Iterable[int], *, frames: int = FRAMES) -> Iterator[Row]:
         for circuit, idle_rows, bits, saturated in CASES:
             if saturated > size * size:
                 continue
-            if size <= _LARGEST_COUPLED or circuit.endswith("amplifier"):
+            if size <= _LARGEST_FLOATING or idle_rows == "ground":
                 yield _measured(design(size, circuit, idle_rows, bits), Cell.example(), None, saturated, frames)
 
 

@@ -109,39 +109,11 @@ def _solve(
     if, and only if, ``A (Vref + Vos - v_minus)`` is.
     """
     number = _exact
-    array, readout = design.array, design.readout
-    rows, columns = cells.shape
+    readout = design.readout
     system = _Equations()
 
-    on_rows = readout.circuit == "row-amplifier"
-    driven_lines, read_lines = (columns, rows) if on_rows else (rows, columns)
-    parts: list[tuple[Node, Node, float]] = []
-    broken = _in_series(design, "broken-row")
-    severed = _in_series(design, "broken-column")
-    opened = _in_series(design, "open-cell")
-    for i in range(rows):
-        ahead: Node = ("end", i) if on_rows else ("drive", i)
-        parts.append((ahead, ("row", i, 0), _of(array.row_lead, i) + broken.get((i, 0), 0.0)))
-        for j in range(columns):
-            if j:
-                ohm = _of(array.row_segment, i) + broken.get((i, j), 0.0)
-                parts.append((("row", i, j - 1), ("row", i, j), ohm))
-            if i:
-                ohm = _of(array.column_segment, j) + severed.get((i - 1, j), 0.0)
-                parts.append((("column", i - 1, j), ("column", i, j), ohm))
-            parts.append((("row", i, j), ("column", i, j), float(cells[i, j]) + opened.get((i, j), 0.0)))
-    for j in range(columns):
-        ohm = _of(array.column_lead, j) + severed.get((rows - 1, j), 0.0)
-        parts.append((("column", rows - 1, j), ("drive", j) if on_rows else ("end", j), ohm))
-    for fault in design.fault:
-        i, j = fault.place
-        if fault.kind == "shorted-cell":
-            parts.append((("row", i, j), ("column", i, j), fault.ohms))
-        elif fault.kind == "bridged-rows":
-            parts.append((("row", i, j), ("row", i + 1 if fault.to is None else fault.to, j), fault.ohms))
-        elif fault.kind == "bridged-columns":
-            parts.append((("column", i, j), ("column", i, j + 1 if fault.to is None else fault.to), fault.ohms))
-
+    parts = _grid(design, cells)
+    driven_lines, read_lines = cells.shape[::-1] if readout.circuit == "row-amplifier" else cells.shape
     held: DisjointSet = DisjointSet([REFERENCE])  # nodes whose potential a source or a load ties to the reference
     feedback = readout.circuit == "voltage-feedback"
     if feedback:
@@ -185,8 +157,50 @@ def _solve(
             law, value = [(out, inverse_gain), (minus, number(1))], vos - vref * inverse_gain
         system.branch(("amplifier", j), out, REFERENCE, law, value)
 
-    # Parts without resistance are branches of 0 V; one that closes a loop of such parts would add nothing but
-    # an indeterminate current. An island that nothing holds carries no current: one of its nodes is tied.
+    _join(system, held, parts)
+    return _outputs(design, read, system.solution())
+
+
+def _grid(design: Design, cells: FloatArray) -> list[tuple[Node, Node, float]]:
+    """Nodes and ohm of every part of the grid: leads, segments, cells and faults."""
+    array = design.array
+    rows, columns = cells.shape
+    on_rows = design.readout.circuit == "row-amplifier"
+    parts: list[tuple[Node, Node, float]] = []
+    broken = _in_series(design, "broken-row")
+    severed = _in_series(design, "broken-column")
+    opened = _in_series(design, "open-cell")
+    for i in range(rows):
+        ahead: Node = ("end", i) if on_rows else ("drive", i)
+        parts.append((ahead, ("row", i, 0), _of(array.row_lead, i) + broken.get((i, 0), 0.0)))
+        for j in range(columns):
+            if j:
+                ohm = _of(array.row_segment, i) + broken.get((i, j), 0.0)
+                parts.append((("row", i, j - 1), ("row", i, j), ohm))
+            if i:
+                ohm = _of(array.column_segment, j) + severed.get((i - 1, j), 0.0)
+                parts.append((("column", i - 1, j), ("column", i, j), ohm))
+            parts.append((("row", i, j), ("column", i, j), float(cells[i, j]) + opened.get((i, j), 0.0)))
+    for j in range(columns):
+        ohm = _of(array.column_lead, j) + severed.get((rows - 1, j), 0.0)
+        parts.append((("column", rows - 1, j), ("drive", j) if on_rows else ("end", j), ohm))
+    for fault in design.fault:
+        i, j = fault.place
+        if fault.kind == "shorted-cell":
+            parts.append((("row", i, j), ("column", i, j), fault.ohms))
+        elif fault.kind == "bridged-rows":
+            parts.append((("row", i, j), ("row", i + 1 if fault.to is None else fault.to, j), fault.ohms))
+        elif fault.kind == "bridged-columns":
+            parts.append((("column", i, j), ("column", i, j + 1 if fault.to is None else fault.to), fault.ohms))
+    return parts
+
+
+def _join(system: _Equations, held: DisjointSet, parts: list[tuple[Node, Node, float]]) -> None:
+    """Put the parts into the equations; ``held`` has the nodes whose potential is tied to the reference without them.
+
+    Parts without resistance are branches of 0 V; one that closes a loop of such parts would add nothing but an
+    indeterminate current. An island that nothing holds carries no current: one of its nodes is tied.
+    """
     shorts: DisjointSet = DisjointSet()
     for name, (a, b, ohm) in enumerate(parts):
         for node in (a, b):
@@ -196,14 +210,20 @@ def _solve(
             continue
         held.merge(a, b)
         if ohm:
-            system.conductor(a, b, 1 / number(ohm))
+            system.conductor(a, b, 1 / _exact(ohm))
         elif shorts.merge(a, b):
-            system.branch(("short", name), a, b, [(a, number(1)), (b, number(-1))], number(0))
+            system.branch(("short", name), a, b, [(a, _exact(1)), (b, _exact(-1))], _exact(0))
     for island in held.subsets():
         if REFERENCE not in island:
-            system.conductor(min(island, key=str), REFERENCE, number(1))
+            system.conductor(min(island, key=str), REFERENCE, _exact(1))
 
-    value_of = system.solution()
+
+def _outputs(design: Design, read: list[int], value_of: dict[Hashable, Any]) -> tuple[list[Any], list[Any]]:
+    """What :func:`_solve` returns, from the solution of its equations."""
+    number, readout = _exact, design.readout
+    vref = number(readout.reference_voltage)
+    amplified = readout.circuit in {"inverting-amplifier", "row-amplifier"}
+    feedback = readout.circuit == "voltage-feedback"
     outputs, unlimited = [], []
     for j in read:
         share = 1 / (1 + _inverse(_of(readout.open_loop_gain, j)))

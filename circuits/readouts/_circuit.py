@@ -113,7 +113,13 @@ class ReadoutCircuit(ABC):
             readings depend on more.
 
         """
-        return None
+        ends = self.ends(board)
+        if ends is None or not (ends.resistance + board.column_lead).all():
+            return None
+        into_end = 1.0 / (ends.resistance + board.column_lead)
+        per_siemens = ends.slope * into_end / (total + into_end)
+        column = (board.drive * driven + into_end * ends.source) / (total + into_end)
+        return np.broadcast_to(board.drive * per_siemens, driven.shape), -per_siemens * column
 
     @abstractmethod
     def end_resistance(self, board: Parts) -> FloatArray:

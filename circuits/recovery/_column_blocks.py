@@ -30,6 +30,17 @@ from .._board import Board
 _LEAST_FACTOR = 1e-6  # of a cell in its crosspoint's conductance: beside a fault, below which no reading tells of it
 
 
+def beyond_linear(std: FloatArray) -> FloatArray:
+    """Further variance of a conductance that is known within ``std`` of its logarithm, over what a linear law gives.
+
+    A logarithm's standard deviation up multiplies a conductance by exp(std), not by 1 + std. What a cell that is hardly
+    known may add to the current of its lines is therefore more than the derivatives say.
+    """
+    std = np.clip(std, 1e-3, 4.0)
+    more: FloatArray = (np.expm1(std) / std) ** 2 - 1.0
+    return more
+
+
 class Step(NamedTuple):
     """The regularised inverse of the derivatives at one point. Arrays are (N, M), logarithms those of the cells."""
 
@@ -78,10 +89,11 @@ class ColumnBlocks:
     def __init__(self, board: Board, to_driver: FloatArray, to_end: FloatArray, noise: float) -> None:
         """Take the board, ohm (N, M) of wire from each crosspoint to the row driver and to its column's end."""
         self._board, self._noise = board, noise
-        self._lead = to_driver.mean(axis=1)  # a line with segments counts as one lead
-        self._to_driver, self._to_end = to_driver, to_end
-        finite = bool(np.isfinite(to_driver).all() and np.isfinite(to_end + board.column_lead).all())
-        self.applies = board.plain and finite and not board.floating
+        # Cells beyond a complete break take no part. A line with segments counts as one lead.
+        self._reached = np.isfinite(to_driver + to_end + board.column_lead)
+        self._to_driver, self._to_end = (np.where(self._reached, ohms, 0.0) for ohms in (to_driver, to_end))
+        self._lead = self._to_driver.sum(axis=1) / np.maximum(self._reached.sum(axis=1), 1)
+        self.applies = board.plain and not board.floating
         """whether the board's readings have this form at all"""
         if self.applies:
             some = np.full(board.shape, 1e-4)
@@ -102,15 +114,16 @@ class ColumnBlocks:
 
         """
         board, lead = self._board, self._lead[:, None]
-        conductance = board.cell_conductance(cells)
+        conductance = np.where(self._reached, board.cell_conductance(cells), 0.0)
         factor = np.ones(board.shape)
         if board.faults:
             own_part = cells / (cells + board.series_ohms) ** 2
-            factor = np.maximum(own_part / np.maximum(conductance, np.finfo(np.float64).tiny), _LEAST_FACTOR)
+            factor = np.clip(own_part / np.maximum(conductance, np.finfo(np.float64).tiny), _LEAST_FACTOR, 1.0)
         driven = conductance / (1.0 + lead * conductance.sum(axis=1, keepdims=True))
-        slopes = board.circuit.column_slopes(board, driven, driven.sum(axis=0))
+        with np.errstate(invalid="ignore"):  # an endless resistance behind a column without conductance
+            slopes = board.circuit.column_slopes(board, driven, driven.sum(axis=0))
         assert slopes is not None
-        own, by_sum = driven * slopes[0] / self._noise, slopes[1] / self._noise
+        own, by_sum = np.nan_to_num(driven * slopes[0] / self._noise), np.nan_to_num(slopes[1] / self._noise)
         spread = spread * factor
         free = 1.0 / (own**2 + spread**-2.0)
         second_vector = own * by_sum
@@ -125,6 +138,16 @@ class ColumnBlocks:
         information = 1.0 / free + squares * driven**2 + 2.0 * driven * second_vector
         # No cell is known better than if all others were: rounding must not say so.
         variance = np.maximum(free - free**2 * lessened, 1.0 / information)
+        # What cells that are hardly known make of the others, see beyond_linear().
+        weight = free**2 * beyond_linear(np.sqrt(variance) / factor) / variance
+        by_first = np.einsum("ij,ij,ij->j", driven, weight, driven)
+        by_both = np.einsum("ij,ij,ij->j", driven, weight, second_vector)
+        by_second = np.einsum("ij,ij,ij->j", second_vector, weight, second_vector)
+        along_driven = first * driven + both * second_vector
+        along_other = both * driven + second * second_vector
+        variance = variance + free**2 * (
+            by_first * along_driven**2 + 2.0 * by_both * along_driven * along_other + by_second * along_other**2
+        )
         through_lead = lead * conductance
         along = np.einsum("ij,ij,ij->i", through_lead, through_lead, variance)[:, None]
         spread_of_rows = variance * (1.0 + 2.0 * through_lead) + along

@@ -10,16 +10,18 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...errors import SolverError
+from ...errors import InputError, SolverError
 from .._adc import adc_error
 from .._board import Board, broken_off, cell_alone
+from .._sections import Fault
 from ..solvers import siemens
-from ._column_blocks import ColumnBlocks
+from ._column_blocks import ColumnBlocks, beyond_linear
 from ._derivatives import derivatives
 from ._lines import LineResistance
 from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
 from ._normal_matrix import Meter, NormalMatrix
 from ._quick_model import QuickModel
+from ._sheet_model import SheetModel
 
 _SHORT = 8.0  # half steps and noise from the reading of a short within which a cell may be one
 _SHORT_SHARE = 0.998  # of the reading of a short, likewise
@@ -35,9 +37,14 @@ _SLOW = 0.2  # length of a step over the one before from which on the derivative
 _MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
 _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
 _SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
+_MOST_WITHOUT_FIT = 2  # frames in a row until steps column by column are given up
+_STUCK = 300  # frames until they are tried again
+_AT_REST = 0.3  # most change by a further step after a fresh start
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
-_FAR_BELOW = 0.02  # share of its leads' resistance below which a cell that does not fit may as well be a short
+_COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
+_ROUGHLY = 0.05  # change of a logarithm that matters for cells which only load others
+_FAR_BELOW = 0.05  # share of its leads' resistance below which a cell is as good as a short
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _CONVERGED = 0.2  # the same after steps that have come to their end
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
@@ -90,10 +97,12 @@ class _Effort(NamedTuple):
     """of the circuit model"""
     instalments: int
     """of the renewal of the derivatives, each about as much as one to five evaluations"""
+    solutions: int
+    """of a continuous sheet"""
 
 
-USUAL_EFFORT = _Effort(4, 1)
-FIRST_EFFORT = _Effort(40, 700)
+USUAL_EFFORT = _Effort(evaluations=4, instalments=1, solutions=1)
+FIRST_EFFORT = _Effort(evaluations=40, instalments=700, solutions=4)
 """in the first frame of all, before which nothing is known"""
 
 
@@ -125,6 +134,11 @@ class _Fit(NamedTuple):
     """(n,) present slopes over those at the base"""
 
 
+def _with_resistance(fault: Fault) -> Fault:
+    """The fault, with a resistance far below that of any wire where it has none."""
+    return fault.replace(resistance=_COMPLETE_SHORT) if fault.kind == "shorted-cell" and fault.ohms == 0 else fault
+
+
 def _far(base: _Base, at: _Known) -> bool:
     """Whether the base is from too far away to serve at these cells."""
     return float(np.abs(base.log - at.log).max()) > _FAR
@@ -141,9 +155,15 @@ class CoupledLive:
     """
 
     def __init__(self, board: Board, rule: ValidityRule) -> None:
-        """For a sliced sheet with a converter."""
+        """For a board with a converter.
+
+        Raises:
+            InputError: the board is too large.
+
+        """
         # Readings at a limit are not fitted. A model without limits has derivatives wherever the fit passes through.
-        self._board = board = replace(board, supply=(-inf, inf))
+        whole = replace(board, supply=(-inf, inf))
+        self._board = board = replace(whole, continuous=False, faults=tuple(map(_with_resistance, board.faults)))
         self._rule = rule
         self._half_step = adc_error(board)
         self._noise = self._half_step / np.sqrt(3.0)  # V, standard deviation of an error within a step
@@ -156,23 +176,37 @@ class CoupledLive:
         self._prior = np.where(self._hidden, _UNKNOWN, _PRIOR)
         self._lines = LineResistance(board)
         self._columns = ColumnBlocks(board, self._lines.to_driver, self._lines.to_end, self._noise)
-        self._has_matrix = board.shape[0] * board.shape[1] <= (
-            LARGEST_BESIDE if self._columns.applies else LARGEST_MATRIX
-        )
-        self._model = QuickModel(board, self._lines)
+        cells = board.shape[0] * board.shape[1]
+        if cells > LARGEST_MATRIX and not self._columns.applies:
+            raise InputError(
+                f"the live recovery of boards with floating rows or bridged lines is for at most {LARGEST_MATRIX} "
+                f'cells, and the array has {cells}; expected a smaller array, or drive.idle_rows = "ground"'
+            )
+        self._shorted = np.zeros(board.shape, dtype=np.bool_)  # by faults of 0 ohm
+        for fault in whole.shorts:
+            self._shorted[fault.place] |= fault.ohms == 0
+        self._gone = self._hidden | self._shorted.ravel()  # cells that no reading tells of
+        nearly_independent = self._columns.applies and not self._shorted.any()
+        self._has_matrix = cells <= (LARGEST_BESIDE if nearly_independent else LARGEST_MATRIX)
+        self._quick = QuickModel(board, self._lines)
+        self._sheet = SheetModel(whole, self._quick) if whole.continuous else None
+        self._model = self._quick if self._sheet is None else self._sheet
         leads = board.row_ohms[:, :1] + board.column_lead
         self._leads = self._lines.to_ends + board.column_lead  # ohm in series with each cell
         # V of a short that is alone, inf with ideal lines and amplifiers; and the most that any cells can make of it
         self._short_signal, self._most_signal = (
             np.abs(board.circuit.ideal_volts(board, ohms) - board.level)
-            for ohms in (self._leads, leads + 0.0 * self._lines.to_ends)
+            for ohms in (self._leads, np.broadcast_to(leads, board.shape))
         )
         self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._known: _Known | None = None  # where the last frame ended
+        self._ignored: BoolArray | None = None  # (n,) readings of cells that faults hide
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
+        self._stuck = 0  # frames for which steps column by column are not tried, since they led to no fit
+        self._without_fit = 0  # frames
         self._astray = False  # the last frame did not settle
 
     def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
@@ -187,15 +221,26 @@ class CoupledLive:
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
-        if limited is not None or (self._mixes and self._hidden.any()):
+        gone = self._gone.reshape(self._shape)
+        known_limits = None if limited is None else limited & gone
+        if (limited is not None and (limited & ~gone).any()) or (self._mixes and self._hidden.any()):
             # A cell beyond its limit may be a short, and what that does to all others no derivative at the limit tells.
             return self._nothing(limited)
         signal, margin = np.abs(volts - self._board.level), _SHORT * (self._half_step + SIGMAS * noise)
-        if (signal > self._most_signal + margin).any():
+        if ((signal > self._most_signal + margin) & ~gone).any():
             raise SolverError("readings above that of a short; check that the design is that of the board")
-        beyond = signal >= np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)
+        beyond = (signal >= np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)) & ~gone
         if beyond.any():
             return self._nothing(beyond)
+        beside = np.zeros(self._shape, dtype=np.bool_)
+        self._ignored = self._hidden if self._hidden.any() else None
+        if known_limits is not None:
+            if self._board.circuit.has_amplifiers:
+                # While a known short's amplifier stands at its limit, it does not hold its column: others notice.
+                beside |= np.any(known_limits & self._shorted, axis=1, keepdims=True)
+                if self._board.floating and beside.any():
+                    return self._nothing(limited)
+            self._ignored = (known_limits | beside).ravel() | self._hidden
         measured = volts.ravel()
         # Noise makes readings less certain, and readings and model differ by as much more.
         coarser = float(np.hypot(1.0, noise / self._noise))
@@ -203,17 +248,34 @@ class CoupledLive:
         if start is None:
             start, self._renewal = self._known_at(self._start(volts)), None
             self._from_fresh_start = True
+        if beside.any():
+            apparent = np.where(beside.ravel(), self._start(volts), start.log)
+            if np.abs(apparent - start.log).max() > _ROUGHLY:
+                start = self._known_at(apparent)
         if self._base is None:
             self._base = self._based_on(start)
         slope = self._slope(volts)
-        fit = self._solve(measured, start, slope, coarser, USUAL_EFFORT if self._begun else FIRST_EFFORT)
+        effort = USUAL_EFFORT if self._begun else FIRST_EFFORT
+        fit, doubt = self._solve(measured, start, slope, coarser, effort), 0.0
+        if self._sheet is not None:
+            for _ in range(effort.solutions):
+                if self._sheet.serves(fit.known.log, SIGMAS * coarser * self._base.std):
+                    break
+                self._sheet.solve(fit.known.log)
+                fit = self._solve(measured, self._known_at(fit.known.log), slope, coarser, effort)
+            doubt = self._sheet.doubt(fit.known.log)
         x, misfit = fit.known.log, fit.misfit
         self._begun, self._known, base = True, fit.known, self._base
+        fresh = self._from_fresh_start
+        self._without_fit = 0 if misfit <= _UNSETTLED else self._without_fit + 1
+        self._stuck = max(self._stuck - 1, 0)
+        if self._has_matrix and not base.whole and self._without_fit >= _MOST_WITHOUT_FIT:
+            self._stuck = _STUCK
         if misfit <= _UNSETTLED:
             self._from_fresh_start = False
         elif misfit > _MISFIT and fit.stalled:
             self._known = None  # the next frame starts anew
-            short: BoolArray = np.exp(-x).reshape(self._shape) < _FAR_BELOW * self._leads
+            short = self._as_good_as_short(x)
             if short.any():  # readings hardly tell such a cell from a short
                 return self._nothing(short)
             if self._from_fresh_start:
@@ -225,16 +287,21 @@ class CoupledLive:
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
         by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own)
         by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else 1.0)
-        uncertainty = by_readings + base.others
+        uncertainty = by_readings + base.others + doubt
         open_cells = signal <= self._half_step + SIGMAS * noise
         reason = np.full(len(measured), _UNCERTAIN, dtype=np.int8)
         reason[base.others > 0.5 * uncertainty] = _DISTURBED
         reason[open_cells] = _NO_CURRENT
         # After a frame that did not settle, nothing is valid before derivatives from near by confirm the cells.
-        self._astray = misfit > _UNSETTLED or fit.lost or (self._astray and not fit.proven)
+        self._astray = misfit > _UNSETTLED or fit.lost or ((self._astray or fresh) and not fit.proven)
         if self._astray:  # the frame's budget did not suffice, or no cells give quite these readings
             reason[:], uncertainty[:] = _UNSETTLED_CELL, inf
-        gone = self._hidden
+        short = self._as_good_as_short(x)
+        if short.any():  # its lines carry what no derivative tells
+            beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
+        uncertainty[beside.ravel()] = inf
+        reason[beside.ravel()] = _DISTURBED
+        gone = self._gone
         reason[gone] = _HIDDEN
         uncertainty[gone | (uncertainty > 1.0)] = inf
         valid = self._rule.accepts(uncertainty) & ~open_cells
@@ -262,20 +329,23 @@ class CoupledLive:
 
         """
         assert self._base is not None
-        apart = measured - known.volts
+        apart = self._apart(measured, known)
         misfit, stalled, instalments = self._misfit(apart) / scale, False, effort.instalments
         steeper = self._steeper(slope)
         step = self._step(apart, steeper)
         for left in range(effort.evaluations - 1, -1, -1):
             known = self._known_at(known.log + step)
-            apart = measured - known.volts
+            apart = self._apart(measured, known)
             last, misfit = misfit, self._misfit(apart) / scale
             stalled = abs(misfit - last) <= _SAME * misfit
             before, step = step, self._step(apart, steeper)
             serves = misfit <= _FITS and self._serves(step, scale)
             moved = self._moved(known.log, scale)
             blamed = not serves and moved > _MOVED and np.abs(step).max() > _SLOW * np.abs(before).max()
-            if moved > _FAR or blamed or self._base.coarse or self._renewal is not None:
+            if stalled and misfit > _UNSETTLED and self._has_matrix and not self._base.whole:
+                self._stuck = _STUCK
+            due = self._stuck > 0 and not self._base.whole
+            if due or moved > _FAR or blamed or self._base.coarse or self._renewal is not None:
                 if serves and not self._astray:
                     instalments = min(instalments, 1)  # no need to hurry
                 while instalments:
@@ -292,6 +362,19 @@ class CoupledLive:
         proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
         return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, steeper=steeper)
 
+    def _as_good_as_short(self, x: FloatArray) -> BoolArray:
+        """(N, M) where a cell of the logarithm x (n,) is far below its leads and no fault explains that."""
+        leads = np.where(self._gone.reshape(self._shape), 0.0, self._leads)
+        found: BoolArray = np.exp(-x).reshape(self._shape) < _FAR_BELOW * leads
+        return found
+
+    def _apart(self, measured: FloatArray, known: _Known) -> FloatArray:
+        """V (n,) between readings and model, where the readings count."""
+        apart = measured - known.volts
+        if self._ignored is not None:
+            apart[self._ignored] = 0.0
+        return apart
+
     def _moved(self, x: FloatArray, scale: float) -> float:
         """Largest change of the logarithms x (n,) since the derivatives were made; what noise does counts less."""
         assert self._base is not None
@@ -303,7 +386,7 @@ class CoupledLive:
         """Derivatives at these cells, or a further instalment of them. True if the base has just become new."""
         assert self._base is not None
         loss, new = self._loss(at.log), False
-        if loss <= _HEAVY or not self._has_matrix:
+        if not self._has_matrix or (loss <= _HEAVY and not self._stuck):
             if not self._base.whole or _far(self._base, at):
                 self._base, new = self._based_on_columns(at, loss), True
             if not self._base.whole and not self._base.coarse:
@@ -315,7 +398,7 @@ class CoupledLive:
         if base is None:
             return new
         self._renewal = None
-        if loss <= _HEAVY and _far(base, at):
+        if loss <= _HEAVY and not self._stuck and _far(base, at):
             return new  # made for cells that are no more
         self._base = base
         return True
@@ -325,7 +408,7 @@ class CoupledLive:
         reason = np.full(self._shape, _DISTURBED, dtype=np.int8)
         if limited is not None:
             reason[limited] = _SATURATED
-        reason[self._hidden.reshape(self._shape)] = _HIDDEN
+        reason[self._gone.reshape(self._shape)] = _HIDDEN
         unknown, nowhere = np.full(self._shape, inf), np.zeros(self._shape, dtype=np.bool_)
         return LiveReading(np.full(self._shape, np.nan), nowhere, reason, lambda: (unknown, np.ones(self._shape)))
 
@@ -335,8 +418,13 @@ class CoupledLive:
         return max(sqrt(float(apart @ apart) / len(apart)), 0.5 * most) / self._half_step
 
     def _serves(self, step: FloatArray, scale: float) -> bool:
-        """Whether a further step would move no cell that the readings determine by more than its own uncertainty."""
+        """Whether a further step would move no cell that the readings determine by more than its own uncertainty.
+
+        After a fresh start the other cells have to come to rest as well: what they carry shifts the readings of all.
+        """
         assert self._base is not None
+        if self._from_fresh_start and np.abs(step).max(where=~self._gone, initial=0.0) > _AT_REST:
+            return False
         std = scale * self._base.std
         determined = (std <= _LOOSE) & (self._base.others <= _LOOSE)
         return bool(((np.abs(step) <= np.maximum(_SETTLED * std, 1e-6)) | ~determined).all())
@@ -407,14 +495,15 @@ class CoupledLive:
         jacobian = np.empty((len(x), len(x)))
         meter = Meter(len(x), beside=self._columns.applies)
         at_cells = cells.reshape(self._shape)
-        for _ in derivatives(self._board, at_cells, self._model, meter, out=jacobian):
+        for _ in derivatives(self._board, at_cells, self._quick, meter, out=jacobian):
             yield None
         in_series = 1.0 / (cells + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
         jacobian *= in_series**2 * cells / self._noise
         normal = NormalMatrix(jacobian, self._prior)
         for _ in normal.instalments(meter):
             yield None
-        std = np.sqrt(np.maximum(np.diagonal(normal.inverse), 0.0))
+        variance = np.maximum(np.diagonal(normal.inverse), np.finfo(np.float64).tiny)
+        std = np.sqrt(variance + normal.inverse**2 @ (beyond_linear(np.sqrt(variance)) / variance))
         loose = self._hidden
         # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
         others = np.zeros(len(x))

@@ -8,32 +8,23 @@ off by a share of an ADC step, and the evaluations of the circuit model in one f
 not suffice, the cells that are not settled are not valid in this frame, and the next one goes on from where this one
 ended.
 
-Three kinds of boards (:func:`live_recovery`):
+Two kinds of boards (:func:`live_recovery`):
 
 * **amplifiers on plain grids** (:mod:`._amplified`);
-* **all others** up to :data:`LARGEST_COUPLED` cells (:mod:`._coupled`);
-* what is left, by the complete inversion, whatever it costs (:class:`_ThoroughLive`).
+* **all others** (:mod:`._coupled`): dividers and followers column by column in closed form (:mod:`._column_blocks`);
+  boards on which all readings depend on all cells by a matrix that is made in instalments (:mod:`._normal_matrix`);
+  continuous sheets by the sliced one and a correction (:mod:`._sheet_model`).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
-from .._adc import adc_error
 from .._design import Design
 from ._amplified import AmplifiedLive
 from ._coupled import CoupledLive
-from ._live_reading import SIGMAS, LiveReading, LiveRecovery, Reason, ValidityRule
-from ._recover import Recoverer, Status
-
-LARGEST_COUPLED = 1024  # cells; beyond, a matrix of all readings by all cells no longer serves a frame's time
-_REASON_OF_STATUS = {
-    Status.OPEN: Reason.NO_CURRENT,
-    Status.SATURATED: Reason.SATURATED,
-    Status.HIDDEN: Reason.HIDDEN,
-}
+from ._live_reading import LiveRecovery, ValidityRule
 
 
 def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecovery:
@@ -45,7 +36,7 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
             :data:`._live_reading.ACCURACY`.
 
     Raises:
-        InputError: the design has no [adc], or the accuracy is not between 0 and 1.
+        InputError: the design has no [adc], the accuracy is not between 0 and 1, or the board is too large.
 
     """
     if design.adc is None:
@@ -56,29 +47,4 @@ def live_recovery(design: Design, *, accuracy: float | None = None) -> LiveRecov
     lines = (board.row_ohms, board.column_ohms, board.column_lead)
     if amplified and all(np.isfinite(part).all() for part in lines):
         return AmplifiedLive(board, rule)
-    if not board.continuous and board.shape[0] * board.shape[1] <= LARGEST_COUPLED and not complete_short:
-        return CoupledLive(board, rule)
-    return _ThoroughLive(design, rule)
-
-
-class _ThoroughLive:
-    """By :class:`._recover.Recoverer`, whatever it costs: continuous sheets, complete shorts, large coupled boards."""
-
-    def __init__(self, design: Design, rule: ValidityRule) -> None:
-        self._design, self._rule = design, rule
-        self._recover = Recoverer(design, accuracy=1e-6)
-        self._half_step = adc_error(design)
-
-    def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
-        """As :class:`.LiveRecovery`."""
-        found = self._recover(volts, clipped=limited)
-        board = self._design.board
-        slope = board.turn(board.circuit.log_conductance_slope(board, board.turn(volts) - board.level))
-        own = (self._half_step + SIGMAS * noise) * np.abs(slope)
-        uncertainty = found.uncertainty + own
-        valid = self._rule.accepts(uncertainty) & (found.resistance < np.inf) & (found.resistance > 0)
-        doubtful = Reason.UNCERTAIN if limited is None else Reason.DISTURBED
-        reason = np.where(valid, Reason.VALID, doubtful).astype(np.int8)
-        for status, why in _REASON_OF_STATUS.items():
-            reason[~valid & (found.status == status)] = why
-        return LiveReading(found.resistance, valid, reason, lambda: (uncertainty, own))
+    return CoupledLive(board, rule)

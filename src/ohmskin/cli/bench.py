@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from ..bench import _freshness as of_skins
 from ..bench import _hard_cases as of_taps
 from ..bench import _honesty as of_deviations
 from ..bench import _view as of_pages
+from ..bench import _worst_frames as of_events
 from . import arguments
 from ._bar import progress_bar
 
@@ -102,11 +104,24 @@ def command(
     click.echo(json.dumps([asdict(row) for row in rows], indent=1) if as_json else bench.table(rows), nl=as_json)
 
 
+def _kept(rows: Iterator[of_events.WorstFrames], kept: list[of_events.WorstFrames]) -> Iterator[of_events.WorstFrames]:
+    """The rows, while they come, and a list of them."""
+    for row in rows:
+        kept.append(row)
+        yield row
+
+
 def _live_path(sizes: tuple[int, ...], as_json: bool, picture: Path | None) -> None:
     """Boards, estimators and a whole skin; the JSON is one list of all rows."""
     boards = list(of_drivers.driver(sizes))
     if not as_json:
         click.echo(of_drivers.table(boards) + "\n")
+    hard: list[of_events.WorstFrames] = []
+    for line in of_events.worst_table(_kept(of_events.worst_frames(sizes), hard)):
+        if not as_json:
+            click.echo(line)
+    if not as_json:
+        click.echo()
     judged = list(of_drivers.live_estimators(sizes))
     if picture is not None:
         tables.write_text(picture, of_drivers.live_picture(judged))
@@ -114,7 +129,8 @@ def _live_path(sizes: tuple[int, ...], as_json: bool, picture: Path | None) -> N
         click.echo(of_drivers.estimator_table(judged) + "\n")
     skins = list(of_skins.freshness(sizes))
     if as_json:
-        rows = [asdict(row) for row in (*boards, *judged)] + [asdict(row) for row in skins]
+        rows = [asdict(row) for row in (*boards, *judged)]
+        rows += [asdict(row) for row in hard] + [asdict(row) for row in skins]
         click.echo(json.dumps(rows, indent=1))
     else:
         click.echo(of_skins.freshness_table(skins))

@@ -1,0 +1,48 @@
+"""Outputs of a continuous sheet by a sliced one with the same cells, and the difference at cells nearby.
+
+A continuous sheet couples neighbours weakly: readings change with their own cell by 0.97 to 1.0 times as much as those
+of the sliced sheet. A solution of the continuous sheet costs a thousand times as much, though. So the live recovery
+solves it once per frame at most (deferred correction): readings are those of the sliced sheet plus what the continuous
+one gave beyond them at the last solution.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import FloatArray
+from .._board import Board
+from .._exact import read_exactly
+from ._quick_model import QuickModel
+
+_SHARE = 0.1  # of a change of the cells since the last solution that the difference may miss
+_SERVES = 0.01  # change of a logarithm up to which the difference is kept
+
+
+class SheetModel:
+    """What a continuous sheet's readings are beyond those of the sliced sheet."""
+
+    def __init__(self, board: Board, sliced: QuickModel) -> None:
+        """For a continuous sheet without limits, and the model of the sliced one."""
+        self._board, self._sliced = board, sliced
+        self._missing: FloatArray = np.zeros(board.shape)  # V
+        self._at: FloatArray | None = None  # logarithms of the conductances
+
+    def __call__(self, cells: FloatArray) -> FloatArray:
+        """V (N, M) for cells (N, M) in ohm."""
+        volts: FloatArray = self._sliced(cells) + self._missing
+        return volts
+
+    def serves(self, log: FloatArray, spread: FloatArray) -> bool:
+        """Whether the difference is good enough at logarithms (n,) of conductances that are known within ``spread``."""
+        return self._at is not None and bool((np.abs(log - self._at) <= np.maximum(_SERVES, spread)).all())
+
+    def solve(self, log: FloatArray) -> None:
+        """Take the difference anew, at logarithms (n,) of conductances."""
+        cells = np.exp(-log).reshape(self._board.shape)
+        self._missing = read_exactly(self._board, cells)[0].volts - self._sliced(cells)
+        self._at = log
+
+    def doubt(self, log: FloatArray) -> float:
+        """Relative error of a conductance that the difference may leave."""
+        return np.inf if self._at is None else _SHARE * float(np.abs(log - self._at).max())
