@@ -59,7 +59,7 @@ class Reading:
             return self.resistance
         uncertainty = self._found.uncertainty
         noisy = (self.reason == Reason.UNCERTAIN) & (uncertainty <= self._most_noise)
-        noisy &= uncertainty * self.steps_share <= _MOST_STEPS
+        noisy &= np.minimum(uncertainty, 1.0) * self.steps_share <= _MOST_STEPS
         return np.where(noisy, self._found.resistance, self.resistance)
 
     @property
