@@ -10,16 +10,17 @@ import numpy as np
 from ..arrays import FloatArray
 from ..errors import InputError
 from ..progress import Progress, silent
+from . import _choice as choice
 from . import _simulate as simulate
 from . import _training as training
 from ._cell import Calibrated, Cell, EstimatorName
 from ._estimator import Estimator
-from ._identify import Fit, Fold, fits, folds, pressing
+from ._identify import Fit, Fold, fits, folds
 from ._inverse import margin as inverse_margin
-from ._learned import DRIFT, Learned, Seen
+from ._judged import Judged, Regimes, best_share, mixed
+from ._learned import DRIFT, Seen
 from ._models import AsymmetricModel, ContactModel, M10Model
 from ._recording import Recording
-from ._training import Judged
 
 MOST = 6000
 """samples that are learned from; a longer recording is thinned"""
@@ -29,17 +30,6 @@ TEACHES_WORSE = 0.7
 """share of the richer kind's error below which a simpler one teaches"""
 STEPS = 7
 """of a calibration, for progress: three kinds of model, three folds, and learning from all"""
-EXACT = 0.005
-"""held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
-INVERSE_SLACK = 0.25
-"""% of full scale by which such an inverse may be worse than a learned estimator on its worst fold"""
-NEARLY, INVERSE_BETTER = 0.025, 0.7
-"""held-out error below which an inverse is trusted that has less than this share of a learned estimator's error"""
-STIFF = 0.25
-"""least slope of a fast step over that at equilibrium that such an inverse needs; below, its small errors add up"""
-BEATS, FEW_PRESSES = 0.9, 0.1
-"""share of the static curve's error on the last folds that another estimator must stay below, and what a recording of
-one press takes from that share"""
 
 
 @dataclass(frozen=True)
@@ -50,6 +40,8 @@ class CalibrationResult:
     recording: Recording
     fits: tuple[Fit, ...]
     """the chosen kind first"""
+    folds: tuple[Fold, ...]
+    """of the recording, in its time: what comes before each was learned from to judge on it"""
     inverse_margin: float | None
     """least slope of a fast step over that at equilibrium: the exact inverse is safe where positive; None: no such"""
 
@@ -93,7 +85,8 @@ def calibrate(
     cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
     inverse = inverse_margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
     if isinstance(model, ContactModel):
-        return CalibrationResult(_calibrated_contact(cell, thin), recording, found, inverse)
+        contact = _calibrated_contact(cell, thin)
+        return CalibrationResult(contact, recording, found, folds(thin, full), inverse)
 
     parts = folds(thin, full)
     teacher = _teacher(found)
@@ -105,51 +98,59 @@ def calibrate(
         simulation=teacher.simulate,
         unexplained=teacher.error * float(np.ptp(thin.resistance_ohm)) / rest,
     )
-    seen = _seen(thin)
+    seen, samples = _seen(thin), Regimes.of(thin, full)
     judged: dict[EstimatorName, list[Judged]] = {}
     for fold, simulation in zip(parts, teacher.simulate_folds, strict=True):
         first = replace(whole, simulation=simulation).until(fold.start_s)
         trial = cell.replace(estimators=_learned(first, full, cells=FOLD_CELLS).replace(seen=seen))
         for name in LEARNED:
-            judged.setdefault(name, []).append(_judge(trial, name, thin, fold))
+            judged.setdefault(name, []).append(_judge(trial, name, thin, samples, fold))
         tell("learned before a fold, and judged on it")
-    judged |= _judge_models(cell.replace(estimators=None), found[0], thin, parts)
-    by_fold = {
-        name: tuple(float(100 * np.sqrt(np.mean(error**2)) / full) for error, _ in pairs)
-        for name, pairs in judged.items()
-    }
-    noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
-    presses = float(pressing(thin, full)[-1]) / 2
-    unexplained = float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0)))
-    default, reason = _choose(by_fold, unexplained, presses, 1.0 if inverse is None else inverse)
-    worst = {name: max(percent) for name, percent in by_fold.items()}
-    drift = max(abs(float(np.mean(error))) for error, _ in judged["static"]) / full
-    final = _learned(whole, full, cells=training.CELLS)
+    judged |= _judge_models(cell.replace(estimators=None), found[0], thin, samples, parts)
+    final = _learned(whole, full, cells=training.CELLS).replace(seen=seen)
+    for name in ("play", "distilled"):
+        share = best_share(judged[name], judged["static"])
+        judged[name] = mixed(judged[name], judged["static"], share)
+        learned = getattr(final, name)
+        final = final.replace(**{name: learned.mixed(final.static, share)})
+    elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, LEARNED)
     tell("learned from all")
+    noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
+    evidence = choice.Evidence(
+        judged=judged,
+        elsewhere=elsewhere,
+        presses=float(samples.pressing[-1]) / 2,
+        unexplained=float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0))),
+        least_slope=1.0 if inverse is None else inverse,
+    )
+    default, reason = choice.choose(evidence)
+    pressed = {name: 100 * max(part.pressed_rms for part in of) for name, of in judged.items()}
+    drift = max(abs(float(np.mean(part.pressed))) for part in judged["static"])
     calibrated = {
         name: training.calibrated(
-            learned,
-            [(error / full, std / full) for error, std in judged[name]],
+            getattr(final, name),
+            judged[name],
             drift=drift,
-            most=worst["static"] / 100,
+            elsewhere=0.0 if evidence.varied else elsewhere[name],
+            most=pressed["static"] / 100,
         )
         for name in ("play", "distilled")
-        if isinstance(learned := getattr(final, name), Learned) and name in judged
     }
     other_loads = training.error_on_other_loads(whole, final.static)
-    static_std = full * max(DRIFT * worst["static"] / 100, other_loads)
+    static_std = full * max(DRIFT * pressed["static"] / 100, other_loads)
     static = final.static.replace(std_kpa=max(final.static.std_kpa, static_std))
     estimators = Calibrated(
         default=default,
         reason=reason,
-        held_out_percent=worst,
-        fold_percent=by_fold,
+        held_out_percent={name: evidence.worst(name) for name in judged},
+        fold_percent={name: tuple(evidence.percent(name)) for name in judged},
+        pressed_percent=pressed,
         drift_percent=100 * drift,
         seen=seen,
         static=static,
         **calibrated,
     )
-    return CalibrationResult(cell.replace(estimators=estimators), recording, found, inverse)
+    return CalibrationResult(cell.replace(estimators=estimators), recording, found, parts, inverse)
 
 
 def estimate_recording(
@@ -216,18 +217,19 @@ LEARNED: tuple[EstimatorName, ...] = ("static", "play", "distilled")
 FROM_MODEL: tuple[EstimatorName, ...] = ("paper", "inverse")
 
 
-def _judge(cell: Cell, name: EstimatorName, recording: Recording, fold: Fold) -> Judged:
+def _judge(cell: Cell, name: EstimatorName, recording: Recording, samples: Regimes, fold: Fold) -> Judged:
     """Of an estimator that was learned before the fold, run as it will be used: smoothed, and asleep at rest."""
     until = int(np.searchsorted(recording.time_s, fold.end_s))
     part = slice(int(np.searchsorted(recording.time_s, fold.start_s)), until)
     estimator = cell.estimator((), name)
     pressure, std = estimate_recording(estimator, recording.time_s[:until], recording.resistance_ohm[:until])
-    error = (pressure - recording.pressure_kpa[:until])[part]
-    return error, np.full(error.shape, np.inf) if std is None else std[part]
+    error = (pressure - recording.pressure_kpa[:until])[part] / cell.full_scale_kpa
+    stated = np.full(error.shape, np.inf) if std is None else std[part] / cell.full_scale_kpa
+    return Judged(fold, error, stated, samples.part(part))
 
 
 def _judge_models(
-    cell: Cell, fit: Fit, recording: Recording, parts: tuple[Fold, ...]
+    cell: Cell, fit: Fit, recording: Recording, samples: Regimes, parts: tuple[Fold, ...]
 ) -> dict[EstimatorName, list[Judged]]:
     """Of the estimators that follow from the model alone, as fitted before each fold, where all folds have them."""
     judged: dict[EstimatorName, list[Judged]] = {}
@@ -237,7 +239,8 @@ def _judge_models(
             try:
                 if before is not None:
                     model, rest = before
-                    pairs.append(_judge(cell.replace(model=model, rest_resistance_ohm=rest), name, recording, fold))
+                    trial = cell.replace(model=model, rest_resistance_ohm=rest)
+                    pairs.append(_judge(trial, name, recording, samples, fold))
             except InputError:
                 break  # not for this kind of cell, or these parameters
         if len(pairs) == len(parts) and _has(cell, name):
@@ -254,41 +257,6 @@ def _has(cell: Cell, name: EstimatorName) -> bool:
     return True
 
 
-def _choose(
-    by_fold: dict[EstimatorName, tuple[float, ...]], unexplained: float, presses: float, least_slope: float
-) -> tuple[EstimatorName, str]:
-    """The estimator whose worst fold is best, and why; the paper's is never chosen.
-
-    The static curve is kept unless another estimator beats it on the worst of all folds, and by a margin on the worst
-    of the last ones, which had most to learn from. The margin grows as the recording has fewer presses: the folds of a
-    single press say little of the next one. The exact inverse follows the model wherever that
-    leads. It comes first where the model explains all there is, since it carries over to loads that nobody applied. It
-    has to be far better where the model explains nearly all, and is not chosen where the model leaves more.
-
-    Args:
-        by_fold: error of each estimator on each fold, % of full scale.
-        unexplained: error of the model on its worst fold beyond noise, over the range of r.
-        presses: how many presses to full scale the path of the load amounts to.
-        least_slope: of a fast step over that at equilibrium; the inverse amplifies errors by up to 1 over it.
-    """
-    worst = {name: max(percent) for name, percent in by_fold.items()}
-    chosen: EstimatorName = "distilled" if worst["distilled"] <= 1.1 * worst["play"] else "play"
-    why = ""
-    inverse = worst.get("inverse", np.inf)
-    if unexplained < EXACT and inverse <= worst[chosen] + INVERSE_SLACK:
-        chosen = "inverse"
-        why = f"the model explains the resistance but for {100 * unexplained:.1f} % of its range and noise; "
-    elif unexplained < NEARLY and least_slope > STIFF and inverse < INVERSE_BETTER * worst[chosen]:
-        chosen = "inverse"
-    late = {name: max(percent[-training.TELLING :]) for name, percent in by_fold.items()}
-    margin = BEATS - FEW_PRESSES / max(presses, 1.0)
-    if worst[chosen] > worst["static"] or late[chosen] > margin * late["static"]:
-        chosen = "static"
-        why = "nothing beats the static curve by enough; "
-    others = ", ".join(f"{name} {value:.1f} %" for name, value in worst.items() if name != chosen)
-    return chosen, f"{why}{worst[chosen]:.1f} % of full scale on the worst of {len(by_fold[chosen])} folds ({others})"
-
-
 def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
     """A contact has no memory: a cubic in log(R0/R), and nothing else to choose from."""
     r, load = recording.resistance_ohm / cell.rest_resistance_ohm - 1, recording.pressure_kpa / cell.full_scale_kpa
@@ -297,20 +265,23 @@ def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
         raise AssertionError("the static curve is not learned from simulations")
 
     whole = training.NormalisedRecording(recording.time_s, r, load, cell.rest_resistance_ohm, unused, 0.0)
-    errors = []
+    samples = Regimes.of(recording, cell.full_scale_kpa)
+    parts = []
     for fold in folds(recording, cell.full_scale_kpa):
         first = training.static_curve(whole.until(fold.start_s), cell.full_scale_kpa, logarithmic=True)
-        part = (recording.time_s >= fold.start_s) & (recording.time_s < fold.end_s)
+        part = slice(*np.searchsorted(recording.time_s, (fold.start_s, fold.end_s)).tolist())
         error = np.clip(first.load(r[part]), first.limits.lowest, first.limits.highest) - load[part]
-        errors.append(float(100 * np.sqrt(np.mean(error**2))))
-    percent = max(errors)
+        parts.append(Judged(fold, error, np.full(error.shape, np.inf), samples.part(part)))
+    percent = max(100 * part.rms for part in parts)
+    pressed = max(100 * part.pressed_rms for part in parts)
     curve = training.static_curve(whole, cell.full_scale_kpa, logarithmic=True)
-    std = max(curve.std_kpa, percent / 100 * cell.full_scale_kpa)
+    std = max(curve.std_kpa, DRIFT * pressed / 100 * cell.full_scale_kpa)
     estimators = Calibrated(
         default="static",
-        reason=f"a contact without memory; {percent:.1f} % of full scale on the worst of {len(errors)} folds",
+        reason=f"a contact without memory; {percent:.1f} % of full scale on the worst of {len(parts)} folds",
         held_out_percent={"static": percent},
-        fold_percent={"static": tuple(errors)},
+        fold_percent={"static": tuple(100 * part.rms for part in parts)},
+        pressed_percent={"static": pressed},
         seen=_seen(recording),
         static=curve.replace(std_kpa=std),
     )

@@ -42,6 +42,8 @@ class Calibrated(Section):
     """rms error on the worst fold of the recording after learning from what comes before it, % of full scale"""
     fold_percent: dict[EstimatorName, Numbers] = Field(default_factory=dict)
     """the same on each fold"""
+    pressed_percent: dict[EstimatorName, float] = Field(default_factory=dict)
+    """as ``held_out_percent``, while the cell is loaded only: rest is easy, and may be most of a recording"""
     drift_percent: NotNegative = 0.0
     """mean error of the static curve on the fold where it is largest, % of full scale: creep beyond what was learned"""
     seen: Seen = Seen()
@@ -169,7 +171,8 @@ class Cell(Section):
         learned = self.estimators
         if learned is None:
             return Conditions(noise=noise)
-        percent = learned.held_out_percent.get(name) if name in ("paper", "inverse") else None  # type: ignore[call-overload]
+        errors = learned.held_out_percent | learned.pressed_percent
+        percent = errors.get(name) if name in ("paper", "inverse") else None  # type: ignore[call-overload]
         least = max(SUREST_PERCENT, UNKNOWN_DRIFT * learned.drift_percent)
         return Conditions(
             model_std_kpa=0.0 if percent is None else DRIFT * max(percent, least) / 100 * self.full_scale_kpa,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Annotated, Self
 
@@ -25,6 +26,10 @@ DRIFT = 1.5
 """by which a standard deviation exceeds the error held out at calibration: creep goes on for hours after it"""
 UNKNOWN_DRIFT = 0.6
 """share of the drift seen at calibration that is taken for the standard deviation of the drift afterwards"""
+STEEPER = 2.0
+"""times the mean slope of load over resistance, that a curve may have where nobody recorded it"""
+CREDIBLE = 3.0
+"""ranges of the readings learned from, by which a credible reading may lie outside"""
 STILL = 0.01
 """a cell is estimated afresh when a feature has moved by this many standard deviations since the last time"""
 BLOCK = 512
@@ -49,6 +54,22 @@ class Seen(Section):
     """rms change of the load in a second"""
 
 
+class Reached(Section):
+    """Range of each feature in what a map was learned from, as normalised resistance.
+
+    Beyond the range nothing is known of the cell. A feature that lies outside by some resistance may stand for a load
+    of :data:`STEEPER` times what this resistance is at equilibrium, and the standard deviation grows by that load.
+    """
+
+    lowest: Numbers
+    highest: Numbers
+
+    def excess(self, features: FloatArray) -> FloatArray:
+        """(m,) by how much the features (count, m) leave their ranges, of the feature that does so most."""
+        low, high = np.array(self.lowest)[:, None], np.array(self.highest)[:, None]
+        return np.asarray(np.maximum(np.maximum(low - features, features - high).max(axis=0), 0.0))
+
+
 class StaticCurve(Section):
     """A cubic from the reading to the load: of r, or of log(R0/R) where contact dominates."""
 
@@ -57,12 +78,17 @@ class StaticCurve(Section):
     logarithmic: bool = False
     limits: Limits
     std_kpa: Positive
+    reached: Reached | None = None
+    """range of the reading that the curve was fitted to; None: in files of earlier versions"""
 
     def load(self, r: FloatArray) -> FloatArray:
         """The normalised load for a normalised resistance, not limited."""
-        x = -np.log(np.maximum(1 + r, 1e-6)) if self.logarithmic else r
-        load: FloatArray = np.asarray(np.polynomial.polynomial.polyval(x, np.array(self.coefficients)))
-        return load
+        load = np.polynomial.polynomial.polyval(self.reading(r), np.array(self.coefficients))
+        return np.asarray(load)
+
+    def reading(self, r: FloatArray) -> FloatArray:
+        """What the cubic is one of."""
+        return -np.log(np.maximum(1 + r, 1e-6)) if self.logarithmic else r
 
 
 class Learned(Section):
@@ -86,11 +112,27 @@ class Learned(Section):
     """from expected absolute error to a standard deviation that held-out data bore out"""
     std_floor: NotNegative
     limits: Limits
+    reached: Reached | None = None
+    """between which values the features lay that were learned from; None: in files of earlier versions"""
 
     @property
     def bank(self) -> Bank:
         """The memories that make the features."""
         return Bank(smoothing_s=self.smoothing_s, lags_s=self.lags_s, plays=self.plays)
+
+    def mixed(self, curve: StaticCurve, share: float) -> Learned:
+        """A map whose answers are ``share`` of this one's and the rest of a cubic's in r.
+
+        The map contains every cubic of its first feature, the smoothed reading, so that only weights change.
+        """
+        cubic = np.polynomial.Polynomial(curve.coefficients)
+        mean, scale = self.mean[0], self.scale[0]
+        weights = share * np.array(self.weights)
+        count = len(self.mean)
+        for power, place in enumerate((0, 1, 1 + count, 2 + count)):
+            taylor = float(cubic.deriv(power)(mean)) if power else float(cubic(mean))
+            weights[place] += (1 - share) * taylor * scale**power / math.factorial(power)
+        return self.replace(weights=tuple(map(float, weights)))
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -99,6 +141,8 @@ class Learned(Section):
         for name, length in (("mean", count), ("scale", count), ("weights", terms), ("error_weights", terms)):
             if len(getattr(self, name)) != length:
                 raise ValueError(f"{name} must have {length} entries, got {len(getattr(self, name))}")
+        if self.reached is not None and {len(self.reached.lowest), len(self.reached.highest)} != {count}:
+            raise ValueError(f"reached must have {count} entries each")
         return self
 
 
@@ -118,20 +162,33 @@ class Terms:
         self._dtype = dtype
 
     def standardised(self, features: FloatArray) -> FloatArray:
-        """Features (count, ...) in standard deviations, limited."""
+        """Features (count, ...) in standard deviations."""
         around = (-1, *(1,) * (features.ndim - 1))
         z: FloatArray = features - self.mean.reshape(around)
         z /= self.scale.reshape(around)
-        np.maximum(z, -CLIP, out=z)
-        np.minimum(z, CLIP, out=z)
         return z
 
+    def features(self, standardised: FloatArray) -> FloatArray:
+        """The features (count, m) that are so many standard deviations from their means."""
+        found: FloatArray = standardised * self.scale[:, None]
+        found += self.mean[:, None]
+        return found
+
     def __call__(self, standardised: FloatArray) -> NDArray[np.floating]:
-        """All terms (m, terms) of standardised features (count, m)."""
-        z = standardised.T.astype(self._dtype)
+        """All terms (m, terms) of standardised features (count, m), which are limited to :data:`CLIP`."""
+        z = np.clip(standardised.T, -CLIP, CLIP).astype(self._dtype)
         first = z[:, :1]
         cosines = self._amplitude * np.cos(z @ self._directions + self._phases)
         return np.concatenate([np.ones_like(first), z, first**2, first**3, cosines], axis=1)
+
+
+def credible_range(reached: Reached | None) -> tuple[float, float]:
+    """r beyond which a reading is of no load: :data:`CREDIBLE` ranges of the readings that were learned from away."""
+    if reached is None:
+        return -1.0, np.inf
+    low, high = reached.lowest[0], reached.highest[0]
+    span = CREDIBLE * max(high - low, 1e-9)
+    return max(low - span, -1.0), high + span
 
 
 class LearnedEstimator(Estimator):
@@ -154,7 +211,8 @@ class LearnedEstimator(Estimator):
         )
         self._weights = np.array([learned.weights, learned.error_weights], dtype=np.float32).T
         self._steepest = full_scale_kpa / max(abs(full_scale_r), 1e-9)
-        super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions)
+        credible = credible_range(learned.reached)
+        super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions, credible=credible)
 
     def _begin(self, r: FloatArray) -> FloatArray:
         memory = np.zeros((self._seen.stop, *r.shape))
@@ -198,4 +256,8 @@ class LearnedEstimator(Estimator):
             block = slice(start, start + BLOCK)
             found[block] = self._terms(standardised[:, block]) @ self._weights
         load = np.clip(found[:, 0], learned.limits.lowest, learned.limits.highest)
-        return load, np.maximum(found[:, 1] * learned.std_factor, learned.std_floor)
+        std = np.maximum(found[:, 1] * learned.std_factor, learned.std_floor)
+        if learned.reached is not None:
+            beyond = learned.reached.excess(self._terms.features(standardised))
+            std = np.hypot(std, STEEPER * beyond * self._steepest / self.full_scale_kpa)
+        return load, std

@@ -44,6 +44,10 @@ def calibration_text(calibration: CalibrationResult) -> str:
             f"exact inverse: {'safe' if safe else 'not safe, two loads can give one resistance'} "
             f"(least slope of a fast step {calibration.inverse_margin:.2g} of that at equilibrium)"
         )
+    spans = ", ".join(
+        f"{n} from {fold.start_s:.4g} to {fold.end_s:.4g} s" for n, fold in enumerate(calibration.folds, 1)
+    )
+    lines.append(f"folds: {spans}")
     lines.append("error of the estimators on the same folds, % of full scale:")
     lines += [f"  {name:<11} {_percents(values)}" for name, values in cell.estimators.fold_percent.items()]
     lines.append(f"estimator: {cell.estimators.default}, because of {cell.estimators.reason}")
@@ -85,6 +89,7 @@ def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
             for parameter in calibration.fit.parameters
         ],
         "inverse_margin": calibration.inverse_margin,
+        "folds_s": [[fold.start_s, fold.end_s] for fold in calibration.folds],
         "estimator": cell.estimators.default,
         "reason": cell.estimators.reason,
         "held_out_percent": dict(cell.estimators.held_out_percent),

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
-from ._learned import StaticCurve
+from ._learned import STEEPER, StaticCurve, credible_range
 from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 
 POINTS = 1025
@@ -147,8 +147,9 @@ class StaticCurveEstimator(Estimator):
         rest_resistance_ohm: FloatArray,
         conditions: Conditions,
     ) -> None:
-        self.curve = curve
-        super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions)
+        self.curve, self._signed_full_scale_r = curve, full_scale_r
+        credible = credible_range(None if curve.logarithmic else curve.reached)  # a contact may be open at rest
+        super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions, credible=credible)
 
     def _begin(self, r: FloatArray) -> FloatArray:
         curve, small = self.curve, 1e-3 * self._full_scale_r
@@ -157,6 +158,10 @@ class StaticCurveEstimator(Estimator):
         memory[PRESSURE] = np.clip(load, curve.limits.lowest, curve.limits.highest) * self.full_scale_kpa
         memory[GAIN] = np.abs(beyond - load) / small * self.full_scale_kpa
         memory[VARIANCE] = curve.std_kpa**2
+        if curve.reached is not None:
+            beyond = curve.reached.excess(curve.reading(r)[None])
+            full_reading = abs(float(curve.reading(np.array(self._signed_full_scale_r))))
+            memory[VARIANCE] += (STEEPER * beyond / max(full_reading, 1e-9) * self.full_scale_kpa) ** 2
         return memory
 
     def _advance(

@@ -17,7 +17,8 @@ from ..arrays import FloatArray
 from . import _simulate as simulate
 from ._features import Bank
 from ._identify import Simulation
-from ._learned import DRIFT, UNKNOWN_DRIFT, Learned, Limits, StaticCurve, Terms
+from ._judged import Judged
+from ._learned import DRIFT, UNKNOWN_DRIFT, Learned, Limits, Reached, StaticCurve, Terms
 
 LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
 """of the distilled estimator; longer ones are memories of how the recording began"""
@@ -44,14 +45,12 @@ AT_REST = 3.0
 """weight of a cell that has always read R0, for which no load is to be answered"""
 UNEXPLAINED = ((3.0, 0.5), (60.0, 0.7))
 """over how many seconds the model's error wanders, and how much of it does"""
+OUTLIERS = 1e-3
+"""share of the rows at either end that the range of a feature leaves out"""
 ROWS = 20000
 """of synthetic samples that enter the regression"""
 TOGETHER = 512
 """rows of the regression whose terms are worked out at once"""
-
-
-Judged = tuple[FloatArray, FloatArray]
-"""errors of an estimator within a fold, and the standard deviations that it stated with them"""
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,11 @@ def static_curve(calibration: NormalisedRecording, full_scale_kpa: float, *, log
     x = -np.log(np.maximum(1 + r, 1e-6)) if logarithmic else r
     coefficients = np.polynomial.Polynomial.fit(x, load, 3).convert().coef
     curve = StaticCurve(
-        coefficients=tuple(map(float, coefficients)), logarithmic=logarithmic, limits=calibration.limits, std_kpa=1.0
+        coefficients=tuple(map(float, coefficients)),
+        logarithmic=logarithmic,
+        limits=calibration.limits,
+        std_kpa=1.0,
+        reached=_reached(x[:, None]),
     )
     error = np.clip(curve.load(r), curve.limits.lowest, curve.limits.highest) - load
     std = max(float(np.sqrt(np.mean(error**2))), 1e-6) * full_scale_kpa
@@ -234,6 +237,15 @@ def learn(
         std_factor=1.25,
         std_floor=0.005,
         limits=calibration.limits,
+        reached=_reached(data.real, data.simulated),
+    )
+
+
+def _reached(*sets: FloatArray) -> Reached:
+    """Range of features in sets of rows (rows, count), but for the :data:`OUTLIERS` at either end of each set."""
+    ranges = np.array([np.quantile(features, [OUTLIERS, 1 - OUTLIERS], axis=0) for features in sets])
+    return Reached(
+        lowest=tuple(map(float, ranges[:, 0].min(axis=0))), highest=tuple(map(float, ranges[:, 1].max(axis=0)))
     )
 
 
@@ -258,27 +270,31 @@ def distilled(
     return learn(calibration, simulated, lags_s=LAGS_S, plays=plays, directions=DIRECTIONS, ridge=5e-5, seed=seed)
 
 
-def calibrated(learned: Learned, judged: Sequence[Judged], *, drift: float, most: float) -> Learned:
-    """``learned`` with a standard deviation that held-out folds bear out (split conformal prediction, fold by fold).
+def calibrated(learned: Learned, judged: Sequence[Judged], *, drift: float, elsewhere: float, most: float) -> Learned:
+    """``learned`` with a standard deviation that held-out folds bear out (split conformal prediction by regime).
 
-    On each of the last :data:`TELLING` folds, 95 % of the errors lie within two of the deviations before these are
-    multiplied by ``DRIFT``. What comes before an earlier fold may have been too little to learn from. The deviation is
-    the learned one times a factor, but not below a floor. If a factor of :data:`WIDEST` is not enough, the floor rises.
+    On each of the last :data:`TELLING` folds, 95 % of the errors at rest, of those under a load that is held, and of
+    those while the load changes, lie within two of the deviations before these are multiplied by ``DRIFT``. A fold that
+    is mostly rest thus says no less about presses. What comes before an earlier fold may have been too little to learn
+    from. The deviation is the learned one times a factor, but not below a floor. If a factor of :data:`WIDEST` is not
+    enough, the floor rises.
 
     Args:
         learned: what is to get the deviation.
-        judged: for each fold, held-out errors and the deviations stated with them, normalised load.
+        judged: one fold after the other, with the deviations that ``learned`` states as it is.
         drift: mean error of the static curve on the fold where that was largest, normalised load. The estimator makes
             up for this drift from its memory, but cannot know a drift that goes on for longer than the recording.
+        elsewhere: rms error on simulated cells under random loads, normalised load, where the recorded presses are all
+            alike, or few, and say little of others; else 0.
         most: what the floor never exceeds, normalised load: the rms error of the static curve.
     """
-    last = [(np.abs(error), std) for error, std in judged[-TELLING:]]
-    rms = max(float(np.sqrt(np.mean(error**2))) for error, _ in last)
-    floor = max(FLOOR * rms, UNKNOWN_DRIFT * drift, SUREST)
-    needed = [np.where(error > 2 * floor, error / (2 * np.maximum(std, 1e-9)), 0.0) for error, std in last]
-    widen = float(np.clip(max(np.quantile(factor, 0.95) for factor in needed), NARROWEST, WIDEST))
-    for error, std in last:
+    last = judged[-TELLING:]
+    regimes = [part for fold in last for part in fold.regimes()]
+    floor = max(FLOOR * max(fold.pressed_rms for fold in last), UNKNOWN_DRIFT * drift, SUREST)
+    needed = [np.where(error > 2 * floor, error / (2 * np.maximum(std, 1e-9)), 0.0) for error, std in regimes]
+    widen = float(np.clip(max(np.quantile(factor, 0.95, method="higher") for factor in needed), NARROWEST, WIDEST))
+    for error, std in regimes:
         if np.mean(error <= 2 * np.maximum(widen * std, floor)) < 0.95:
-            floor = max(floor, float(np.quantile(error, 0.95)) / 2)
-    floor = max(min(floor, most), SUREST)
+            floor = max(floor, float(np.quantile(error, 0.95, method="higher")) / 2)
+    floor = max(min(max(floor, elsewhere), most), SUREST)
     return learned.replace(std_factor=learned.std_factor * DRIFT * widen, std_floor=DRIFT * floor)

@@ -177,18 +177,13 @@ def output_headroom(subject: Subject, requirement: Requirement, method: str) -> 
     if not np.isfinite(design.readout.supply).any():
         raise NotRun("missing: readout.supply")
     (low, at_low), (high, at_high) = _extremes(subject)
-    limits = design.readout.supply
-    below, above = low - limits[0], limits[1] - high
-    where = f"{at_low}: {engineering(low, 'V')}" if below < above else f"{at_high}: {engineering(high, 'V')}"
-    return Measurement(
-        min(below, above),
-        "V",
-        where=where,
-        confidence="corners of parts and presses, by sensitivities",
-        text=[
-            f"Outputs range from {engineering(low, 'V')} to {engineering(high, 'V')}; the supply allows "
-            f"{engineering(limits[0], 'V')} to {engineering(limits[1], 'V')}."
-        ],
+    first, last = design.readout.supply
+    return _headroom(
+        (low, at_low),
+        (high, at_high),
+        (first, last),
+        f"Outputs range from {engineering(low, 'V')} to {engineering(high, 'V')}; the supply allows "
+        f"{engineering(first, 'V')} to {engineering(last, 'V')}.",
     )
 
 
@@ -199,24 +194,31 @@ def adc_headroom(subject: Subject, requirement: Requirement, method: str) -> Mea
         raise NotRun("missing: adc.bits, adc.range")
     (low, at_low), (high, at_high) = _extremes(subject)
     box = box_of(subject)
-    errors = [np.array([0.0, 0.0, 0.0])]
     widths = [np.abs(box.factors.matrix[f"adc.{name}"]).sum() for name in ("offset_voltage", "gain_error", "inl_steps")]
     errors = [sign * np.array(widths) for sign in (-1.0, 1.0)]
     lowest, highest = (
         float(pick([box.converted(np.array(v), e) for e in errors])) for v, pick in ((low, min), (high, max))
     )
     first, last = design.adc.range
-    below, above = lowest - (first + design.adc.step), last - design.adc.step - highest
-    where = at_low if below < above else at_high
+    return _headroom(
+        (lowest, at_low),
+        (highest, at_high),
+        (first + design.adc.step, last - design.adc.step),
+        f"Converted voltages range from {engineering(lowest, 'V')} to {engineering(highest, 'V')}; the converter "
+        f"takes {engineering(first, 'V')} to {engineering(last, 'V')}, without its first and last code.",
+    )
+
+
+def _headroom(low: tuple[float, str], high: tuple[float, str], limits: tuple[float, float], text: str) -> Measurement:
+    """Smallest distance in V of the lowest and the highest voltage, each with its place, from the limits."""
+    below, above = low[0] - limits[0], limits[1] - high[0]
+    volts, place = low if below < above else high
     return Measurement(
         min(below, above),
         "V",
-        where=f"{where}: {engineering(lowest if below < above else highest, 'V')}",
+        where=f"{place}: {engineering(volts, 'V')}",
         confidence="corners of parts and presses, by sensitivities",
-        text=[
-            f"Converted voltages range from {engineering(lowest, 'V')} to {engineering(highest, 'V')}; the converter "
-            f"takes {engineering(first, 'V')} to {engineering(last, 'V')}, without its first and last code."
-        ],
+        text=[text],
     )
 
 

@@ -51,6 +51,7 @@ _RATE = struct.Struct("<I")  # us between two frames
 _MAX_RAW = _HEADER.size + MAX_PAYLOAD + _CRC.size
 _MAX_STUFFED = _MAX_RAW + _MAX_RAW // 254 + 1
 _KNOWN_FLAGS = sum(flag.value for flag in Flag)
+_NO_FLAGS = Flag.NONE
 _FIRST_COMMAND = 0x80
 """packet types from here on go from host to board"""
 
@@ -195,7 +196,7 @@ def _read_frame(header: _Header, payload: bytes) -> FramePacket:
         rows,
         columns,
         payload[_FRAME.size :],
-        Flag(flags & _KNOWN_FLAGS),
+        Flag(flags & _KNOWN_FLAGS) if flags else _NO_FLAGS,
         header.boot_id,
         received_at=header.received_at,
     )
