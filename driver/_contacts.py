@@ -1,7 +1,8 @@
 """Contacts on the skin: connected-component labelling with hysteresis, and tracking by linear assignment.
 
 A pixel-wise threshold flickers with noise. As in Canny's edge detector, cells above a low threshold form a contact only
-if one of them is above a high threshold, or if the contact was there a moment ago.
+if one of them is above a high threshold, or if the contact was there a moment ago. Each cell has a hysteresis, too: the
+cell between two fingers neither joins nor parts them from frame to frame.
 """
 
 from __future__ import annotations
@@ -16,9 +17,9 @@ from scipy.optimize import linear_sum_assignment
 from ..arrays import BoolArray, FloatArray, IntArray
 from ._later import Later
 
-START_STDS, STAY_STDS = 5.0, 2.5
-"""a contact begins and stays at so many standard deviations of a cell's pressure"""
-START_SHARE, STAY_SHARE = 0.03, 0.015
+START_STDS, JOIN_STDS, STAY_STDS = 5.0, 3.2, 2.5
+"""a contact begins, takes in a further cell, and keeps a cell at so many standard deviations of the cell's pressure"""
+START_SHARE, JOIN_SHARE, STAY_SHARE = 0.03, 0.0192, 0.015
 """least thresholds, as shares of full scale: slow errors of the cell model are not in its standard deviation"""
 NEIGHBOURS = np.ones((3, 3), dtype=int)
 """cells that touch at a corner belong together: a finger rarely covers whole rows"""
@@ -101,7 +102,8 @@ class ContactTracker:
         begins = pressure_kpa > start  # False where NaN
         if not (begins.any() or self._touched.any()):
             return []
-        candidates = pressure_kpa > stay
+        join = np.maximum(JOIN_STDS * std, JOIN_SHARE * self.full_scale_kpa)
+        candidates = pressure_kpa > np.where(self._touched, stay, join)
         labels, count = ndimage.label(candidates, structure=NEIGHBOURS)
         good = np.zeros(count + 1, dtype=bool)
         good[labels[begins | (self._touched & candidates)]] = True

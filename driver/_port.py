@@ -28,6 +28,8 @@ BAUDRATE = 1_000_000
 WRITE_TIMEOUT_S = 1.0
 """a line that takes no byte for this long is broken"""
 CONNECT_TIMEOUT_S = 5.0
+UNHEARD_S = 3.0
+"""a TCP peer that acknowledges nothing for this long is gone: a cable pulled at its end is not told otherwise"""
 _CHUNK = 65536
 _EMULATOR = "ohmskin.emulator"
 """package in which pyserial finds the handler of ohmskin:// addresses; imported only for such an address"""
@@ -104,7 +106,11 @@ def open_port(name: str, *, baudrate: int = BAUDRATE, dtr: bool | None = None, r
     if name.startswith("socket://"):
         return SocketPort(name)
     device = _open_serial(name, baudrate, dtr, rts)
-    return UrlPort(name, device) if "://" in name else SerialPort(name, device)
+    try:
+        return UrlPort(name, device) if "://" in name else SerialPort(name, device)
+    except OSError as error:  # too many open files
+        device.close()
+        raise LinkError(f"{name}: cannot be opened: {_reason(error)}") from error
 
 
 class _RealTimePort:
@@ -237,8 +243,14 @@ class SocketPort(DescriptorPort):
         except (OSError, ValueError) as error:
             raise LinkError(f"{name}: cannot be opened: {_reason(error)}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux
+            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * UNHEARD_S))
         self._socket.setblocking(False)
-        super().__init__(name, self._socket.fileno())
+        try:
+            super().__init__(name, self._socket.fileno())
+        except OSError as error:  # too many open files
+            self._socket.close()
+            raise LinkError(f"{name}: cannot be opened: {_reason(error)}") from error
 
     def _release(self) -> None:
         self._socket.close()
@@ -380,6 +392,8 @@ def _why_not_opened(name: str, error: Exception) -> str:
             return f"permission denied; the port belongs to {_owner(name)}, which this user is not in"
         case errno.EAGAIN | errno.EBUSY:
             return "in use by another program"
+        case errno.EMFILE | errno.ENFILE:
+            return f"cannot be opened: {_reason(error)}"
     if os.path.exists(name) and not isinstance(error, ValueError):
         return f"is no serial port ({_reason(error)})"
     return f"cannot be opened: {_reason(error)}"

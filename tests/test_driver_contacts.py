@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from ohmskin.arrays import FloatArray
 from ohmskin.driver import Contact, ContactTracker
+from ohmskin.driver._contacts import JOIN_SHARE, STAY_SHARE
 from ohmskin.emulator import Board
 
 PITCH_M = 0.004
@@ -106,6 +107,19 @@ def test_noise_makes_no_contacts_and_a_weak_press_does_not_flicker() -> None:
     cold = tracker()
     started = [cold.update(0.01, press + sample, np.ones((16, 16))) for sample in noise[:1]]
     assert started == [()]  # too weak to begin with
+
+
+@pytest.mark.parametrize("share", [STAY_SHARE, JOIN_SHARE])
+def test_a_cell_between_two_fingers_does_not_part_and_join_them_in_turns(share: float) -> None:
+    """The pressure between the fingers goes up and down by a tenth about one of the thresholds."""
+    frames = []
+    for k in range(20):
+        pressure = np.zeros((5, 7))
+        pressure[2, [1, 2, 4, 5]] = 10.0
+        pressure[2, 3] = share * FULL_KPA * (1.1 if k % 2 else 0.9)
+        frames.append(pressure)
+    counts = [len(contacts) for contacts in track(frames)]
+    assert np.count_nonzero(np.diff(counts)) <= 1
 
 
 def test_cells_without_a_pressure_or_with_no_idea_of_it_are_untouched() -> None:

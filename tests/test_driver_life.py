@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 import copy
+import errno
 import itertools
 import multiprocessing
+import os
 import pickle
+import socket
 import threading
 import time
 from collections.abc import Callable
@@ -17,7 +20,7 @@ import numpy as np
 import pytest
 from boards import EXAMPLES, Script, Wire, gone, lossless, scene
 
-from ohmskin.driver import Delivery, Frame, Skin
+from ohmskin.driver import Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
 from ohmskin.emulator import Board, PtyPort, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
@@ -340,6 +343,29 @@ class TestReaders:
                     np.testing.assert_array_equal(getattr(other, name), getattr(one, name))
             with pytest.raises(TypeError, match="send its frames, or open it there"):
                 pickle.dumps(skin)
+
+
+class TestPorts:
+    @pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="Linux only")
+    def test_a_tcp_board_that_acknowledges_nothing_is_gone_after_seconds(self) -> None:
+        """A cable pulled at the board's end is told to nobody: the kernel alone would try for a quarter of an hour."""
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            port = SocketPort("socket://{}:{}".format(*server.getsockname()))
+            assert port._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 3000
+            port.close()
+
+    def test_too_many_open_files_are_one_message_and_leave_nothing_open(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        def fail() -> None:
+            raise OSError(errno.EMFILE, "Too many open files")
+
+        terminal = PtyPort()
+        with terminal, socket.create_server(("127.0.0.1", 0)) as server:
+            descriptors = len(os.listdir("/proc/self/fd"))
+            monkeypatch.setattr("ohmskin.driver._port.os.pipe", fail)
+            for name in (terminal.name, "socket://{}:{}".format(*server.getsockname())):
+                with pytest.raises(LinkError, match="cannot be opened: Too many open files"):
+                    open_port(name)
+            assert len(os.listdir("/proc/self/fd")) == descriptors
 
 
 class TestNumbers:

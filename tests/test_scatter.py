@@ -115,7 +115,7 @@ def test_readings_that_stand_still_become_valid_again_after_noise() -> None:
     design, rng = divider(10, 1e3, "float"), np.random.default_rng(6)
     read, volts = CountReader(design), scan(design, np.full((8, 8), 1e4)).volts
     for _ in range(10):
-        noisy = read(adc_codes(design, volts + rng.normal(scale=0.04, size=(8, 8))))
+        noisy = read(adc_codes(design, volts + rng.normal(scale=0.015, size=(8, 8))))
     quiet = [read(adc_codes(design, volts)) for _ in range(120)]
     assert not noisy.valid.all()
     assert quiet[-1].valid.all()

@@ -28,6 +28,7 @@ from ...arrays import BoolArray, FloatArray
 from .._adc import adc_error
 from .._board import Board, cell_alone
 from ..solvers import Attenuated, Lines, Wires, attenuate, exact_transfer, siemens
+from ._heavy_leads import invert_leads
 from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
 
 T = TypeVar("T", float, FloatArray)
@@ -47,6 +48,8 @@ _LEAST_SHARE = 1e-9  # of the largest conductance: an open cell's stand-in, so t
 _BOUNDLESS = 1e6  # relative change of a conductance that counts for any larger one
 _SIMILAR = 0.1  # relative change of conductances up to which bounds on unknown cells are kept
 _SIMILAR_MARGIN = 1.25  # by which kept bounds are widened: two conductances have changed by 1.1 against each other
+_HEAVY = 0.5  # share of a cell's current that its lines take, from which on attenuation may not come to its end
+_LEAD_LIKE = 0.5  # of the mean resistance of a line to its cells, by which they may differ to be that of its lead
 _NONE = np.array(0.0)  # as an array, since NumPy makes one of a float in every call
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
 
@@ -175,6 +178,13 @@ class AmplifiedLive:
         self._farthest_driver = self._to_driver.max(axis=0)  # (M,) ohm
         self._farthest_amplifier = self._to_amplifier.max(axis=1)  # (N,) ohm
         self._reach = float(np.linalg.norm(self._farthest_driver) + np.linalg.norm(self._farthest_amplifier))  # ohm
+        self._row_lead, self._column_lead = self._to_driver.mean(axis=1), self._to_amplifier.mean(axis=0)  # ohm
+        self._lead_like = bool(
+            (np.ptp(self._to_driver, axis=1) <= _LEAD_LIKE * self._row_lead).all()
+            and (np.ptp(self._to_amplifier, axis=0) <= _LEAD_LIKE * self._column_lead).all()
+        )
+        self._heavy = False  # the leads take so much that cells are found by Kirchhoff's laws
+        self._by_segments = np.zeros(board.shape)  # S, of T, that segments add to what leads would give
         self._along_row = _shared_wire(self._to_driver)
         self._along_column = _shared_wire(self._to_amplifier.T)
         self._step, self._middle = adc.step, sum(adc.range) / 2
@@ -288,14 +298,64 @@ class AmplifiedLive:
         Where the frame's budget did not suffice, also the S (N, M) by which the model may be wrong.
         """
         self._exact_left = max(self._exact_left, EXACT_EVALUATIONS)
+        if self._heavy and self._by_leads(transfer):
+            assert self._base is not None
+            return self._base.conductance, self._base.off
         conductance, off = self._from_base(transfer)
         for _ in range(EVALUATIONS):
             if off is None:
                 break
             self._base = self._based_on(conductance)
             conductance, off = self._from_base(transfer)
+        assert self._base is not None
+        if off is not None and self._lead_like and self._base.loss > _HEAVY:
+            self._heavy = True
+            if self._exact_left and self._by_leads(transfer):
+                conductance, off = self._base.conductance, self._base.off
         self._exact_left = 0
         return conductance, off
+
+    def _by_leads(self, transfer: FloatArray) -> bool:
+        """Make the present cells the base by :func:`.invert_leads`, and check them by one exact evaluation.
+
+        Returns:
+            False where this is not possible, and the base is as before.
+
+        """
+        assert self._base is not None
+        lines = self._row_lead, self._column_lead
+        fit = invert_leads(transfer + self._by_segments, *lines, self._base.conductance)
+        if fit is None:
+            self._heavy = False
+            return False
+        off = self._apart(transfer, fit.conductance)
+        if fit.settled and (np.abs(off) > self._tolerance).any():
+            self._by_segments = self._by_segments + off
+            corrected = invert_leads(transfer + self._by_segments, *lines, fit.conductance)
+            fit = fit if corrected is None else corrected
+        conductance, gain = self._above_floor(fit.conductance), fit.gain
+        own = fit.conductance / gain
+        off = np.abs(off)
+        settled = bool((off <= self._tolerance).all())
+        if self._has_sources and not self._alike:
+            self._between, left = self._between_columns(own)
+            self._model_error = self._tolerance + left
+        self._base = _Base(
+            conductance=conductance,
+            gain=gain,
+            shift=(own - transfer) * gain,
+            loss=max(1.0 - 1.0 / float(gain.max()), 1e-9),
+            missing=max(float((transfer - own).max()), 0.0),
+            off=None if settled else _MARGIN * (off + transfer * self._by_lines(off * gain)),
+        )
+        self._heavy = self._base.loss > 0.5 * _HEAVY
+        return True
+
+    def _apart(self, transfer: FloatArray, conductance: FloatArray) -> FloatArray:
+        """S (N, M) between these transfer conductances and those of the cells, by an exact evaluation."""
+        self._exact_left -= 1
+        exact, _ = exact_transfer(self._above_floor(conductance), self._lines)
+        return transfer - exact
 
     def _from_base(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Conductances (N, M) in S, and the S by which T may be off for them; None where that is small enough."""
@@ -361,8 +421,7 @@ class AmplifiedLive:
 
     def _based_on(self, conductance: FloatArray) -> _Base:
         """One evaluation of the circuit model: attenuation, with what it misses taken from an exact solution nearby."""
-        floor = _LEAST_SHARE * max(float(conductance.max()), 1e-12)
-        conductance = np.maximum(conductance, floor)
+        conductance = self._above_floor(conductance)
         known = None if self._wires is None else attenuate(conductance, self._wires)
         missing, off = None, None
         if known is None:  # lines so heavy that the drive underflows before their end
@@ -382,6 +441,11 @@ class AmplifiedLive:
             missing=0.0 if missing is None else float(missing.max()),
             off=off,
         )
+
+    def _above_floor(self, conductance: FloatArray) -> FloatArray:
+        """Conductances (N, M) in S with stand-ins for open cells."""
+        floor = _LEAST_SHARE * max(float(conductance.max()), 1e-12)
+        return np.maximum(conductance, floor)
 
     def _missing(self, conductance: FloatArray, known: Attenuated) -> tuple[FloatArray | None, FloatArray | None]:
         """S (N, M) that attenuation misses, other cells' current; None where that is below the tolerance.
@@ -507,7 +571,9 @@ class AmplifiedLive:
           output is at a limit, its column ends in the reference resistor instead, which leaves it little current;
         * down its column, a short into an idle row takes their current: to_amplifier / to_driver;
         * a column that the current of row k lifts also lifts the short's row, whose cells then add to row k's readings;
-        * the offset of its column's amplifier drives a current through it, in all steps alike, and lifts its row;
+        * the offset of its column's amplifier drives a current through it, in all steps alike, and lifts its row, whose
+          cells feed the other columns; these offsets drive currents through those cells, which seem to conduct less;
+        * two shorts on one row join their columns, and the difference of the amplifiers' offsets drives a current;
         * in its own step, the short lifts its column, and that the other rows, whose cells add to its row's readings.
 
         Args:
@@ -539,12 +605,30 @@ class AmplifiedLive:
             offset = np.abs(self._source / self._board.drive)
             with np.errstate(invalid="ignore"):
                 added += np.nan_to_num(offset * short.sum(axis=0), nan=0.0, posinf=inf)
-            added += offset * (more.any(axis=1) @ conductance)
+            added += self._between_shorts(more)
+            # Cells that a short takes the drive from conduct more than they seem to, and pass on what lifts their row.
+            misjudged = conductance * (1.0 + np.minimum(fixed, _BOUNDLESS))
+            added += offset * (more.any(axis=1) @ misjudged)
+            added += np.where(more, offset, 0.0).max(axis=1) @ misjudged
             added *= _MARGIN
             # Misjudged cells load their lines otherwise than the model has it, and that concerns all cells there.
             direct = fixed + added / np.maximum(conductance, floor)
             by_lines += self._by_lines(np.where(more, 0.0, np.minimum(direct, _BOUNDLESS) * conductance))
         return _Beside(limited, more, conductance, floor, fixed, added, by_lines)
+
+    def _between_shorts(self, more: BoolArray) -> FloatArray:
+        """S (M,) that a column may add to each of its readings for the columns that shorts (N, M) join it to."""
+        source, added = self._source / self._board.drive, np.zeros(self._board.shape[1])
+        if self._alike:
+            return added
+        for row in np.flatnonzero(more.sum(axis=1) > 1):
+            joined = np.flatnonzero(more[row])
+            wire = np.add.outer(self._to_amplifier[row, joined], self._to_amplifier[row, joined])
+            wire += np.abs(np.subtract.outer(self._to_driver[row, joined], self._to_driver[row, joined]))
+            apart = np.abs(np.subtract.outer(source[joined], source[joined]))
+            current = np.divide(apart, wire, out=np.full(wire.shape, inf), where=wire > 0)
+            added[joined] += np.where(apart > 0, current, 0.0).sum(axis=1)
+        return added
 
 
 def _uncertainties(transfer: FloatArray, levels: _Levels) -> tuple[FloatArray, FloatArray]:

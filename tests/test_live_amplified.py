@@ -1,0 +1,107 @@
+"""Amplifier boards at their limits: leads as large as the cells, shorts beside offsets, streams once read wrong."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ohmskin.bench import _live_hunt
+from ohmskin.circuits import Design, Reason, adc_codes, scan
+from ohmskin.circuits.recovery._heavy_leads import invert_leads
+from ohmskin.circuits.solvers import Lines, exact_transfer
+from ohmskin.driver import CountReader
+
+
+def board(rows: int, columns: int, lead: float, *, bits: int = 12, segment: float = 0.0, **readout: Any) -> Design:
+    lines = {"row_lead": lead, "column_lead": lead, "row_segment": segment, "column_segment": segment}
+    return Design.model_validate(
+        {
+            "array": {"rows": rows, "columns": columns} | lines,
+            "drive": {"voltage": -1.0},
+            "readout": {"circuit": "inverting-amplifier", "reference_resistance": 1e3} | readout,
+            "adc": {"bits": bits, "range": [0.0, 3.3]},
+        }
+    )
+
+
+@pytest.mark.parametrize("shape", [(2, 2), (3, 7), (8, 8), (16, 5)])
+@pytest.mark.parametrize(("lead", "least_ohm"), [(0.0, 1.0), (5.0, 50.0), (100.0, 150.0), (100.0, 1e3)])
+def test_cells_of_any_leads_follow_from_exact_transfer_conductances(
+    shape: tuple[int, int], lead: float, least_ohm: float
+) -> None:
+    rng = np.random.default_rng(shape[0])
+    conductance = 1.0 / (least_ohm * 10 ** rng.uniform(0, 1, shape))
+    row_ohm, column_ohm = lead * rng.uniform(0.5, 1.5, shape[0]), np.full(shape[1], max(lead, 0.01))
+    row, column = np.full(shape, np.inf), np.full(shape, np.inf)
+    with np.errstate(divide="ignore"):
+        row[:, 0] = 1.0 / row_ohm
+    transfer, _ = exact_transfer(conductance, Lines(row, column, 1.0 / column_ohm))
+    fit, start = None, transfer
+    for _ in range(3):  # as frames go on from the last one
+        fit = invert_leads(transfer, row_ohm, column_ohm, start)
+        assert fit is not None
+        start = fit.conductance
+    assert fit is not None
+    assert fit.settled
+    np.testing.assert_allclose(fit.conductance, conductance, rtol=1e-5)
+
+
+@pytest.mark.parametrize("segment", [0.0, 0.5])
+@pytest.mark.parametrize("noise_steps", [0.0, 1.0])
+def test_cells_like_their_leads_are_read_in_every_frame(segment: float, noise_steps: float) -> None:
+    """A multiplexer's 100 ohm on both ends, and a hand that presses all cells of 3 kohm to a few hundred ohm."""
+    design, rng = board(6, 6, 100.0, segment=segment), np.random.default_rng(7)
+    read, rest = CountReader(design), 3e3 * np.exp(rng.normal(0, 0.1, (6, 6)))
+    assert design.adc is not None
+    unsettled = 0
+    for number, share in enumerate(np.r_[np.linspace(0, 1, 20), np.ones(10)]):
+        cells = rest / (1.0 + 9.0 * share * rng.uniform(0.9, 1.0, (6, 6)))
+        volts = scan(design, cells).volts + rng.normal(scale=noise_steps * design.adc.step, size=(6, 6))
+        reading = read(adc_codes(design, volts))
+        found = reading.valid
+        off = np.abs(reading.resistance / cells - 1.0)[found] / reading.uncertainty[found]
+        assert off.max(initial=0.0) <= (1.0 + 1e-9 if not noise_steps else 5.0 / 3.0)
+        if number > 1:
+            unsettled += int((reading.reason == Reason.UNSETTLED).any())
+            assert found.mean() > 0.9
+    assert unsettled <= 2
+
+
+def test_two_shorts_on_a_row_join_columns_of_unequal_offsets() -> None:
+    """The difference of 4 mV drives a current like a cell's through both shorts, in every step."""
+    design = board(4, 3, 10.0, offset_voltage=[2e-3, -2e-3, 0.0], supply=[-0.2, 3.3]).replace(
+        adc={"range": [-0.1, 3.3]}
+    )
+    rng, read = np.random.default_rng(3), CountReader(design)
+    seen = 0
+    for _ in range(20):
+        cells = 10 ** rng.uniform(3.0, 3.3, (4, 3))
+        cells[2, :2] = rng.uniform(0.01, 3.0, 2)
+        reading = read(adc_codes(design, scan(design, cells).volts))
+        found = reading.valid
+        off = np.abs(reading.resistance / cells - 1.0)[found]
+        assert (off <= reading.uncertainty[found] + 1e-9).all()
+        seen += int(found.sum())
+    assert seen > 10
+
+
+@pytest.mark.parametrize(
+    "stream",
+    [
+        "inverting:210000031",  # leads like the cells: did not settle
+        "inverting:210000308",
+        "inverting:310000132",
+        "inverting:310000557",
+        "row:210000527",  # the same, and off by a factor of two
+        "inverting:310000464",  # offsets through a cell whose drive a short takes: open cells seemed to conduct
+        "inverting:210000679",  # two shorts on a row: off by a factor of two
+    ],
+)
+def test_streams_that_were_once_misread(stream: str) -> None:
+    family, number = stream.split(":")
+    tally = _live_hunt.LiveTally()
+    with np.errstate(divide="ignore"):
+        _live_hunt.check(family, int(number), tally)
+    assert tally.findings == []
