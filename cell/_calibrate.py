@@ -21,6 +21,7 @@ from ._judged import Judged, Regimes, best_share, mixed
 from ._learned import DRIFT, Seen
 from ._models import AsymmetricModel, ContactModel, M10Model
 from ._recording import Recording
+from ._remarks import remarks
 
 MOST = 6000
 """samples that are learned from; a longer recording is thinned"""
@@ -30,6 +31,12 @@ TEACHES_WORSE = 0.7
 """share of the richer kind's error below which a simpler one teaches"""
 STEPS = 7
 """of a calibration, for progress: three kinds of model, three folds, and learning from all"""
+
+
+FALLING = (
+    "the resistance falls under load: the cell is taken for a contact without memory, and creep and hysteresis are not "
+    "made up for"
+)
 
 
 @dataclass(frozen=True)
@@ -44,6 +51,8 @@ class CalibrationResult:
     """of the recording, in its time: what comes before each was learned from to judge on it"""
     inverse_margin: float | None
     """least slope of a fast step over that at equilibrium: the exact inverse is safe where positive; None: no such"""
+    remarks: tuple[str, ...] = ()
+    """what the recording does not say of the cell, and what looks wrong in it"""
 
     @property
     def fit(self) -> Fit:
@@ -86,7 +95,8 @@ def calibrate(
     inverse = inverse_margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
     if isinstance(model, ContactModel):
         contact = _calibrated_contact(cell, thin)
-        return CalibrationResult(contact, recording, found, folds(thin, full), inverse)
+        said = (FALLING, *remarks(recording, full, float(Regimes.of(thin, full).pressing[-1]) / 2, varied=True))
+        return CalibrationResult(contact, recording, found, folds(thin, full), inverse, said)
 
     parts = folds(thin, full)
     teacher = _teacher(found)
@@ -150,7 +160,8 @@ def calibrate(
         static=static,
         **calibrated,
     )
-    return CalibrationResult(cell.replace(estimators=estimators), recording, found, parts, inverse)
+    said = tuple(remarks(recording, full, evidence.presses, varied=evidence.varied))
+    return CalibrationResult(cell.replace(estimators=estimators), recording, found, parts, inverse, said)
 
 
 def estimate_recording(

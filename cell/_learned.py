@@ -28,6 +28,8 @@ UNKNOWN_DRIFT = 0.6
 """share of the drift seen at calibration that is taken for the standard deviation of the drift afterwards"""
 STEEPER = 2.0
 """times the mean slope of load over resistance, that a curve may have where nobody recorded it"""
+BEYOND = 1.2
+"""times the largest load learned from, that is answered at most: calibration may have missed full scale"""
 CREDIBLE = 3.0
 """ranges of the readings learned from, by which a credible reading may lie outside"""
 STILL = 0.01
@@ -82,9 +84,15 @@ class StaticCurve(Section):
     """range of the reading that the curve was fitted to; None: in files of earlier versions"""
 
     def load(self, r: FloatArray) -> FloatArray:
-        """The normalised load for a normalised resistance, not limited."""
-        load = np.polynomial.polynomial.polyval(self.reading(r), np.array(self.coefficients))
-        return np.asarray(load)
+        """The normalised load for a normalised resistance, not limited; a straight line beyond what was recorded."""
+        x, cubic = self.reading(r), np.polynomial.Polynomial(self.coefficients)
+        if self.reached is None:
+            return np.asarray(cubic(x))
+        # A cubic turns back beyond the readings that it was fitted to: an overload would read as none.
+        low, high = self.reached.lowest[0], self.reached.highest[0]
+        inside = np.clip(x, low, high)
+        slope = (cubic(high) - cubic(low)) / max(high - low, 1e-12)
+        return np.asarray(cubic(inside) + slope * (x - inside))
 
     def reading(self, r: FloatArray) -> FloatArray:
         """What the cubic is one of."""
@@ -256,8 +264,10 @@ class LearnedEstimator(Estimator):
             block = slice(start, start + BLOCK)
             found[block] = self._terms(standardised[:, block]) @ self._weights
         load = np.clip(found[:, 0], learned.limits.lowest, learned.limits.highest)
+        largest = learned.limits.highest / BEYOND
         std = np.maximum(found[:, 1] * learned.std_factor, learned.std_floor)
         if learned.reached is not None:
             beyond = learned.reached.excess(self._terms.features(standardised))
             std = np.hypot(std, STEEPER * beyond * self._steepest / self.full_scale_kpa)
+            std = np.hypot(std, STEEPER * np.maximum(found[:, 0] - largest, 0.0))
         return load, std

@@ -132,6 +132,10 @@ def checked_recording(
         )
     pressure = found.quiet.pressure_kpa
     low, high = float(pressure.min()), float(pressure.max())
+    if not high > 0 and low < 0:
+        raise InputError(
+            f"{name}: pressure_kpa goes from {low:g} to {high:g}; expected pressure above 0: is its sign turned round?"
+        )
     if not high > 0 or high - low < 1e-6 * high:
         raise InputError(f"{name}: pressure_kpa stays at {high:g}; expected presses and releases")
     if low > 0.3 * high:

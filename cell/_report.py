@@ -51,6 +51,7 @@ def calibration_text(calibration: CalibrationResult) -> str:
     lines.append("error of the estimators on the same folds, % of full scale:")
     lines += [f"  {name:<11} {_percents(values)}" for name, values in cell.estimators.fold_percent.items()]
     lines.append(f"estimator: {cell.estimators.default}, because of {cell.estimators.reason}")
+    lines += [f"note: {remark}" for remark in calibration.remarks]
     return "\n".join(lines)
 
 
@@ -90,6 +91,7 @@ def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
         ],
         "inverse_margin": calibration.inverse_margin,
         "folds_s": [[fold.start_s, fold.end_s] for fold in calibration.folds],
+        "remarks": list(calibration.remarks),
         "estimator": cell.estimators.default,
         "reason": cell.estimators.reason,
         "held_out_percent": dict(cell.estimators.held_out_percent),

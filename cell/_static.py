@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
-from ._learned import STEEPER, StaticCurve, credible_range
+from ._learned import BEYOND, STEEPER, StaticCurve, credible_range
 from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 
 POINTS = 1025
@@ -162,6 +162,8 @@ class StaticCurveEstimator(Estimator):
             beyond = curve.reached.excess(curve.reading(r)[None])
             full_reading = abs(float(curve.reading(np.array(self._signed_full_scale_r))))
             memory[VARIANCE] += (STEEPER * beyond / max(full_reading, 1e-9) * self.full_scale_kpa) ** 2
+            over = np.maximum(load - curve.limits.highest / BEYOND, 0.0)
+            memory[VARIANCE] += (STEEPER * over * self.full_scale_kpa) ** 2
         return memory
 
     def _advance(

@@ -18,7 +18,7 @@ from . import _simulate as simulate
 from ._features import Bank
 from ._identify import Simulation
 from ._judged import Judged
-from ._learned import DRIFT, UNKNOWN_DRIFT, Learned, Limits, Reached, StaticCurve, Terms
+from ._learned import BEYOND, DRIFT, UNKNOWN_DRIFT, Learned, Limits, Reached, StaticCurve, Terms
 
 LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
 """of the distilled estimator; longer ones are memories of how the recording began"""
@@ -80,7 +80,7 @@ class NormalisedRecording:
     def limits(self) -> Limits:
         """Loads worth answering: from the least seen to a fifth beyond full scale, which calibration may miss."""
         low, high = np.percentile(self.load, [0.1, 99.9])
-        return Limits(lowest=min(float(low), 0.0), highest=max(float(high), 1.0) * 1.2)
+        return Limits(lowest=min(float(low), 0.0), highest=max(float(high), 1.0) * BEYOND)
 
     def until(self, time_s: float) -> NormalisedRecording:
         """The part of the recording before ``time_s``."""

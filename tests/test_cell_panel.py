@@ -20,6 +20,8 @@ from ohmskin.cell._choice import Evidence, choose
 from ohmskin.cell._identify import Fold, fits
 from ohmskin.cell._judged import MOVING, Judged, Regimes, best_share, mixed, standard_errors_better
 from ohmskin.cell._learned import DRIFT, Learned
+from ohmskin.cell._remarks import remarks
+from ohmskin.errors import InputError
 
 
 def _unused(rng: np.random.Generator, loads: np.ndarray, dt: float) -> np.ndarray:
@@ -147,7 +149,9 @@ def test_a_learned_map_mixed_with_the_static_curve_answers_in_between() -> None:
     rng = np.random.default_rng(3)
     limits = estimators.static.limits.replace(lowest=-1e6, highest=1e6)
     learned = estimators.distilled.replace(limits=limits)
-    reading = learned.mean[0] + learned.scale[0] * rng.uniform(-2, 2, 50)
+    reached = estimators.static.reached
+    assert reached is not None
+    reading = rng.uniform(reached.lowest[0], reached.highest[0], 50)
     resistance = found.cell.rest_resistance_ohm * (1 + reading)
 
     def answers(map_: Learned) -> np.ndarray:
@@ -215,6 +219,8 @@ def test_the_deviation_grows_beyond_what_was_learned_from() -> None:
         estimator.step(0.1, np.array([highest, highest + 1.5 * (highest - cell.rest_resistance_ohm)]))
         known, unknown = estimator.std_kpa
         assert unknown > known + 0.2 * cell.full_scale_kpa
+    overload = cell.estimator((), "static", noise=0.0).step(0.1, highest + 1.5 * (highest - cell.rest_resistance_ohm))
+    assert overload >= 0.99 * cell.full_scale_kpa
     lost = cell.estimator((), "static")
     lost.step(0.1, 1.1 * cell.rest_resistance_ohm)
     before = lost.std_kpa
@@ -251,3 +257,25 @@ def test_the_panel_takes_its_materials_in_turn() -> None:
     assert {material for _, material, _ in names} == set(MATERIALS)
     assert len(set(names)) == len(names)
     assert {load for load, _, _ in names} == {*LOADS, *panel.DISTURBANCES}
+
+
+def test_a_load_cell_that_is_late_and_a_converter_that_clips_are_noticed() -> None:
+    scene = panel.scene("random", "relays", 2)
+    head = scene.time_s < 120
+    time, load, read = scene.time_s[head], scene.pressure_kpa[head], scene.resistance_ohm[head]
+
+    def said(pressure: np.ndarray, resistance: np.ndarray, full_scale_kpa: float = panel.FULL_SCALE_KPA) -> str:
+        recording = checked_recording(time, pressure, resistance)
+        return " ".join(remarks(recording, full_scale_kpa, 10.0, varied=True))
+
+    assert not said(load, read)
+    assert not said(np.interp(time + 1.0, time, load), read), "a cell may follow late"
+    assert "changes 1 s before the pressure" in said(np.interp(time - 1.0, time, load), read)
+    assert "does the converter clip" in said(load, np.minimum(read, np.quantile(read, 0.8)))
+    assert "beyond it the deviation grows" in said(load, read, 2 * panel.FULL_SCALE_KPA)
+
+
+def test_a_recording_with_its_sign_turned_round_is_refused_in_words() -> None:
+    scene = panel.scene("random", "relays", 2)
+    with pytest.raises(InputError, match="is its sign turned round"):
+        checked_recording(scene.time_s, -scene.pressure_kpa, scene.resistance_ohm)

@@ -1,0 +1,97 @@
+"""Remarks on a calibration recording: what it does not say about the cell, and what looks wrong but can be used."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from ..arrays import FloatArray
+from ._recording import Recording
+
+LONGEST_LEAD_S = 5.0
+"""that is looked for"""
+LEAD_S, LEAD_STEPS = 0.03, 3.0
+"""least lead of the resistance before the pressure that is remarked upon, in seconds and in steps of the recording"""
+MOST_STEPS = 200_000
+"""of the raster on which a lead is looked for"""
+CLEARLY = 0.3
+"""least correlation of the two signals' changes for a lead to be believed"""
+AT_LIMIT = 0.02
+"""share of the readings under load with the same extreme value, from which they look clipped"""
+LOADED, DIFFERENT = 0.3, 0.2
+"""of full scale: from which a cell counts as loaded here, and a difference that readings of clipped loads have"""
+
+
+def remarks(recording: Recording, full_scale_kpa: float, presses: float, *, varied: bool) -> Iterator[str]:
+    """One sentence each.
+
+    Args:
+        recording: what was calibrated with.
+        full_scale_kpa: of the cell.
+        presses: to full scale, that the path of the load amounts to.
+        varied: whether held-out parts of the recording differ from each other.
+    """
+    lead = resistance_lead_s(recording)
+    if lead > 0:
+        yield (
+            f"the resistance changes {lead:.2g} s before the pressure does: is the load cell late, or are the clocks "
+            "apart? The delay is taken for a property of the cell"
+        )
+    share = clipped_share(recording, full_scale_kpa)
+    if share > AT_LIMIT:
+        yield (
+            f"{100 * share:.0f} % of the readings under load are the same extreme value: does the converter clip? "
+            "Loads beyond it cannot be told apart"
+        )
+    highest = float(recording.pressure_kpa.max())
+    if highest < 0.8 * full_scale_kpa:
+        yield f"the largest load is {highest:.3g} of {full_scale_kpa:.3g} kPa: beyond it the deviation grows fast"
+    if presses < 3:
+        yield f"the load amounts to {presses:.1f} full presses: little is known of others, and the deviation says so"
+    elif not varied:
+        yield "the presses are all alike: little is known of others, and the deviation says so"
+
+
+def resistance_lead_s(recording: Recording) -> float:
+    """Seconds by which the resistance changes before the pressure (peak of the cross-correlation); 0: not clearly.
+
+    No cell does that, though many follow the pressure late.
+    """
+    step = recording.step_s
+    time = np.arange(recording.time_s[0], recording.time_s[-1], step)
+    if len(time) > MOST_STEPS:
+        return 0.0
+    pressure = np.interp(time, recording.time_s, recording.pressure_kpa)
+    log_ohm = np.interp(time, recording.time_s, np.log(recording.resistance_ohm))
+    width = max(1.0, LEAD_S / step / 3)
+    rates = [np.gradient(gaussian_filter1d(signal, width)) for signal in (pressure, log_ohm)]
+    sign = np.sign(np.corrcoef(pressure, log_ohm)[0, 1])
+    most = min(round(LONGEST_LEAD_S / step), len(time) // 4)
+    found = _correlation(rates[0], sign * rates[1], most)
+    lead = int(np.argmax(found)) - most
+    late_enough = lead * step >= LEAD_S and lead >= LEAD_STEPS
+    return lead * step if late_enough and found.max() > CLEARLY else 0.0
+
+
+def _correlation(late: FloatArray, early: FloatArray, most: int) -> FloatArray:
+    """(2 most + 1,) correlation of ``late`` with ``early`` shifted back by -most to most samples."""
+    late, early = late - late.mean(), early - early.mean()
+    size = 2 * len(late)
+    product = np.fft.irfft(np.fft.rfft(late, size) * np.conj(np.fft.rfft(early, size)), size)
+    around = np.concatenate([product[-most:], product[: most + 1]]) if most else product[:1]
+    return np.asarray(around / max(float(np.linalg.norm(late) * np.linalg.norm(early)), 1e-300))
+
+
+def clipped_share(recording: Recording, full_scale_kpa: float) -> float:
+    """Share of the readings under load that are exactly the largest or smallest one, though loads differ clearly."""
+    load = recording.pressure_kpa / full_scale_kpa
+    loaded, load = recording.resistance_ohm[load > LOADED], load[load > LOADED]
+    shares = [0.0]
+    if loaded.size:
+        for extreme in (loaded.max(), loaded.min()):
+            there = loaded == extreme
+            if np.ptp(load[there]) > DIFFERENT:
+                shares.append(float(np.mean(there)))
+    return max(shares)
