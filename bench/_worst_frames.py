@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import FloatArray
+from ..cell import Cell
 from ..circuits import Design, adc_codes, scan
 from ..driver import CountReader
 
@@ -49,6 +50,7 @@ CASES: tuple[tuple[str, str, str, float, int, int], ...] = (
 )
 """circuit, idle rows, idle columns, ohm of a line's segment, ADC bits, columns over rows"""
 _LARGEST_FLOATING = 32  # rows beyond which boards with floating rows are left out: minutes
+_FRAME_S = 0.005
 _LEAD_OHM = 5.0
 _REST_OHM = 10e3
 
@@ -104,7 +106,7 @@ class WorstFrames:
     first_ms: float
     """processor time of the first frame of all"""
     usual_us: float
-    """median processor time of a frame with wandering fingers, counts to ohms"""
+    """median processor time of a frame with wandering fingers, counts to kPa by the default estimator"""
     wandering: float
     """longest of these frames, in usual ones"""
     events: dict[str, float]
@@ -198,10 +200,11 @@ def _read(board: Design, frames: list[FloatArray]) -> tuple[FloatArray, FloatArr
         counts.append(adc_codes(board, noisy).astype(np.uint16))
     times, valid = np.full(len(frames), np.inf), np.empty(len(frames))
     for _ in range(2):
-        read = CountReader(board)
+        read, estimator = CountReader(board), Cell.example().estimator(board.array.shape)
         for number, codes in enumerate(counts):
             start = process_time()
             reading = read(codes)
+            estimator.step(_FRAME_S, reading.resistance)
             times[number] = min(times[number], process_time() - start)
             valid[number] = reading.valid.mean()
     return times, valid
@@ -209,7 +212,7 @@ def _read(board: Design, frames: list[FloatArray]) -> tuple[FloatArray, FloatArr
 
 def worst_table(rows: Iterable[WorstFrames]) -> Iterator[str]:
     """The boards as lines of text, as they come."""
-    yield "longest call, counts to ohms, in usual frames of the same board; the first frame of all apart"
+    yield "longest call, counts to kPa, in usual frames of the same board; the first frame of all apart"
     yield f"'over': more than {LIMIT:g}; valid cells in percent with fingers, and at the end of each event"
     names = "".join(f"{name:>10}" for name in ("fingers", *EVENTS))
     yield f"{'board':48}{'array':>9}{'first ms':>9}{'usual us':>9}{names}   valid   afterwards"

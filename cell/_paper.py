@@ -41,6 +41,9 @@ CONFIRMED_RISE, CONFIRMED_FALL = 3.0, 1.0
 found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
 BETWEEN = 0.3
 """of the way of a load in a frame: how far beyond the frames it turned. Between none and half; the root mean square"""
+LOST, GONE = 1.5, 0.7
+"""standard deviations of the smoothed noise by which the hypotheses must have been apart for a doubt to stay, and the
+share of the variance that a new beginning takes away"""
 LESS = 2.0
 """standard deviations of the smoothed noise by which an extreme counts for less. The largest of many readings is too
 large by about as many; with more, the end of a tap of few frames would be missed"""
@@ -278,6 +281,7 @@ class TurningEstimator(Estimator):
         self._taken_over = taken_over(model)
         self._bend = 1 / model.eu1_kpa + 1 / model.etau2_kpa - 1 / model.e1_kpa
         """r per kPa by which the answer to a fast rise exceeds that to a fast fall"""
+        self._lost_kpa2 = (NEAR * full_scale_kpa) ** 2
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
@@ -365,12 +369,26 @@ class TurningEstimator(Estimator):
         of.unsure *= self._less
         of.ahead -= of.unsure
         np.maximum(of.extreme, of.ahead, out=of.extreme)
+        of.variance -= of.doubt  # by which the hypotheses were apart in the last frame
         of.doubt *= of.fade
         apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
         apart *= self._either
         apart *= apart
+        if of.variance.item(of.variance.argmax()) > self._lost_kpa2:
+            self._keep(of, apart)
         np.add(apart, of.doubt, of.variance)
         return memory
+
+    def _keep(self, of: _Rows, apart: FloatArray) -> None:
+        """Where the other hypothesis has begun anew though it was apart by more than noise, the doubt stays.
+
+        The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``.
+        """
+        by_noise = of.unsure * (LOST / LESS)
+        lost = of.variance - apart
+        begun = (lost > GONE * of.variance) & (of.variance > by_noise**2) & (of.variance > self._lost_kpa2)
+        np.copyto(lost, 0.0, where=~begun)
+        of.doubt += lost + np.sqrt(of.doubt * lost)
 
     def _look(self, of: _Rows, std: FloatArray) -> None:
         """Of the hypothesis in force: pressure, its standard deviation by noise, how far it is ahead in its direction,
@@ -411,6 +429,7 @@ class TurningEstimator(Estimator):
         unseen = self._unseen(some, pressure, gain) + ROUND * self.full_scale_kpa
         some[TURNED] = (np.sqrt(some[VARIANCE]) + unseen) ** 2
         some[TURNED] += (weights.by_model[0, RECOVERY] * noise) ** 2
+        some[TURNED] = np.minimum(some[TURNED], self._most_kpa**2)
         if np.count_nonzero(again):
             np.copyto(some[EXTREME], left, where=again)
             np.copyto(some[PEAK], left, where=again)

@@ -281,7 +281,7 @@ class Converter:
             return unknown, Later(unknown.copy)
         if not self._estimator.resolved:
             self._estimator.resolve(reading.step_std, reading.resistance)
-        common = self._estimator.step(gap_s, reading.resistance)
+        common = self._estimator.step(gap_s, reading.for_estimation)
         systematic = self._systematic.take(reading, rest_known=self._rest_known)
         std = Later(partial(_std, self._estimator.std_of_last_step(), systematic, common, self._calibration))
         self._retained.add(std)

@@ -16,6 +16,8 @@ from ._scatter import Scatter
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
 _ALIKE = 1.5  # ratio of noises with which a reading is judged about alike
 _FAINT = 0.05  # ADC steps of noise that hardly count beside the half step
+_MOST_NOISE = 0.95  # relative uncertainty, three standard deviations of noise, of a reading that an average can use
+_MOST_STEPS = 0.1  # of that by ADC steps, which no average lessens
 _SIGMAS = 3.0  # standard deviations of the noise that Reading.uncertainty covers, beside half a step
 
 
@@ -37,6 +39,8 @@ class Reading:
     """of what a cell's own reading leaves open: standard deviation of an ADC step"""
     _noise_steps: float = 0.0
     """standard deviation of the readings' noise in ADC steps"""
+    _most_noise: float = 0.0
+    """relative uncertainty up to which a noisy reading serves for estimation, valid or not; 0: none"""
 
     @property
     def steps_share(self) -> float:
@@ -47,6 +51,16 @@ class Reading:
         """
         noise = self._noise_steps
         return math.exp(-2.0 * (math.pi * noise) ** 2) / (1.0 + 2.0 * _SIGMAS * noise)
+
+    @property
+    def for_estimation(self) -> FloatArray:
+        """Ohm, NaN where unknown; also of cells that noise alone keeps from being valid: an estimator averages it."""
+        if self.all_valid or self._found is None or not self._most_noise:
+            return self.resistance
+        uncertainty = self._found.uncertainty
+        noisy = (self.reason == Reason.UNCERTAIN) & (uncertainty <= self._most_noise)
+        noisy &= np.minimum(uncertainty, 1.0) * self.steps_share <= _MOST_STEPS
+        return np.where(noisy, self._found.resistance, self.resistance)
 
     @property
     def step_std(self) -> FloatArray:
@@ -93,6 +107,7 @@ class CountReader:
             raise ProtocolError("the board's design has no [adc]; counts mean nothing without one")
         self._shape = design.array.shape
         self._codes = 2**adc.bits
+        self._most_noise = _MOST_NOISE if accuracy is None else 0.0
         self._recover = live_recovery(design, accuracy=accuracy)
         self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
         # As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
@@ -226,6 +241,7 @@ class CountReader:
             _found=found,
             _own_share=share,
             _noise_steps=noise / self._step,
+            _most_noise=self._most_noise,
         )
 
 

@@ -117,6 +117,7 @@ def test_the_estimators_have_a_table_of_their_own(
     row = benchmark.Row("foam", "play", rmse_percent=12.5, microseconds=0.25, is_default=True)
     monkeypatch.setattr(benchmark, "estimators", lambda: [row])
     monkeypatch.setattr(_honesty, "honesty", lambda: [])
+    monkeypatch.setattr(_honesty, "elsewhere", lambda: [])
     assert run(["bench", "--estimators"]) == 0
     assert "12.50" in capsys.readouterr().out
     assert run(["bench", "--estimators", "--json"]) == 0

@@ -181,3 +181,32 @@ def test_a_first_reading_under_load_is_no_long_hold_without_a_doubt(kpa: float, 
             ratios.append(np.abs(pressure - true) / estimator.std_kpa)
     assert np.mean(np.array(ratios) > 2.0) < 0.05
     assert np.mean(np.array(ratios) > 3.0) < 0.02
+
+
+@pytest.mark.parametrize("load", ["short taps", "slip"])
+def test_taps_of_a_few_frames_are_followed_where_the_memory_is_short(load: honesty.Load) -> None:
+    """An asymmetric cell: sparks are told from taps of three frames, and what happens between frames is in the sd."""
+    cell, _ = honesty.specimens_uncalibrated()["asymmetric"]
+    found = honesty.judged(cell, "asymmetric", load, 1.0)
+    assert found.within_two > 0.98
+    assert found.beyond_three < 0.005
+    assert found.rmse_percent < 12.0
+
+
+@pytest.mark.parametrize("load", ["quick taps", "vibration", "slip"])
+def test_an_inverse_that_loses_its_way_says_so(load: honesty.Load) -> None:
+    """Every turn between two frames leaves an error with the paper's cell, always to the same side."""
+    for noise in (0.1, 1.0):
+        found = honesty.judged(EXAMPLE, "example", load, noise)
+        assert found.within_two > 0.6
+        assert found.beyond_three < 0.01
+        assert found.worst < 4.0
+
+
+@pytest.mark.parametrize("load", ["edge", "slow ramp"])
+def test_frames_in_which_a_load_begins_are_within_the_deviations(load: honesty.Load) -> None:
+    """The smoothing has not noticed the load yet, and sleeping cells show none."""
+    for name in ("paper", "contact"):
+        found = honesty.judged(honesty.specimens_uncalibrated()[name][0], name, load, 10.0)
+        assert found.worst < 4.0
+        assert found.within_two > 0.98

@@ -181,3 +181,25 @@ def test_the_driver_says_why_hardly_a_cell_is_valid() -> None:
     assert remark is not None
     assert "no cell was valid" in remark
     assert "current" in remark or "limit" in remark
+
+
+def test_a_press_that_noise_keeps_from_being_valid_is_felt() -> None:
+    """Noise of 10 mV on readings of 150 mV, which fall under load: three deviations are more than half of a reading."""
+    design = {
+        "array": {"rows": SIDE, "columns": SIDE, "row_lead": 25.0},
+        "drive": {"voltage": 3.3},
+        "readout": {"circuit": "voltage-divider", "reference_resistance": 1000.0},
+        "adc": {"bits": 8, "range": [0.0, 3.3]},
+    }
+    load = [[0.5, 0.0], [0.52, 14.0], [2.0, 14.0], [2.02, 0.0]]
+    contact = [{"cells": [list(PRESSED)], "load_kpa": load}]
+    noisy = Board(scene(skin={"design": design}, board={"frame_rate": 100.0, "noise": 0.01}, contact=contact))
+    with lossless(Wire(noisy)) as skin:
+        skin.tare(20)
+        frames = [frame for frame in islice(skin, 170) if 1.0 < (frame.device_time or 0.0) < 1.9]
+    valid = np.mean([frame.valid[PRESSED] for frame in frames])
+    pressure = np.array([frame.pressure[PRESSED] for frame in frames])
+    std = np.array([frame.pressure_std[PRESSED] for frame in frames])
+    assert valid < 0.5
+    assert np.median(pressure) > 8.0
+    assert np.mean(np.abs(pressure - 14.0) > 3.0 * std) < 0.02

@@ -63,6 +63,7 @@ class OneCell:
             bend = 1 / m.eu1_kpa + 1 / m.etau2_kpa - 1 / m.e1_kpa
             unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full
             self.doubt = (np.sqrt(self.variance) + unseen) ** 2 + (gains[False] * std) ** 2
+            self.doubt = min(self.doubt, (0.5 * self.full) ** 2)
         unsure = std * gains[self.rising]
         ahead = self._ahead(now)
         if self.left is not None:
@@ -90,8 +91,14 @@ class OneCell:
         self.peak = max(self.peak, ahead - unsure)
         self.extreme = max(self.extreme, ahead - paper.LESS * unsure)
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
+        was_apart = self.variance - self.doubt
         self.doubt *= np.exp(-2 * dt * rate)
-        self.variance = self.doubt + (paper.EITHER * (self.other.pressure - now.pressure)) ** 2
+        is_apart = (paper.EITHER * (self.other.pressure - now.pressure)) ** 2
+        lost = was_apart - is_apart
+        least = max(paper.LOST * unsure, paper.NEAR * self.full) ** 2
+        if lost > paper.GONE * was_apart and was_apart > least:
+            self.doubt += lost + np.sqrt(self.doubt * lost)
+        self.variance = self.doubt + is_apart
         return now.pressure
 
     def _ahead(self, hypothesis: Hypothesis) -> float:

@@ -27,6 +27,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from .._board import Board
 
+_KNOWN = 0.3  # standard deviation of a logarithm up to which the linear law is good enough
 _LEAST_FACTOR = 1e-6  # of a cell in its crosspoint's conductance: beside a fault, below which no reading tells of it
 
 
@@ -34,9 +35,10 @@ def beyond_linear(std: FloatArray) -> FloatArray:
     """Further variance of a conductance that is known within ``std`` of its logarithm, over what a linear law gives.
 
     A logarithm's standard deviation up multiplies a conductance by exp(std), not by 1 + std. What a cell that is hardly
-    known may add to the current of its lines is therefore more than the derivatives say.
+    known may add to the current of its lines is therefore more than the derivatives say. Errors of better known cells
+    have both signs, and their second order averages out.
     """
-    std = np.clip(std, 1e-3, 4.0)
+    std = np.clip(std - _KNOWN, 1e-3, 4.0)
     more: FloatArray = (np.expm1(std) / std) ** 2 - 1.0
     return more
 

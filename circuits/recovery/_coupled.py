@@ -37,8 +37,10 @@ _SLOW = 0.2  # length of a step over the one before from which on the derivative
 _MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
 _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
 _SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
-_MOST_WITHOUT_FIT = 2  # frames in a row until steps column by column are given up
+_MOST_WITHOUT_FIT = 6  # frames in a row until steps column by column are given up
 _STUCK = 300  # frames until they are tried again
+_PER_SQUARE = 16  # multiplications of a matrix product that take as long as the square of one entry
+_SMALL = 100  # cells up to which an instalment is a whole renewal
 _AT_REST = 0.3  # most change by a further step after a fresh start
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
@@ -102,6 +104,8 @@ class _Effort(NamedTuple):
 
 
 USUAL_EFFORT = _Effort(evaluations=4, instalments=1, solutions=1)
+LARGE_EFFORT = _Effort(evaluations=4, instalments=4, solutions=1)
+"""of boards on which a step by the matrix of all readings by all cells is most of a usual frame"""
 FIRST_EFFORT = _Effort(evaluations=40, instalments=700, solutions=4)
 """in the first frame of all, before which nothing is known"""
 
@@ -188,6 +192,7 @@ class CoupledLive:
         self._gone = self._hidden | self._shorted.ravel()  # cells that no reading tells of
         nearly_independent = self._columns.applies and not self._shorted.any()
         self._has_matrix = cells <= (LARGEST_BESIDE if nearly_independent else LARGEST_MATRIX)
+        self._usual_effort = LARGE_EFFORT if cells > _SMALL and not self._columns.applies else USUAL_EFFORT
         self._quick = QuickModel(board, self._lines)
         self._sheet = SheetModel(whole, self._quick) if whole.continuous else None
         self._model = self._quick if self._sheet is None else self._sheet
@@ -255,7 +260,7 @@ class CoupledLive:
         if self._base is None:
             self._base = self._based_on(start)
         slope = self._slope(volts)
-        effort = USUAL_EFFORT if self._begun else FIRST_EFFORT
+        effort = self._usual_effort if self._begun else FIRST_EFFORT
         fit, doubt = self._solve(measured, start, slope, coarser, effort), 0.0
         if self._sheet is not None:
             for _ in range(effort.solutions):
@@ -342,7 +347,8 @@ class CoupledLive:
             serves = misfit <= _FITS and self._serves(step, scale)
             moved = self._moved(known.log, scale)
             blamed = not serves and moved > _MOVED and np.abs(step).max() > _SLOW * np.abs(before).max()
-            if stalled and misfit > _UNSETTLED and self._has_matrix and not self._base.whole:
+            resting = self._from_fresh_start and stalled and misfit > _UNSETTLED
+            if resting and self._has_matrix and not self._base.whole:
                 self._stuck = _STUCK
             due = self._stuck > 0 and not self._base.whole
             if due or moved > _FAR or blamed or self._base.coarse or self._renewal is not None:
@@ -503,7 +509,10 @@ class CoupledLive:
         for _ in normal.instalments(meter):
             yield None
         variance = np.maximum(np.diagonal(normal.inverse), np.finfo(np.float64).tiny)
-        std = np.sqrt(variance + normal.inverse**2 @ (beyond_linear(np.sqrt(variance)) / variance))
+        if meter.is_full(_PER_SQUARE * normal.inverse.size):
+            yield None
+        more = beyond_linear(np.sqrt(variance)) / variance
+        std = np.sqrt(variance + np.einsum("ij,ij,j->i", normal.inverse, normal.inverse, more))
         loose = self._hidden
         # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
         others = np.zeros(len(x))

@@ -80,6 +80,7 @@ def command(
         if not as_json:
             click.echo("\n" + of_taps.hard_table(of_taps.hard_cases()))
             click.echo("\n" + of_deviations.table(of_deviations.honesty()))
+            click.echo("\n" + of_deviations.summary(of_deviations.elsewhere()))
         return
     if of_emulator:
         boards = list(of_boards.emulator(sizes))
