@@ -35,7 +35,7 @@ BEGUN_S = 0.5
 """time before which nothing is judged: the noise is not known yet"""
 NOISES_MV = (0.1, 1.0, 10.0)
 RATES_HZ = (50.0, 250.0, 1000.0)
-MOST_FRAMES = 2000
+MOST_FRAMES = 6000
 """of a scene: fast boards are judged for less time"""
 BITS = 12
 SUBSTEPS = 4
@@ -182,7 +182,7 @@ def faulty(read: FloatArray, fault: Fault, dt_s: float) -> tuple[FloatArray, Boo
         middle = slice(round(0.3 * len(read)), round(0.6 * len(read)))
         arrives[middle] = np.random.default_rng(0).random(len(read[middle])) > 0.3
     elif fault == "opens":
-        for cell, start in enumerate(np.linspace(3.0, seconds - 3.0, read.shape[1])):
+        for cell, start in enumerate(seconds * np.linspace(0.19, 0.81, read.shape[1])):
             first, last = round(start / dt_s), round((start + 0.5) / dt_s)
             found[first, cell], found[first + 1 : last, cell] = 4e6, np.inf if cell % 2 else np.nan
     return found, arrives

@@ -66,6 +66,12 @@ SETTLE_EVERY = 32
 HIDDEN, SIGMAS = 3.3, 3.0
 """standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
 a change could be that the smoothing has not noticed yet"""
+HIDES, SURELY_HIDES = 1.1, 1.4
+"""variance of a cell's readings over the board's least: from the first, a load may move within the noise; from the second
+it does
+"""
+HIDES_EVERY = 4
+"""frames between two looks for such cells"""
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation, of a cell whose model nobody compared with a recording"""
 USUAL = 1.1
@@ -421,6 +427,9 @@ class Estimator(ABC):
         block.line_before = line.copy()
         looked = _Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
+        if self._frames % HIDES_EVERY == 0 and self._noise.loudest > HIDES:
+            excess = self._noise.excess(cells)
+            self._miss(memory, noise, np.clip((excess - HIDES) / (SURELY_HIDES - HIDES), 0.0, 1.0))
         pressure, added = memory[PRESSURE], None
         if self._sparks.cells.size:
             added = self._variance_of_jumps(memory)
@@ -647,6 +656,13 @@ class Estimator(ABC):
     def _hold(self, memory: FloatArray, dt_s: float) -> FloatArray:
         """The memory (rows, m) after ``dt_s`` in which the pressure stayed."""
         return memory
+
+    def _miss(self, memory: FloatArray, noise: FloatArray, hides: FloatArray) -> None:
+        """Count what cells may remember wrong if the load moves within the ``noise`` (m,); changes ``memory``.
+
+        ``hides`` (m,) is 1 where it surely does. A vibration looks like noise, but other cells, and the time before,
+        tell how much of it the board has. Called every :data:`HIDES_EVERY` frames.
+        """
 
     def _settled(self, memory: FloatArray, band: float) -> BoolArray:
         """(m,) whether the memory is that of a cell at rest, within ``band`` of r."""

@@ -15,7 +15,7 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
 from . import _lag as lag
-from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
+from ._estimator import GAIN, HIDES_EVERY, PRESSURE, VARIANCE, Conditions, Estimator
 from ._forward import as_m10
 from ._models import AsymmetricModel, M10Model
 from ._paper import LOADS, MEMORIES
@@ -220,6 +220,10 @@ class InverseEstimator(Estimator):
         memory[MOVED] = step
         variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2
         memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)
+
+    def _miss(self, memory: FloatArray, noise: FloatArray, hides: FloatArray) -> None:
+        """Motion within the noise breaks chains, which seems to be a load."""
+        memory[MISSED] += HIDES_EVERY * self.model.k * hides * noise * memory[GAIN] / self.full_scale_kpa
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within :data:`LOADS`; where the model needs a pull, let it remember less instead."""

@@ -35,6 +35,10 @@ MANY = 9
 """cells from which the median of the array is trusted"""
 ENOUGH = 500
 """cells whose median stands for that of more"""
+KNOWN = 4 * POOL
+"""looks from which the median cell tells how quiet the board is"""
+FORGET = 1.002
+"""by which the least noise of the median cell grows from one look at it to the next, so that noise may rise for good"""
 MEDIAN_OF_SQUARES = 0.4549
 """median of the square of a normal variable of variance 1"""
 _THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
@@ -62,6 +66,10 @@ class NoiseMeter:
         """standard deviation of the median cell at rest"""
         self.at_rest = np.sqrt(self._variance + LEAST**2)
         """(n,) standard deviation of r of a cell at rest; renewed in place"""
+        self.quiet = np.inf
+        """the least that the median cell has had of late: what is more may be the load; infinite: not known"""
+        self.loudest = 1.0
+        """variance of the noisiest cell, over the least"""
         self.resolution = np.zeros(cells)
         """(n,) the part of it that the steps of the ADC make; 0: not known"""
         self.typical_resolution = 0.0
@@ -123,6 +131,14 @@ class NoiseMeter:
         if self._variance.size >= MANY:
             np.minimum(self._variance, ABOVE_POOL * middle + LEAST**2, out=self._variance)
         self.typical = middle**0.5
+        if self._looks > KNOWN:
+            least = max(self.typical, self.typical_resolution, LEAST)
+            self.quiet = min(FORGET * self.quiet, least)
+            self.loudest = float(self._variance.max()) / self.quiet**2
+
+    def excess(self, cells: IntArray) -> FloatArray:
+        """Variance of the readings of ``cells`` over the least that the median cell has had."""
+        return np.asarray(self._variance[cells] / self.quiet**2)
 
     def std(self, r: FloatArray, cells: slice | IntArray = slice(None)) -> FloatArray:
         """Standard deviation of the readings ``r`` of ``cells``."""
@@ -144,13 +160,15 @@ class NoiseMeter:
             "noise_blind": self._blind,
             "noise_variance": self._variance,
             "noise_resolution": self.resolution,
-            "noise_counts": np.array([self._looks, self._seen, self._any_blind, self.typical], dtype=np.float64),
+            "noise_counts": np.array([self._looks, self._seen, self._any_blind], dtype=np.float64),
+            "noise_of_array": np.array([self.typical, self.quiet, self.loudest]),
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a :meth:`state`."""
         self._ring, self._blind, self._variance = (state[f"noise_{name}"] for name in ("ring", "blind", "variance"))
-        looks, seen, any_blind, self.typical = state["noise_counts"].tolist()
+        looks, seen, any_blind = state["noise_counts"].tolist()
+        self.typical, self.quiet, self.loudest = state["noise_of_array"].tolist()
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
         self.at_rest = np.sqrt(self._variance + LEAST**2)
         self.resolve(state["noise_resolution"])
