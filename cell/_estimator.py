@@ -66,10 +66,9 @@ SETTLE_EVERY = 32
 HIDDEN, SIGMAS = 3.3, 3.0
 """standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
 a change could be that the smoothing has not noticed yet"""
-HIDES, SURELY_HIDES = 1.1, 1.4
-"""variance of a cell's readings over the board's least: from the first, a load may move within the noise; from the second
-it does
-"""
+HIDES, SURELY_HIDES = 1.05, 1.35
+"""variance of a cell's readings over the board's least: from the first on, a load may move within the noise; from the
+second on, it does"""
 HIDES_EVERY = 4
 """frames between two looks for such cells"""
 MODEL_ERROR = 0.005
