@@ -656,7 +656,7 @@ class Estimator(ABC):
         """The memory (rows, m) after ``dt_s`` in which the pressure stayed."""
         return memory
 
-    def _miss(self, memory: FloatArray, noise: FloatArray, hides: FloatArray) -> None:
+    def _miss(self, memory: FloatArray, noise: FloatArray, hides: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
         """Count what cells may remember wrong if the load moves within the ``noise`` (m,); changes ``memory``.
 
         ``hides`` (m,) is 1 where it surely does. A vibration looks like noise, but other cells, and the time before,
