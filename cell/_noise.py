@@ -38,8 +38,9 @@ SHARED_LOOKS = 16
 a cell may be near zero by chance, and any reading after them would seem to jump"""
 ENOUGH = 500
 """cells whose median stands for that of more"""
-KNOWN = 4 * POOL
-"""looks from which the median cell tells how quiet the board is"""
+KNOWN, KNOWN_ANEW = 24, 200
+"""looks from which the median cell tells how quiet the board is; the same where an earlier recording had another noise,
+which takes longer to be forgotten"""
 FORGET = 1.002
 """by which the least noise of the median cell grows from one look at it to the next, so that noise may rise for good"""
 MEDIAN_OF_SQUARES = 0.4549
@@ -61,6 +62,7 @@ class NoiseMeter:
         self._ring = np.zeros((4, cells))
         self._variance = np.full(cells, expected**2)
         self._looks = SOON if expected else 0
+        self._known = KNOWN_ANEW if expected else KNOWN
         # The median of few cells is itself uncertain, and counts for less.
         self._shared_looks = min(cells // MANY, SHARED_LOOKS)
         self._seen = 0
@@ -145,7 +147,7 @@ class NoiseMeter:
         if self._variance.size >= MANY:
             np.minimum(self._variance, ABOVE_POOL * middle + LEAST**2, out=self._variance)
         self.typical = middle**0.5
-        if self._looks > KNOWN:
+        if self._looks > self._known:
             least = max(self.typical, self.typical_resolution, LEAST)
             self.quiet = min(FORGET * self.quiet, least)
             self.loudest = float(self._variance.max()) / self.quiet**2
