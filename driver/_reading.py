@@ -56,8 +56,9 @@ class Reading:
     def others_noise_std(self) -> FloatArray:
         """Relative standard deviation of a cell's conductance by the noise of the other cells' readings.
 
-        It is 0 where nothing is known. An estimator measures the noise that a cell has at rest. In a column of a divider that is pressed hard, all
-        readings together say how much of the current each cell has, and their noise then counts many times as much.
+        It is 0 where nothing is known. An estimator measures the noise that a cell has at rest. In a column of a
+        divider that is pressed hard, all readings together say how much of the current each cell has, and their noise
+        then counts many times as much.
         Quantisation is random noise where it is not a systematic error, see :attr:`steps_share`.
         """
         others = np.zeros(self.resistance.shape)
