@@ -388,7 +388,9 @@ class TurningEstimator(Estimator):
     def _keep(self, of: _Rows, apart: FloatArray) -> None:
         """Where the other hypothesis has begun anew though it was apart by more than noise, the doubt stays.
 
-        The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``.
+        The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``. On a
+        coarse converter that may happen at each step at rest, so the doubt has an end. An error may exceed half of full
+        scale, which would be the deviation of any load, for a memory that is lost shows up to 1.1 times full scale.
         """
         by_noise = of.unsure * (LOST / LESS)
         lost = of.variance - apart
