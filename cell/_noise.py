@@ -33,6 +33,9 @@ ABOVE_POOL = 4.0
 """times the median variance of the array that a single cell may have"""
 MANY = 9
 """cells from which the median of the array is trusted"""
+SHARED_LOOKS = 16
+"""looks at one cell that the median of a large array is worth at the beginning. By themselves the first differences of
+a cell may be near zero by chance, and any reading after them would seem to jump"""
 ENOUGH = 500
 """cells whose median stands for that of more"""
 MEDIAN_OF_SQUARES = 0.4549
@@ -54,6 +57,8 @@ class NoiseMeter:
         self._ring = np.zeros((4, cells))
         self._variance = np.full(cells, expected**2)
         self._looks = SOON if expected else 0
+        # The median of few cells is itself uncertain, and counts for less.
+        self._shared_looks = min(cells // MANY, SHARED_LOOKS)
         self._seen = 0
         self._blind = np.zeros(cells)
         self._any_blind = 0
@@ -83,9 +88,18 @@ class NoiseMeter:
         due = self._looks < SOON or self._seen % EVERY == 0
         if due and self._seen > 3:
             self._look(r)
+        elif 1 < self._seen <= 3 and not self._looks and known is None and r.size >= MANY:
+            self._guess(r)
         if self._any_blind:
             self._blind -= 1.0
             self._any_blind -= 1
+
+    def _guess(self, r: FloatArray) -> None:
+        """Take the median cell's change from the last reading for noise, until there are four readings."""
+        changes = (r - self._ring[(self._seen - 2) % 4]) / (r + 1.0) ** 2
+        self.typical = float(np.median(np.abs(changes))) / (2 * MEDIAN_OF_SQUARES) ** 0.5
+        self.at_rest[:] = np.hypot(self.typical, LEAST)
+        np.maximum(self.at_rest, self.resolution, out=self.at_rest)
 
     def _look(self, r: FloatArray) -> None:
         """Average the square of the third difference that ends with ``r``."""
@@ -109,7 +123,7 @@ class NoiseMeter:
         self._limit += LEAST**2
         np.minimum(squares, self._limit, out=squares)
         squares -= self._variance
-        squares *= max(1 / self._looks, EVERY / READINGS)
+        squares *= max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
         self._variance += squares
         if self._looks % POOL == 1:
             self._pool()
