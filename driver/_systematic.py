@@ -32,7 +32,7 @@ STEP = 5e-4
 RANGE, POINTS = math.log(300.0), 4001
 """the table of slopes reaches from rest to this factor (as a logarithm) up and down, with so many points"""
 MARGIN = 0.005
-"""of full scale: pressures nearer to its ends are left out of the table, since the static curve is cut off there"""
+"""of full scale: pressures nearer to the ends of the static curve, which is cut off there, are left out of the table"""
 
 
 class SystematicError:
@@ -45,8 +45,8 @@ class SystematicError:
         pressure = _static(cell, ohms, self._rest_ohm)
         by_reading = np.abs(_static(cell, ohms * (1 + STEP), self._rest_ohm) - pressure) / STEP
         by_rest = np.abs(_static(cell, ohms, self._rest_ohm * (1 + STEP)) - pressure) / STEP
-        full = cell.full_scale_kpa
-        inside = np.flatnonzero((pressure > MARGIN * full) & (pressure < (1 - MARGIN) * full))
+        margin = MARGIN * cell.full_scale_kpa
+        inside = np.flatnonzero((pressure > margin) & (pressure < pressure.max() - margin))
         order = inside[np.argsort(pressure[inside])]
         self._pressure, self._by_reading, self._by_rest = pressure[order], by_reading[order], by_rest[order]
         self._by_both = self._by_reading + 1j * self._by_rest  # so that one look-up gives both slopes
