@@ -284,8 +284,11 @@ class LearnedEstimator(Estimator):
         features = self._terms.features(standardised)
         reading, inside, beyond = features[0], standardised, np.zeros(())
         if learned.reached is not None:
-            # The map knows nothing beyond the features learned from: there it goes on with the slope at equilibrium.
+            # The map knows little beyond the readings of the recording, and nothing beyond the other features learned
+            # from: there it goes on with the slope at equilibrium.
             low, high = np.array(learned.reached.lowest)[:, None], np.array(learned.reached.highest)[:, None]
+            if curve.reached is not None:
+                low[0], high[0] = max(low[0], curve.reached.lowest[0]), min(high[0], curve.reached.highest[0])
             inside = self._terms.standardised(np.clip(features, low, high))
             beyond = learned.reached.excess(features)
         found = np.empty((standardised.shape[1], 2))

@@ -281,7 +281,7 @@ def _overload(cell: Cell, name: str) -> None:
     assert (np.diff(read[100:]) * (read[-1] - read[0]) > 0).all(), "the resistance goes on in the direction of a press"
     pressure, std = estimate_recording(cell.estimator((), name, noise=0.0), time, read)
     assert std is not None
-    fall = (1e-9 if name == "static" else 0.06) * cell.full_scale_kpa
+    fall = (1e-9 if name == "static" else 0.02) * cell.full_scale_kpa
     assert (np.maximum.accumulate(pressure) - pressure).max() < fall
     assert pressure[-1] >= 0.99 * cell.full_scale_kpa
     beyond = load > 1.05 * cell.full_scale_kpa
