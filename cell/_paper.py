@@ -382,13 +382,15 @@ class TurningEstimator(Estimator):
     def _keep(self, of: _Rows, apart: FloatArray) -> None:
         """Where the other hypothesis has begun anew though it was apart by more than noise, the doubt stays.
 
-        The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``.
+        The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``. On a
+        coarse converter that may happen at each step at rest, so the doubt ends where nothing is known of the load.
         """
         by_noise = of.unsure * (LOST / LESS)
         lost = of.variance - apart
         begun = (lost > GONE * of.variance) & (of.variance > by_noise**2) & (of.variance > self._lost_kpa2)
         np.copyto(lost, 0.0, where=~begun)
         of.doubt += lost + np.sqrt(of.doubt * lost)
+        np.minimum(of.doubt, self._most_kpa**2, out=of.doubt)
 
     def _look(self, of: _Rows, std: FloatArray) -> None:
         """Of the hypothesis in force: pressure, its standard deviation by noise, how far it is ahead in its direction,

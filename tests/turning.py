@@ -98,6 +98,7 @@ class OneCell:
         least = max(paper.LOST * unsure, paper.NEAR * self.full) ** 2
         if lost > paper.GONE * was_apart and was_apart > least:
             self.doubt += lost + np.sqrt(self.doubt * lost)
+            self.doubt = min(self.doubt, (0.5 * self.full) ** 2)
         self.variance = self.doubt + is_apart
         return now.pressure
 
