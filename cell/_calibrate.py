@@ -122,7 +122,7 @@ def calibrate(
         share = best_share(judged[name], judged["static"])
         judged[name] = mixed(judged[name], judged["static"], share)
         learned = getattr(final, name)
-        final = final.replace(**{name: learned.mixed(final.static, share)})
+        final = final.replace(**{name: learned.replace(static_share=1 - share)})
     elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, LEARNED)
     tell("learned from all")
     noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))

@@ -157,11 +157,11 @@ class Cell(Section):
                 found = None if learned is None else learned.distilled
             case _:
                 raise InputError(f"the estimator '{name}' has no case in Cell.estimator")
-        if found is None:
+        if learned is None or found is None:
             raise InputError(
                 f"the estimator '{name}' is learned from a recording, and this cell has none: run ohmskin fit"
             )
-        return LearnedEstimator(found, full, full_r, shape, rest, conditions)
+        return LearnedEstimator(found, learned.static, full, full_r, shape, rest, conditions)
 
     def _other_kind(self, name: str, kind: str) -> InputError:
         return InputError(f"the estimator '{name}' inverts a cell of kind '{kind}'; this one is '{self.model.kind}'")

@@ -152,7 +152,7 @@ class StaticCurveEstimator(Estimator):
         rest_resistance_ohm: FloatArray,
         conditions: Conditions,
     ) -> None:
-        self.curve, self._signed_full_scale_r = curve, full_scale_r
+        self.curve = curve
         credible = credible_range(None if curve.logarithmic else curve.reached)  # a contact may be open at rest
         super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions, credible=credible)
 
@@ -164,9 +164,7 @@ class StaticCurveEstimator(Estimator):
         memory[GAIN] = np.abs(beyond - load) / small * self.full_scale_kpa
         memory[VARIANCE] = curve.std_kpa**2
         if curve.reached is not None:
-            beyond = curve.reached.excess(curve.reading(r)[None])
-            full_reading = abs(float(curve.reading(np.array(self._signed_full_scale_r))))
-            memory[VARIANCE] += (STEEPER * beyond / max(full_reading, 1e-9) * self.full_scale_kpa) ** 2
+            memory[VARIANCE] += (curve.doubt(r) * self.full_scale_kpa) ** 2
             over = np.maximum(load - curve.limits.highest / BEYOND, 0.0)
             memory[VARIANCE] += (STEEPER * over * self.full_scale_kpa) ** 2
         return memory
