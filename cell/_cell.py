@@ -178,6 +178,7 @@ class Cell(Section):
             model_std_kpa=0.0 if percent is None else DRIFT * max(percent, least) / 100 * self.full_scale_kpa,
             noise=(learned.seen.noise or None) if noise is None else noise,
             speed_kpa_per_s=learned.seen.speed_kpa_per_s,
+            longest_load_s=learned.seen.longest_load_s,
         )
 
     def _rest(self, given: ArrayLike | None) -> FloatArray:

@@ -8,8 +8,8 @@ A frame passes these steps. Every estimator then adds its own map from smoothed 
 3. Cells at rest sleep: only their mean is watched, until it leaves the noise. This makes large skins cheap.
 4. Readings of the other cells are smoothed as their noise demands (:mod:`._smoothing`).
 5. A reading that jumps and is back within :data:`SPARK_S` was a bad contact: the memory from before it is put back.
-6. The standard deviation sums the variances of noise, of the memory, of gaps, of R0, and of what calibration left
-   unexplained.
+6. The standard deviation sums the variances of noise, of the memory, of gaps, of R0, of creep under loads longer than
+   any in the calibration (:mod:`._held`), and of what calibration left unexplained.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from . import _smoothing as smoothing
 from ._forward import resistance_of
+from ._held import Held
 from ._noise import NoiseMeter
 
 PRESSURE, GAIN, VARIANCE = range(3)
@@ -92,6 +93,8 @@ class Conditions:
     """by which a load changes in a second, rms; 0: full scale"""
     rest_std_kpa: FloatArray | None = None
     """(n,) standard deviation that the uncertainty of R0 gives to pressures evenly from 0 to full scale; None: none"""
+    longest_load_s: float = 0.0
+    """how long the load of the calibration recording lasted at most; 0: unknown"""
 
 
 class Estimator(ABC):
@@ -145,6 +148,7 @@ class Estimator(ABC):
         self._readings = np.zeros(cells)
         self._awake = np.zeros(cells, dtype=np.bool_)
         self._gaps = _Gaps.none(cells)
+        self._held = Held(cells, full_scale_kpa, conditions.longest_load_s)
         self._usual_s = 0.0
         self._frames = 0
         self._begun = False
@@ -197,6 +201,7 @@ class Estimator(ABC):
         if self._block.cells.size:
             self._follow(dt, r)
         self._gaps.advance(dt, self._usual_s or dt, known, self._most_kpa, self._speed)
+        self._held.advance(dt, self._pressure)
         self._usual_s += (dt - self._usual_s) * (0.1 if self._frames > 1 else 1.0)
         self._frames += 1
         if self._frames % SETTLE_EVERY == 0 and not self._exact:
@@ -235,7 +240,8 @@ class Estimator(ABC):
         The function holds what it needs, so that a step whose standard deviation nobody asks for hardly pays for it.
         """
         by_gaps = self._gaps.variance if self._gaps.doubtful else None
-        return partial(self._std_of, self._variance, self._asleep, self._reading, self._left_open, by_gaps)
+        by_creep = self._held.variance
+        return partial(self._std_of, self._variance, self._asleep, self._reading, self._left_open, by_gaps, by_creep)
 
     def _std_of(
         self,
@@ -244,10 +250,13 @@ class Estimator(ABC):
         reading: FloatArray,
         left_open: _LeftOpen | None,
         by_gaps: FloatArray | None,
+        by_creep: FloatArray | None,
     ) -> FloatArray:
-        """(shape) kPa, from variances (n,) in kPa^2: from before the step, of sleeping cells, of the step, by gaps."""
+        """(shape) kPa, from variances (n,) in kPa^2: before the step, asleep, of the step, by gaps, by creep."""
         variance = self._with(before if asleep is None else asleep.added_to(before, reading), left_open)
-        std: FloatArray = np.sqrt(variance if by_gaps is None else variance + by_gaps).reshape(self.shape)
+        for more in (by_gaps, by_creep):
+            variance = variance if more is None else variance + more
+        std: FloatArray = np.sqrt(variance).reshape(self.shape)
         return std
 
     def _with(self, variance: FloatArray, left_open: _LeftOpen | None) -> FloatArray:
@@ -601,6 +610,7 @@ class Estimator(ABC):
         """Everything remembered, as a copy: arrays of float64 by name, which :meth:`restore` takes."""
         self._flush()
         own = {name: getattr(self, f"_{name}") for name in self._KEPT} | self._noise.state() | self._gaps.state()
+        own |= self._held.state()
         clock = [self._usual_s, self._frames, self._sum_s, self._summed]
         own["clock"] = np.array(clock, dtype=np.float64)
         return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
@@ -620,6 +630,7 @@ class Estimator(ABC):
             setattr(self, f"_{name}", value > 0 if name in ("awake", "followed") else value)
         self._noise.restore(given)
         self._gaps.restore(given)
+        self._held.restore(given)
         self._usual_s, frames, self._sum_s, summed = given["clock"].tolist()
         self._frames, self._summed = int(frames), int(summed)
         self._sparks = _Sparks.none(self._memory, self._line)

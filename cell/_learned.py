@@ -60,6 +60,8 @@ class Seen(Section):
     """usual time between samples"""
     speed_kpa_per_s: NotNegative = 0.0
     """rms change of the load in a second"""
+    longest_load_s: NotNegative = 0.0
+    """how long the cell was loaded at most; 0: in files of earlier versions"""
 
 
 class Reached(Section):

@@ -186,7 +186,9 @@ def test_the_static_curve_is_judged_as_it_will_run() -> None:
     model = AsymmetricModel(e1_kpa=60, e2_kpa=600, e3_kpa=600, eta2_kpa_s=3000, eta3_kpa_s=6e4)
     cell = Cell(rest_resistance_ohm=1e4, full_scale_kpa=15.5, model=model)
     trial = cell.replace(
-        estimators=Calibrated(default="static", reason="", held_out_percent={}, seen=_seen(recording), static=curve)
+        estimators=Calibrated(
+            default="static", reason="", held_out_percent={}, seen=_seen(recording, 15.5), static=curve
+        )
     )
     fold = _judge(trial, "static", recording, Regimes.of(recording, 15.5), Fold(60.0, 120.0))
     pressure, stated = estimate_recording(trial.estimator(()), time, read)
