@@ -73,8 +73,8 @@ second on, it does"""
 HIDES_EVERY = 4
 """frames between two looks for such cells"""
 MODEL_ERROR = 0.005
-"""of full scale: the least standard deviation without a calibration. It covers what an estimator passes over: loads that
-let a cell sleep, turns below a percent. It is no estimate of a model's error, for nobody compared the model with a
+"""of full scale: the least standard deviation without a calibration. It covers what an estimator passes over: loads
+that let a cell sleep, turns below a percent. It is no estimate of a model's error, for nobody compared the model with a
 recording"""
 USUAL = 1.1
 """times full scale beyond which the excess over full scale counts as standard deviation"""
