@@ -7,7 +7,7 @@ end between two frames. No estimator is told of that.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Literal
@@ -35,7 +35,7 @@ BEGUN_S = 0.5
 """time before which nothing is judged: the noise is not known yet"""
 NOISES_MV = (0.1, 1.0, 10.0)
 RATES_HZ = (50.0, 250.0, 1000.0)
-MOST_FRAMES = 2000
+MOST_FRAMES = 6000
 """of a scene: fast boards are judged for less time"""
 BITS = 12
 SUBSTEPS = 4
@@ -59,6 +59,7 @@ Load = Literal[
     "finger",
 ]
 Fault = Literal["", "sparks", "lost frames", "opens"]
+Case = tuple[Load, Fault]
 
 
 @dataclass(frozen=True)
@@ -181,7 +182,7 @@ def faulty(read: FloatArray, fault: Fault, dt_s: float) -> tuple[FloatArray, Boo
         middle = slice(round(0.3 * len(read)), round(0.6 * len(read)))
         arrives[middle] = np.random.default_rng(0).random(len(read[middle])) > 0.3
     elif fault == "opens":
-        for cell, start in enumerate(np.linspace(3.0, seconds - 3.0, read.shape[1])):
+        for cell, start in enumerate(seconds * np.linspace(0.19, 0.81, read.shape[1])):
             first, last = round(start / dt_s), round((start + 0.5) / dt_s)
             found[first, cell], found[first + 1 : last, cell] = 4e6, np.inf if cell % 2 else np.nan
     return found, arrives
@@ -223,32 +224,65 @@ def judged(
 
     ``believed`` is what calibration took the cell for; None: the cell itself.
     """
+    (found,) = judged_together(
+        cell, name, [(load, fault)], noise_mv, rate_hz=rate_hz, bits=bits, seed=seed, believed=believed
+    )
+    return found
+
+
+def judged_together(
+    cell: Cell,
+    name: str,
+    cases: Sequence[Case],
+    noise_mv: float,
+    *,
+    rate_hz: float = RATE_HZ,
+    bits: int = BITS,
+    seed: int = 0,
+    believed: Cell | None = None,
+) -> list[Honesty]:
+    """As :func:`judged`, of a skin with :data:`CELLS` cells for each of the cases, which are judged apart.
+
+    Frames that are lost are lost for the whole skin, so that these cases have a skin of their own.
+    """
     dt_s = 1.0 / rate_hz
     frames = min(round(SECONDS * rate_hz), MOST_FRAMES)
-    fine = pressures(load, dt_s / SUBSTEPS * np.arange(1.0, frames * SUBSTEPS + 1), frame_s=dt_s)
-    share, time_s = fine[SUBSTEPS - 1 :: SUBSTEPS], dt_s * np.arange(1.0, frames + 1)
-    read = readings(cell, fine, dt_s, noise_mv, np.random.default_rng(seed), bits, substeps=SUBSTEPS)
-    read, arrives = faulty(read, fault, dt_s)
-    pressure, std = estimated(believed or cell, read, arrives, dt_s, bits=bits)
-    kept = arrives & (time_s > max(BEGUN_S, 10.0 * dt_s))
+    fine_s, time_s = dt_s / SUBSTEPS * np.arange(1.0, frames * SUBSTEPS + 1), dt_s * np.arange(1.0, frames + 1)
+    judged_s = time_s > max(BEGUN_S, 10.0 * dt_s)
     full = cell.full_scale_kpa
-    error = np.abs(pressure - full * share)[kept]
-    over = error / std[kept]
-    between = (time_s > 11.4) & (time_s < 12.37) & (load == "taps")
-    shown = np.abs(pressure[between])[share[between] == 0.0]
-    return Honesty(
-        cell=name,
-        load=load + (f", {fault}" if fault else ""),
-        noise_mv=noise_mv,
-        rate_hz=rate_hz,
-        bits=bits,
-        rmse_percent=100.0 * float(np.sqrt(np.mean(error**2))) / full,
-        std_percent=100.0 * float(np.median(std[kept])) / full,
-        within_two=float(np.mean(over < 2.0)),
-        beyond_three=float(np.mean(over > 3.0)),
-        worst=float(over.max()),
-        rest_kpa=float(shown.max()) if shown.size else np.nan,
-    )
+    found: dict[Case, Honesty] = {}
+    for lost in (False, True):
+        some = [case for case in cases if (case[1] == "lost frames") == lost]
+        if not some:
+            continue
+        fine = np.concatenate([pressures(load, fine_s, frame_s=dt_s) for load, _ in some], axis=1)
+        read = readings(cell, fine, dt_s, noise_mv, np.random.default_rng(seed), bits, substeps=SUBSTEPS)
+        share = fine[SUBSTEPS - 1 :: SUBSTEPS]
+        parts = [slice(first, first + CELLS) for first in range(0, share.shape[1], CELLS)]
+        arrives = np.ones(frames, dtype=np.bool_)
+        for (_, fault), part in zip(some, parts, strict=True):
+            read[:, part], arrives = faulty(read[:, part], fault, dt_s)
+        pressure, std = estimated(believed or cell, read, arrives, dt_s, bits=bits)
+        kept = arrives & judged_s
+        error = np.abs(pressure - full * share)
+        over = error / std
+        between = (time_s > 11.4) & (time_s < 12.37)
+        for (load, fault), part in zip(some, parts, strict=True):
+            shown = np.abs(pressure[between, part])[share[between, part] == 0.0] if load == "taps" else np.empty(0)
+            found[load, fault] = Honesty(
+                cell=name,
+                load=load + (f", {fault}" if fault else ""),
+                noise_mv=noise_mv,
+                rate_hz=rate_hz,
+                bits=bits,
+                rmse_percent=100.0 * float(np.sqrt(np.mean(error[kept, part] ** 2))) / full,
+                std_percent=100.0 * float(np.median(std[kept, part])) / full,
+                within_two=float(np.mean(over[kept, part] < 2.0)),
+                beyond_three=float(np.mean(over[kept, part] > 3.0)),
+                worst=float(over[kept, part].max()),
+                rest_kpa=float(shown.max()) if shown.size else np.nan,
+            )
+    return [found[case] for case in cases]
 
 
 def honesty(noises_mv: Iterable[float] = NOISES_MV) -> Iterator[Honesty]:
@@ -259,7 +293,7 @@ def honesty(noises_mv: Iterable[float] = NOISES_MV) -> Iterator[Honesty]:
             yield judged(cell, "example", load, noise_mv, fault=fault)
 
 
-def _cases() -> list[tuple[Load, Fault]]:
+def _cases() -> list[Case]:
     faults: list[Fault] = ["sparks", "lost frames", "opens"]
     loads: list[Load] = [*LOADS, "finger"]
     return [(load, "") for load in loads] + [("press", fault) for fault in faults]
@@ -311,17 +345,18 @@ def calibrated(cell: Cell, noise: float = 1e-3, dt_s: float = 0.05) -> Cell:
 
 
 def elsewhere() -> Iterator[Honesty]:
-    """Every load and fault on other cells; the example cell at other frame rates, and with a converter of 8 bits."""
+    """Every load and fault on other cells; the example cell at other frame rates, and with a converter of 8 bits.
+
+    All loads are on one skin. It therefore measures its noise on most of its cells, unlike those of :func:`honesty`.
+    """
+    cases = _cases()
     for name, (cell, believed) in specimens().items():
         for noise_mv in NOISES_MV:
-            for load, fault in _cases():
-                yield judged(cell, name, load, noise_mv, fault=fault, believed=believed)
+            yield from judged_together(cell, name, cases, noise_mv, believed=believed)
     example = Cell.example()
     for rate_hz in RATES_HZ:
-        for load, fault in _cases():
-            yield judged(example, "example", load, 1.0, fault=fault, rate_hz=rate_hz)
-    for load, fault in _cases():
-        yield judged(example, "example", load, 0.1, fault=fault, bits=8)
+        yield from judged_together(example, "example", cases, 1.0, rate_hz=rate_hz)
+    yield from judged_together(example, "example", cases, 0.1, bits=8)
 
 
 def table(rows: Iterable[Honesty]) -> str:

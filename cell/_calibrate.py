@@ -15,6 +15,7 @@ from . import _simulate as simulate
 from . import _training as training
 from ._cell import Calibrated, Cell, EstimatorName
 from ._estimator import Estimator
+from ._held import longest_s
 from ._identify import Fit, Fold, fits, folds
 from ._inverse import margin as inverse_margin
 from ._judged import Judged, Regimes, best_share, mixed
@@ -108,7 +109,7 @@ def calibrate(
         simulation=teacher.simulate,
         unexplained=teacher.error * float(np.ptp(thin.resistance_ohm)) / rest,
     )
-    seen, samples = _seen(thin), Regimes.of(thin, full)
+    seen, samples = _seen(thin, full), Regimes.of(thin, full)
     judged: dict[EstimatorName, list[Judged]] = {}
     for fold, simulation in zip(parts, teacher.simulate_folds, strict=True):
         first = replace(whole, simulation=simulation).until(fold.start_s)
@@ -122,7 +123,7 @@ def calibrate(
         share = best_share(judged[name], judged["static"])
         judged[name] = mixed(judged[name], judged["static"], share)
         learned = getattr(final, name)
-        final = final.replace(**{name: learned.mixed(final.static, share)})
+        final = final.replace(**{name: learned.replace(static_share=1 - share)})
     elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, LEARNED)
     tell("learned from all")
     noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
@@ -213,7 +214,7 @@ def _learned(calibration: training.NormalisedRecording, full_scale_kpa: float, *
     )
 
 
-def _seen(recording: Recording) -> Seen:
+def _seen(recording: Recording, full_scale_kpa: float) -> Seen:
     time, load = recording.time_s, recording.quiet.pressure_kpa
     later = np.interp(time + 1.0, time, load)
     log_ohm = np.log(recording.resistance_ohm)
@@ -221,6 +222,7 @@ def _seen(recording: Recording) -> Seen:
         noise=simulate.white_noise(log_ohm) or simulate.step_noise(log_ohm),
         step_s=recording.step_s,
         speed_kpa_per_s=float(np.sqrt(np.mean((later - load) ** 2))),
+        longest_load_s=longest_s(time, load / full_scale_kpa),
     )
 
 
@@ -293,7 +295,7 @@ def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
         held_out_percent={"static": percent},
         fold_percent={"static": tuple(100 * part.rms for part in parts)},
         pressed_percent={"static": pressed},
-        seen=_seen(recording),
+        seen=_seen(recording, cell.full_scale_kpa),
         static=curve.replace(std_kpa=std),
     )
     return cell.replace(estimators=estimators)

@@ -157,11 +157,11 @@ class Cell(Section):
                 found = None if learned is None else learned.distilled
             case _:
                 raise InputError(f"the estimator '{name}' has no case in Cell.estimator")
-        if found is None:
+        if learned is None or found is None:
             raise InputError(
                 f"the estimator '{name}' is learned from a recording, and this cell has none: run ohmskin fit"
             )
-        return LearnedEstimator(found, full, full_r, shape, rest, conditions)
+        return LearnedEstimator(found, learned.static, full, full_r, shape, rest, conditions)
 
     def _other_kind(self, name: str, kind: str) -> InputError:
         return InputError(f"the estimator '{name}' inverts a cell of kind '{kind}'; this one is '{self.model.kind}'")
@@ -178,6 +178,7 @@ class Cell(Section):
             model_std_kpa=0.0 if percent is None else DRIFT * max(percent, least) / 100 * self.full_scale_kpa,
             noise=(learned.seen.noise or None) if noise is None else noise,
             speed_kpa_per_s=learned.seen.speed_kpa_per_s,
+            longest_load_s=learned.seen.longest_load_s,
         )
 
     def _rest(self, given: ArrayLike | None) -> FloatArray:

@@ -8,8 +8,8 @@ A frame passes these steps. Every estimator then adds its own map from smoothed 
 3. Cells at rest sleep: only their mean is watched, until it leaves the noise. This makes large skins cheap.
 4. Readings of the other cells are smoothed as their noise demands (:mod:`._smoothing`).
 5. A reading that jumps and is back within :data:`SPARK_S` was a bad contact: the memory from before it is put back.
-6. The standard deviation sums the variances of noise, of the memory, of gaps, of R0, and of what calibration left
-   unexplained.
+6. The standard deviation sums the variances of noise, of the memory, of gaps, of R0, of creep under loads longer than
+   any in the calibration (:mod:`._held`), and of what calibration left unexplained.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..errors import InputError
 from . import _smoothing as smoothing
 from ._forward import resistance_of
+from ._held import Held
 from ._noise import NoiseMeter
 
 PRESSURE, GAIN, VARIANCE = range(3)
@@ -66,8 +67,15 @@ SETTLE_EVERY = 32
 HIDDEN, SIGMAS = 3.3, 3.0
 """standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
 a change could be that the smoothing has not noticed yet"""
+HIDES, SURELY_HIDES = 1.05, 1.35
+"""variance of a cell's readings over the board's least: from the first on, a load may move within the noise; from the
+second on, it does"""
+HIDES_EVERY = 4
+"""frames between two looks for such cells"""
 MODEL_ERROR = 0.005
-"""of full scale: the least standard deviation, of a cell whose model nobody compared with a recording"""
+"""of full scale: the least standard deviation without a calibration. It covers what an estimator passes over: loads
+that let a cell sleep, turns below a percent. It is no estimate of a model's error, for nobody compared the model with a
+recording"""
 USUAL = 1.1
 """times full scale beyond which the excess over full scale counts as standard deviation"""
 FIRST_READINGS = 4
@@ -92,6 +100,8 @@ class Conditions:
     """by which a load changes in a second, rms; 0: full scale"""
     rest_std_kpa: FloatArray | None = None
     """(n,) standard deviation that the uncertainty of R0 gives to pressures evenly from 0 to full scale; None: none"""
+    longest_load_s: float = 0.0
+    """how long the load of the calibration recording lasted at most; 0: unknown"""
 
 
 class Estimator(ABC):
@@ -145,6 +155,7 @@ class Estimator(ABC):
         self._readings = np.zeros(cells)
         self._awake = np.zeros(cells, dtype=np.bool_)
         self._gaps = _Gaps.none(cells)
+        self._held = Held(cells, full_scale_kpa, conditions.longest_load_s)
         self._usual_s = 0.0
         self._frames = 0
         self._begun = False
@@ -197,6 +208,7 @@ class Estimator(ABC):
         if self._block.cells.size:
             self._follow(dt, r)
         self._gaps.advance(dt, self._usual_s or dt, known, self._most_kpa, self._speed)
+        self._held.advance(dt, self._pressure)
         self._usual_s += (dt - self._usual_s) * (0.1 if self._frames > 1 else 1.0)
         self._frames += 1
         if self._frames % SETTLE_EVERY == 0 and not self._exact:
@@ -235,7 +247,8 @@ class Estimator(ABC):
         The function holds what it needs, so that a step whose standard deviation nobody asks for hardly pays for it.
         """
         by_gaps = self._gaps.variance if self._gaps.doubtful else None
-        return partial(self._std_of, self._variance, self._asleep, self._reading, self._left_open, by_gaps)
+        by_creep = self._held.variance
+        return partial(self._std_of, self._variance, self._asleep, self._reading, self._left_open, by_gaps, by_creep)
 
     def _std_of(
         self,
@@ -244,10 +257,13 @@ class Estimator(ABC):
         reading: FloatArray,
         left_open: _LeftOpen | None,
         by_gaps: FloatArray | None,
+        by_creep: FloatArray | None,
     ) -> FloatArray:
-        """(shape) kPa, from variances (n,) in kPa^2: from before the step, of sleeping cells, of the step, by gaps."""
+        """(shape) kPa, from variances (n,) in kPa^2: before the step, asleep, of the step, by gaps, by creep."""
         variance = self._with(before if asleep is None else asleep.added_to(before, reading), left_open)
-        std: FloatArray = np.sqrt(variance if by_gaps is None else variance + by_gaps).reshape(self.shape)
+        for more in (by_gaps, by_creep):
+            variance = variance if more is None else variance + more
+        std: FloatArray = np.sqrt(variance).reshape(self.shape)
         return std
 
     def _with(self, variance: FloatArray, left_open: _LeftOpen | None) -> FloatArray:
@@ -421,6 +437,9 @@ class Estimator(ABC):
         block.line_before = line.copy()
         looked = _Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
+        if self._frames % HIDES_EVERY == 0 and self._noise.loudest > HIDES:
+            excess = self._noise.excess(cells)
+            self._miss(memory, noise, np.clip((excess - HIDES) / (SURELY_HIDES - HIDES), 0.0, 1.0))
         pressure, added = memory[PRESSURE], None
         if self._sparks.cells.size:
             added = self._variance_of_jumps(memory)
@@ -601,6 +620,7 @@ class Estimator(ABC):
         """Everything remembered, as a copy: arrays of float64 by name, which :meth:`restore` takes."""
         self._flush()
         own = {name: getattr(self, f"_{name}") for name in self._KEPT} | self._noise.state() | self._gaps.state()
+        own |= self._held.state()
         clock = [self._usual_s, self._frames, self._sum_s, self._summed]
         own["clock"] = np.array(clock, dtype=np.float64)
         return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
@@ -620,6 +640,7 @@ class Estimator(ABC):
             setattr(self, f"_{name}", value > 0 if name in ("awake", "followed") else value)
         self._noise.restore(given)
         self._gaps.restore(given)
+        self._held.restore(given)
         self._usual_s, frames, self._sum_s, summed = given["clock"].tolist()
         self._frames, self._summed = int(frames), int(summed)
         self._sparks = _Sparks.none(self._memory, self._line)
@@ -647,6 +668,13 @@ class Estimator(ABC):
     def _hold(self, memory: FloatArray, dt_s: float) -> FloatArray:
         """The memory (rows, m) after ``dt_s`` in which the pressure stayed."""
         return memory
+
+    def _miss(self, memory: FloatArray, noise: FloatArray, hides: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
+        """Count what cells may remember wrong if the load moves within the ``noise`` (m,); changes ``memory``.
+
+        ``hides`` (m,) is 1 where it surely does. A vibration looks like noise, but other cells, and the time before,
+        tell how much of it the board has. Called every :data:`HIDES_EVERY` frames.
+        """
 
     def _settled(self, memory: FloatArray, band: float) -> BoolArray:
         """(m,) whether the memory is that of a cell at rest, within ``band`` of r."""

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
+from scipy.optimize import isotonic_regression
 from scipy.special import ndtri
 
 from ..arrays import BoolArray, FloatArray, IntArray
@@ -28,12 +30,16 @@ UNKNOWN_DRIFT = 0.6
 """share of the drift seen at calibration that is taken for the standard deviation of the drift afterwards"""
 STEEPER = 2.0
 """times the mean slope of load over resistance, that a curve may have where nobody recorded it"""
+SATURATED = 5.0
+"""times the mean slope, that the slope at the end of a static curve counts as at most"""
 BEYOND = 1.2
 """times the largest load learned from, that is answered at most: calibration may have missed full scale"""
 CREDIBLE = 3.0
 """ranges of the readings learned from, by which a credible reading may lie outside"""
 STILL = 0.01
 """a cell is estimated afresh when a feature has moved by this many standard deviations since the last time"""
+POINTS = 1025
+"""of a tabulated static curve"""
 BLOCK = 512
 """cells mapped at once, so that the cosines stay in the processor's cache"""
 
@@ -54,6 +60,8 @@ class Seen(Section):
     """usual time between samples"""
     speed_kpa_per_s: NotNegative = 0.0
     """rms change of the load in a second"""
+    longest_load_s: NotNegative = 0.0
+    """how long the cell was loaded at most; 0: in files of earlier versions"""
 
 
 class Reached(Section):
@@ -88,15 +96,40 @@ class StaticCurve(Section):
         x, cubic = self.reading(r), np.polynomial.Polynomial(self.coefficients)
         if self.reached is None:
             return np.asarray(cubic(x))
-        # A cubic turns back beyond the readings that it was fitted to: an overload would read as none.
+        # A cubic may turn back, above all beyond the readings that it was fitted to: an overload would read as none.
         low, high = self.reached.lowest[0], self.reached.highest[0]
-        inside = np.clip(x, low, high)
-        slope = (cubic(high) - cubic(low)) / max(high - low, 1e-12)
-        return np.asarray(cubic(inside) + slope * (x - inside))
+        reading, load = _monotone(self.coefficients, low, high)
+        slope = (load[-1] - load[0]) / max(high - low, 1e-12)
+        return np.asarray(np.interp(x, reading, load) + slope * (x - np.clip(x, low, high)))
+
+    def doubt(self, r: FloatArray) -> FloatArray:
+        """Standard deviation, normalised load, that readings beyond the range of the recording add.
+
+        Towards more load it grows with the slope that the cubic has there: readings that saturate tell little.
+        """
+        if self.reached is None:
+            return np.zeros_like(r)
+        x, cubic = self.reading(r), np.polynomial.Polynomial(self.coefficients)
+        low, high = self.reached.lowest[0], self.reached.highest[0]
+        mean = (cubic(high) - cubic(low)) / max(high - low, 1e-12)
+        more, less = (x - high, low - x) if mean > 0 else (low - x, x - high)
+        slope = np.clip(abs(cubic.deriv()(high if mean > 0 else low)), abs(mean), SATURATED * abs(mean))
+        return np.asarray(STEEPER * (slope * np.maximum(more, 0.0) + abs(mean) * np.maximum(less, 0.0)))
 
     def reading(self, r: FloatArray) -> FloatArray:
         """What the cubic is one of."""
         return -np.log(np.maximum(1 + r, 1e-6)) if self.logarithmic else r
+
+
+@lru_cache(maxsize=256)
+def _monotone(coefficients: tuple[float, ...], low: float, high: float) -> tuple[FloatArray, FloatArray]:
+    """Readings (:data:`POINTS`,) from ``low`` to ``high``, and the loads there of the monotone curve next to a cubic.
+
+    This is isotonic regression, in the direction in which the cubic goes from one end to the other.
+    """
+    cubic, reading = np.polynomial.Polynomial(coefficients), np.linspace(low, high, POINTS)
+    load = cubic(reading)
+    return reading, isotonic_regression(load, increasing=bool(load[-1] >= load[0])).x
 
 
 class Learned(Section):
@@ -122,25 +155,13 @@ class Learned(Section):
     limits: Limits
     reached: Reached | None = None
     """between which values the features lay that were learned from; None: in files of earlier versions"""
+    static_share: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """share of the answer that is the static curve's; the rest is the map's"""
 
     @property
     def bank(self) -> Bank:
         """The memories that make the features."""
         return Bank(smoothing_s=self.smoothing_s, lags_s=self.lags_s, plays=self.plays)
-
-    def mixed(self, curve: StaticCurve, share: float) -> Learned:
-        """A map whose answers are ``share`` of this one's and the rest of a cubic's in r.
-
-        The map contains every cubic of its first feature, the smoothed reading, so that only weights change.
-        """
-        cubic = np.polynomial.Polynomial(curve.coefficients)
-        mean, scale = self.mean[0], self.scale[0]
-        weights = share * np.array(self.weights)
-        count = len(self.mean)
-        for power, place in enumerate((0, 1, 1 + count, 2 + count)):
-            taylor = float(cubic.deriv(power)(mean)) if power else float(cubic(mean))
-            weights[place] += (1 - share) * taylor * scale**power / math.factorial(power)
-        return self.replace(weights=tuple(map(float, weights)))
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -200,25 +221,28 @@ def credible_range(reached: Reached | None) -> tuple[float, float]:
 
 
 class LearnedEstimator(Estimator):
-    """Runs a :class:`Learned` map; a cell that has not moved keeps its last answer."""
+    """Runs a :class:`Learned` map beside the static curve; a cell that has not moved keeps its last answer."""
 
     def __init__(
         self,
         learned: Learned,
+        curve: StaticCurve,
         full_scale_kpa: float,
         full_scale_r: float,
         shape: tuple[int, ...],
         rest_resistance_ohm: FloatArray,
         conditions: Conditions,
     ) -> None:
-        self.learned = learned
+        self.learned, self._curve = learned, curve
         self._bank = learned.bank
         self._seen = slice(3 + self._bank.rows, 3 + self._bank.rows + self._bank.count)
         self._terms = Terms(
             np.array(learned.mean), np.array(learned.scale), learned.seed, learned.directions, np.float32
         )
         self._weights = np.array([learned.weights, learned.error_weights], dtype=np.float32).T
-        self._steepest = full_scale_kpa / max(abs(full_scale_r), 1e-9)
+        self._slope = math.copysign(1 / max(abs(full_scale_r), 1e-9), full_scale_r)
+        """normalised load per r, at equilibrium"""
+        self._steepest = full_scale_kpa * abs(self._slope)
         credible = credible_range(learned.reached)
         super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions, credible=credible)
 
@@ -258,16 +282,26 @@ class LearnedEstimator(Estimator):
 
     def _map(self, standardised: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Normalised load and its standard deviation (m) for standardised features (count, m)."""
-        learned = self.learned
+        learned, curve = self.learned, self._curve
+        features = self._terms.features(standardised)
+        reading, inside, beyond = features[0], standardised, np.zeros(())
+        if learned.reached is not None:
+            # The map knows little beyond the readings of the recording, and nothing beyond the other features learned
+            # from: there it goes on with the slope at equilibrium.
+            low, high = np.array(learned.reached.lowest)[:, None], np.array(learned.reached.highest)[:, None]
+            if curve.reached is not None:
+                low[0], high[0] = max(low[0], curve.reached.lowest[0]), min(high[0], curve.reached.highest[0])
+            inside = self._terms.standardised(np.clip(features, low, high))
+            beyond = learned.reached.excess(features)
         found = np.empty((standardised.shape[1], 2))
         for start in range(0, len(found), BLOCK):
             block = slice(start, start + BLOCK)
-            found[block] = self._terms(standardised[:, block]) @ self._weights
-        load = np.clip(found[:, 0], learned.limits.lowest, learned.limits.highest)
-        largest = learned.limits.highest / BEYOND
-        std = np.maximum(found[:, 1] * learned.std_factor, learned.std_floor)
+            found[block] = self._terms(inside[:, block]) @ self._weights
+        load, std = found[:, 0], np.maximum(found[:, 1] * learned.std_factor, learned.std_floor)
         if learned.reached is not None:
-            beyond = learned.reached.excess(self._terms.features(standardised))
-            std = np.hypot(std, STEEPER * beyond * self._steepest / self.full_scale_kpa)
-            std = np.hypot(std, STEEPER * np.maximum(found[:, 0] - largest, 0.0))
-        return load, std
+            load += self._slope * (reading - np.clip(reading, low[0], high[0]))
+        if learned.static_share:
+            load += learned.static_share * (curve.load(reading) - load)
+        std = np.hypot(std, np.maximum(STEEPER * beyond * abs(self._slope), curve.doubt(reading)))
+        std = np.hypot(std, STEEPER * np.maximum(load - learned.limits.highest / BEYOND, 0.0))
+        return np.clip(load, learned.limits.lowest, learned.limits.highest), std

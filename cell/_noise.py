@@ -33,8 +33,16 @@ ABOVE_POOL = 4.0
 """times the median variance of the array that a single cell may have"""
 MANY = 9
 """cells from which the median of the array is trusted"""
+SHARED_LOOKS = 16
+"""looks at one cell that the median of a large array is worth at the beginning. By themselves the first differences of
+a cell may be near zero by chance, and any reading after them would seem to jump"""
 ENOUGH = 500
 """cells whose median stands for that of more"""
+KNOWN, KNOWN_ANEW = 24, 200
+"""looks from which the median cell tells how quiet the board is; the same where an earlier recording had another noise,
+which takes longer to be forgotten"""
+FORGET = 1.002
+"""by which the least noise of the median cell grows from one look at it to the next, so that noise may rise for good"""
 MEDIAN_OF_SQUARES = 0.4549
 """median of the square of a normal variable of variance 1"""
 _THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
@@ -54,6 +62,9 @@ class NoiseMeter:
         self._ring = np.zeros((4, cells))
         self._variance = np.full(cells, expected**2)
         self._looks = SOON if expected else 0
+        self._known = KNOWN_ANEW if expected else KNOWN
+        # The median of few cells is itself uncertain, and counts for less.
+        self._shared_looks = min(cells // MANY, SHARED_LOOKS)
         self._seen = 0
         self._blind = np.zeros(cells)
         self._any_blind = 0
@@ -62,6 +73,10 @@ class NoiseMeter:
         """standard deviation of the median cell at rest"""
         self.at_rest = np.sqrt(self._variance + LEAST**2)
         """(n,) standard deviation of r of a cell at rest; renewed in place"""
+        self.quiet = np.inf
+        """the least that the median cell has had of late: what is more may be the load; infinite: not known"""
+        self.loudest = 1.0
+        """variance of the noisiest cell, over the least"""
         self.resolution = np.zeros(cells)
         """(n,) the part of it that the steps of the ADC make; 0: not known"""
         self.typical_resolution = 0.0
@@ -83,9 +98,18 @@ class NoiseMeter:
         due = self._looks < SOON or self._seen % EVERY == 0
         if due and self._seen > 3:
             self._look(r)
+        elif 1 < self._seen <= 3 and not self._looks and known is None and r.size >= MANY:
+            self._guess(r)
         if self._any_blind:
             self._blind -= 1.0
             self._any_blind -= 1
+
+    def _guess(self, r: FloatArray) -> None:
+        """Take the median cell's change from the last reading for noise, until there are four readings."""
+        changes = (r - self._ring[(self._seen - 2) % 4]) / (r + 1.0) ** 2
+        self.typical = float(np.median(np.abs(changes))) / (2 * MEDIAN_OF_SQUARES) ** 0.5
+        self.at_rest[:] = np.hypot(self.typical, LEAST)
+        np.maximum(self.at_rest, self.resolution, out=self.at_rest)
 
     def _look(self, r: FloatArray) -> None:
         """Average the square of the third difference that ends with ``r``."""
@@ -109,7 +133,7 @@ class NoiseMeter:
         self._limit += LEAST**2
         np.minimum(squares, self._limit, out=squares)
         squares -= self._variance
-        squares *= max(1 / self._looks, EVERY / READINGS)
+        squares *= max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
         self._variance += squares
         if self._looks % POOL == 1:
             self._pool()
@@ -123,6 +147,14 @@ class NoiseMeter:
         if self._variance.size >= MANY:
             np.minimum(self._variance, ABOVE_POOL * middle + LEAST**2, out=self._variance)
         self.typical = middle**0.5
+        if self._looks > self._known:
+            least = max(self.typical, self.typical_resolution, LEAST)
+            self.quiet = min(FORGET * self.quiet, least)
+            self.loudest = float(self._variance.max()) / self.quiet**2
+
+    def excess(self, cells: IntArray) -> FloatArray:
+        """Variance of the readings of ``cells`` over the least that the median cell has had."""
+        return np.asarray(self._variance[cells] / self.quiet**2)
 
     def std(self, r: FloatArray, cells: slice | IntArray = slice(None)) -> FloatArray:
         """Standard deviation of the readings ``r`` of ``cells``."""
@@ -144,13 +176,15 @@ class NoiseMeter:
             "noise_blind": self._blind,
             "noise_variance": self._variance,
             "noise_resolution": self.resolution,
-            "noise_counts": np.array([self._looks, self._seen, self._any_blind, self.typical], dtype=np.float64),
+            "noise_counts": np.array([self._looks, self._seen, self._any_blind], dtype=np.float64),
+            "noise_of_array": np.array([self.typical, self.quiet, self.loudest]),
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a :meth:`state`."""
         self._ring, self._blind, self._variance = (state[f"noise_{name}"] for name in ("ring", "blind", "variance"))
-        looks, seen, any_blind, self.typical = state["noise_counts"].tolist()
+        looks, seen, any_blind = state["noise_counts"].tolist()
+        self.typical, self.quiet, self.loudest = state["noise_of_array"].tolist()
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
         self.at_rest = np.sqrt(self._variance + LEAST**2)
         self.resolve(state["noise_resolution"])

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from . import _lag as lag
-from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
+from ._estimator import GAIN, HIDES_EVERY, PRESSURE, VARIANCE, Conditions, Estimator
 from ._models import PaperModel
 
 LOADS = (-0.5, 3.0)
@@ -41,6 +41,11 @@ CONFIRMED_RISE, CONFIRMED_FALL = 3.0, 1.0
 found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
 BETWEEN = 0.3
 """of the way of a load in a frame: how far beyond the frames it turned. Between none and half; the root mean square"""
+MOST_LOST = 1.5
+"""of full scale: no larger standard deviation is stated for turns that were not noticed"""
+UNSEEN, SEEMING = 3.0, 0.5
+"""standard deviations of a reading within which a load may go to and fro in a frame unseen; share of the rise that this
+seems to be which counts as standard deviation"""
 LOST, GONE = 1.5, 0.7
 """standard deviations of the smoothed noise by which the hypotheses must have been apart for a doubt to stay, and the
 share of the variance that a new beginning takes away"""
@@ -282,6 +287,7 @@ class TurningEstimator(Estimator):
         self._bend = 1 / model.eu1_kpa + 1 / model.etau2_kpa - 1 / model.e1_kpa
         """r per kPa by which the answer to a fast rise exceeds that to a fast fall"""
         self._lost_kpa2 = (NEAR * full_scale_kpa) ** 2
+        self._lost_at_most_kpa2 = (MOST_LOST * full_scale_kpa) ** 2
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
@@ -382,13 +388,26 @@ class TurningEstimator(Estimator):
     def _keep(self, of: _Rows, apart: FloatArray) -> None:
         """Where the other hypothesis has begun anew though it was apart by more than noise, the doubt stays.
 
-        The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``.
+        The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``. On a
+        coarse converter that may happen at each step at rest, so the doubt has an end. An error may exceed half of full
+        scale, which would be the deviation of any load, for a memory that is lost shows up to 1.1 times full scale.
         """
         by_noise = of.unsure * (LOST / LESS)
         lost = of.variance - apart
         begun = (lost > GONE * of.variance) & (of.variance > by_noise**2) & (of.variance > self._lost_kpa2)
         np.copyto(lost, 0.0, where=~begun)
         of.doubt += lost + np.sqrt(of.doubt * lost)
+        np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
+
+    def _miss(self, memory: FloatArray, noise: FloatArray, hides: FloatArray) -> None:
+        """A load to and fro within the noise seems to rise: r goes up by one model, and would go down by the other."""
+        gain, before = memory[GAIN], memory[TURNED]
+        rise = np.maximum(memory[PRESSURE] - memory[LAST], 0.0)
+        np.minimum(rise, UNSEEN * self._bend * noise * gain**2, out=rise)
+        rise *= hides * (HIDES_EVERY * SEEMING)
+        after = np.minimum((np.sqrt(before) + rise) ** 2, self._lost_at_most_kpa2)
+        memory[VARIANCE] += after - before
+        memory[TURNED] = after
 
     def _look(self, of: _Rows, std: FloatArray) -> None:
         """Of the hypothesis in force: pressure, its standard deviation by noise, how far it is ahead in its direction,

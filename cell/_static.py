@@ -11,8 +11,9 @@ from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
 from ._learned import BEYOND, STEEPER, StaticCurve, credible_range
 from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 
-POINTS = 1025
-"""of the tabulated equilibrium curve"""
+POINTS, REACH = 1025, 3
+"""of the tabulated equilibrium curve from rest to full scale, and how many times full scale it reaches: an overload
+must not read as full scale"""
 SLOPES, FLAT = 33, 3.0
 """points at which the effect of an error of R0 is tabulated, and how many times its mean the effect is at most"""
 CONTACT_SHARE = 0.02
@@ -90,7 +91,7 @@ class EquilibriumEstimator(Estimator):
         self.model, self._share = model, memory_share(model)
         rest = float(np.median(rest_resistance_ohm))
         full_r = equilibrium_gain(model, full_scale_kpa, rest)
-        load = np.linspace(0, 1, POINTS)
+        load = np.linspace(0, REACH, REACH * (POINTS - 1) + 1)
         curve = equilibrium_curve(model, full_scale_kpa, rest, load)
         # Conductance over that at rest is what contacts add to; elsewhere the curve is a table of r.
         self._sign = -1.0 if isinstance(model, ContactModel) else 1.0
@@ -98,7 +99,11 @@ class EquilibriumEstimator(Estimator):
         rises = np.concatenate(([True], np.diff(curve) > 0))
         self._curve, self._load = curve[rises], load[rises]
         slope = np.gradient(self._load, self._curve) if self._curve.size > 1 else np.zeros_like(self._curve)
-        self._slope = np.minimum(np.abs(slope), STEEPEST / max(abs(full_r), 1e-12))
+        steepest = np.full(slope.size, STEEPEST / max(abs(full_r), 1e-12))
+        if isinstance(model, ContactModel):
+            # Only near rest is a contact's slope unlimited; that under load is the noise that a hard press has.
+            steepest[np.argmin(np.abs(slope)) :] = np.inf
+        self._slope = np.minimum(np.abs(slope), steepest)
         self._rest_of_curve = rest
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions)
         self._shift = 1 / rest - self._per_ohm
@@ -147,7 +152,7 @@ class StaticCurveEstimator(Estimator):
         rest_resistance_ohm: FloatArray,
         conditions: Conditions,
     ) -> None:
-        self.curve, self._signed_full_scale_r = curve, full_scale_r
+        self.curve = curve
         credible = credible_range(None if curve.logarithmic else curve.reached)  # a contact may be open at rest
         super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions, credible=credible)
 
@@ -159,9 +164,7 @@ class StaticCurveEstimator(Estimator):
         memory[GAIN] = np.abs(beyond - load) / small * self.full_scale_kpa
         memory[VARIANCE] = curve.std_kpa**2
         if curve.reached is not None:
-            beyond = curve.reached.excess(curve.reading(r)[None])
-            full_reading = abs(float(curve.reading(np.array(self._signed_full_scale_r))))
-            memory[VARIANCE] += (STEEPER * beyond / max(full_reading, 1e-9) * self.full_scale_kpa) ** 2
+            memory[VARIANCE] += (curve.doubt(r) * self.full_scale_kpa) ** 2
             over = np.maximum(load - curve.limits.highest / BEYOND, 0.0)
             memory[VARIANCE] += (STEEPER * over * self.full_scale_kpa) ** 2
         return memory

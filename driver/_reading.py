@@ -53,6 +53,25 @@ class Reading:
         return math.exp(-2.0 * (math.pi * noise) ** 2) / (1.0 + 2.0 * _SIGMAS * noise)
 
     @property
+    def others_noise_std(self) -> FloatArray:
+        """Relative standard deviation of a cell's conductance by the noise of the other cells' readings.
+
+        It is 0 where nothing is known. An estimator measures the noise that a cell has at rest. In a column of a
+        divider that is pressed hard, all readings together say how much of the current each cell has, and their noise
+        then counts many times as much.
+        Quantisation is random noise where it is not a systematic error, see :attr:`steps_share`.
+        """
+        others = np.zeros(self.resistance.shape)
+        if self._found is None:
+            return others
+        noise, uncertainty = self._noise_steps, self._found.uncertainty
+        quantisation = (1.0 - math.exp(-2.0 * (math.pi * noise) ** 2)) / 12.0
+        share = math.sqrt(noise * noise + quantisation) / (0.5 + _SIGMAS * noise)
+        np.subtract(uncertainty, self._found.own, out=others, where=np.isfinite(uncertainty))
+        others *= share
+        return others
+
+    @property
     def for_estimation(self) -> FloatArray:
         """Ohm, NaN where unknown; also of cells that noise alone keeps from being valid: an estimator averages it."""
         if self.all_valid or self._found is None or not self._most_noise:

@@ -1,11 +1,14 @@
-"""Systematic errors of the pressure: rest resistances that nobody measured, and quantisation.
+"""Errors of the pressure beside the estimator's: rest resistances that nobody measured, quantisation, shared noise.
 
 An estimator measures noise, which averages out. Two errors stay the same from frame to frame, so no filter sees them:
 
 * without a tare, each cell's rest resistance differs from that of the data sheet, by manufacture;
 * a quiet reading always falls on the same side of its ADC step.
 
-Both are relative errors of a resistance. The static curve of the cell says how many kPa they make.
+A third is noise that an estimator hardly measures, since only pressed cells have it: on boards whose cells share their
+current, a hard press lets the noise of all readings of its column count in each of its cells.
+
+All are relative errors of a resistance. The static curve of the cell says how many kPa they make.
 """
 
 from __future__ import annotations
@@ -32,7 +35,7 @@ STEP = 5e-4
 RANGE, POINTS = math.log(300.0), 4001
 """the table of slopes reaches from rest to this factor (as a logarithm) up and down, with so many points"""
 MARGIN = 0.005
-"""of full scale: pressures nearer to its ends are left out of the table, since the static curve is cut off there"""
+"""of full scale: pressures nearer to the ends of the static curve, which is cut off there, are left out of the table"""
 
 
 class SystematicError:
@@ -45,8 +48,8 @@ class SystematicError:
         pressure = _static(cell, ohms, self._rest_ohm)
         by_reading = np.abs(_static(cell, ohms * (1 + STEP), self._rest_ohm) - pressure) / STEP
         by_rest = np.abs(_static(cell, ohms, self._rest_ohm * (1 + STEP)) - pressure) / STEP
-        full = cell.full_scale_kpa
-        inside = np.flatnonzero((pressure > MARGIN * full) & (pressure < (1 - MARGIN) * full))
+        margin = MARGIN * cell.full_scale_kpa
+        inside = np.flatnonzero((pressure > margin) & (pressure < pressure.max() - margin))
         order = inside[np.argsort(pressure[inside])]
         self._pressure, self._by_reading, self._by_rest = pressure[order], by_reading[order], by_rest[order]
         self._by_both = self._by_reading + 1j * self._by_rest  # so that one look-up gives both slopes
@@ -134,13 +137,17 @@ class _Steps(NamedTuple):
         return cls(reading, valid, earlier)
 
     def relative_std(self) -> FloatArray:
-        """Relative standard deviation of each resistance by ADC steps; of a cell not valid now, when it last was."""
+        """Relative standard deviation of each resistance by ADC steps and by the noise of other cells' readings.
+
+        Of a cell that is not valid now, when it last was.
+        """
         # An error that is evenly distributed over an interval has the half-width over the root of three.
         share = self.reading.steps_share / math.sqrt(3.0)
+        others = self.reading.others_noise_std
         if self.earlier is None:
-            return self.reading.uncertainty * share
+            return np.hypot(self.reading.uncertainty * share, others)
         known = self.earlier.copy()
-        known[self.valid] = self.reading.uncertainty[self.valid] * share
+        known[self.valid] = np.hypot(self.reading.uncertainty[self.valid] * share, others[self.valid])
         return known
 
 

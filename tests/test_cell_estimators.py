@@ -176,6 +176,24 @@ def test_three_times_full_scale_is_still_answered() -> None:
         np.testing.assert_allclose(estimate(cell, "inverse", time, sense(cell, time, load)), load, atol=1e-6)
 
 
+VELOSTAT = Cell(
+    full_scale_kpa=40.0, rest_resistance_ohm=3e4, model=ContactModel(full_scale_resistance_ohm=900.0, exponent=1.1)
+)
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 1.0, 2.0, 2.9])
+def test_a_contact_pressed_hard_is_neither_full_scale_nor_surer_than_its_noise(share: float) -> None:
+    """Noise of the conductance relative to itself: its pressure scatters by as much of the pressure, at every load."""
+    relative, load = 0.02, share * VELOSTAT.full_scale_kpa
+    rng = np.random.default_rng(2)
+    ohm = VELOSTAT.forward(()).step(0.01, load) / (1 + relative * rng.standard_normal(4000))
+    r = ohm / VELOSTAT.rest_resistance_ohm - 1
+    memory = VELOSTAT.estimator((), "static", noise=0.0)._begin(r)
+    assert np.median(memory[0]) == pytest.approx(load, rel=0.01)
+    stated = relative * (1 + np.median(r)) * np.median(memory[1])
+    assert stated == pytest.approx(memory[0].std(), rel=0.1 if share > 0.1 else 0.5)
+
+
 def test_a_static_curve_states_its_deviation() -> None:
     curve = StaticCurve(coefficients=(0.0, 1.0), limits=Limits(lowest=0.0, highest=1.0), std_kpa=0.5)
     estimator = StaticCurveEstimator(curve, 10.0, 1.0, (), np.array(1e3), Conditions(model_std_kpa=1e-9, noise=0.0))

@@ -210,3 +210,24 @@ def test_frames_in_which_a_load_begins_are_within_the_deviations(load: honesty.L
         found = honesty.judged(honesty.specimens_uncalibrated()[name][0], name, load, 10.0)
         assert found.worst < 4.0
         assert found.within_two > 0.98
+
+
+@pytest.mark.parametrize("kind", ["paper", "m10"])
+@pytest.mark.parametrize("load", ["vibration", "slip"])
+def test_motion_within_the_noise_is_in_the_deviation(kind: str, load: honesty.Load) -> None:
+    """No turn of it is noticed. What tells of it is that the cell's readings are noisier than those of the board."""
+    cell, _ = honesty.specimens_uncalibrated()[kind]
+    found = honesty.judged(cell, kind, load, 10.0)
+    assert found.within_two > 0.8
+    assert found.std_percent > 5.0
+    assert honesty.judged(cell, kind, "slow ramp", 10.0).std_percent < 5.0
+
+
+@pytest.mark.parametrize("load", ["rest", "hold", "press", "taps", "stairs", "sine"])
+def test_loads_of_one_skin_are_judged_as_those_of_many(load: honesty.Load) -> None:
+    """Side by side, a cell is judged by the same laws; only the noise is measured on more cells."""
+    alone = honesty.judged(EXAMPLE, "example", load, 0.1)
+    together = honesty.judged_together(EXAMPLE, "example", [("finger", ""), (load, ""), ("press", "opens")], 0.1)
+    assert [row.load for row in together] == ["finger", load, "press, opens"]
+    assert together[1].within_two == pytest.approx(alone.within_two, abs=0.02)
+    assert together[1].rmse_percent == pytest.approx(alone.rmse_percent, rel=0.3, abs=0.05)

@@ -135,3 +135,26 @@ def test_readings_with_gaps_are_within_the_stated_error(name: str) -> None:
     assert np.mean(off < 2 * std[of.learned :]) > 0.9
     missing = np.isnan(read[of.learned :])
     assert np.mean((off < 2 * std[of.learned :])[missing]) > 0.85
+
+
+@pytest.mark.parametrize("name", ["static", "inverse", "play", "distilled"])
+def test_a_hold_far_longer_than_any_recorded_is_doubted_more(name: str) -> None:
+    """15 minutes of creep after 100 s of short presses: the sd grows with the hold, covers the error, falls at rest."""
+    found, time, load, read, head_s = cells.short_presses()
+    estimator = found.cell.estimator((), name)
+    assert found.cell.estimators is not None
+    assert 0 < found.cell.estimators.seen.longest_load_s < 30
+    pressure, std = estimate_recording(estimator, time, read)
+    assert std is not None
+    held = (time > head_s + 2) & (time < head_s + 902)
+    off = np.abs(pressure - FULL * load)
+    assert np.mean((off < 2 * std)[held]) > 0.9
+    early, late = (std[np.searchsorted(time, head_s + after)] for after in (10.0, 890.0))
+    assert late > early + 0.1 * FULL
+    rest = found.cell.rest_resistance_ohm
+    other = found.cell.estimator((), name)
+    other.restore(estimator.state())
+    assert other.std_kpa == pytest.approx(estimator.std_kpa, rel=1e-9)
+    for _ in range(1000):
+        estimator.step(1.0, rest)
+    assert estimator.std_kpa < early + 0.02 * FULL

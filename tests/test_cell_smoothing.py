@@ -58,6 +58,19 @@ def test_the_noise_of_readings_is_measured() -> None:
                 assert np.median(meter.std(now)) == pytest.approx(NOISE * (1 + level[n]) ** 2, rel=0.35)
 
 
+@pytest.mark.parametrize("cells", [64, 400])
+def test_no_cell_is_taken_for_free_of_noise_at_the_beginning(cells: int) -> None:
+    """The differences of a cell's first readings are near zero now and then; the array knows better from the start."""
+    rng = np.random.default_rng(8)
+    meter = NoiseMeter(cells)
+    for n in range(60):
+        meter.update(NOISE * rng.standard_normal(cells), None)
+        if n:
+            std = meter.std(np.zeros(cells))
+            assert std.min() > 0.5 * NOISE
+            assert std.max() < 2.5 * NOISE
+
+
 def test_a_press_on_one_cell_is_not_the_noise_of_the_others() -> None:
     rng = np.random.default_rng(4)
     meter = NoiseMeter(25)

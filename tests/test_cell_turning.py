@@ -10,7 +10,7 @@ from turning import OneCell
 from ohmskin.bench._independent import presses
 from ohmskin.cell import PaperModel
 from ohmskin.cell._estimator import Conditions, Estimator
-from ohmskin.cell._paper import PaperEstimator, TurningEstimator
+from ohmskin.cell._paper import PaperEstimator, TurningEstimator, _Rows
 
 MODEL = EXAMPLE.model
 assert isinstance(MODEL, PaperModel)
@@ -101,3 +101,13 @@ def test_the_matrices_do_what_one_cell_written_out_does(seed: int, dt: float, no
         expected = [one.step(dt, float(x), noise, 1.5 * noise) for one, x in zip(one_by_one, r, strict=True)]
         np.testing.assert_allclose(memory[0], expected, rtol=1e-8, atol=1e-8)
         np.testing.assert_allclose(memory[2], [one.variance for one in one_by_one], rtol=1e-6, atol=1e-8)
+
+
+def test_a_doubt_ends_where_nothing_is_known_of_the_load() -> None:
+    """Steps of a coarse converter look like turns, at rest too: their doubts must not add up without end."""
+    estimator = TurningEstimator(MODEL, FULL, (), REST, Conditions(noise=NOISE))
+    rows = _Rows(estimator._begin(np.zeros(1)))
+    for _ in range(50):
+        rows.variance[:] = FULL**2
+        estimator._keep(rows, np.zeros(1))
+    assert np.sqrt(rows.doubt) == pytest.approx(FULL / 2)

@@ -203,3 +203,32 @@ def test_a_press_that_noise_keeps_from_being_valid_is_felt() -> None:
     assert valid < 0.5
     assert np.median(pressure) > 8.0
     assert np.mean(np.abs(pressure - 14.0) > 3.0 * std) < 0.02
+
+
+def test_a_hard_press_on_a_divider_is_not_surer_than_the_noise_of_its_column() -> None:
+    """Three cells pressed to a fifth of the load resistor take nearly all of the current of their column.
+
+    What the others take, and so the sum of all, is known from small differences of noisy readings of 8 bits.
+    """
+    design = {
+        "array": {"rows": 6, "columns": 10, "row_lead": 8.0, "column_lead": 12.0},
+        "drive": {"voltage": 5.0},
+        "readout": {"circuit": "voltage-divider", "reference_resistance": 4700.0},
+        "adc": {"bits": 8, "range": [0.0, 5.0]},
+    }
+    cell = {
+        "rest_resistance_ohm": 30e3,
+        "full_scale_kpa": 40.0,
+        "model": {"kind": "contact", "full_scale_resistance_ohm": 900.0},
+    }
+    load, pressed = 30.0, ([2, 3, 4], [6, 6, 6])
+    pressure = [[0.0, 0.0], [0.5, 0.0], [0.55, load]]
+    contact = [{"cells": np.transpose(pressed).tolist(), "load_kpa": pressure}]
+    device = scene(skin={"design": design, "cell": cell}, board={"frame_rate": 100.0, "noise": 0.004}, contact=contact)
+    with lossless(Wire(Board(device))) as skin:
+        held = list(islice(skin, 400))[100:]
+    error = np.array([(frame.pressure[pressed] - load) / frame.pressure_std[pressed] for frame in held])
+    valid = np.array([frame.valid[pressed] for frame in held])
+    assert valid.mean() > 0.9
+    assert np.mean(np.abs(error[valid]) < 2) > 0.95
+    assert np.abs(error[valid]).max() < 4

@@ -97,7 +97,7 @@ class OneCell:
         lost = was_apart - is_apart
         least = max(paper.LOST * unsure, paper.NEAR * self.full) ** 2
         if lost > paper.GONE * was_apart and was_apart > least:
-            self.doubt += lost + np.sqrt(self.doubt * lost)
+            self.doubt = min(self.doubt + lost + np.sqrt(self.doubt * lost), (paper.MOST_LOST * self.full) ** 2)
         self.variance = self.doubt + is_apart
         return now.pressure
 
