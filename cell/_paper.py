@@ -41,7 +41,7 @@ CONFIRMED_RISE, CONFIRMED_FALL = 3.0, 1.0
 found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
 BETWEEN = 0.3
 """of the way of a load in a frame: how far beyond the frames it turned. Between none and half; the root mean square"""
-MOST_LOST = 1.5
+MOST_LOST = 1.0
 """of full scale: no larger standard deviation is stated for turns that were not noticed"""
 UNSEEN, SEEMING = 3.0, 0.5
 """standard deviations of a reading within which a load may go to and fro in a frame unseen; share of the rise that this
@@ -389,8 +389,8 @@ class TurningEstimator(Estimator):
         """Where the other hypothesis has begun anew though it was apart by more than noise, the doubt stays.
 
         The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``. On a
-        coarse converter that may happen at each step at rest, so the doubt has an end. An error may exceed half of full
-        scale, which would be the deviation of any load, for a memory that is lost shows up to 1.1 times full scale.
+        coarse converter that may happen at each step at rest, so the doubt has an end: full scale. Half of it would be
+        the deviation of any load, but a memory that is lost shows up to 1.1 times full scale where there is no load.
         """
         by_noise = of.unsure * (LOST / LESS)
         lost = of.variance - apart

@@ -103,11 +103,11 @@ def test_the_matrices_do_what_one_cell_written_out_does(seed: int, dt: float, no
         np.testing.assert_allclose(memory[2], [one.variance for one in one_by_one], rtol=1e-6, atol=1e-8)
 
 
-def test_a_doubt_ends_where_nothing_is_known_of_the_load() -> None:
+def test_a_doubt_ends_at_full_scale() -> None:
     """Steps of a coarse converter look like turns, at rest too: their doubts must not add up without end."""
     estimator = TurningEstimator(MODEL, FULL, (), REST, Conditions(noise=NOISE))
     rows = _Rows(estimator._begin(np.zeros(1)))
     for _ in range(50):
         rows.variance[:] = FULL**2
         estimator._keep(rows, np.zeros(1))
-    assert np.sqrt(rows.doubt) == pytest.approx(FULL / 2)
+    assert np.sqrt(rows.doubt) == pytest.approx(FULL)
