@@ -136,12 +136,14 @@ def calibrate(
     )
     default, reason = choice.choose(evidence)
     pressed = {name: 100 * max(part.pressed_rms for part in of) for name, of in judged.items()}
-    drift = max(abs(float(np.mean(part.pressed))) for part in judged["static"])
+    # An inverse follows what its model explains: the drift that a load adds on top would only swell its deviation.
+    drift = max(abs(float(np.mean(part.error))) for part in judged["static"])
+    pressed_drift = max(abs(float(np.mean(part.pressed))) for part in judged["static"])
     calibrated = {
         name: training.calibrated(
             getattr(final, name),
             judged[name],
-            drift=drift,
+            drift=pressed_drift,
             elsewhere=0.0 if evidence.varied else elsewhere[name],
             most=pressed["static"] / 100,
         )
