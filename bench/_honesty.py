@@ -363,11 +363,11 @@ def table(rows: Iterable[Honesty]) -> str:
     """The rows as text."""
     head = (
         f"default estimator at {RATE_HZ:g} frames per second; errors over stated standard deviations (sd)\n"
-        f"{'cell':<14}{'load':<22}{'noise, mV':>10}{'RMSE, % FS':>12}{'sd, % FS':>10}{'within 2 sd':>13}"
+        f"{'cell':<18}{'load':<22}{'noise, mV':>10}{'RMSE, % FS':>12}{'sd, % FS':>10}{'within 2 sd':>13}"
         f"{'beyond 3':>10}{'worst':>8}"
     )
     lines = (
-        f"{row.cell:<14}{row.load:<22}{row.noise_mv:>10g}{row.rmse_percent:>12.2f}{row.std_percent:>10.2f}"
+        f"{row.cell:<18}{row.load:<22}{row.noise_mv:>10g}{row.rmse_percent:>12.2f}{row.std_percent:>10.2f}"
         f"{100 * row.within_two:>11.1f} %{100 * row.beyond_three:>8.2f} %{row.worst:>8.1f}"
         for row in rows
     )
