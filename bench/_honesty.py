@@ -299,10 +299,8 @@ def _cases() -> list[Case]:
     return [(load, "") for load in loads] + [("press", fault) for fault in faults]
 
 
-def specimens_uncalibrated() -> dict[str, tuple[Cell, Cell]]:
-    """Cells of every kind, other than the shipped one in R0, full scale and time constants; twice, as :func:`specimens`
-    has them.
-    """
+def uncalibrated() -> dict[str, Cell]:
+    """Cells of every kind, other than the shipped one in R0, full scale and time constants."""
     own = PaperModel(
         eu1_kpa=100.0,
         etau2_kpa=500.0,
@@ -316,22 +314,19 @@ def specimens_uncalibrated() -> dict[str, tuple[Cell, Cell]]:
     asymmetric = AsymmetricModel(e1_kpa=90.0, e2_kpa=200.0, e3_kpa=900.0, eta2_kpa_s=700.0, eta3_kpa_s=40000.0)
     m10 = M10Model(a=0.5, b=-0.1, alpha1=0.3, rise1_s=0.3, fall1_s=4.0, alpha2=0.1, fall2_s=90.0, k=0.1, tau_s=20.0)
     falling = ContactModel(exponent=1.1, full_scale_resistance_ohm=900.0)
-    cells = {
+    return {
         "paper": Cell(rest_resistance_ohm=2200.0, full_scale_kpa=60.0, model=own),
         "asymmetric": Cell(rest_resistance_ohm=47e3, full_scale_kpa=35.0, model=asymmetric),
         "m10": Cell(rest_resistance_ohm=5600.0, full_scale_kpa=150.0, model=m10),
         "contact": Cell(rest_resistance_ohm=3300.0, full_scale_kpa=20.0, model=falling),
     }
-    return {name: (cell, cell) for name, cell in cells.items()}
 
 
 def specimens() -> dict[str, tuple[Cell, Cell]]:
     """Cells as they are and as they are believed to be: the same, or what the calibration protocol makes of them."""
-    found = specimens_uncalibrated()
-    for name in ("paper", "m10"):
-        cell, _ = found[name]
-        found[f"{name}, calibrated"] = cell, calibrated(cell)
-    return found
+    cells = uncalibrated()
+    learned = {f"{name}, calibrated": (cells[name], calibrated(cells[name])) for name in ("paper", "m10")}
+    return {name: (cell, cell) for name, cell in cells.items()} | learned
 
 
 def calibrated(cell: Cell, noise: float = 1e-3, dt_s: float = 0.05) -> Cell:

@@ -236,27 +236,16 @@ class CountReader:
             reason = np.full(counts.shape, Reason.UNSOLVED, dtype=np.int8)
             return Reading(nothing, counts < 0, reason, solved=False, all_valid=False, _found=None, _own_share=share)
         valid, reason = found.valid, found.reason
-        if faint is None and np.count_nonzero(valid) == valid.size:
-            return Reading(
-                found.resistance,
-                valid,
-                reason,
-                solved=True,
-                all_valid=True,
-                _found=found,
-                _own_share=share,
-                _noise_steps=noise / self._step,
-            )
+        every = faint is None and np.count_nonzero(valid) == valid.size
         if faint is not None:
             valid = valid & ~faint
             reason = np.where(faint, np.int8(Reason.NO_CURRENT), reason)
-        resistance = np.where(valid, found.resistance, np.nan)
         return Reading(
-            resistance,
+            found.resistance if every else np.where(valid, found.resistance, np.nan),
             valid,
             reason,
             solved=True,
-            all_valid=False,
+            all_valid=every,
             _found=found,
             _own_share=share,
             _noise_steps=noise / self._step,

@@ -12,6 +12,7 @@ from typing import Any
 from ohmskin.driver import Arrival, BytePort, Skin
 from ohmskin.emulator import Board, Line, Scene
 from ohmskin.errors import LinkError
+from ohmskin.wire import DescriptionPiece, encode, write_description
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 DESIGN: dict[str, Any] = {
@@ -27,6 +28,15 @@ def scene(**tables: Any) -> Scene:
     """A 3 x 2 skin, pressed on one cell, with the given sections of SCENE.toml besides or instead."""
     given = {"skin": {"design": DESIGN}, "contact": [PRESS], **tables}
     return Scene.from_tables(given, source="scene", directory=Path())
+
+
+WHAT = scene().skin
+
+
+def sheet(boot_id: int = 1, *, cell: bool = True, sequence: int = 0) -> bytes:
+    """The packet in which that board describes itself."""
+    text = write_description(WHAT.design.model_dump(), WHAT.cell.model_dump() if cell else None)
+    return encode(DescriptionPiece(sequence, 0, 0, len(text), text, boot_id))
 
 
 class MemoryPort:

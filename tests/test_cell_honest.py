@@ -186,7 +186,7 @@ def test_a_first_reading_under_load_is_no_long_hold_without_a_doubt(kpa: float, 
 @pytest.mark.parametrize("load", ["short taps", "slip"])
 def test_taps_of_a_few_frames_are_followed_where_the_memory_is_short(load: honesty.Load) -> None:
     """An asymmetric cell: sparks are told from taps of three frames, and what happens between frames is in the sd."""
-    cell, _ = honesty.specimens_uncalibrated()["asymmetric"]
+    cell = honesty.uncalibrated()["asymmetric"]
     found = honesty.judged(cell, "asymmetric", load, 1.0)
     assert found.within_two > 0.98
     assert found.beyond_three < 0.005
@@ -207,7 +207,7 @@ def test_an_inverse_that_loses_its_way_says_so(load: honesty.Load) -> None:
 def test_frames_in_which_a_load_begins_are_within_the_deviations(load: honesty.Load) -> None:
     """The smoothing has not noticed the load yet, and sleeping cells show none."""
     for name in ("paper", "contact"):
-        found = honesty.judged(honesty.specimens_uncalibrated()[name][0], name, load, 10.0)
+        found = honesty.judged(honesty.uncalibrated()[name], name, load, 10.0)
         assert found.worst < 4.0
         assert found.within_two > 0.98
 
@@ -216,7 +216,7 @@ def test_frames_in_which_a_load_begins_are_within_the_deviations(load: honesty.L
 @pytest.mark.parametrize("load", ["vibration", "slip"])
 def test_motion_within_the_noise_is_in_the_deviation(kind: str, load: honesty.Load) -> None:
     """No turn of it is noticed. What tells of it is that the cell's readings are noisier than those of the board."""
-    cell, _ = honesty.specimens_uncalibrated()[kind]
+    cell = honesty.uncalibrated()[kind]
     found = honesty.judged(cell, kind, load, 10.0)
     assert found.within_two > 0.8
     assert found.std_percent > 5.0

@@ -7,25 +7,13 @@ import numpy as np
 import pytest
 from cells import EXAMPLE
 
-from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
+from ohmskin.bench._honesty import uncalibrated
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel
 
 DT = 0.02
 COUNT = 8
-OWN = Cell(
-    rest_resistance_ohm=2200.0,
-    full_scale_kpa=60.0,
-    model=PaperModel(
-        eu1_kpa=100.0,
-        etau2_kpa=500.0,
-        eu2_kpa_per_s=250.0,
-        e1_kpa=150.0,
-        e2_kpa=400.0,
-        e3_kpa=1200.0,
-        eta2_kpa_s=2000.0,
-        eta3_kpa_s=50000.0,
-    ),
-)
-SAFE_M10 = M10Model(a=0.5, b=-0.1, alpha1=0.3, rise1_s=0.3, fall1_s=4, alpha2=0.1, fall2_s=90, k=0.1, tau_s=20)
+OWN = uncalibrated()["paper"]
+SAFE_M10 = uncalibrated()["m10"].model
 ASYMMETRIC = AsymmetricModel(e1_kpa=32, e2_kpa=60, e3_kpa=480, eta2_kpa_s=510, eta3_kpa_s=48000)
 CELLS = pytest.mark.parametrize(
     "cell",

@@ -18,30 +18,22 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boards import EXAMPLES, Script, Wire, gone, lossless, scene
+from boards import EXAMPLES, Script, Wire, gone, lossless, scene, sheet
 
 from ohmskin.driver import Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
 from ohmskin.emulator import Board, PtyPort, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ohmskin.wire import (
-    DescriptionPiece,
     Flag,
     FramePacket,
     Identity,
     Order,
     encode,
     host_protocol,
-    write_description,
 )
 
-WHAT = scene().skin
 FORK = multiprocessing.get_context("fork")
-
-
-def sheet(boot_id: int = 1, *, sequence: int = 0) -> bytes:
-    text = write_description(WHAT.design.model_dump(), WHAT.cell.model_dump())
-    return encode(DescriptionPiece(sequence, 0, 0, len(text), text, boot_id))
 
 
 def identity(boot_id: int = 1, *, sequence: int = 0, rows: int = 3, over: bool = False) -> bytes:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import DESIGN, Flow, Script, Wire, gone, lossless, scene
+from boards import DESIGN, WHAT, Flow, Script, Wire, gone, lossless, scene, sheet
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -45,13 +45,6 @@ from ohmskin.wire import (
     host_protocol,
     write_description,
 )
-
-WHAT = scene().skin
-
-
-def sheet(boot_id: int = 1, *, cell: bool = True) -> bytes:
-    text = write_description(WHAT.design.model_dump(), WHAT.cell.model_dump() if cell else None)
-    return encode(DescriptionPiece(0, 0, 0, len(text), text, boot_id))
 
 
 def identity(serial_number: str = "A1", *, boot_id: int = 1, rows: int = 3) -> bytes:

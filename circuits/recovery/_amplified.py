@@ -29,7 +29,17 @@ from .._adc import adc_error
 from .._board import Board, cell_alone
 from ..solvers import Attenuated, Lines, Wires, attenuate, exact_transfer, siemens
 from ._heavy_leads import invert_leads
-from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
+from ._live_reading import (
+    DISTURBED,
+    HIDDEN,
+    NO_CURRENT,
+    SATURATED,
+    SIGMAS,
+    UNCERTAIN,
+    UNSETTLED,
+    LiveReading,
+    ValidityRule,
+)
 
 T = TypeVar("T", float, FloatArray)
 
@@ -52,18 +62,6 @@ _HEAVY = 0.5  # share of a cell's current that its lines take, from which on att
 _LEAD_LIKE = 0.5  # of the mean resistance of a line to its cells, by which they may differ to be that of its lead
 _NONE = np.array(0.0)  # as an array, since NumPy makes one of a float in every call
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
-
-_NO_CURRENT, _SATURATED, _UNCERTAIN, _DISTURBED, _HIDDEN, _UNSETTLED = (
-    int(reason)
-    for reason in (
-        Reason.NO_CURRENT,
-        Reason.SATURATED,
-        Reason.UNCERTAIN,
-        Reason.DISTURBED,
-        Reason.HIDDEN,
-        Reason.UNSETTLED,
-    )
-)  # looking them up takes 1 us each
 
 
 class _Base(NamedTuple):
@@ -507,22 +505,22 @@ class AmplifiedLive:
         """A frame with cells that are not valid, and why they are not. Arrays are (N, M), as in :meth:`_read`."""
         uncertainty, own = _uncertainties(transfer, levels)
         by_readings = uncertainty
-        reason = np.full(self._board.shape, _UNCERTAIN, dtype=np.int8)
+        reason = np.full(self._board.shape, UNCERTAIN, dtype=np.int8)
         if off is not None:
             uncertainty = uncertainty + off / np.maximum(transfer, levels.own)
-            reason[(uncertainty > by_readings * 1.5)] = _UNSETTLED
+            reason[(uncertainty > by_readings * 1.5)] = UNSETTLED
         if limited is not None:
             disturbance = self._disturbance(conductance, volts, limited, levels.noise)
-            reason[disturbance > 0.5 * uncertainty] = _DISTURBED
+            reason[disturbance > 0.5 * uncertainty] = DISTURBED
             uncertainty = uncertainty + disturbance
-        reason[transfer <= levels.own] = _NO_CURRENT
+        reason[transfer <= levels.own] = NO_CURRENT
         if self._faulty:
             conductance, uncertainty, own = self._without_faults(conductance, uncertainty, own)
-            reason[conductance == 0.0] = _NO_CURRENT
+            reason[conductance == 0.0] = NO_CURRENT
         if limited is not None:
-            uncertainty[limited], reason[limited] = inf, _SATURATED
+            uncertainty[limited], reason[limited] = inf, SATURATED
         if self._faulty:
-            uncertainty[self._hidden], reason[self._hidden] = inf, _HIDDEN
+            uncertainty[self._hidden], reason[self._hidden] = inf, HIDDEN
         valid = self._rule.accepts(uncertainty)
         valid &= conductance > 0.0
         reason[valid] = 0

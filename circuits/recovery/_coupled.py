@@ -18,7 +18,17 @@ from ..solvers import siemens
 from ._column_blocks import ColumnBlocks, beyond_linear
 from ._derivatives import derivatives
 from ._lines import LineResistance
-from ._live_reading import SIGMAS, LiveReading, Reason, ValidityRule
+from ._live_reading import (
+    DISTURBED,
+    HIDDEN,
+    NO_CURRENT,
+    SATURATED,
+    SIGMAS,
+    UNCERTAIN,
+    UNSETTLED,
+    LiveReading,
+    ValidityRule,
+)
 from ._normal_matrix import Meter, NormalMatrix
 from ._quick_model import QuickModel
 from ._sheet_model import SheetModel
@@ -28,7 +38,7 @@ _SHORT_SHARE = 0.998  # of the reading of a short, likewise
 _PRIOR = 3.0  # standard deviation of the logarithm of a conductance before anything is read: a factor of 20
 _UNKNOWN = 8.0  # the same for a cell that a fault hides
 _SETTLED = 0.3  # posterior standard deviations that a further step would change a cell by
-_UNSETTLED = 3.0  # half steps between readings and model beyond which a fit says nothing yet
+_NO_FIT = 3.0  # half steps between readings and model beyond which a fit says nothing yet
 _MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
 _FAR = 0.5  # change of a logarithm since the derivatives were made from which on they no longer serve
 _BY_NOISE = 4.0  # standard deviations by which noise and rounding move a cell without new derivatives being due
@@ -59,18 +69,6 @@ LARGEST_MATRIX = 4096
 """cells up to which a matrix of all readings by all cells is made: 0.3 GB"""
 LARGEST_BESIDE = 1024
 """the same where columns are nearly independent: beyond, a step by that matrix costs ten without it"""
-
-_SATURATED, _NO_CURRENT, _UNCERTAIN, _DISTURBED, _HIDDEN, _UNSETTLED_CELL = (
-    int(reason)
-    for reason in (
-        Reason.SATURATED,
-        Reason.NO_CURRENT,
-        Reason.UNCERTAIN,
-        Reason.DISTURBED,
-        Reason.HIDDEN,
-        Reason.UNSETTLED,
-    )
-)  # as integers: numpy takes 10 us to look one up
 
 
 class _Base(NamedTuple):
@@ -272,11 +270,11 @@ class CoupledLive:
         x, misfit = fit.known.log, fit.misfit
         self._begun, self._known, base = True, fit.known, self._base
         fresh = self._from_fresh_start
-        self._without_fit = 0 if misfit <= _UNSETTLED else self._without_fit + 1
+        self._without_fit = 0 if misfit <= _NO_FIT else self._without_fit + 1
         self._stuck = max(self._stuck - 1, 0)
         if self._has_matrix and not base.whole and self._without_fit >= _MOST_WITHOUT_FIT:
             self._stuck = _STUCK
-        if misfit <= _UNSETTLED:
+        if misfit <= _NO_FIT:
             self._from_fresh_start = False
         elif misfit > _MISFIT and fit.stalled:
             self._known = None  # the next frame starts anew
@@ -294,20 +292,20 @@ class CoupledLive:
         by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else 1.0)
         uncertainty = by_readings + base.others + doubt
         open_cells = signal <= self._half_step + SIGMAS * noise
-        reason = np.full(len(measured), _UNCERTAIN, dtype=np.int8)
-        reason[base.others > 0.5 * uncertainty] = _DISTURBED
-        reason[open_cells] = _NO_CURRENT
+        reason = np.full(len(measured), UNCERTAIN, dtype=np.int8)
+        reason[base.others > 0.5 * uncertainty] = DISTURBED
+        reason[open_cells] = NO_CURRENT
         # After a frame that did not settle, nothing is valid before derivatives from near by confirm the cells.
-        self._astray = misfit > _UNSETTLED or fit.lost or ((self._astray or fresh) and not fit.proven)
+        self._astray = misfit > _NO_FIT or fit.lost or ((self._astray or fresh) and not fit.proven)
         if self._astray:  # the frame's budget did not suffice, or no cells give quite these readings
-            reason[:], uncertainty[:] = _UNSETTLED_CELL, inf
+            reason[:], uncertainty[:] = UNSETTLED, inf
         short = self._as_good_as_short(x)
         if short.any():  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
         uncertainty[beside.ravel()] = inf
-        reason[beside.ravel()] = _DISTURBED
+        reason[beside.ravel()] = DISTURBED
         gone = self._gone
-        reason[gone] = _HIDDEN
+        reason[gone] = HIDDEN
         uncertainty[gone | (uncertainty > 1.0)] = inf
         valid = self._rule.accepts(uncertainty) & ~open_cells
         reason[valid] = 0
@@ -347,7 +345,7 @@ class CoupledLive:
             serves = misfit <= _FITS and self._serves(step, scale)
             moved = self._moved(known.log, scale)
             blamed = not serves and moved > _MOVED and np.abs(step).max() > _SLOW * np.abs(before).max()
-            resting = self._from_fresh_start and stalled and misfit > _UNSETTLED
+            resting = self._from_fresh_start and stalled and misfit > _NO_FIT
             if resting and self._has_matrix and not self._base.whole:
                 self._stuck = _STUCK
             due = self._stuck > 0 and not self._base.whole
@@ -411,10 +409,10 @@ class CoupledLive:
 
     def _nothing(self, limited: BoolArray | None) -> LiveReading:
         """A frame that tells of no cell."""
-        reason = np.full(self._shape, _DISTURBED, dtype=np.int8)
+        reason = np.full(self._shape, DISTURBED, dtype=np.int8)
         if limited is not None:
-            reason[limited] = _SATURATED
-        reason[self._gone.reshape(self._shape)] = _HIDDEN
+            reason[limited] = SATURATED
+        reason[self._gone.reshape(self._shape)] = HIDDEN
         unknown, nowhere = np.full(self._shape, inf), np.zeros(self._shape, dtype=np.bool_)
         return LiveReading(np.full(self._shape, np.nan), nowhere, reason, lambda: (unknown, np.ones(self._shape)))
 

@@ -43,6 +43,20 @@ class Reason(IntEnum):
     """no cell resistances give readings like these: the design is not that of the board"""
 
 
+NO_CURRENT, SATURATED, UNCERTAIN, DISTURBED, HIDDEN, UNSETTLED = (
+    int(reason)
+    for reason in (
+        Reason.NO_CURRENT,
+        Reason.SATURATED,
+        Reason.UNCERTAIN,
+        Reason.DISTURBED,
+        Reason.HIDDEN,
+        Reason.UNSETTLED,
+    )
+)
+"""reasons as plain integers: NumPy takes up to 10 us to turn a member of the enumeration into one"""
+
+
 @dataclass(frozen=True)
 class ValidityRule:
     """A cell is valid if the relative uncertainty of its conductance is at most ``limit``."""
