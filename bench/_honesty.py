@@ -38,6 +38,10 @@ RATES_HZ = (50.0, 250.0, 1000.0)
 MOST_FRAMES = 6000
 """of a scene: fast boards are judged for less time"""
 BITS = 12
+LEAST_ERROR = 1e-4
+"""of full scale: no smaller error is what a width is stated over"""
+CLEAR_STD_PERCENT = 1.0
+"""median deviation, % of full scale, from which a load may be named as the one with the widest"""
 SUBSTEPS = 4
 """in which a frame is simulated"""
 Load = Literal[
@@ -75,6 +79,9 @@ class Honesty:
     """of full scale"""
     std_percent: float
     """median of the stated deviations, of full scale"""
+    width: float
+    """root mean square of the stated deviations, over that of the errors: 1 where they are neither too small nor too
+    wide. The least deviation of half a percent makes it large where hardly anything is wrong"""
     within_two: float
     """share of errors within two deviations"""
     beyond_three: float
@@ -277,12 +284,17 @@ def judged_together(
                 bits=bits,
                 rmse_percent=100.0 * float(np.sqrt(np.mean(error[kept, part] ** 2))) / full,
                 std_percent=100.0 * float(np.median(std[kept, part])) / full,
+                width=_rms(std[kept, part]) / max(_rms(error[kept, part]), LEAST_ERROR * full),
                 within_two=float(np.mean(over[kept, part] < 2.0)),
                 beyond_three=float(np.mean(over[kept, part] > 3.0)),
                 worst=float(over[kept, part].max()),
                 rest_kpa=float(shown.max()) if shown.size else np.nan,
             )
     return [found[case] for case in cases]
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
 
 
 def honesty(noises_mv: Iterable[float] = NOISES_MV) -> Iterator[Honesty]:
@@ -358,12 +370,12 @@ def table(rows: Iterable[Honesty]) -> str:
     """The rows as text."""
     head = (
         f"default estimator at {RATE_HZ:g} frames per second; errors over stated standard deviations (sd)\n"
-        f"{'cell':<18}{'load':<22}{'noise, mV':>10}{'RMSE, % FS':>12}{'sd, % FS':>10}{'within 2 sd':>13}"
-        f"{'beyond 3':>10}{'worst':>8}"
+        f"{'cell':<18}{'load':<22}{'noise, mV':>10}{'RMSE, % FS':>12}{'sd, % FS':>10}{'sd/error':>10}"
+        f"{'within 2 sd':>13}{'beyond 3':>10}{'worst':>8}"
     )
     lines = (
         f"{row.cell:<18}{row.load:<22}{row.noise_mv:>10g}{row.rmse_percent:>12.2f}{row.std_percent:>10.2f}"
-        f"{100 * row.within_two:>11.1f} %{100 * row.beyond_three:>8.2f} %{row.worst:>8.1f}"
+        f"{row.width:>10.1f}{100 * row.within_two:>11.1f} %{100 * row.beyond_three:>8.2f} %{row.worst:>8.1f}"
         for row in rows
     )
     return "\n".join([head, *lines])
@@ -373,7 +385,8 @@ def summary(rows: Iterable[Honesty]) -> str:
     """One line for the loads and faults of each cell, noise, frame rate and converter: the least honest of them."""
     lines = [
         "default estimator, all loads and faults: the median, and the load that it is worst at\n"
-        f"{'cell':<20}{'mV':>5}{'Hz':>6}{'bits':>5}{'RMSE, % FS':>12}{'sd, % FS':>10}  {'within 2 sd':<27}"
+        f"{'cell':<20}{'mV':>5}{'Hz':>6}{'bits':>5}{'RMSE, % FS':>12}{'sd, % FS':>10}  {'widest sd/error':<21}"
+        f"{'within 2 sd':<27}"
         f"{'beyond 3':<26}{'worst':<22}{'rest, kPa':>9}"
     ]
     for (cell, noise_mv, rate_hz, bits), group in groupby(
@@ -382,9 +395,10 @@ def summary(rows: Iterable[Honesty]) -> str:
         some = list(group)
         least, beyond = min(some, key=lambda row: row.within_two), max(some, key=lambda row: row.beyond_three)
         worst = max(some, key=lambda row: row.worst)
+        wide = max(some, key=lambda row: row.width if row.std_percent > CLEAR_STD_PERCENT else 0.0)
         lines.append(
             f"{cell:<20}{noise_mv:>5g}{rate_hz:>6g}{bits:>5}{np.median([row.rmse_percent for row in some]):>12.2f}"
-            f"{np.median([row.std_percent for row in some]):>10.2f}"
+            f"{np.median([row.std_percent for row in some]):>10.2f}{wide.width:>7.1f} {wide.load:<15}"
             f"{100 * least.within_two:>7.1f} % {least.load:<19}{100 * beyond.beyond_three:>6.2f} % {beyond.load:<18}"
             f"{worst.worst:>5.1f} {worst.load:<17}{_rest(some):>8.2f}"
         )

@@ -30,6 +30,9 @@ LEAST_CELLS = 4
 """with fewer readings no spread is measured"""
 NORMAL = 1.4826
 """standard deviation over the median of absolute deviations, of normally distributed numbers"""
+CAUTION = 1.17
+"""relative standard deviation of a deviation that was found by the median of n absolute deviations, times the root of n
+(normal distribution; its asymptotic efficiency is 37 %)"""
 STEP = 5e-4
 """relative change of a resistance that the slope of the static curve is taken over"""
 RANGE, POINTS = math.log(300.0), 4001
@@ -54,7 +57,8 @@ class SystematicError:
         self._pressure, self._by_reading, self._by_rest = pressure[order], by_reading[order], by_rest[order]
         self._by_both = self._by_reading + 1j * self._by_rest  # so that one look-up gives both slopes
         self.rest_spread: float | None = None
-        """relative, of the cells' rest resistances about that of the data sheet: the least that was seen"""
+        """relative standard deviation of the cells' rest resistances about that of the data sheet: the least that was
+        seen, and what so few cells leave open"""
         self._before: FloatArray | None = None
         self._frames = 0
         self._steps: _Steps | None = None
@@ -106,11 +110,13 @@ class SystematicError:
         present = _median_size(deviation)
         if present is None:
             return
+        cells = np.count_nonzero(np.isfinite(deviation))
         variance = (NORMAL * present) ** 2
         change = None if before is None else _median_size(deviation - before)
         if change is not None:
             variance -= (NORMAL * change) ** 2 / 2
-        spread = math.sqrt(max(variance, 0.0))
+        # Few cells may by chance be more alike than those of other skins.
+        spread = math.sqrt(max(variance, 0.0)) * (1.0 + CAUTION / math.sqrt(cells))
         self.rest_spread = spread if self.rest_spread is None else min(spread, self.rest_spread)
 
 
