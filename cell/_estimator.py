@@ -29,7 +29,7 @@ from ..errors import InputError
 from . import _smoothing as smoothing
 from ._forward import resistance_of
 from ._held import Held
-from ._noise import NoiseMeter
+from ._noise import WINDOW, NoiseMeter
 
 PRESSURE, GAIN, VARIANCE = range(3)
 """first rows of every memory: kPa; kPa per unit of r by which noise enters it; kPa^2 by which memory adds to it"""
@@ -67,11 +67,9 @@ SETTLE_EVERY = 32
 HIDDEN, SIGMAS = 3.3, 3.0
 """standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
 a change could be that the smoothing has not noticed yet"""
-HIDES, SURELY_HIDES = 1.05, 1.35
-"""variance of a cell's readings over the board's least: from the first on, a load may move within the noise; from the
-second on, it does"""
-HIDES_EVERY = 4
-"""frames between two looks for such cells"""
+HIDES, SURELY_HIDES = 1.2, 1.6
+"""variance of a cell's readings beside smooth motion, over that of the board's noise: from the first on, a load may move
+within the noise; from the second on, it does"""
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation without a calibration. It covers what an estimator passes over: loads
 that let a cell sleep, turns below a percent. It is no estimate of a model's error, for nobody compared the model with a
@@ -146,6 +144,7 @@ class Estimator(ABC):
         self._noise = NoiseMeter(cells, conditions.noise or 0.0)
         self._mean = np.zeros(cells)
         self._sum = np.zeros(cells)
+        self._risen_from = np.zeros(cells)
         self._sum_s, self._summed = 0.0, 0
         self._pressure = np.full(cells, np.nan)
         self._variance = np.full(cells, np.nan)  # kPa^2; without the cells of _left_open; replaced, never changed
@@ -437,9 +436,8 @@ class Estimator(ABC):
         block.line_before = line.copy()
         looked = _Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
-        if self._frames % HIDES_EVERY == 0 and self._noise.loudest > HIDES:
-            excess = self._noise.excess(cells)
-            self._miss(memory, noise, np.clip((excess - HIDES) / (SURELY_HIDES - HIDES), 0.0, 1.0))
+        if self._frames % WINDOW == 0:
+            self._look_for_tremor(memory, noise)
         pressure, added = memory[PRESSURE], None
         if self._sparks.cells.size:
             added = self._variance_of_jumps(memory)
@@ -456,6 +454,16 @@ class Estimator(ABC):
             np.copyto(self._pressure, pressure)
         else:
             self._pressure[cells] = pressure
+
+    def _look_for_tremor(self, memory: FloatArray, noise: FloatArray) -> None:
+        """Doubt the rise of cells whose load goes to and fro within the ``noise`` (m,) of a reading."""
+        cells = self._block.cells
+        unrest = self._noise.unrest(cells)
+        if unrest.item(unrest.argmax()) > HIDES:
+            hides = np.clip((unrest - HIDES) / (SURELY_HIDES - HIDES), 0.0, 1.0)
+            rise = np.maximum(memory[PRESSURE] - self._risen_from[cells], 0.0)
+            self._miss(memory, noise, hides * rise)
+        self._risen_from[cells] = memory[PRESSURE]
 
     def _likely(self, pressure: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """(m,) pressures with those that noise alone could give shown nearer to none.
@@ -614,7 +622,7 @@ class Estimator(ABC):
 
     # -- saving ------------------------------------------------------------------------------------------------------
 
-    _KEPT = ("memory", "line", "mean", "sum", "pressure", "variance", "readings", "awake", "followed")
+    _KEPT = ("memory", "line", "mean", "sum", "pressure", "variance", "readings", "awake", "followed", "risen_from")
 
     def state(self) -> dict[str, FloatArray]:
         """Everything remembered, as a copy: arrays of float64 by name, which :meth:`restore` takes."""
@@ -669,11 +677,10 @@ class Estimator(ABC):
         """The memory (rows, m) after ``dt_s`` in which the pressure stayed."""
         return memory
 
-    def _miss(self, memory: FloatArray, noise: FloatArray, hides: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
-        """Count what cells may remember wrong if the load moves within the ``noise`` (m,); changes ``memory``.
+    def _miss(self, memory: FloatArray, noise: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
+        """Count what cells may remember wrong where the load moved within the ``noise`` (m,); changes ``memory``.
 
-        ``hides`` (m,) is 1 where it surely does. A vibration looks like noise, but other cells, and the time before,
-        tell how much of it the board has. Called every :data:`HIDES_EVERY` frames.
+        ``rise_kpa`` (m,) is the rise in the last :data:`WINDOW` frames that this motion may only seem to be.
         """
 
     def _settled(self, memory: FloatArray, band: float) -> BoolArray:

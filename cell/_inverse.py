@@ -15,9 +15,10 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
 from . import _lag as lag
-from ._estimator import GAIN, HIDES_EVERY, PRESSURE, VARIANCE, Conditions, Estimator
+from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
 from ._forward import as_m10
 from ._models import AsymmetricModel, M10Model
+from ._noise import WINDOW
 from ._paper import LOADS, MEMORIES
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, ERRORS, MISSED = 3, slice(4, 6), 6, 7, 8, slice(9, 12), 12
@@ -28,8 +29,6 @@ BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.25
 """of a bend of the load, its change of change between frames. The first makes the standard deviation of a lag, over
 ramp (1 - ramp), as the load may go straight or by a step. The second makes that of the way to and fro between two
 frames, the third its mean where the load turns"""
-SEEMING = 0.5
-"""share of a rise that motion within the noise may only seem to be"""
 STILL_SIGMAS = 3.0
 """half width of that play, in standard deviations: noise within it breaks no chains"""
 
@@ -223,13 +222,9 @@ class InverseEstimator(Estimator):
         variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2
         memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)
 
-    def _miss(self, memory: FloatArray, noise: FloatArray, hides: FloatArray) -> None:
+    def _miss(self, memory: FloatArray, noise: FloatArray, rise_kpa: FloatArray) -> None:
         """Motion within the noise breaks chains, which seems to be a load that rises."""
-        gain = memory[GAIN] / self.full_scale_kpa
-        rise = np.maximum(memory[MOVED], 0.0) / gain
-        np.minimum(rise, self.model.k * gain * noise, out=rise)
-        rise *= HIDES_EVERY * SEEMING * hides
-        memory[MISSED] += rise
+        memory[MISSED] += np.minimum(rise_kpa / memory[GAIN], WINDOW * self.model.k * memory[GAIN] * noise / self.full_scale_kpa)
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within :data:`LOADS`; where the model needs a pull, let it remember less instead."""

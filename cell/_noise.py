@@ -45,9 +45,23 @@ FORGET = 1.002
 """by which the least noise of the median cell grows from one look at it to the next, so that noise may rise for good"""
 MEDIAN_OF_SQUARES = 0.4549
 """median of the square of a normal variable of variance 1"""
-_THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
-_COEFFICIENTS = [np.roll(_THIRD, shift) for shift in range(4)]
-"""of the four readings in the ring, when the oldest is in row 0, 1, 2, 3"""
+WINDOW = 12
+"""readings that are kept, and compared with a parabola through them"""
+CROSSED = 10.0
+"""times the variance of noise: a window that has more is crossed by an edge, which smoothing notices"""
+
+
+def _rolled(rows: FloatArray) -> list[FloatArray]:
+    """Coefficients (k, WINDOW) of readings from the oldest on, for a ring whose oldest is in row 0, 1, ..."""
+    return [np.roll(rows, shift, axis=-1) for shift in range(WINDOW)]
+
+
+_THIRD = np.zeros(WINDOW)
+_THIRD[-4:] = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
+_THIRD_DIFFERENCE = _rolled(_THIRD)
+_POWERS = np.vander(np.linspace(-1.0, 1.0, WINDOW), WINDOW, increasing=True)
+_BESIDE_PARABOLA = _rolled(np.linalg.qr(_POWERS)[0][:, 3:].T.copy())
+"""orthonormal rows; parabolas have no part in them, white noise has its variance in each"""
 
 
 class NoiseMeter:
@@ -59,7 +73,7 @@ class NoiseMeter:
 
     def __init__(self, cells: int, expected: float = 0.0) -> None:
         """``expected``: standard deviation of r at rest that an earlier recording had; 0 if there is none."""
-        self._ring = np.zeros((4, cells))
+        self._ring = np.zeros((WINDOW, cells))
         self._variance = np.full(cells, expected**2)
         self._looks = SOON if expected else 0
         self._known = KNOWN_ANEW if expected else KNOWN
@@ -75,8 +89,7 @@ class NoiseMeter:
         """(n,) standard deviation of r of a cell at rest; renewed in place"""
         self.quiet = np.inf
         """the least that the median cell has had of late: what is more may be the load; infinite: not known"""
-        self.loudest = 1.0
-        """variance of the noisiest cell, over the least"""
+        self._beside = np.zeros(cells)
         self.resolution = np.zeros(cells)
         """(n,) the part of it that the steps of the ADC make; 0: not known"""
         self.typical_resolution = 0.0
@@ -90,11 +103,11 @@ class NoiseMeter:
 
     def update(self, r: FloatArray, known: BoolArray | None) -> None:
         """Take normalised resistances (n,); ``known`` (n,) marks those that were read, None: all."""
-        self._ring[self._seen % 4] = r
+        self._ring[self._seen % WINDOW] = r
         self._seen += 1
         if known is not None:
-            self._blind[~known] = 4.0  # this reading is in the next three differences, too
-            self._any_blind = 4
+            self._blind[~known] = WINDOW  # so many frames contain this reading
+            self._any_blind = WINDOW
         due = self._looks < SOON or self._seen % EVERY == 0
         if due and self._seen > 3:
             self._look(r)
@@ -106,7 +119,7 @@ class NoiseMeter:
 
     def _guess(self, r: FloatArray) -> None:
         """Take the median cell's change from the last reading for noise, until there are four readings."""
-        changes = (r - self._ring[(self._seen - 2) % 4]) / (r + 1.0) ** 2
+        changes = (r - self._ring[(self._seen - 2) % WINDOW]) / (r + 1.0) ** 2
         self.typical = float(np.median(np.abs(changes))) / (2 * MEDIAN_OF_SQUARES) ** 0.5
         self.at_rest[:] = np.hypot(self.typical, LEAST)
         np.maximum(self.at_rest, self.resolution, out=self.at_rest)
@@ -114,13 +127,13 @@ class NoiseMeter:
     def _look(self, r: FloatArray) -> None:
         """Average the square of the third difference that ends with ``r``."""
         squares = self._squares
-        np.dot(_COEFFICIENTS[self._seen % 4], self._ring, out=squares)
+        np.dot(_THIRD_DIFFERENCE[self._seen % WINDOW], self._ring, out=squares)
         np.add(r, 1.0, out=self._limit)
         self._limit *= self._limit
         squares /= self._limit
         squares *= squares
         if self._any_blind:
-            np.copyto(squares, self._variance, where=self._blind > 0)
+            np.copyto(squares, self._variance, where=self._blind > WINDOW - 4)
         self._average(squares)
 
     def _average(self, squares: FloatArray) -> None:
@@ -150,11 +163,30 @@ class NoiseMeter:
         if self._looks > self._known:
             least = max(self.typical, self.typical_resolution, LEAST)
             self.quiet = min(FORGET * self.quiet, least)
-            self.loudest = float(self._variance.max()) / self.quiet**2
 
-    def excess(self, cells: IntArray) -> FloatArray:
-        """Variance of the readings of ``cells`` over the least that the median cell has had."""
-        return np.asarray(self._variance[cells] / self.quiet**2)
+    def unrest(self, cells: IntArray) -> FloatArray:
+        """(m,) variance of the readings of ``cells`` about parabolas, over that of the board's noise. To be called
+        every :data:`WINDOW` frames.
+
+        A vibration within the noise looks like noise, but the board has less. Parabolas through :data:`WINDOW` readings
+        take up what moves smoothly. The lesser of the last two counts, since a single edge is in one of them only.
+        """
+        if self._seen < WINDOW or not np.isfinite(self.quiet):
+            return np.zeros(cells.size)
+        ring = self._ring[:, cells]
+        beside = np.dot(_BESIDE_PARABOLA[self._seen % WINDOW], ring)
+        scale = ring[(self._seen - 1) % WINDOW] + 1.0
+        scale *= scale
+        scale *= np.maximum(self.quiet, self.resolution[cells])
+        beside /= scale
+        present = np.einsum("ij,ij->j", beside, beside) / len(beside)
+        if self._any_blind:
+            present[self._blind[cells] > 0] = 0.0
+        before = self._beside[cells]
+        found = np.minimum(present, before)
+        found[np.maximum(present, before) > CROSSED] = 0.0
+        self._beside[cells] = present
+        return found
 
     def std(self, r: FloatArray, cells: slice | IntArray = slice(None)) -> FloatArray:
         """Standard deviation of the readings ``r`` of ``cells``."""
@@ -166,7 +198,7 @@ class NoiseMeter:
 
     def change_before(self, cells: IntArray) -> FloatArray:
         """Change of the readings of ``cells`` from the last but two to the last but one."""
-        before, last = self._ring[(self._seen - 3) % 4], self._ring[(self._seen - 2) % 4]
+        before, last = self._ring[(self._seen - 3) % WINDOW], self._ring[(self._seen - 2) % WINDOW]
         return np.asarray(last[cells] - before[cells])
 
     def state(self) -> dict[str, FloatArray]:
@@ -177,14 +209,16 @@ class NoiseMeter:
             "noise_variance": self._variance,
             "noise_resolution": self.resolution,
             "noise_counts": np.array([self._looks, self._seen, self._any_blind], dtype=np.float64),
-            "noise_of_array": np.array([self.typical, self.quiet, self.loudest]),
+            "noise_of_array": np.array([self.typical, self.quiet]),
+            "noise_beside": self._beside,
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a :meth:`state`."""
         self._ring, self._blind, self._variance = (state[f"noise_{name}"] for name in ("ring", "blind", "variance"))
+        self._beside = state["noise_beside"]
         looks, seen, any_blind = state["noise_counts"].tolist()
-        self.typical, self.quiet, self.loudest = state["noise_of_array"].tolist()
+        self.typical, self.quiet = state["noise_of_array"].tolist()
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
         self.at_rest = np.sqrt(self._variance + LEAST**2)
         self.resolve(state["noise_resolution"])

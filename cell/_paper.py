@@ -16,14 +16,15 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from . import _lag as lag
-from ._estimator import GAIN, HIDES_EVERY, PRESSURE, VARIANCE, Conditions, Estimator
+from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
 from ._models import PaperModel
+from ._noise import WINDOW
 
 LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
 USUAL, DOUBT = 1.1, 0.1
 """times full scale: no larger pressure is believed while its standard deviation by the memory is above the second"""
-BEYOND = 0.3
+BEYOND = 0.5
 """of full scale: standard deviation of a pressure that was found to be too large to be believed"""
 MEMORIES = 10.0
 """times the fast answer to full scale that r may reach: presses in quick succession add up"""
@@ -43,9 +44,8 @@ BETWEEN = 0.3
 """of the way of a load in a frame: how far beyond the frames it turned. Between none and half; the root mean square"""
 MOST_LOST = 1.0
 """of full scale: no larger standard deviation is stated for turns that were not noticed"""
-UNSEEN, SEEMING = 3.0, 0.5
-"""standard deviations of a reading within which a load may go to and fro in a frame unseen; share of the rise that this
-seems to be which counts as standard deviation"""
+UNSEEN = 3.0
+"""standard deviations of a reading within which a load may go to and fro in a frame unseen"""
 LOST, GONE = 1.5, 0.7
 """standard deviations of the smoothed noise by which the hypotheses must have been apart for a doubt to stay, and the
 share of the variance that a new beginning takes away"""
@@ -399,12 +399,10 @@ class TurningEstimator(Estimator):
         of.doubt += lost + np.sqrt(of.doubt * lost)
         np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
 
-    def _miss(self, memory: FloatArray, noise: FloatArray, hides: FloatArray) -> None:
+    def _miss(self, memory: FloatArray, noise: FloatArray, rise_kpa: FloatArray) -> None:
         """A load to and fro within the noise seems to rise: r goes up by one model, and would go down by the other."""
         gain, before = memory[GAIN], memory[TURNED]
-        rise = np.maximum(memory[PRESSURE] - memory[LAST], 0.0)
-        np.minimum(rise, UNSEEN * self._bend * noise * gain**2, out=rise)
-        rise *= hides * (HIDES_EVERY * SEEMING)
+        rise = np.minimum(rise_kpa, WINDOW * UNSEEN * self._bend * noise * gain**2)
         after = np.minimum((np.sqrt(before) + rise) ** 2, self._lost_at_most_kpa2)
         memory[VARIANCE] += after - before
         memory[TURNED] = after
