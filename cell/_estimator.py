@@ -33,8 +33,8 @@ from ._noise import WINDOW, NoiseMeter
 
 PRESSURE, GAIN, VARIANCE = range(3)
 """first rows of every memory: kPa; kPa per unit of r by which noise enters it; kPa^2 by which memory adds to it"""
-SHARED = 3
-"""number of these rows"""
+SHARED = 6
+"""number of rows, at most, that the standard deviation follows from"""
 SPARK_S = 0.1
 """a jump that is taken back sooner is no load"""
 BACK = 0.05
@@ -490,6 +490,7 @@ class Estimator(ABC):
             return np.full(memory.shape[1], np.nan)
         variance: FloatArray = std * memory[GAIN]
         variance *= variance
+        variance += self._within_frame(memory, np.sqrt(variance))
         variance += memory[VARIANCE]
         variance += self._model_variance
         if self._rest_variance is not None:
@@ -682,6 +683,13 @@ class Estimator(ABC):
 
         ``rise_kpa`` (m,) is the rise in the last :data:`WINDOW` frames that this motion may only seem to be.
         """
+
+    def _within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
+        """(m,) variance in kPa^2 by what the load may have done since the last frame.
+
+        ``memory`` (SHARED, m) are the first rows, ``noise_kpa`` (m,) the standard deviation by noise.
+        """
+        return _ZERO
 
     def _settled(self, memory: FloatArray, band: float) -> BoolArray:
         """(m,) whether the memory is that of a cell at rest, within ``band`` of r."""

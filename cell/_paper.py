@@ -24,7 +24,7 @@ LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
 USUAL, DOUBT = 1.1, 0.1
 """times full scale: no larger pressure is believed while its standard deviation by the memory is above the second"""
-BEYOND = 0.5
+BEYOND = 0.6
 """of full scale: standard deviation of a pressure that was found to be too large to be believed"""
 MEMORIES = 10.0
 """times the fast answer to full scale that r may reach: presses in quick succession add up"""
@@ -194,11 +194,11 @@ class PaperEstimator(Estimator):
         return held
 
 
-TURNED, SIGN, EXTREME, PEAK, LEFT, LAST, BEFORE_LAST = range(3, 10)
-"""rows: variance from turns not known to the point, which fades; 1 rising, -1 in recovery; the largest sign times
-pressure since the last turn, less :data:`LESS` and less one standard deviation; the extreme that was left
-at an unconfirmed turn, else ``FAR``; the pressures of the last frame and of the one before"""
-IN_FORCE, STATE = slice(10, 12), slice(12, 19)
+LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
+"""rows: the pressures of the last three frames; variance from turns not known to the point, which fades; 1 rising, -1 in
+recovery; the largest sign times pressure since the last turn, less :data:`LESS` and less one standard deviation; the
+extreme that was left at an unconfirmed turn, else ``FAR``"""
+IN_FORCE, STATE = slice(11, 13), slice(13, 20)
 """1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
 RISING, RECOVERY = 0, 1
 HYPOTHESES = ("rising_pressure", "recovery_pressure", "settled", "x2", "rising_x3", "recovery_x3", "r")
@@ -266,8 +266,8 @@ class TurningEstimator(Estimator):
     """
 
     rows = (
-        *("pressure", "gain", "variance", "turned", "sign", "extreme", "peak", "left_extreme"),
-        *("last", "before_last", "is_rising", "is_recovery", *HYPOTHESES),
+        *("pressure", "gain", "variance", "last", "before_last", "third_last"),
+        *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
     )
 
     def __init__(
@@ -308,7 +308,7 @@ class TurningEstimator(Estimator):
         p = r / m.gain_per_kpa
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[GAIN], memory[SIGN], memory[LEFT] = p, self._begin_gain, 1.0, FAR
-        memory[EXTREME], memory[PEAK], memory[LAST], memory[BEFORE_LAST] = p, p, p, p
+        memory[EXTREME], memory[PEAK], memory[LAST : THIRD_LAST + 1] = p, p, p
         memory[IN_FORCE.start + RISING] = 1.0
         memory[STATE] = [p, p, p, p / m.e2_kpa, p / m.e3_kpa, p / m.e3_kpa, r]
         return memory
@@ -320,7 +320,7 @@ class TurningEstimator(Estimator):
         of = self._of
         if memory is not of.memory:
             of = self._of = _Rows(memory)
-        np.copyto(of.before_last, of.last)
+        np.copyto(of.before, of.until_before)
         np.copyto(of.last, of.pressure)
         np.copyto(of.r, r)
         np.dot(w.step, of.state, of.change)
@@ -458,12 +458,21 @@ class TurningEstimator(Estimator):
         """(m,) standard deviation in kPa that turns between two frames leave in ``pressure`` (m,).
 
         The extreme itself falls between two frames. How far it was beyond them is up to half of the way that the load
-        went in a frame before or after, whichever is less. On that way r goes up by one model and down by the other.
+        went in a frame before or after, whichever is less; in the frame of the turn itself it may have gone to and fro. On that way r goes up by one model and down by the other.
         All turns err to the same side, so these errors add up like amounts rather than like variances.
         """
-        way = np.minimum(np.abs(memory[LAST] - memory[BEFORE_LAST]), np.abs(pressure - memory[LAST]))
+        last, before, third = memory[LAST : THIRD_LAST + 1]
+        there = np.maximum(np.abs(before - third), np.abs(last - before))
+        way = np.minimum(there, np.abs(pressure - last))
         noise_free: FloatArray = BETWEEN * way * self._bend * gain
         return noise_free
+
+    def _within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
+        """A load that bent may as well have turned within the frame: no reading tells of the turn yet."""
+        bend = np.abs(memory[PRESSURE] - 2.0 * memory[LAST] + memory[BEFORE_LAST])
+        bend = np.maximum(bend - SURE * noise_kpa, 0.0)
+        found: FloatArray = (BETWEEN * self._bend * bend * memory[GAIN]) ** 2
+        return found
 
     def _limit(self, of: _Rows, weights: TurnWeights) -> None:
         """Keep pressures within :data:`LOADS`, and what is remembered with them; changes the state.
@@ -531,8 +540,9 @@ class _Rows:
     def __init__(self, memory: FloatArray) -> None:
         self.memory = memory
         cells = memory.shape[1]
-        self.pressure, self.gain, self.variance, self.doubt, self.sign, self.extreme, self.peak, self.left = memory[:8]
-        self.last, self.before_last = memory[LAST], memory[BEFORE_LAST]
+        self.pressure, self.gain, self.variance, self.last = memory[: LAST + 1]
+        self.before, self.until_before = memory[BEFORE_LAST : THIRD_LAST + 1], memory[LAST : BEFORE_LAST + 1]
+        self.doubt, self.sign, self.extreme, self.peak, self.left = memory[TURNED : LEFT + 1]
         self.in_force = memory[IN_FORCE]
         self.state = memory[STATE]
         self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]

@@ -33,12 +33,12 @@ class OneCell:
         self.extreme = self.peak = p
         self.left: float | None = None
         self.doubt = self.variance = 0.0
-        self.last = self.before_last = p
+        self.last = self.before_last = self.third_last = p
 
     def step(self, dt: float, r: float, std: float, doubt: float) -> float:
         """Take a reading, uncertain by ``std`` by noise and by ``doubt`` in all; the pressure."""
         m = self.model
-        self.before_last, self.last = self.last, self.now.pressure
+        self.third_last, self.before_last, self.last = self.before_last, self.last, self.now.pressure
         gains = {rising: self._solved(Hypothesis(0, 0, 0, 0), rising, dt, 1.0).pressure for rising in (True, False)}
         now, other = self._solved(self.now, self.rising, dt, r), self._solved(self.other, not self.rising, dt, r)
         if self.variance > (paper.DOUBT * self.full) ** 2:
@@ -59,7 +59,8 @@ class OneCell:
             self.extreme = left if again else (1 if self.rising else -1) * max(now.pressure, 0) - paper.LESS * unsure
             ahead = (1 if self.rising else -1) * max(now.pressure, 0)
             self.peak = left if again else ahead - unsure
-            way = min(abs(self.last - self.before_last), abs(now.pressure - self.last))
+            there = max(abs(self.before_last - self.third_last), abs(self.last - self.before_last))
+            way = min(there, abs(now.pressure - self.last))
             bend = 1 / m.eu1_kpa + 1 / m.etau2_kpa - 1 / m.e1_kpa
             unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full
             self.doubt = (np.sqrt(self.variance) + unseen) ** 2 + (gains[False] * std) ** 2
