@@ -80,7 +80,7 @@ class Honesty:
     std_percent: float
     """median of the stated deviations, of full scale"""
     width: float
-    """root mean square of the stated deviations, over that of the errors: 1 where they are neither too small nor too
+    """mean of the stated deviations over the root mean square of the errors: 1 where they are neither too small nor too
     wide. The least deviation of half a percent makes it large where hardly anything is wrong"""
     within_two: float
     """share of errors within two deviations"""
@@ -282,9 +282,9 @@ def judged_together(
                 noise_mv=noise_mv,
                 rate_hz=rate_hz,
                 bits=bits,
-                rmse_percent=100.0 * float(np.sqrt(np.mean(error[kept, part] ** 2))) / full,
+                rmse_percent=100.0 * _rms(error[kept, part]) / full,
                 std_percent=100.0 * float(np.median(std[kept, part])) / full,
-                width=_rms(std[kept, part]) / max(_rms(error[kept, part]), LEAST_ERROR * full),
+                width=float(np.mean(std[kept, part])) / max(_rms(error[kept, part]), LEAST_ERROR * full),
                 within_two=float(np.mean(over[kept, part] < 2.0)),
                 beyond_three=float(np.mean(over[kept, part] > 3.0)),
                 worst=float(over[kept, part].max()),

@@ -47,7 +47,7 @@ MEDIAN_OF_SQUARES = 0.4549
 """median of the square of a normal variable of variance 1"""
 WINDOW = 12
 """readings that are kept, and compared with a parabola through them"""
-CROSSED = 10.0
+CROSSED = 10
 """times the variance of noise: a window that has more is crossed by an edge, which smoothing notices"""
 
 

@@ -42,9 +42,12 @@ CONFIRMED_RISE, CONFIRMED_FALL = 3.0, 1.0
 found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
 BETWEEN = 0.3
 """of the way of a load in a frame: how far beyond the frames it turned. Between none and half; the root mean square"""
+JUST_BEGUN = 3.0
+"""times the way of a frame: how far a load may go in a frame, since it may have begun to move in the midst of the one
+before"""
 MOST_LOST = 1.0
 """of full scale: no larger standard deviation is stated for turns that were not noticed"""
-UNSEEN = 3.0
+UNSEEN = 1.5
 """standard deviations of a reading within which a load may go to and fro in a frame unseen"""
 LOST, GONE = 1.5, 0.7
 """standard deviations of the smoothed noise by which the hypotheses must have been apart for a doubt to stay, and the
@@ -463,7 +466,7 @@ class TurningEstimator(Estimator):
         """
         last, before, third = memory[LAST : THIRD_LAST + 1]
         there = np.maximum(np.abs(before - third), np.abs(last - before))
-        way = np.minimum(there, np.abs(pressure - last))
+        way = np.minimum(JUST_BEGUN * there, np.abs(pressure - last))
         noise_free: FloatArray = BETWEEN * way * self._bend * gain
         return noise_free
 

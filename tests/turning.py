@@ -60,7 +60,7 @@ class OneCell:
             ahead = (1 if self.rising else -1) * max(now.pressure, 0)
             self.peak = left if again else ahead - unsure
             there = max(abs(self.before_last - self.third_last), abs(self.last - self.before_last))
-            way = min(there, abs(now.pressure - self.last))
+            way = min(paper.JUST_BEGUN * there, abs(now.pressure - self.last))
             bend = 1 / m.eu1_kpa + 1 / m.etau2_kpa - 1 / m.e1_kpa
             unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full
             self.doubt = (np.sqrt(self.variance) + unseen) ** 2 + (gains[False] * std) ** 2
