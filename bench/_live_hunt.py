@@ -7,16 +7,16 @@ the driver's :class:`.CountReader` takes the counts. Findings:
   uncertainty covers three and a search sees millions of readings);
 * a *factor of two*: valid, and off by more than that; any valid resistance of an open cell is such a finding;
 * an *unsolved* frame: right readings for which no cells are found;
-* an *unsettled* stream: cells are still called unsettled in the last of eight equal frames;
-* a *slow* frame: the work of more than ten usual ones, from counts to ohms. A usual frame is the median of the stream's
-  frames after the first in which cells move.
+* an *unsettled* stream: cells are still called unsettled in the last of eight equal frames.
 
 Nobody can know of a noise before it is in the readings. Cells that are off in the frame in which a larger noise begins,
 or in the first frame with more noise than the reader assumes, are counted as *surprised* and are no findings.
 
-Work is counted in executed lines of ohmskin, so that a verdict does not depend on the machine's load: each model that is
-evaluated and each derivative that is made takes its lines. An operation on a large matrix counts as one on a small one.
-The table shows the same ratio in processor time beside it.
+A *slow* stream has a frame with the work of more than ten usual ones, from counts to ohms. A usual frame is the median
+of the stream's frames after the first in which readings change. Slow streams are shown, but are no wrong readings.
+Work is counted in executed lines of ohmskin, so that a verdict does not depend on the machine's load: each model that
+is evaluated and each derivative that is made takes its lines. An operation on a large matrix counts as one on a small
+one. The table shows the same ratio in processor time beside it.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from ..circuits import Reason
 from ..driver import CountReader, Reading
 from ._live_streams import FAMILIES, MOVING, LiveStream, stream
 
-KINDS = ("wrong cell", "factor of two", "unsolved", "unsettled", "slow")
+KINDS = ("wrong cell", "factor of two", "unsolved", "unsettled")
 _MOST_USUAL_FRAMES = 10.0
 _ASSUMED_NOISE = 0.5  # ADC steps that the reader assumes in the first frame
 
@@ -60,6 +60,8 @@ class LiveTally:
     """largest work of a frame in executed lines, over the stream's median"""
     longest: float = 0.0
     """the same in processor time; the machine's load counts"""
+    slow: list[str] = field(default_factory=list)
+    """streams with a frame of more than ten usual ones"""
     findings: list[str] = field(default_factory=list)
 
     def count(self, what: str) -> int:
@@ -99,7 +101,7 @@ def check(family: str, number: int, tally: LiveTally) -> None:
     slowest = _over_usual(_work(read_from), read_from)
     tally.slowest = max(tally.slowest, slowest)
     if slowest > _MOST_USUAL_FRAMES:
-        found["slow"] = f"{slowest:.1f} usual frames"
+        tally.slow.append(f"slow: {family}:{number}, {slowest:.1f} usual frames")
     tally.findings += [f"{what}: {family}:{number}, {where}" for what, where in found.items()]
 
 
@@ -157,10 +159,10 @@ def run(seed: int, seconds: float, families: tuple[str, ...] = ()) -> int:
     with contextlib.suppress(KeyboardInterrupt):  # the search may be ended at any time
         while monotonic() - start < seconds:
             for family, tally in tallies.items():
-                known = len(tally.findings)
+                known, slow = len(tally.findings), len(tally.slow)
                 check(family, number, tally)
-                for finding in tally.findings[known:]:
-                    click.echo(finding)
+                for told in tally.findings[known:] + tally.slow[slow:]:
+                    click.echo(told)
             number += 1
     click.echo(table(tallies))
     return sum(len(tally.findings) for tally in tallies.values())
@@ -170,13 +172,14 @@ def table(tallies: dict[str, LiveTally]) -> str:
     """The tallies as text."""
     lines = [
         f"{'family':20} {'boards':>7} {'unread':>7} {'frames':>7} {'valid':>7} {'used':>6} {'surprise':>8}"
-        f" {'slowest':>8} {'(time)':>8}  findings: " + ", ".join(KINDS)
+        f" {'slow':>5} {'slowest':>8} {'(time)':>8}  findings: " + ", ".join(KINDS)
     ]
     for family, tally in tallies.items():
         kinds = ", ".join(str(tally.count(kind)) for kind in KINDS)
         valid = 100.0 * tally.valid / max(tally.cells, 1)
         lines.append(
-            f"{family:20} {tally.boards:7} {tally.unreadable:7} {tally.frames:7} {valid:6.1f}% {tally.used:6.2f}"
-            f" {tally.surprised:8} {tally.slowest:8.1f} {tally.longest:8.1f}  {len(tally.findings)}: {kinds}"
+            f"{family:20} {tally.boards:7} {tally.unreadable:7} {tally.frames:7} {valid:6.1f}% {tally.used:6.2g}"
+            f" {tally.surprised:8} {len(tally.slow):5} {tally.slowest:8.1f} {tally.longest:8.1f}"
+            f"  {len(tally.findings)}: {kinds}"
         )
     return "\n".join(lines)

@@ -148,9 +148,7 @@ def _varied(draw: Draw, tables: Tables) -> Tables:
     if max(shape) > 8:
         array["row_segment"] = array["column_segment"] = float(draw.choice([0.0, 0.0, 0.05, 0.5]))
     if draw.random() < 0.2:
-        readout["reference_resistance"] = (
-            readout["reference_resistance"] * draw.uniform(0.8, 1.25, sensed)
-        ).tolist()
+        readout["reference_resistance"] = (readout["reference_resistance"] * draw.uniform(0.8, 1.25, sensed)).tolist()
     if readout["circuit"] != "voltage-divider":
         readout["open_loop_gain"] = float(draw.choice([np.inf, 1e6, 1e4, 300.0]))
         readout["offset_voltage"] = (
@@ -225,8 +223,9 @@ def _pressed(draw: Draw, design: Design, skin: Skin) -> FloatArray:
     return np.concatenate([cells, np.repeat(cells[-1:], HELD, axis=0)])
 
 
-def _plain_skin(draw: Draw, cells: FloatArray, _: FloatArray) -> FloatArray:
+def _plain_skin(draw: Draw, cells: FloatArray, rest: FloatArray) -> FloatArray:
     """With cells that are open or shorted in all frames."""
+    del rest
     if draw.random() < 0.3:
         for _ in range(draw.integers(1, 4)):
             odd = float(draw.choice([np.inf, 1e-2, 1.0, 30.0, 1e8]))
@@ -237,7 +236,7 @@ def _plain_skin(draw: Draw, cells: FloatArray, _: FloatArray) -> FloatArray:
 def _varied_skin(draw: Draw, cells: FloatArray, rest: FloatArray) -> FloatArray:
     """With cells that differ much, and up to three events in mid-stream."""
     cells = cells * 10 ** draw.uniform(-1.0, 1.0, rest.shape) ** 3 if draw.random() < 0.2 else cells
-    for _ in range(int(draw.choice([0, 1, 1, 2, 3]))):
+    for _ in range(draw.choice([0, 1, 1, 2, 3])):
         start = int(draw.integers(0, MOVING))
         end = int(draw.choice([start + 1, start + 3, MOVING, MOVING]))  # the last frame is held
         story = _Story(draw, cells[start:end], rest)

@@ -31,7 +31,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..circuits import CIRCUITS, METHODS, Design, scan
 from ..errors import SolverError
-from . import _live_hunt
+from . import _live_hunt, _live_streams
 from ._reference import Indeterminate, reference_volts
 
 _ULP = float(np.finfo(np.float64).eps)
@@ -285,9 +285,11 @@ def table(tallies: dict[str, Tally]) -> str:
 @click.option("--show", help="Print the design of a finding: FAMILY:NUMBER.")
 def main(seconds: float, seed: int, family: tuple[str, ...], live: bool, show: str | None) -> None:
     """Search for readings that differ from exact arithmetic by more than they say."""
-    known = _live_hunt.FAMILIES if live else FAMILIES
+    known = _live_streams.FAMILIES if live else FAMILIES
     if unknown := set(family) - set(known):
-        raise click.BadParameter(f"{', '.join(sorted(unknown))}; expected some of {', '.join(known)}", param_hint="--family")
+        raise click.BadParameter(
+            f"{', '.join(sorted(unknown))}; expected some of {', '.join(known)}", param_hint="--family"
+        )
     if live:
         raise SystemExit(1 if _live_hunt.run(seed, seconds, family) else 0)
     if show:
