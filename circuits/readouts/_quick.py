@@ -142,11 +142,11 @@ def open_column_fields(board: Parts, network: QuickNetwork) -> QuickFields:
         )
     laplacian = _floating(network, np.zeros(columns))
     laplacian += np.trace(laplacian) / len(laplacian) ** 2
-    impedance = np.linalg.inv(laplacian)
-    of_rows, of_columns = impedance[:rows], impedance[rows:]
+    at_ports: FloatArray = np.linalg.inv(laplacian)
+    of_rows, of_columns = at_ports[:rows], at_ports[rows:]
     # V at the ports for 1 A from the row to the column are the difference of both.
-    own = np.diagonal(impedance)
-    current = 1.0 / (behind + own[:rows, None] + own[rows:] - 2.0 * impedance[:rows, rows:])
+    own = np.diagonal(at_ports)
+    current = 1.0 / (behind + own[:rows, None] + own[rows:] - 2.0 * at_ports[:rows, rows:])
     forward, adjoint = board.drive * current, load * current
     return QuickFields(
         PortFields(of_rows, of_columns, forward, -forward), PortFields(of_rows, of_columns, -adjoint, adjoint)

@@ -188,8 +188,8 @@ class CoupledLive:
             self._nodes = None
         if cells > LARGEST_MATRIX and not (self._columns.applies or self._nodes):
             raise InputError(
-                f"the live recovery of boards with floating rows or bridged lines is for at most {LARGEST_MATRIX} "
-                f'cells, and the array has {cells}; expected a smaller array, or drive.idle_rows = "ground"'
+                "the live recovery of boards with bridged lines, or with floating rows and broken lines, is for at "
+                f"most {LARGEST_MATRIX} cells, and the array has {cells}; expected a smaller array, or no such fault"
             )
         self._shorted = np.zeros(board.shape, dtype=np.bool_)  # by faults of 0 ohm
         for fault in whole.shorts:
@@ -346,6 +346,7 @@ class CoupledLive:
         misfit, stalled, instalments = self._misfit(apart) / scale, False, effort.instalments
         steeper = self._steeper(slope)
         step = self._step(apart, steeper)
+        doubted = self._astray or self._from_fresh_start  # steps then go on to their end, see :attr:`_Fit.proven`
         for left in range(effort.evaluations - 1, -1, -1):
             known = self._known_at(known.log + step)
             apart = self._apart(measured, known)
@@ -370,7 +371,7 @@ class CoupledLive:
                         serves = misfit <= _FITS and self._serves(step, scale)
                         moved = self._moved(known.log, scale)
                         break
-            if serves or not left:
+            if not left or (serves and (misfit <= _CONVERGED or not doubted)):
                 break
         lost = not serves and moved > _TOO_FAR
         proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)

@@ -1,5 +1,4 @@
-"""Gauss-Newton steps on boards with floating rows: conjugate gradients, preconditioned by a diagonal and one product
-per line.
+"""Gauss-Newton steps on boards with floating rows, by preconditioned conjugate gradients.
 
 With floating idle rows a reading depends on all cells. It depends much more on its own cell and on those of its row and
 its column than on the rest, though: every other path leads through at least three cells. Within one row or column the
@@ -10,7 +9,8 @@ derivatives by the cells' logarithms are nearly a product of two vectors, so tha
 The normal matrix of a regularised step, J'J + 1/s^2, then is a diagonal A = d^2 + 1/s^2 with a product of rank
 2 (N + M) beside it. By Woodbury's identity its inverse takes one inversion of a matrix of that size,
 
-    H^-1 = A^-1 - A^-1 V W V' A^-1,    V = (d P, Q),    W^-1 = (-P' (1/s^2 A) P,  1 + P' (d/A) Q;  transposed,  Q' (1/A) Q).
+    H^-1 = A^-1 - A^-1 V W V' A^-1,    V = (d P, Q),
+    W^-1 = (-P' (1/s^2 A) P,  1 + P' (d/A) Q;  1 + Q' (d/A) P,  Q' (1/A) Q).
 
 The posterior variances are the diagonal of that. A step needs J itself: products with it (:mod:`._port_derivatives`)
 within conjugate gradients, for which the structured inverse is the preconditioner. They converge in two to eight
@@ -19,7 +19,6 @@ iterations, whatever the size, and the matrix J is never formed.
 
 from __future__ import annotations
 
-from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -134,15 +133,18 @@ class NodeStep:
 
     def _preconditioned(self, normal: FloatArray) -> FloatArray:
         """The structured inverse of the normal matrix, times (N, M)."""
-        free = self._free * normal
+        free: FloatArray = self._free * normal
         half = len(self._inner) // 2
         along = self._inner @ np.concatenate([self._own_first.gathered(free), self._second.gathered(free)])
-        return free - self._free * (self._own_first.times(along[:half]) + self._second.times(along[half:]))
+        free -= self._free * (self._own_first.times(along[:half]) + self._second.times(along[half:]))
+        return free
 
     def _normal(self, change: FloatArray) -> FloatArray:
         """The normal matrix itself, times (N, M)."""
         readings = self._derivatives.times(self._scale * change)
-        return self._scale * self._derivatives.transposed_times(readings) + self._regular * change
+        image: FloatArray = self._scale * self._derivatives.transposed_times(readings)
+        image += self._regular * change
+        return image
 
     def solve(self, volts: FloatArray) -> FloatArray:
         """Change (n,) of the logarithms for a difference (n,) of the readings in V."""

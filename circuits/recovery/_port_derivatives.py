@@ -151,7 +151,8 @@ class PortDerivatives:
         self._branches = branches
         self._forward, self._adjoint = (branches.inside(field) for field in fields)
         forward, adjoint = self._forward, self._adjoint
-        self._row_row, self._row_column = forward.row_share * adjoint.row_share, forward.row_share * adjoint.column_share
+        self._row_row = forward.row_share * adjoint.row_share
+        self._row_column = forward.row_share * adjoint.column_share
         self._column_row = forward.column_share * adjoint.row_share
         self._column_column = forward.column_share * adjoint.column_share
         self._by_columns = bool(forward.column_share.any())
