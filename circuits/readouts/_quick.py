@@ -142,7 +142,7 @@ def open_column_fields(board: Parts, network: QuickNetwork) -> QuickFields:
         )
     laplacian = _floating(network, np.zeros(columns))
     laplacian += np.trace(laplacian) / len(laplacian) ** 2
-    at_ports: FloatArray = np.linalg.inv(laplacian)
+    at_ports = np.asarray(np.linalg.inv(laplacian), dtype=np.float64)
     of_rows, of_columns = at_ports[:rows], at_ports[rows:]
     # V at the ports for 1 A from the row to the column are the difference of both.
     own = np.diagonal(at_ports)
