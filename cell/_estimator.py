@@ -50,7 +50,7 @@ NEARER, EITHER, SMALL = 0.5, 0.25, 0.15
 the pressure after a tap is usually that from before it"""
 SUDDENLY = 0.6
 """share of a jump that must be taken back from one frame to the next"""
-BEYOND = 0.59
+BEYOND = 0.57
 """of full scale from its middle, beyond which a jump is not shown at once: just less than the largest pressure that an
 inverse in doubt shows"""
 AT_REST = 0.005
