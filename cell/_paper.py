@@ -198,8 +198,8 @@ class PaperEstimator(Estimator):
 
 
 LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
-"""rows: the pressures of the last three frames; variance from turns not known to the point, which fades; 1 rising, -1 in
-recovery; the largest sign times pressure since the last turn, less :data:`LESS` and less one standard deviation; the
+"""rows: the pressures of the last three frames; variance from turns not known to the point, which fades; 1 rising, -1
+in recovery; the largest sign times pressure since the last turn, less :data:`LESS` and less one standard deviation; the
 extreme that was left at an unconfirmed turn, else ``FAR``"""
 IN_FORCE, STATE = slice(11, 13), slice(13, 20)
 """1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
@@ -461,8 +461,9 @@ class TurningEstimator(Estimator):
         """(m,) standard deviation in kPa that turns between two frames leave in ``pressure`` (m,).
 
         The extreme itself falls between two frames. How far it was beyond them is up to half of the way that the load
-        went in a frame before or after, whichever is less; in the frame of the turn itself it may have gone to and fro. On that way r goes up by one model and down by the other.
-        All turns err to the same side, so these errors add up like amounts rather than like variances.
+        went in a frame before or after, whichever is less; in the frame of the turn itself it may have gone to and
+        fro. On that way r goes up by one model and down by the other. All turns err to the same side, so these errors
+        add up like amounts rather than like variances.
         """
         last, before, third = memory[LAST : THIRD_LAST + 1]
         there = np.maximum(np.abs(before - third), np.abs(last - before))
