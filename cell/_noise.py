@@ -183,7 +183,7 @@ class NoiseMeter:
         if self._any_blind:
             present[self._blind[cells] > 0] = 0.0
         before = self._beside[cells]
-        found = np.minimum(present, before)
+        found: FloatArray = np.minimum(present, before)
         found[np.maximum(present, before) > CROSSED] = 0.0
         self._beside[cells] = present
         return found
