@@ -286,7 +286,7 @@ class TurningEstimator(Estimator):
         self._taken_over = taken_over(model)
         self._bend = 1 / model.eu1_kpa + 1 / model.etau2_kpa - 1 / model.e1_kpa
         """r per kPa by which the answer to a fast rise exceeds that to a fast fall"""
-        self._lost_kpa2 = (NEAR * full_scale_kpa) ** 2
+        self._lost_kpa2, self._gone = (NEAR * full_scale_kpa) ** 2, np.array(GONE)
         self._lost_at_most_kpa2 = (MOST_LOST * full_scale_kpa) ** 2
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
@@ -294,7 +294,10 @@ class TurningEstimator(Estimator):
         self._of = _Rows(np.zeros((len(self.rows), 0)))
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
         # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
-        self._sure, self._less, self._again, self._either = (np.array(x) for x in (SURE, LESS, AGAIN, EITHER))
+        self._sure, self._less, self._again, self._either, self._far = (
+            np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
+        )
+        self._none, self._one = np.array(0.0), np.array(1.0)
         self._turn_kpa, self._flat_kpa, self._exact_kpa = (
             np.array(share * full_scale_kpa) for share in (TURN, FLAT, EXACTLY)
         )
@@ -320,11 +323,11 @@ class TurningEstimator(Estimator):
         of = self._of
         if memory is not of.memory:
             of = self._of = _Rows(memory)
-        np.copyto(of.before_last, of.last)
-        np.copyto(of.last, of.pressure)
-        np.copyto(of.r, r)
-        np.dot(w.step, of.state, of.change)
-        np.copyto(of.hypotheses, of.change)
+        of.before_last[...] = of.last
+        of.last[...] = of.pressure
+        of.r[...] = r
+        w.step.dot(of.state, of.change)
+        of.hypotheses[...] = of.change
         both = of.both
         if both.item(both.argmin()) < self._lowest or both.item(both.argmax()) > self._usual:
             self._limit(of, w)
@@ -351,7 +354,7 @@ class TurningEstimator(Estimator):
             np.multiply(of.sign, self._sooner, of.nearby)
             of.nearby += self._usually
             noise *= of.nearby
-            np.copyto(of.left, FAR, where=np.greater_equal(back, noise, of.where))
+            np.copyto(of.left, self._far, where=np.greater_equal(back, noise, of.where))
         if not self._exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
             self._correct(of, doubt(), w)
 
@@ -360,10 +363,10 @@ class TurningEstimator(Estimator):
         np.maximum(of.unsure, self._flat_kpa, out=of.nearby)
         again = np.less(below_peak, of.nearby, of.where).astype(np.float64)
         again *= self._again
-        np.copyto(again, 1.0, where=np.less_equal(below_peak, self._exact_kpa, of.where))
+        np.copyto(again, self._one, where=np.less_equal(below_peak, self._exact_kpa, of.where))
         if unconfirmed:
-            np.copyto(again, 0.0, where=np.less(of.left, FAR, of.where))
-        np.dot(self._taken_over, of.state, of.change)
+            np.copyto(again, self._none, where=np.less(of.left, self._far, of.where))
+        self._taken_over.dot(of.state, of.change)
         np.multiply(of.not_rising, again, of.rising_share)
         np.multiply(of.not_recovery, again, of.recovery_share)
         for pair in of.changes_by_model:
@@ -392,9 +395,13 @@ class TurningEstimator(Estimator):
         coarse converter that may happen at each step at rest, so the doubt has an end: full scale. Half of it would be
         the deviation of any load, but a memory that is lost shows up to 1.1 times full scale where there is no load.
         """
-        by_noise = of.unsure * (LOST / LESS)
         lost = of.variance - apart
-        begun = (lost > GONE * of.variance) & (of.variance > by_noise**2) & (of.variance > self._lost_kpa2)
+        begun = lost > self._gone * of.variance
+        begun &= of.variance > self._lost_kpa2
+        if not np.count_nonzero(begun):
+            return
+        by_noise = of.unsure * (LOST / LESS)
+        begun &= of.variance > by_noise**2
         np.copyto(lost, 0.0, where=~begun)
         of.doubt += lost + np.sqrt(of.doubt * lost)
         np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
@@ -556,7 +563,7 @@ class _Rows:
         """Gains of the hypothesis in force and of the other one; ``anew``: another hypothesis may be in force."""
         if weights is self._weights and not anew:
             return
-        np.dot(weights.by_model, self.in_force, self._of_model)
-        np.copyto(self.gain, self._gain)
-        np.copyto(self.not_in_force, self.in_force[::-1])
+        weights.by_model.dot(self.in_force, self._of_model)
+        self.gain[...] = self._gain
+        self.not_in_force[...] = self.in_force[::-1]
         self._weights = weights
