@@ -149,13 +149,20 @@ class _Steps(NamedTuple):
 
         Of a cell that is not valid now, when it last was. The array is the caller's.
         """
+        uncertainty, others = self.reading.uncertainty, self.reading.others_noise_std
+        if self.earlier is None:
+            return self._sum(uncertainty, others)
+        known = self.earlier.copy()
+        known[self.valid] = self._sum(uncertainty[self.valid], others[self.valid])
+        return known
+
+    def _sum(self, uncertainty: FloatArray, others: FloatArray) -> FloatArray:
+        """Relative variance by ADC steps, and by noise of standard deviation ``others``."""
         # An error that is evenly distributed over an interval has the half-width over the root of three.
-        variance = self.reading.uncertainty * (self.reading.steps_share / math.sqrt(3.0))
+        variance = uncertainty * (self.reading.steps_share / math.sqrt(3.0))
         variance *= variance
-        others = self.reading.others_noise_std
-        others *= others
-        variance += others
-        return variance if self.earlier is None else np.where(self.valid, variance, self.earlier)
+        variance += others * others
+        return variance
 
 
 def _median_size(values: FloatArray) -> float | None:
