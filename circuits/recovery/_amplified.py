@@ -368,8 +368,9 @@ class AmplifiedLive:
         by_row, by_column = size.dot(self._farthest_driver), self._farthest_amplifier.dot(size)
         most = by_row.item(by_row.argmax()) + by_column.item(by_column.argmax())
         if base.off is None and most <= _FAR:
-            # All cells are as well known as one with the largest reading on the two lines that have changed most.
-            if self._left_out(base, most, transfer.item(transfer.argmax())) <= self._least_tolerance:
+            # No cell is off by more than one with the largest reading would be on the lines that have changed most.
+            left_out = self._left_out(base, most, transfer.item(transfer.argmax()))
+            if left_out <= self._least_tolerance:
                 return self._relinearised(conductance, change), None
         by_lines = by_row[:, None] + by_column
         if most <= _FAR:
