@@ -224,9 +224,9 @@ class InverseEstimator(Estimator):
 
     def _miss(self, memory: FloatArray, noise: FloatArray, rise_kpa: FloatArray) -> None:
         """Motion within the noise breaks chains, which seems to be a load that rises."""
-        memory[MISSED] += np.minimum(
-            rise_kpa / memory[GAIN], WINDOW * self.model.k * memory[GAIN] * noise / self.full_scale_kpa
-        )
+        gain = memory[GAIN]
+        most = WINDOW * self.model.k * gain**2 * noise / self.full_scale_kpa
+        memory[MISSED] += np.where(rise_kpa < most, rise_kpa, 0.0) / gain  # what rises faster is a load
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within :data:`LOADS`; where the model needs a pull, let it remember less instead."""

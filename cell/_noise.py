@@ -47,7 +47,7 @@ MEDIAN_OF_SQUARES = 0.4549
 """median of the square of a normal variable of variance 1"""
 WINDOW = 12
 """readings that are kept, and compared with a parabola through them"""
-CROSSED = 10
+CROSSED = 10.0
 """times the variance of noise: a window that has more is crossed by an edge, which smoothing notices"""
 
 
@@ -62,6 +62,8 @@ _THIRD_DIFFERENCE = _rolled(_THIRD)
 _POWERS = np.vander(np.linspace(-1.0, 1.0, WINDOW), WINDOW, increasing=True)
 _BESIDE_PARABOLA = _rolled(np.linalg.qr(_POWERS)[0][:, 3:].T.copy())
 """orthonormal rows; parabolas have no part in them, white noise has its variance in each"""
+_ONE, _OUTLIER, _LEAST_VARIANCE = np.array(1.0), np.array(OUTLIER), np.array(LEAST**2)
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 class NoiseMeter:
@@ -127,8 +129,8 @@ class NoiseMeter:
     def _look(self, r: FloatArray) -> None:
         """Average the square of the third difference that ends with ``r``."""
         squares = self._squares
-        np.dot(_THIRD_DIFFERENCE[self._seen % WINDOW], self._ring, out=squares)
-        np.add(r, 1.0, out=self._limit)
+        _THIRD_DIFFERENCE[self._seen % WINDOW].dot(self._ring, squares)
+        np.add(r, _ONE, self._limit)
         self._limit *= self._limit
         squares /= self._limit
         squares *= squares
@@ -142,16 +144,16 @@ class NoiseMeter:
             start = np.full(squares.size, float(np.median(squares)) / MEDIAN_OF_SQUARES) if many else squares
             self._variance = np.maximum(start, LEAST**2)
         self._looks += 1
-        np.multiply(self._variance, OUTLIER, out=self._limit)
-        self._limit += LEAST**2
+        np.multiply(self._variance, _OUTLIER, self._limit)
+        self._limit += _LEAST_VARIANCE
         np.minimum(squares, self._limit, out=squares)
         squares -= self._variance
         squares *= max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
         self._variance += squares
         if self._looks % POOL == 1:
             self._pool()
-        np.add(self._variance, LEAST**2, out=self.at_rest)
-        np.sqrt(self.at_rest, out=self.at_rest)
+        np.add(self._variance, _LEAST_VARIANCE, self.at_rest)
+        np.sqrt(self.at_rest, self.at_rest)
         if self.typical_resolution:
             np.maximum(self.at_rest, self.resolution, out=self.at_rest)
 

@@ -59,7 +59,8 @@ class OneCell:
             self.extreme = left if again else (1 if self.rising else -1) * max(now.pressure, 0) - paper.LESS * unsure
             ahead = (1 if self.rising else -1) * max(now.pressure, 0)
             self.peak = left if again else ahead - unsure
-            there = max(abs(self.before_last - self.third_last), abs(self.last - self.before_last))
+            sign = 1.0 if self.rising else -1.0
+            there = max(sign * (self.third_last - self.before_last), sign * (self.before_last - self.last), 0.0)
             way = min(paper.JUST_BEGUN * there, abs(now.pressure - self.last))
             bend = 1 / m.eu1_kpa + 1 / m.etau2_kpa - 1 / m.e1_kpa
             unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full
