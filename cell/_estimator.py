@@ -68,7 +68,7 @@ SETTLE_EVERY = 32
 HIDDEN, SIGMAS = 3.3, 3.0
 """standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
 a change could be that the smoothing has not noticed yet"""
-HIDES, SURELY_HIDES = 1.2, 1.6
+HIDES, SURELY_HIDES = 1.25, 1.6
 """variance of a cell's readings beside smooth motion, over that of the board's noise: from the first on, a load may
 move within the noise; from the second on, it does"""
 MODEL_ERROR = 0.005

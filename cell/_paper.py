@@ -353,7 +353,9 @@ class TurningEstimator(Estimator):
             # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
             noise *= of.confirming_sigmas
             noise += of.confirming_kpa
-            np.copyto(of.left, self._far, where=np.greater_equal(back, noise, of.where))
+            confirmed = np.greater_equal(back, noise, of.confirmed)
+            confirmed &= of.left < self._far
+            np.copyto(of.left, self._far, where=confirmed)
         if not self._exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
             self._correct(of, doubt(), w)
 
@@ -386,6 +388,8 @@ class TurningEstimator(Estimator):
         np.maximum(apart, self._clear_kpa2, out=of.nearby)
         np.multiply(of.variance, self._left, of.threshold)
         begun = np.greater(of.threshold, of.nearby, of.where)
+        if unconfirmed:
+            begun &= ~of.confirmed  # what the model that was left says has been decided
         if np.count_nonzero(begun):
             self._keep(of, apart, begun)
         np.add(apart, of.doubt, of.variance)
@@ -564,7 +568,7 @@ class _Rows:
         self.unsure, self.threshold, self.spare, self.noise, self.ahead, self.nearby = np.empty((6, cells))
         self.confirming_sigmas, self.confirming_kpa = np.empty((2, cells))
         """how far the model that was left must have gone back for a turn to be certain: standard deviations, and kPa"""
-        self.where, self.near = np.empty((2, cells), dtype=np.bool_)
+        self.where, self.near, self.confirmed = np.empty((3, cells), dtype=np.bool_)
         self.not_in_force = np.empty((2, cells))
         self.not_rising, self.not_recovery = self.not_in_force
         self._of_model = np.empty((3, cells))
