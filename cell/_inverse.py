@@ -21,14 +21,15 @@ from ._models import AsymmetricModel, M10Model
 from ._noise import WINDOW
 from ._paper import LOADS, MEMORIES
 
-LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, ERRORS, MISSED = 3, slice(4, 6), 6, 7, 8, slice(9, 12), 12
-"""rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last step of the load,
-variances in r of what is remembered of the branches and of the broken chains, and the r of chains that may have broken
+LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED = 3, slice(4, 6), 6, 7, 8, 9, slice(10, 13), 13
+"""rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last two steps of the
+load, variances in r of what is remembered of the branches and of the broken chains, and the r of chains that may have broken
 unseen"""
-BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.25
-"""of a bend of the load, its change of change between frames. The first makes the standard deviation of a lag, over
-ramp (1 - ramp), as the load may go straight or by a step. The second makes that of the way to and fro between two
-frames, the third its mean where the load turns"""
+BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
+"""the first, of a bend of the load (its change of change between frames), makes the standard deviation of a lag over
+ramp (1 - ramp), as the load may go straight or by a step. The others, of its way in the frame after a turn, make the
+standard deviation of the way to and fro between two frames, and what is to be expected of that way: turns err to the
+same side, so this part adds up. Taken from vibrations and slips, whose drops are faster than a frame"""
 STILL_SIGMAS = 3.0
 """half width of that play, in standard deviations: noise within it breaks no chains"""
 
@@ -98,7 +99,7 @@ class InverseEstimator(Estimator):
     """
 
     rows = (
-        *("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor", "moved"),
+        *("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor", "moved", "moved_before"),
         *("error1", "error2", "broken_error", "missed"),
     )
 
@@ -209,15 +210,19 @@ class InverseEstimator(Estimator):
         What a load does between two frames is not seen: it may go straight or by a step, and turn in between. How much
         this may be, its bends from frame to frame tell. What is remembered wrong is forgotten as what is remembered.
         """
-        bend = np.abs(step - memory[MOVED]) - STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
-        np.maximum(bend, 0.0, out=bend)
+        still = STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
+        bend = np.maximum(np.abs(step - memory[MOVED]) - still, 0.0)
+        # A load that turned may have gone on beforehand, and come back, by as much as it moves in a frame.
+        turned = (-np.sign(step) * memory[[MOVED, BEFORE]] > still / STILL_SIGMAS).any(axis=0)
+        way = np.maximum(np.abs(step) - still, 0.0) * turned
         errors = memory[ERRORS]
         errors[:2] *= (1 - forgets) ** 2
         errors[2] *= (1 - heals) ** 2
         errors[:2] += (BETWEEN * bend * follows * (1 - follows / np.maximum(self._alpha, 1e-9))) ** 2
-        errors[2] += (AROUND * self.model.k * bend) ** 2
+        errors[2] += (AROUND * self.model.k * way) ** 2
         memory[MISSED] *= 1 - heals
-        memory[MISSED] += TO_AND_FRO * self.model.k * bend * (step * memory[MOVED] < 0)
+        memory[MISSED] += TO_AND_FRO * self.model.k * way
+        memory[BEFORE] = memory[MOVED]
         memory[MOVED] = step
         variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2
         memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)

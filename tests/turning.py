@@ -68,11 +68,12 @@ class OneCell:
             self.doubt = min(self.doubt, (0.5 * self.full) ** 2)
         unsure = std * gains[self.rising]
         ahead = self._ahead(now)
+        confirmed = False
         if self.left is not None:
             back = self.left + (1.0 if self.rising else -1.0) * other.pressure
             times = paper.CONFIRMED_RISE if self.rising else paper.CONFIRMED_FALL
             if back >= times * (paper.SURE * std * gains[not self.rising] + paper.TURN * self.full):
-                self.left = None
+                self.left, confirmed = None, True
         allowed = -paper.PULL_SIGMAS * gains[False] * doubt - paper.NEAR * self.full
         if not self.exact and now.pressure < allowed:
             begun = self._begun(allowed, r, now.x3)
@@ -98,7 +99,7 @@ class OneCell:
         is_apart = (paper.EITHER * (self.other.pressure - now.pressure)) ** 2
         lost = was_apart - is_apart
         least = max(paper.LOST * unsure, paper.NEAR * self.full) ** 2
-        if lost > paper.GONE * was_apart and was_apart > least:
+        if lost > paper.GONE * was_apart and was_apart > least and not confirmed:
             self.doubt = min(self.doubt + lost + np.sqrt(self.doubt * lost), (paper.MOST_LOST * self.full) ** 2)
         self.variance = self.doubt + is_apart
         return now.pressure
