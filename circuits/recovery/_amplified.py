@@ -113,9 +113,13 @@ class _Levels(NamedTuple):
     own: FloatArray
     """S by which a cell's own transfer conductance may be off: half a step, noise, and what the model leaves"""
     others: FloatArray
-    """relative uncertainty by the readings of other cells"""
+    """relative uncertainty by the readings of other cells on light lines"""
+    by_leads: FloatArray
+    """S by which a transfer conductance may be off for the readings of other cells, where leads are heavy; else 0"""
     least: FloatArray
     """S, transfer conductance from which on a cell is valid"""
+    propagation: Propagation | None
+    """the base's, with which this was worked out"""
 
 
 class _Beside(NamedTuple):
@@ -139,9 +143,7 @@ class _Beside(NamedTuple):
         """Whether the same cells are at the same limits and the lines' other cells have not changed by much."""
         if not (np.array_equal(limited, self.limited) and np.array_equal(more, self.more)):
             return False
-        change = np.abs(conductance - self.conductance)
-        change[limited] = 0.0
-        return bool((change <= _SIMILAR * (self.conductance + float(self.conductance.mean()))).all())
+        return _similar(np.where(limited, self.conductance, conductance), self.conductance)
 
 
 class AmplifiedLive:
@@ -209,6 +211,7 @@ class AmplifiedLive:
         self._between: FloatArray | None = None  # S (M,), of T
         self._model_error = self._tolerance  # S (M,), of T
         self._exact_left = 0  # evaluations in the present frame
+        self._propagated_at: FloatArray | None = None  # S (N, M) of the base's propagation
         self._all = np.ones(board.shape, dtype=np.bool_)
         self._no_reason = np.zeros(board.shape, dtype=np.int8)
         self._turned_all = np.ascontiguousarray(board.turn(self._all))
@@ -315,12 +318,12 @@ class AmplifiedLive:
             if self._heavy and self._by_leads(volts):
                 conductance, off = self._base.conductance, self._base.off
             else:  # bounds of first order say nothing where lines take so much
-                off = off / (1.0 - self._base.loss)
+                off = off / max(1.0 - self._base.loss, _LEAST_SHARE)
         self._exact_left = 0
         return conductance, off
 
     def _by_leads(self, volts: FloatArray) -> bool:
-        """Make the present cells the base by :func:`.invert_leads`, checked by an exact evaluation; both once more at most.
+        """Make the present cells the base by :func:`.invert_leads`, checked by an exact evaluation; both at most twice.
 
         Returns:
             False where this is not possible, and the base is as before.
@@ -339,7 +342,7 @@ class AmplifiedLive:
             if corrected is not None:
                 fit = corrected
                 transfer, off = self._apart(current, fit.conductance)
-        propagation = fit.propagation()
+        propagation = self._propagation_of(fit)
         conductance, gain = self._above_floor(fit.conductance), fit.gain
         own = fit.conductance / gain
         off = np.abs(off)
@@ -351,11 +354,23 @@ class AmplifiedLive:
             shift=(own - transfer) * gain,
             loss=max(1.0 - 1.0 / float(gain.max()), 1e-9),
             missing=max(float((transfer - own).max()), 0.0),
-            off=None if settled else _MARGIN * self._within_linear_range(propagation(off)) / gain,
+            off=None if settled else _MARGIN * self._moved_by(propagation, off) / gain,
             propagation=propagation,
         )
         self._heavy = self._base.loss > 0.5 * _HEAVY
         return True
+
+    def _propagation_of(self, fit: LeadFit) -> Propagation:
+        """How errors of the readings come through; kept from frame to frame while no conductance has changed much."""
+        at, kept = self._propagated_at, None if self._base is None else self._base.propagation
+        if kept is not None and at is not None and _similar(fit.conductance, at):
+            return kept
+        self._propagated_at = fit.conductance
+        return fit.propagation()
+
+    def _moved_by(self, propagation: Propagation, readings: FloatArray) -> FloatArray:
+        """S (N, M) by which conductances may be off where readings may be off by these S (N, M)."""
+        return self._within_linear_range(_SIMILAR_MARGIN * propagation(readings))
 
     def _within_linear_range(self, change: FloatArray) -> FloatArray:
         """Bounds (N, M) in S of first order on changes of conductances; inf if they move the gains too far for that."""
@@ -503,17 +518,23 @@ class AmplifiedLive:
     def _levels_at(self, gain: FloatArray, noise: float) -> _Levels:
         """How well readings are known at these gains and with noise of this standard deviation in V."""
         levels = self._levels
-        if levels is not None and 0.6 * levels.noise <= noise <= levels.noise and self._holds(levels.gain, gain):
+        propagation = None if self._base is None else self._base.propagation
+        if (
+            levels is not None
+            and 0.6 * levels.noise <= noise <= levels.noise
+            and (levels.propagation is propagation if propagation is not None else self._holds(levels.gain, gain))
+        ):
             return levels
         noise *= 1.2  # so that a noise that moves about does not call for new levels in every frame
         own_noise = SIGMAS * noise * np.abs(self._scale)
         own = self._half_step + own_noise + self._model_error
-        propagation = None if self._base is None else self._base.propagation
+        others, by_leads = _NONE, _NONE
         if propagation is None:
             others = self._others_of_light_lines(gain, own_noise)
         else:
-            others = self._others_of_heavy_leads(propagation, gain, own, own_noise)
-        self._levels = _Levels(noise, gain, own, others, self._rule.least_reading(own, others))
+            by_leads = self._others_of_heavy_leads(propagation, gain, own, own_noise)
+        least = self._rule.least_reading(own + by_leads, others)
+        self._levels = _Levels(noise, gain, own, others, by_leads, least, propagation)
         return self._levels
 
     def _others_of_light_lines(self, gain: FloatArray, own_noise: FloatArray) -> FloatArray:
@@ -531,15 +552,22 @@ class AmplifiedLive:
     def _others_of_heavy_leads(
         self, propagation: Propagation, gain: FloatArray, own: FloatArray, own_noise: FloatArray
     ) -> FloatArray:
-        """As :meth:`_others_of_light_lines`; ``own`` (M,) in S is what the readings may be off by, with their noise."""
+        """S (N, M) by which a transfer conductance may seem to be off for other readings.
+
+        Args:
+            propagation: of errors.
+            gain: (N, M) conductance per transfer conductance.
+            own: (M,) S that readings may be off by, noise included.
+            own_noise: (M,) S, the noise in that.
+
+        """
         shape = self._board.shape
         spread = propagation(np.broadcast_to(own - own_noise, shape))
         if own_noise.any():
             spread = spread + np.sqrt(propagation.squared()(np.broadcast_to(own_noise**2, shape)))
-        spread = self._within_linear_range(spread)
-        assert self._base is not None
-        others: FloatArray = np.maximum((spread - own * gain) / self._base.conductance, 0.0)
-        return others
+        spread = self._within_linear_range(_SIMILAR_MARGIN * spread)
+        by_leads: FloatArray = np.maximum(spread / gain - own, 0.0)
+        return by_leads
 
     def _holds(self, before: FloatArray, gain: FloatArray) -> bool:
         """Whether what was worked out for the gains ``before`` holds for ``gain``."""
@@ -644,11 +672,11 @@ class AmplifiedLive:
         """
         floor = _LEAST_SHARE * max(float(conductance.max()), 1e-12)
         less = np.where(limited & ~more, conductance, 0.0)
-        propagation = None if self._base is None else self._base.propagation
-        if propagation is None:
+        if self._base is None or self._base.propagation is None:
             by_lines = self._by_lines(less)
         else:
-            by_lines = self._within_linear_range(propagation(less / self._base.gain)) / np.maximum(conductance, floor)
+            moved = self._moved_by(self._base.propagation, less / self._base.gain)
+            by_lines = moved / np.maximum(conductance, floor)
         offset = np.abs(self._source / self._board.drive)
         fixed, added = np.zeros(self._board.shape), offset * less.sum(axis=0) + np.zeros(self._board.shape)
         if more.any():
@@ -718,8 +746,15 @@ class AmplifiedLive:
 
 def _uncertainties(transfer: FloatArray, levels: _Levels) -> tuple[FloatArray, FloatArray]:
     """Relative uncertainties (N, M) of the cells, and what of them is by their own readings."""
-    own = levels.own / np.maximum(transfer, levels.own)
-    return own + levels.others, own
+    reading = np.maximum(transfer, levels.own)
+    own = levels.own / reading
+    return own + levels.by_leads / reading + levels.others, own
+
+
+def _similar(conductance: FloatArray, before: FloatArray) -> bool:
+    """Whether conductances (N, M) in S have changed so little that bounds on them hold but for a small margin."""
+    change = np.abs(conductance - before)
+    return bool((change <= _SIMILAR * (before + float(before.mean()))).all())
 
 
 def _shared_wire(ohms: FloatArray) -> FloatArray | None:

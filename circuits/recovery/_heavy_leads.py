@@ -89,7 +89,7 @@ class LeadFit(NamedTuple):
         _, _, inverse, failed = dgesv(by_cells.reshape(cells.size, -1), np.eye(cells.size))
         if failed:
             return np.full(inverse.shape, np.inf)
-        found = inverse.reshape(-1, steps, columns).transpose(1, 0, 2) @ by_readings  # (steps, NM, M)
+        found: FloatArray = inverse.reshape(-1, steps, columns).transpose(1, 0, 2) @ by_readings  # (steps, NM, M)
         return found.transpose(1, 0, 2).reshape(cells.size, -1)
 
     def _inverses(self) -> FloatArray:
