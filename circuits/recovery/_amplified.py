@@ -318,7 +318,7 @@ class AmplifiedLive:
             if self._heavy and self._by_leads(volts):
                 conductance, off = self._base.conductance, self._base.off
             else:  # bounds of first order say nothing where lines take so much
-                off = off / max(1.0 - self._base.loss, _LEAST_SHARE)
+                off = np.full_like(off, inf) if self._lead_like else off / max(1.0 - self._base.loss, _LEAST_SHARE)
         self._exact_left = 0
         return conductance, off
 
