@@ -91,7 +91,8 @@ def check(family: str, number: int, tally: LiveTally) -> None:
         if not reading.solved:
             found.setdefault("unsolved", f"frame {frame}")
         wrong = _wrong_cells(reading, read_from, frame, tally)
-        if wrong and read_from.noise_steps[frame] > max(_ASSUMED_NOISE, *read_from.noise_steps[: max(frame - 1, 0)]):
+        seen = [_ASSUMED_NOISE, *read_from.noise_steps[: max(frame - 1, 0)]]
+        if wrong and read_from.noise_steps[frame] > max(seen):
             tally.surprised += 1
         else:
             found |= wrong
