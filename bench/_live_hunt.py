@@ -10,9 +10,9 @@ the driver's :class:`.CountReader` takes the counts. Findings:
 * an *unsettled* stream: cells are still called unsettled in the last of eight equal frames.
 
 Nobody can know of a noise before it is in the readings, and of two frames nobody can say whether noise or a press has
-changed them. Cells that are off in the first two frames of a noise larger than the reader assumes or has seen are counted
-as *surprised* and are no findings. For the same reason noise may carry a cell beyond a factor of two within its five
-standard deviations: 3 in 1000 readings of a cell whose uncertainty just suffices are beyond three.
+changed them. Cells that are off in the first two frames of a noise larger than the reader assumes or has seen are
+counted as *surprised* and are no findings. For the same reason noise may carry a cell beyond a factor of two within
+five standard deviations: of the readings of a cell whose uncertainty just suffices, 3 in 1000 are beyond three.
 
 A *slow* stream has a frame with the work of more than ten usual ones, from counts to ohms. A usual frame is the median
 of the stream's frames after the first in which readings change. Slow streams are shown, but are no wrong readings.

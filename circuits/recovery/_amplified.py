@@ -316,8 +316,11 @@ class AmplifiedLive:
             self._heavy = self._lead_like
             if self._heavy and self._by_leads(volts):
                 conductance, off = self._base.conductance, self._base.off
-            else:  # bounds of first order say nothing where lines take so much
-                off = np.full_like(off, inf) if self._lead_like else off / max(1.0 - self._base.loss, _LEAST_SHARE)
+            elif self._lead_like:  # a bound of first order says nothing
+                off = np.full_like(off, inf)
+            else:
+                gain = self._base.gain
+                off = self._within_linear_range(off * gain / max(1.0 - self._base.loss, _LEAST_SHARE)) / gain
         self._exact_left = 0
         return conductance, off
 
@@ -372,8 +375,14 @@ class AmplifiedLive:
         return self._within_linear_range(_SIMILAR_MARGIN * propagation(readings))
 
     def _within_linear_range(self, change: FloatArray) -> FloatArray:
-        """Bounds (N, M) in S of first order on changes of conductances; inf if they move the gains too far for that."""
-        known: FloatArray = change if self._by_lines(change).max() <= _FAR else np.full_like(change, inf)
+        """Bounds (N, M) in S of first order on changes of conductances; inf if they move the gains too far for that.
+
+        What the lines take of a cell's current makes gains of about one and the resistance of the lines over that of
+        their cells.
+        """
+        assert self._base is not None
+        allowed = _FAR * (1.0 + self._by_lines(self._base.conductance))
+        known: FloatArray = change if (self._by_lines(change) <= allowed).all() else np.full_like(change, inf)
         return known
 
     def _fit_leads(self, current: FloatArray, start: FloatArray) -> LeadFit | None:
