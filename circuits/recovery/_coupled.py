@@ -63,6 +63,9 @@ _CONVERGED = 0.2  # the same after steps that have come to their end
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
 _LIGHT = 0.3  # share of a voltage in the lines up to which derivatives in closed form are as good as any
 _HEAVY = 3.0  # the same up to which steps by them converge
+_SHORTER = 0.4  # of a step that led away from the readings: what is taken next
+_PATIENCE = 3  # frames that do not settle, after which steps that lead away from the readings are not taken
+_LEAST_READING = 0.03  # half steps that the least conductance would read alone: from below, nothing would lead back
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
 
 
@@ -212,15 +215,19 @@ class CoupledLive:
             for ohms in (self._leads, np.broadcast_to(leads, board.shape))
         )
         self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
+        per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
+        self._floor = np.log(_LEAST_READING * self._half_step * per_volt).ravel()  # of the logarithms
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._known: _Known | None = None  # where the last frame ended
         self._ignored: BoolArray | None = None  # (n,) readings of cells that faults hide
+        self._damping = 1.0  # share of a step that is taken
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
         self._stuck = 0  # frames for which steps column by column are not tried, since they led to no fit
         self._without_fit = 0  # frames
         self._astray = False  # the last frame did not settle
+        self._astray_for = 0  # frames in a row that did not
 
     def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
         """As :class:`.LiveRecovery`."""
@@ -259,7 +266,7 @@ class CoupledLive:
         coarser = float(np.hypot(1.0, noise / self._noise))
         start = self._known
         if start is None:
-            start, self._renewal = self._known_at(self._start(volts)), None
+            start, self._renewal, self._damping = self._known_at(self._start(volts)), None, 1.0
             self._from_fresh_start = True
         if beside.any():
             apparent = np.where(beside.ravel(), self._start(volts), start.log)
@@ -307,6 +314,9 @@ class CoupledLive:
         reason[open_cells] = NO_CURRENT
         # After a frame that did not settle, nothing is valid before derivatives from near by confirm the cells.
         self._astray = misfit > _NO_FIT or fit.lost or ((self._astray or fresh) and not fit.proven)
+        self._astray_for = self._astray_for + 1 if self._astray else 0
+        if not self._astray:
+            self._damping = 1.0
         if self._astray:  # the frame's budget did not suffice, or no cells give quite these readings
             reason[:], uncertainty[:] = UNSETTLED, inf
         short = self._as_good_as_short(x)
@@ -345,13 +355,27 @@ class CoupledLive:
         apart = self._apart(measured, known)
         misfit, stalled, instalments = self._misfit(apart) / scale, False, effort.instalments
         steeper = self._steeper(slope)
-        step = self._step(apart, steeper)
+        step, serves, moved = self._step(apart, steeper), False, inf
         doubted = self._astray or self._from_fresh_start  # steps then go on to their end, see :attr:`_Fit.proven`
+        # Over strong nonlinearities whole steps are quick as a rule, but may lead too far, back, and so on for ever.
+        damped = self._astray_for >= _PATIENCE
         for left in range(effort.evaluations - 1, -1, -1):
-            known = self._known_at(known.log + step)
-            apart = self._apart(measured, known)
-            last, misfit = misfit, self._misfit(apart) / scale
-            stalled = abs(misfit - last) <= _SAME * misfit
+            ahead = self._known_at(np.maximum(known.log + self._damping * step, self._floor))
+            apart_ahead = self._apart(measured, ahead)
+            last, reached = misfit, self._misfit(apart_ahead) / scale
+            stalled = abs(reached - last) <= _SAME * reached
+            if damped and reached > _FITS and not stalled and apart_ahead @ apart_ahead > apart @ apart:
+                moved = self._moved(known.log, scale)
+                if instalments and moved > _MOVED and self._renewal is None:
+                    instalments -= 1
+                    if self._renew(known):
+                        steeper = self._steeper(slope)
+                        step, moved = self._step(apart, steeper), 0.0
+                        continue
+                self._damping *= _SHORTER
+                continue
+            self._damping = min(self._damping / _SHORTER, 1.0)
+            known, apart, misfit = ahead, apart_ahead, reached
             before, step = step, self._step(apart, steeper)
             serves = misfit <= _FITS and self._serves(step, scale)
             moved = self._moved(known.log, scale)
