@@ -53,6 +53,7 @@ _PER_SQUARE = 16  # multiplications of a matrix product that take as long as the
 _SMALL = 100  # cells up to which an instalment is a whole renewal
 _AT_REST = 0.3  # most change by a further step after a fresh start
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
+_NEXT_TO_NONE = 0.01  # share of the least conductance that a reading tells, below which a cell may as well be open
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
 _COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
 _ROUGHLY = 0.05  # change of a logarithm that matters for cells which only load others
@@ -84,6 +85,8 @@ class _Base(NamedTuple):
     """(n,) 1/V: change of ``log`` per volt if each cell were alone; 0 where its reading says nothing"""
     others: FloatArray
     """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
+    floor: FloatArray
+    """(n,) ``log`` of the conductance that a cell's own reading can just tell from none; below, cells count linearly"""
     whole: bool
     """by the matrix of all readings by all cells, not column by column"""
     coarse: bool
@@ -141,9 +144,30 @@ def _with_resistance(fault: Fault) -> Fault:
     return fault.replace(resistance=_COMPLETE_SHORT) if fault.kind == "shorted-cell" and fault.ohms == 0 else fault
 
 
+def _apart(base: _Base, log: FloatArray) -> FloatArray:
+    """Change (n,) of logarithms since the base was made."""
+    return np.abs(np.maximum(base.log, base.floor) - np.maximum(log, base.floor))
+
+
+def _advanced(base: _Base, log: FloatArray, step: FloatArray) -> FloatArray:
+    """Logarithms (n,) after a step.
+
+    Below what its own reading can tell from none, a cell's conductance is the unknown instead of its logarithm: readings
+    depend on it linearly, and whether it is 1 % or 10 % of that makes no difference to any of them.
+    """
+    floor = base.floor
+    after: FloatArray = log + step
+    low = (after < floor) | (log < floor)
+    if low.any():
+        relative = np.where(log < floor, np.exp(np.minimum(log - floor, 0.0)), 1.0 + log - floor) + step
+        linear = np.log(np.clip(relative, _NEXT_TO_NONE, 1.0))
+        after = np.where(low, floor + np.where(relative < 1.0, linear, relative - 1.0), after)
+    return after
+
+
 def _far(base: _Base, at: _Known) -> bool:
     """Whether the base is from too far away to serve at these cells."""
-    return float(np.abs(base.log - at.log).max()) > _FAR
+    return float(_apart(base, at.log).max()) > _FAR
 
 
 class CoupledLive:
@@ -177,17 +201,19 @@ class CoupledLive:
             self._shunt[fault.place] += siemens(fault.ohms)
         self._prior = np.where(self._hidden, _UNKNOWN, _PRIOR)
         self._lines = LineResistance(board)
-        self._columns = ColumnBlocks(board, self._lines.to_driver, self._lines.to_end, self._noise)
+        self._shorted = np.zeros(board.shape, dtype=np.bool_)  # by faults of 0 ohm
+        for fault in whole.shorts:
+            self._shorted[fault.place] |= fault.ohms == 0
+        self._gone = self._hidden | self._shorted.ravel()  # cells that no reading tells of
+        self._tells = ~self._gone
+        tells = self._tells.reshape(self._shape)
+        self._columns = ColumnBlocks(board, self._lines.to_driver, self._lines.to_end, self._noise, tells)
         cells = board.shape[0] * board.shape[1]
         if cells > LARGEST_MATRIX and not self._columns.applies:
             raise InputError(
                 f"the live recovery of boards with floating rows or bridged lines is for at most {LARGEST_MATRIX} "
                 f'cells, and the array has {cells}; expected a smaller array, or drive.idle_rows = "ground"'
             )
-        self._shorted = np.zeros(board.shape, dtype=np.bool_)  # by faults of 0 ohm
-        for fault in whole.shorts:
-            self._shorted[fault.place] |= fault.ohms == 0
-        self._gone = self._hidden | self._shorted.ravel()  # cells that no reading tells of
         nearly_independent = self._columns.applies and not self._shorted.any()
         self._has_matrix = cells <= (LARGEST_BESIDE if nearly_independent else LARGEST_MATRIX)
         self._usual_effort = LARGE_EFFORT if cells > _SMALL and not self._columns.applies else USUAL_EFFORT
@@ -202,6 +228,7 @@ class CoupledLive:
             for ohms in (self._leads, np.broadcast_to(leads, board.shape))
         )
         self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
+        self._series = (self._leads + board.series_ohms).ravel()  # the same with the faults there
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._known: _Known | None = None  # where the last frame ended
@@ -337,7 +364,7 @@ class CoupledLive:
         steeper = self._steeper(slope)
         step = self._step(apart, steeper)
         for left in range(effort.evaluations - 1, -1, -1):
-            known = self._known_at(known.log + step)
+            known = self._known_at(_advanced(self._base, known.log, step))
             apart = self._apart(measured, known)
             last, misfit = misfit, self._misfit(apart) / scale
             stalled = abs(misfit - last) <= _SAME * misfit
@@ -382,7 +409,7 @@ class CoupledLive:
     def _moved(self, x: FloatArray, scale: float) -> float:
         """Largest change of the logarithms x (n,) since the derivatives were made; what noise does counts less."""
         assert self._base is not None
-        change = np.abs(x - self._base.log)
+        change = _apart(self._base, x)
         change /= np.maximum((_BY_NOISE * scale / _FAR) * self._base.std, 1.0)
         return float(change.max())
 
@@ -490,7 +517,8 @@ class CoupledLive:
         step = self._columns.at(cells, prior, self._hidden.reshape(self._shape))
         slope = self._slope(at.volts.reshape(self._shape))
         coarse = loss > _LIGHT and self._has_matrix
-        return _Base(at.log, step.solve, step.std.ravel(), slope, step.others.ravel(), whole=False, coarse=coarse)
+        std, others, floor = step.std.ravel(), step.others.ravel(), step.floor.ravel()
+        return _Base(at.log, step.solve, std, slope, others, floor, whole=False, coarse=coarse)
 
     def _renewed(self, at: _Known) -> Iterator[_Base | None]:
         """Derivatives and their regularised inverse there, in instalments; None until the last."""
@@ -502,7 +530,12 @@ class CoupledLive:
         for _ in derivatives(self._board, at_cells, self._quick, meter, out=jacobian):
             yield None
         in_series = 1.0 / (cells + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
-        jacobian *= in_series**2 * cells / self._noise
+        scale = in_series**2 * cells / self._noise
+        # Of a cell whose reading hardly tells it from none, the unknown is the conductance itself, see _advanced().
+        own = np.abs(np.diagonal(jacobian))
+        least = np.divide(1.0, own, out=np.zeros(len(x)), where=self._tells & (own > 0))
+        floor = np.log(np.maximum(least * self._noise, np.finfo(np.float64).tiny))
+        jacobian *= np.where((scale < least) & (cells > self._series), least, scale)
         normal = NormalMatrix(jacobian, self._prior)
         for _ in normal.instalments(meter):
             yield None
@@ -517,4 +550,4 @@ class CoupledLive:
         if loose.any():
             others = np.abs(normal.inverse[:, loose] / std[loose] ** 2).sum(axis=1) * _UNKNOWN
         slope = self._slope(at.volts.reshape(self._shape))
-        yield _Base(x, lambda volts: normal.step(volts / self._noise), std, slope, others, whole=True, coarse=False)
+        yield _Base(x, lambda volts: normal.step(volts / self._noise), std, slope, others, floor, whole=True, coarse=False)
