@@ -58,6 +58,8 @@ _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
 _COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
 _ROUGHLY = 0.05  # change of a logarithm that matters for cells which only load others
 _FAR_BELOW = 0.05  # share of its leads' resistance below which a cell is as good as a short
+_TIES = 1.0  # share of its leads' resistance below which a cell may join lines with each other
+_RESOLVED = 4.0  # half steps and noise of a reading that is far from none
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _CONVERGED = 0.2  # the same after steps that have come to their end
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
@@ -229,6 +231,7 @@ class CoupledLive:
         )
         self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
         self._series = (self._leads + board.series_ohms).ravel()  # the same with the faults there
+        self._tie = np.where(self._gone | (self._leads.ravel() == 0.0), -inf, _TIES * self._leads.ravel())
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._known: _Known | None = None  # where the last frame ended
@@ -329,6 +332,9 @@ class CoupledLive:
         short = self._as_good_as_short(x)
         if short.any():  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
+        tied = self._tied(x, uncertainty, signal > _RESOLVED * (self._half_step + SIGMAS * noise))
+        if tied is not None and not self._astray:
+            beside = beside | tied
         uncertainty[beside.ravel()] = inf
         reason[beside.ravel()] = DISTURBED
         gone = self._gone
@@ -398,6 +404,30 @@ class CoupledLive:
         leads = np.where(self._gone.reshape(self._shape), 0.0, self._leads)
         found: BoolArray = np.exp(-x).reshape(self._shape) < _FAR_BELOW * leads
         return found
+
+    def _tied(self, x: FloatArray, uncertainty: FloatArray, resolved: BoolArray) -> BoolArray | None:
+        """Cells on lines that two cells, which may be shorts, join with each other by way of a third line.
+
+        Two shorts in a column divide the voltage between their rows' leads, whichever of the two rows is driven. Both
+        rows then read alike, and in between a few ohm of the two cells decide how the readings are shared. The law is
+        the same for columns.
+
+        Args:
+            x: (n,) logarithms of the conductances.
+            uncertainty: (n,) of the conductances.
+            resolved: (n,) cells whose own reading is far from none.
+
+        Returns:
+            (N, M); None where there are none.
+
+        """
+        suspect = ((1.0 - uncertainty) * np.exp(-x) < self._tie) & resolved
+        if np.count_nonzero(suspect) < 2:
+            return None
+        suspect = suspect.reshape(self._shape)
+        rows = (suspect & (suspect.sum(axis=0) > 1)).any(axis=1)
+        columns = (suspect & (suspect.sum(axis=1, keepdims=True) > 1)).any(axis=0)
+        return rows[:, None] | columns
 
     def _apart(self, measured: FloatArray, known: _Known) -> FloatArray:
         """V (n,) between readings and model, where the readings count."""
