@@ -27,6 +27,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from .._board import Board
 
+_MOST_TAKEN = 0.8  # share of a voltage that a row's lead may take, in a first guess
 _KNOWN = 0.3  # standard deviation of a logarithm up to which the linear law is good enough
 
 
@@ -118,6 +119,15 @@ class ColumnBlocks:
         """Largest share of a voltage that is lost where the form does not hold, at crosspoints (N, M) in S."""
         along = (self._to_driver * conductance).sum(axis=1).max(initial=0.0)
         return float(along + (self._to_end * conductance).sum(axis=0).max(initial=0.0))
+
+    def crosspoints(self, signal: FloatArray) -> FloatArray:
+        """S (N, M) of the crosspoints whose readings are ``signal`` (N, M), in V above the reference voltage."""
+        driven = self._board.circuit.column_conductance(self._board, signal, self._noise)
+        if driven is None:
+            return self._board.circuit.apparent_conductance(self._board, signal)
+        taken = np.minimum(self._lead * driven.sum(axis=1), _MOST_TAKEN)
+        conductance: FloatArray = driven / (1.0 - taken)[:, None]
+        return conductance
 
     def at(self, cells: FloatArray, spread: FloatArray, hidden: BoolArray) -> Step:
         """The step at cells (N, M) in ohm.

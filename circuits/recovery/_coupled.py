@@ -59,6 +59,7 @@ _COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
 _ROUGHLY = 0.05  # change of a logarithm that matters for cells which only load others
 _FAR_BELOW = 0.05  # share of its leads' resistance below which a cell is as good as a short
 _TIES = 1.0  # share of its leads' resistance below which a cell may join lines with each other
+_ALIKE = 0.125  # least share of a column's largest reading that a short in the column has
 _RESOLVED = 4.0  # half steps and noise of a reading that is far from none
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _CONVERGED = 0.2  # the same after steps that have come to their end
@@ -332,9 +333,10 @@ class CoupledLive:
         short = self._as_good_as_short(x)
         if short.any():  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
-        tied = self._tied(x, uncertainty, signal > _RESOLVED * (self._half_step + SIGMAS * noise))
-        if tied is not None and not self._astray:
-            beside = beside | tied
+        if not self._astray:
+            tied = self._tied(x, uncertainty, signal - _RESOLVED * (self._half_step + SIGMAS * noise))
+            if tied is not None:
+                beside = beside | tied
         uncertainty[beside.ravel()] = inf
         reason[beside.ravel()] = DISTURBED
         gone = self._gone
@@ -405,7 +407,7 @@ class CoupledLive:
         found: BoolArray = np.exp(-x).reshape(self._shape) < _FAR_BELOW * leads
         return found
 
-    def _tied(self, x: FloatArray, uncertainty: FloatArray, resolved: BoolArray) -> BoolArray | None:
+    def _tied(self, x: FloatArray, uncertainty: FloatArray, excess: FloatArray) -> BoolArray | None:
         """Cells on lines that two cells, which may be shorts, join with each other by way of a third line.
 
         Two shorts in a column divide the voltage between their rows' leads, whichever of the two rows is driven. Both
@@ -415,16 +417,18 @@ class CoupledLive:
         Args:
             x: (n,) logarithms of the conductances.
             uncertainty: (n,) of the conductances.
-            resolved: (n,) cells whose own reading is far from none.
+            excess: (n,) V of the readings above those that are hardly any.
 
         Returns:
             (N, M); None where there are none.
 
         """
-        suspect = ((1.0 - uncertainty) * np.exp(-x) < self._tie) & resolved
+        suspect = ((1.0 - uncertainty) * np.exp(-x) < self._tie) & (excess > 0.0)
         if np.count_nonzero(suspect) < 2:
             return None
-        suspect = suspect.reshape(self._shape)
+        size = excess.reshape(self._shape)
+        # Shorts of one column read alike, but for the leads of their rows.
+        suspect = suspect.reshape(self._shape) & (size > _ALIKE * size.max(axis=0))
         rows = (suspect & (suspect.sum(axis=0) > 1)).any(axis=1)
         columns = (suspect & (suspect.sum(axis=1, keepdims=True) > 1)).any(axis=0)
         return rows[:, None] | columns
@@ -517,7 +521,15 @@ class CoupledLive:
         return np.abs(slope).ravel()
 
     def _start(self, volts: FloatArray) -> FloatArray:
-        apparent = self._board.circuit.apparent_conductance(self._board, volts - self._board.level)
+        """Logarithms (n,) of the conductances by closed formulas, from readings (N, M) in V.
+
+        Columns that hardly load each other are taken apart exactly, and row leads as by :mod:`._column_blocks`.
+        """
+        signal = volts - self._board.level
+        if self._columns.applies:
+            apparent = self._columns.crosspoints(signal)
+        else:
+            apparent = self._board.circuit.apparent_conductance(self._board, signal)
         typical = float(np.median(apparent[apparent > 0])) if (apparent > 0).any() else 1e-5
         most = 1e3 * float(apparent.max(initial=0.0)) or 1.0
         apparent = np.minimum(cell_alone(self._board, apparent, self._shunt), most)
