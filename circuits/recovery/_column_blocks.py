@@ -115,6 +115,12 @@ class ColumnBlocks:
             some = np.full(board.shape, 1e-4)
             self.applies = board.circuit.column_slopes(board, some, some.sum(axis=0)) is not None
 
+        self.has_law = False
+        """whether :meth:`crosspoints` takes all readings of a column together"""
+        if self.applies:
+            found = board.circuit.column_conductance(board, np.zeros(board.shape), noise)
+            self.has_law = found is not None
+
     def loss(self, conductance: FloatArray) -> float:
         """Largest share of a voltage that is lost where the form does not hold, at crosspoints (N, M) in S."""
         along = (self._to_driver * conductance).sum(axis=1).max(initial=0.0)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from math import inf, sqrt
+from math import exp, inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +61,7 @@ _FAR_BELOW = 0.05  # share of its leads' resistance below which a cell is as goo
 _TIES = 1.0  # share of its leads' resistance below which a cell may join lines with each other
 _ALIKE = 0.125  # least share of a column's largest reading that a short in the column has
 _RESOLVED = 4.0  # half steps and noise of a reading that is far from none
+_JUMP = 20.0  # half steps between readings and the last frame's cells from which on closed formulas are nearer
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _CONVERGED = 0.2  # the same after steps that have come to their end
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
@@ -138,6 +139,8 @@ class _Fit(NamedTuple):
     """no further step would change what matters, by derivatives from cells like these"""
     lost: bool
     """it does not serve, and the derivatives are from too far away to tell how uncertain it is"""
+    stale: float
+    """times its length that the remaining step may have, since the derivatives are from cells that were different"""
     steeper: FloatArray
     """(n,) present slopes over those at the base"""
 
@@ -286,10 +289,15 @@ class CoupledLive:
             apparent = np.where(beside.ravel(), self._start(volts), start.log)
             if np.abs(apparent - start.log).max() > _ROUGHLY:
                 start = self._known_at(apparent)
+        effort = self._usual_effort if self._begun else FIRST_EFFORT
+        if self._columns.has_law and start is self._known and self._distance(measured, start) > _JUMP * coarser:
+            anew = self._known_at(self._start(volts))
+            effort = effort._replace(evaluations=effort.evaluations - 1)
+            if self._distance(measured, anew) < self._distance(measured, start):
+                start = anew
         if self._base is None:
             self._base = self._based_on(start)
         slope = self._slope(volts)
-        effort = self._usual_effort if self._begun else FIRST_EFFORT
         fit, doubt = self._solve(measured, start, slope, coarser, effort), 0.0
         if self._sheet is not None:
             for _ in range(effort.solutions):
@@ -320,7 +328,7 @@ class CoupledLive:
         spread = base.std * np.maximum(fit.steeper, 1.0)
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
         by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own)
-        by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else 1.0)
+        by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else fit.stale)
         uncertainty = by_readings + base.others + doubt
         open_cells = signal <= self._half_step + SIGMAS * noise
         reason = np.full(len(measured), UNCERTAIN, dtype=np.int8)
@@ -399,7 +407,8 @@ class CoupledLive:
                 break
         lost = not serves and moved > _TOO_FAR
         proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
-        return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, steeper=steeper)
+        stale = exp(float(_apart(self._base, known.log).max()))
+        return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, stale=stale, steeper=steeper)
 
     def _as_good_as_short(self, x: FloatArray) -> BoolArray:
         """(N, M) where a cell of the logarithm x (n,) is far below its leads and no fault explains that."""
@@ -439,6 +448,10 @@ class CoupledLive:
         if self._ignored is not None:
             apart[self._ignored] = 0.0
         return apart
+
+    def _distance(self, measured: FloatArray, known: _Known) -> float:
+        """Misfit of cells to readings (n,) in V."""
+        return self._misfit(self._apart(measured, known))
 
     def _moved(self, x: FloatArray, scale: float) -> float:
         """Largest change of the logarithms x (n,) since the derivatives were made; what noise does counts less."""
