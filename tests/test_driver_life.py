@@ -11,14 +11,12 @@ import os
 import pickle
 import socket
 import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from boards import EXAMPLES, Script, Wire, gone, lossless, scene, sheet
+from boards import EXAMPLES, Script, Wire, described, frame, gone, identity, lossless, scene, sheet, until
 
 from ohmskin.driver import Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
@@ -27,33 +25,12 @@ from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, Ohmski
 from ohmskin.wire import (
     Flag,
     FramePacket,
-    Identity,
     Order,
     encode,
     host_protocol,
 )
 
 FORK = multiprocessing.get_context("fork")
-
-
-def identity(boot_id: int = 1, *, sequence: int = 0, rows: int = 3, over: bool = False) -> bytes:
-    return encode(Identity(sequence, 0, rows, 2, 12, not over, 1000, 100, "Ünï №7", "test", boot_id, over))
-
-
-def frame(sequence: int, *, boot_id: int = 1, us: int | None = None, flags: Flag = Flag.NONE) -> bytes:
-    counts, time_us = np.full((3, 2), 2000), 1000 * sequence if us is None else us
-    return encode(FramePacket.of(counts, sequence=sequence, time_us=time_us, boot_id=boot_id, flags=flags))
-
-
-def described(*pieces: bytes, last: Callable[[], bytes] | None = None) -> Script:
-    return Script(identity(), sheet(), *pieces, last=last)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 def order(which: Order) -> bytes:
@@ -233,10 +210,18 @@ class TestReaders:
 
     @pytest.mark.parametrize("delivery", ["newest", "every", "lossless"])
     def test_a_program_of_callbacks_only_keeps_no_frames(self, delivery: Delivery) -> None:
+        """Each call lets five more frames come, so that some are skipped and some wait."""
+        port, numbers = described(), itertools.count()
         taken: list[int | None] = []
-        with Skin(Wire(Board(scene())), delivery=delivery, queue=10) as skin:
-            skin.on_frame(lambda one: taken.append(one.sequence))
-            until(lambda: len(taken) > 100)
+
+        def take(one: Frame) -> None:
+            taken.append(one.sequence)
+            port.say(*(frame(next(numbers)) for _ in range(5)) if len(taken) < 100 else ())
+
+        with Skin(port, delivery=delivery, queue=10) as skin:
+            skin.on_frame(take)
+            port.say(frame(next(numbers)))
+            until(lambda: len(taken) >= 100)
             assert len(skin._converter._measured) <= 11
         if delivery == "lossless":
             assert taken == list(range(len(taken)))

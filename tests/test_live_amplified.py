@@ -87,6 +87,23 @@ def test_two_shorts_on_a_row_join_columns_of_unequal_offsets() -> None:
     assert seen > 10
 
 
+@pytest.mark.parametrize("bits", [12, 16, 18, 24])
+@pytest.mark.parametrize("offset_steps", [0.0, -2.5, 2.5])
+def test_an_output_at_a_limit_is_never_a_measurement(bits: int, offset_steps: float) -> None:
+    """The swing ends within the converter's range, whose lower end is above 0 V; the converter has an offset, too."""
+    design = board(3, 4, 5.0, bits=bits, supply=[-0.1, 2.9]).replace(adc={"range": [0.2, 3.1]})
+    assert design.adc is not None
+    design = design.replace(adc={"offset_voltage": offset_steps * design.adc.step})
+    cells = np.full((3, 4), 1e3)
+    cells[0, 1], cells[2, 3] = 100.0, 1e5  # beyond the swing, and below the range
+    for _ in range(2):
+        reading = CountReader(design)(adc_codes(design, scan(design, cells).volts))
+        assert not reading.valid[0, 1]
+        assert not reading.valid[2, 3]
+        assert reading.reason[0, 1] == Reason.SATURATED
+        assert reading.valid[1, 0]
+
+
 @pytest.mark.parametrize(
     "stream",
     [

@@ -186,6 +186,7 @@ class AmplifiedLive:
         self._along_row = _shared_wire(self._to_driver)
         self._along_column = _shared_wire(self._to_amplifier.T)
         self._step, self._middle = adc.step, sum(adc.range) / 2
+        self._near = adc_error(board) + adc.step / 2  # V within which an output stands at a limit of its swing
         self._half_step = adc_error(board) * np.abs(self._scale)  # S (M,), of T
         self._tolerance = _SHARE_OF_STEP * adc.step * np.abs(self._scale)  # S (M,), of T
         self._least_tolerance = float(self._tolerance.min())
@@ -548,7 +549,7 @@ class AmplifiedLive:
         Kept from frame to frame while the same cells are at the same limits and no conductance has changed much.
         """
         low, high = self._board.supply
-        near = self._step + _GUARD * noise
+        near = self._near + _GUARD * noise
         at_high, at_low = volts >= high - near, volts <= low + near
         upper = at_high | ((volts > self._middle) & ~at_low)
         more_current = upper == ((self._board.drive > 0) != self._board.circuit.inverts)

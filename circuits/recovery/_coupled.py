@@ -29,6 +29,7 @@ from ._live_reading import (
     LiveReading,
     ValidityRule,
 )
+from ._node_blocks import NodeBlocks
 from ._normal_matrix import Meter, NormalMatrix
 from ._quick_model import QuickModel
 from ._sheet_model import SheetModel
@@ -111,6 +112,8 @@ class _Effort(NamedTuple):
 USUAL_EFFORT = _Effort(evaluations=4, instalments=1, solutions=1)
 LARGE_EFFORT = _Effort(evaluations=4, instalments=4, solutions=1)
 """of boards on which a step by the matrix of all readings by all cells is most of a usual frame"""
+NODE_EFFORT = _Effort(evaluations=6, instalments=3, solutions=1)
+"""of boards with floating rows and many cells, where a renewal is one inversion of a matrix with a row per line"""
 FIRST_EFFORT = _Effort(evaluations=40, instalments=700, solutions=4)
 """in the first frame of all, before which nothing is known"""
 
@@ -215,15 +218,22 @@ class CoupledLive:
         tells = self._tells.reshape(self._shape)
         self._columns = ColumnBlocks(board, self._lines.to_driver, self._lines.to_end, self._noise, tells)
         cells = board.shape[0] * board.shape[1]
-        if cells > LARGEST_MATRIX and not self._columns.applies:
+        self._quick = QuickModel(board, self._lines)
+        self._nodes = NodeBlocks(board, self._quick, self._noise) if board.floating and cells > _SMALL else None
+        if self._nodes is not None and not self._nodes.applies:
+            self._nodes = None
+        if cells > LARGEST_MATRIX and not (self._columns.applies or self._nodes):
             raise InputError(
-                f"the live recovery of boards with floating rows or bridged lines is for at most {LARGEST_MATRIX} "
-                f'cells, and the array has {cells}; expected a smaller array, or drive.idle_rows = "ground"'
+                "the live recovery of boards with bridged lines, or with floating rows and broken lines, is for at "
+                f"most {LARGEST_MATRIX} cells, and the array has {cells}; expected a smaller array, or no such fault"
             )
         nearly_independent = self._columns.applies and not self._shorted.any()
         self._has_matrix = cells <= (LARGEST_BESIDE if nearly_independent else LARGEST_MATRIX)
-        self._usual_effort = LARGE_EFFORT if cells > _SMALL and not self._columns.applies else USUAL_EFFORT
-        self._quick = QuickModel(board, self._lines)
+        self._usual_effort = USUAL_EFFORT
+        if self._nodes is not None:
+            self._usual_effort = NODE_EFFORT
+        elif cells > _SMALL and not self._columns.applies:
+            self._usual_effort = LARGE_EFFORT
         self._sheet = SheetModel(whole, self._quick) if whole.continuous else None
         self._model = self._quick if self._sheet is None else self._sheet
         leads = board.row_ohms[:, :1] + board.column_lead
@@ -379,6 +389,7 @@ class CoupledLive:
         misfit, stalled, instalments = self._misfit(apart) / scale, False, effort.instalments
         steeper = self._steeper(slope)
         step = self._step(apart, steeper)
+        doubted = self._astray or self._from_fresh_start  # steps then go on to their end, see :attr:`_Fit.proven`
         for left in range(effort.evaluations - 1, -1, -1):
             known = self._known_at(_advanced(self._base, known.log, step))
             apart = self._apart(measured, known)
@@ -403,7 +414,7 @@ class CoupledLive:
                         serves = misfit <= _FITS and self._serves(step, scale)
                         moved = self._moved(known.log, scale)
                         break
-            if serves or not left:
+            if not left or (serves and (misfit <= _CONVERGED or not doubted)):
                 break
         lost = not serves and moved > _TOO_FAR
         proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
@@ -466,7 +477,7 @@ class CoupledLive:
         loss, new = self._loss(at.log), False
         if not self._has_matrix or (loss <= _HEAVY and not self._stuck):
             if not self._base.whole or _far(self._base, at):
-                self._base, new = self._based_on_columns(at, loss), True
+                self._base, new = self._based_on_lines(at, loss), True
             if not self._base.whole and not self._base.coarse:
                 self._renewal = None
                 return new
@@ -554,7 +565,12 @@ class CoupledLive:
         return _Known(x, self._model(np.exp(-x).reshape(self._shape)).ravel())
 
     def _loss(self, x: FloatArray) -> float:
-        """Share of a voltage in the lines at logarithms x (n,); inf where columns depend on each other anyway."""
+        """Share of a voltage in the lines at logarithms x (n,), as far as steps by single lines neglect it.
+
+        It is inf where there are no such steps.
+        """
+        if self._nodes is not None:
+            return 0.0
         if not self._columns.applies:
             return inf
         return self._columns.loss(self._board.cell_conductance(np.exp(-x).reshape(self._shape)))
@@ -563,12 +579,16 @@ class CoupledLive:
         """Derivatives and their regularised inverse there, at once."""
         loss = self._loss(at.log)
         if loss <= _HEAVY or not self._has_matrix:
-            return self._based_on_columns(at, loss)
+            return self._based_on_lines(at, loss)
         return next(base for base in self._renewed(at) if base is not None)
 
-    def _based_on_columns(self, at: _Known, loss: float) -> _Base:
-        """Derivatives in closed form there."""
+    def _based_on_lines(self, at: _Known, loss: float) -> _Base:
+        """Derivatives there by what is special about cells of one line: no matrix of all readings by all cells."""
         cells, prior = (values.reshape(self._shape) for values in (np.exp(-at.log), self._prior))
+        if self._nodes is not None:
+            by_nodes, slope = self._nodes.at(cells, prior), self._slope(at.volts.reshape(self._shape))
+            none = np.zeros(len(at.log))
+            return _Base(at.log, by_nodes.solve, by_nodes.std.ravel(), slope, none, whole=False, coarse=False)
         step = self._columns.at(cells, prior, self._hidden.reshape(self._shape))
         slope = self._slope(at.volts.reshape(self._shape))
         coarse = loss > _LIGHT and self._has_matrix
