@@ -161,8 +161,8 @@ def _apart(base: _Base, log: FloatArray) -> FloatArray:
 def _advanced(base: _Base, log: FloatArray, step: FloatArray) -> FloatArray:
     """Logarithms (n,) after a step.
 
-    Below what its own reading can tell from none, a cell's conductance is the unknown instead of its logarithm: readings
-    depend on it linearly, and whether it is 1 % or 10 % of that makes no difference to any of them.
+    Below what its own reading can tell from none, a cell's conductance is the unknown instead of its logarithm.
+    Readings depend on it linearly, and whether it is 1 % or 10 % of that makes no difference to any of them.
     """
     floor = base.floor
     after: FloatArray = log + step
@@ -219,7 +219,7 @@ class CoupledLive:
         self._columns = ColumnBlocks(board, self._lines.to_driver, self._lines.to_end, self._noise, tells)
         cells = board.shape[0] * board.shape[1]
         self._quick = QuickModel(board, self._lines)
-        self._nodes = NodeBlocks(board, self._quick, self._noise) if board.floating and cells > _SMALL else None
+        self._nodes = NodeBlocks(board, self._quick, self._noise, tells) if board.floating and cells > _SMALL else None
         if self._nodes is not None and not self._nodes.applies:
             self._nodes = None
         if cells > LARGEST_MATRIX and not (self._columns.applies or self._nodes):
@@ -451,7 +451,8 @@ class CoupledLive:
         suspect = suspect.reshape(self._shape) & (size > _ALIKE * size.max(axis=0))
         rows = (suspect & (suspect.sum(axis=0) > 1)).any(axis=1)
         columns = (suspect & (suspect.sum(axis=1, keepdims=True) > 1)).any(axis=0)
-        return rows[:, None] | columns
+        beside: BoolArray = rows[:, None] | columns
+        return beside
 
     def _apart(self, measured: FloatArray, known: _Known) -> FloatArray:
         """V (n,) between readings and model, where the readings count."""
@@ -587,8 +588,8 @@ class CoupledLive:
         cells, prior = (values.reshape(self._shape) for values in (np.exp(-at.log), self._prior))
         if self._nodes is not None:
             by_nodes, slope = self._nodes.at(cells, prior), self._slope(at.volts.reshape(self._shape))
-            none = np.zeros(len(at.log))
-            return _Base(at.log, by_nodes.solve, by_nodes.std.ravel(), slope, none, whole=False, coarse=False)
+            none, floor = np.zeros(len(at.log)), by_nodes.floor.ravel()
+            return _Base(at.log, by_nodes.solve, by_nodes.std.ravel(), slope, none, floor, whole=False, coarse=False)
         step = self._columns.at(cells, prior, self._hidden.reshape(self._shape))
         slope = self._slope(at.volts.reshape(self._shape))
         coarse = loss > _LIGHT and self._has_matrix
@@ -625,4 +626,8 @@ class CoupledLive:
         if loose.any():
             others = np.abs(normal.inverse[:, loose] / std[loose] ** 2).sum(axis=1) * _UNKNOWN
         slope = self._slope(at.volts.reshape(self._shape))
-        yield _Base(x, lambda volts: normal.step(volts / self._noise), std, slope, others, floor, whole=True, coarse=False)
+
+        def step(volts: FloatArray) -> FloatArray:
+            return normal.step(volts / self._noise)
+
+        yield _Base(x, step, std, slope, others, floor, whole=True, coarse=False)
