@@ -61,13 +61,16 @@ class Reading:
         then counts many times as much.
         Quantisation is random noise where it is not a systematic error, see :attr:`steps_share`.
         """
-        others = np.zeros(self.resistance.shape)
         if self._found is None:
-            return others
+            return np.zeros(self.resistance.shape)
         noise, uncertainty = self._noise_steps, self._found.uncertainty
         quantisation = (1.0 - math.exp(-2.0 * (math.pi * noise) ** 2)) / 12.0
         share = math.sqrt(noise * noise + quantisation) / (0.5 + _SIGMAS * noise)
-        np.subtract(uncertainty, self._found.own, out=others, where=np.isfinite(uncertainty))
+        if self.all_valid:
+            others: FloatArray = uncertainty - self._found.own
+        else:
+            others = np.zeros(self.resistance.shape)
+            np.subtract(uncertainty, self._found.own, out=others, where=np.isfinite(uncertainty))
         others *= share
         return others
 

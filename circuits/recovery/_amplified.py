@@ -19,7 +19,7 @@ conductances become the new base, within the frame's budget (:data:`EVALUATIONS`
 from __future__ import annotations
 
 from functools import partial
-from math import inf, sqrt
+from math import inf
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -175,7 +175,6 @@ class AmplifiedLive:
         self._to_amplifier = np.cumsum(self._behind[::-1], axis=0)[::-1]
         self._farthest_driver = self._to_driver.max(axis=0)  # (M,) ohm
         self._farthest_amplifier = self._to_amplifier.max(axis=1)  # (N,) ohm
-        self._reach = float(np.linalg.norm(self._farthest_driver) + np.linalg.norm(self._farthest_amplifier))  # ohm
         self._row_lead, self._column_lead = self._to_driver.mean(axis=1), self._to_amplifier.mean(axis=0)  # ohm
         self._lead_like = bool(
             (np.ptp(self._to_driver, axis=1) <= _LEAD_LIKE * self._row_lead).all()
@@ -365,14 +364,15 @@ class AmplifiedLive:
             conductance += base.shift
             np.maximum(conductance, _NONE, out=conductance)
         change = conductance - base.conductance
-        if base.off is None:
-            # No line's change is larger than all changes together (Cauchy-Schwarz).
-            moved = self._reach * sqrt(float(np.vdot(change, change)))
-            if moved <= _FAR and self._left_out(base, moved, transfer.item(transfer.argmax())) <= self._least_tolerance:
-                return self._relinearised(conductance, change), None
         size = np.abs(change)
-        by_lines = (size @ self._farthest_driver)[:, None] + self._farthest_amplifier @ size
-        most = float(by_lines.max())
+        by_row, by_column = size.dot(self._farthest_driver), self._farthest_amplifier.dot(size)
+        most = by_row.item(by_row.argmax()) + by_column.item(by_column.argmax())
+        if base.off is None and most <= _FAR:
+            # No cell is off by more than one with the largest reading would be on the lines that have changed most.
+            left_out = self._left_out(base, most, transfer.item(transfer.argmax()))
+            if left_out <= self._least_tolerance:
+                return self._relinearised(conductance, change), None
+        by_lines = by_row[:, None] + by_column
         if most <= _FAR:
             conductance = self._relinearised(conductance, change)
             off = self._left_out(base, by_lines, transfer)
@@ -405,7 +405,7 @@ class AmplifiedLive:
     def _drop_along_rows(self, current: FloatArray) -> FloatArray:
         """V (N, M) along the rows for currents (N, M) in A that leave them at the crosspoints."""
         if self._along_row is not None:
-            drop: FloatArray = np.dot(current, self._along_row)
+            drop: FloatArray = current.dot(self._along_row)
             return drop
         flow = np.cumsum(current[:, ::-1], axis=1)[:, ::-1]
         return np.cumsum(self._board.row_ohms * flow, axis=1)
@@ -413,7 +413,7 @@ class AmplifiedLive:
     def _drop_along_columns(self, current: FloatArray) -> FloatArray:
         """V (N, M) along the columns for currents (N, M) in A into them at the crosspoints."""
         if self._along_column is not None:
-            drop: FloatArray = np.dot(self._along_column, current)
+            drop: FloatArray = self._along_column.dot(current)
             return drop
         flow = np.cumsum(current, axis=0)
         return np.cumsum((self._behind * flow)[::-1], axis=0)[::-1]
@@ -480,6 +480,7 @@ class AmplifiedLive:
                 np.einsum("ij,ij->i", self._to_driver**2, squares)[:, None]
                 + np.einsum("ij,ij->j", self._to_amplifier**2, squares)
             )
+        own = np.ascontiguousarray(np.broadcast_to(own, self._board.shape))  # see _scale_of_all
         self._levels = _Levels(noise, gain, own, others, self._rule.least_reading(own, others))
         return self._levels
 
