@@ -5,7 +5,7 @@ Two estimates of the standard deviation s are made, both from changes of reading
 * the mean absolute change, of which noise makes 1.13 s. A press enlarges the changes of the readings it reaches;
 * the lag-one autocovariance of the changes, -s^2 for noise. A press that lasts for more than a frame moves a reading in
   one direction, or once, and adds nothing to it. What comes and goes within a frame (a spark, a tap) looks like noise
-  there, but once only: a noise that has grown has to show in two such products.
+  there, but leaves no change from the frame before it to the one after it.
 
 Changes count up to 1.5 s, so cells that are pressed weigh little in the first estimate: 30 % of them raise it by 60 %.
 That is enough where a press changes its own readings only. On a board whose readings share their current a finger moves
@@ -58,18 +58,17 @@ class Scatter:
         self.frames = 0
         """changes seen so far, and one"""
         self._change: FloatArray | None = None  # V, from the last frame but one to the last
-        self._change_before: FloatArray | None = None  # V, the one before
         self.forget()
 
     def forget(self) -> None:
         """Take the next frame for the first one."""
         self.std = ASSUMED * self._step if self._assumed else 0.0
-        self.before, self.frames, self._change, self._change_before = None, 0, None, None
+        self.before, self.frames, self._change = None, 0, None
 
     def resume(self, std: float, before: FloatArray | None) -> None:
         """Go on after a frame ``before`` and with what was measured until then."""
         self.std, self.before = std, before
-        self.frames, self._change, self._change_before = 0 if before is None else 2, None, None
+        self.frames, self._change = 0 if before is None else 2, None
 
     def update(self, volts: FloatArray, silent: int) -> None:
         """Take the readings (N, M) in V of a frame, in whose predecessor ``silent`` ones stood at a limit."""
@@ -86,7 +85,7 @@ class Scatter:
             self.std = self._by_mean(size, about, moving) * (1.0 + CAUTION / math.sqrt(moving))
         else:
             self.std = max(FORGET * self.std, self._shown_by(change, moving))
-        self._change, self._change_before = change, self._change
+        self._change = change
 
     def _shown_by(self, change: FloatArray, moving: int) -> float:
         """V, by this change (N, M) in V and the one before; ``moving`` readings can change."""
@@ -94,14 +93,14 @@ class Scatter:
         mean = self._by_mean(size, self.std, moving)
         if not self._shared and mean <= GROWING * self.std:
             return mean
-        alternating = _by_autocovariance(change, self._change, self._most(self.std), moving)
+        alternating = self._by_autocovariance(change, self.std, moving)
         if alternating > self.std:
             # What was known so far cuts too much off. The median is of noise unless half of the cells move.
-            about = max(self.std, _median(size))
-            alternating = _by_autocovariance(change, self._change, self._most(about), moving)
-            if self._shared and self.frames > 3 and alternating > GROWING * self.std and self._change is not None:
-                once_more = _by_autocovariance(self._change, self._change_before, self._most(about), moving)
-                alternating = min(alternating, max(once_more, GROWING * self.std))
+            about = _median(size)
+            if self._shared and self._change is not None:
+                about = min(about, _median(np.abs(change + self._change)))
+            about = max(self.std, about)
+            alternating = self._by_autocovariance(change, about, moving)
             if self._shared:
                 mean = self._by_mean(size, about, moving)
         # On boards whose cells are read apart, a press raises the mean of few cells only.
@@ -110,7 +109,7 @@ class Scatter:
     def still(self) -> None:
         """Take a frame whose readings are those of the last one."""
         self.frames += 1
-        self._change = self._change_before = None  # the next product of two changes is 0
+        self._change = None  # the next product of two changes is 0
         self.std *= FORGET
 
     def _by_mean(self, size: FloatArray, about: float, moving: int) -> float:
@@ -122,28 +121,16 @@ class Scatter:
             moving: readings that can change.
 
         """
-        most = self._most(about)
+        most = max(self._step, MOST_CHANGE * about)
         return float(np.add.reduce(np.minimum(size, most), axis=None)) / (moving * MEAN_CHANGE)
 
-    def _most(self, about: float) -> float:
-        """V, change that counts at most, for a standard deviation of about so many V."""
-        return max(self._step, MOST_CHANGE * about)
-
-
-def _by_autocovariance(change: FloatArray, before: FloatArray | None, most: float, moving: int) -> float:
-    """V, standard deviation by the product of two successive changes.
-
-    Args:
-        change: (N, M) V.
-        before: (N, M) V, the change before; None: unknown, and 0 is returned.
-        most: V up to which a change counts.
-        moving: readings that can change.
-
-    """
-    if before is None:
-        return 0.0
-    covariance = float(np.vdot(_cut(change, most), _cut(before, most))) / moving
-    return math.sqrt(max(-covariance, 0.0) / AUTOCOVARIANCE)
+    def _by_autocovariance(self, change: FloatArray, about: float, moving: int) -> float:
+        """V, by this change (N, M) in V and the one before; 0 if that was not kept. Else as :meth:`_by_mean`."""
+        if self._change is None:
+            return 0.0
+        most = max(self._step, MOST_CHANGE * about)
+        covariance = float(np.vdot(_cut(change, most), _cut(self._change, most))) / moving
+        return math.sqrt(max(-covariance, 0.0) / AUTOCOVARIANCE)
 
 
 def _cut(change: FloatArray, most: float) -> FloatArray:

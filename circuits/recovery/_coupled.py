@@ -155,7 +155,8 @@ def _with_resistance(fault: Fault) -> Fault:
 
 def _apart(base: _Base, log: FloatArray) -> FloatArray:
     """Change (n,) of logarithms since the base was made."""
-    return np.abs(np.maximum(base.log, base.floor) - np.maximum(log, base.floor))
+    change: FloatArray = np.maximum(base.log, base.floor) - np.maximum(log, base.floor)
+    return np.abs(change, out=change)
 
 
 def _advanced(base: _Base, log: FloatArray, step: FloatArray) -> FloatArray:
