@@ -246,6 +246,20 @@ def test_a_sudden_event_on_a_floating_board_is_known_within_two_frames(kind: str
                 assert (valid == np.isfinite(cells)).all(), (number, again)
 
 
+@pytest.mark.parametrize(("seed", "noise_steps"), [(24, 12.4), (13, 40.0), (0, 12.4)])
+def test_cells_that_noise_has_carried_away_come_back(seed: int, noise_steps: float) -> None:
+    """Whole steps from one side of a cell's conductance to the other, and back, would never end (seeds 24 and 13)."""
+    design = board("open divider", 8, 8, 10, row_lead=25.0, column_lead=0.0)
+    design = design.replace(readout={"reference_resistance": 1e3})
+    draw, step = np.random.default_rng(seed), 3.3 / 2**10
+    draw.uniform(size=64)
+    read, volts = CountReader(design), scan(design, np.full((8, 8), 1e4)).volts
+    for noise in [noise_steps] * 10 + [0.1] * 70:
+        reading = read(adc_codes(design, volts + draw.normal(scale=noise * step, size=volts.shape)))
+    assert reading.all_valid
+    assert (np.abs(reading.resistance / 1e4 - 1.0) <= reading.uncertainty).all()
+
+
 SHORT = {"kind": "shorted-cell", "place": [1, 1], "resistance": 0.0}
 BROKEN_ROW = {"kind": "broken-row", "place": [1, 2]}
 BROKEN_COLUMN = {"kind": "broken-column", "place": [1, 2]}

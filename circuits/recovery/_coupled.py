@@ -68,7 +68,12 @@ _CONVERGED = 0.2  # the same after steps that have come to their end
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
 _LIGHT = 0.3  # share of a voltage in the lines up to which derivatives in closed form are as good as any
 _HEAVY = 3.0  # the same up to which steps by them converge
+_SHORTER = 0.4  # of a step that led away from the readings: what is taken next
+_PATIENCE = 3  # frames that do not settle, after which steps that lead away from the readings are not taken
+_LEAST_READING = 0.03  # half steps that the least conductance would read alone: from below, nothing would lead back
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
+_LINEAR_STRIDE = 1e3  # most change of a conductance that counts linearly, in multiples of what its reading can tell
+_LARGEST = 50.0  # logarithm that is as good as infinite
 
 
 LARGEST_MATRIX = 4096
@@ -92,6 +97,8 @@ class _Base(NamedTuple):
     """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
     floor: FloatArray
     """(n,) ``log`` of the conductance that a cell's own reading can just tell from none; below, cells count linearly"""
+    linear: BoolArray | None
+    """(n,) cells that count linearly; None: none ever does, and ``floor`` is where logarithms end"""
     whole: bool
     """by the matrix of all readings by all cells, not column by column"""
     coarse: bool
@@ -165,13 +172,16 @@ def _advanced(base: _Base, log: FloatArray, step: FloatArray) -> FloatArray:
     Below what its own reading can tell from none, a cell's conductance is the unknown instead of its logarithm.
     Readings depend on it linearly, and whether it is 1 % or 10 % of that makes no difference to any of them.
     """
-    floor = base.floor
+    floor, linear = base.floor, base.linear
     after: FloatArray = log + step
-    low = (after < floor) | (log < floor)
-    if low.any():
-        relative = np.where(log < floor, np.exp(np.minimum(log - floor, 0.0)), 1.0 + log - floor) + step
-        linear = np.log(np.clip(relative, _NEXT_TO_NONE, 1.0))
-        after = np.where(low, floor + np.where(relative < 1.0, linear, relative - 1.0), after)
+    if linear is None:
+        return np.maximum(after, floor)
+    below = linear | (after < floor) | (log < floor)
+    if below.any():
+        above_floor = np.where(linear, np.exp(np.minimum(log - floor, _LARGEST)), 1.0 + log - floor)
+        relative = np.where(log < floor, np.exp(np.minimum(log - floor, 0.0)), above_floor) + step
+        logarithm = np.log(np.maximum(relative, _NEXT_TO_NONE))
+        after = np.where(below, floor + np.where(linear | (relative < 1.0), logarithm, relative - 1.0), after)
     return after
 
 
@@ -220,7 +230,7 @@ class CoupledLive:
         self._columns = ColumnBlocks(board, self._lines.to_driver, self._lines.to_end, self._noise, tells)
         cells = board.shape[0] * board.shape[1]
         self._quick = QuickModel(board, self._lines)
-        self._nodes = NodeBlocks(board, self._quick, self._noise, tells) if board.floating and cells > _SMALL else None
+        self._nodes = NodeBlocks(board, self._quick, self._noise) if board.floating and cells > _SMALL else None
         if self._nodes is not None and not self._nodes.applies:
             self._nodes = None
         if cells > LARGEST_MATRIX and not (self._columns.applies or self._nodes):
@@ -245,17 +255,26 @@ class CoupledLive:
             for ohms in (self._leads, np.broadcast_to(leads, board.shape))
         )
         self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
+        per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
+        self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()  # of the logarithms
         self._series = (self._leads + board.series_ohms).ravel()  # the same with the faults there
         self._tie = np.where(self._gone | (self._leads.ravel() == 0.0), -inf, _TIES * self._leads.ravel())
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._known: _Known | None = None  # where the last frame ended
         self._ignored: BoolArray | None = None  # (n,) readings of cells that faults hide
+        self._damping = 1.0  # share of a step that is taken
+        # An offset may push the output of an open cell below the converter's range, however far.
+        self._lowest = -inf
+        if board.circuit.has_amplifiers and board.adc is not None:
+            self._lowest = board.adc.range[0] + board.adc.step
+        self._bottom: BoolArray | None = None  # (n,) readings at the lower end of the range, which may lie below
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
         self._stuck = 0  # frames for which steps column by column are not tried, since they led to no fit
         self._without_fit = 0  # frames
         self._astray = False  # the last frame did not settle
+        self._astray_for = 0  # frames in a row that did not
 
     def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
         """As :class:`.LiveRecovery`."""
@@ -290,11 +309,13 @@ class CoupledLive:
                     return self._nothing(limited)
             self._ignored = (known_limits | beside).ravel() | self._hidden
         measured = volts.ravel()
+        bottom = measured < self._lowest
+        self._bottom = bottom if bottom.any() else None
         # Noise makes readings less certain, and readings and model differ by as much more.
         coarser = float(np.hypot(1.0, noise / self._noise))
         start = self._known
         if start is None:
-            start, self._renewal = self._known_at(self._start(volts)), None
+            start, self._renewal, self._damping = self._known_at(self._start(volts)), None, 1.0
             self._from_fresh_start = True
         if beside.any():
             apparent = np.where(beside.ravel(), self._start(volts), start.log)
@@ -347,6 +368,9 @@ class CoupledLive:
         reason[open_cells] = NO_CURRENT
         # After a frame that did not settle, nothing is valid before derivatives from near by confirm the cells.
         self._astray = misfit > _NO_FIT or fit.lost or ((self._astray or fresh) and not fit.proven)
+        self._astray_for = self._astray_for + 1 if self._astray else 0
+        if not self._astray:
+            self._damping = 1.0
         if self._astray:  # the frame's budget did not suffice, or no cells give quite these readings
             reason[:], uncertainty[:] = UNSETTLED, inf
         short = self._as_good_as_short(x)
@@ -389,13 +413,27 @@ class CoupledLive:
         apart = self._apart(measured, known)
         misfit, stalled, instalments = self._misfit(apart) / scale, False, effort.instalments
         steeper = self._steeper(slope)
-        step = self._step(apart, steeper)
+        step, serves, moved = self._step(apart, steeper), False, inf
         doubted = self._astray or self._from_fresh_start  # steps then go on to their end, see :attr:`_Fit.proven`
+        # Over strong nonlinearities whole steps are quick as a rule, but may lead too far, back, and so on for ever.
+        damped = self._astray_for >= _PATIENCE
         for left in range(effort.evaluations - 1, -1, -1):
-            known = self._known_at(_advanced(self._base, known.log, step))
-            apart = self._apart(measured, known)
-            last, misfit = misfit, self._misfit(apart) / scale
-            stalled = abs(misfit - last) <= _SAME * misfit
+            ahead = self._known_at(_advanced(self._base, known.log, self._damping * step))
+            apart_ahead = self._apart(measured, ahead)
+            last, reached = misfit, self._misfit(apart_ahead) / scale
+            stalled = abs(reached - last) <= _SAME * reached
+            if damped and reached > _FITS and not stalled and apart_ahead @ apart_ahead > apart @ apart:
+                moved = self._moved(known.log, scale)
+                if instalments and moved > _MOVED and self._renewal is None:
+                    instalments -= 1
+                    if self._renew(known):
+                        steeper = self._steeper(slope)
+                        step, moved = self._step(apart, steeper), 0.0
+                        continue
+                self._damping *= _SHORTER
+                continue
+            self._damping = min(self._damping / _SHORTER, 1.0)
+            known, apart, misfit = ahead, apart_ahead, reached
             before, step = step, self._step(apart, steeper)
             serves = misfit <= _FITS and self._serves(step, scale)
             moved = self._moved(known.log, scale)
@@ -458,6 +496,8 @@ class CoupledLive:
     def _apart(self, measured: FloatArray, known: _Known) -> FloatArray:
         """V (n,) between readings and model, where the readings count."""
         apart = measured - known.volts
+        if self._bottom is not None:
+            apart[self._bottom & (apart > 0.0)] = 0.0
         if self._ignored is not None:
             apart[self._ignored] = 0.0
         return apart
@@ -529,7 +569,8 @@ class CoupledLive:
         assert self._base is not None
         change = self._base.step(volts * steeper)
         if max(change.max(), -change.min()) > _STRIDE:
-            np.clip(change, -_STRIDE, _STRIDE, out=change)
+            most = _STRIDE if self._base.linear is None else np.where(self._base.linear, _LINEAR_STRIDE, _STRIDE)
+            np.clip(change, -_STRIDE, most, out=change)
         return change
 
     def _steeper(self, slope: FloatArray) -> FloatArray:
@@ -589,13 +630,13 @@ class CoupledLive:
         cells, prior = (values.reshape(self._shape) for values in (np.exp(-at.log), self._prior))
         if self._nodes is not None:
             by_nodes, slope = self._nodes.at(cells, prior), self._slope(at.volts.reshape(self._shape))
-            none, floor = np.zeros(len(at.log)), by_nodes.floor.ravel()
-            return _Base(at.log, by_nodes.solve, by_nodes.std.ravel(), slope, none, floor, whole=False, coarse=False)
+            none, std = np.zeros(len(at.log)), by_nodes.std.ravel()
+            return _Base(at.log, by_nodes.solve, std, slope, none, self._least, None, whole=False, coarse=False)
         step = self._columns.at(cells, prior, self._hidden.reshape(self._shape))
         slope = self._slope(at.volts.reshape(self._shape))
         coarse = loss > _LIGHT and self._has_matrix
         std, others, floor = step.std.ravel(), step.others.ravel(), step.floor.ravel()
-        return _Base(at.log, step.solve, std, slope, others, floor, whole=False, coarse=coarse)
+        return _Base(at.log, step.solve, std, slope, others, floor, at.log < floor, whole=False, coarse=coarse)
 
     def _renewed(self, at: _Known) -> Iterator[_Base | None]:
         """Derivatives and their regularised inverse there, in instalments; None until the last."""
@@ -631,4 +672,4 @@ class CoupledLive:
         def step(volts: FloatArray) -> FloatArray:
             return normal.step(volts / self._noise)
 
-        yield _Base(x, step, std, slope, others, floor, whole=True, coarse=False)
+        yield _Base(x, step, std, slope, others, floor, x < floor, whole=True, coarse=False)

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import FloatArray
 from .._board import Board, broken_off
 from ._column_blocks import beyond_linear
 from ._port_derivatives import PortDerivatives
@@ -76,9 +76,7 @@ class _Lines(NamedTuple):
 class NodeStep:
     """The regularised inverse of the derivatives at one point. Logarithms are those of the cells, arrays (N, M)."""
 
-    def __init__(
-        self, derivatives: PortDerivatives, per_log: FloatArray, prior: FloatArray, noise: float, linear: BoolArray
-    ) -> None:
+    def __init__(self, derivatives: PortDerivatives, per_log: FloatArray, prior: FloatArray, noise: float) -> None:
         """Invert the structured normal matrix.
 
         Args:
@@ -86,22 +84,15 @@ class NodeStep:
             per_log: S by which a crosspoint changes per unit of its cell's logarithm.
             prior: standard deviation of the logarithms before anything is read.
             noise: V, standard deviation of a reading.
-            linear: cells that count linearly below what their own reading can tell from none.
 
         Raises:
             numpy.linalg.LinAlgError: the derivatives are not finite.
 
         """
         self._derivatives, self._noise = derivatives, noise
-        along = derivatives.along_rows()
-        slope = np.abs(np.einsum("ijj->ij", along))
-        least = np.divide(noise, slope, out=np.zeros(slope.shape), where=linear & (slope > 0))
-        self.floor = np.log(np.maximum(least, np.finfo(np.float64).tiny))
-        """logarithm of the conductance that a cell's own reading can just tell from none"""
-        per_log = np.maximum(per_log, least)
         self._scale = scale = per_log / noise  # of a derivative, to standard deviations per logarithm
         self._regular = regular = prior**-2.0
-        along = along * scale[:, None, :]
+        along = derivatives.along_rows() * scale[:, None, :]
         down = derivatives.down_columns() * scale.T[:, None, :]
         by_row, by_column = _product_of_vectors(along), _product_of_vectors(down)
         first = _Lines(by_row[0], by_column[0].T)
@@ -179,20 +170,9 @@ class NodeStep:
 class NodeBlocks:
     """Makes a :class:`NodeStep` for a board at any cells."""
 
-    def __init__(self, board: Board, model: QuickModel, noise: float, tells: BoolArray | None = None) -> None:
-        """For a board.
-
-        Args:
-            board: whose readings are taken.
-            model: of the board.
-            noise: V, standard deviation of a reading.
-            tells: (N, M) where a reading tells of its cell; None: everywhere.
-
-        """
+    def __init__(self, board: Board, model: QuickModel, noise: float) -> None:
+        """Take the board, its model, and V of noise of a reading."""
         self._board, self._model, self._noise = board, model, noise
-        self._tells = np.ones(board.shape, dtype=np.bool_) if tells is None else tells
-        self._series = board.row_ohms.sum(axis=1, keepdims=True) + board.column_ohms.sum(axis=0) + board.column_lead
-        self._series = self._series + board.series_ohms
         # Beside a complete break parts of the grid are connected to nothing.
         self.applies = bool(board.plain and board.floating and not broken_off(board).any())
         if self.applies:
@@ -204,8 +184,7 @@ class NodeBlocks:
         derivatives = self._model.products(cells)
         assert derivatives is not None
         in_series = 1.0 / (cells + self._board.series_ohms)  # S of the cell and an open-cell fault
-        linear = self._tells & (cells > self._series)
-        return NodeStep(derivatives, in_series**2 * cells, prior, self._noise, linear)
+        return NodeStep(derivatives, in_series**2 * cells, prior, self._noise)
 
 
 def _product_of_vectors(blocks: FloatArray) -> tuple[FloatArray, FloatArray]:
