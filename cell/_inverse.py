@@ -23,8 +23,8 @@ from ._paper import LOADS, MEMORIES
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED = 3, slice(4, 6), 6, 7, 8, 9, slice(10, 13), 13
 """rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last two steps of the
-load, variances in r of what is remembered of the branches and of the broken chains, and the r of chains that may have broken
-unseen"""
+load, variances in r of what is remembered of the branches and of the broken chains, and the r of chains that may have
+broken unseen"""
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
 """the first, of a bend of the load (its change of change between frames), makes the standard deviation of a lag over
 ramp (1 - ramp), as the load may go straight or by a step. The others, of its way in the frame after a turn, make the
