@@ -268,6 +268,7 @@ class TestFreshness:
             port.say(frame(3))
             with pytest.raises(LinkTimeout, match=r"the newest frame is 0\.\d+ s old"):
                 skin.latest(0.25)
+            assert len(skin._counters.ages_s) == 1, "a frame that nobody got has no age at which it was taken"
             skin._converter.measure = slow  # type: ignore[method-assign]
             port.say(frame(4))
             after = skin.latest(60.0)
