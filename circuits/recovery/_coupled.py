@@ -47,7 +47,8 @@ _TOO_FAR = 1.0  # the same from which on they no longer tell what a misfit means
 _SLOW = 0.2  # length of a step over the one before from which on the derivatives are to blame
 _MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
 _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
-_SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
+_SIGMAS = 4.5  # posterior standard deviations by ADC steps that an uncertainty covers: a bound on the error
+_NOISE_SIGMAS = 3.5  # the same by noise: a fifth more, a factor of two at the limit of validity, is 5 of them
 _MOST_WITHOUT_FIT = 6  # frames in a row until steps column by column are given up
 _STUCK = 300  # frames until they are tried again
 _PER_SQUARE = 16  # multiplications of a matrix product that take as long as the square of one entry
@@ -61,6 +62,7 @@ _FAR_BELOW = 0.05  # share of its leads' resistance below which a cell is as goo
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _CONVERGED = 0.2  # the same after steps that have come to their end
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
+_FURTHER = 2.0  # changes by the next step that all further ones make, where the frame's budget has ended before
 _LIGHT = 0.3  # share of a voltage in the lines up to which derivatives in closed form are as good as any
 _HEAVY = 3.0  # the same up to which steps by them converge
 _SHORTER = 0.4  # of a step that led away from the readings: what is taken next
@@ -136,6 +138,8 @@ class _Fit(NamedTuple):
     """the last step has hardly changed that"""
     proven: bool
     """no further step would change what matters, by derivatives from cells like these"""
+    serves: bool
+    """no further step would change a cell that the readings determine by what matters, at present"""
     lost: bool
     """it does not serve, and the derivatives are from too far away to tell how uncertain it is"""
     steeper: FloatArray
@@ -305,8 +309,10 @@ class CoupledLive:
         own[slope == 0] = 1.0
         spread = base.std * np.maximum(fit.steeper, 1.0)
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own)
-        by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else 1.0)
+        sigmas = float(np.hypot(_SIGMAS, _NOISE_SIGMAS * noise / self._noise))
+        by_readings = np.maximum(sigmas * max(1.0, misfit) * spread, own)
+        further = 1.0 if fit.serves else _FURTHER
+        by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else further)
         uncertainty = by_readings + base.others + doubt
         open_cells = signal <= self._half_step + SIGMAS * noise
         reason = np.full(len(measured), UNCERTAIN, dtype=np.int8)
@@ -399,7 +405,7 @@ class CoupledLive:
                 break
         lost = not serves and moved > _TOO_FAR
         proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
-        return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, steeper=steeper)
+        return _Fit(known, step, misfit, stalled, proven=proven, serves=serves, lost=lost, steeper=steeper)
 
     def _as_good_as_short(self, x: FloatArray) -> BoolArray:
         """(N, M) where a cell of the logarithm x (n,) is far below its leads and no fault explains that."""
