@@ -18,8 +18,10 @@ import numpy as np
 import pytest
 from boards import EXAMPLES, Script, Wire, described, frame, gone, identity, lossless, scene, sheet, until
 
-from ohmskin.driver import Delivery, Frame, Skin, SocketPort, open_port
+from ohmskin.driver import Arrival, Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
+from ohmskin.driver._statistics import Counters
+from ohmskin.driver._stream import FrameStream
 from ohmskin.emulator import Board, PtyPort, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ohmskin.wire import (
@@ -165,6 +167,35 @@ class TestOrderOfPackets:
         assert not any(one.rebooted or one.lost_before or one.estimator_restarted for one in taken[1:])
         assert (stats.lost, stats.reboots, stats.clock_steps) == (0, 0, 1)
         assert all(later.monotonic_time >= sooner.monotonic_time for sooner, later in itertools.pairwise(taken))
+
+    @pytest.mark.parametrize("seconds", [-1800, 0.2, 2.0, 3600])
+    def test_a_clock_that_is_set_is_no_hour_under_load(self, seconds: float) -> None:
+        """The estimator goes on, and no frame looks older or younger than it is."""
+        stream, now_s, ages, times = FrameStream("board", Counters()), 100.0, [], []
+        for k in range(200):
+            now_s += 0.01
+            us = 4_000_000_000 + 10_000 * k + (round(1e6 * seconds) if k >= 100 else 0)
+            packet = FramePacket.of(np.full((3, 2), 9), sequence=k, time_us=us, boot_id=1)
+            taken = stream.take(packet, Arrival(b"", now_s, now_s))
+            assert taken is not None
+            ages.append(now_s - taken.monotonic_time)
+            times.append(taken.time_s)
+        assert max(map(abs, ages)) < 1e-6
+        steps = np.diff(times)
+        assert steps.min() > 0.005
+        assert steps.max() < 0.5
+        assert stream.counters.reboots == stream.counters.late == stream.counters.lost == 0
+
+    def test_time_that_flies_is_no_clock_that_was_set(self) -> None:
+        """The emulator's fast clock, a second of the board per millisecond, with packets that are lost."""
+        stream = FrameStream("board", Counters())
+        numbers = [k for k in range(300) if k % 7 and not 100 < k < 180]
+        for k in numbers:
+            packet = FramePacket.of(np.full((3, 2), 9), sequence=k, time_us=1_000_000 * k, boot_id=1)
+            taken = stream.take(packet, Arrival(b"", 0.001 * k, 0.001 * k))
+        assert taken is not None
+        assert taken.time_s == pytest.approx(numbers[-1] - numbers[0])
+        assert stream.counters.clock_steps == 0
 
     def test_a_board_whose_boot_id_never_changes_is_seen_to_start_anew(self) -> None:
         pieces = [*(frame(k) for k in range(100)), *(frame(k) for k in range(5)), identity(sequence=5, over=True)]
