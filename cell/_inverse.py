@@ -21,10 +21,20 @@ from ._models import AsymmetricModel, M10Model
 from ._noise import WINDOW
 from ._paper import LOADS, MEMORIES
 
-LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED = 3, slice(4, 6), 6, 7, 8, 9, slice(10, 13), 13
+LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP = (
+    3,
+    slice(4, 6),
+    6,
+    7,
+    8,
+    9,
+    slice(10, 13),
+    13,
+    14,
+)
 """rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last two steps of the
-load, variances in r of what is remembered of the branches and of the broken chains, and the r of chains that may have
-broken unseen"""
+load, variances in r of what is remembered of the branches and of the broken chains, the r of chains that may have
+broken unseen, and 1 if the load left its play upwards, else 0"""
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
 """the first, of a bend of the load (its change of change between frames), makes the standard deviation of a lag over
 ramp (1 - ramp), as the load may go straight or by a step. The others, of its way in the frame after a turn, make the
@@ -100,7 +110,7 @@ class InverseEstimator(Estimator):
 
     rows = (
         *("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor", "moved", "moved_before"),
-        *("error1", "error2", "broken_error", "missed"),
+        *("error1", "error2", "broken_error", "missed", "went_up"),
     )
 
     def __init__(
@@ -134,7 +144,7 @@ class InverseEstimator(Estimator):
         s = _root(m.b, slope, r)
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[LOAD], memory[BRANCHES] = s * self.full_scale_kpa, s, self._alpha * s
-        memory[GAIN], memory[ANCHOR] = self.full_scale_kpa / slope, s
+        memory[GAIN], memory[ANCHOR], memory[WENT_UP] = self.full_scale_kpa / slope, s, 1.0
         return memory
 
     def _advance(
@@ -159,6 +169,14 @@ class InverseEstimator(Estimator):
             still = slope + follows[0] + follows[1]
             moves = np.abs(s0 + change / np.maximum(still, 1e-9) - memory[ANCHOR]) > width
             breaking = np.where(moves, breaking, 0.0)
+            # A load that has turned has crossed its play, and broken chains there.
+            went_up = memory[WENT_UP] > 0
+            gone_back = (memory[ANCHOR] - s0) * np.where(went_up, 1.0, -1.0)
+            gone_back = np.clip(gone_back + (1.0 - 1.0) * width, 0.0, 2.0 * width)
+            crossed_play = np.where(moves & (up != went_up), m.k * gone_back, 0.0)
+            free += crossed_play
+            change -= crossed_play
+            went_up = np.where(moves, up, went_up)
         slope = slope + np.where(up, breaking, -breaking)
         step = _root(m.b, slope + follows[0] + follows[1], change)
         branches = kept + follows * step
@@ -189,6 +207,8 @@ class InverseEstimator(Estimator):
         new[LOAD], new[BRANCHES], new[BROKEN] = s0 + step, branches, free + breaking * np.abs(step)
         if not self._exact:
             self._limit(new, r, std)
+        if not self._exact and m.k:
+            new[WENT_UP] = went_up
         new[PRESSURE] = new[LOAD] * self.full_scale_kpa
         new[ANCHOR] = np.maximum(np.minimum(memory[ANCHOR], new[LOAD] + width), new[LOAD] - width)
         new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self._full_scale_r)
