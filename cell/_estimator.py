@@ -561,8 +561,10 @@ class Estimator(ABC):
         if size.item(size.argmax()) <= LARGE_JUMP * self._full_scale_r:
             return
         least = np.maximum(CLEAR_JUMP * noise, LARGE_JUMP * self._full_scale_r)
-        # Bad contacts add resistance: where loads do so too, a fall to no less than that at rest is a release.
-        released = (self._side > 0) & (jump < 0) & (reading > -CLEAR * noise)
+        # Bad contacts add resistance: where loads do so too, a fall to no less than that at rest is a release, if there
+        # was a load.
+        loaded = block.memory[PRESSURE] > LARGE_JUMP * self.full_scale_kpa
+        released = loaded & (self._side > 0) & (jump < 0) & (reading > -CLEAR * noise)
         place = np.flatnonzero(begun & (size > least) & ~released)
         place = place[~np.isin(block.cells[place], self._sparks.cells)]
         place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
