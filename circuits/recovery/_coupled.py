@@ -47,7 +47,8 @@ _TOO_FAR = 1.0  # the same from which on they no longer tell what a misfit means
 _SLOW = 0.2  # length of a step over the one before from which on the derivatives are to blame
 _MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
 _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
-_SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
+_SIGMAS = 4.5  # posterior standard deviations by ADC steps that an uncertainty covers: a bound on the error
+_NOISE_SIGMAS = 3.5  # the same by noise: a fifth more, a factor of two at the limit of validity, is 5 of them
 _MOST_WITHOUT_FIT = 6  # frames in a row until steps column by column are given up
 _STUCK = 300  # frames until they are tried again
 _PER_SQUARE = 16  # multiplications of a matrix product that take as long as the square of one entry
@@ -359,7 +360,8 @@ class CoupledLive:
         own[slope == 0] = 1.0
         spread = base.std * np.maximum(fit.steeper, 1.0)
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own)
+        sigmas = float(np.hypot(_SIGMAS, _NOISE_SIGMAS * noise / self._noise))
+        by_readings = np.maximum(sigmas * max(1.0, misfit) * spread, own)
         by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else fit.stale)
         uncertainty = by_readings + base.others + doubt
         open_cells = signal <= self._half_step + SIGMAS * noise
