@@ -292,7 +292,8 @@ class UrlPort(_RealTimePort):
     def _take(self, size: int | None) -> bytes:
         """Wait for so many bytes, for at most 0.1 s; None: those that are there."""
         try:
-            size = self._device.in_waiting if size is None else size
+            if size is None:
+                size = self._device.in_waiting  # type: ignore[attr-defined]  # the stubs lack it
             return bytes(self._device.read(size)) if size else b""
         except BlockingIOError:  # another thread has taken the bytes that were there
             return b""
