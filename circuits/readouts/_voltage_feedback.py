@@ -25,6 +25,11 @@ from ._rounding import conductance_into_rows
 from ._voltage_divider import VoltageDivider
 
 
+_LEAST_SHORT = 1e-3  # ohm that a short has at least, with its contacts
+_LEAST_DIVISION = 1.1  # of a column's readings by shorts, below which nothing is to be mistaken
+_FAR_ABOVE = 3.0  # times the usual conductance, or that of Rref, above which a cell is no ordinary one
+
+
 class _Balance(NamedTuple):
     """The current balance of the sensed column, (..., N, M): one unknown, the potential V of its end."""
 
@@ -112,6 +117,45 @@ class VoltageFeedback(VoltageDivider):
 
     def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
         return None  # the follower keeps the column's other cells out of a reading
+
+    def imitated_by_shorts(
+        self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float
+    ) -> BoolArray | None:
+        """Two shorts in a row join its columns, and each column then nearly follows the follower that drives the other.
+
+        With r the row's lead and G the conductance between the columns through the shorts, the follower's finite gain
+        divides all other readings of such a column by F = 1 + G Rref / (1 + A), and its offset moves them by
+        (1 + A) Vos (F - 1) / F. The shorts themselves read drive / (1 + F r / Rref): like two ordinary cells. So two
+        such readings in a row are not believed where the readings of their columns, multiplied by F, are those of
+        ordinary cells as well.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            largest = 1.0 + board.reference * board.inverse_gain / (board.column_lead + _LEAST_SHORT)
+            share = signal / board.drive
+            suspect = share * (1.0 + largest * row_lead / board.reference) >= 1.0
+            suspect &= (row_lead > 0.0) & (largest > _LEAST_DIVISION)
+            every = suspect.copy()
+            suspect &= np.count_nonzero(suspect, axis=1, keepdims=True) > 1
+            if not suspect.any():
+                return None
+            divided = np.where(suspect, (1.0 / share - 1.0) * board.reference / row_lead, 1.0).max(axis=0)
+            lift = board.loop_share * board.offset - board.inverse_gain * board.level
+            moved = np.where(lift != 0.0, lift / board.inverse_gain * (1.0 - 1.0 / divided), 0.0)
+        columns = suspect.any(axis=0)
+        others = ~suspect & ~suspect.any(axis=1, keepdims=True)
+        ordinary = self.apparent_conductance(board, signal)
+        usual = ordinary[others & ~columns & (ordinary > 0.0)]
+        most = np.minimum(_FAR_ABOVE * (float(np.median(usual)) if usual.size else np.inf), _FAR_ABOVE / board.reference)
+        # Whatever reads nothing may be pushed below the range.
+        joined = self.apparent_conductance(board, np.where(np.abs(signal) > least, signal - moved, 0.0)) * divided
+        likely = np.count_nonzero((joined > most) & others, axis=0) <= 0.5 * np.count_nonzero(others, axis=0)
+        suspect &= likely
+        suspect_rows = np.count_nonzero(suspect, axis=1, keepdims=True) > 1
+        columns = (suspect & suspect_rows).any(axis=0)
+        if not columns.any():
+            return None
+        found: BoolArray = columns | (every & columns).any(axis=1, keepdims=True)
+        return found
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.

@@ -258,6 +258,7 @@ class CoupledLive:
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
         self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()  # of the logarithms
         self._series = (self._leads + board.series_ohms).ravel()  # the same with the faults there
+        self._row_lead = np.where(np.isfinite(self._lines.to_driver), self._lines.to_driver, 0.0)
         self._tie = np.where(self._gone | (self._leads.ravel() == 0.0), -inf, _TIES * self._leads.ravel())
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
@@ -377,9 +378,14 @@ class CoupledLive:
         if short.any():  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
         if not self._astray:
+            board = self._board
             tied = self._tied(x, uncertainty, signal - _RESOLVED * (self._half_step + SIGMAS * noise))
             if tied is not None:
                 beside = beside | tied
+            least = self._half_step + self._board.adc.step + SIGMAS * noise
+            imitated = board.circuit.imitated_by_shorts(board, self._row_lead, volts - board.level, least)
+            if imitated is not None:
+                beside = beside | imitated
         uncertainty[beside.ravel()] = inf
         reason[beside.ravel()] = DISTURBED
         gone = self._gone
