@@ -48,6 +48,7 @@ _SLOW = 0.2  # length of a step over the one before from which on the derivative
 _MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
 _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
 _SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
+_MOST_FAILURES = 3  # frames in a row until the design is not believed: other starts may lead to a fit
 _MOST_WITHOUT_FIT = 6  # frames in a row until steps column by column are given up
 _STUCK = 300  # frames until they are tried again
 _PER_SQUARE = 16  # multiplications of a matrix product that take as long as the square of one entry
@@ -272,6 +273,7 @@ class CoupledLive:
         self._bottom: BoolArray | None = None  # (n,) readings at the lower end of the range, which may lie below
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
+        self._failures = 0  # frames in a row at whose end no cells gave the readings
         self._stuck = 0  # frames for which steps column by column are not tried, since they led to no fit
         self._without_fit = 0  # frames
         self._astray = False  # the last frame did not settle
@@ -318,6 +320,7 @@ class CoupledLive:
         if start is None:
             start, self._renewal, self._damping = self._known_at(self._start(volts)), None, 1.0
             self._from_fresh_start = True
+            self._rebase(start)
         if beside.any():
             apparent = np.where(beside.ravel(), self._start(volts), start.log)
             if np.abs(apparent - start.log).max() > _ROUGHLY:
@@ -328,6 +331,7 @@ class CoupledLive:
             effort = effort._replace(evaluations=effort.evaluations - 1)
             if self._distance(measured, anew) < self._distance(measured, start):
                 start = anew
+                self._rebase(start)
         if self._base is None:
             self._base = self._based_on(start)
         slope = self._slope(volts)
@@ -347,13 +351,14 @@ class CoupledLive:
         if self._has_matrix and not base.whole and self._without_fit >= _MOST_WITHOUT_FIT:
             self._stuck = _STUCK
         if misfit <= _NO_FIT:
-            self._from_fresh_start = False
+            self._from_fresh_start, self._failures = False, 0
         elif misfit > _MISFIT and fit.stalled:
             self._known = None  # the next frame starts anew
             short = self._as_good_as_short(x)
             if short.any():  # readings hardly tell such a cell from a short
                 return self._nothing(short)
-            if self._from_fresh_start:
+            self._failures += 1
+            if self._from_fresh_start and self._failures > _MOST_FAILURES:
                 raise SolverError("no cell resistances give these readings; check that the design is that of the board")
         signal = signal.ravel()
         own = (self._half_step + SIGMAS * noise) * slope
@@ -630,6 +635,12 @@ class CoupledLive:
         if loss <= _HEAVY or not self._has_matrix:
             return self._based_on_lines(at, loss)
         return next(base for base in self._renewed(at) if base is not None)
+
+    def _rebase(self, at: _Known) -> None:
+        """Take derivatives from there at once, where columns give them in closed form."""
+        loss = self._loss(at.log)
+        if self._base is not None and self._columns.applies and loss <= _HEAVY:
+            self._base, self._renewal = self._based_on_lines(at, loss), None
 
     def _based_on_lines(self, at: _Known, loss: float) -> _Base:
         """Derivatives there by what is special about cells of one line: no matrix of all readings by all cells."""
