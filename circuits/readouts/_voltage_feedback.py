@@ -24,7 +24,6 @@ from ._quick import QuickFields, QuickNetwork, behind_leads
 from ._rounding import conductance_into_rows
 from ._voltage_divider import VoltageDivider
 
-
 _LEAST_SHORT = 1e-3  # ohm that a short has at least, with its contacts
 _LEAST_DIVISION = 1.1  # of a column's readings by shorts, below which nothing is to be mistaken
 _FAR_ABOVE = 3.0  # times the usual conductance, or that of Rref, above which a cell is no ordinary one
@@ -132,10 +131,9 @@ class VoltageFeedback(VoltageDivider):
         with np.errstate(divide="ignore", invalid="ignore"):
             largest = 1.0 + board.reference * board.inverse_gain / (board.column_lead + _LEAST_SHORT)
             share = signal / board.drive
-            suspect = share * (1.0 + largest * row_lead / board.reference) >= 1.0
-            suspect &= (row_lead > 0.0) & (largest > _LEAST_DIVISION)
-            every = suspect.copy()
-            suspect &= np.count_nonzero(suspect, axis=1, keepdims=True) > 1
+            every: BoolArray = share * (1.0 + largest * row_lead / board.reference) >= 1.0
+            every &= (row_lead > 0.0) & (largest > _LEAST_DIVISION)
+            suspect: BoolArray = every & (np.count_nonzero(every, axis=1, keepdims=True) > 1)
             if not suspect.any():
                 return None
             divided = np.where(suspect, (1.0 / share - 1.0) * board.reference / row_lead, 1.0).max(axis=0)
@@ -145,7 +143,9 @@ class VoltageFeedback(VoltageDivider):
         others = ~suspect & ~suspect.any(axis=1, keepdims=True)
         ordinary = self.apparent_conductance(board, signal)
         usual = ordinary[others & ~columns & (ordinary > 0.0)]
-        most = np.minimum(_FAR_ABOVE * (float(np.median(usual)) if usual.size else np.inf), _FAR_ABOVE / board.reference)
+        most = np.minimum(
+            _FAR_ABOVE * (float(np.median(usual)) if usual.size else np.inf), _FAR_ABOVE / board.reference
+        )
         # Whatever reads nothing may be pushed below the range.
         joined = self.apparent_conductance(board, np.where(np.abs(signal) > least, signal - moved, 0.0)) * divided
         likely = np.count_nonzero((joined > most) & others, axis=0) <= 0.5 * np.count_nonzero(others, axis=0)

@@ -260,6 +260,7 @@ class CoupledLive:
         self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()  # of the logarithms
         self._series = (self._leads + board.series_ohms).ravel()  # the same with the faults there
         self._row_lead = np.where(np.isfinite(self._lines.to_driver), self._lines.to_driver, 0.0)
+        self._least_signal = self._half_step + (0.0 if board.adc is None else board.adc.step)
         self._tie = np.where(self._gone | (self._leads.ravel() == 0.0), -inf, _TIES * self._leads.ravel())
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
@@ -270,6 +271,12 @@ class CoupledLive:
         self._lowest = -inf
         if board.circuit.has_amplifiers and board.adc is not None:
             self._lowest = board.adc.range[0] + board.adc.step
+        adc = board.adc
+        self._random = 1.0  # share of the converter's error that differs from reading to reading
+        self._shifts: tuple[float, float, float] | None = None  # V and relative, errors of all readings; V of code 0
+        if adc is not None and (adc.offset_voltage or adc.gain_error):
+            self._shifts = abs(adc.offset_voltage), abs(adc.gain_error), adc.range[0]
+            self._random = (0.5 + abs(adc.inl_steps)) * adc.step / self._half_step
         self._bottom: BoolArray | None = None  # (n,) readings at the lower end of the range, which may lie below
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
@@ -365,8 +372,11 @@ class CoupledLive:
         own[slope == 0] = 1.0
         spread = base.std * np.maximum(fit.steeper, 1.0)
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own)
+        apart = float(np.hypot(self._random, noise / self._noise))
+        by_readings = np.maximum(_SIGMAS * apart * max(1.0, misfit * coarser / apart) * spread, own)
         by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else fit.stale)
+        if self._shifts is not None:
+            by_readings += self._by_shifts(measured)
         uncertainty = by_readings + base.others + doubt
         open_cells = signal <= self._half_step + SIGMAS * noise
         reason = np.full(len(measured), UNCERTAIN, dtype=np.int8)
@@ -387,7 +397,7 @@ class CoupledLive:
             tied = self._tied(x, uncertainty, signal - _RESOLVED * (self._half_step + SIGMAS * noise))
             if tied is not None:
                 beside = beside | tied
-            least = self._half_step + self._board.adc.step + SIGMAS * noise
+            least = self._least_signal + SIGMAS * noise
             imitated = board.circuit.imitated_by_shorts(board, self._row_lead, volts - board.level, least)
             if imitated is not None:
                 beside = beside | imitated
@@ -470,6 +480,16 @@ class CoupledLive:
         proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
         stale = exp(float(_apart(self._base, known.log).max()))
         return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, stale=stale, steeper=steeper)
+
+    def _by_shifts(self, measured: FloatArray) -> FloatArray:
+        """Change (n,) of the logarithms by the converter's offset and gain error, which move all readings together."""
+        assert self._base is not None
+        assert self._shifts is not None
+        offset, gain, lowest = self._shifts
+        by_offset = np.abs(self._base.step(np.full(len(measured), offset)))
+        by_gain: FloatArray = np.abs(self._base.step(gain * (measured - lowest)))
+        by_gain += by_offset
+        return by_gain
 
     def _as_good_as_short(self, x: FloatArray) -> BoolArray:
         """(N, M) where a cell of the logarithm x (n,) is far below its leads and no fault explains that."""
