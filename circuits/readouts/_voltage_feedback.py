@@ -132,7 +132,7 @@ class VoltageFeedback(VoltageDivider):
             largest = 1.0 + board.reference * board.inverse_gain / (board.column_lead + _LEAST_SHORT)
             share = signal / board.drive
             every: BoolArray = share * (1.0 + largest * row_lead / board.reference) >= 1.0
-            every &= (row_lead > 0.0) & (largest > _LEAST_DIVISION)
+            every = every & (row_lead > 0.0) & (largest > _LEAST_DIVISION)
             suspect: BoolArray = every & (np.count_nonzero(every, axis=1, keepdims=True) > 1)
             if not suspect.any():
                 return None
@@ -149,12 +149,12 @@ class VoltageFeedback(VoltageDivider):
         # Whatever reads nothing may be pushed below the range.
         joined = self.apparent_conductance(board, np.where(np.abs(signal) > least, signal - moved, 0.0)) * divided
         likely = np.count_nonzero((joined > most) & others, axis=0) <= 0.5 * np.count_nonzero(others, axis=0)
-        suspect &= likely
+        suspect = suspect & likely
         suspect_rows = np.count_nonzero(suspect, axis=1, keepdims=True) > 1
-        columns = (suspect & suspect_rows).any(axis=0)
+        columns = np.any(suspect & suspect_rows, axis=0)
         if not columns.any():
             return None
-        found: BoolArray = columns | (every & columns).any(axis=1, keepdims=True)
+        found: BoolArray = columns | np.any(every & columns, axis=1, keepdims=True)
         return found
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:

@@ -47,7 +47,8 @@ _TOO_FAR = 1.0  # the same from which on they no longer tell what a misfit means
 _SLOW = 0.2  # length of a step over the one before from which on the derivatives are to blame
 _MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
 _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
-_SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
+_SIGMAS = 4.5  # posterior standard deviations by ADC steps that an uncertainty covers: a bound on the error
+_NOISE_SIGMAS = 3.5  # the same by noise: a fifth more, a factor of two at the limit of validity, is 5 of them
 _MOST_FAILURES = 3  # frames in a row until the design is not believed: other starts may lead to a fit
 _MOST_WITHOUT_FIT = 6  # frames in a row until steps column by column are given up
 _STUCK = 300  # frames until they are tried again
@@ -372,8 +373,9 @@ class CoupledLive:
         own[slope == 0] = 1.0
         spread = base.std * np.maximum(fit.steeper, 1.0)
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        apart = float(np.hypot(self._random, noise / self._noise))
-        by_readings = np.maximum(_SIGMAS * apart * max(1.0, misfit * coarser / apart) * spread, own)
+        by_noise = _NOISE_SIGMAS * noise / self._noise
+        sigmas = max(float(np.hypot(_SIGMAS * self._random, by_noise)), misfit * float(np.hypot(_SIGMAS, by_noise)))
+        by_readings = np.maximum(sigmas * spread, own)
         by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else fit.stale)
         if self._shifts is not None:
             by_readings += self._by_shifts(measured)
