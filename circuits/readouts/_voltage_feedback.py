@@ -128,33 +128,29 @@ class VoltageFeedback(VoltageDivider):
         such readings in a row are not believed where the readings of their columns, multiplied by F, are those of
         ordinary cells as well.
         """
-        with np.errstate(divide="ignore", invalid="ignore"):
-            largest = 1.0 + board.reference * board.inverse_gain / (board.column_lead + _LEAST_SHORT)
-            share = signal / board.drive
-            every: BoolArray = share * (1.0 + largest * row_lead / board.reference) >= 1.0
-            every = every & (row_lead > 0.0) & (largest > _LEAST_DIVISION)
-            suspect: BoolArray = every & (np.count_nonzero(every, axis=1, keepdims=True) > 1)
-            if not suspect.any():
-                return None
-            divided = np.where(suspect, (1.0 / share - 1.0) * board.reference / row_lead, 1.0).max(axis=0)
-            lift = board.loop_share * board.offset - board.inverse_gain * board.level
-            moved = np.where(lift != 0.0, lift / board.inverse_gain * (1.0 - 1.0 / divided), 0.0)
-        columns = suspect.any(axis=0)
-        others = ~suspect & ~suspect.any(axis=1, keepdims=True)
-        ordinary = self.apparent_conductance(board, signal)
-        usual = ordinary[others & ~columns & (ordinary > 0.0)]
-        most = np.minimum(
-            _FAR_ABOVE * (float(np.median(usual)) if usual.size else np.inf), _FAR_ABOVE / board.reference
-        )
-        # Whatever reads nothing may be pushed below the range.
-        joined = self.apparent_conductance(board, np.where(np.abs(signal) > least, signal - moved, 0.0)) * divided
-        likely = np.count_nonzero((joined > most) & others, axis=0) <= 0.5 * np.count_nonzero(others, axis=0)
-        suspect = suspect & likely
-        suspect_rows = np.count_nonzero(suspect, axis=1, keepdims=True) > 1
-        columns = np.any(suspect & suspect_rows, axis=0)
-        if not columns.any():
+        share = signal / board.drive
+        largest = 1.0 + board.reference * board.inverse_gain / (board.column_lead + _LEAST_SHORT)
+        possible = share * (1.0 + largest * row_lead / board.reference) >= 1.0
+        possible &= (row_lead > 0.0) & (largest > _LEAST_DIVISION)
+        if not _of_pairs(possible).any():
             return None
-        found: BoolArray = columns | np.any(every & columns, axis=1, keepdims=True)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            divided = np.where(possible, np.maximum((1.0 / share - 1.0) * board.reference / row_lead, 1.0), 1.0)
+            lift = board.loop_share * board.offset - board.inverse_gain * board.level
+            moved = np.where(lift != 0.0, lift / board.inverse_gain * (1.0 - 1.0 / divided.max(axis=0)), 0.0)
+        # Whatever reads nothing may be pushed below the range.
+        others = self.apparent_conductance(board, np.where(np.abs(signal) > least, signal - moved, 0.0))
+        # Of a column's cells but the largest, the median.
+        usual = np.sort(others, axis=0)[max(len(others) - 2, 0) // 2] if len(others) > 1 else np.zeros(len(moved))
+        suspect = _of_pairs(possible & (usual * divided <= _FAR_ABOVE / board.reference))
+        elsewhere = self.apparent_conductance(board, signal)[~suspect.any(axis=1)][:, ~suspect.any(axis=0)]
+        elsewhere = elsewhere[elsewhere > 0.0]
+        if elsewhere.size:
+            suspect = _of_pairs(suspect & (usual * divided <= _FAR_ABOVE * np.median(elsewhere)))
+        if not suspect.any():
+            return None
+        columns = suspect.any(axis=0)
+        found: BoolArray = columns | np.any(possible & columns, axis=1, keepdims=True)
         return found
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
@@ -284,3 +280,9 @@ class VoltageFeedback(VoltageDivider):
         if low > -inf:
             law = f"max({law},{low!r})"
         yield f"Bfollower {writer.follower} {writer.ground} V = {law}"
+
+
+def _of_pairs(chosen: BoolArray) -> BoolArray:
+    """Those of the chosen cells (N, M) that have another one in their row."""
+    pairs: BoolArray = chosen & (np.count_nonzero(chosen, axis=1, keepdims=True) > 1)
+    return pairs

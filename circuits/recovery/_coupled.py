@@ -334,7 +334,7 @@ class CoupledLive:
             if np.abs(apparent - start.log).max() > _ROUGHLY:
                 start = self._known_at(apparent)
         effort = self._usual_effort if self._begun else FIRST_EFFORT
-        if self._columns.has_law and start is self._known and self._distance(measured, start) > _JUMP * coarser:
+        if self._columns.applies and start is self._known and self._distance(measured, start) > _JUMP * coarser:
             anew = self._known_at(self._start(volts))
             effort = effort._replace(evaluations=effort.evaluations - 1)
             if self._distance(measured, anew) < self._distance(measured, start):
