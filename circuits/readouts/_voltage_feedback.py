@@ -26,7 +26,8 @@ from ._voltage_divider import VoltageDivider
 
 _LEAST_SHORT = 1e-3  # ohm that a short has at least, with its contacts
 _LEAST_DIVISION = 1.1  # of a column's readings by shorts, below which nothing is to be mistaken
-_FAR_ABOVE = 3.0  # times the usual conductance, or that of Rref, above which a cell is no ordinary one
+_FAR_ABOVE = 5.0  # times the usual conductance above which a cell is no ordinary one
+_WELL_ABOVE = 10.0  # the same over that of Rref
 
 
 class _Balance(NamedTuple):
@@ -142,7 +143,7 @@ class VoltageFeedback(VoltageDivider):
         others = self.apparent_conductance(board, np.where(np.abs(signal) > least, signal - moved, 0.0))
         # Of a column's cells but the largest, the median.
         usual = np.sort(others, axis=0)[max(len(others) - 2, 0) // 2] if len(others) > 1 else np.zeros(len(moved))
-        suspect = _of_pairs(possible & (usual * divided <= _FAR_ABOVE / board.reference))
+        suspect = _of_pairs(possible & (usual * divided <= _WELL_ABOVE / board.reference))
         elsewhere = self.apparent_conductance(board, signal)[~suspect.any(axis=1)][:, ~suspect.any(axis=0)]
         elsewhere = elsewhere[elsewhere > 0.0]
         if elsewhere.size:
