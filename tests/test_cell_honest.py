@@ -231,3 +231,63 @@ def test_loads_of_one_skin_are_judged_as_those_of_many(load: honesty.Load) -> No
     assert [row.load for row in together] == ["finger", load, "press, opens"]
     assert together[1].within_two == pytest.approx(alone.within_two, abs=0.02)
     assert together[1].rmse_percent == pytest.approx(alone.rmse_percent, rel=0.3, abs=0.05)
+
+
+@pytest.mark.parametrize("load", ["drumming", "vibration", "slip", "short taps"])
+@settings(max_examples=2)
+@given(noise=NOISES, seed=SEEDS)
+def test_motion_that_the_inverse_loses_is_nine_tenths_within_two_deviations(
+    load: honesty.Load, noise: float, seed: int
+) -> None:
+    found = honesty.judged(honesty.uncalibrated()["paper"], "paper", load, noise, seed=seed)
+    assert found.within_two > 0.9
+
+
+@pytest.mark.parametrize("kind", ["paper", "m10"])
+@settings(max_examples=3)
+@given(seed=SEEDS)
+def test_taps_between_holds_are_not_in_doubt_for_their_edges(kind: str, seed: int) -> None:
+    """Twelve taps a second apart, each of which would add the doubt of two turns between frames if edges were turns."""
+    found = honesty.judged(honesty.uncalibrated()[kind], kind, "taps", 1.0, seed=seed)
+    assert found.within_two > 0.95
+    assert found.std_percent < 3.0
+
+
+@settings(max_examples=3)
+@given(seed=SEEDS)
+def test_chains_that_turns_within_the_noise_break_are_counted(seed: int) -> None:
+    """A finger rolls to and fro over cells of kind m10: each turn crosses the play within which noise breaks no chains."""
+    cell, dt = honesty.uncalibrated()["m10"], 0.01
+    place = -2.0 + 10.0 * (0.5 - 0.5 * np.cos(0.8 * np.pi * dt * np.arange(1200)))
+    share = 0.9 * np.exp(-((place[:, None] - np.arange(8)) ** 2) / 1.2)
+    read = honesty.readings(cell, share, dt, 5.0, np.random.default_rng(seed))
+    pressure, std = honesty.estimated(cell, read, np.ones(len(share), dtype=bool), dt)
+    error = np.abs(pressure - cell.full_scale_kpa * share)[50:]
+    assert np.sqrt(np.mean(error**2)) < 0.07 * cell.full_scale_kpa
+    assert np.mean(error < 2 * std[50:]) > 0.9
+
+
+@pytest.mark.parametrize("factor", [0.6, 0.75, 2.5, 4.0])
+@pytest.mark.parametrize("kind", ["paper", "asymmetric"])
+def test_a_bad_contact_of_a_released_cell_leaves_no_trace(kind: str, factor: float) -> None:
+    """60 ms in which an unloaded cell, which still remembers a press, reads more or less than it has."""
+    cell, dt = honesty.uncalibrated()[kind], 0.01
+    time = dt * np.arange(600)
+    share = np.interp(time, [0.5, 0.6, 2.5, 2.6], [0.0, 1.0, 1.0, 0.0])[:, None] * np.linspace(0.5, 0.9, 4)
+    read = honesty.readings(cell, share, dt, 0.3, np.random.default_rng(0))
+    read[280:286] *= factor
+    pressure, _ = honesty.estimated(cell, read, np.ones(len(time), dtype=bool), dt)
+    assert np.abs(pressure[300:]).max() < 0.03 * cell.full_scale_kpa
+
+
+@pytest.mark.parametrize("kind", ["paper", "m10"])
+@pytest.mark.parametrize("noise", [0.3, 5.0])
+def test_a_hold_of_ten_minutes_does_not_fade_and_its_release_is_rest(kind: str, noise: float) -> None:
+    cell, dt = honesty.uncalibrated()[kind], 0.2
+    time = dt * np.arange(3250)
+    share = np.interp(time, [2.0, 2.2, 602.0, 602.2], [0.0, 1.0, 1.0, 0.0])[:, None] * np.linspace(0.3, 0.9, 4)
+    read = honesty.readings(cell, share, dt, noise, np.random.default_rng(1))
+    pressure, _ = honesty.estimated(cell, read, np.ones(len(time), dtype=bool), dt)
+    full = cell.full_scale_kpa
+    assert np.abs(np.median(pressure[2950:3000], axis=0) - full * share[2980]).max() < 0.02 * full
+    assert np.abs(np.median(pressure[3060:], axis=0)).max() < 0.02 * full

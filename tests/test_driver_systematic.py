@@ -232,3 +232,16 @@ def test_a_hard_press_on_a_divider_is_not_surer_than_the_noise_of_its_column() -
     assert valid.mean() > 0.9
     assert np.mean(np.abs(error[valid]) < 2) > 0.95
     assert np.abs(error[valid]).max() < 4
+
+
+def test_the_spread_of_few_cells_is_stated_with_what_so_few_leave_open() -> None:
+    """Over many skins of nine cells that differ by 4 %, the truth is within two deviations as often as it should be."""
+    cell = Cell.example()
+    within = []
+    for seed in range(60):
+        off = 0.04 * np.random.default_rng(seed).standard_normal((3, 3))
+        systematic = SystematicError(cell)
+        systematic._look(cell.rest_resistance_ohm * np.exp(off))
+        assert systematic.rest_spread is not None
+        within.append(np.abs(off) < 2 * systematic.rest_spread)
+    assert np.mean(within) > 0.95
