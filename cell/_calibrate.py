@@ -124,7 +124,8 @@ def calibrate(
         judged[name] = mixed(judged[name], judged["static"], share)
         learned = getattr(final, name)
         final = final.replace(**{name: learned.replace(static_share=1 - share)})
-    elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, LEARNED)
+    tried = (*LEARNED, *(name for name in judged if name == "inverse"))
+    elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, tried, whole)
     tell("learned from all")
     noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
     evidence = choice.Evidence(

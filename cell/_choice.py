@@ -19,6 +19,7 @@ from . import _simulate as simulate
 from ._cell import Cell, EstimatorName
 from ._identify import Fit
 from ._judged import Judged, standard_errors_better
+from ._training import NormalisedRecording, disturbed
 
 EXACT = 0.005
 """held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
@@ -124,7 +125,9 @@ def _doubts(evidence: Evidence, name: EstimatorName) -> str:
     return f"{name} is {side} by {abs(better):.1f} standard errors over the folds; {SURE} better needed"
 
 
-def errors_elsewhere(cell: Cell, fits: Sequence[Fit], names: Sequence[EstimatorName]) -> dict[EstimatorName, float]:
+def errors_elsewhere(
+    cell: Cell, fits: Sequence[Fit], names: Sequence[EstimatorName], calibration: NormalisedRecording
+) -> dict[EstimatorName, float]:
     """Rms errors of estimators on simulated cells under random ramps and holds, in shares of full scale.
 
     Cells of every kind are simulated that explains the recording about as well as the best one, since the recording
@@ -135,15 +138,19 @@ def errors_elsewhere(cell: Cell, fits: Sequence[Fit], names: Sequence[EstimatorN
         cell: calibrated.
         fits: of all kinds.
         names: of estimators that the cell has; the first is what the others are compared with.
+        calibration: the recording, which says how large the noise is and what models leave unexplained.
     """
     load = simulate.random_loads(np.random.default_rng(0), ELSEWHERE_STEPS, ELSEWHERE_CELLS, ELSEWHERE_STEP_S)
     least = min(fit.error for fit in fits)
     kinds = [fit for fit in fits if fit.error <= EXPLAINS_TOO * least]
     rms = np.empty((len(kinds), len(names)))
     for row, fit in enumerate(kinds):
-        resistance = fit.simulate(np.random.default_rng(1), load, ELSEWHERE_STEP_S)
+        rng = np.random.default_rng(1)
+        r = fit.simulate(rng, load, ELSEWHERE_STEP_S) / cell.rest_resistance_ohm - 1
+        r = disturbed(calibration, rng, load, r, ELSEWHERE_STEP_S)
+        resistance = cell.rest_resistance_ohm * (1 + r)
         for column, name in enumerate(names):
-            estimator = cell.estimator((ELSEWHERE_CELLS,), name, noise=0.0)
+            estimator = cell.estimator((ELSEWHERE_CELLS,), name)
             pressure = np.array([estimator.step(ELSEWHERE_STEP_S, frame) for frame in resistance])
             rms[row, column] = np.sqrt(np.mean((pressure / cell.full_scale_kpa - load) ** 2))
     rms = np.maximum(rms, 1e-9)

@@ -139,6 +139,8 @@ class Learned(Section):
     """
 
     smoothing_s: Positive
+    smoothed: bool = True
+    """whether the first feature is the smoothed reading, as in files of earlier versions, or the last one"""
     lags_s: Positives
     plays: Positives
     mean: Numbers
@@ -161,7 +163,7 @@ class Learned(Section):
     @property
     def bank(self) -> Bank:
         """The memories that make the features."""
-        return Bank(smoothing_s=self.smoothing_s, lags_s=self.lags_s, plays=self.plays)
+        return Bank(self.smoothing_s, self.lags_s, self.plays, self.smoothed)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
