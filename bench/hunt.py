@@ -31,7 +31,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..circuits import CIRCUITS, METHODS, Design, scan
 from ..errors import SolverError
-from . import _live_hunt
+from . import _live_hunt, _live_streams
 from ._reference import Indeterminate, reference_volts
 
 _ULP = float(np.finfo(np.float64).eps)
@@ -280,13 +280,18 @@ def table(tallies: dict[str, Tally]) -> str:
 @click.command()
 @click.option("--seconds", default=60.0, show_default=True, help="How long to search.")
 @click.option("--seed", default=0, show_default=True, help="Where to start; another one gives other designs.")
-@click.option("--family", multiple=True, type=click.Choice(list(FAMILIES)), help="Only these; default: all.")
+@click.option("--family", multiple=True, help="Only these; default: all. Those of --live have other names.")
 @click.option("--live", is_flag=True, help="Search for wrong live readings of quantised streams instead.")
 @click.option("--show", help="Print the design of a finding: FAMILY:NUMBER.")
 def main(seconds: float, seed: int, family: tuple[str, ...], live: bool, show: str | None) -> None:
     """Search for readings that differ from exact arithmetic by more than they say."""
+    known = _live_streams.FAMILIES if live else FAMILIES
+    if unknown := set(family) - set(known):
+        raise click.BadParameter(
+            f"{', '.join(sorted(unknown))}; expected some of {', '.join(known)}", param_hint="--family"
+        )
     if live:
-        raise SystemExit(1 if _live_hunt.run(seed, seconds) else 0)
+        raise SystemExit(1 if _live_hunt.run(seed, seconds, family) else 0)
     if show:
         name, number = show.rsplit(":", 1)
         design, cells = subject(name, int(number))

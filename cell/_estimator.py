@@ -239,18 +239,20 @@ class Estimator(ABC):
     @property
     def std_kpa(self) -> FloatArray:
         """(shape) standard deviation of the estimate of the last step, in kPa; NaN where none can be stated."""
-        return self.std_of_last_step()()
+        return np.asarray(np.sqrt(self.variance_of_last_step()()))
 
-    def std_of_last_step(self) -> Callable[[], FloatArray]:
-        """A function that gives :attr:`std_kpa` of the last step, whenever and in whatever thread it is called.
+    def variance_of_last_step(self) -> Callable[[], FloatArray]:
+        """A function that gives the square of :attr:`std_kpa` of the last step, whenever and in whatever thread.
 
         The function holds what it needs, so that a step whose standard deviation nobody asks for hardly pays for it.
         """
         by_gaps = self._gaps.variance if self._gaps.doubtful else None
         by_creep = self._held.variance
-        return partial(self._std_of, self._variance, self._asleep, self._reading, self._left_open, by_gaps, by_creep)
+        return partial(
+            self._variance_after, self._variance, self._asleep, self._reading, self._left_open, by_gaps, by_creep
+        )
 
-    def _std_of(
+    def _variance_after(
         self,
         before: FloatArray,
         asleep: _Asleep | None,
@@ -259,23 +261,19 @@ class Estimator(ABC):
         by_gaps: FloatArray | None,
         by_creep: FloatArray | None,
     ) -> FloatArray:
-        """(shape) kPa, from variances (n,) in kPa^2: before the step, asleep, of the step, by gaps, by creep."""
-        variance = self._with(before if asleep is None else asleep.added_to(before, reading), left_open)
+        """(shape) kPa^2, from variances (n,) in kPa^2: before the step, asleep, of the step, by gaps, by creep."""
+        if left_open is not None and left_open.cells.size == before.size:
+            variance = self._variance_of(left_open)
+        else:
+            variance = before.copy()
+            if asleep is not None:
+                asleep.add_to(variance, reading)
+            if left_open is not None:
+                variance[left_open.cells] = self._variance_of(left_open)
         for more in (by_gaps, by_creep):
-            variance = variance if more is None else variance + more
-        std: FloatArray = np.sqrt(variance).reshape(self.shape)
-        return std
-
-    def _with(self, variance: FloatArray, left_open: _LeftOpen | None) -> FloatArray:
-        """(n,) variances in kPa^2 with those of the cells that were followed in a step."""
-        if left_open is None:
-            return variance
-        found = self._variance_of(left_open)
-        if found.size == variance.size:
-            return found
-        all_cells = variance.copy()
-        all_cells[left_open.cells] = found
-        return all_cells
+            if more is not None:
+                variance += more
+        return variance.reshape(self.shape)
 
     @property
     def states_std(self) -> bool:
@@ -297,7 +295,7 @@ class Estimator(ABC):
     def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
         """Write the normalised resistances (n,) of the cells into ``r``."""
         np.multiply(resistance_ohm, self._per_ohm, out=r)
-        r -= 1.0
+        r -= _ONE
 
     def _readable(self, r: FloatArray) -> BoolArray | None:
         """(n,) which readings are credible; None: all. The others become the mean of their cell, in place."""
@@ -407,7 +405,10 @@ class Estimator(ABC):
         chosen anew.
         """
         block = self._block
-        self._variance, self._left_open = self._with(self._variance, self._left_open), None
+        if self._left_open is not None:
+            self._variance = self._variance.copy()
+            self._variance[self._left_open.cells] = self._variance_of(self._left_open)
+            self._left_open = None
         self._memory[:, block.cells] = block.memory
         self._line[:, block.cells] = block.line
         self._block = self._no_block
@@ -453,7 +454,7 @@ class Estimator(ABC):
             pressure = likely
         self._left_open = _LeftOpen(cells, memory[:SHARED].copy(), looked, added)
         if every:
-            np.copyto(self._pressure, pressure)
+            self._pressure[...] = pressure
         else:
             self._pressure[cells] = pressure
 
@@ -684,7 +685,7 @@ class Estimator(ABC):
 _ZERO = np.zeros(1)
 LEAST_NOISE = 1e-9
 """of r: keeps a division by the noise finite"""
-_ONE, _LEAST_NOISE = np.array(1.0), np.array(LEAST_NOISE)
+_ONE, _LEAST_NOISE, _HIDDEN, _PER_SIGMAS = (np.array(x) for x in (1.0, LEAST_NOISE, HIDDEN, 1.0 / SIGMAS))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
 
 
@@ -715,8 +716,8 @@ class _Looked(NamedTuple):
         """
         doubt: FloatArray = self.reading - self.line[smoothing.LEVEL]
         np.abs(doubt, out=doubt)
-        doubt += HIDDEN * self.noise
-        doubt *= 1.0 / SIGMAS
+        doubt += self.noise * _HIDDEN
+        doubt *= _PER_SIGMAS
         return np.maximum(doubt, self.std, out=doubt)
 
 
@@ -730,14 +731,13 @@ class _Asleep(NamedTuple):
     hidden_kpa: FloatArray
     """(m,) what the noise may hide beyond, as standard deviation"""
 
-    def added_to(self, variance: FloatArray, reading: FloatArray) -> FloatArray:
-        """Variances (n,) in kPa^2 with those that the present readings (n,) leave open."""
-        std = np.abs(reading[self.cells])
+    def add_to(self, variance: FloatArray, reading: FloatArray) -> None:
+        """Add what the present readings (n,) leave open to variances (n,) in kPa^2."""
+        std = np.abs(reading.take(self.cells))
         std *= self.per_reading
         std += self.hidden_kpa
-        found = variance.copy()
-        found[self.cells] += std**2
-        return found
+        std *= std
+        variance[self.cells] += std
 
 
 class _LeftOpen(NamedTuple):

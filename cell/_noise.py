@@ -48,6 +48,8 @@ MEDIAN_OF_SQUARES = 0.4549
 _THIRD = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
 _COEFFICIENTS = [np.roll(_THIRD, shift) for shift in range(4)]
 """of the four readings in the ring, when the oldest is in row 0, 1, 2, 3"""
+_ONE, _OUTLIER, _LEAST_VARIANCE = np.array(1.0), np.array(OUTLIER), np.array(LEAST**2)
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 class NoiseMeter:
@@ -114,8 +116,8 @@ class NoiseMeter:
     def _look(self, r: FloatArray) -> None:
         """Average the square of the third difference that ends with ``r``."""
         squares = self._squares
-        np.dot(_COEFFICIENTS[self._seen % 4], self._ring, out=squares)
-        np.add(r, 1.0, out=self._limit)
+        _COEFFICIENTS[self._seen % 4].dot(self._ring, squares)
+        np.add(r, _ONE, self._limit)
         self._limit *= self._limit
         squares /= self._limit
         squares *= squares
@@ -129,16 +131,16 @@ class NoiseMeter:
             start = np.full(squares.size, float(np.median(squares)) / MEDIAN_OF_SQUARES) if many else squares
             self._variance = np.maximum(start, LEAST**2)
         self._looks += 1
-        np.multiply(self._variance, OUTLIER, out=self._limit)
-        self._limit += LEAST**2
+        np.multiply(self._variance, _OUTLIER, self._limit)
+        self._limit += _LEAST_VARIANCE
         np.minimum(squares, self._limit, out=squares)
         squares -= self._variance
         squares *= max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
         self._variance += squares
         if self._looks % POOL == 1:
             self._pool()
-        np.add(self._variance, LEAST**2, out=self.at_rest)
-        np.sqrt(self.at_rest, out=self.at_rest)
+        np.add(self._variance, _LEAST_VARIANCE, self.at_rest)
+        np.sqrt(self.at_rest, self.at_rest)
         if self.typical_resolution:
             np.maximum(self.at_rest, self.resolution, out=self.at_rest)
 

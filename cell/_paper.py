@@ -286,20 +286,22 @@ class TurningEstimator(Estimator):
         self._taken_over = taken_over(model)
         self._bend = 1 / model.eu1_kpa + 1 / model.etau2_kpa - 1 / model.e1_kpa
         """r per kPa by which the answer to a fast rise exceeds that to a fast fall"""
-        self._lost_kpa2 = (NEAR * full_scale_kpa) ** 2
+        self._left = np.array(1.0 - GONE)
+        self._clear_kpa2 = self._left * (NEAR * full_scale_kpa) ** 2
         self._lost_at_most_kpa2 = (MOST_LOST * full_scale_kpa) ** 2
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
-        self._of = _Rows(np.zeros((len(self.rows), 0)))
+        self._of = _Rows(np.zeros((len(self.rows), 0)), TURN * full_scale_kpa)
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
         # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
-        self._sure, self._less, self._again, self._either = (np.array(x) for x in (SURE, LESS, AGAIN, EITHER))
+        self._sure, self._less, self._again, self._either, self._far = (
+            np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
+        )
+        self._none, self._one = np.array(0.0), np.array(1.0)
         self._turn_kpa, self._flat_kpa, self._exact_kpa = (
             np.array(share * full_scale_kpa) for share in (TURN, FLAT, EXACTLY)
         )
-        self._sooner = np.array((CONFIRMED_RISE - CONFIRMED_FALL) / 2)
-        self._usually = np.array((CONFIRMED_RISE + CONFIRMED_FALL) / 2)
         # What is below zero is an error that fades, and no turn.
         self._least_kpa = np.array(self._lowest if self._exact else 0.0)
 
@@ -319,12 +321,12 @@ class TurningEstimator(Estimator):
         w = self._weights_of(dt_s)
         of = self._of
         if memory is not of.memory:
-            of = self._of = _Rows(memory)
-        np.copyto(of.before_last, of.last)
-        np.copyto(of.last, of.pressure)
-        np.copyto(of.r, r)
-        np.dot(w.step, of.state, of.change)
-        np.copyto(of.hypotheses, of.change)
+            of = self._of = _Rows(memory, TURN * self.full_scale_kpa)
+        of.before_last[...] = of.last
+        of.last[...] = of.pressure
+        of.r[...] = r
+        w.step.dot(of.state, of.change)
+        of.hypotheses[...] = of.change
         both = of.both
         if both.item(both.argmin()) < self._lowest or both.item(both.argmax()) > self._usual:
             self._limit(of, w)
@@ -346,12 +348,9 @@ class TurningEstimator(Estimator):
             back, noise = self._gone_back(of, std)
         if unconfirmed:
             # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
-            noise *= self._sure
-            noise += self._turn_kpa
-            np.multiply(of.sign, self._sooner, of.nearby)
-            of.nearby += self._usually
-            noise *= of.nearby
-            np.copyto(of.left, FAR, where=np.greater_equal(back, noise, of.where))
+            noise *= of.confirming_sigmas
+            noise += of.confirming_kpa
+            np.copyto(of.left, self._far, where=np.greater_equal(back, noise, of.where))
         if not self._exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
             self._correct(of, doubt(), w)
 
@@ -360,10 +359,10 @@ class TurningEstimator(Estimator):
         np.maximum(of.unsure, self._flat_kpa, out=of.nearby)
         again = np.less(below_peak, of.nearby, of.where).astype(np.float64)
         again *= self._again
-        np.copyto(again, 1.0, where=np.less_equal(below_peak, self._exact_kpa, of.where))
+        np.copyto(again, self._one, where=np.less_equal(below_peak, self._exact_kpa, of.where))
         if unconfirmed:
-            np.copyto(again, 0.0, where=np.less(of.left, FAR, of.where))
-        np.dot(self._taken_over, of.state, of.change)
+            np.copyto(again, self._none, where=np.less(of.left, self._far, of.where))
+        self._taken_over.dot(of.state, of.change)
         np.multiply(of.not_rising, again, of.rising_share)
         np.multiply(of.not_recovery, again, of.recovery_share)
         for pair in of.changes_by_model:
@@ -380,21 +379,25 @@ class TurningEstimator(Estimator):
         apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
         apart *= self._either
         apart *= apart
-        if of.variance.item(of.variance.argmax()) > self._lost_kpa2:
-            self._keep(of, apart)
+        # Whether the variance is large, and little of it is left.
+        np.maximum(apart, self._clear_kpa2, out=of.nearby)
+        np.multiply(of.variance, self._left, of.threshold)
+        begun = np.greater(of.threshold, of.nearby, of.where)
+        if np.count_nonzero(begun):
+            self._keep(of, apart, begun)
         np.add(apart, of.doubt, of.variance)
         return memory
 
-    def _keep(self, of: _Rows, apart: FloatArray) -> None:
-        """Where the other hypothesis has begun anew though it was apart by more than noise, the doubt stays.
+    def _keep(self, of: _Rows, apart: FloatArray, begun: BoolArray) -> None:
+        """Where the other hypothesis has ``begun`` anew though it was apart by more than noise, the doubt stays.
 
         The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``. On a
         coarse converter that may happen at each step at rest, so the doubt has an end: full scale. Half of it would be
         the deviation of any load, but a memory that is lost shows up to 1.1 times full scale where there is no load.
         """
-        by_noise = of.unsure * (LOST / LESS)
         lost = of.variance - apart
-        begun = (lost > GONE * of.variance) & (of.variance > by_noise**2) & (of.variance > self._lost_kpa2)
+        by_noise = of.unsure * (LOST / LESS)
+        begun &= of.variance > by_noise**2
         np.copyto(lost, 0.0, where=~begun)
         of.doubt += lost + np.sqrt(of.doubt * lost)
         np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
@@ -530,8 +533,9 @@ class TurningEstimator(Estimator):
 class _Rows:
     """The rows of one ``memory`` (rows, m) by name, and arrays for intermediate results."""
 
-    def __init__(self, memory: FloatArray) -> None:
-        self.memory = memory
+    def __init__(self, memory: FloatArray, turn_kpa: float) -> None:
+        """``turn_kpa`` is by how much a pressure that is known exactly must go back for a turn."""
+        self.memory, self._turn_kpa = memory, turn_kpa
         cells = memory.shape[1]
         self.pressure, self.gain, self.variance, self.doubt, self.sign, self.extreme, self.peak, self.left = memory[:8]
         self.last, self.before_last = memory[LAST], memory[BEFORE_LAST]
@@ -545,6 +549,8 @@ class _Rows:
         self.rising_share, self.recovery_share = self.share
         self.rising_kpa, self.recovery_kpa = self.pressures
         self.unsure, self.threshold, self.spare, self.noise, self.ahead, self.nearby = np.empty((6, cells))
+        self.confirming_sigmas, self.confirming_kpa = np.empty((2, cells))
+        """how far the model that was left must have gone back for a turn to be certain: standard deviations, and kPa"""
         self.where, self.near = np.empty((2, cells), dtype=np.bool_)
         self.not_in_force = np.empty((2, cells))
         self.not_rising, self.not_recovery = self.not_in_force
@@ -553,10 +559,14 @@ class _Rows:
         self._weights: TurnWeights | None = None
 
     def take_gains(self, weights: TurnWeights, *, anew: bool = False) -> None:
-        """Gains of the hypothesis in force and of the other one; ``anew``: another hypothesis may be in force."""
+        """What depends on the hypothesis in force; ``anew``: another one may be in force than in the last frame."""
         if weights is self._weights and not anew:
             return
-        np.dot(weights.by_model, self.in_force, self._of_model)
-        np.copyto(self.gain, self._gain)
-        np.copyto(self.not_in_force, self.in_force[::-1])
+        weights.by_model.dot(self.in_force, self._of_model)
+        self.gain[...] = self._gain
+        if anew or self._weights is None:
+            self.not_in_force[...] = self.in_force[::-1]
+            turns = np.where(self.sign > 0, CONFIRMED_RISE, CONFIRMED_FALL)
+            np.multiply(turns, SURE, self.confirming_sigmas)
+            np.multiply(turns, self._turn_kpa, self.confirming_kpa)
         self._weights = weights

@@ -33,8 +33,9 @@ LEVEL, SLOPE, COUNT, SUMS = 0, 1, 2, slice(3, 5)
 """rows of the memory: the line now, its slope per second, readings since it began; sums of departures upwards and
 downwards"""
 ROWS = 5
-_ALLOWED, _FAR, _ZERO, _ONE = np.array(ALLOWED), np.array(FAR), np.array(0.0), np.array(1.0)
-# NumPy makes an array of a float in every call.
+_ALLOWED, _SUM, _FAR, _FAR_SHARE = (np.array(x) for x in (ALLOWED, SUM, FAR, 1.0 - NEAR))
+_ZERO, _ONE = np.array(0.0), np.array(1.0)
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 class Smoothed(NamedTuple):
@@ -53,9 +54,9 @@ class Scratch:
     def __init__(self, line: FloatArray) -> None:
         cells = line.shape[1]
         self.level, self.slope, self.count, self.sums = line[LEVEL], line[SLOPE], line[COUNT], line[SUMS]
+        self.level_and_slope, self.since = line[: SLOPE + 1], line[SLOPE:]
         self.up, self.down = self.sums
-        self.since = line[SLOPE:]
-        self.expected, self.off, self.z = np.empty((3, cells))
+        self.off, self.z, self.spare = np.empty((3, cells))
         self.above = np.empty((2, cells), dtype=np.bool_)
         self.begun, self.near = np.empty((2, cells), dtype=np.bool_)
         self.gains = np.empty((3, cells))
@@ -128,29 +129,28 @@ def advance(
     ``gains`` are those of :func:`gains_for`.
     """
     m = scratch or Scratch(line)
-    expected, off, sums, level = m.expected, m.off, m.sums, m.level
-    np.multiply(m.slope, dt_s, expected)
-    expected += level
-    np.subtract(r, expected, off)
-    np.divide(off, noise, m.z)
+    dt, sums = np.array(dt_s), m.sums
+    np.multiply(m.slope, dt, m.spare)
+    m.level += m.spare
+    np.subtract(r, m.level, m.off)
+    np.divide(m.off, noise, m.z)
     m.up += m.z
     m.down -= m.z
     sums -= _ALLOWED
     np.maximum(sums, _ZERO, out=sums)
     m.count += _ONE
-    np.copyto(m.n, m.count, casting="unsafe")
+    m.n[...] = m.count
     gains.rows.take(m.n, axis=1, out=m.gains, mode="clip")  # the last entry holds from there on
-    m.level_step *= off
-    m.slope_step *= off
-    m.slope_step /= dt_s
-    np.add(expected, m.level_step, level)
-    m.slope += m.slope_step
+    m.level_step *= m.off
+    m.slope_step *= m.off
+    m.slope_step /= dt
+    m.level_and_slope += m.steps
     begun = None
     if sums.item(sums.argmax()) > SUM:
-        np.greater(sums, SUM, m.above)
+        np.greater(sums, _SUM, m.above)
         begun = np.logical_or(m.above[0], m.above[1], m.begun)
         _begin_again(m, begun, r)
-    return Smoothed(level, m.share * noise, begun)
+    return Smoothed(m.level, m.share * noise, begun)
 
 
 def _begin_again(m: Scratch, begun: BoolArray, r: FloatArray) -> None:
@@ -161,9 +161,9 @@ def _begin_again(m: Scratch, begun: BoolArray, r: FloatArray) -> None:
     np.copyto(m.level, r, where=begun)
     np.copyto(m.share, _ONE, where=begun)
     if np.count_nonzero(near):
-        m.off *= 1.0 - NEAR
-        np.subtract(r, m.off, m.expected)
-        np.copyto(m.level, m.expected, where=near)
+        m.off *= _FAR_SHARE
+        np.subtract(r, m.off, m.spare)
+        np.copyto(m.level, m.spare, where=near)
         np.copyto(m.count, _ONE, where=near)
 
 

@@ -1,8 +1,8 @@
-"""Contacts on the skin: connected-component labelling with hysteresis, and tracking by linear assignment.
+"""Contacts on the skin: connected-component labelling with hysteresis, and tracking from frame to frame.
 
 A pixel-wise threshold flickers with noise. As in Canny's edge detector, cells above a low threshold form a contact only
 if one of them is above a high threshold, or if the contact was there a moment ago. Each cell has a hysteresis, too: the
-cell between two fingers neither joins nor parts them from frame to frame.
+cell between two fingers neither joins nor parts them from frame to frame. :mod:`._tracks` gives the contacts their ids.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
-from scipy.optimize import linear_sum_assignment
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ._later import Later
+from ._tracks import Named, Patch, Tracks
 
 START_STDS, JOIN_STDS, STAY_STDS = 5.0, 3.2, 2.5
 """a contact begins, takes in a further cell, and keeps a cell at so many standard deviations of the cell's pressure"""
@@ -23,11 +23,6 @@ START_SHARE, JOIN_SHARE, STAY_SHARE = 0.03, 0.0192, 0.015
 """least thresholds, as shares of full scale: slow errors of the cell model are not in its standard deviation"""
 NEIGHBOURS = np.ones((3, 3), dtype=int)
 """cells that touch at a corner belong together: a finger rarely covers whole rows"""
-SPEED_M_PER_S = 0.5
-REACH_PITCHES = 1.5
-"""a contact moves at most this far between two frames, plus what the speed above allows in the time between them"""
-REMEMBERED_S = 0.2
-"""a contact that returns within this time keeps its id"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +43,8 @@ class Contact:
     """largest pressure of one cell"""
     cells: IntArray
     """(n, 2) row and column of each touched cell"""
+    joined: tuple[int, ...] = ()
+    """ids of other contacts that have run into this one, and will have these ids again when they part from it"""
 
     @property
     def position_m(self) -> tuple[float, float]:
@@ -63,9 +60,9 @@ class ContactTracker:
         self.pitch_m = pitch_m
         self.full_scale_kpa = full_scale_kpa
         self._touched: BoolArray = np.zeros(shape, dtype=bool)
-        self._known: list[tuple[Contact, float]] = []
-        self._last_id = 0
-        self._time_s = -np.inf
+        self._tracks = Tracks(1e3 * pitch_m)
+        self._places: IntArray = np.indices(shape).reshape(2, -1).T.copy()
+        """(cells, 2) row and column of each cell of the flattened array"""
 
     def update(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[Contact, ...]:
         """The contacts of the next frame, the one with the largest force first.
@@ -76,79 +73,71 @@ class ContactTracker:
             std_kpa: (rows, columns) standard deviation; NaN where unknown.
 
         """
-        found = self._find(pressure_kpa, std_kpa)
-        # However slow the frames, the one just before counts.
-        oldest_s = min(time_s - REMEMBERED_S, self._time_s)
-        known = [(contact, seen_s) for contact, seen_s in self._known if seen_s >= oldest_s]
-        self._time_s = time_s
-        contacts = self._name(found, known, time_s)
-        names = {contact.id for contact in contacts}
-        missing = [(contact, seen_s) for contact, seen_s in known if contact.id not in names]
-        self._known = [(contact, time_s) for contact in contacts] + missing
-        self._touched = np.zeros(self.shape, dtype=bool)
-        for contact in contacts:
-            self._touched[contact.cells[:, 0], contact.cells[:, 1]] = True
-        return contacts
+        labels, patches = self._find(pressure_kpa, std_kpa)
+        names = self._tracks.follow(time_s, patches, labels)
+        self._touched = (labels > 0).reshape(self.shape)
+        return self._contacts(patches, names)
 
-    def look_back(self, pressure_kpa: FloatArray, std_kpa: FloatArray, before_s: float) -> tuple[Contact, ...]:
-        """The contacts of a frame that came ``before_s`` before the last one; what is known stays as it is."""
-        known = [(contact, 0.0) for contact, _ in self._known]
-        return self._name(self._find(pressure_kpa, std_kpa), known, before_s)
+    def look_back(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[Contact, ...]:
+        """The contacts of a frame from before the last one, at ``time_s``; what is known stays as it is."""
+        labels, patches = self._find(pressure_kpa, std_kpa)
+        return self._contacts(patches, self._tracks.look_back(time_s, patches, labels))
 
-    def _find(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> list[Contact]:
-        std = np.nan_to_num(std_kpa, nan=0.0, posinf=np.inf)
-        start = np.maximum(START_STDS * std, START_SHARE * self.full_scale_kpa)
-        stay = np.maximum(STAY_STDS * std, STAY_SHARE * self.full_scale_kpa)
+    def _find(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[IntArray, list[Patch]]:
+        """The patches of touched cells, and for each cell of the flattened array the number of its patch, from 1."""
+        full = self.full_scale_kpa
+        start = np.fmax(START_STDS * std_kpa, START_SHARE * full)  # not NaN where the deviation is
         begins = pressure_kpa > start  # False where NaN
         if not (begins.any() or self._touched.any()):
-            return []
-        join = np.maximum(JOIN_STDS * std, JOIN_SHARE * self.full_scale_kpa)
+            return np.zeros(pressure_kpa.size, dtype=int), []
+        stay = np.fmax(STAY_STDS * std_kpa, STAY_SHARE * full)
+        join = np.fmax(JOIN_STDS * std_kpa, JOIN_SHARE * full)
         candidates = pressure_kpa > np.where(self._touched, stay, join)
-        labels, count = ndimage.label(candidates, structure=NEIGHBOURS)
-        good = np.zeros(count + 1, dtype=bool)
-        good[labels[begins | (self._touched & candidates)]] = True
-        good[0] = False
-        return [self._measure(labels == label, pressure_kpa) for label in np.flatnonzero(good)]
+        found, count = ndimage.label(candidates, structure=NEIGHBOURS)
+        kept = np.zeros(count + 1, dtype=bool)
+        kept[found[begins | (self._touched & candidates)]] = True
+        kept[0] = False
+        labels = np.where(kept, np.cumsum(kept), 0)[found].ravel()
+        return labels, self._measure(labels, pressure_kpa)
 
-    def _measure(self, mask: BoolArray, pressure_kpa: FloatArray) -> Contact:
-        cells = np.argwhere(mask)
-        pressures = pressure_kpa[mask]
-        total = float(pressures.sum())
-        row, column = pressures @ cells / total
-        pitch_mm = 1e3 * self.pitch_m
-        return Contact(
-            id=0,
-            x_mm=float(column) * pitch_mm,
-            y_mm=float(row) * pitch_mm,
-            area_mm2=len(cells) * pitch_mm**2,
-            force_n=1e3 * total * self.pitch_m**2,
-            peak_kpa=float(pressures.max()),
-            cells=cells,
+    def _measure(self, labels: IntArray, pressure_kpa: FloatArray) -> list[Patch]:
+        cells = np.flatnonzero(labels)
+        if not len(cells):
+            return []
+        cells = cells[np.argsort(labels[cells], kind="stable")]
+        ends = np.cumsum(np.bincount(labels[cells])[1:])
+        starts = np.concatenate(([0], ends[:-1]))
+        pressure, places = pressure_kpa.ravel()[cells], self._places[cells]
+        y, x = 1e3 * self.pitch_m * places.T
+        totals, x_sums, y_sums, squares = np.add.reduceat(
+            [pressure, pressure * x, pressure * y, pressure * (x * x + y * y)], starts, axis=1
         )
+        x_mean, y_mean = x_sums / totals, y_sums / totals
+        variances = (squares / totals - x_mean**2 - y_mean**2) / 2
+        forces = 1e3 * self.pitch_m**2 * totals
+        peaks = np.maximum.reduceat(pressure, starts)
+        columns = (x_mean, y_mean, forces, peaks, variances, starts, ends)
+        return [
+            Patch(x, y, force, peak, variance, cells[start:end], places[start:end], pressure[start:end])
+            for x, y, force, peak, variance, start, end in zip(*(column.tolist() for column in columns), strict=True)
+        ]
 
-    def _name(self, found: list[Contact], known: list[tuple[Contact, float]], time_s: float) -> tuple[Contact, ...]:
-        """Give each contact the id of the known contact that it continues, or a new one."""
-        ids = dict.fromkeys(range(len(found)), 0)
-        if found and known:
-            places = np.array([contact.position_m for contact in found])
-            before = np.array([contact.position_m for contact, _ in known])
-            elapsed = np.array([max(time_s - seen_s, 0.0) for _, seen_s in known])
-            distance = np.linalg.norm(places[:, None] - before, axis=-1)
-            reach = REACH_PITCHES * self.pitch_m + SPEED_M_PER_S * elapsed
-            overlap = np.array([[_share_cells(new, old) for old, _ in known] for new in found])
-            possible = (distance <= reach) | overlap
-            # An impossible pair costs more than all possible ones together: it is chosen only for want of others.
-            impossible = 1.0 + distance[possible].sum()
-            rows, columns = linear_sum_assignment(np.where(possible, distance, impossible))
-            for k, j in zip(rows.tolist(), columns.tolist(), strict=True):
-                if possible[k, j]:
-                    ids[k] = known[j][0].id
-        for number, name in ids.items():
-            if not name:
-                self._last_id += 1
-                ids[number] = self._last_id
-        named = [_with_id(contact, ids[k]) for k, contact in enumerate(found)]
-        return tuple(sorted(named, key=lambda contact: -contact.force_n))
+    def _contacts(self, patches: list[Patch], names: list[Named]) -> tuple[Contact, ...]:
+        cell_mm2 = 1e6 * self.pitch_m**2
+        contacts = [
+            Contact(
+                id=name.id,
+                x_mm=patch.x_mm,
+                y_mm=patch.y_mm,
+                area_mm2=len(patch.cells) * cell_mm2,
+                force_n=patch.force_n,
+                peak_kpa=patch.peak_kpa,
+                cells=patch.places,
+                joined=name.joined,
+            )
+            for patch, name in zip(patches, names, strict=True)
+        ]
+        return tuple(sorted(contacts, key=lambda contact: -contact.force_n))
 
 
 class ContactsOfFrames:
@@ -180,7 +169,7 @@ class ContactsOfFrames:
             if view.time_s < self._time_s:
                 # Older than frames looked at already, hence from before the first question: its contacts are
                 # named after those of now, which it does not change.
-                view.contacts = self._tracker.look_back(view.pressure_kpa, view.std_kpa(), self._time_s - view.time_s)
+                view.contacts = self._tracker.look_back(view.time_s, view.pressure_kpa, view.std_kpa())
             else:
                 view.contacts = self._tracker.update(view.time_s, view.pressure_kpa, view.std_kpa())
                 self._time_s = view.time_s
@@ -195,11 +184,3 @@ class PressureView:
     pressure_kpa: FloatArray
     std_kpa: Later
     contacts: tuple[Contact, ...] | None = None
-
-
-def _share_cells(one: Contact, other: Contact) -> bool:
-    return not {*map(tuple, one.cells.tolist())}.isdisjoint(map(tuple, other.cells.tolist()))
-
-
-def _with_id(contact: Contact, name: int) -> Contact:
-    return Contact(name, contact.x_mm, contact.y_mm, contact.area_mm2, contact.force_n, contact.peak_kpa, contact.cells)

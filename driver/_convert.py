@@ -283,7 +283,7 @@ class Converter:
             self._estimator.resolve(reading.step_std, reading.resistance)
         common = self._estimator.step(gap_s, reading.for_estimation)
         systematic = self._systematic.take(reading, rest_known=self._rest_known)
-        std = Later(partial(_std, self._estimator.std_of_last_step(), systematic, common, self._calibration))
+        std = Later(partial(_std, self._estimator.variance_of_last_step(), systematic, common, self._calibration))
         self._retained.add(std)
         return common if self._calibration is None else self._calibration.applied(common), std
 
@@ -368,7 +368,9 @@ def _std(
     calibration: Calibration | None,
 ) -> FloatArray:
     """The estimator's standard deviation, and what it cannot see: unknown rest resistances and ADC steps."""
-    std: FloatArray = np.sqrt(of_estimate() ** 2 + systematic(pressure_kpa))
+    variance = of_estimate()
+    variance += systematic(pressure_kpa)
+    std: FloatArray = np.sqrt(variance)
     return std if calibration is None else calibration.applied_std(pressure_kpa, std)
 
 

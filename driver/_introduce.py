@@ -34,6 +34,7 @@ class Introduction:
         self.identity: Identity | None = None
         self.description: Description | None = None
         self._given = design, cell
+        self._both_given = design is not None and cell is not None
         self.must_identify = False
         """the serial number is waited for, too, where the family has one: a calibration is that of one board"""
 
@@ -47,7 +48,7 @@ class Introduction:
         """Whether all is known that the board will say."""
         if self.must_identify and self.family.has_description and self.identity is None:
             return False
-        if self.description is not None or not self.family.has_description or None not in self._given:
+        if self.description is not None or not self.family.has_description or self._both_given:
             return True
         return self.identity is not None and not self.identity.description_bytes
 

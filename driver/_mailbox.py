@@ -102,6 +102,11 @@ class Mailbox:
             self.end = error
             self._tell()
 
+    def has_after(self, index: int) -> bool:
+        """Whether a frame beyond ``index`` has come."""
+        newest = self.newest
+        return newest is not None and newest.index > index
+
     def after(self, index: int) -> RawFrame | None:
         """The oldest frame beyond ``index``; None where there is none yet."""
         if not self._frames or self._frames[-1].index <= index:

@@ -10,6 +10,7 @@ import errno
 import os
 import selectors
 import socket
+import stat
 import threading
 import time
 from abc import abstractmethod
@@ -389,7 +390,7 @@ def _why_not_opened(name: str, error: Exception) -> str:
         case errno.ENOENT:
             return f"no such port; serial ports present: {', '.join(serial_ports()) or 'none'}"
         case errno.EACCES | errno.EPERM:
-            return f"permission denied; the port belongs to {_owner(name)}, which this user is not in"
+            return f"permission denied; {_why_forbidden(name)}; `ohmskin doctor {name}` says what to do"
         case errno.EAGAIN | errno.EBUSY:
             return "in use by another program"
         case errno.EMFILE | errno.ENFILE:
@@ -399,11 +400,16 @@ def _why_not_opened(name: str, error: Exception) -> str:
     return f"cannot be opened: {_reason(error)}"
 
 
-def _owner(name: str) -> str:
+def _why_forbidden(name: str) -> str:
+    status = os.stat(name)
     try:
-        return f"group '{Path(name).group()}'"
+        group = f"group '{Path(name).group()}'"
     except KeyError:
-        return f"group {Path(name).stat().st_gid}"
+        group = f"group {status.st_gid}"
+    group_may = status.st_mode & stat.S_IRGRP and status.st_mode & stat.S_IWGRP
+    if group_may and status.st_gid not in (os.getegid(), *os.getgroups()):
+        return f"the port belongs to {group}, which this user is not in"
+    return f"the port belongs to {group}, and its mode {stat.filemode(status.st_mode)} keeps this user out"
 
 
 def _reason(error: Exception) -> str:

@@ -400,12 +400,14 @@ class Reader:
             self._away_since, self._away_because = time.monotonic(), str(error)
             self._mailbox.set_away(str(error))
         left_s = self._reconnect_s - (time.monotonic() - self._away_since)
+        failure: LinkError | None = None
         for _ in attempts(left_s, self._stop.wait):
             try:
                 port = self._reopen()
             except LinkEnded:
                 raise
-            except LinkError:
+            except LinkError as again:
+                failure = again
                 continue
             with self._reading:
                 self._port = port
@@ -416,8 +418,10 @@ class Reader:
                 self._proofs = {type(packet) for packet in known if packet is not None}
                 self._proof_until = time.monotonic() + PROOF_S
             return
-        since = "" if str(error) == self._away_because else f" ({error})"
-        raise LinkError(f"{self._away_because}; it has not come back within {self._reconnect_s:g} s{since}")
+        # A board that was found and refused says more than a port that is not there.
+        found = failure if str(error) == self._away_because else error
+        because = "" if found is None else f" ({found})"
+        raise LinkError(f"{self._away_because}; it has not come back within {self._reconnect_s:g} s{because}")
 
     def _release(self) -> None:
         with self._reading:

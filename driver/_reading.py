@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
-from ..circuits import Design, LiveReading, Reason, live_recovery, noise, volts_of_codes
+from ..circuits import Design, LiveReading, Reason, adc_error, live_recovery, noise, volts_of_codes
 from ..errors import InputError, ProtocolError, SolverError
 from ._scatter import Scatter
 
@@ -61,13 +61,16 @@ class Reading:
         then counts many times as much.
         Quantisation is random noise where it is not a systematic error, see :attr:`steps_share`.
         """
-        others = np.zeros(self.resistance.shape)
         if self._found is None:
-            return others
+            return np.zeros(self.resistance.shape)
         noise, uncertainty = self._noise_steps, self._found.uncertainty
         quantisation = (1.0 - math.exp(-2.0 * (math.pi * noise) ** 2)) / 12.0
         share = math.sqrt(noise * noise + quantisation) / (0.5 + _SIGMAS * noise)
-        np.subtract(uncertainty, self._found.own, out=others, where=np.isfinite(uncertainty))
+        if self.all_valid:
+            others: FloatArray = uncertainty - self._found.own
+        else:
+            others = np.zeros(self.resistance.shape)
+            np.subtract(uncertainty, self._found.own, out=others, where=np.isfinite(uncertainty))
         others *= share
         return others
 
@@ -131,14 +134,9 @@ class CountReader:
         self._step, self._lowest_volts = adc.step, float(volts_of_codes(design, np.zeros(1, dtype=np.int64))[0])
         # As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
         self._step_array, self._lowest_array = np.array(self._step), np.array(self._lowest_volts)
-        # The middle of a code is half a step away from what may have been read; a limit on an edge belongs to both.
-        half = adc.step / 2 * (1 + 1e-9)
         low, high = design.readout.supply
-        volts = volts_of_codes(design, np.arange(self._codes)) if adc.bits <= 16 else None
-        self._first = 0 if volts is None else max(1, int(np.searchsorted(volts - half, low, side="right")))
-        self._last = (
-            self._codes - 1 if volts is None else min(self._codes - 1, int(np.searchsorted(volts + half, high)))
-        )
+        beyond_half_step = adc_error(design) - adc.step / 2  # V, by which an output at a limit may seem within it
+        self._first, self._last = self._codes_within(low + beyond_half_step, high - beyond_half_step)
         self._level = design.readout.reference_voltage
         rising = (design.drive.voltage > 0) != design.board.circuit.inverts  # whether more current raises the output
         self._guards_low, self._guards_high = not rising and low >= adc.range[0], rising and high <= adc.range[1]
@@ -152,6 +150,19 @@ class CountReader:
         self._counts = b""
         self._reading: Reading | None = None
         self._judged_with = 0.0  # V, noise in the uncertainties of the last reading
+
+    def _codes_within(self, low: float, high: float) -> tuple[int, int]:
+        """The first code that the converter and outputs within a swing in V can mean, and the first one beyond them.
+
+        The middle of a code is half a step away from what may have been read; a limit on an edge belongs to both codes.
+        """
+        half = 0.5 + 1e-9
+        least, most = 0.0, self._codes - 1.0
+        if np.isfinite(low):
+            least = math.floor((low - self._lowest_volts) / self._step + half) + 1.0
+        if np.isfinite(high):
+            most = math.ceil((high - self._lowest_volts) / self._step - half)
+        return int(min(max(least, 1.0), self._codes)), int(min(max(most, 0.0), self._codes - 1.0))
 
     @property
     def noise_volts(self) -> float:

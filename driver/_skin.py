@@ -10,6 +10,7 @@ import threading
 import time
 import weakref
 from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from types import TracebackType
@@ -37,7 +38,7 @@ from ._replay import RecordedSettings, ReplayPort
 from ._statistics import Counters, LinkStatistics
 from ._stream import RawFrame
 from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, Source
-from ._tare import RestReadings, Tare
+from ._tare import KNOWN_DRIFT, EarlierRest, RestReadings, Tare
 
 Delivery = Literal["newest", "every", "lossless"]
 """which frames a reader of the skin gets
@@ -512,7 +513,7 @@ class Skin:
             pending=min(pending, self._mailbox.capacity), drift_ppm=clock.drift_ppm, clock_steps=clock.steps
         )
 
-    def tare(self, frames: int = 20, *, force: bool = False) -> Tare:
+    def tare(self, frames: int = 20, *, force: bool = False, drift: float = KNOWN_DRIFT) -> Tare:
         """Take the skin for unloaded now: the mean of the next ``frames`` becomes each cell's rest resistance.
 
         This removes what differs from cell to cell, and the steady part of what the design does not mention. A cell
@@ -522,17 +523,22 @@ class Skin:
         Args:
             frames: to average.
             force: tare in spite of signs that the skin is loaded; they are then in the result's ``remarks``.
+            drift: relative change of a rest resistance, since the tare or calibration in use, that temperature and age
+                explain. A larger one is such a sign. A tare that was forced is not compared with.
 
         Raises:
             InputError: the skin seems to be loaded (resistances far from the data sheet, or unlike each other, or
-                changing); no cell has a valid reading; or ``frames`` is not positive.
+                changing, or unlike those of the tare or calibration in use); no cell has a valid reading; or
+                ``frames`` or ``drift`` is not positive.
             LinkTimeout, LinkError, ProtocolError: as for :meth:`read`.
 
         """
         if not (isinstance(frames, int) and frames >= 1):
             raise InputError(f"tare over {frames!r} frames; expected a whole number, at least 1")
+        if not drift > 0:
+            raise InputError(f"tare with a drift of {drift!r}; expected more than 0")
         with self._taring, self._frames_for_tare(frames) as taken:
-            tare = self._rest(taken)
+            tare = self._rest(taken, drift)
             if tare.remarks and not force:
                 raise InputError(
                     f"{self.port_name}: no tare, the skin seems to be loaded: {'; '.join(tare.remarks)}. "
@@ -597,7 +603,22 @@ class Skin:
         finally:
             self._taker.tell_again(taken, used=used)
 
-    def _rest(self, taken: list[Frame]) -> Tare:
+    def _earlier_rest(self) -> EarlierRest | None:
+        """The rest resistances in use, if they are those of an unloaded skin."""
+        tare = self._tares[-1]
+        if tare is not None:
+            then = datetime.fromtimestamp(tare.wall_time, UTC)
+            return (
+                None
+                if tare.remarks
+                else EarlierRest(f"the tare of {then:%Y-%m-%d %H:%M} UTC", tare.rest_resistance_ohm, tare.measured)
+            )
+        known = self.calibration
+        if known is None:
+            return None
+        return EarlierRest(f"the calibration of {known.date}", known.rest_ohm, np.ones(known.shape, dtype=bool))
+
+    def _rest(self, taken: list[Frame], drift: float) -> Tare:
         # What was lost before the first of them, perhaps long ago, is not of the tare.
         losses = [frame.lost_before for frame in taken[1:]]
         readings = RestReadings(
@@ -610,6 +631,8 @@ class Skin:
             serial_number=self.serial_number,
             wall_time=taken[-1].host_time,
             calibrated_ohm=None if self.calibration is None else self.calibration.rest_ohm,
+            earlier=self._earlier_rest(),
+            drift=drift,
         )
 
     def _too_slow(self) -> ProtocolError:

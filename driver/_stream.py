@@ -20,6 +20,8 @@ REMEMBERED = 64
 """frames among which a duplicate is looked for, and by which a packet may come too late"""
 HALF_RANGE = 2**31
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
+CLOCK_SET_S, CLOCK_SET_STEPS = 1.0, 100
+"""the board's clock was set forward where it goes on by so much more than the host's, and by so many usual steps"""
 LEAST_STEP_S = 1e-6
 """the estimator needs times that increase"""
 
@@ -88,6 +90,8 @@ class FrameStream:
         self._latest_us: int | None = None
         self._latest_monotonic = 0.0
         self._time_s = 0.0
+        self._usual_us = 0.0
+        """board time from one frame number to the next, by the last two frames; 0: not known"""
         self._recent: dict[tuple[int | None, int | None, int | None], None] = {}
         """boot ids, sequence numbers and times of the last numbered frames, in order: a dict, for a quick look-up"""
         self._in_step = True
@@ -110,6 +114,7 @@ class FrameStream:
             latest_us=self._latest_us,
             latest_monotonic=self._latest_monotonic,
             time_s=self._time_s,
+            usual_us=self._usual_us,
             in_step=self._in_step,
             recent=tuple(self._recent),
             numbered=self.counters.lost is not None,
@@ -121,7 +126,7 @@ class FrameStream:
         """Continue from a saved :meth:`state`, with totals that count from here."""
         self._begun, self._expected, self._boot_id = past.begun, past.expected, past.boot_id
         self._latest_us, self._latest_monotonic = past.latest_us, past.latest_monotonic
-        self._time_s, self._in_step = past.time_s, past.in_step
+        self._time_s, self._usual_us, self._in_step = past.time_s, past.usual_us, past.in_step
         self._recent = dict.fromkeys(past.recent)
         self.counters.lost = 0 if past.numbered else None
         self.clock.restore(past.clock)
@@ -167,13 +172,13 @@ class FrameStream:
         if packet.sequence is not None:
             self._remember(stamp)
         self._boot_id = packet.boot_id
-        self._count_lost(packet)
+        missing = self._count_lost(packet)
         counters.frames += 1
         if packet.flags is not _NO_FLAGS:
             counters.overruns += bool(packet.flags & Flag.OVERRUN)
         device_s = None if packet.time_us is None else packet.time_us / 1e6
         monotonic = self._map_time(device_s, arrival)
-        self._advance(packet.time_us, monotonic, time_runs_through=found is _Succession.NEXT)
+        self._advance(packet.time_us, monotonic, missing, time_runs_through=found is _Succession.NEXT)
         self._begun = True
         return RawFrame(
             index=counters.frames,
@@ -218,10 +223,11 @@ class FrameStream:
             self._recent.clear()
             self._expected = None if packet.sequence is None else 0
 
-    def _count_lost(self, packet: FramePacket) -> None:
+    def _count_lost(self, packet: FramePacket) -> int:
+        """Count the frames that are missing before this one; returns how many, 0 where that is not known."""
         if packet.sequence is None:
             self.counters.lost = None
-            return
+            return 0
         expected, self._expected = self._expected, (packet.sequence + 1) % 2**32
         missing = 0 if expected is None else (packet.sequence - expected) % 2**32
         if missing >= HALF_RANGE:
@@ -230,6 +236,7 @@ class FrameStream:
                 "yet the board has not started anew"
             )
         self.counters.lost = (self.counters.lost or 0) + missing
+        return missing
 
     def _map_time(self, device_s: float | None, arrival: Arrival) -> float:
         if device_s is None:
@@ -238,13 +245,25 @@ class FrameStream:
         self.counters.delays_s.append(arrival.received_at - monotonic)
         return monotonic
 
-    def _advance(self, time_us: int | None, monotonic: float, *, time_runs_through: bool) -> None:
+    def _advance(self, time_us: int | None, monotonic: float, missing: int, *, time_runs_through: bool) -> None:
         """Let the estimator's time pass: by the board's clock where it runs through, else by the host's."""
         if self._begun:
-            if time_us is None or self._latest_us is None or not time_runs_through:
-                step = monotonic - self._latest_monotonic
-            else:
-                step = (time_us - self._latest_us) / 1e6
+            step = monotonic - self._latest_monotonic
+            if time_us is not None and self._latest_us is not None and time_runs_through:
+                passed_us = time_us - self._latest_us
+                if self._was_set_forward(passed_us, step, missing):
+                    self.counters.clock_steps += 1
+                else:
+                    step = passed_us / 1e6
+                self._usual_us = passed_us / (missing + 1)
             self._time_s += max(step, LEAST_STEP_S)
         self._latest_us, self._latest_monotonic = time_us, monotonic
         self.counters.times_s.append(self._time_s)
+
+    def _was_set_forward(self, passed_us: int, host_s: float, missing: int) -> bool:
+        """Whether the board's clock jumped. Only a jump is longer than the host's time *and* than frames usually take.
+
+        At the emulator's fast clock every step is longer than the host's.
+        """
+        usual_us = self._usual_us * (missing + 1)
+        return passed_us > 1e6 * (host_s + CLOCK_SET_S) and 0 < CLOCK_SET_STEPS * usual_us < passed_us

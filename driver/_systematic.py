@@ -34,6 +34,8 @@ STEP = 5e-4
 """relative change of a resistance that the slope of the static curve is taken over"""
 RANGE, POINTS = math.log(300.0), 4001
 """the table of slopes reaches from rest to this factor (as a logarithm) up and down, with so many points"""
+LOOK_UP = 4096
+"""pressures, evenly spaced, at which the slopes are looked up: interpolation would take as long as all else together"""
 MARGIN = 0.005
 """of full scale: pressures nearer to the ends of the static curve, which is cut off there, are left out of the table"""
 
@@ -51,8 +53,14 @@ class SystematicError:
         margin = MARGIN * cell.full_scale_kpa
         inside = np.flatnonzero((pressure > margin) & (pressure < pressure.max() - margin))
         order = inside[np.argsort(pressure[inside])]
-        self._pressure, self._by_reading, self._by_rest = pressure[order], by_reading[order], by_rest[order]
-        self._by_both = self._by_reading + 1j * self._by_rest  # so that one look-up gives both slopes
+        self._kpa_of_rest = float(by_rest[order[0]]) if order.size else 0.0
+        self._tabulated = order.size > 0
+        self._pressure = np.linspace(0.0, cell.full_scale_kpa, LOOK_UP)
+        self._slopes_squared = np.zeros((2, LOOK_UP))
+        """kPa^2 by the squared relative errors of the reading and of the rest resistance"""
+        if self._tabulated:
+            for row, slope in enumerate((by_reading, by_rest)):
+                self._slopes_squared[row] = np.interp(self._pressure, pressure[order], slope[order]) ** 2
         self.rest_spread: float | None = None
         """relative, of the cells' rest resistances about that of the data sheet: the least that was seen"""
         self._before: FloatArray | None = None
@@ -65,7 +73,7 @@ class SystematicError:
 
     def kpa_of_rest(self, relative: float) -> float:
         """The pressure that an unloaded cell shows when its rest resistance is off by ``relative``."""
-        return relative * float(self._by_rest[0]) if self._by_rest.size else 0.0
+        return relative * self._kpa_of_rest
 
     def take(self, reading: Reading, *, rest_known: bool) -> Callable[[FloatArray], FloatArray]:
         """Take the next frame.
@@ -81,20 +89,20 @@ class SystematicError:
         """
         self._steps = _Steps.of(reading, self._steps)
         spread = 0.0
-        if not rest_known and self._pressure.size:
+        if not rest_known and self._tabulated:
             self._look(reading.resistance)
             spread = self.rest_spread or 0.0
         return partial(self._variance, self._steps, spread)
 
     def _variance(self, steps: _Steps, spread: float, pressure_kpa: FloatArray) -> FloatArray:
-        if not self._pressure.size:
-            return np.zeros_like(pressure_kpa)
-        steps_std = steps.relative_std()
-        if not spread:
-            by_steps: FloatArray = np.interp(pressure_kpa, self._pressure, self._by_reading) * steps_std
-            return by_steps * by_steps
-        slopes = np.interp(pressure_kpa, self._pressure, self._by_both)
-        return (slopes.real * steps_std) ** 2 + (slopes.imag * spread) ** 2
+        place = self._pressure.searchsorted(pressure_kpa)  # NaN is beyond the end
+        by_reading, by_rest = self._slopes_squared.take(place, axis=1, mode="clip")
+        variance: FloatArray = steps.relative_variance()
+        variance *= by_reading
+        if spread:
+            by_rest *= spread * spread
+            variance += by_rest
+        return variance
 
     def _look(self, resistance_ohm: FloatArray) -> None:
         """Measure the spread of the cells every few frames, and keep the least: loads only add to it."""
@@ -120,7 +128,7 @@ class _Steps(NamedTuple):
     reading: Reading
     valid: BoolArray
     earlier: FloatArray | None
-    """relative standard deviation of cells that are not valid; None: all are"""
+    """relative variance of cells that are not valid; None: all are"""
 
     @classmethod
     def of(cls, reading: Reading, before: _Steps | None) -> _Steps:
@@ -133,22 +141,28 @@ class _Steps(NamedTuple):
         elif before.earlier is not None and np.array_equal(before.valid, valid):
             earlier = before.earlier
         else:
-            earlier = before.relative_std()
+            earlier = before.relative_variance()
         return cls(reading, valid, earlier)
 
-    def relative_std(self) -> FloatArray:
-        """Relative standard deviation of each resistance by ADC steps and by the noise of other cells' readings.
+    def relative_variance(self) -> FloatArray:
+        """Relative variance of each resistance by ADC steps and by the noise of other cells' readings.
 
-        Of a cell that is not valid now, when it last was.
+        Of a cell that is not valid now, when it last was. The array is the caller's.
         """
-        # An error that is evenly distributed over an interval has the half-width over the root of three.
-        share = self.reading.steps_share / math.sqrt(3.0)
-        others = self.reading.others_noise_std
+        uncertainty, others = self.reading.uncertainty, self.reading.others_noise_std
         if self.earlier is None:
-            return np.hypot(self.reading.uncertainty * share, others)
+            return self._sum(uncertainty, others)
         known = self.earlier.copy()
-        known[self.valid] = np.hypot(self.reading.uncertainty[self.valid] * share, others[self.valid])
+        known[self.valid] = self._sum(uncertainty[self.valid], others[self.valid])
         return known
+
+    def _sum(self, uncertainty: FloatArray, others: FloatArray) -> FloatArray:
+        """Relative variance by ADC steps, and by noise of standard deviation ``others``."""
+        # An error that is evenly distributed over an interval has the half-width over the root of three.
+        variance = uncertainty * (self.reading.steps_share / math.sqrt(3.0))
+        variance *= variance
+        variance += others * others
+        return variance
 
 
 def _median_size(values: FloatArray) -> float | None:

@@ -151,7 +151,8 @@ class FrameTaker:
         """The next frame if there is one already; raises as :meth:`take`."""
         source = self._source
         self._place.used = True
-        source.poll()
+        if source.newest_only or not source.mailbox.has_after(self._place.index):
+            source.poll()
         while True:
             if source.newest_only or self._place.index >= source.mailbox.fault.after:
                 self._check_fault()

@@ -17,6 +17,9 @@ SPREAD = 0.3
 """relative deviation of a cell from the other cells that manufacture explains; the project's own choice"""
 SHEET_FACTOR = 2.0
 """factor between the typical cell and its data sheet that manufacture explains"""
+KNOWN_DRIFT = 0.1
+"""relative change since an earlier tare or a calibration that temperature, age and the loads between explain; the
+project's own choice"""
 DRIFT = 0.01
 """relative change of a resistance during the tare that a resting cell may show"""
 DRIFT_STDS = 5.0
@@ -84,6 +87,18 @@ class Tare:
 
 
 @dataclass(frozen=True, slots=True)
+class EarlierRest:
+    """Rest resistances of the same skin from before."""
+
+    what: str
+    """where they are from, for messages"""
+    rest_resistance_ohm: FloatArray
+    """(rows, columns)"""
+    measured: BoolArray
+    """(rows, columns)"""
+
+
+@dataclass(frozen=True, slots=True)
 class RestReadings:
     """Frames taken for a tare."""
 
@@ -100,6 +115,8 @@ class RestReadings:
         serial_number: str,
         wall_time: float,
         calibrated_ohm: FloatArray | None = None,
+        earlier: EarlierRest | None = None,
+        drift: float = KNOWN_DRIFT,
     ) -> Tare:
         """The rest resistances, and every sign that the skin is loaded.
 
@@ -110,6 +127,8 @@ class RestReadings:
             wall_time: of the last frame, in s since the epoch.
             calibrated_ohm: (rows, columns) rest resistances of a calibration, to compare with instead of the data
                 sheet.
+            earlier: what this skin's rest resistances were when it was known to be unloaded.
+            drift: relative change since then that is no load.
 
         Raises:
             InputError: not one cell has a valid reading.
@@ -130,6 +149,9 @@ class RestReadings:
             for remark in (
                 _far_from_sheet(typical, cell) if calibrated_ohm is None else _far_from_calibration(typical),
                 _unlike_others(mean / expected / typical, measured, cell),
+                ""
+                if earlier is None
+                else _changed_since(earlier, mean, std / np.sqrt(np.maximum(readings, 1)), cell, drift),
                 self._changing(mean, std, readings),
             )
             if remark
@@ -195,6 +217,29 @@ def _unlike_others(ratio: FloatArray, measured: BoolArray, cell: Cell | None) ->
     worst = _worst(np.where(unlike, np.abs(ratio - 1), 0.0))
     differ = "differs" if unlike.sum() == 1 else "differ"
     return f"{_cells(unlike)} {differ} from the others, most cell {worst} with {ratio[worst]:.2f} times their median"
+
+
+def _changed_since(
+    earlier: EarlierRest, mean: FloatArray, std_error: FloatArray, cell: Cell | None, drift: float
+) -> str:
+    """A remark where cells have changed by more than ``drift`` since then, as a load changes them.
+
+    A change the other way is none: the skin was loaded then, and is not now. Without a cell both ways count.
+    """
+    if cell is not None and cell.model.kind == "contact":
+        return ""  # as for _unlike_others()
+    ratio = mean / earlier.rest_resistance_ohm
+    change = ratio - 1 if cell is not None else np.abs(ratio - 1)
+    noise = DRIFT_STDS * std_error / earlier.rest_resistance_ohm
+    changed = earlier.measured & (change > np.maximum(drift, noise))  # False for a cell without a reading
+    if not changed.any():
+        return ""
+    typical = float(np.median(ratio[earlier.measured & (mean > 0)]))
+    worst = _worst(np.where(changed, change, 0.0))
+    return (
+        f"{_cells(changed)} of {changed.size} changed by more than {100 * drift:.3g} % since {earlier.what}, most "
+        f"cell {worst} to {ratio[worst]:.2f} and the typical one to {typical:.2f} times the resistance of then"
+    )
 
 
 def _worst(amount: FloatArray) -> tuple[int, int]:

@@ -9,10 +9,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from ohmskin.driver import Arrival, BytePort, Skin
 from ohmskin.emulator import Board, Line, Scene
 from ohmskin.errors import LinkError
-from ohmskin.wire import DescriptionPiece, encode, write_description
+from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 DESIGN: dict[str, Any] = {
@@ -37,6 +39,39 @@ def sheet(boot_id: int = 1, *, cell: bool = True, sequence: int = 0) -> bytes:
     """The packet in which that board describes itself."""
     text = write_description(WHAT.design.model_dump(), WHAT.cell.model_dump() if cell else None)
     return encode(DescriptionPiece(sequence, 0, 0, len(text), text, boot_id))
+
+
+def identity(
+    boot_id: int = 1, *, serial_number: str = "A1", sequence: int = 0, rows: int = 3, over: bool = False
+) -> bytes:
+    """The packet in which that board says who it is; ``over`` is its end."""
+    return encode(Identity(sequence, 0, rows, 2, 12, not over, 1000, 100, serial_number, "test", boot_id, over))
+
+
+def frame(
+    sequence: int,
+    *,
+    boot_id: int = 1,
+    level: int | list[int] = 2000,
+    flags: Flag = Flag.NONE,
+    us: int | None = None,
+) -> bytes:
+    """A frame of that board, with counts ``level`` in all cells or rows, at ``us`` or its number in ms."""
+    counts, time_us = np.full((3, 2), level), 1000 * sequence if us is None else us
+    return encode(FramePacket.of(counts, sequence=sequence, time_us=time_us, boot_id=boot_id, flags=flags))
+
+
+def described(*pieces: bytes, last: Callable[[], bytes] | None = None) -> Script:
+    """A port whose board has said all of itself before ``pieces``."""
+    return Script(identity(), sheet(), *pieces, last=last)
+
+
+def until(condition: Callable[[], bool], limit_s: float = 120.0) -> None:
+    """Wait for another thread."""
+    deadline = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < deadline, "waited in vain"
+        time.sleep(0.002)
 
 
 class MemoryPort:

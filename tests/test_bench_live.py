@@ -91,3 +91,24 @@ def test_the_command_prints_all_three(monkeypatch: pytest.MonkeyPatch, capsys: p
 def test_a_size_that_is_no_array_is_one_line(size: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["bench", "--driver", f"--size={size}"]) == 2
     assert f"size is {size}; expected 1 to 256" in capsys.readouterr().err
+
+
+def test_frames_that_wait_in_a_queue_are_those_of_a_reader_who_is_in_time() -> None:
+    """How many frames come together, and when the reader takes them, changes nothing of what they say."""
+    board = design(6, "inverting-amplifier", "ground", 10)
+    packets = packets_of(board, pressed((6, 6), 120)[1])
+    shown = []
+    for together in (1, 7, 120):
+        port = PacedPort(packets, 1.0)
+        with Skin(port, design=board, cell=Cell.example(), delivery="every", timeout=60.0) as skin:
+            taken = []
+            for number in range(len(packets)):
+                if number % together == 0:
+                    port.work(float(together))
+                frame = skin.read(0.0)
+                taken.append((frame.sequence, frame.reason, frame.resistance, frame.pressure, frame.pressure_std))
+        shown.append(taken)
+    for other in shown[1:]:
+        for one, same in zip(shown[0], other, strict=True):
+            for value, expected in zip(same, one, strict=True):
+                np.testing.assert_array_equal(value, expected)

@@ -88,6 +88,88 @@ def test_ids_last_while_contacts_move_and_pass_each_other() -> None:
     assert {c.id for contacts in seen for c in contacts} == {1, 2, 3}
 
 
+def fingers(paths: FloatArray, rate_hz: float, seed: int, noise_kpa: float = 0.1) -> list[tuple[Contact, ...]]:
+    """Contacts of fingers with forces of their own. ``paths`` (fingers, frames, 2) are rows and columns of cells."""
+    rng = np.random.default_rng(seed)
+    shapes = rng.uniform([6.0, 0.7], [12.0, 0.9], (len(paths), 2))  # peak in kPa, width in cells
+    frames = [
+        np.sum([bump((16, 16), *place, *shape) for place, shape in np.stack([places, shapes], axis=1).tolist()], axis=0)
+        + rng.normal(0, noise_kpa, (16, 16))
+        for places in paths.swapaxes(0, 1)
+    ]
+    return track(frames, std_kpa=noise_kpa, step_s=1 / rate_hz)
+
+
+def ids_at(contacts: tuple[Contact, ...], places: FloatArray) -> list[int]:
+    """The ids of the contacts nearest to places (fingers, 2) of cells."""
+    return [min(contacts, key=lambda c: float(np.hypot(c.y_mm / 4 - row, c.x_mm / 4 - col))).id for row, col in places]
+
+
+def direction(angle: float) -> FloatArray:
+    return np.array([np.cos(angle), np.sin(angle)])
+
+
+def through_one_point(count: int, frames: int, seed: int) -> FloatArray:
+    """Fingers that all pass by the middle of the skin, from everywhere, within a third of a cell and at once."""
+    rng = np.random.default_rng(seed)
+    angles = rng.uniform(0, 2 * np.pi) + np.arange(count) * (rng.uniform(1.05, np.pi) if count == 2 else 2.1)
+    along = np.linspace(-6, 6, frames)[:, None]
+    return np.array([7.5 + rng.normal(0, 0.3, 2) + along * direction(angle) for angle in angles])
+
+
+def touching(frames: int, seed: int) -> FloatArray:
+    """Two fingers that come together to two cells, stay so for as long, and go back where they came from."""
+    third = frames // 3
+    gap = np.concatenate([np.linspace(8, 2, third), np.full(third, 2.0), np.linspace(2, 8, third)])[:, None]
+    towards = direction(np.random.default_rng(seed).uniform(0, 2 * np.pi))
+    return np.array([7.5 + gap / 2 * towards, 7.5 - gap / 2 * towards])
+
+
+def passing(frames: int, seed: int) -> FloatArray:
+    """Two fingers that pass each other at the distance of a cell and a half."""
+    angle = np.random.default_rng(seed).uniform(0, 2 * np.pi)
+    ahead, aside = direction(angle), direction(angle + np.pi / 2)
+    along = np.linspace(-6, 6, frames)[:, None]
+    return np.array([7.5 + along * ahead + 0.75 * aside, 7.5 - along * ahead - 0.75 * aside])
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 1000.0])
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("how", ["two cross", "three cross", "touch and part", "pass"])
+def test_ids_survive_crossing_touching_and_parting(how: str, seed: int, rate_hz: float) -> None:
+    """Ten to forty cells per second; merged for a tenth of a second to a second."""
+    frames = 120 if rate_hz == 100 else 300
+    paths = {
+        "two cross": lambda: through_one_point(2, frames, seed),
+        "three cross": lambda: through_one_point(3, frames, seed),
+        "touch and part": lambda: touching(frames, seed),
+        "pass": lambda: passing(frames, seed),
+    }[how]()
+    seen = fingers(paths, rate_hz, seed)
+    merged = [k for k, contacts in enumerate(seen) if len(contacts) < len(paths)]
+    assert len(merged) > frames / 5, "they must touch, or the test tries nothing"
+    names = ids_at(seen[0], paths[:, 0])
+    assert sorted(names) == list(range(1, len(paths) + 1))
+    assert ids_at(seen[-1], paths[:, -1]) == names
+    for contacts in seen:
+        assert sorted(name for c in contacts for name in (c.id, *c.joined)) == sorted(names)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 1000.0])
+@pytest.mark.parametrize("stays", [0, 1])
+def test_the_finger_that_stays_keeps_its_id_when_the_one_that_it_touched_is_lifted(stays: int, rate_hz: float) -> None:
+    frames = []
+    for k in range(60):
+        near, force = 6.0 + min(0.2 * k, 3.5), 8.0 * min(max(55 - k, 0) / 10, 1.0)
+        pressures = [7.0 if f == stays else force for f in (0, 1)]
+        frames.append(bump((16, 16), 7, near, pressures[0]) + bump((16, 16), 7, 12, pressures[1]))
+    seen = track(frames, step_s=1 / rate_hz)
+    names = ids_at(seen[0], np.array([[7.0, 6.0], [7.0, 12.0]]))
+    assert len(seen[40]) == 1
+    assert {seen[40][0].id, *seen[40][0].joined} == {1, 2}
+    assert [c.id for c in seen[-1]] == [names[stays]]
+
+
 def test_a_new_contact_gets_a_new_id_and_a_short_dropout_keeps_the_old_one() -> None:
     press, nothing = bump((16, 16), 8, 8, 10.0), np.zeros((16, 16))
     seen = track([press] + [nothing] * 10 + [press] + [nothing] * 40 + [press])

@@ -11,49 +11,28 @@ import os
 import pickle
 import socket
 import threading
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from boards import EXAMPLES, Script, Wire, gone, lossless, scene, sheet
+from boards import EXAMPLES, Script, Wire, described, frame, gone, identity, lossless, scene, sheet, until
 
-from ohmskin.driver import Delivery, Frame, Skin, SocketPort, open_port
+from ohmskin.driver import Arrival, Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
+from ohmskin.driver._statistics import Counters
+from ohmskin.driver._stream import FrameStream
 from ohmskin.emulator import Board, PtyPort, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ohmskin.wire import (
     Flag,
     FramePacket,
-    Identity,
     Order,
     encode,
     host_protocol,
 )
 
 FORK = multiprocessing.get_context("fork")
-
-
-def identity(boot_id: int = 1, *, sequence: int = 0, rows: int = 3, over: bool = False) -> bytes:
-    return encode(Identity(sequence, 0, rows, 2, 12, not over, 1000, 100, "Ünï №7", "test", boot_id, over))
-
-
-def frame(sequence: int, *, boot_id: int = 1, us: int | None = None, flags: Flag = Flag.NONE) -> bytes:
-    counts, time_us = np.full((3, 2), 2000), 1000 * sequence if us is None else us
-    return encode(FramePacket.of(counts, sequence=sequence, time_us=time_us, boot_id=boot_id, flags=flags))
-
-
-def described(*pieces: bytes, last: Callable[[], bytes] | None = None) -> Script:
-    return Script(identity(), sheet(), *pieces, last=last)
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 30
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
 
 
 def order(which: Order) -> bytes:
@@ -189,6 +168,35 @@ class TestOrderOfPackets:
         assert (stats.lost, stats.reboots, stats.clock_steps) == (0, 0, 1)
         assert all(later.monotonic_time >= sooner.monotonic_time for sooner, later in itertools.pairwise(taken))
 
+    @pytest.mark.parametrize("seconds", [-1800, 0.2, 2.0, 3600])
+    def test_a_clock_that_is_set_is_no_hour_under_load(self, seconds: float) -> None:
+        """The estimator goes on, and no frame looks older or younger than it is."""
+        stream, now_s, ages, times = FrameStream("board", Counters()), 100.0, [], []
+        for k in range(200):
+            now_s += 0.01
+            us = 4_000_000_000 + 10_000 * k + (round(1e6 * seconds) if k >= 100 else 0)
+            packet = FramePacket.of(np.full((3, 2), 9), sequence=k, time_us=us, boot_id=1)
+            taken = stream.take(packet, Arrival(b"", now_s, now_s))
+            assert taken is not None
+            ages.append(now_s - taken.monotonic_time)
+            times.append(taken.time_s)
+        assert max(map(abs, ages)) < 1e-6
+        steps = np.diff(times)
+        assert steps.min() > 0.005
+        assert steps.max() < 0.5
+        assert stream.counters.reboots == stream.counters.late == stream.counters.lost == 0
+
+    def test_time_that_flies_is_no_clock_that_was_set(self) -> None:
+        """The emulator's fast clock, a second of the board per millisecond, with packets that are lost."""
+        stream = FrameStream("board", Counters())
+        numbers = [k for k in range(300) if k % 7 and not 100 < k < 180]
+        for k in numbers:
+            packet = FramePacket.of(np.full((3, 2), 9), sequence=k, time_us=1_000_000 * k, boot_id=1)
+            taken = stream.take(packet, Arrival(b"", 0.001 * k, 0.001 * k))
+        assert taken is not None
+        assert taken.time_s == pytest.approx(numbers[-1] - numbers[0])
+        assert stream.counters.clock_steps == 0
+
     def test_a_board_whose_boot_id_never_changes_is_seen_to_start_anew(self) -> None:
         pieces = [*(frame(k) for k in range(100)), *(frame(k) for k in range(5)), identity(sequence=5, over=True)]
         with lossless(described(*pieces)) as skin:
@@ -233,10 +241,18 @@ class TestReaders:
 
     @pytest.mark.parametrize("delivery", ["newest", "every", "lossless"])
     def test_a_program_of_callbacks_only_keeps_no_frames(self, delivery: Delivery) -> None:
+        """Each call lets five more frames come, so that some are skipped and some wait."""
+        port, numbers = described(), itertools.count()
         taken: list[int | None] = []
-        with Skin(Wire(Board(scene())), delivery=delivery, queue=10) as skin:
-            skin.on_frame(lambda one: taken.append(one.sequence))
-            until(lambda: len(taken) > 100)
+
+        def take(one: Frame) -> None:
+            taken.append(one.sequence)
+            port.say(*(frame(next(numbers)) for _ in range(5)) if len(taken) < 100 else ())
+
+        with Skin(port, delivery=delivery, queue=10) as skin:
+            skin.on_frame(take)
+            port.say(frame(next(numbers)))
+            until(lambda: len(taken) >= 100)
             assert len(skin._converter._measured) <= 11
         if delivery == "lossless":
             assert taken == list(range(len(taken)))

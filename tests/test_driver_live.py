@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import DESIGN, WHAT, Flow, Script, Wire, gone, lossless, scene, sheet
+from boards import DESIGN, WHAT, Flow, Script, Wire, described, frame, gone, identity, lossless, scene, sheet, until
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -39,31 +39,13 @@ from ohmskin.wire import (
     DescriptionPiece,
     Flag,
     FramePacket,
-    Identity,
     Order,
     encode,
     host_protocol,
     write_description,
 )
 
-
-def identity(serial_number: str = "A1", *, boot_id: int = 1, rows: int = 3) -> bytes:
-    return encode(Identity(0, 0, rows, 2, 12, True, 1000, 100, serial_number, "test", boot_id))
-
-
-def frame(
-    sequence: int, *, boot_id: int = 1, level: int | list[int] = 2000, flags: Flag = Flag.NONE, ms: float = 1.0
-) -> bytes:
-    counts = np.full((3, 2), level)
-    time_us = round(1000 * ms * sequence)
-    return encode(FramePacket.of(counts, sequence=sequence, time_us=time_us, boot_id=boot_id, flags=flags))
-
-
 SIX_FRAMES = [frame(k) for k in range(6)]
-
-
-def described(*pieces: bytes, last: Callable[[], bytes] | None = None) -> Script:
-    return Script(identity(), sheet(), *pieces, last=last)
 
 
 def sequences(frames: list[Frame]) -> list[int | None]:
@@ -305,11 +287,11 @@ class TestFreshness:
 
     def test_frames_that_waited_are_as_old_as_they_are(self) -> None:
         """A burst that the operating system held back: the board's clock says when each frame was sent."""
-        port = described(*(frame(k, ms=10.0) for k in range(3)))
+        port = described(*(frame(k, us=10_000 * k) for k in range(3)))
         with Skin(port, delivery="every") as skin:
             newest = [next(skin) for _ in range(3)][-1]
             time.sleep(0.3)
-            port.say(b"".join(frame(k, ms=10.0) for k in range(3, 23)))
+            port.say(b"".join(frame(k, us=10_000 * k) for k in range(3, 23)))
             burst = [next(skin) for _ in range(20)]
         steps = np.diff([f.monotonic_time for f in [newest, *burst]])
         np.testing.assert_allclose(steps, 0.010, atol=1e-6)
@@ -633,7 +615,7 @@ class TestReconnection:
             assert sequences(list(islice(skin, 4))) == [0, 1, 2, 3]
 
     def test_another_board_at_the_same_port_is_left_alone(self) -> None:
-        stranger = Script(identity("B2"), sheet(), frame(0))
+        stranger = Script(identity(serial_number="B2"), sheet(), frame(0))
         larger = Script(identity(rows=4), sheet(), frame(0))
         bench = Bench(stranger, larger, Script(identity(boot_id=3), sheet(boot_id=3), frame(9, boot_id=3)))
         with Skin(described(frame(0), last=gone), delivery="lossless", reopen=bench.reopen) as skin:
@@ -642,7 +624,7 @@ class TestReconnection:
         assert larger.closed
 
     def test_the_error_says_why_the_board_went_away_and_what_was_found_instead(self) -> None:
-        bench = Bench(Script(identity("B2"), sheet(), frame(0)))
+        bench = Bench(Script(identity(serial_number="B2"), sheet(), frame(0)))
         with Skin(described(frame(0), last=gone), reopen=bench.reopen, reconnect=0.3, timeout=30.0) as skin:
             next(skin)
             said = r"gone; it has not come back within 0\.3 s \(script: board B2 is there; expected A1\)"
@@ -669,7 +651,7 @@ class TestReconnection:
         assert time.monotonic() - began < 5
 
     def test_after_a_long_gap_the_estimator_starts_anew_and_the_frame_says_so(self) -> None:
-        with lossless(described(frame(0), frame(1), frame(2, ms=45_000.0, level=1500))) as skin:
+        with lossless(described(frame(0), frame(1), frame(2, us=90_000_000, level=1500))) as skin:
             frames = list(islice(skin, 3))
         assert [f.estimator_restarted for f in frames] == [True, False, True]
         fresh = WHAT.cell.estimator((3, 2)).step(1.0, frames[2].resistance)
@@ -979,14 +961,6 @@ def test_an_unforeseen_failure_while_reading_is_not_silence(monkeypatch: pytest.
             next(skin)
         with pytest.raises(LinkError, match="reading failed: ZeroDivisionError"):
             next(skin)
-
-
-def until(condition: Callable[[], bool], limit_s: float = 30.0) -> None:
-    """Wait for another thread."""
-    deadline = time.monotonic() + limit_s
-    while not condition():
-        assert time.monotonic() < deadline, "waited in vain"
-        time.sleep(0.002)
 
 
 def test_two_threads_read_a_port_of_pyserials_in_order() -> None:

@@ -17,7 +17,7 @@ from ohmskin.cell import Cell
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.config import parse
 from ohmskin.driver import Skin, Tare
-from ohmskin.driver._tare import RestReadings
+from ohmskin.driver._tare import EarlierRest, RestReadings
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError
 from ohmskin.wire import DescriptionPiece, FramePacket, Identity, encode, write_description
@@ -144,6 +144,56 @@ def test_a_loaded_skin_is_not_tared_unless_told_to() -> None:
         forced = skin.tare(10, force=True)
         assert len(forced.remarks) == 1
         np.testing.assert_allclose(next(skin).pressure, 0.0, atol=0.5)
+
+
+def even_load() -> Wire:
+    """A skin that bears a fifth of full scale on every cell from 1 s on, until 3 s."""
+    load = [[0.0, 0.0], [1.0, 0.0], [1.05, 4.0], [3.0, 4.0], [3.05, 0.0]]
+    return Wire(Board(scene(contact=[{"cells": [[i, j] for i in range(3) for j in range(2)], "load_kpa": load}])))
+
+
+def test_an_even_load_is_noticed_by_an_earlier_tare(tmp_path: Path) -> None:
+    """At 50 Hz, frame 100 is at 2 s, frame 200 at 4 s. Alone, the loaded skin looks like another skin at rest."""
+    with lossless(even_load()) as skin:
+        earlier = skin.tare(20)
+        list(islice(skin, 80))
+        with pytest.raises(InputError, match=r"6 cells of 6 changed by more than 10 % since the tare of 20..-..-.. "):
+            skin.tare(10)
+        assert skin.tared is earlier
+        assert skin.tare(10, drift=1.0).remarks == ()
+        skin.undo_tare()
+        (remark,) = skin.tare(10, force=True).remarks
+        assert remark.startswith("6 cells of 6 changed by more than 10 %")
+        assert skin.tare(10).remarks == (), "a tare that was forced is not compared with"
+        list(islice(skin, 100))
+        # The last tare was taken on the loaded skin: it must not keep the right one from being taken.
+        assert skin.tare(10).remarks == ()
+        earlier.save(tmp_path / "tare.npz")
+    with lossless(even_load()) as skin:
+        list(islice(skin, 100))
+        assert skin.tare(10).remarks == ()
+        skin.use_tare(Tare.load(tmp_path / "tare.npz"))
+        with pytest.raises(InputError, match="since the tare of"):
+            skin.tare(10)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_drift_since_an_earlier_tare_is_no_load(noise: float) -> None:
+    """Neither 5 % on all cells nor noise; but 15 % on one cell, which the spread of manufacture would hide."""
+    earlier = EarlierRest("then", at_rest(0.0, 0.2)[0], np.ones((8, 8), dtype=bool))
+    readings = 1.05 * at_rest(noise, 0.2)
+    assert taken(readings).tare(CELL, lost=0, serial_number="", wall_time=0.0, earlier=earlier).remarks == ()
+    readings[:, 4, 4] *= 1.1
+    (remark,) = taken(readings).tare(CELL, lost=0, serial_number="", wall_time=0.0, earlier=earlier).remarks
+    assert re.match(r"1 cell of 64 changed by more than 10 % since then, most cell \(4, 4\) to 1\.1\d", remark)
+    readings[:, 4, 4] = np.nan
+    assert taken(readings).tare(CELL, lost=0, serial_number="", wall_time=0.0, earlier=earlier).remarks == ()
+
+
+@pytest.mark.parametrize("drift", [0.0, -0.1, float("nan")])
+def test_a_drift_that_cannot_be_is_refused(drift: float) -> None:
+    with lossless(even_load()) as skin, pytest.raises(InputError, match="tare with a drift of"):
+        skin.tare(2, drift=drift)
 
 
 def test_a_tare_of_another_board_or_shape_is_refused() -> None:

@@ -304,16 +304,29 @@ def test_a_port_that_cannot_be_opened_says_why(port: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_port_without_permission_names_the_group(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("mode", "reason"),
+    [
+        (0o660, "which this user is not in; `ohmskin doctor "),
+        (0o600, "and its mode -rw------- keeps this user out; `ohmskin doctor "),
+        (0o000, "and its mode ---------- keeps this user out; `ohmskin doctor "),
+    ],
+)
+def test_a_port_without_permission_names_the_group(
+    mode: int, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The operating system's refusal itself: the superuser, who may run this, would not get it."""
     device = tmp_path / "tty"
     device.touch()
+    device.chmod(mode)
+    monkeypatch.setattr("ohmskin.driver._port.os.getegid", lambda: 12345)
+    monkeypatch.setattr("ohmskin.driver._port.os.getgroups", lambda: [12346])
 
     def refuse(*_: object) -> int:
         raise PermissionError(errno.EACCES, "Permission denied")
 
     monkeypatch.setattr("serial.serialposix.os.open", refuse)
-    with pytest.raises(LinkError, match="permission denied; the port belongs to group "):
+    with pytest.raises(LinkError, match="permission denied; the port belongs to group .*" + re.escape(reason)):
         Skin.open(str(device))
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ohmskin.bench import _live_hunt
+from ohmskin.bench import _live_hunt, _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, live_recovery, scan
 from ohmskin.circuits._exact import read_exactly
 from ohmskin.circuits.recovery import _amplified, _coupled, _quick_model
@@ -192,8 +192,8 @@ def test_the_hunt_finds_nothing_in_its_first_streams(family: str) -> None:
 
 def test_the_hunt_notices_a_wrong_cell(monkeypatch: pytest.MonkeyPatch) -> None:
     tally = _live_hunt.LiveTally()
-    real = _live_hunt.scan
-    monkeypatch.setattr(_live_hunt, "scan", lambda design, cells: real(design, 1.2 * cells))
+    real = _live_streams.scan
+    monkeypatch.setattr(_live_streams, "scan", lambda design, cells: real(design, 1.2 * cells))
     for number in range(2000, 2006):
         _live_hunt.check("inverting", number, tally)
     assert tally.count("wrong cell") >= 3
@@ -289,12 +289,12 @@ def test_a_known_short_beside_a_cell_makes_the_cell_less_certain() -> None:
         assert reading.uncertainty[1, 1] > 9 * own_step
 
 
-@pytest.mark.parametrize("family", list(_live_hunt.FAMILIES))
+@pytest.mark.parametrize("family", [name for name, kind in _live_streams.FAMILIES.items() if not kind.eventful])
 def test_the_quick_model_gives_the_exact_outputs(family: str) -> None:
     """On the hunt's boards, with ideal lines and with resistive segments."""
     rng, quick = np.random.default_rng(0), 0
     for _ in range(40):
-        design = _live_hunt._design(rng, *_live_hunt.FAMILIES[family])
+        design = _live_streams.draw_design(rng, _live_streams.FAMILIES[family])
         board = design.replace(readout={"supply": (-np.inf, np.inf)}).board
         model = _quick_model.QuickModel(board, LineResistance(board))
         cells = 10 ** rng.uniform(0, 6, board.shape)

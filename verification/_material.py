@@ -198,34 +198,9 @@ def identification(subject: Subject) -> Finding:
     truth = (model.e1_kpa, model.e2_kpa, model.e3_kpa, model.t2_s, model.t3_s)
     names = ("E1 / kPa", "E2 / kPa", "E3 / kPa", "T2 / s", "T3 / s")
     read = [recovery_branches(moments, (1 + held) * noise - 1, STEP_KPA) for noise in noises]
-    found = {
+    found: dict[str, Sequence[float]] = {
         "without noise": recovery_branches(moments, held, STEP_KPA),
         "0.1 % noise on R": np.median(read, axis=0).tolist(),
-    }
-    _, e2, e3, t2, t3 = found["without noise"]
-    with plots.drawing(1, 1, height=2.7) as (figure, axes):
-        panel = axes[0, 0]
-        panel.semilogy(time_s, r, color=plots.INK, lw=2, label="recovery curve")
-        panel.semilogy(time_s, STEP_KPA / e3 * np.exp(-time_s / t3), "--", label="slow branch: 1/E3, T3")
-        panel.semilogy(time_s, STEP_KPA / e2 * np.exp(-time_s / t2), "--", label="fast branch: 1/E2, T2")
-        panel.set(title="Branches of the recovery curve", xlabel="time after release / s", ylabel="r")
-        panel.set(xlim=(0, 120), ylim=(1e-3, 1))
-        panel.legend()
-        picture = plots.svg(figure)
-    clock, load = pressed([(2, STEP_KPA, 15.0)], 60.0)
-    ohms = respond(subject.cell, clock, load)
-    by_hand = {
-        case: estimate(_with_branches(subject.cell, values), "paper", clock, ohms) for case, values in found.items()
-    }
-    both = side_by_side(subject, clock, ohms)
-    paper, ours = both
-    pressures = {
-        "true": (load, {paper: both[paper]}),
-        **{f"read, {case}": (load, {paper: values}) for case, values in by_hand.items()},
-        "ohmskin fit, 0.5 % noise on R": (
-            load,
-            {paper: estimate(subject.calibrated, "paper", clock, ohms), ours: both[ours]},
-        ),
     }
     off = {
         case: max(abs(value / true - 1) for value, true in zip(values, truth, strict=True))
@@ -243,7 +218,7 @@ def identification(subject: Subject) -> Finding:
             "what is left, the elastic one from what went at once. `ohmskin fit` starts from these values and then "
             "fits all data."
         ],
-        figures=[Figure(picture, "The recovery curve taken apart, as in Fig. 8.")],
+        figures=[_branches_figure(time_s, r, found["without noise"])],
         tables=[
             Table(
                 ["coefficient", "true", *found],
@@ -252,9 +227,40 @@ def identification(subject: Subject) -> Finding:
                     for k, (name, true) in enumerate(zip(names, truth, strict=True))
                 ],
             ),
-            errors(pressures, subject, "coefficients"),
+            errors(_with_coefficients(subject, found), subject, "coefficients"),
         ],
     )
+
+
+def _branches_figure(time_s: FloatArray, r: FloatArray, branches: Sequence[float]) -> Figure:
+    """The recovery curve with the branches read from it: E1, E2, E3 in kPa, T2, T3 in s."""
+    _, e2, e3, t2, t3 = branches
+    with plots.drawing(1, 1, height=2.7) as (figure, axes):
+        panel = axes[0, 0]
+        panel.semilogy(time_s, r, color=plots.INK, lw=2, label="recovery curve")
+        panel.semilogy(time_s, STEP_KPA / e3 * np.exp(-time_s / t3), "--", label="slow branch: 1/E3, T3")
+        panel.semilogy(time_s, STEP_KPA / e2 * np.exp(-time_s / t2), "--", label="fast branch: 1/E2, T2")
+        panel.set(title="Branches of the recovery curve", xlabel="time after release / s", ylabel="r")
+        panel.set(xlim=(0, 120), ylim=(1e-3, 1))
+        panel.legend()
+        return Figure(plots.svg(figure), "The recovery curve taken apart, as in Fig. 8.")
+
+
+def _with_coefficients(
+    subject: Subject, found: dict[str, Sequence[float]]
+) -> dict[str, tuple[FloatArray, dict[str, FloatArray]]]:
+    """kPa applied and kPa by estimator, with the true coefficients, with those found and with those of a fit."""
+    time_s, load = pressed([(2, STEP_KPA, 15.0)], 60.0)
+    ohms = respond(subject.cell, time_s, load)
+    both = side_by_side(subject, time_s, ohms)
+    paper, ours = both
+    pressures = {"true": (load, {paper: both[paper]})}
+    for case, branches in found.items():
+        by_hand = estimate(_with_branches(subject.cell, branches), "paper", time_s, ohms)
+        pressures[f"read, {case}"] = load, {paper: by_hand}
+    fitted = estimate(subject.calibrated, "paper", time_s, ohms)
+    pressures["ohmskin fit, 0.5 % noise on R"] = load, {paper: fitted, ours: both[ours]}
+    return pressures
 
 
 def recovery_times(subject: Subject) -> Finding:

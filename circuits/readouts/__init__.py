@@ -20,7 +20,7 @@ from ._circuit import Reading, ReadoutCircuit
 from ._ends import sum_of_others
 from ._inverting_amplifier import InvertingAmplifier
 from ._linear import LinearReadout, output_rounding
-from ._quick import QuickFields, QuickNetwork
+from ._quick import PortFields, QuickFields, QuickNetwork
 from ._row_amplifier import RowAmplifier
 from ._voltage_divider import VoltageDivider
 from ._voltage_feedback import VoltageFeedback
@@ -38,6 +38,7 @@ __all__ = [
     "ROW_INDEX",
     "CardWriter",
     "LinearReadout",
+    "PortFields",
     "QuickFields",
     "QuickNetwork",
     "Reading",

@@ -86,8 +86,8 @@ class ReadoutCircuit(ABC):
             return None
         return terminated_outputs(board, network, ends)
 
-    def quick_fields(self, board: Parts, network: QuickNetwork) -> Iterator[QuickFields] | None:
-        """Fields of all readings, row by row, from which :mod:`..recovery` makes derivatives; None as above.
+    def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
+        """Fields of all readings, from which :mod:`..recovery` makes derivatives; None as above.
 
         Arguments as of :meth:`quick_outputs`.
         """

@@ -8,7 +8,6 @@ All take the network between the ports of a grid (:class:`QuickNetwork`), as :mo
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -65,67 +64,93 @@ def open_column_outputs(board: Parts, network: QuickNetwork) -> FloatArray:
     return volts
 
 
-class QuickFields(NamedTuple):
-    """Forward and adjoint fields (:mod:`._adjoint`) of the readings of one selected row, as potentials of N + M ports.
+class PortFields(NamedTuple):
+    """One field of every reading (r, c), as potentials of the N + M ports: row terminals, then columns.
 
-    The ports are the row terminals and the columns.
+    The field of a reading is ``row_share[r, c] of_rows[r] + column_share[r, c] of_columns[c]``.
     """
 
-    forward: FloatArray
-    """(M or 1, N + M) V of each column's reading, or of all of them"""
-    adjoint: FloatArray
-    """(M, N + M) V at the ports per unit of the reading"""
+    of_rows: FloatArray
+    """(N, N + M)"""
+    of_columns: FloatArray
+    """(M, N + M)"""
+    row_share: FloatArray
+    """(N, M)"""
+    column_share: FloatArray
+    """(N, M)"""
+
+    def of_row(self, row: int) -> FloatArray:
+        """(M, N + M) fields of the readings of one selected row."""
+        fields: FloatArray = self.row_share[row, :, None] * self.of_rows[row]
+        fields += self.column_share[row, :, None] * self.of_columns
+        return fields
 
 
-def terminated_fields(board: Parts, network: QuickNetwork, ends: Ends) -> Iterator[QuickFields]:
-    """Fields of the readings of :func:`terminated_outputs`, row by row."""
+class QuickFields(NamedTuple):
+    """Forward and adjoint fields (:mod:`._adjoint`) of all readings."""
+
+    forward: PortFields
+    """V at the ports"""
+    adjoint: PortFields
+    """V at the ports per unit of the reading"""
+
+
+def terminated_fields(board: Parts, network: QuickNetwork, ends: Ends) -> QuickFields:
+    """Fields of the readings of :func:`terminated_outputs`."""
     driven = network.driven
     into_end = 1.0 / (ends.resistance + board.column_lead)  # S (M,)
-    rows, columns = driven.shape
+    (rows, columns), ports = driven.shape, sum(driven.shape)
     per_volt = ends.slope * into_end
+    one, none = np.ones((rows, columns)), np.zeros((rows, columns))
+    no_columns = np.zeros((columns, ports))
     if not board.floating:
         impedance = np.linalg.inv(_grounded(network, into_end))
-        forward, adjoint = np.zeros((rows, rows + columns)), np.zeros((columns, rows + columns))
-        forward[:, rows:] = (board.drive * driven + into_end * ends.source) @ impedance
-        forward[:, :rows].flat[:: rows + 1] = board.drive
+        selected, adjoint = np.zeros((rows, ports)), np.zeros((columns, ports))
+        selected[:, rows:] = (board.drive * driven + into_end * ends.source) @ impedance
+        selected[:, :rows].flat[:: rows + 1] = board.drive
         adjoint[:, rows:] = per_volt[:, None] * impedance
-        for row in range(rows):
-            yield QuickFields(forward[row : row + 1], adjoint)
-        return
+        no_rows = np.zeros((rows, ports))
+        return QuickFields(PortFields(selected, no_columns, one, none), PortFields(no_rows, adjoint, none, one))
     impedance = np.linalg.inv(_floating(network, into_end))
     by_sources = impedance[:, rows:] @ (into_end * ends.source)
     by_columns = per_volt[:, None] * impedance[rows:]
-    for row in range(rows):
-        held = impedance[row] / impedance[row, row]  # potentials with this row's terminal at 1 V, sources off
-        field = by_sources + (board.drive - by_sources[row]) * held
-        yield QuickFields(field[None], by_columns - by_columns[:, row, None] * held)
+    # Potentials with each row's terminal at 1 V, sources off.
+    held = impedance[:rows] / np.diagonal(impedance)[:rows, None]
+    selected = by_sources + (board.drive - by_sources[:rows, None]) * held
+    return QuickFields(
+        PortFields(selected, no_columns, one, none), PortFields(held, by_columns, -by_columns[:, :rows].T, one)
+    )
 
 
-def open_column_fields(board: Parts, network: QuickNetwork) -> Iterator[QuickFields]:
-    """Fields of the readings of :func:`open_column_outputs`, row by row."""
+def open_column_fields(board: Parts, network: QuickNetwork) -> QuickFields:
+    """Fields of the readings of :func:`open_column_outputs`."""
     driven = network.driven
     (rows, columns), load = driven.shape, board.reference
     behind = load + board.column_lead
     if not board.floating:
         impedance = np.linalg.inv(_grounded(network, 0.0))
         share = 1.0 / (behind + np.diagonal(impedance))
-        adjoint = np.zeros((columns, rows + columns))
-        adjoint[:, rows:] = (load * share)[:, None] * impedance
+        at_columns, selected = np.zeros((columns, rows + columns)), np.zeros((rows, rows + columns))
+        at_columns[:, rows:] = impedance
         open_circuit = board.drive * (driven @ impedance)
-        for row in range(rows):
-            forward = np.zeros((columns, rows + columns))
-            forward[:, row] = board.drive
-            forward[:, rows:] = open_circuit[row] - (open_circuit[row] * share)[:, None] * impedance
-            yield QuickFields(forward, adjoint)
-        return
+        selected[:, rows:] = open_circuit
+        selected[:, :rows].flat[:: rows + 1] = board.drive
+        one, none = np.ones((rows, columns)), np.zeros((rows, columns))
+        return QuickFields(
+            PortFields(selected, at_columns, one, -open_circuit * share),
+            PortFields(np.zeros_like(selected), at_columns, none, one * (load * share)),
+        )
     laplacian = _floating(network, np.zeros(columns))
     laplacian += np.trace(laplacian) / len(laplacian) ** 2
-    impedance = np.linalg.inv(laplacian)
-    for row in range(rows):
-        between = impedance[row] - impedance[rows:]  # V at the ports for 1 A from the row to each column
-        inside = between[:, row] - np.diagonal(between[:, rows:])
-        current = 1.0 / (behind + inside)
-        yield QuickFields((board.drive * current)[:, None] * between, -(load * current)[:, None] * between)
+    at_ports = np.asarray(np.linalg.inv(laplacian), dtype=np.float64)
+    of_rows, of_columns = at_ports[:rows], at_ports[rows:]
+    # V at the ports for 1 A from the row to the column are the difference of both.
+    own = np.diagonal(at_ports)
+    current = 1.0 / (behind + own[:rows, None] + own[rows:] - 2.0 * at_ports[:rows, rows:])
+    forward, adjoint = board.drive * current, load * current
+    return QuickFields(
+        PortFields(of_rows, of_columns, forward, -forward), PortFields(of_rows, of_columns, -adjoint, adjoint)
+    )
 
 
 def behind_leads(network: QuickNetwork, lead: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -66,7 +66,7 @@ class VoltageDivider(ReadoutCircuit):
             return open_column_outputs(board, network)
         return board.level + terminated_outputs(board, network, _loads(board))
 
-    def quick_fields(self, board: Parts, network: QuickNetwork) -> Iterator[QuickFields] | None:
+    def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
         if self.columns_one_by_one(board):
             return open_column_fields(board, network)
         return terminated_fields(board, network, _loads(board))

@@ -95,7 +95,7 @@ class VoltageFeedback(VoltageDivider):
         volts: FloatArray = board.loop_share * (board.level + balance.column(board) + board.offset)
         return volts
 
-    def quick_fields(self, board: Parts, network: QuickNetwork) -> Iterator[QuickFields] | None:
+    def quick_fields(self, board: Parts, network: QuickNetwork) -> QuickFields | None:
         return None  # each reading has fields of its own: :meth:`sensitivity_groups`
 
     def column_slopes(

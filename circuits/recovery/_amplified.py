@@ -19,7 +19,7 @@ conductances become the new base, within the frame's budget (:data:`EVALUATIONS`
 from __future__ import annotations
 
 from functools import partial
-from math import inf, sqrt
+from math import inf
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -28,7 +28,7 @@ from ...arrays import BoolArray, FloatArray
 from .._adc import adc_error
 from .._board import Board, cell_alone
 from ..solvers import Attenuated, Lines, Wires, attenuate, exact_transfer, siemens
-from ._heavy_leads import invert_leads
+from ._heavy_leads import LeadFit, Propagation, invert_leads
 from ._live_reading import (
     DISTURBED,
     HIDDEN,
@@ -79,6 +79,8 @@ class _Base(NamedTuple):
     """S, largest part of a transfer conductance that is other cells' current"""
     off: FloatArray | None
     """S by which the model may be wrong; None where that is below the tolerance"""
+    propagation: Propagation | None = None
+    """of errors of the readings, where the leads are heavy; else :meth:`AmplifiedLive._by_lines` says enough"""
 
     def own_part(self, transfer: FloatArray) -> FloatArray:
         """S (N, M) of transfer conductances that is the cells' own current: an ADC step is a share of that."""
@@ -111,9 +113,13 @@ class _Levels(NamedTuple):
     own: FloatArray
     """S by which a cell's own transfer conductance may be off: half a step, noise, and what the model leaves"""
     others: FloatArray
-    """relative uncertainty by the readings of other cells"""
+    """relative uncertainty by the readings of other cells on light lines"""
+    by_leads: FloatArray
+    """S by which a transfer conductance may be off for the readings of other cells, where leads are heavy; else 0"""
     least: FloatArray
     """S, transfer conductance from which on a cell is valid"""
+    propagation: Propagation | None
+    """the base's, with which this was worked out"""
 
 
 class _Beside(NamedTuple):
@@ -137,9 +143,7 @@ class _Beside(NamedTuple):
         """Whether the same cells are at the same limits and the lines' other cells have not changed by much."""
         if not (np.array_equal(limited, self.limited) and np.array_equal(more, self.more)):
             return False
-        change = np.abs(conductance - self.conductance)
-        change[limited] = 0.0
-        return bool((change <= _SIMILAR * (self.conductance + float(self.conductance.mean()))).all())
+        return _similar(np.where(limited, self.conductance, conductance), self.conductance)
 
 
 class AmplifiedLive:
@@ -175,17 +179,18 @@ class AmplifiedLive:
         self._to_amplifier = np.cumsum(self._behind[::-1], axis=0)[::-1]
         self._farthest_driver = self._to_driver.max(axis=0)  # (M,) ohm
         self._farthest_amplifier = self._to_amplifier.max(axis=1)  # (N,) ohm
-        self._reach = float(np.linalg.norm(self._farthest_driver) + np.linalg.norm(self._farthest_amplifier))  # ohm
         self._row_lead, self._column_lead = self._to_driver.mean(axis=1), self._to_amplifier.mean(axis=0)  # ohm
         self._lead_like = bool(
             (np.ptp(self._to_driver, axis=1) <= _LEAD_LIKE * self._row_lead).all()
             and (np.ptp(self._to_amplifier, axis=0) <= _LEAD_LIKE * self._column_lead).all()
         )
         self._heavy = False  # the leads take so much that cells are found by Kirchhoff's laws
+        self._has_segments = bool(np.ptp(self._to_driver, axis=1).any() or np.ptp(self._to_amplifier, axis=0).any())
         self._by_segments = np.zeros(board.shape)  # S, of T, that segments add to what leads would give
         self._along_row = _shared_wire(self._to_driver)
         self._along_column = _shared_wire(self._to_amplifier.T)
         self._step, self._middle = adc.step, sum(adc.range) / 2
+        self._near = adc_error(board) + adc.step / 2  # V within which an output stands at a limit of its swing
         self._half_step = adc_error(board) * np.abs(self._scale)  # S (M,), of T
         self._tolerance = _SHARE_OF_STEP * adc.step * np.abs(self._scale)  # S (M,), of T
         self._least_tolerance = float(self._tolerance.min())
@@ -205,6 +210,7 @@ class AmplifiedLive:
         self._between: FloatArray | None = None  # S (M,), of T
         self._model_error = self._tolerance  # S (M,), of T
         self._exact_left = 0  # evaluations in the present frame
+        self._propagated_at: FloatArray | None = None  # S (N, M) of the base's propagation
         self._all = np.ones(board.shape, dtype=np.bool_)
         self._no_reason = np.zeros(board.shape, dtype=np.int8)
         self._turned_all = np.ascontiguousarray(board.turn(self._all))
@@ -236,7 +242,7 @@ class AmplifiedLive:
         else:
             if self._base is None:
                 transfer = self._begin(volts, transfer)
-            conductance, off = self._settle(transfer)
+            conductance, off = self._settle(volts, transfer)
             assert self._base is not None
             gain = self._base.gain
             transfer = self._base.own_part(transfer)
@@ -290,13 +296,13 @@ class AmplifiedLive:
         gain = 1.0 / np.maximum(1.0 - self._to_amplifier[0] * (self._ones @ transfer), _LEAST_SHARE)
         return transfer * gain, gain
 
-    def _settle(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray | None]:
+    def _settle(self, volts: FloatArray, transfer: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Conductances (N, M) in S.
 
         Where the frame's budget did not suffice, also the S (N, M) by which the model may be wrong.
         """
         self._exact_left = max(self._exact_left, EXACT_EVALUATIONS)
-        if self._heavy and self._by_leads(transfer):
+        if self._heavy and self._by_leads(volts):
             assert self._base is not None
             return self._base.conductance, self._base.off
         conductance, off = self._from_base(transfer)
@@ -306,54 +312,108 @@ class AmplifiedLive:
             self._base = self._based_on(conductance)
             conductance, off = self._from_base(transfer)
         assert self._base is not None
-        if off is not None and self._lead_like and self._base.loss > _HEAVY:
-            self._heavy = True
-            if self._exact_left and self._by_leads(transfer):
+        if off is not None and self._base.loss > _HEAVY:
+            self._heavy = self._lead_like
+            if self._heavy and self._by_leads(volts):
                 conductance, off = self._base.conductance, self._base.off
+            elif self._lead_like:  # a bound of first order says nothing
+                off = np.full_like(off, inf)
+            else:
+                gain = self._base.gain
+                off = self._within_linear_range(off * gain / max(1.0 - self._base.loss, _LEAST_SHARE)) / gain
         self._exact_left = 0
         return conductance, off
 
-    def _by_leads(self, transfer: FloatArray) -> bool:
-        """Make the present cells the base by :func:`.invert_leads`, and check them by one exact evaluation.
+    def _by_leads(self, volts: FloatArray) -> bool:
+        """Make the present cells the base by :func:`.invert_leads`, checked by an exact evaluation; both at most twice.
 
         Returns:
             False where this is not possible, and the base is as before.
 
         """
         assert self._base is not None
-        lines = self._row_lead, self._column_lead
-        fit = invert_leads(transfer + self._by_segments, *lines, self._base.conductance)
+        current = volts * self._scale + self._constant  # A per volt of drive
+        fit = self._fit_leads(current, self._base.conductance)
         if fit is None:
             self._heavy = False
             return False
-        off = self._apart(transfer, fit.conductance)
-        if fit.settled and (np.abs(off) > self._tolerance).any():
+        transfer, off = self._apart(current, fit.conductance)
+        if self._has_segments and fit.settled and (np.abs(off) > self._tolerance).any():
             self._by_segments = self._by_segments + off
-            corrected = invert_leads(transfer + self._by_segments, *lines, fit.conductance)
-            fit = fit if corrected is None else corrected
+            corrected = self._fit_leads(current, fit.conductance)
+            if corrected is not None:
+                fit = corrected
+                transfer, off = self._apart(current, fit.conductance)
+        propagation = self._propagation_of(fit)
         conductance, gain = self._above_floor(fit.conductance), fit.gain
         own = fit.conductance / gain
         off = np.abs(off)
         settled = bool((off <= self._tolerance).all())
-        if self._has_sources and not self._alike:
-            self._between, left = self._between_columns(own)
-            self._model_error = self._tolerance + left
+        self._model_error = self._tolerance
         self._base = _Base(
             conductance=conductance,
             gain=gain,
             shift=(own - transfer) * gain,
             loss=max(1.0 - 1.0 / float(gain.max()), 1e-9),
             missing=max(float((transfer - own).max()), 0.0),
-            off=None if settled else _MARGIN * (off + transfer * self._by_lines(off * gain)),
+            off=None if settled else _MARGIN * self._moved_by(propagation, off) / gain,
+            propagation=propagation,
         )
         self._heavy = self._base.loss > 0.5 * _HEAVY
         return True
 
-    def _apart(self, transfer: FloatArray, conductance: FloatArray) -> FloatArray:
-        """S (N, M) between these transfer conductances and those of the cells, by an exact evaluation."""
-        self._exact_left -= 1
+    def _propagation_of(self, fit: LeadFit) -> Propagation:
+        """How errors of the readings come through; kept from frame to frame while no conductance has changed much."""
+        at, kept = self._propagated_at, None if self._base is None else self._base.propagation
+        if kept is not None and at is not None and _similar(fit.conductance, at):
+            return kept
+        self._propagated_at = fit.conductance
+        return fit.propagation()
+
+    def _moved_by(self, propagation: Propagation, readings: FloatArray) -> FloatArray:
+        """S (N, M) by which conductances may be off where readings may be off by these S (N, M)."""
+        return self._within_linear_range(_SIMILAR_MARGIN * propagation(readings))
+
+    def _within_linear_range(self, change: FloatArray) -> FloatArray:
+        """Bounds (N, M) in S of first order on changes of conductances; inf if they move the gains too far for that.
+
+        What the lines take of a cell's current makes gains of about one and the resistance of the lines over that of
+        their cells.
+        """
+        assert self._base is not None
+        allowed = _FAR * (1.0 + self._by_lines(self._base.conductance))
+        known: FloatArray = change if (self._by_lines(change) <= allowed).all() else np.full_like(change, inf)
+        return known
+
+    def _fit_leads(self, current: FloatArray, start: FloatArray) -> LeadFit | None:
+        """Cells with these currents (N, M) into the amplifiers in A per volt, from ``start`` (N, M) in S on."""
+        current = current + self._by_segments
+        potential = current * self._column_lead + self._source / self._board.drive
+        return invert_leads(current, potential, self._row_lead, self._column_lead, start)
+
+    def _source_currents(self, conductance: FloatArray) -> FloatArray:
+        """A (M,) per volt that the columns' sources drive into their amplifiers through cells (N, M) in S and leads."""
+        idle = self._row_lead / (1.0 + self._row_lead * conductance.sum(axis=1))
+        between = np.diag(conductance.sum(axis=0)) - (conductance.T * idle) @ conductance
+        lines = np.eye(len(between)) + between * self._column_lead
+        current: FloatArray = -np.linalg.solve(lines, between @ (self._source / self._board.drive))
+        return current
+
+    def _apart(self, current: FloatArray, conductance: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Transfer conductances (N, M) in S by the readings, and how far they are from the cells' exact ones.
+
+        Args:
+            current: (N, M) A into the amplifiers per volt of drive.
+            conductance: (N, M) S.
+
+        """
         exact, _ = exact_transfer(self._above_floor(conductance), self._lines)
-        return transfer - exact
+        if not self._has_sources:
+            return current, current - exact
+        by_sources = self._source_currents(conductance)
+        self._between = by_sources + self._source / self._board.drive * exact.sum(axis=0)
+        transfer = current - by_sources
+        return transfer, transfer - exact
 
     def _from_base(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Conductances (N, M) in S, and the S by which T may be off for them; None where that is small enough."""
@@ -364,14 +424,15 @@ class AmplifiedLive:
             conductance += base.shift
             np.maximum(conductance, _NONE, out=conductance)
         change = conductance - base.conductance
-        if base.off is None:
-            # No line's change is larger than all changes together (Cauchy-Schwarz).
-            moved = self._reach * sqrt(float(np.vdot(change, change)))
-            if moved <= _FAR and self._left_out(base, moved, transfer.item(transfer.argmax())) <= self._least_tolerance:
-                return self._relinearised(conductance, change), None
         size = np.abs(change)
-        by_lines = (size @ self._farthest_driver)[:, None] + self._farthest_amplifier @ size
-        most = float(by_lines.max())
+        by_row, by_column = size.dot(self._farthest_driver), self._farthest_amplifier.dot(size)
+        most = by_row.item(by_row.argmax()) + by_column.item(by_column.argmax())
+        if base.off is None and most <= _FAR:
+            # No cell is off by more than one with the largest reading would be on the lines that have changed most.
+            left_out = self._left_out(base, most, transfer.item(transfer.argmax()))
+            if left_out <= self._least_tolerance:
+                return self._relinearised(conductance, change), None
+        by_lines = by_row[:, None] + by_column
         if most <= _FAR:
             conductance = self._relinearised(conductance, change)
             off = self._left_out(base, by_lines, transfer)
@@ -404,7 +465,7 @@ class AmplifiedLive:
     def _drop_along_rows(self, current: FloatArray) -> FloatArray:
         """V (N, M) along the rows for currents (N, M) in A that leave them at the crosspoints."""
         if self._along_row is not None:
-            drop: FloatArray = np.dot(current, self._along_row)
+            drop: FloatArray = current.dot(self._along_row)
             return drop
         flow = np.cumsum(current[:, ::-1], axis=1)[:, ::-1]
         return np.cumsum(self._board.row_ohms * flow, axis=1)
@@ -412,7 +473,7 @@ class AmplifiedLive:
     def _drop_along_columns(self, current: FloatArray) -> FloatArray:
         """V (N, M) along the columns for currents (N, M) in A into them at the crosspoints."""
         if self._along_column is not None:
-            drop: FloatArray = np.dot(self._along_column, current)
+            drop: FloatArray = self._along_column.dot(current)
             return drop
         flow = np.cumsum(current, axis=0)
         return np.cumsum((self._behind * flow)[::-1], axis=0)[::-1]
@@ -466,21 +527,57 @@ class AmplifiedLive:
     def _levels_at(self, gain: FloatArray, noise: float) -> _Levels:
         """How well readings are known at these gains and with noise of this standard deviation in V."""
         levels = self._levels
-        if levels is not None and 0.6 * levels.noise <= noise <= levels.noise and self._holds(levels.gain, gain):
+        propagation = None if self._base is None else self._base.propagation
+        if (
+            levels is not None
+            and 0.6 * levels.noise <= noise <= levels.noise
+            and (levels.propagation is propagation if propagation is not None else self._holds(levels.gain, gain))
+        ):
             return levels
         noise *= 1.2  # so that a noise that moves about does not call for new levels in every frame
         own_noise = SIGMAS * noise * np.abs(self._scale)
         own = self._half_step + own_noise + self._model_error
+        others, by_leads = _NONE, _NONE
+        if propagation is None:
+            others = self._others_of_light_lines(gain, own_noise)
+        else:
+            by_leads = self._others_of_heavy_leads(propagation, gain, own, own_noise)
+        least = self._rule.least_reading(own + by_leads, others)
+        own = np.ascontiguousarray(np.broadcast_to(own, self._board.shape))  # see _scale_of_all
+        self._levels = _Levels(noise, gain, own, others, by_leads, least, propagation)
+        return self._levels
+
+    def _others_of_light_lines(self, gain: FloatArray, own_noise: FloatArray) -> FloatArray:
+        """Relative uncertainty (N, M) by other readings, whose noise is ``own_noise`` (M,) in S."""
         # Quantisation errors of neighbours may all have the same sign; noise adds up by its squares.
         others = self._by_lines(self._half_step * gain)
-        if noise:
+        if own_noise.any():
             squares = np.broadcast_to((own_noise * gain) ** 2, self._board.shape)
             others = others + np.sqrt(
                 np.einsum("ij,ij->i", self._to_driver**2, squares)[:, None]
                 + np.einsum("ij,ij->j", self._to_amplifier**2, squares)
             )
-        self._levels = _Levels(noise, gain, own, others, self._rule.least_reading(own, others))
-        return self._levels
+        return others
+
+    def _others_of_heavy_leads(
+        self, propagation: Propagation, gain: FloatArray, own: FloatArray, own_noise: FloatArray
+    ) -> FloatArray:
+        """S (N, M) by which a transfer conductance may seem to be off for other readings.
+
+        Args:
+            propagation: of errors.
+            gain: (N, M) conductance per transfer conductance.
+            own: (M,) S that readings may be off by, noise included.
+            own_noise: (M,) S, the noise in that.
+
+        """
+        shape = self._board.shape
+        spread = propagation(np.broadcast_to(own - own_noise, shape))
+        if own_noise.any():
+            spread = spread + np.sqrt(propagation.squared()(np.broadcast_to(own_noise**2, shape)))
+        spread = self._within_linear_range(_SIMILAR_MARGIN * spread)
+        by_leads: FloatArray = np.maximum(spread / gain - own, 0.0)
+        return by_leads
 
     def _holds(self, before: FloatArray, gain: FloatArray) -> bool:
         """Whether what was worked out for the gains ``before`` holds for ``gain``."""
@@ -548,7 +645,7 @@ class AmplifiedLive:
         Kept from frame to frame while the same cells are at the same limits and no conductance has changed much.
         """
         low, high = self._board.supply
-        near = self._step + _GUARD * noise
+        near = self._near + _GUARD * noise
         at_high, at_low = volts >= high - near, volts <= low + near
         upper = at_high | ((volts > self._middle) & ~at_low)
         more_current = upper == ((self._board.drive > 0) != self._board.circuit.inverts)
@@ -562,8 +659,9 @@ class AmplifiedLive:
     def _beside(self, conductance: FloatArray, limited: BoolArray, more: BoolArray, saturated: BoolArray) -> _Beside:
         """What cells at limits make of the others, to first order in the lines' losses, all effects added up.
 
-        A cell at the low end of the range takes any conductance up to the present one. A cell at the high end takes any
-        conductance from the present one up to a short, which has these effects:
+        A cell at the low end of the range takes any conductance up to the present one; what its column's source drives
+        through it is in the column's readings in all steps. A cell at the high end takes any conductance from the
+        present one up to a short, which has these effects:
 
         * along its row, a short takes the drive from all cells: to_driver / to_amplifier, like a divider. Where its
           output is at a limit, its column ends in the reference resistor instead, which leaves it little current;
@@ -571,7 +669,8 @@ class AmplifiedLive:
         * a column that the current of row k lifts also lifts the short's row, whose cells then add to row k's readings;
         * the offset of its column's amplifier drives a current through it, in all steps alike, and lifts its row, whose
           cells feed the other columns; these offsets drive currents through those cells, which seem to conduct less;
-        * two shorts on one row join their columns, and the difference of the amplifiers' offsets drives a current;
+        * two shorts on one row join their columns: the currents of other rows into the one reach the other amplifier,
+          and the difference of the amplifiers' offsets drives a current;
         * in its own step, the short lifts its column, and that the other rows, whose cells add to its row's readings.
 
         Args:
@@ -582,8 +681,14 @@ class AmplifiedLive:
 
         """
         floor = _LEAST_SHARE * max(float(conductance.max()), 1e-12)
-        by_lines = self._by_lines(np.where(limited & ~more, conductance, 0.0))
-        fixed = added = np.zeros(self._board.shape)
+        less = np.where(limited & ~more, conductance, 0.0)
+        if self._base is None or self._base.propagation is None:
+            by_lines = self._by_lines(less)
+        else:
+            moved = self._moved_by(self._base.propagation, less / self._base.gain)
+            by_lines = moved / np.maximum(conductance, floor)
+        offset = np.abs(self._source / self._board.drive)
+        fixed, added = np.zeros(self._board.shape), offset * less.sum(axis=0) + np.zeros(self._board.shape)
         if more.any():
             with np.errstate(divide="ignore", invalid="ignore"):
                 along = np.where(more, np.nan_to_num(self._to_driver / self._to_amplifier, nan=0.0, posinf=inf), 0.0)
@@ -598,9 +703,9 @@ class AmplifiedLive:
             np.fill_diagonal(lifts, 0.0)
             np.fill_diagonal(takes, 0.0)
             # A lifted row feeds the columns of its cells, and above all the column that a short of its own joins it to.
-            added = lifts @ np.where(more, 0.0, conductance)
+            added += lifts @ np.where(more, 0.0, conductance)
+            added += self._through_joined_columns(more, conductance)
             added += takes @ np.where(more, np.minimum(short, _BOUNDLESS), conductance)
-            offset = np.abs(self._source / self._board.drive)
             with np.errstate(invalid="ignore"):
                 added += np.nan_to_num(offset * short.sum(axis=0), nan=0.0, posinf=inf)
             added += self._between_shorts(more)
@@ -613,6 +718,26 @@ class AmplifiedLive:
             direct = fixed + added / np.maximum(conductance, floor)
             by_lines += self._by_lines(np.where(more, 0.0, np.minimum(direct, _BOUNDLESS) * conductance))
         return _Beside(limited, more, conductance, floor, fixed, added, by_lines)
+
+    def _through_joined_columns(self, more: BoolArray, conductance: FloatArray) -> FloatArray:
+        """S (N, M) that each reading may gain from the columns that shorts (N, M) join its column to, row by row.
+
+        A current into one column divides between its own amplifier, the row's driver and the other column's amplifier,
+        as between three resistors. With a third column joined, less of it arrives in each.
+        """
+        added = np.zeros_like(conductance)
+        for row in np.flatnonzero(more.sum(axis=1) > 1):
+            joined = np.flatnonzero(more[row])
+            into, driver = self._to_amplifier[row, joined], self._to_driver[row, joined]
+            there = np.minimum.outer(driver, driver)  # ohm of the row's wire that both share
+            across = there * into[:, None]  # from a column ...
+            with np.errstate(divide="ignore", invalid="ignore"):  # ... to another one
+                share = np.nan_to_num(across / (across + np.outer(into, into) + there * into), nan=0.0)
+            np.fill_diagonal(share, 0.0)
+            gained = conductance[:, joined] @ share
+            gained[row] = 0.0  # in its own step, the row is driven
+            added[:, joined] += gained
+        return added
 
     def _between_shorts(self, more: BoolArray) -> FloatArray:
         """S (M,) that a column may add to each of its readings for the columns that shorts (N, M) join it to."""
@@ -631,8 +756,15 @@ class AmplifiedLive:
 
 def _uncertainties(transfer: FloatArray, levels: _Levels) -> tuple[FloatArray, FloatArray]:
     """Relative uncertainties (N, M) of the cells, and what of them is by their own readings."""
-    own = levels.own / np.maximum(transfer, levels.own)
-    return own + levels.others, own
+    reading = np.maximum(transfer, levels.own)
+    own = levels.own / reading
+    return own + levels.by_leads / reading + levels.others, own
+
+
+def _similar(conductance: FloatArray, before: FloatArray) -> bool:
+    """Whether conductances (N, M) in S have changed so little that bounds on them hold but for a small margin."""
+    change = np.abs(conductance - before)
+    return bool((change <= _SIMILAR * (before + float(before.mean()))).all())
 
 
 def _shared_wire(ohms: FloatArray) -> FloatArray | None:

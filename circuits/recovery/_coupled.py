@@ -29,6 +29,7 @@ from ._live_reading import (
     LiveReading,
     ValidityRule,
 )
+from ._node_blocks import NodeBlocks
 from ._normal_matrix import Meter, NormalMatrix
 from ._quick_model import QuickModel
 from ._sheet_model import SheetModel
@@ -62,6 +63,9 @@ _CONVERGED = 0.2  # the same after steps that have come to their end
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
 _LIGHT = 0.3  # share of a voltage in the lines up to which derivatives in closed form are as good as any
 _HEAVY = 3.0  # the same up to which steps by them converge
+_SHORTER = 0.4  # of a step that led away from the readings: what is taken next
+_PATIENCE = 3  # frames that do not settle, after which steps that lead away from the readings are not taken
+_LEAST_READING = 0.03  # half steps that the least conductance would read alone: from below, nothing would lead back
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
 
 
@@ -104,6 +108,8 @@ class _Effort(NamedTuple):
 USUAL_EFFORT = _Effort(evaluations=4, instalments=1, solutions=1)
 LARGE_EFFORT = _Effort(evaluations=4, instalments=4, solutions=1)
 """of boards on which a step by the matrix of all readings by all cells is most of a usual frame"""
+NODE_EFFORT = _Effort(evaluations=6, instalments=3, solutions=1)
+"""of boards with floating rows and many cells, where a renewal is one inversion of a matrix with a row per line"""
 FIRST_EFFORT = _Effort(evaluations=40, instalments=700, solutions=4)
 """in the first frame of all, before which nothing is known"""
 
@@ -179,10 +185,14 @@ class CoupledLive:
         self._lines = LineResistance(board)
         self._columns = ColumnBlocks(board, self._lines.to_driver, self._lines.to_end, self._noise)
         cells = board.shape[0] * board.shape[1]
-        if cells > LARGEST_MATRIX and not self._columns.applies:
+        self._quick = QuickModel(board, self._lines)
+        self._nodes = NodeBlocks(board, self._quick, self._noise) if board.floating and cells > _SMALL else None
+        if self._nodes is not None and not self._nodes.applies:
+            self._nodes = None
+        if cells > LARGEST_MATRIX and not (self._columns.applies or self._nodes):
             raise InputError(
-                f"the live recovery of boards with floating rows or bridged lines is for at most {LARGEST_MATRIX} "
-                f'cells, and the array has {cells}; expected a smaller array, or drive.idle_rows = "ground"'
+                "the live recovery of boards with bridged lines, or with floating rows and broken lines, is for at "
+                f"most {LARGEST_MATRIX} cells, and the array has {cells}; expected a smaller array, or no such fault"
             )
         self._shorted = np.zeros(board.shape, dtype=np.bool_)  # by faults of 0 ohm
         for fault in whole.shorts:
@@ -190,8 +200,11 @@ class CoupledLive:
         self._gone = self._hidden | self._shorted.ravel()  # cells that no reading tells of
         nearly_independent = self._columns.applies and not self._shorted.any()
         self._has_matrix = cells <= (LARGEST_BESIDE if nearly_independent else LARGEST_MATRIX)
-        self._usual_effort = LARGE_EFFORT if cells > _SMALL and not self._columns.applies else USUAL_EFFORT
-        self._quick = QuickModel(board, self._lines)
+        self._usual_effort = USUAL_EFFORT
+        if self._nodes is not None:
+            self._usual_effort = NODE_EFFORT
+        elif cells > _SMALL and not self._columns.applies:
+            self._usual_effort = LARGE_EFFORT
         self._sheet = SheetModel(whole, self._quick) if whole.continuous else None
         self._model = self._quick if self._sheet is None else self._sheet
         leads = board.row_ohms[:, :1] + board.column_lead
@@ -202,15 +215,19 @@ class CoupledLive:
             for ohms in (self._leads, np.broadcast_to(leads, board.shape))
         )
         self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
+        per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
+        self._floor = np.log(_LEAST_READING * self._half_step * per_volt).ravel()  # of the logarithms
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._known: _Known | None = None  # where the last frame ended
         self._ignored: BoolArray | None = None  # (n,) readings of cells that faults hide
+        self._damping = 1.0  # share of a step that is taken
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
         self._stuck = 0  # frames for which steps column by column are not tried, since they led to no fit
         self._without_fit = 0  # frames
         self._astray = False  # the last frame did not settle
+        self._astray_for = 0  # frames in a row that did not
 
     def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
         """As :class:`.LiveRecovery`."""
@@ -249,7 +266,7 @@ class CoupledLive:
         coarser = float(np.hypot(1.0, noise / self._noise))
         start = self._known
         if start is None:
-            start, self._renewal = self._known_at(self._start(volts)), None
+            start, self._renewal, self._damping = self._known_at(self._start(volts)), None, 1.0
             self._from_fresh_start = True
         if beside.any():
             apparent = np.where(beside.ravel(), self._start(volts), start.log)
@@ -297,6 +314,9 @@ class CoupledLive:
         reason[open_cells] = NO_CURRENT
         # After a frame that did not settle, nothing is valid before derivatives from near by confirm the cells.
         self._astray = misfit > _NO_FIT or fit.lost or ((self._astray or fresh) and not fit.proven)
+        self._astray_for = self._astray_for + 1 if self._astray else 0
+        if not self._astray:
+            self._damping = 1.0
         if self._astray:  # the frame's budget did not suffice, or no cells give quite these readings
             reason[:], uncertainty[:] = UNSETTLED, inf
         short = self._as_good_as_short(x)
@@ -335,12 +355,27 @@ class CoupledLive:
         apart = self._apart(measured, known)
         misfit, stalled, instalments = self._misfit(apart) / scale, False, effort.instalments
         steeper = self._steeper(slope)
-        step = self._step(apart, steeper)
+        step, serves, moved = self._step(apart, steeper), False, inf
+        doubted = self._astray or self._from_fresh_start  # steps then go on to their end, see :attr:`_Fit.proven`
+        # Over strong nonlinearities whole steps are quick as a rule, but may lead too far, back, and so on for ever.
+        damped = self._astray_for >= _PATIENCE
         for left in range(effort.evaluations - 1, -1, -1):
-            known = self._known_at(known.log + step)
-            apart = self._apart(measured, known)
-            last, misfit = misfit, self._misfit(apart) / scale
-            stalled = abs(misfit - last) <= _SAME * misfit
+            ahead = self._known_at(np.maximum(known.log + self._damping * step, self._floor))
+            apart_ahead = self._apart(measured, ahead)
+            last, reached = misfit, self._misfit(apart_ahead) / scale
+            stalled = abs(reached - last) <= _SAME * reached
+            if damped and reached > _FITS and not stalled and apart_ahead @ apart_ahead > apart @ apart:
+                moved = self._moved(known.log, scale)
+                if instalments and moved > _MOVED and self._renewal is None:
+                    instalments -= 1
+                    if self._renew(known):
+                        steeper = self._steeper(slope)
+                        step, moved = self._step(apart, steeper), 0.0
+                        continue
+                self._damping *= _SHORTER
+                continue
+            self._damping = min(self._damping / _SHORTER, 1.0)
+            known, apart, misfit = ahead, apart_ahead, reached
             before, step = step, self._step(apart, steeper)
             serves = misfit <= _FITS and self._serves(step, scale)
             moved = self._moved(known.log, scale)
@@ -360,7 +395,7 @@ class CoupledLive:
                         serves = misfit <= _FITS and self._serves(step, scale)
                         moved = self._moved(known.log, scale)
                         break
-            if serves or not left:
+            if not left or (serves and (misfit <= _CONVERGED or not doubted)):
                 break
         lost = not serves and moved > _TOO_FAR
         proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
@@ -392,7 +427,7 @@ class CoupledLive:
         loss, new = self._loss(at.log), False
         if not self._has_matrix or (loss <= _HEAVY and not self._stuck):
             if not self._base.whole or _far(self._base, at):
-                self._base, new = self._based_on_columns(at, loss), True
+                self._base, new = self._based_on_lines(at, loss), True
             if not self._base.whole and not self._base.coarse:
                 self._renewal = None
                 return new
@@ -472,7 +507,12 @@ class CoupledLive:
         return _Known(x, self._model(np.exp(-x).reshape(self._shape)).ravel())
 
     def _loss(self, x: FloatArray) -> float:
-        """Share of a voltage in the lines at logarithms x (n,); inf where columns depend on each other anyway."""
+        """Share of a voltage in the lines at logarithms x (n,), as far as steps by single lines neglect it.
+
+        It is inf where there are no such steps.
+        """
+        if self._nodes is not None:
+            return 0.0
         if not self._columns.applies:
             return inf
         return self._columns.loss(self._board.cell_conductance(np.exp(-x).reshape(self._shape)))
@@ -481,12 +521,16 @@ class CoupledLive:
         """Derivatives and their regularised inverse there, at once."""
         loss = self._loss(at.log)
         if loss <= _HEAVY or not self._has_matrix:
-            return self._based_on_columns(at, loss)
+            return self._based_on_lines(at, loss)
         return next(base for base in self._renewed(at) if base is not None)
 
-    def _based_on_columns(self, at: _Known, loss: float) -> _Base:
-        """Derivatives in closed form there."""
+    def _based_on_lines(self, at: _Known, loss: float) -> _Base:
+        """Derivatives there by what is special about cells of one line: no matrix of all readings by all cells."""
         cells, prior = (values.reshape(self._shape) for values in (np.exp(-at.log), self._prior))
+        if self._nodes is not None:
+            by_nodes, slope = self._nodes.at(cells, prior), self._slope(at.volts.reshape(self._shape))
+            none = np.zeros(len(at.log))
+            return _Base(at.log, by_nodes.solve, by_nodes.std.ravel(), slope, none, whole=False, coarse=False)
         step = self._columns.at(cells, prior, self._hidden.reshape(self._shape))
         slope = self._slope(at.volts.reshape(self._shape))
         coarse = loss > _LIGHT and self._has_matrix

@@ -1,36 +1,44 @@
-"""Cells of a grid whose leads take much of the voltage, from its transfer conductances by Kirchhoff's laws.
+"""Cells of a grid whose leads take much of the voltage, from its readings by Kirchhoff's laws, with their errors.
 
-Rows end in leads R_i towards the drivers and columns in leads C_j towards the amplifiers; segments have no resistance.
-T_ij is the current into amplifier j per volt on row i, all other rows at ground. Node potentials per volt in step i:
+Rows end in leads R_i towards the drivers, columns in leads C_j towards sources s_j (the amplifiers' inputs); segments
+have no resistance. I_ij is the current into amplifier j per volt on row i, all other rows at ground. Node potentials
+per volt in step i:
 
-    columns   W_ij = C_j T_ij, measured;
+    columns   W_ij = s_j + C_j I_ij, measured;
     idle rows U_ki = R_k sum_j G_kj W_ij / (1 + R_k sum_j G_kj), a mean of what the columns feed into row k;
-    row i     U_ii = 1 - R_i (sum_j T_ij + sum_k U_ki / R_k): its driver feeds amplifiers and idle rows.
+    row i     U_ii = 1 - R_i (sum_j I_ij + sum_k U_ki / R_k): its driver feeds amplifiers and idle rows.
 
-The conductances of column j then solve N linear equations, T_ij = sum_k G_kj (U_ki - W_ij). All columns share the
+The conductances of column j then solve N linear equations, I_ij = sum_k G_kj (U_ki - W_ij). All columns share the
 matrix U up to a term of rank one, so one factorisation serves them (Sherman and Morrison). The U_ki depend on the
 conductances only as means do, so a few rounds suffice however heavy the leads are. Line attenuation, whose terms are
 losses of whole lines, does not converge there.
+
+Errors of the readings come through by the same equations, differentiated (:class:`Propagation`). Where rows are
+joined by shorts their potentials U are alike, the equations nearly singular, and the errors large: other cells would
+give the same readings.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from scipy.linalg.lapack import dgesv
 
 from ...arrays import FloatArray
 
-ROUNDS = 8
-"""at most, in one inversion"""
+ROUNDS = 16
+"""at most, in one inversion; usually three to six"""
+MOST_CELLS = 256
+"""up to which all derivatives of all cells by all readings are made; beyond, bounds that neglect what cancels"""
 _SHORT = 1e4  # conductance over that of its leads, at which a cell is a short
 _LEAST_OHM = 1e-6  # of a line, in that
 _ENOUGH = 1e-6  # relative change of a line's conductance in the last round
+_LEAST_CHANGE = 1e-300  # S, avoids a division by zero
 
 
 class LeadFit(NamedTuple):
-    """Cells of one set of transfer conductances. Arrays are (N, M)."""
+    """Cells of one set of readings. Arrays are (N, M) unless stated."""
 
     conductance: FloatArray
     """S"""
@@ -38,15 +46,168 @@ class LeadFit(NamedTuple):
     """conductance per transfer conductance, as far as the leads take the cell's own current"""
     settled: bool
     """the last round has hardly changed anything"""
+    row_ohm: FloatArray
+    """(N,) ohm of the rows' leads"""
+    column_ohm: FloatArray
+    """(M,) ohm of the columns' leads and of what follows them"""
+    rows: FloatArray
+    """(rows, steps) potentials U per volt"""
+    columns: FloatArray
+    """(steps, M) potentials W per volt"""
+
+    def propagation(self) -> Propagation:
+        """How errors of the readings come through."""
+        if self.conductance.size <= MOST_CELLS:
+            return _Derivatives(self._derivatives(), self.conductance.shape)
+        inverse = self._inverses()
+        return _Bounds(
+            inverse=np.abs(inverse),
+            into_column=1.0 + self.column_ohm * self.conductance.sum(axis=0),
+            column_ohm=self.column_ohm,
+            cells=self.conductance,
+            row_ohm=self.row_ohm,
+            divided=1.0 / (1.0 + self.row_ohm * self.conductance.sum(axis=1)),
+            across=np.abs(self.columns[:, None, :] - self.rows.T[:, :, None]),
+        )
+
+    def _derivatives(self) -> FloatArray:
+        """(NM, NM) of all conductances by all readings; inf where the readings do not tell the cells apart."""
+        cells, row_ohm, column_ohm = self.conductance, self.row_ohm, self.column_ohm
+        steps, columns = cells.shape
+        across = self.columns[:, None, :] - self.rows.T[:, :, None]  # V (steps, rows, M)
+        divided = 1.0 / (1.0 + row_ohm * cells.sum(axis=1))
+        # What a current into idle row k changes in reading ij: it lifts row k, and takes from the driver of row i.
+        lifts = (cells * row_ohm[:, None])[None] - (cells * row_ohm[:, None])[:, None]  # (steps, rows, M)
+        lifts *= divided[:, None]
+        lifts[np.arange(steps), np.arange(steps)] = 0.0
+        by_cells = np.einsum("ikj,ikl->ijkl", lifts, across)
+        own = np.einsum("ijkj->ijk", by_cells)
+        own -= across.transpose(0, 2, 1)
+        by_readings = -np.einsum("ikj,kl->ijl", lifts, cells * column_ohm)
+        by_readings += (cells * row_ohm[:, None])[:, :, None]
+        np.einsum("ijj->ij", by_readings)[...] += 1.0 + column_ohm * cells.sum(axis=0)
+        _, _, inverse, failed = dgesv(by_cells.reshape(cells.size, -1), np.eye(cells.size))
+        if failed:
+            return np.full(inverse.shape, np.inf)
+        found: FloatArray = inverse.reshape(-1, steps, columns).transpose(1, 0, 2) @ by_readings  # (steps, NM, M)
+        return found.transpose(1, 0, 2).reshape(cells.size, -1)
+
+    def _inverses(self) -> FloatArray:
+        """(M, rows, steps) of the equations of each column, by the formula of Sherman and Morrison."""
+        count = len(self.row_ohm)
+        _, _, shared, failed = dgesv(self.rows.T, np.eye(count))
+        if failed:
+            return np.full((len(self.column_ohm), count, count), np.inf)
+        by_column = shared @ self.columns  # (rows, M)
+        with np.errstate(divide="ignore"):
+            scale = 1.0 / (1.0 - by_column.sum(axis=0))
+        inverses: FloatArray = shared + (by_column * scale).T[:, :, None] * shared.sum(axis=0)
+        return inverses
+
+
+class Propagation(Protocol):
+    """How errors of readings become those of cells."""
+
+    def squared(self) -> Propagation:
+        """The same for variances of independent errors."""
+        ...
+
+    def __call__(self, readings: FloatArray) -> FloatArray:
+        """S (N, M) by which conductances may be off, to first order, in the worst case of all signs.
+
+        Args:
+            readings: (N, M) S by which readings may be off.
+
+        Returns:
+            inf where the readings do not tell the cells apart.
+
+        """
+        ...
+
+
+class _Derivatives(NamedTuple):
+    """All derivatives of all cells by all readings."""
+
+    matrix: FloatArray
+    """(NM, NM)"""
+    shape: tuple[int, int]
+
+    def squared(self) -> Propagation:
+        return _Derivatives(self.matrix * self.matrix, self.shape)
+
+    def __call__(self, readings: FloatArray) -> FloatArray:
+        spread: FloatArray = np.abs(self.matrix) @ readings.ravel()
+        return np.nan_to_num(spread, nan=np.inf, posinf=np.inf).reshape(self.shape)
+
+
+class _Bounds(NamedTuple):
+    """The sizes of the terms of Kirchhoff's laws, differentiated; what cancels is counted twice."""
+
+    inverse: FloatArray
+    """(M, rows, steps) 1/V of each column's equations"""
+    into_column: FloatArray
+    """(M,) current into a column's cells over that into its amplifier"""
+    column_ohm: FloatArray
+    """(M,)"""
+    cells: FloatArray
+    """S (N, M)"""
+    row_ohm: FloatArray
+    """(N,)"""
+    divided: FloatArray
+    """(N,) share of a current into an idle row that returns through its lead"""
+    across: FloatArray
+    """V (steps, rows, M) across the cells"""
+
+    def squared(self) -> Propagation:
+        return _Bounds(*(part * part for part in self))
+
+    def __call__(self, readings: FloatArray) -> FloatArray:
+        into_rows = (readings * self.column_ohm) @ self.cells.T  # (steps, rows)
+        first = self._solved(readings * self.into_column + self._by_rows(into_rows, readings.sum(axis=1)))
+        # The conductances' errors move the idle rows, which moves the conductances: a geometric series.
+        second = self._solved(self._by_rows(self._into_idle_rows(first)))
+        third = self._solved(self._by_rows(self._into_idle_rows(second)))
+        with np.errstate(invalid="ignore"):
+            ratio = float((third / np.maximum(second, _LEAST_CHANGE)).max())
+        if not ratio < 1.0:
+            return np.full(readings.shape, np.inf)
+        spread: FloatArray = first + second + third / (1.0 - ratio)
+        return spread
+
+    def _solved(self, sides: FloatArray) -> FloatArray:
+        """S (N, M) for right sides (steps, M) of the columns' equations."""
+        solved: FloatArray = np.einsum("jki,ij->kj", self.inverse, sides)
+        return solved
+
+    def _into_idle_rows(self, change: FloatArray) -> FloatArray:
+        """A (steps, rows) per volt that changed conductances (N, M) in S feed into the rows."""
+        into: FloatArray = np.einsum("ikj,kj->ik", self.across, change)
+        return into
+
+    def _by_rows(self, into_rows: FloatArray, delivered: FloatArray | float = 0.0) -> FloatArray:
+        """S (N, M): right sides of the columns' equations where the rows' potentials move.
+
+        Args:
+            into_rows: (steps, rows) A per volt, change of what cells feed into each row.
+            delivered: (steps,) A per volt, change of the currents into all amplifiers.
+
+        """
+        returned = into_rows * self.divided
+        np.fill_diagonal(returned, 0.0)
+        lifted = returned * self.row_ohm
+        np.fill_diagonal(lifted, self.row_ohm * (delivered + returned.sum(axis=1)))
+        by_rows: FloatArray = lifted @ self.cells
+        return by_rows
 
 
 def invert_leads(
-    transfer: FloatArray, row_ohm: FloatArray, column_ohm: FloatArray, start: FloatArray
+    current: FloatArray, column: FloatArray, row_ohm: FloatArray, column_ohm: FloatArray, start: FloatArray
 ) -> LeadFit | None:
-    """The cells that give these transfer conductances.
+    """The cells that give these readings.
 
     Args:
-        transfer: (N, M) S.
+        current: (N, M) A into the amplifiers per volt of drive.
+        column: (N, M) V of the columns per volt of drive.
         row_ohm: (N,) ohm of the rows' leads.
         column_ohm: (M,) ohm of the columns' leads and of what follows them.
         start: (N, M) S, conductances to begin with.
@@ -55,13 +216,12 @@ def invert_leads(
         None where no conductances give them, or the equations are singular.
 
     """
-    count = len(row_ohm)
-    column = transfer * column_ohm  # W, (steps, M)
-    delivered = row_ohm * transfer.sum(axis=1)
+    count, columns = current.shape
+    delivered = row_ohm * current.sum(axis=1)
     ratio = np.divide.outer(row_ohm, np.maximum(row_ohm, 1e-300))  # R_i / R_k
     most = _SHORT / np.maximum(np.add.outer(row_ohm, column_ohm), _LEAST_OHM)
     conductance, diagonal = start, np.arange(count)
-    sides = np.concatenate([transfer, column], axis=1)
+    sides = np.concatenate([current, column], axis=1)
     for _ in range(ROUNDS):
         loads = conductance.sum(axis=1)
         rows = (conductance @ column.T) * (row_ohm / (1.0 + row_ohm * loads))[:, None]  # U, (rows, steps)
@@ -73,8 +233,11 @@ def invert_leads(
         _, _, solved, failed = dgesv(rows.T, sides)
         if failed:
             return None
-        by_current, by_column = solved[:, : transfer.shape[1]], solved[:, transfer.shape[1] :]
-        found = by_current + by_column * (by_current.sum(axis=0) / (1.0 - by_column.sum(axis=0)))
+        by_current, by_column = solved[:, :columns], solved[:, columns:]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = by_current + by_column * (by_current.sum(axis=0) / (1.0 - by_column.sum(axis=0)))
+        if not np.isfinite(found).all():
+            return None
         found = np.clip(found, 0.0, most)
         moved = np.abs(found - conductance).sum(axis=1)
         conductance = found
@@ -82,4 +245,4 @@ def invert_leads(
         if settled:
             break
     gain = (1.0 + column_ohm * conductance.sum(axis=0)) / own[:, None]
-    return LeadFit(conductance, gain, settled)
+    return LeadFit(conductance, gain, settled, row_ohm, column_ohm, rows, column)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import cached_property
 from typing import ClassVar, Protocol
 
 import numpy as np
@@ -111,10 +110,13 @@ class LiveReading:
         self.reason = reason
         """a :class:`Reason` each"""
         self._uncertainties = uncertainties
+        self._known: tuple[FloatArray, FloatArray] | None = None
 
-    @cached_property
+    @property
     def _computed(self) -> tuple[FloatArray, FloatArray]:
-        return self._uncertainties()
+        if self._known is None:
+            self._known = self._uncertainties()
+        return self._known
 
     @property
     def uncertainty(self) -> FloatArray:

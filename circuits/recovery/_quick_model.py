@@ -12,7 +12,7 @@ the readout makes of either network is the circuit's to say (:meth:`.ReadoutCirc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from .._sensitivity import basis_drops
 from ..readouts import QuickFields, QuickNetwork
 from ..solvers import has_ideal_lines, port_conductances
 from ._lines import LineResistance
+from ._port_derivatives import AnyLines, Branches, IdealLines, PortDerivatives
 
 _LIGHT = 0.25  # largest loss in the lines for which sweeps are good to a percent
 
@@ -77,31 +78,26 @@ class QuickModel:
         fields = self._board.circuit.quick_fields(self._board, self._network(conductance))
         if fields is None:
             return None
-        return _products(fields, self._behind_leads(conductance) if self.is_quick else self._inside(cells, conductance))
+        return _products(fields, self._branches(cells, conductance))
 
-    def _behind_leads(self, conductance: FloatArray) -> Callable[[FloatArray], FloatArray]:
-        """The voltages (..., N, M) across the crosspoints for port potentials (..., N + M), lines being ideal."""
-        rows = len(conductance)
-        share = 1.0 / (1.0 + self._lead * conductance.sum(axis=1))
-        lift = (conductance * (self._lead * share)[:, None]).T  # of the rows behind their leads, by the columns
+    def products(self, cells: FloatArray) -> PortDerivatives | None:
+        """The same derivatives without their matrix.
 
-        def across(field: FloatArray) -> FloatArray:
-            at_rows = field[:, :rows] * share + field[:, rows:] @ lift
-            drop: FloatArray = at_rows[:, :, None] - field[:, None, rows:]
-            return drop
+        Raises:
+            numpy.linalg.LinAlgError: parts of the grid are connected to nothing.
 
-        return across
+        """
+        if not self.has_network:
+            return None
+        conductance = self._board.cell_conductance(cells)
+        fields = self._board.circuit.quick_fields(self._board, self._network(conductance))
+        return None if fields is None else PortDerivatives(fields, self._branches(cells, conductance))
 
-    def _inside(self, cells: FloatArray, conductance: FloatArray) -> Callable[[FloatArray], FloatArray]:
-        """The same for any lines."""
+    def _branches(self, cells: FloatArray, conductance: FloatArray) -> Branches:
+        if self.is_quick:
+            return IdealLines(conductance, self._lead)
         light = self._lines.finite and self._lines.loss(conductance) <= _LIGHT
-        drops = self._lines.swept_drops(conductance) if light else basis_drops(self._board, cells)
-
-        def across(field: FloatArray) -> FloatArray:
-            drop: FloatArray = np.tensordot(field, drops, axes=1)
-            return drop
-
-        return across
+        return AnyLines(self._lines.swept_drops(conductance) if light else basis_drops(self._board, cells))
 
     def _network(self, conductance: FloatArray) -> QuickNetwork:
         if self.is_quick:
@@ -117,7 +113,7 @@ class QuickModel:
         return self._board.circuit.quick_outputs(self._board, self._network(conductance))
 
 
-def _products(fields: Iterator[QuickFields], across: Callable[[FloatArray], FloatArray]) -> Iterator[FloatArray]:
-    for field in fields:
-        derivative = across(field.forward) * across(field.adjoint)
+def _products(fields: QuickFields, branches: Branches) -> Iterator[FloatArray]:
+    for row in range(len(fields.forward.of_rows)):
+        derivative = branches.across(fields.forward.of_row(row)) * branches.across(fields.adjoint.of_row(row))
         yield np.negative(derivative, out=derivative)

@@ -1,0 +1,210 @@
+"""Gauss-Newton steps on boards with floating rows, by preconditioned conjugate gradients.
+
+With floating idle rows a reading depends on all cells. It depends much more on its own cell and on those of its row and
+its column than on the rest, though: every other path leads through at least three cells. Within one row or column the
+derivatives by the cells' logarithms are nearly a product of two vectors, so that
+
+    J ~ diag(d) + P Q',        P, Q (N M, N + M), with two numbers per row: one for its row, one for its column.
+
+The normal matrix of a regularised step, J'J + 1/s^2, then is a diagonal A = d^2 + 1/s^2 with a product of rank
+2 (N + M) beside it. By Woodbury's identity its inverse takes one inversion of a matrix of that size,
+
+    H^-1 = A^-1 - A^-1 V W V' A^-1,    V = (d P, Q),
+    W^-1 = (-P' (1/s^2 A) P,  1 + P' (d/A) Q;  1 + Q' (d/A) P,  Q' (1/A) Q).
+
+The posterior variances are the diagonal of that. A step needs J itself: products with it (:mod:`._port_derivatives`)
+within conjugate gradients, for which the structured inverse is the preconditioner. They converge in two to eight
+iterations, whatever the size, and the matrix J is never formed.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import FloatArray
+from .._board import Board, broken_off
+from ._column_blocks import beyond_linear
+from ._port_derivatives import PortDerivatives
+from ._quick_model import QuickModel
+
+_ITERATIONS = 10  # of conjugate gradients in one step, at most
+_TOLERANCE = 0.02  # of the residual, in the preconditioner's norm, that a step may leave
+_FITS = 3  # alternating least squares for the two vectors of a line
+_HARDLY_KNOWN = 0.3  # standard deviation of a logarithm from which on the linear law says too little
+_MARGIN = 1.15  # standard deviations by structure are 0.90 to 1.05 of the exact ones on boards tried
+
+
+class _Lines(NamedTuple):
+    """A matrix (N M, N + M) with two numbers in each row: for the cell's row and for its column; (N, M) each."""
+
+    rows: FloatArray
+    columns: FloatArray
+
+    def times(self, each: FloatArray) -> FloatArray:
+        """Product (N, M) with a vector (N + M,)."""
+        count = len(self.rows)
+        result: FloatArray = self.rows * each[:count, None] + self.columns * each[count:]
+        return result
+
+    def gathered(self, values: FloatArray) -> FloatArray:
+        """Transposed product (N + M,) with (N, M)."""
+        return np.concatenate([np.einsum("ij,ij->i", self.rows, values), np.einsum("ij,ij->j", self.columns, values)])
+
+    def gram(self, weight: FloatArray, other: _Lines) -> FloatArray:
+        """(N + M, N + M): self' diag(weight) other."""
+        rows, columns = self.rows.shape
+        here, there = self.rows * weight, self.columns * weight
+        result = np.zeros((rows + columns, rows + columns))
+        result[:rows, rows:] = here * other.columns
+        result[rows:, :rows] = (there * other.rows).T
+        result.flat[:: rows + columns + 1] = np.concatenate(
+            [np.einsum("ij,ij->i", here, other.rows), np.einsum("ij,ij->j", there, other.columns)]
+        )
+        return result
+
+    def quadratic(self, matrix: FloatArray, other: _Lines) -> FloatArray:
+        """Diagonal (N, M) of self matrix other'."""
+        count, own = len(self.rows), np.diagonal(matrix)
+        result: FloatArray = self.rows * other.rows * own[:count, None] + self.columns * other.columns * own[count:]
+        result += self.rows * other.columns * matrix[:count, count:]
+        result += self.columns * other.rows * matrix[count:, :count].T
+        return result
+
+
+class NodeStep:
+    """The regularised inverse of the derivatives at one point. Logarithms are those of the cells, arrays (N, M)."""
+
+    def __init__(self, derivatives: PortDerivatives, per_log: FloatArray, prior: FloatArray, noise: float) -> None:
+        """Invert the structured normal matrix.
+
+        Args:
+            derivatives: V/S of the readings.
+            per_log: S by which a crosspoint changes per unit of its cell's logarithm.
+            prior: standard deviation of the logarithms before anything is read.
+            noise: V, standard deviation of a reading.
+
+        Raises:
+            numpy.linalg.LinAlgError: the derivatives are not finite.
+
+        """
+        self._derivatives, self._noise = derivatives, noise
+        self._scale = scale = per_log / noise  # of a derivative, to standard deviations per logarithm
+        self._regular = regular = prior**-2.0
+        along = derivatives.along_rows() * scale[:, None, :]
+        down = derivatives.down_columns() * scale.T[:, None, :]
+        by_row, by_column = _product_of_vectors(along), _product_of_vectors(down)
+        first = _Lines(by_row[0], by_column[0].T)
+        second = _Lines(by_row[1], by_column[1].T)
+        own = np.einsum("ijj->ij", along) - first.rows * second.rows - first.columns * second.columns
+        free = 1.0 / (own**2 + regular)
+        self._own, self._free, self._second = own, free, second
+        self._own_first = _Lines(own * first.rows, own * first.columns)
+        corner = np.eye(len(own) + len(own[0])) + first.gram(own * free, second)
+        whole = np.block([[-first.gram(regular * free, first), corner], [corner.T, second.gram(free, second)]])
+        if not np.isfinite(whole).all():
+            raise np.linalg.LinAlgError("derivatives that are not finite")
+        self._inner = inner = np.linalg.inv(whole)
+        information = np.einsum("iab,iab->ib", along, along) + np.einsum("jab,jab->jb", down, down).T
+        information += regular - np.einsum("ijj->ij", along) ** 2
+        variance = np.maximum(free - free**2 * self._quadratic(inner), 1.0 / information)
+        std = np.sqrt(variance)
+        if (std > _HARDLY_KNOWN).any():
+            weight = free**2 * (beyond_linear(std) / variance)
+            beside = self._own_first.gram(weight, second)
+            middle = np.block(
+                [
+                    [self._own_first.gram(weight, self._own_first), beside],
+                    [beside.T, second.gram(weight, second)],
+                ]
+            )
+            std = np.sqrt(variance + free**2 * np.maximum(self._quadratic(inner @ middle @ inner), 0.0))
+        self.std: FloatArray = _MARGIN * std
+        """posterior standard deviation of the logarithms"""
+
+    def _quadratic(self, matrix: FloatArray) -> FloatArray:
+        """Diagonal (N, M) of V matrix V', for a symmetric matrix."""
+        half = len(matrix) // 2
+        result = self._own_first.quadratic(matrix[:half, :half], self._own_first)
+        result += 2.0 * self._own_first.quadratic(matrix[:half, half:], self._second)
+        result += self._second.quadratic(matrix[half:, half:], self._second)
+        return result
+
+    def _preconditioned(self, normal: FloatArray) -> FloatArray:
+        """The structured inverse of the normal matrix, times (N, M)."""
+        free: FloatArray = self._free * normal
+        half = len(self._inner) // 2
+        along = self._inner @ np.concatenate([self._own_first.gathered(free), self._second.gathered(free)])
+        free -= self._free * (self._own_first.times(along[:half]) + self._second.times(along[half:]))
+        return free
+
+    def _normal(self, change: FloatArray) -> FloatArray:
+        """The normal matrix itself, times (N, M)."""
+        readings = self._derivatives.times(self._scale * change)
+        image: FloatArray = self._scale * self._derivatives.transposed_times(readings)
+        image += self._regular * change
+        return image
+
+    def solve(self, volts: FloatArray) -> FloatArray:
+        """Change (n,) of the logarithms for a difference (n,) of the readings in V."""
+        apart = volts.reshape(self._scale.shape) / self._noise
+        residual = self._scale * self._derivatives.transposed_times(apart)
+        direction = preconditioned = self._preconditioned(residual)
+        gain = begun = float(np.vdot(residual, preconditioned))
+        change = np.zeros_like(residual)
+        for _ in range(_ITERATIONS):
+            if gain <= _TOLERANCE**2 * begun:
+                break
+            image = self._normal(direction)
+            length = gain / float(np.vdot(direction, image))
+            change += length * direction
+            residual -= length * image
+            preconditioned = self._preconditioned(residual)
+            before, gain = gain, float(np.vdot(residual, preconditioned))
+            direction = preconditioned + (gain / before) * direction
+        flat: FloatArray = change.ravel()
+        return flat
+
+
+class NodeBlocks:
+    """Makes a :class:`NodeStep` for a board at any cells."""
+
+    def __init__(self, board: Board, model: QuickModel, noise: float) -> None:
+        """Take the board, its model, and V of noise of a reading."""
+        self._board, self._model, self._noise = board, model, noise
+        # Beside a complete break parts of the grid are connected to nothing.
+        self.applies = bool(board.plain and board.floating and not broken_off(board).any())
+        if self.applies:
+            self.applies = model.products(np.full(board.shape, 1e4)) is not None
+        """whether there is a short way to products with the derivatives"""
+
+    def at(self, cells: FloatArray, prior: FloatArray) -> NodeStep:
+        """The step at cells (N, M) in ohm, with standard deviations ``prior`` (N, M) of their logarithms before."""
+        derivatives = self._model.products(cells)
+        assert derivatives is not None
+        in_series = 1.0 / (cells + self._board.series_ohms)  # S of the cell and an open-cell fault
+        return NodeStep(derivatives, in_series**2 * cells, prior, self._noise)
+
+
+def _product_of_vectors(blocks: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Vectors p and q (K, a) with p q' next to the matrices (K, a, a), whose diagonals do not count."""
+    beside = blocks.copy()
+    np.einsum("kaa->ka", beside)[:] = 0.0
+    first = np.ones(blocks.shape[:2])
+    for _ in range(_FITS):
+        second = _divided(np.einsum("kab,ka->kb", beside, first), _of_others(first))
+        first = _divided(np.einsum("kab,kb->ka", beside, second), _of_others(second))
+    return first, second
+
+
+def _of_others(values: FloatArray) -> FloatArray:
+    """Sums of squares (K, a) of all values but one's own."""
+    squares = values**2
+    others: FloatArray = squares.sum(axis=1, keepdims=True) - squares
+    return others
+
+
+def _divided(values: FloatArray, by: FloatArray) -> FloatArray:
+    """Quotients, 0 where there is nothing to divide by."""
+    return np.divide(values, by, out=np.zeros_like(values), where=by > 0)
