@@ -119,20 +119,22 @@ def calibrate(
         tell("learned before a fold, and judged on it")
     judged |= _judge_models(cell.replace(estimators=None), found[0], thin, samples, parts)
     final = _learned(whole, full, cells=training.CELLS).replace(seen=seen)
+    noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
+    unexplained = float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0)))
+    taught = float(np.sqrt(max(teacher.held_out_error**2 - noise**2, 0.0)))
     for name in ("play", "distilled"):
         share = best_share(judged[name], judged["static"])
         judged[name] = mixed(judged[name], judged["static"], share)
-        learned = getattr(final, name)
-        final = final.replace(**{name: learned.replace(static_share=1 - share)})
+        learned = getattr(final, name).replace(static_share=1 - share, beyond_recorded=taught < choice.EXACT)
+        final = final.replace(**{name: learned})
     tried = (*LEARNED, *(name for name in judged if name == "inverse"))
     elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, tried, whole)
     tell("learned from all")
-    noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
     evidence = choice.Evidence(
         judged=judged,
         elsewhere=elsewhere,
         presses=float(samples.pressing[-1]) / 2,
-        unexplained=float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0))),
+        unexplained=unexplained,
         least_slope=1.0 if inverse is None else inverse,
     )
     default, reason = choice.choose(evidence)

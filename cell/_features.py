@@ -1,9 +1,9 @@
 """Features of a learned estimator: the reading, and how it differs from a bank of memories of it.
 
-The first feature is the last reading as it is, so that a fast press is answered at once. There are two kinds of memory:
-lags (the reading some seconds ago, smoothed: creep, recovery) and plays (a slack of some width
-between the reading and its follower: hysteresis, which way it was last going). Both are cheap, stable for any input,
-and at zero for a cell that has been read at one value for ever.
+The first feature is the last reading as it is, so that a fast press is answered at once. There are two kinds of
+memories. Lags hold the reading some seconds ago, smoothed; they tell of creep and recovery. Plays leave a slack of some
+width between the reading and its follower; they tell of hysteresis, that is, which way the reading was last going. Both
+are cheap, stable for any input, and at zero for a cell that has been read at one value for ever.
 """
 
 from __future__ import annotations
