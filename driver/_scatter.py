@@ -4,7 +4,8 @@ Two estimates of the standard deviation s are made, both from changes of reading
 
 * the mean absolute change, of which noise makes 1.13 s. A press enlarges the changes of the readings it reaches;
 * the lag-one autocovariance of the changes, -s^2 for noise. A press that lasts for more than a frame moves a reading in
-  one direction, or once, and adds nothing to it.
+  one direction, or once, and adds nothing to it. What comes and goes within a frame (a spark, a tap) looks like noise
+  there, but leaves no change from the frame before it to the one after it.
 
 Changes count up to 1.5 s, so cells that are pressed weigh little in the first estimate: 30 % of them raise it by 60 %.
 That is enough where a press changes its own readings only. On a board whose readings share their current a finger moves
@@ -95,7 +96,10 @@ class Scatter:
         alternating = self._by_autocovariance(change, self.std, moving)
         if alternating > self.std:
             # What was known so far cuts too much off. The median is of noise unless half of the cells move.
-            about = max(self.std, _median(size))
+            about = _median(size)
+            if self._shared and self._change is not None:
+                about = min(about, _median(np.abs(change + self._change)))
+            about = max(self.std, about)
             alternating = self._by_autocovariance(change, about, moving)
             if self._shared:
                 mean = self._by_mean(size, about, moving)

@@ -124,6 +124,8 @@ class FrameTaker:
             if newest is not None and source.now() - newest.monotonic_time <= max_age_s:
                 frame = self._repeat(newest) or self._claim(newest)
                 if frame is not None and frame.age <= max_age_s:
+                    if not frame.repeated:
+                        source.counters.ages_s.append(frame.age)
                     return frame
                 if frame is not None and not frame.repeated:
                     # Too old by the time it was converted: the reader never sees this frame.
@@ -163,6 +165,7 @@ class FrameTaker:
                 return None
             taken = self._claim(frame)
             if taken is not None:
+                source.counters.ages_s.append(taken.age)
                 return taken
 
     @contextlib.contextmanager
@@ -236,7 +239,6 @@ class FrameTaker:
             frame = self._deliver(raw, measurement)
             self._newest, self._frame = raw.index, frame
             source.mailbox.move(self._place, raw.index)
-        source.counters.ages_s.append(frame.age)
         return frame
 
     def _deliver(self, raw: RawFrame, measurement: Measurement) -> Frame:
@@ -310,8 +312,12 @@ class AsyncFrames:
             away = self._source.mailbox.away
             if left <= 0 and not away:
                 raise self._source.nothing_came("frame", self._timeout_s)
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._event.wait(), left if left > 0 else 1.0)
+            # Not asyncio.wait_for(): up to Python 3.11 it swallows a cancellation that comes together with a frame.
+            timer = asyncio.get_running_loop().call_later(left if left > 0 else 1.0, self._event.set)
+            try:
+                await self._event.wait()
+            finally:
+                timer.cancel()
 
 
 class FrameCallback:

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..wire import BoardProtocol
 from ._board import Board
-from ._faults import Line, Schedule
+from ._faults import Line, Schedule, may_lose
 from ._hand import Hand
 from ._line import Transmission
 from ._scene import Scene
@@ -79,9 +79,7 @@ class Device:
         self._baud_rate = scene.line.baud_rate
         self._random = np.random.default_rng([seed, 2])
         self._noise = np.random.default_rng([seed, 3])
-        self.may_lose = bool(
-            scene.line.packet_loss or scene.line.bit_errors or scene.line.baud_rate is not None or scene.link_fault
-        )
+        self.may_lose = may_lose(scene.line, scene.link_fault)
         """whether a packet may fail to arrive"""
         self._over = False
         """no time passes any more, so a stall would not end"""

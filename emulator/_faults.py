@@ -13,6 +13,11 @@ from ._line_settings import BYTE_FAULTS, PACKET_FAULTS, LineSettings, LinkFault
 Bytes = NDArray[np.uint8]
 
 
+def may_lose(settings: LineSettings, faults: Sequence[LinkFault]) -> bool:
+    """Whether a packet may fail to arrive."""
+    return bool(settings.packet_loss or settings.bit_errors or settings.baud_rate is not None or faults)
+
+
 class Line:
     """What becomes of packets on their way, by the settings of a scene. The same seed gives the same faults."""
 

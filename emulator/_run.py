@@ -29,6 +29,7 @@ from ._service import (
     HOST_POLL_S,
     LISTENER_S,
     MOST_BEHIND_S,
+    OVER_S,
     ClockName,
     HasFileno,
     Outcome,
@@ -39,8 +40,6 @@ from ._service import (
 )
 from ._truth import TruthFile
 
-OVER_S = 1.0
-"""for how long a host behind a line that loses packets is told that no frame follows, a hundred times at most"""
 LONGEST_WAIT_S = 0.1
 """how often to look in any case: for a second host to turn away"""
 TICKS_AT_ONCE = 64

@@ -81,6 +81,8 @@ class MemoryPort:
 
     def __init__(self) -> None:
         self.closed = False
+        self.later_s = 0.0
+        """by how much its clock is ahead: a test that lets hours pass"""
         self.written: list[bytes] = []
         self._interrupted = threading.Event()
 
@@ -101,7 +103,7 @@ class MemoryPort:
         return self.ready()
 
     def read(self) -> Arrival:
-        return Arrival(self.next_bytes(), time.monotonic(), time.time())
+        return Arrival(self.next_bytes(), self.now(), time.time() + self.later_s)
 
     def write(self, data: bytes) -> None:
         self.written.append(data)
@@ -110,7 +112,7 @@ class MemoryPort:
         self._interrupted.set()
 
     def now(self) -> float:
-        return time.monotonic()
+        return time.monotonic() + self.later_s
 
     def close(self) -> None:
         self.closed = True

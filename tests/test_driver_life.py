@@ -315,6 +315,24 @@ class TestReaders:
             skin.on_frame(lambda _: None, ends.append)
         assert len(ends) == 1
 
+    def test_a_task_that_is_cancelled_while_a_frame_comes_ends(self) -> None:
+        """As by asyncio.timeout(): a board of 400 Hz that keeps its reader alive for ever is no rare case."""
+
+        async def cancel(with_frame: bool) -> bool:
+            frames = aiter(skin)
+            task = asyncio.ensure_future(anext(frames))  # type: ignore[arg-type]
+            await asyncio.sleep(0.05)
+            if with_frame:
+                frames._event.set()  # type: ignore[attr-defined]
+            task.cancel()
+            await asyncio.wait([task], timeout=30.0)
+            return task.cancelled()
+
+        with Skin(described(frame(0)), timeout=60.0) as skin:
+            next(skin)
+            assert asyncio.run(cancel(with_frame=False))
+            assert asyncio.run(cancel(with_frame=True))
+
     def test_a_forked_process_is_told_that_the_skin_is_not_its_own(self) -> None:
         with Skin(Wire(Board(scene()))) as skin:
             next(skin)

@@ -304,6 +304,27 @@ def test_faults_of_the_line_are_counted_and_survived(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.counts, codes[place[frame.sequence]])
 
 
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_the_end_of_a_finite_run_is_an_end_and_no_pulled_cable(loss: float, tmp_path: Path) -> None:
+    """No firmware says that it is over; the emulator does in its place, on a lossy line again and again."""
+    truth = tmp_path / "truth.npz"
+    with (
+        PtyPort() as port,
+        running_firmware(scene(line={"packet_loss": loss}), port, clock="fast", duration_s=2.0, truth=truth),
+        Skin.open(port.name, delivery="lossless", timeout=60.0) as skin,
+    ):
+        first, *others = skin  # a LinkError, if the end were not told
+        stats = skin.stats()
+    with np.load(truth) as arrays:
+        sent = arrays["sequence"][-1] + 1
+    assert stats.lost is not None
+    assert first.sequence is not None
+    assert first.lost_before is not None
+    before = first.sequence - first.lost_before  # it began to scan before it was known
+    assert (before + 1 + len(others) + stats.lost, stats.reconnects, stats.reboots) == (sent, 0, 0)
+    assert (stats.lost > 0) == (loss > 0)
+
+
 def test_the_report_on_the_firmware_passes_and_says_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     """The experiment of `ohmskin verify --target firmware`, with few of its points."""
     for name, few in (("FRAMES", 60), ("DWELLS_US", (60,)), ("PRESCALERS_LOG2", (7,)), ("BAUD_RATES", (115_200,))):

@@ -120,3 +120,11 @@ def test_readings_that_stand_still_become_valid_again_after_noise() -> None:
     assert not noisy.valid.all()
     assert quiet[-1].valid.all()
     assert quiet[-1].uncertainty.max() < 0.3 * noisy.uncertainty.min()
+
+
+def test_what_comes_and_goes_within_a_frame_is_no_noise_of_a_coupled_board() -> None:
+    """A spark moves the readings of most cells by hundreds of steps, there and back."""
+    rng = np.random.default_rng(4)
+    volts = rng.normal(scale=0.5 * STEP, size=(40, 8, 8))
+    volts[20, :, :6] += 300.0 * STEP * rng.uniform(0.3, 1.0, (8, 6))
+    assert max(measured(volts, shared=True)[10:]) < 1.5

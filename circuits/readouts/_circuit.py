@@ -195,6 +195,20 @@ class ReadoutCircuit(ABC):
         Signals below a few ulp of the reference voltage are rounding, and count as none.
         """
 
+    def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
+        """S (N, M) between grounded row terminals and columns, from all readings of a column together.
+
+        Args:
+            board: parts of the readout.
+            signal: (N, M) V above the reference.
+            least: V, smallest difference of readings that counts.
+
+        Returns:
+            None for circuits whose readings depend on more, or tell of each cell alone.
+
+        """
+        return None
+
     @abstractmethod
     def conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
         """(..., N, M) S/V: derivative of :meth:`apparent_conductance` by the signal."""

@@ -97,6 +97,14 @@ class VoltageDivider(ReadoutCircuit):
         conductance: FloatArray = np.where(ratio > rounding_floor(board), ratio, 0.0) / board.reference
         return conductance / (1.0 - np.minimum(ratio, _FULL_RATIO))
 
+    def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
+        # With the column's sum T, a reading is drive D Rref / (1 + T (Rref + lead)). The readings' sum tells T.
+        ratio = signal / board.drive
+        ratio = np.where(ratio > rounding_floor(board), ratio, 0.0)
+        left = 1.0 - ratio.sum(axis=0) * (board.reference + board.column_lead) / board.reference
+        conductance: FloatArray = ratio / board.reference / np.maximum(left, least / abs(board.drive))
+        return conductance
+
     def conductance_slope(self, board: Parts, signal: FloatArray) -> FloatArray:
         steepness = 1.0 / (board.drive * board.reference)
         return steepness / (1.0 - np.minimum(signal / board.drive, _FULL_RATIO)) ** 2

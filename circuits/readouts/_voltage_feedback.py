@@ -110,6 +110,9 @@ class VoltageFeedback(VoltageDivider):
         by_sum = per_siemens * (lift - board.inverse_gain * column)
         return per_siemens * (board.drive - column) - by_sum, by_sum
 
+    def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
+        return None  # the follower keeps the column's other cells out of a reading
+
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.
 

@@ -27,8 +27,8 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from .._board import Board
 
+_MOST_TAKEN = 0.8  # share of a voltage that a row's lead may take, in a first guess
 _KNOWN = 0.3  # standard deviation of a logarithm up to which the linear law is good enough
-_LEAST_FACTOR = 1e-6  # of a cell in its crosspoint's conductance: beside a fault, below which no reading tells of it
 
 
 def beyond_linear(std: FloatArray) -> FloatArray:
@@ -47,23 +47,25 @@ class Step(NamedTuple):
     """The regularised inverse of the derivatives at one point. Arrays are (N, M), logarithms those of the cells."""
 
     own: FloatArray
-    """standard deviations of a reading per unit of the logarithm of its own D, the column's sum kept"""
+    """standard deviations of a reading per unit of its cell's logarithm, the column's sum kept"""
     by_sum: FloatArray
     """standard deviations of a reading per S of its column's sum"""
     driven: FloatArray
-    """S, D"""
+    """S, change of D per unit of its cell's logarithm"""
     free: FloatArray
     """inverse of the normal matrix' diagonal part"""
     mixed: tuple[FloatArray, FloatArray, FloatArray]
     """(M,) entries 11, 12 and 22 of the inverse of the 2 x 2 matrix"""
     through_lead: FloatArray
-    """relative change of the crosspoints of a row per relative change of each of its D, by the row's lead"""
-    factor: FloatArray
-    """logarithm of a crosspoint's conductance per logarithm of its cell's"""
+    """relative change of the crosspoints of a row per unit of each logarithm, by the row's lead"""
+    share: FloatArray
+    """logarithm of a cell per relative change of its crosspoint"""
     std: FloatArray
     """posterior standard deviation of the logarithms"""
     others: FloatArray
     """change of the logarithms if all hidden cells go to their ends"""
+    floor: FloatArray
+    """logarithm of the conductance below which a cell counts linearly, see :class:`ColumnBlocks`"""
     noise: float
     """V, standard deviation of a reading"""
 
@@ -79,8 +81,7 @@ class Step(NamedTuple):
             self.driven * (first * along_first + both * along_second)
             + self.own * self.by_sum * (both * along_first + second * along_second)
         )
-        change += np.einsum("ij,ij->i", self.through_lead, change)[:, None]
-        change /= self.factor
+        change += self.share * np.einsum("ij,ij->i", self.through_lead, change)[:, None]
         flat: FloatArray = change.ravel()
         return flat
 
@@ -88,23 +89,51 @@ class Step(NamedTuple):
 class ColumnBlocks:
     """Makes a :class:`Step` for a board at any cells."""
 
-    def __init__(self, board: Board, to_driver: FloatArray, to_end: FloatArray, noise: float) -> None:
-        """Take the board, ohm (N, M) of wire from each crosspoint to the row driver and to its column's end."""
+    def __init__(
+        self, board: Board, to_driver: FloatArray, to_end: FloatArray, noise: float, tells: BoolArray | None = None
+    ) -> None:
+        """For a board.
+
+        Args:
+            board: whose readings are taken.
+            to_driver: (N, M) ohm of wire from each crosspoint to the row driver.
+            to_end: (N, M) ohm of wire from each crosspoint to its column's end.
+            noise: V, standard deviation of a reading.
+            tells: (N, M) where a reading tells of its cell; None: everywhere.
+
+        """
         self._board, self._noise = board, noise
         # Cells beyond a complete break take no part. A line with segments counts as one lead.
         self._reached = np.isfinite(to_driver + to_end + board.column_lead)
         self._to_driver, self._to_end = (np.where(self._reached, ohms, 0.0) for ohms in (to_driver, to_end))
         self._lead = self._to_driver.sum(axis=1) / np.maximum(self._reached.sum(axis=1), 1)
+        self._series = self._to_driver + self._to_end + board.column_lead + board.series_ohms
+        self._tells = np.ones(board.shape, dtype=np.bool_) if tells is None else tells
         self.applies = board.plain and not board.floating
         """whether the board's readings have this form at all"""
         if self.applies:
             some = np.full(board.shape, 1e-4)
             self.applies = board.circuit.column_slopes(board, some, some.sum(axis=0)) is not None
 
+        self.has_law = False
+        """whether :meth:`crosspoints` takes all readings of a column together"""
+        if self.applies:
+            found = board.circuit.column_conductance(board, np.zeros(board.shape), noise)
+            self.has_law = found is not None
+
     def loss(self, conductance: FloatArray) -> float:
         """Largest share of a voltage that is lost where the form does not hold, at crosspoints (N, M) in S."""
         along = (self._to_driver * conductance).sum(axis=1).max(initial=0.0)
         return float(along + (self._to_end * conductance).sum(axis=0).max(initial=0.0))
+
+    def crosspoints(self, signal: FloatArray) -> FloatArray:
+        """S (N, M) of the crosspoints whose readings are ``signal`` (N, M), in V above the reference voltage."""
+        driven = self._board.circuit.column_conductance(self._board, signal, self._noise)
+        if driven is None:
+            return self._board.circuit.apparent_conductance(self._board, signal)
+        taken = np.minimum(self._lead * driven.sum(axis=1), _MOST_TAKEN)
+        conductance: FloatArray = driven / (1.0 - taken)[:, None]
+        return conductance
 
     def at(self, cells: FloatArray, spread: FloatArray, hidden: BoolArray) -> Step:
         """The step at cells (N, M) in ohm.
@@ -117,16 +146,21 @@ class ColumnBlocks:
         """
         board, lead = self._board, self._lead[:, None]
         conductance = np.where(self._reached, board.cell_conductance(cells), 0.0)
-        factor = np.ones(board.shape)
+        along_row = 1.0 + lead * conductance.sum(axis=1, keepdims=True)
+        crosspoint = conductance / along_row
+        driven = crosspoint
         if board.faults:
-            own_part = cells / (cells + board.series_ohms) ** 2
-            factor = np.clip(own_part / np.maximum(conductance, np.finfo(np.float64).tiny), _LEAST_FACTOR, 1.0)
-        driven = conductance / (1.0 + lead * conductance.sum(axis=1, keepdims=True))
+            driven = np.where(self._reached, cells / (cells + board.series_ohms) ** 2, 0.0) / along_row
         with np.errstate(invalid="ignore"):  # an endless resistance behind a column without conductance
-            slopes = board.circuit.column_slopes(board, driven, driven.sum(axis=0))
+            slopes = board.circuit.column_slopes(board, crosspoint, crosspoint.sum(axis=0))
         assert slopes is not None
-        own, by_sum = np.nan_to_num(driven * slopes[0] / self._noise), np.nan_to_num(slopes[1] / self._noise)
-        spread = spread * factor
+        by_own, by_sum = np.nan_to_num(slopes[0] / self._noise), np.nan_to_num(slopes[1] / self._noise)
+        # S of a crosspoint that its own reading can tell from none
+        tells = self._tells & (by_own != 0.0)
+        least = np.divide(1.0, np.abs(by_own), out=np.zeros(board.shape), where=tells)
+        floor = np.log(np.maximum(least * along_row, np.finfo(np.float64).tiny))
+        driven = np.where((driven < least) & (cells > self._series), least, driven)
+        own = driven * by_own
         free = 1.0 / (own**2 + spread**-2.0)
         second_vector = own * by_sum
         squares = np.einsum("ij,ij->j", by_sum, by_sum)
@@ -141,7 +175,7 @@ class ColumnBlocks:
         # No cell is known better than if all others were: rounding must not say so.
         variance = np.maximum(free - free**2 * lessened, 1.0 / information)
         # What cells that are hardly known make of the others, see beyond_linear().
-        weight = free**2 * beyond_linear(np.sqrt(variance) / factor) / variance
+        weight = free**2 * beyond_linear(np.sqrt(variance)) / variance
         by_first = np.einsum("ij,ij,ij->j", driven, weight, driven)
         by_both = np.einsum("ij,ij,ij->j", driven, weight, second_vector)
         by_second = np.einsum("ij,ij,ij->j", second_vector, weight, second_vector)
@@ -150,17 +184,18 @@ class ColumnBlocks:
         variance = variance + free**2 * (
             by_first * along_driven**2 + 2.0 * by_both * along_driven * along_other + by_second * along_other**2
         )
-        through_lead = lead * conductance
+        share = np.divide(crosspoint, driven, out=np.zeros(board.shape), where=driven > 0)
+        through_lead = lead * along_row * driven
         along = np.einsum("ij,ij,ij->i", through_lead, through_lead, variance)[:, None]
-        spread_of_rows = variance * (1.0 + 2.0 * through_lead) + along
-        std = np.sqrt(spread_of_rows) * (1.0 + 2.0 * self.loss(conductance)) / factor
+        std = np.sqrt(variance * (1.0 + 2.0 * lead * conductance) + along * share**2)
+        std *= 1.0 + 2.0 * self.loss(conductance)
         others = np.zeros(board.shape)
         for i, j in np.argwhere(hidden):
             weight = np.array([[first[j], both[j]], [both[j], second[j]]])
             vectors = np.stack([driven[:, j], second_vector[:, j]])
             shared = -free[:, j] * (vectors.T @ weight @ vectors[:, i]) * free[i, j]
             shared[i] = variance[i, j]
-            others[:, j] += np.abs(shared) / variance[i, j] * spread[i, j] / factor[:, j]
+            others[:, j] += np.abs(shared) / variance[i, j] * spread[i, j]
         return Step(
             own=own,
             by_sum=by_sum,
@@ -168,8 +203,9 @@ class ColumnBlocks:
             free=free,
             mixed=(first, both, second),
             through_lead=through_lead,
-            factor=factor,
+            share=share,
             std=std,
             others=others,
+            floor=floor,
             noise=self._noise,
         )

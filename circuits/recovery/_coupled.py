@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from math import inf, sqrt
+from math import exp, inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -47,17 +47,23 @@ _TOO_FAR = 1.0  # the same from which on they no longer tell what a misfit means
 _SLOW = 0.2  # length of a step over the one before from which on the derivatives are to blame
 _MOVED = 0.02  # the same where they have not served: closer, new ones would be no better
 _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
-_SIGMAS = 4.5  # posterior standard deviations that an uncertainty covers
+_SIGMAS = 4.5  # posterior standard deviations by ADC steps that an uncertainty covers: a bound on the error
+_NOISE_SIGMAS = 3.5  # the same by noise: a fifth more, a factor of two at the limit of validity, is 5 of them
 _MOST_WITHOUT_FIT = 6  # frames in a row until steps column by column are given up
 _STUCK = 300  # frames until they are tried again
 _PER_SQUARE = 16  # multiplications of a matrix product that take as long as the square of one entry
 _SMALL = 100  # cells up to which an instalment is a whole renewal
 _AT_REST = 0.3  # most change by a further step after a fresh start
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
+_NEXT_TO_NONE = 0.01  # share of the least conductance that a reading tells, below which a cell may as well be open
 _SAME = 1e-3  # relative change of the misfit by a step that gained nothing
 _COMPLETE_SHORT = 1e-5  # ohm that stands for a short of 0 ohm
 _ROUGHLY = 0.05  # change of a logarithm that matters for cells which only load others
 _FAR_BELOW = 0.05  # share of its leads' resistance below which a cell is as good as a short
+_TIES = 1.0  # share of its leads' resistance below which a cell may join lines with each other
+_ALIKE = 0.125  # least share of a column's largest reading that a short in the column has
+_RESOLVED = 4.0  # half steps and noise of a reading that is far from none
+_JUMP = 20.0  # half steps between readings and the last frame's cells from which on closed formulas are nearer
 _FITS = 0.8  # half steps between readings and model that rounding alone makes
 _CONVERGED = 0.2  # the same after steps that have come to their end
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
@@ -67,6 +73,8 @@ _SHORTER = 0.4  # of a step that led away from the readings: what is taken next
 _PATIENCE = 3  # frames that do not settle, after which steps that lead away from the readings are not taken
 _LEAST_READING = 0.03  # half steps that the least conductance would read alone: from below, nothing would lead back
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
+_LINEAR_STRIDE = 1e3  # most change of a conductance that counts linearly, in multiples of what its reading can tell
+_LARGEST = 50.0  # logarithm that is as good as infinite
 
 
 LARGEST_MATRIX = 4096
@@ -88,6 +96,10 @@ class _Base(NamedTuple):
     """(n,) 1/V: change of ``log`` per volt if each cell were alone; 0 where its reading says nothing"""
     others: FloatArray
     """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
+    floor: FloatArray
+    """(n,) ``log`` of the conductance that a cell's own reading can just tell from none; below, cells count linearly"""
+    linear: BoolArray | None
+    """(n,) cells that count linearly; None: none ever does, and ``floor`` is where logarithms end"""
     whole: bool
     """by the matrix of all readings by all cells, not column by column"""
     coarse: bool
@@ -138,6 +150,8 @@ class _Fit(NamedTuple):
     """no further step would change what matters, by derivatives from cells like these"""
     lost: bool
     """it does not serve, and the derivatives are from too far away to tell how uncertain it is"""
+    stale: float
+    """times its length that the remaining step may have, since the derivatives are from cells that were different"""
     steeper: FloatArray
     """(n,) present slopes over those at the base"""
 
@@ -147,9 +161,34 @@ def _with_resistance(fault: Fault) -> Fault:
     return fault.replace(resistance=_COMPLETE_SHORT) if fault.kind == "shorted-cell" and fault.ohms == 0 else fault
 
 
+def _apart(base: _Base, log: FloatArray) -> FloatArray:
+    """Change (n,) of logarithms since the base was made."""
+    change: FloatArray = np.maximum(base.log, base.floor) - np.maximum(log, base.floor)
+    return np.abs(change, out=change)
+
+
+def _advanced(base: _Base, log: FloatArray, step: FloatArray) -> FloatArray:
+    """Logarithms (n,) after a step.
+
+    Below what its own reading can tell from none, a cell's conductance is the unknown instead of its logarithm.
+    Readings depend on it linearly, and whether it is 1 % or 10 % of that makes no difference to any of them.
+    """
+    floor, linear = base.floor, base.linear
+    after: FloatArray = log + step
+    if linear is None:
+        return np.maximum(after, floor)
+    below = linear | (after < floor) | (log < floor)
+    if below.any():
+        above_floor = np.where(linear, np.exp(np.minimum(log - floor, _LARGEST)), 1.0 + log - floor)
+        relative = np.where(log < floor, np.exp(np.minimum(log - floor, 0.0)), above_floor) + step
+        logarithm = np.log(np.maximum(relative, _NEXT_TO_NONE))
+        after = np.where(below, floor + np.where(linear | (relative < 1.0), logarithm, relative - 1.0), after)
+    return after
+
+
 def _far(base: _Base, at: _Known) -> bool:
     """Whether the base is from too far away to serve at these cells."""
-    return float(np.abs(base.log - at.log).max()) > _FAR
+    return float(_apart(base, at.log).max()) > _FAR
 
 
 class CoupledLive:
@@ -183,7 +222,13 @@ class CoupledLive:
             self._shunt[fault.place] += siemens(fault.ohms)
         self._prior = np.where(self._hidden, _UNKNOWN, _PRIOR)
         self._lines = LineResistance(board)
-        self._columns = ColumnBlocks(board, self._lines.to_driver, self._lines.to_end, self._noise)
+        self._shorted = np.zeros(board.shape, dtype=np.bool_)  # by faults of 0 ohm
+        for fault in whole.shorts:
+            self._shorted[fault.place] |= fault.ohms == 0
+        self._gone = self._hidden | self._shorted.ravel()  # cells that no reading tells of
+        self._tells = ~self._gone
+        tells = self._tells.reshape(self._shape)
+        self._columns = ColumnBlocks(board, self._lines.to_driver, self._lines.to_end, self._noise, tells)
         cells = board.shape[0] * board.shape[1]
         self._quick = QuickModel(board, self._lines)
         self._nodes = NodeBlocks(board, self._quick, self._noise) if board.floating and cells > _SMALL else None
@@ -194,10 +239,6 @@ class CoupledLive:
                 "the live recovery of boards with bridged lines, or with floating rows and broken lines, is for at "
                 f"most {LARGEST_MATRIX} cells, and the array has {cells}; expected a smaller array, or no such fault"
             )
-        self._shorted = np.zeros(board.shape, dtype=np.bool_)  # by faults of 0 ohm
-        for fault in whole.shorts:
-            self._shorted[fault.place] |= fault.ohms == 0
-        self._gone = self._hidden | self._shorted.ravel()  # cells that no reading tells of
         nearly_independent = self._columns.applies and not self._shorted.any()
         self._has_matrix = cells <= (LARGEST_BESIDE if nearly_independent else LARGEST_MATRIX)
         self._usual_effort = USUAL_EFFORT
@@ -216,12 +257,19 @@ class CoupledLive:
         )
         self._most_signal = self._most_signal + 2.0 * np.abs(board.offset)
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
-        self._floor = np.log(_LEAST_READING * self._half_step * per_volt).ravel()  # of the logarithms
+        self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()  # of the logarithms
+        self._series = (self._leads + board.series_ohms).ravel()  # the same with the faults there
+        self._tie = np.where(self._gone | (self._leads.ravel() == 0.0), -inf, _TIES * self._leads.ravel())
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._known: _Known | None = None  # where the last frame ended
         self._ignored: BoolArray | None = None  # (n,) readings of cells that faults hide
         self._damping = 1.0  # share of a step that is taken
+        # An offset may push the output of an open cell below the converter's range, however far.
+        self._lowest = -inf
+        if board.circuit.has_amplifiers and board.adc is not None:
+            self._lowest = board.adc.range[0] + board.adc.step
+        self._bottom: BoolArray | None = None  # (n,) readings at the lower end of the range, which may lie below
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
         self._stuck = 0  # frames for which steps column by column are not tried, since they led to no fit
@@ -262,6 +310,8 @@ class CoupledLive:
                     return self._nothing(limited)
             self._ignored = (known_limits | beside).ravel() | self._hidden
         measured = volts.ravel()
+        bottom = measured < self._lowest
+        self._bottom = bottom if bottom.any() else None
         # Noise makes readings less certain, and readings and model differ by as much more.
         coarser = float(np.hypot(1.0, noise / self._noise))
         start = self._known
@@ -272,10 +322,15 @@ class CoupledLive:
             apparent = np.where(beside.ravel(), self._start(volts), start.log)
             if np.abs(apparent - start.log).max() > _ROUGHLY:
                 start = self._known_at(apparent)
+        effort = self._usual_effort if self._begun else FIRST_EFFORT
+        if self._columns.has_law and start is self._known and self._distance(measured, start) > _JUMP * coarser:
+            anew = self._known_at(self._start(volts))
+            effort = effort._replace(evaluations=effort.evaluations - 1)
+            if self._distance(measured, anew) < self._distance(measured, start):
+                start = anew
         if self._base is None:
             self._base = self._based_on(start)
         slope = self._slope(volts)
-        effort = self._usual_effort if self._begun else FIRST_EFFORT
         fit, doubt = self._solve(measured, start, slope, coarser, effort), 0.0
         if self._sheet is not None:
             for _ in range(effort.solutions):
@@ -305,8 +360,9 @@ class CoupledLive:
         own[slope == 0] = 1.0
         spread = base.std * np.maximum(fit.steeper, 1.0)
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        by_readings = np.maximum(_SIGMAS * coarser * max(1.0, misfit) * spread, own)
-        by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else 1.0)
+        sigmas = float(np.hypot(_SIGMAS, _NOISE_SIGMAS * noise / self._noise))
+        by_readings = np.maximum(sigmas * max(1.0, misfit) * spread, own)
+        by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else fit.stale)
         uncertainty = by_readings + base.others + doubt
         open_cells = signal <= self._half_step + SIGMAS * noise
         reason = np.full(len(measured), UNCERTAIN, dtype=np.int8)
@@ -322,6 +378,10 @@ class CoupledLive:
         short = self._as_good_as_short(x)
         if short.any():  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
+        if not self._astray:
+            tied = self._tied(x, uncertainty, signal - _RESOLVED * (self._half_step + SIGMAS * noise))
+            if tied is not None:
+                beside = beside | tied
         uncertainty[beside.ravel()] = inf
         reason[beside.ravel()] = DISTURBED
         gone = self._gone
@@ -360,7 +420,7 @@ class CoupledLive:
         # Over strong nonlinearities whole steps are quick as a rule, but may lead too far, back, and so on for ever.
         damped = self._astray_for >= _PATIENCE
         for left in range(effort.evaluations - 1, -1, -1):
-            ahead = self._known_at(np.maximum(known.log + self._damping * step, self._floor))
+            ahead = self._known_at(_advanced(self._base, known.log, self._damping * step))
             apart_ahead = self._apart(measured, ahead)
             last, reached = misfit, self._misfit(apart_ahead) / scale
             stalled = abs(reached - last) <= _SAME * reached
@@ -399,7 +459,8 @@ class CoupledLive:
                 break
         lost = not serves and moved > _TOO_FAR
         proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
-        return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, steeper=steeper)
+        stale = exp(float(_apart(self._base, known.log).max()))
+        return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, stale=stale, steeper=steeper)
 
     def _as_good_as_short(self, x: FloatArray) -> BoolArray:
         """(N, M) where a cell of the logarithm x (n,) is far below its leads and no fault explains that."""
@@ -407,17 +468,50 @@ class CoupledLive:
         found: BoolArray = np.exp(-x).reshape(self._shape) < _FAR_BELOW * leads
         return found
 
+    def _tied(self, x: FloatArray, uncertainty: FloatArray, excess: FloatArray) -> BoolArray | None:
+        """Cells on lines that two cells, which may be shorts, join with each other by way of a third line.
+
+        Two shorts in a column divide the voltage between their rows' leads, whichever of the two rows is driven. Both
+        rows then read alike, and in between a few ohm of the two cells decide how the readings are shared. The law is
+        the same for columns.
+
+        Args:
+            x: (n,) logarithms of the conductances.
+            uncertainty: (n,) of the conductances.
+            excess: (n,) V of the readings above those that are hardly any.
+
+        Returns:
+            (N, M); None where there are none.
+
+        """
+        suspect = ((1.0 - uncertainty) * np.exp(-x) < self._tie) & (excess > 0.0)
+        if np.count_nonzero(suspect) < 2:
+            return None
+        size = excess.reshape(self._shape)
+        # Shorts of one column read alike, but for the leads of their rows.
+        suspect = suspect.reshape(self._shape) & (size > _ALIKE * size.max(axis=0))
+        rows = (suspect & (suspect.sum(axis=0) > 1)).any(axis=1)
+        columns = (suspect & (suspect.sum(axis=1, keepdims=True) > 1)).any(axis=0)
+        beside: BoolArray = rows[:, None] | columns
+        return beside
+
     def _apart(self, measured: FloatArray, known: _Known) -> FloatArray:
         """V (n,) between readings and model, where the readings count."""
         apart = measured - known.volts
+        if self._bottom is not None:
+            apart[self._bottom & (apart > 0.0)] = 0.0
         if self._ignored is not None:
             apart[self._ignored] = 0.0
         return apart
 
+    def _distance(self, measured: FloatArray, known: _Known) -> float:
+        """Misfit of cells to readings (n,) in V."""
+        return self._misfit(self._apart(measured, known))
+
     def _moved(self, x: FloatArray, scale: float) -> float:
         """Largest change of the logarithms x (n,) since the derivatives were made; what noise does counts less."""
         assert self._base is not None
-        change = np.abs(x - self._base.log)
+        change = _apart(self._base, x)
         change /= np.maximum((_BY_NOISE * scale / _FAR) * self._base.std, 1.0)
         return float(change.max())
 
@@ -477,7 +571,8 @@ class CoupledLive:
         assert self._base is not None
         change = self._base.step(volts * steeper)
         if max(change.max(), -change.min()) > _STRIDE:
-            np.clip(change, -_STRIDE, _STRIDE, out=change)
+            most = _STRIDE if self._base.linear is None else np.where(self._base.linear, _LINEAR_STRIDE, _STRIDE)
+            np.clip(change, -_STRIDE, most, out=change)
         return change
 
     def _steeper(self, slope: FloatArray) -> FloatArray:
@@ -495,7 +590,15 @@ class CoupledLive:
         return np.abs(slope).ravel()
 
     def _start(self, volts: FloatArray) -> FloatArray:
-        apparent = self._board.circuit.apparent_conductance(self._board, volts - self._board.level)
+        """Logarithms (n,) of the conductances by closed formulas, from readings (N, M) in V.
+
+        Columns that hardly load each other are taken apart exactly, and row leads as by :mod:`._column_blocks`.
+        """
+        signal = volts - self._board.level
+        if self._columns.applies:
+            apparent = self._columns.crosspoints(signal)
+        else:
+            apparent = self._board.circuit.apparent_conductance(self._board, signal)
         typical = float(np.median(apparent[apparent > 0])) if (apparent > 0).any() else 1e-5
         most = 1e3 * float(apparent.max(initial=0.0)) or 1.0
         apparent = np.minimum(cell_alone(self._board, apparent, self._shunt), most)
@@ -529,12 +632,13 @@ class CoupledLive:
         cells, prior = (values.reshape(self._shape) for values in (np.exp(-at.log), self._prior))
         if self._nodes is not None:
             by_nodes, slope = self._nodes.at(cells, prior), self._slope(at.volts.reshape(self._shape))
-            none = np.zeros(len(at.log))
-            return _Base(at.log, by_nodes.solve, by_nodes.std.ravel(), slope, none, whole=False, coarse=False)
+            none, std = np.zeros(len(at.log)), by_nodes.std.ravel()
+            return _Base(at.log, by_nodes.solve, std, slope, none, self._least, None, whole=False, coarse=False)
         step = self._columns.at(cells, prior, self._hidden.reshape(self._shape))
         slope = self._slope(at.volts.reshape(self._shape))
         coarse = loss > _LIGHT and self._has_matrix
-        return _Base(at.log, step.solve, step.std.ravel(), slope, step.others.ravel(), whole=False, coarse=coarse)
+        std, others, floor = step.std.ravel(), step.others.ravel(), step.floor.ravel()
+        return _Base(at.log, step.solve, std, slope, others, floor, at.log < floor, whole=False, coarse=coarse)
 
     def _renewed(self, at: _Known) -> Iterator[_Base | None]:
         """Derivatives and their regularised inverse there, in instalments; None until the last."""
@@ -546,7 +650,12 @@ class CoupledLive:
         for _ in derivatives(self._board, at_cells, self._quick, meter, out=jacobian):
             yield None
         in_series = 1.0 / (cells + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
-        jacobian *= in_series**2 * cells / self._noise
+        scale = in_series**2 * cells / self._noise
+        # Of a cell whose reading hardly tells it from none, the unknown is the conductance itself, see _advanced().
+        own = np.abs(np.diagonal(jacobian))
+        least = np.divide(1.0, own, out=np.zeros(len(x)), where=self._tells & (own > 0))
+        floor = np.log(np.maximum(least * self._noise, np.finfo(np.float64).tiny))
+        jacobian *= np.where((scale < least) & (cells > self._series), least, scale)
         normal = NormalMatrix(jacobian, self._prior)
         for _ in normal.instalments(meter):
             yield None
@@ -561,4 +670,8 @@ class CoupledLive:
         if loose.any():
             others = np.abs(normal.inverse[:, loose] / std[loose] ** 2).sum(axis=1) * _UNKNOWN
         slope = self._slope(at.volts.reshape(self._shape))
-        yield _Base(x, lambda volts: normal.step(volts / self._noise), std, slope, others, whole=True, coarse=False)
+
+        def step(volts: FloatArray) -> FloatArray:
+            return normal.step(volts / self._noise)
+
+        yield _Base(x, step, std, slope, others, floor, x < floor, whole=True, coarse=False)

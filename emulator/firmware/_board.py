@@ -8,7 +8,7 @@ from __future__ import annotations
 import struct
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -18,7 +18,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ...circuits import adc_codes
 from ...errors import InputError
-from ...wire import FramePacket, PacketDecoder
+from ...wire import FramePacket, Identity, PacketDecoder, encode
 from .._hand import Hand
 from .._line_settings import BYTE_FAULTS, PACKET_FAULTS, ClockSettings
 from .._scene import Scene
@@ -192,6 +192,9 @@ class FirmwareBoard:
         self._wiring = self.kind.wiring()
         self._rows: frozenset[int] = frozenset()
         self._observer = _FrameObserver(self._circuit, scene, record)
+        self._identity: Identity | None = None
+        self._next_sequence = 0
+        self._decoder = PacketDecoder()
         self._arriving = b""
         eeprom = settings.eeprom(self.kind, boot_id)
         program = self.kind.hex_file if hex_file is None else hex_file
@@ -226,8 +229,22 @@ class FirmwareBoard:
         received, self._arriving = self._arriving[:0xFFFF], self._arriving[0xFFFF:]
         until = self._processor.cycle + max(1, round(seconds * CLOCK_HZ))
         sent = self._processor.run(until, received, clear_to_send=self.clear_to_send)
-        self._observer.sent(sent)
+        for event in self._decoder.feed(sent):
+            if isinstance(event, Identity):
+                self._identity = event
+            elif isinstance(event, FramePacket):
+                assert event.sequence is not None
+                self._next_sequence = (event.sequence + 1) % 2**32
+                self._observer.sent(event)
         return sent
+
+    def farewell(self) -> bytes:
+        """The packet that says that no frame follows, in place of the firmware; empty before it has named itself."""
+        known = self._identity
+        if known is None:
+            return b""
+        time_us = round(1e6 * self.time_s)
+        return encode(replace(known, sequence=self._next_sequence, time_us=time_us, streaming=False, over=True))
 
     def hold_cells(self, resistance: FloatArray) -> None:
         """Cells of these resistances from now on, (rows, columns) ohm, instead of those of the scene."""
@@ -291,7 +308,6 @@ class _FrameObserver:
         self._circuit = circuit
         self._scene = scene
         self._record = record
-        self._decoder = PacketDecoder()
         self._row: int | None = None
         self._rowless = 0
         """conversions since a row was selected: a self-test makes one per column"""
@@ -334,14 +350,12 @@ class _FrameObserver:
             self.instants, self.switches = self._instants, self._switches
             self._began = None
 
-    def sent(self, data: bytes) -> None:
-        """Bytes left the board: match frames with what was converted for them."""
-        if self._record is None:
+    def sent(self, frame: FramePacket) -> None:
+        """A frame left the board: match it with what was converted for it."""
+        if self._record is None or not self._frames:
             return
-        for event in self._decoder.feed(data):
-            if isinstance(event, FramePacket) and self._frames:
-                assert event.sequence is not None
-                assert event.time_us is not None
-                pressure, resistance, volts = self._frames.popleft()
-                codes = adc_codes(self._scene.skin.design, volts)
-                self._record(Sample(event.sequence, event.time_us / 1e6, pressure, resistance, volts, codes))
+        assert frame.sequence is not None
+        assert frame.time_us is not None
+        pressure, resistance, volts = self._frames.popleft()
+        codes = adc_codes(self._scene.skin.design, volts)
+        self._record(Sample(frame.sequence, frame.time_us / 1e6, pressure, resistance, volts, codes))

@@ -20,7 +20,7 @@ from math import inf
 from pathlib import Path
 
 from ...errors import InputError
-from .._faults import Line, Schedule
+from .._faults import Line, Schedule, may_lose
 from .._hand import Hand
 from .._ports import Port
 from .._scene import Scene
@@ -28,6 +28,7 @@ from .._service import (
     HOST_POLL_S,
     LISTENER_S,
     MOST_BEHIND_S,
+    OVER_S,
     ClockName,
     HasFileno,
     Outcome,
@@ -154,6 +155,8 @@ class _Converter:
         self._line = Line(board.scene.line, seed, board.scene.link_fault)
         self._schedule = Schedule(board.scene.link_fault)
         self._present = False
+        self._over = False
+        """no time passes any more, so a stall would not end"""
         self._ready_at = 0.0
         """monotonic time from which on the host is taken to listen"""
         self._buffer = bytearray()
@@ -182,7 +185,7 @@ class _Converter:
             elif data:
                 self._board.send(data)
                 self._ready_at = 0.0
-        stalled = self._schedule.active("stall", self._board.time_s) is not None
+        stalled = not self._over and self._schedule.active("stall", self._board.time_s) is not None
         if self._present and self._buffer and not stalled:
             del self._buffer[: self._port.write(bytes(self._buffer))]
         self._board.clear_to_send = len(self._buffer) < CONVERTER_BYTES
@@ -201,9 +204,31 @@ class _Converter:
         wait_for(readable, writable, min(timeout_s, HOST_POLL_S))
 
     def drain(self, stop: Stop) -> None:
-        """Let a host read to the end what was sent, as long as it goes on reading."""
-        for _ in patience(lambda: (len(self._buffer), self._port.unread())):
+        """Tell the host that no frame follows, and let it read to the end, as long as it goes on reading.
+
+        A host that has understood hangs up. To one that is still there after a lossy line it is said again.
+        """
+        self.exchange()
+        if stop.is_set():
+            return  # the board was switched off, and may come back
+        scene = self._board.scene
+        lossy = may_lose(scene.line, scene.link_fault)
+        say_again_until = time.monotonic() + (OVER_S if lossy else 0.0)
+        self._over = True
+        self._say_over()
+
+        def to_do() -> tuple[int, int]:
+            return len(self._buffer) + (time.monotonic() < say_again_until), self._port.unread()
+
+        for _ in patience(to_do):
             self.exchange()
             if stop.is_set() or not self._present:
                 return
+            if not self._buffer and time.monotonic() < say_again_until:
+                self._say_over()
             self.wait(stop, HOST_POLL_S)
+
+    def _say_over(self) -> None:
+        farewell = self._board.farewell()
+        if self._present and farewell:
+            self._buffer += self._line.carry(farewell, self._board.time_s)
