@@ -30,6 +30,8 @@ FOLD_CELLS = 32
 """simulated for learning before each fold; a third of those for the final estimators"""
 TEACHES_WORSE = 0.7
 """share of the richer kind's error below which a simpler one teaches"""
+MISSES = 3.0
+"""times its held-out error, that an inverse may miss of a drift that goes on after the recording"""
 STEPS = 7
 """of a calibration, for progress: three kinds of model, three folds, and learning from all"""
 
@@ -139,8 +141,6 @@ def calibrate(
     )
     default, reason = choice.choose(evidence)
     pressed = {name: 100 * max(part.pressed_rms for part in of) for name, of in judged.items()}
-    # An inverse follows what its model explains: the drift that a load adds on top would only swell its deviation.
-    drift = max(abs(float(np.mean(part.error))) for part in judged["static"])
     pressed_drift = max(abs(float(np.mean(part.pressed))) for part in judged["static"])
     calibrated = {
         name: training.calibrated(
@@ -161,7 +161,8 @@ def calibrate(
         held_out_percent={name: evidence.worst(name) for name in judged},
         fold_percent={name: tuple(evidence.percent(name)) for name in judged},
         pressed_percent=pressed,
-        drift_percent=100 * drift,
+        # An inverse follows the drift that its model explains, which shows in its errors on the folds.
+        drift_percent=min(100 * pressed_drift, MISSES * pressed.get("inverse", np.inf)),
         seen=seen,
         static=static,
         **calibrated,

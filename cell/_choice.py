@@ -28,7 +28,8 @@ INVERSE_SLACK = 0.25
 NEARLY, INVERSE_BETTER = 0.025, 0.7
 """held-out error below which an inverse is trusted that has less than this share of a learned estimator's error"""
 STIFF = 0.25
-"""least slope of a fast step over that at equilibrium that such an inverse needs; below, its small errors add up"""
+"""least slope of a fast step over that at equilibrium, below which the small errors of such an inverse may add up: it must
+then err no more than a learned estimator on simulated cells, too"""
 SURE = 1.28
 """standard errors by which an estimator must be better than the static curve: one-sided 90 % of a normal variable"""
 BEATS = 0.9
@@ -98,7 +99,8 @@ def choose(evidence: Evidence) -> tuple[EstimatorName, str]:
     candidates, why = learned, ""
     inverse, rival = worst.get("inverse", np.inf), worst[learned[0]]
     exact = evidence.unexplained < EXACT and inverse <= rival + INVERSE_SLACK
-    stiff = evidence.unexplained < NEARLY and evidence.least_slope > STIFF
+    tame = evidence.least_slope > STIFF or evidence.elsewhere_ratio("inverse") <= evidence.elsewhere_ratio(learned[0])
+    stiff = evidence.unexplained < NEARLY and tame
     if exact or (stiff and inverse < INVERSE_BETTER * rival):
         candidates = ["inverse", *learned]
     chosen = next((name for name in candidates if evidence.beats_static(name)), None)

@@ -151,7 +151,7 @@ def disturbed(
     calibration: NormalisedRecording, rng: np.random.Generator, load: FloatArray, r: FloatArray, dt_s: float
 ) -> FloatArray:
     """Readings (n, m) with what a model of the cell does not know: its own error, noise, creep, and an error of R0."""
-    samples, cells = r.shape
+    samples, cells = len(r), int(r.shape[1])
     unexplained = max(calibration.unexplained, 0.005 * calibration.spread)
     for seconds, share in UNEXPLAINED:
         r = r + simulate.wandering(rng, samples, cells, dt_s, seconds, share * unexplained)
