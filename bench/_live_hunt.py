@@ -15,7 +15,8 @@ counted as *surprised* and are no findings. For the same reason noise may carry 
 five standard deviations: of the readings of a cell whose uncertainty just suffices, 3 in 1000 are beyond three.
 
 A *slow* stream has a frame with the work of more than ten usual ones, from counts to ohms. A usual frame is the median
-of the stream's frames after the first in which readings change. Slow streams are shown, but are no wrong readings.
+of the stream's frames after the first in which readings change and any cell is valid; a stream with less than three of
+them has none. Slow streams are shown, but are no wrong readings.
 Work is counted in executed lines of ohmskin, so that a verdict does not depend on the machine's load: each model that
 is evaluated and each derivative that is made takes its lines. An operation on a large matrix counts as one on a small
 one. The table shows the same ratio in processor time beside it.
@@ -40,6 +41,7 @@ from ._live_streams import FAMILIES, MOVING, LiveStream, stream
 
 KINDS = ("wrong cell", "factor of two", "unsolved", "unsettled")
 _MOST_USUAL_FRAMES = 10.0
+_LEAST_USUAL = 3  # frames
 _ASSUMED_NOISE = 0.5  # ADC steps that the reader assumes in the first frame
 
 
@@ -81,11 +83,15 @@ def check(family: str, number: int, tally: LiveTally) -> None:
     found: dict[str, str] = {}
     reader = CountReader(read_from.design)
     times: list[float] = []
-    reading = None
+    usual: list[int] = []
+    reading, before = None, read_from.counts[0]
     for frame, counts in enumerate(read_from.counts):
         start = process_time()
         reading = reader(counts)
         times.append(process_time() - start)
+        if frame < MOVING and reading.valid.any() and (counts != before).any():
+            usual.append(frame)
+        before = counts
         tally.frames += 1
         tally.valid, tally.cells = tally.valid + int(reading.valid.sum()), tally.cells + counts.size
         if not reading.solved:
@@ -98,8 +104,8 @@ def check(family: str, number: int, tally: LiveTally) -> None:
             found |= wrong
     if reading is not None and (reading.reason == Reason.UNSETTLED).any() and not read_from.noisy:
         found["unsettled"] = "in the last frame"
-    tally.longest = max(tally.longest, _over_usual(times, read_from))
-    slowest = _over_usual(_work(read_from), read_from)
+    tally.longest = max(tally.longest, _over_usual(times, usual))
+    slowest = _over_usual(_work(read_from), usual)
     tally.slowest = max(tally.slowest, slowest)
     if slowest > _MOST_USUAL_FRAMES:
         tally.slow.append(f"slow: {family}:{number}, {slowest:.1f} usual frames")
@@ -146,11 +152,11 @@ def _work(read_from: LiveStream) -> list[int]:
     return work
 
 
-def _over_usual(work: list[int] | list[float], read_from: LiveStream) -> float:
-    """The most of the frames after the first in which readings change, over their median."""
-    counts = read_from.counts
-    moving = [work[frame] for frame in range(1, MOVING) if (counts[frame] != counts[frame - 1]).any()]
-    return max(moving) / max(float(np.median(moving)), 1e-9) if moving else 0.0
+def _over_usual(work: list[int] | list[float], usual: list[int]) -> float:
+    """The most work of a frame after the first over the median of the ``usual`` ones; 0 if these are too few."""
+    if len(usual) < _LEAST_USUAL:
+        return 0.0
+    return max(work[1:MOVING]) / max(float(np.median([work[frame] for frame in usual])), 1e-9)
 
 
 def run(seed: int, seconds: float, families: tuple[str, ...] = ()) -> int:

@@ -137,9 +137,8 @@ class CountReader:
         low, high = design.readout.supply
         beyond_half_step = adc_error(design) - adc.step / 2  # V, by which an output at a limit may seem within it
         self._first, self._last = self._codes_within(low + beyond_half_step, high - beyond_half_step)
+        self._rising = (design.drive.voltage > 0) != design.board.circuit.inverts  # whether current raises the outputs
         self._level = design.readout.reference_voltage
-        rising = (design.drive.voltage > 0) != design.board.circuit.inverts  # whether more current raises the output
-        self._guards_low, self._guards_high = not rising and low >= adc.range[0], rising and high <= adc.range[1]
         self._design_noise = _noise_of(design)  # V
         self._scatter = Scatter(
             adc.step,
@@ -151,18 +150,14 @@ class CountReader:
         self._reading: Reading | None = None
         self._judged_with = 0.0  # V, noise in the uncertainties of the last reading
 
-    def _codes_within(self, low: float, high: float) -> tuple[int, int]:
-        """The first code that the converter and outputs within a swing in V can mean, and the first one beyond them.
+    def _codes_within(self, low: float, high: float) -> tuple[float, float]:
+        """The first code that outputs within a swing in V can mean, and the first one beyond; they may be no codes.
 
         The middle of a code is half a step away from what may have been read; a limit on an edge belongs to both codes.
         """
         half = 0.5 + 1e-9
-        least, most = 0.0, self._codes - 1.0
-        if np.isfinite(low):
-            least = math.floor((low - self._lowest_volts) / self._step + half) + 1.0
-        if np.isfinite(high):
-            most = math.ceil((high - self._lowest_volts) / self._step - half)
-        return int(min(max(least, 1.0), self._codes)), int(min(max(most, 0.0), self._codes - 1.0))
+        first, beyond = (low - self._lowest_volts) / self._step, (high - self._lowest_volts) / self._step
+        return np.floor(first + half) + 1.0, np.ceil(beyond - half)
 
     @property
     def noise_volts(self) -> float:
@@ -222,8 +217,8 @@ class CountReader:
         self._scatter.update(volts, self._silent)
         noise = self._judged_with = self.noise_volts
         guard = math.ceil(_GUARD * noise / self._step)  # codes
-        lowest = self._first + (guard if self._guards_low else 0)
-        highest = self._last - (guard if self._guards_high else 0)
+        lowest = max(self._first + (0 if self._rising else guard), 1)
+        highest = min(self._last - (guard if self._rising else 0), self._codes - 1)
         limited = faint = None
         self._silent = 0
         # The place of an extreme is found several times as fast as its value.

@@ -488,7 +488,7 @@ class AmplifiedLive:
         else:
             own = known.transfer
             missing, off = self._missing(conductance, known)
-        gain = conductance / np.maximum(own, 1e-300)
+        gain = conductance / np.maximum(own, _LEAST_SHARE * conductance)
         if self._has_sources and not self._alike:
             self._between, left = self._between_columns(own)
             self._model_error = self._tolerance + left

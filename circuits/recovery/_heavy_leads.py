@@ -34,6 +34,7 @@ MOST_CELLS = 256
 _SHORT = 1e4  # conductance over that of its leads, at which a cell is a short
 _LEAST_OHM = 1e-6  # of a line, in that
 _ENOUGH = 1e-6  # relative change of a line's conductance in the last round
+_LEAST_VOLTS = 1e-3  # of a driven row, per volt
 _LEAST_CHANGE = 1e-300  # S, avoids a division by zero
 
 
@@ -227,8 +228,7 @@ def invert_leads(
         rows = (conductance @ column.T) * (row_ohm / (1.0 + row_ohm * loads))[:, None]  # U, (rows, steps)
         rows[diagonal, diagonal] = 0.0
         own = 1.0 - delivered - np.einsum("ik,ki->i", ratio, rows)
-        if (own <= 0.0).any():
-            return None
+        np.maximum(own, _LEAST_VOLTS, out=own)  # the first rounds may ask for more current than there is
         rows[diagonal, diagonal] = own
         _, _, solved, failed = dgesv(rows.T, sides)
         if failed:
