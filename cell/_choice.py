@@ -28,8 +28,8 @@ INVERSE_SLACK = 0.25
 NEARLY, INVERSE_BETTER = 0.025, 0.7
 """held-out error below which an inverse is trusted that has less than this share of a learned estimator's error"""
 STIFF = 0.25
-"""least slope of a fast step over that at equilibrium, below which the small errors of such an inverse may add up: it must
-then err no more than a learned estimator on simulated cells, too"""
+"""least slope of a fast step over that at equilibrium, below which the small errors of such an inverse may add up: it
+must then err no more than a learned estimator on simulated cells, too"""
 SURE = 1.28
 """standard errors by which an estimator must be better than the static curve: one-sided 90 % of a normal variable"""
 BEATS = 0.9
