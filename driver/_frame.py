@@ -11,11 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import AnyArray, BoolArray, FloatArray
+from ..frozen import frozen
 from ._contacts import Contact
 from ._later import Later
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@frozen
+@dataclass(slots=True, eq=False)
 class Frame:
     """One scan of the skin. Arrays are (rows, columns) and read-only."""
 

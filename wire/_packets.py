@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..errors import InputError
+from ..frozen import frozen
 
 VERSION = 2
 """version of the native protocol"""
@@ -79,7 +80,8 @@ class LineState(enum.Enum):
     NOT_TESTED = 3
 
 
-@dataclass(frozen=True, slots=True)
+@frozen
+@dataclass(slots=True, unsafe_hash=True)
 class FramePacket:
     """One scan of the whole array. ``FramePacket.of(counts, ...)`` makes one from an array."""
 
