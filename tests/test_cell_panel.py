@@ -366,6 +366,20 @@ def test_a_load_cell_that_is_late_and_a_converter_that_clips_are_noticed() -> No
     assert "beyond it the deviation grows" in said(load, read, 2 * panel.FULL_SCALE_KPA)
 
 
+@pytest.mark.parametrize(
+    ("kpa", "ohm", "expected"),
+    [(1.0, 1.0, ""), (100.0, 1.0, "Pa or mbar"), (0.004, 1.0, "MPa or bar"), (1.0, 1e-3, "kohm"), (1.0, 3e5, "mohm")],
+)
+def test_numbers_in_an_unusual_unit_are_remarked_upon(kpa: float, ohm: float, expected: str) -> None:
+    scene = panel.scene("random", "relays", 2)
+    head = scene.time_s < 120
+    full = kpa * panel.FULL_SCALE_KPA
+    recording = checked_recording(scene.time_s[head], kpa * scene.pressure_kpa[head], ohm * scene.resistance_ohm[head])
+    said = list(remarks(recording, full, 10.0, varied=True))
+    assert len(said) == bool(expected)
+    assert all(f"in {expected}?" in one for one in said)
+
+
 def test_a_recording_with_its_sign_turned_round_is_refused_in_words() -> None:
     scene = panel.scene("random", "relays", 2)
     with pytest.raises(InputError, match="is its sign turned round"):
