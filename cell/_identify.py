@@ -266,7 +266,8 @@ def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None
     if not left < EXPLAINS * blind:
         raise InputError(
             f"{recording.name}: the resistance does not follow the pressure: the best model leaves "
-            f"{100 * left:.0f} % of its range, knowing nothing {100 * blind:.0f} %; are the columns right?"
+            f"{100 * left:.0f} % of its range, knowing nothing {100 * blind:.0f} %; are the columns right, "
+            "and is the noise smaller than what the load does?"
         )
     best = next(fit for fit in found if fit.held_out_error <= SIMPLER * least)
     return [best, *sorted((fit for fit in found if fit is not best), key=lambda fit: fit.held_out_error)]
