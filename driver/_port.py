@@ -28,6 +28,8 @@ BAUDRATE = 1_000_000
 """for a real UART; USB, pseudo-terminals and TCP ignore it"""
 WRITE_TIMEOUT_S = 1.0
 """a line that takes no byte for this long is broken"""
+URL_WAIT_S = 0.1
+"""the longest wait for a byte in pyserial's own way, which nothing ends earlier"""
 CONNECT_TIMEOUT_S = 5.0
 UNHEARD_S = 3.0
 """a TCP peer that acknowledges nothing for this long is gone: a cable pulled at its end is not told otherwise"""
@@ -260,9 +262,6 @@ class SocketPort(DescriptorPort):
 class UrlPort(_RealTimePort):
     """A port that pyserial reads in a way of its own, such as ``rfc2217://HOST:PORT``."""
 
-    _LONGEST_WAIT_S = 0.1
-    """:meth:`interrupt` has no way to end a wait of pyserial's earlier"""
-
     def __init__(self, name: str, device: serial.SerialBase) -> None:
         self.name = name
         self._device = device
@@ -271,10 +270,10 @@ class UrlPort(_RealTimePort):
         """held by the thread that takes bytes: a second one would get later bytes before earlier ones"""
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until bytes have come or the port is gone; False after ``timeout_s`` or 0.1 s."""
+        """Wait until bytes have come or the port is gone; False after 0.1 s, or at once without a ``timeout_s``."""
         with self._taking:
-            if not self._waiting:
-                self._waiting = self._take(1, min(max(timeout_s, 0.0), self._LONGEST_WAIT_S))
+            if not self._waiting and timeout_s > 0:
+                self._waiting = self._take(1)
             return bool(self._waiting)
 
     def read(self) -> Arrival:
@@ -286,14 +285,16 @@ class UrlPort(_RealTimePort):
             return self._arrived(b"")
         try:
             first, self._waiting = self._waiting, b""
-            return self._arrived(first + self._take(_CHUNK, 0.0))
+            return self._arrived(first + self._take(None))
         finally:
             self._taking.release()
 
-    def _take(self, size: int, timeout_s: float) -> bytes:
+    def _take(self, size: int | None) -> bytes:
+        """Wait for so many bytes, for at most 0.1 s; None: those that are there."""
         try:
-            self._device.timeout = timeout_s
-            return bytes(self._device.read(size))
+            if size is None:
+                size = self._device.in_waiting  # type: ignore[attr-defined]  # the stubs lack it
+            return bytes(self._device.read(size)) if size else b""
         except BlockingIOError:  # another thread has taken the bytes that were there
             return b""
         except (serial.SerialException, OSError, TypeError, AttributeError) as error:
@@ -348,15 +349,20 @@ def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -
     _refuse_terminal(name)
     if name.startswith("ohmskin://") and _EMULATOR not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(_EMULATOR)
+    # pyserial's RFC 2217 client refuses a limit for writing, and each change of a limit is a talk with the server.
+    write_timeout_s = None if name.startswith("rfc2217://") else WRITE_TIMEOUT_S
+    timeout_s = URL_WAIT_S if "://" in name else 0.0
     try:
-        device = serial.serial_for_url(name, baudrate, timeout=0, write_timeout=WRITE_TIMEOUT_S, do_not_open=True)
+        device = serial.serial_for_url(
+            name, baudrate, timeout=timeout_s, write_timeout=write_timeout_s, do_not_open=True
+        )
         device.exclusive = True
         if dtr is not None:
             device.dtr = dtr
         if rts is not None:
             device.rts = rts
         device.open()
-    except (serial.SerialException, ValueError, OSError) as error:
+    except (serial.SerialException, NotImplementedError, ValueError, OSError) as error:
         raise LinkError(f"{name}: {_why_not_opened(name, error)}") from error
     # FTDI converters hold bytes back for 16 ms unless told otherwise. Other devices do not know the setting.
     with contextlib.suppress(Exception):

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import copy
 import errno
+import gc
 import itertools
 import multiprocessing
 import os
 import pickle
 import socket
 import threading
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +25,7 @@ from ohmskin.driver import Arrival, Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
 from ohmskin.driver._statistics import Counters
 from ohmskin.driver._stream import FrameStream
-from ohmskin.emulator import Board, PtyPort, TcpPort, running
+from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ohmskin.wire import (
     Flag,
@@ -38,6 +41,14 @@ FORK = multiprocessing.get_context("fork")
 def order(which: Order) -> bytes:
     """The bytes by which a command of this kind is known."""
     return host_protocol("ohmskin").request(which)[1:4]
+
+
+async def _first(skin: Skin, count: int) -> AsyncIterator[Frame]:
+    async for one in skin:
+        yield one
+        count -= 1
+        if not count:
+            return
 
 
 def take_all(skin: Skin, how: str) -> int:
@@ -332,6 +343,68 @@ class TestReaders:
             next(skin)
             assert asyncio.run(cancel(with_frame=False))
             assert asyncio.run(cancel(with_frame=True))
+
+    def test_several_event_loops_may_follow_one_skin(self) -> None:
+        """One after the other and at the same time, each in a thread; none leaves anything behind."""
+        taken: list[int] = []
+
+        async def follow(count: int) -> None:
+            numbers = [one.sequence or 0 async for one in _first(skin, count)]
+            assert numbers == sorted(set(numbers))
+            taken.append(len(numbers))
+
+        with Skin(Wire(Board(scene())), delivery="every", timeout=60.0) as skin:
+            threads = [threading.Thread(target=lambda: asyncio.run(follow(5))) for _ in range(3)]
+            for thread in threads:
+                thread.start()
+            for thread in threads:
+                thread.join(60)
+            asyncio.run(follow(2))
+            gc.collect()
+            assert sorted(taken) == [2, 5, 5, 5]
+            assert not skin._mailbox._wakers
+
+    def test_ctrl_c_during_a_tare_keeps_the_count_and_the_old_rest(self) -> None:
+        port = described(*(frame(k) for k in range(6)))
+        with Skin(port, delivery="every", timeout=60.0) as skin:
+            until(lambda: skin.stats().frames == 6)
+            assert next(skin).sequence == 0
+            take, calls = skin._taker.take, itertools.count()
+
+            def interrupted(*args: Any, **options: Any) -> Frame:
+                if next(calls) == 2:
+                    raise KeyboardInterrupt
+                port.say(frame(6 + next(numbers)))
+                return take(*args, **options)
+
+            numbers = itertools.count()
+            skin._taker.take = interrupted  # type: ignore[method-assign]
+            with pytest.raises(KeyboardInterrupt):
+                skin.tare(5)
+            skin._taker.take = take  # type: ignore[method-assign]
+            assert skin.tared is None
+            port.say(frame(20))
+            after = next(skin)
+            assert (after.sequence, after.skipped_before, after.lost_before) == (20, 7, 12)
+            port.say(*(frame(k) for k in range(21, 31)))
+            assert skin.tare(2, force=True) is skin.tared
+
+    @pytest.mark.parametrize("kind", ["pty", "tcp", "rfc2217", "ohmskin"])
+    def test_opening_again_and_again_leaves_no_thread_and_no_descriptor(self, kind: str) -> None:
+        """Also where the body of the ``with`` raises, and where the family does not fit."""
+        port = {"tcp": TcpPort, "rfc2217": Rfc2217Port}[kind].at(":0") if kind in ("tcp", "rfc2217") else PtyPort()
+        name = f"ohmskin://{EXAMPLES / 'fingers.toml'}" if kind == "ohmskin" else port.name
+        with running(scene(board={"frame_rate": 400.0}), port):
+            for k in range(12):
+                if k == 2:
+                    before = threading.active_count(), len(os.listdir("/proc/self/fd"))
+                with contextlib.suppress(ZeroDivisionError), Skin.open(name, timeout=60.0) as skin:
+                    skin.read(60.0)
+                    skin.on_frame(lambda _: None)
+                    raise ZeroDivisionError
+                with pytest.raises(InputError, match="no-such"):
+                    Skin.open(name, design="no-such.toml")
+            until(lambda: (threading.active_count(), len(os.listdir("/proc/self/fd"))) <= before)
 
     def test_a_forked_process_is_told_that_the_skin_is_not_its_own(self) -> None:
         with Skin(Wire(Board(scene()))) as skin:

@@ -223,16 +223,20 @@ class TestFreshness:
 
             skin._converter._read = slowly  # type: ignore[assignment]
             port.deaf = deaf
-            total, ages = 0, []
+            total, ages, true_ages = 0, [], []
             for _ in range(40):
                 port.work(0.01037)
                 newest = port.newest
                 one = take()
                 ages.append(one.age)
+                true_ages.append(port.time_s - 0.001 * (newest + 1))
                 total += 1 + one.skipped_before
                 assert (one.sequence, one.lost_before) == (newest, 0)
+            stated = skin.stats().age_s
         assert total == newest + 1
         assert max(ages) < 0.002
+        # The least delay that the clock map has seen is up to a part of a period, since frames are read in turns.
+        np.testing.assert_allclose(list(stated.values()), np.percentile(true_ages, list(stated)), atol=0.0004)
 
     def test_what_happened_before_a_frame_is_told_once(self) -> None:
         """A control loop that adds up what it lost, and asks more often than frames come."""
@@ -972,9 +976,12 @@ def test_two_threads_read_a_port_of_pyserials_in_order() -> None:
     """One thread waits for the first byte; another, which reads meanwhile, must not get the bytes after it."""
 
     class Device:
-        timeout: float | None = None
         left = b"abc"
         during_wait = b""
+
+        @property
+        def in_waiting(self) -> int:
+            return len(self.left)
 
         def read(self, size: int) -> bytes:
             taken, self.left = self.left[:size], self.left[size:]

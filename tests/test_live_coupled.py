@@ -269,6 +269,31 @@ def test_cells_that_noise_has_carried_away_come_back(seed: int, noise_steps: flo
     assert (np.abs(reading.resistance / 1e4 - 1.0) <= reading.uncertainty).all()
 
 
+@pytest.mark.parametrize("hard", [0.01, 5.0, 8.0])
+@pytest.mark.parametrize("places", [((1, 2),), ((1, 2), (6, 5)), ((1, 2), (4, 2), (6, 5), (3, 7)), ((1, 2), (1, 6))])
+@pytest.mark.parametrize("kind", ["divider", "loaded"])
+def test_cells_of_a_few_ohm_cost_their_columns_and_rows_that_they_join(kind: str, places: Any, hard: float) -> None:
+    """What a cell near a short is, nobody can tell, nor what is beside it in its column. Others stay known."""
+    design, draw = board(kind, 9, 10), np.random.default_rng(0)
+    rest, columns = 1e4 * 10 ** draw.uniform(-0.05, 0.05, (9, 10)), [column for _, column in places]
+    rows = [row for row, _ in places]
+    joined = [row for row, column in places if columns.count(column) > 1 or rows.count(row) > 1]
+    free = np.ones((9, 10), dtype=np.bool_)
+    free[:, columns], free[joined] = False, False
+    read = CountReader(design)
+    for number in range(16):
+        cells = rest.copy()
+        if number >= 4:
+            cells[tuple(np.transpose(places))] = hard
+        if number >= 9:
+            cells[6:8, 3:6] = np.minimum(cells[6:8, 3:6], 3e3)  # a finger, in part on lost columns
+        reading = read(adc_codes(design, scan(design, cells).volts))
+        valid = reading.valid
+        assert (np.abs(reading.resistance / cells - 1.0)[valid] <= reading.uncertainty[valid]).all()
+        if number == 8 or number >= 12:  # four frames after the events
+            assert valid[free].all()
+
+
 SHORT = {"kind": "shorted-cell", "place": [1, 1], "resistance": 0.0}
 BROKEN_ROW = {"kind": "broken-row", "place": [1, 2]}
 BROKEN_COLUMN = {"kind": "broken-column", "place": [1, 2]}

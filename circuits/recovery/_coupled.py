@@ -71,6 +71,9 @@ _LIGHT = 0.3  # share of a voltage in the lines up to which derivatives in close
 _HEAVY = 3.0  # the same up to which steps by them converge
 _SHORTER = 0.4  # of a step that led away from the readings: what is taken next
 _PATIENCE = 3  # frames that do not settle, after which steps that lead away from the readings are not taken
+_HEAVY_CELL = 0.8  # of what a short reads, from which on a column is left out where the last frame did not settle
+_ONE_OF_SOME = 0.2  # the same where two frames did not, since cells of a few ohm share a reading
+_BY_LEADS = 1.5  # times the share of a voltage that leads lose, what they may change
 _LEAST_READING = 0.03  # half steps that the least conductance would read alone: from below, nothing would lead back
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
 _LINEAR_STRIDE = 1e3  # most change of a conductance that counts linearly, in multiples of what its reading can tell
@@ -260,6 +263,11 @@ class CoupledLive:
         self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()  # of the logarithms
         self._series = (self._leads + board.series_ohms).ravel()  # the same with the faults there
         self._tie = np.where(self._gone | (self._leads.ravel() == 0.0), -inf, _TIES * self._leads.ravel())
+        self._loses_columns = (
+            self._columns.applies and self._quick.is_quick and not board.circuit.has_amplifiers and not board.faults
+        )  # where a cell at its limit leaves other columns as they are, but for the leads of the rows
+        self._left_out = np.zeros(board.shape[1], dtype=np.bool_)  # columns
+        self._leaves_out = 0  # frames for which they stay so
         self._base: _Base | None = None
         self._renewal: Iterator[_Base | None] | None = None  # under way, an instalment per frame
         self._known: _Known | None = None  # where the last frame ended
@@ -291,17 +299,25 @@ class CoupledLive:
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
         gone = self._gone.reshape(self._shape)
         known_limits = None if limited is None else limited & gone
-        if (limited is not None and (limited & ~gone).any()) or (self._mixes and self._hidden.any()):
-            # A cell beyond its limit may be a short, and what that does to all others no derivative at the limit tells.
+        if self._mixes and self._hidden.any():
             return self._nothing(limited)
         signal, margin = np.abs(volts - self._board.level), _SHORT * (self._half_step + SIGMAS * noise)
-        if ((signal > self._most_signal + margin) & ~gone).any():
+        at_limit = np.zeros(self._shape, dtype=np.bool_) if limited is None else limited & ~gone
+        if ((signal > self._most_signal + margin) & ~gone & ~at_limit).any():
             raise SolverError("readings above that of a short; check that the design is that of the board")
-        beyond = (signal >= np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)) & ~gone
-        if beyond.any():
-            return self._nothing(beyond)
-        beside = np.zeros(self._shape, dtype=np.bool_)
+        at_limit |= (signal >= np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)) & ~gone
+        # A cell at its limit may be a short, and what that does to all others no derivative at the limit tells.
+        lost = np.logical_or.reduce(at_limit, axis=0)
+        if self._loses_columns:
+            self._leave_out(signal)
+            if not (lost | self._left_out).all():
+                lost = lost | self._left_out
+        if lost.any() and not (self._loses_columns and not lost.all()):
+            return self._nothing(at_limit)
+        beside = np.repeat(lost[None], len(at_limit), axis=0)
         self._ignored = self._hidden if self._hidden.any() else None
+        if lost.any():
+            self._ignored = beside.ravel() | self._hidden
         if known_limits is not None:
             if self._board.circuit.has_amplifiers:
                 # While a known short's amplifier stands at its limit, it does not hold its column: others notice.
@@ -309,6 +325,7 @@ class CoupledLive:
                 if self._board.floating and beside.any():
                     return self._nothing(limited)
             self._ignored = (known_limits | beside).ravel() | self._hidden
+        by_lost: FloatArray | float = 0.0
         measured = volts.ravel()
         bottom = measured < self._lowest
         self._bottom = bottom if bottom.any() else None
@@ -318,7 +335,12 @@ class CoupledLive:
         if start is None:
             start, self._renewal, self._damping = self._known_at(self._start(volts)), None, 1.0
             self._from_fresh_start = True
-        if beside.any():
+        if lost.any():
+            usual = np.where(beside.ravel(), np.median(start.log[~beside.ravel()]), start.log)
+            if np.abs(usual - start.log).max() > 0.0:
+                start = self._known_at(usual)
+            by_lost = self._by_lost_columns(lost, signal, np.exp(usual), self._half_step + SIGMAS * noise)
+        elif beside.any():
             apparent = np.where(beside.ravel(), self._start(volts), start.log)
             if np.abs(apparent - start.log).max() > _ROUGHLY:
                 start = self._known_at(apparent)
@@ -363,10 +385,11 @@ class CoupledLive:
         sigmas = float(np.hypot(_SIGMAS, _NOISE_SIGMAS * noise / self._noise))
         by_readings = np.maximum(sigmas * max(1.0, misfit) * spread, own)
         by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else fit.stale)
-        uncertainty = by_readings + base.others + doubt
+        others = base.others + by_lost
+        uncertainty = by_readings + others + doubt
         open_cells = signal <= self._half_step + SIGMAS * noise
         reason = np.full(len(measured), UNCERTAIN, dtype=np.int8)
-        reason[base.others > 0.5 * uncertainty] = DISTURBED
+        reason[others > 0.5 * uncertainty] = DISTURBED
         reason[open_cells] = NO_CURRENT
         # After a frame that did not settle, nothing is valid before derivatives from near by confirm the cells.
         self._astray = misfit > _NO_FIT or fit.lost or ((self._astray or fresh) and not fit.proven)
@@ -379,11 +402,15 @@ class CoupledLive:
         if short.any():  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
         if not self._astray:
-            tied = self._tied(x, uncertainty, signal - _RESOLVED * (self._half_step + SIGMAS * noise))
+            excess = signal - _RESOLVED * (self._half_step + SIGMAS * noise)
+            if lost.any():  # what these make of their rows is in by_lost
+                excess[np.tile(lost, self._shape[0])] = 0.0
+            tied = self._tied(x, uncertainty - by_lost, excess)
             if tied is not None:
                 beside = beside | tied
         uncertainty[beside.ravel()] = inf
         reason[beside.ravel()] = DISTURBED
+        reason[at_limit.ravel()] = SATURATED
         gone = self._gone
         reason[gone] = HIDDEN
         uncertainty[gone | (uncertainty > 1.0)] = inf
@@ -392,6 +419,8 @@ class CoupledLive:
         resistance = np.exp(-x)
         resistance[gone] = np.nan
         resistance[open_cells & ~gone] = inf
+        if lost.any():
+            resistance[beside.ravel()] = np.nan
         shape = self._shape
         return LiveReading(
             resistance.reshape(shape),
@@ -399,6 +428,64 @@ class CoupledLive:
             reason.reshape(shape),
             lambda: (uncertainty.reshape(shape), own.reshape(shape)),
         )
+
+    def _leave_out(self, signal: FloatArray) -> None:
+        """Choose columns without which a board settles that does not: cells of a few ohm there may keep it from that.
+
+        Args:
+            signal: (N, M) V.
+
+        """
+        share = (signal / self._short_signal).max(axis=0)
+        self._left_out &= share >= _ONE_OF_SOME
+        if not self._left_out.any():
+            self._leaves_out = 0
+        elif self._leaves_out <= 0:
+            self._left_out[:] = False  # and try again
+        self._leaves_out -= 1
+        if self._astray and not self._from_fresh_start:
+            found = share >= (_ONE_OF_SOME if self._astray_for > 1 else _HEAVY_CELL)
+            if found.any():
+                self._left_out |= found
+                self._leaves_out = _STUCK
+
+    def _by_lost_columns(self, lost: BoolArray, signal: FloatArray, cells: FloatArray, off: float) -> FloatArray:
+        """Relative change (n,) of other columns' cells by columns that are taken for usual ones, whatever these are.
+
+        With driven idle rows columns meet in the rows' leads alone. The readings of a column are to each other as its
+        conductances D to the rows' drivers are, and none of these is more than 1/lead. So no D of the column times a
+        lead is more than its reading over the largest one, which belongs to the cell at its limit. That is the share of
+        a voltage that the leads lose to the column, or bring into other columns by way of it.
+
+        Args:
+            lost: (M,) columns with cells at their limits.
+            signal: (N, M) V.
+            cells: (n,) S as they are taken.
+            off: V by which a reading may be wrong.
+
+        """
+        board, lead, columns = self._board, self._lines.to_driver, np.flatnonzero(lost)
+        conductance, most = cells.reshape(self._shape), float(lead.max())
+        readings = signal[:, lost]
+        row = readings.argmax(axis=0)  # of the cell at its limit, in each of the columns
+        largest = np.maximum(readings.max(axis=0) - off, np.finfo(np.float64).tiny)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            per_volt = np.nan_to_num(most / lead[row, columns] / largest, nan=0.0)
+        steeper = 1.0 + conductance.max(axis=0) / conductance  # what other rows bring in, against the cell's own
+        # A row that is selected loses to the column what its own cell passes, which comes out at the cell at its limit.
+        passed = (readings + off) * per_volt
+        passed[row, np.arange(len(row))] = 0.0
+        by_row = passed.sum(axis=1) + most * conductance[:, lost].sum(axis=1)
+        share: FloatArray = by_row[:, None] * steeper
+        # With that cell's row selected, the column is at the drive, and feeds all other rows.
+        for place, each, column in zip(row, per_volt, columns, strict=True):
+            fed = signal[:, column] * each
+            fed[place] = sqrt(len(fed)) * off * each
+            if not board.circuit.columns_one_by_one(board):
+                fed[place] += most / (board.reference[column] + board.column_lead[column])
+            share[place] += fed.sum() + fed @ conductance / conductance[place]
+        changed: FloatArray = _BY_LEADS * share
+        return changed.ravel()
 
     def _solve(self, measured: FloatArray, known: _Known, slope: FloatArray, scale: float, effort: _Effort) -> _Fit:
         """Fit the cells, starting from a point where the model is known.
