@@ -256,7 +256,7 @@ def test_taps_between_holds_are_not_in_doubt_for_their_edges(kind: str, seed: in
 @settings(max_examples=3)
 @given(seed=SEEDS)
 def test_chains_that_turns_within_the_noise_break_are_counted(seed: int) -> None:
-    """A finger rolls to and fro over cells of kind m10: each turn crosses the play within which noise breaks no chains."""
+    """A finger rolls to and fro over m10 cells: each turn crosses the play within which noise breaks no chains."""
     cell, dt = honesty.uncalibrated()["m10"], 0.01
     place = -2.0 + 10.0 * (0.5 - 0.5 * np.cos(0.8 * np.pi * dt * np.arange(1200)))
     share = 0.9 * np.exp(-((place[:, None] - np.arange(8)) ** 2) / 1.2)
