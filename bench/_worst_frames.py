@@ -223,7 +223,10 @@ def _read(board: Design, frames: list[FloatArray]) -> tuple[FloatArray, FloatArr
 def worst_table(rows: Iterable[WorstFrames]) -> Iterator[str]:
     """The boards as lines of text, as they come."""
     yield "longest call, counts to kPa, in usual frames of the same board; the first frame of all apart"
-    yield f"'over': more than {LIMIT:g}; valid cells in percent with fingers, and at the end of each event; frames without any after it"
+    yield (
+        f"'over': more than {LIMIT:g}; valid cells in percent with fingers, and at the end of each event; frames "
+        "without any after an event"
+    )
     names = "".join(f"{name:>10}" for name in ("fingers", *EVENTS))
     columns = "   valid   afterwards   frames without"
     yield f"{'board':48}{'array':>9}{'first ms':>9}{'usual us':>9}{names}{columns}"
