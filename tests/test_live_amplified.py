@@ -11,7 +11,9 @@ from ohmskin.arrays import FloatArray
 from ohmskin.bench import _live_hunt
 from ohmskin.circuits import Design, Reason, adc_codes, scan
 from ohmskin.circuits.recovery import _heavy_leads
+from ohmskin.circuits.recovery._amplified import AmplifiedLive
 from ohmskin.circuits.recovery._heavy_leads import LeadFit, invert_leads
+from ohmskin.circuits.recovery._live_reading import ValidityRule
 from ohmskin.circuits.solvers import Lines, exact_transfer
 from ohmskin.driver import CountReader
 
@@ -83,6 +85,16 @@ def test_errors_of_readings_come_through_heavy_leads_as_by_inverting_twice(
     bound = fit.propagation()(np.full(shape, small))
     assert (bound >= 0.98 * expected).all()
     assert (bound <= 10.0 * expected).all() or lead > least_ohm  # bounds without cancelling may be infinite there
+
+
+@pytest.mark.parametrize("segment", [0.0, 3.0])
+def test_currents_of_unlike_offsets_are_taken_out_exactly(segment: float) -> None:
+    design = board(4, 3, 30.0, segment=segment, offset_voltage=[3e-3, -2e-3, 1e-3], open_loop_gain=1e3)
+    cells = 10 ** np.random.default_rng(0).uniform(1.5, 2.5, (4, 3))
+    recovery = AmplifiedLive(design.board, ValidityRule())
+    current = scan(design, cells).volts * recovery._scale + recovery._constant
+    transfer, apart = recovery._apart(current, 1.0 / cells)
+    assert np.abs(apart / transfer).max() < 1e-12
 
 
 def test_rows_that_shorts_join_are_not_told_apart() -> None:
@@ -199,6 +211,10 @@ def test_an_output_at_a_limit_is_never_a_measurement(bits: int, offset_steps: fl
         "inverting events:3010000119",  # a whole column of shorts joins all rows
         "inverting events:3010000137",
         "inverting events:3010000151",  # did not settle, and was called known to a half
+        "row events:3050000679",  # heavy leads behind segments, with unlike offsets
+        "inverting events:3060000369",
+        "inverting:3060000153",  # a known short in the column of a saturated cell
+        "inverting events:3030000911",  # noise that takes an output at its limit back into the range
         "row events:3020000137",  # a line shorted in mid-stream
     ],
 )

@@ -27,7 +27,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from .._adc import adc_error
 from .._board import Board, cell_alone
-from ..solvers import Attenuated, Lines, Wires, attenuate, exact_transfer, siemens
+from ..solvers import Attenuated, Lines, Wires, attenuate, exact_transfer, port_conductances, siemens
 from ._heavy_leads import LeadFit, Propagation, invert_leads
 from ._live_reading import (
     DISTURBED,
@@ -47,7 +47,7 @@ T = TypeVar("T", float, FloatArray)
 EVALUATIONS = 2
 """of line attenuation"""
 EXACT_EVALUATIONS = 1
-"""of the exact transfer conductances"""
+"""of the exact transfer conductances; where leads are heavy, two more check what Kirchhoff's laws say"""
 FIRST_EVALUATIONS = 8, 3
 """of both in the first frame of all, before which nothing is known"""
 _SHARE_OF_STEP = 0.25  # of an ADC step that the model may leave as its own error
@@ -59,7 +59,7 @@ _BOUNDLESS = 1e6  # relative change of a conductance that counts for any larger 
 _SIMILAR = 0.1  # relative change of conductances up to which bounds on unknown cells are kept
 _SIMILAR_MARGIN = 1.25  # by which kept bounds are widened: two conductances have changed by 1.1 against each other
 _HEAVY = 0.5  # share of a cell's current that its lines take, from which on attenuation may not come to its end
-_LEAD_LIKE = 0.5  # of the mean resistance of a line to its cells, by which they may differ to be that of its lead
+_LEAD_LIKE = 0.5  # most resistance of segments over that of leads, for which a grid is taken for one without segments
 _NONE = np.array(0.0)  # as an array, since NumPy makes one of a float in every call
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
 
@@ -180,12 +180,14 @@ class AmplifiedLive:
         self._farthest_driver = self._to_driver.max(axis=0)  # (M,) ohm
         self._farthest_amplifier = self._to_amplifier.max(axis=1)  # (N,) ohm
         self._row_lead, self._column_lead = self._to_driver.mean(axis=1), self._to_amplifier.mean(axis=0)  # ohm
-        self._lead_like = bool(
-            (np.ptp(self._to_driver, axis=1) <= _LEAD_LIKE * self._row_lead).all()
-            and (np.ptp(self._to_amplifier, axis=0) <= _LEAD_LIKE * self._column_lead).all()
-        )
+        along_rows, along_columns = (
+            np.ptp(self._to_driver, axis=1),
+            np.ptp(self._to_amplifier, axis=0),
+        )  # ohm of segments
+        leads = float(self._row_lead.mean() + self._column_lead.mean())
+        self._lead_like = float(along_rows.max() + along_columns.max()) <= _LEAD_LIKE * leads
         self._heavy = False  # the leads take so much that cells are found by Kirchhoff's laws
-        self._has_segments = bool(np.ptp(self._to_driver, axis=1).any() or np.ptp(self._to_amplifier, axis=0).any())
+        self._has_segments = bool(along_rows.any() or along_columns.any())
         self._by_segments = np.zeros(board.shape)  # S, of T, that segments add to what leads would give
         self._along_row = _shared_wire(self._to_driver)
         self._along_column = _shared_wire(self._to_amplifier.T)
@@ -312,13 +314,13 @@ class AmplifiedLive:
             self._base = self._based_on(conductance)
             conductance, off = self._from_base(transfer)
         assert self._base is not None
-        if off is not None and self._base.loss > _HEAVY:
+        if self._base.loss > _HEAVY:
             self._heavy = self._lead_like
             if self._heavy and self._by_leads(volts):
                 conductance, off = self._base.conductance, self._base.off
-            elif self._lead_like:  # a bound of first order says nothing
+            elif off is not None and self._lead_like:  # a bound of first order says nothing
                 off = np.full_like(off, inf)
-            else:
+            elif off is not None:
                 gain = self._base.gain
                 off = self._within_linear_range(off * gain / max(1.0 - self._base.loss, _LEAST_SHARE)) / gain
         self._exact_left = 0
@@ -392,11 +394,16 @@ class AmplifiedLive:
         return invert_leads(current, potential, self._row_lead, self._column_lead, start)
 
     def _source_currents(self, conductance: FloatArray) -> FloatArray:
-        """A (M,) per volt that the columns' sources drive into their amplifiers through cells (N, M) in S and leads."""
-        idle = self._row_lead / (1.0 + self._row_lead * conductance.sum(axis=1))
-        between = np.diag(conductance.sum(axis=0)) - (conductance.T * idle) @ conductance
-        lines = np.eye(len(between)) + between * self._column_lead
-        current: FloatArray = -np.linalg.solve(lines, between @ (self._source / self._board.drive))
+        """A (M,) per volt that the columns' sources drive into their amplifiers through cells (N, M) in S."""
+        if self._has_segments:
+            rows = len(conductance)
+            ports, _ = port_conductances(self._above_floor(conductance), self._board.lines)
+            among = np.diag(ports.sum(axis=1))[rows:, rows:] - ports[rows:, rows:]
+        else:
+            idle = self._row_lead / (1.0 + self._row_lead * conductance.sum(axis=1))
+            among = np.diag(conductance.sum(axis=0)) - (conductance.T * idle) @ conductance
+        lines = np.eye(len(among)) + among * self._behind[-1]
+        current: FloatArray = -np.linalg.solve(lines, among @ (self._source / self._board.drive))
         return current
 
     def _apart(self, current: FloatArray, conductance: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -694,7 +701,10 @@ class AmplifiedLive:
                 along = np.where(more, np.nan_to_num(self._to_driver / self._to_amplifier, nan=0.0, posinf=inf), 0.0)
                 down = np.where(more, np.nan_to_num(self._to_amplifier / self._to_driver, nan=0.0, posinf=inf), 0.0)
                 short = np.where(more, 1.0 / (self._to_driver + self._to_amplifier), 0.0)
-                held = np.where(saturated, np.fmin(along, self._to_driver * self._most_per_ohm), 0.0)
+            # The cells of a column that a short takes the current from conduct more than they seem to.
+            column = (conductance * (1.0 + np.minimum(down.sum(axis=0), _BOUNDLESS))).sum(axis=0)
+            with np.errstate(invalid="ignore"):
+                held = np.where(saturated, np.fmin(along, self._to_driver * (self._most_per_ohm + column)), 0.0)
             fixed = _MARGIN * (np.where(saturated, 0.0, along).sum(axis=1)[:, None] + down.sum(axis=0))
             fixed = fixed + held.sum(axis=1)[:, None]
             most = np.where(more, np.minimum(short, _BOUNDLESS), conductance)
@@ -705,11 +715,11 @@ class AmplifiedLive:
             # A lifted row feeds the columns of its cells, and above all the column that a short of its own joins it to.
             added += lifts @ np.where(more, 0.0, conductance)
             added += self._through_joined_columns(more, conductance)
-            added += takes @ np.where(more, np.minimum(short, _BOUNDLESS), conductance)
+            added += takes @ most
             with np.errstate(invalid="ignore"):
                 added += np.nan_to_num(offset * short.sum(axis=0), nan=0.0, posinf=inf)
             added += self._between_shorts(more)
-            # Cells that a short takes the drive from conduct more than they seem to, and pass on what lifts their row.
+            # Cells that conduct more than they seem to pass on what lifts their row.
             misjudged = conductance * (1.0 + np.minimum(fixed, _BOUNDLESS))
             added += offset * (more.any(axis=1) @ misjudged)
             added += np.where(more, offset, 0.0).max(axis=1) @ misjudged
