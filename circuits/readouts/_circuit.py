@@ -178,6 +178,23 @@ class ReadoutCircuit(ABC):
         """``volts`` (..., N, M) with the limits in place of what large stand-ins for ideal parts gave."""
         return volts
 
+    def imitated_by_shorts(
+        self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float
+    ) -> BoolArray | None:
+        """Readings that quite other cells give as well, some of which are shorts.
+
+        Args:
+            board: parts of the readout.
+            row_lead: (N, M) ohm between each row's driver and the crosspoint.
+            signal: (N, M) V above the reference.
+            least: V of a signal that is none.
+
+        Returns:
+            (N, M) cells whose values such shorts would make wrong; None where there are none.
+
+        """
+        return None
+
     # One cell alone, with ideal parts
 
     @abstractmethod

@@ -24,6 +24,11 @@ from ._quick import QuickFields, QuickNetwork, behind_leads
 from ._rounding import conductance_into_rows
 from ._voltage_divider import VoltageDivider
 
+_LEAST_SHORT = 1e-3  # ohm that a short has at least, with its contacts
+_LEAST_DIVISION = 1.1  # of a column's readings by shorts, below which nothing is to be mistaken
+_FAR_ABOVE = 5.0  # times the usual conductance above which a cell is no ordinary one
+_WELL_ABOVE = 10.0  # the same over that of Rref
+
 
 class _Balance(NamedTuple):
     """The current balance of the sensed column, (..., N, M): one unknown, the potential V of its end."""
@@ -112,6 +117,42 @@ class VoltageFeedback(VoltageDivider):
 
     def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
         return None  # the follower keeps the column's other cells out of a reading
+
+    def imitated_by_shorts(
+        self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float
+    ) -> BoolArray | None:
+        """Two shorts in a row join its columns, and each column then nearly follows the follower that drives the other.
+
+        With r the row's lead and G the conductance between the columns through the shorts, the follower's finite gain
+        divides all other readings of such a column by F = 1 + G Rref / (1 + A), and its offset moves them by
+        (1 + A) Vos (F - 1) / F. The shorts themselves read drive / (1 + F r / Rref): like two ordinary cells. So two
+        such readings in a row are not believed where the readings of their columns, multiplied by F, are those of
+        ordinary cells as well.
+        """
+        share = signal / board.drive
+        largest = 1.0 + board.reference * board.inverse_gain / (board.column_lead + _LEAST_SHORT)
+        possible = share * (1.0 + largest * row_lead / board.reference) >= 1.0
+        possible &= (row_lead > 0.0) & (largest > _LEAST_DIVISION)
+        if not _of_pairs(possible).any():
+            return None
+        with np.errstate(divide="ignore", invalid="ignore"):
+            divided = np.where(possible, np.maximum((1.0 / share - 1.0) * board.reference / row_lead, 1.0), 1.0)
+            lift = board.loop_share * board.offset - board.inverse_gain * board.level
+            moved = np.where(lift != 0.0, lift / board.inverse_gain * (1.0 - 1.0 / divided.max(axis=0)), 0.0)
+        # Whatever reads nothing may be pushed below the range.
+        others = self.apparent_conductance(board, np.where(np.abs(signal) > least, signal - moved, 0.0))
+        # Of a column's cells but the largest, the median.
+        usual = np.sort(others, axis=0)[max(len(others) - 2, 0) // 2] if len(others) > 1 else np.zeros(len(moved))
+        suspect = _of_pairs(possible & (usual * divided <= _WELL_ABOVE / board.reference))
+        elsewhere = self.apparent_conductance(board, signal)[~suspect.any(axis=1)][:, ~suspect.any(axis=0)]
+        elsewhere = elsewhere[elsewhere > 0.0]
+        if elsewhere.size:
+            suspect = _of_pairs(suspect & (usual * divided <= _FAR_ABOVE * np.median(elsewhere)))
+        if not suspect.any():
+            return None
+        columns = suspect.any(axis=0)
+        found: BoolArray = columns | np.any(possible & columns, axis=1, keepdims=True)
+        return found
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.
@@ -240,3 +281,9 @@ class VoltageFeedback(VoltageDivider):
         if low > -inf:
             law = f"max({law},{low!r})"
         yield f"Bfollower {writer.follower} {writer.ground} V = {law}"
+
+
+def _of_pairs(chosen: BoolArray) -> BoolArray:
+    """Those of the chosen cells (N, M) that have another one in their row."""
+    pairs: BoolArray = chosen & (np.count_nonzero(chosen, axis=1, keepdims=True) > 1)
+    return pairs

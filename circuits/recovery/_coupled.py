@@ -49,6 +49,7 @@ _MOVED = 0.02  # the same where they have not served: closer, new ones would be 
 _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
 _SIGMAS = 4.5  # posterior standard deviations by ADC steps that an uncertainty covers: a bound on the error
 _NOISE_SIGMAS = 3.5  # the same by noise: a fifth more, a factor of two at the limit of validity, is 5 of them
+_MOST_FAILURES = 3  # frames in a row until the design is not believed: other starts may lead to a fit
 _MOST_WITHOUT_FIT = 6  # frames in a row until steps column by column are given up
 _STUCK = 300  # frames until they are tried again
 _PER_SQUARE = 16  # multiplications of a matrix product that take as long as the square of one entry
@@ -262,6 +263,8 @@ class CoupledLive:
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(board.shape)))
         self._least = np.log(_LEAST_READING * self._half_step * per_volt).ravel()  # of the logarithms
         self._series = (self._leads + board.series_ohms).ravel()  # the same with the faults there
+        self._row_lead = np.where(np.isfinite(self._lines.to_driver), self._lines.to_driver, 0.0)
+        self._least_signal = self._half_step + (0.0 if board.adc is None else board.adc.step)
         self._tie = np.where(self._gone | (self._leads.ravel() == 0.0), -inf, _TIES * self._leads.ravel())
         self._loses_columns = (
             self._columns.applies and self._quick.is_quick and not board.circuit.has_amplifiers and not board.faults
@@ -277,9 +280,16 @@ class CoupledLive:
         self._lowest = -inf
         if board.circuit.has_amplifiers and board.adc is not None:
             self._lowest = board.adc.range[0] + board.adc.step
+        adc = board.adc
+        self._random = 1.0  # share of the converter's error that differs from reading to reading
+        self._shifts: tuple[float, float, float] | None = None  # V and relative, errors of all readings; V of code 0
+        if adc is not None and (adc.offset_voltage or adc.gain_error):
+            self._shifts = abs(adc.offset_voltage), abs(adc.gain_error), adc.range[0]
+            self._random = (0.5 + abs(adc.inl_steps)) * adc.step / self._half_step
         self._bottom: BoolArray | None = None  # (n,) readings at the lower end of the range, which may lie below
         self._begun = False
         self._from_fresh_start = False  # and not come to a fit since
+        self._failures = 0  # frames in a row at whose end no cells gave the readings
         self._stuck = 0  # frames for which steps column by column are not tried, since they led to no fit
         self._without_fit = 0  # frames
         self._astray = False  # the last frame did not settle
@@ -335,6 +345,7 @@ class CoupledLive:
         if start is None:
             start, self._renewal, self._damping = self._known_at(self._start(volts)), None, 1.0
             self._from_fresh_start = True
+            self._rebase(start)
         if lost.any():
             usual = np.where(beside.ravel(), np.median(start.log[~beside.ravel()]), start.log)
             if np.abs(usual - start.log).max() > 0.0:
@@ -345,11 +356,12 @@ class CoupledLive:
             if np.abs(apparent - start.log).max() > _ROUGHLY:
                 start = self._known_at(apparent)
         effort = self._usual_effort if self._begun else FIRST_EFFORT
-        if self._columns.has_law and start is self._known and self._distance(measured, start) > _JUMP * coarser:
+        if self._columns.applies and start is self._known and self._distance(measured, start) > _JUMP * coarser:
             anew = self._known_at(self._start(volts))
             effort = effort._replace(evaluations=effort.evaluations - 1)
             if self._distance(measured, anew) < self._distance(measured, start):
                 start = anew
+                self._rebase(start)
         if self._base is None:
             self._base = self._based_on(start)
         slope = self._slope(volts)
@@ -369,22 +381,26 @@ class CoupledLive:
         if self._has_matrix and not base.whole and self._without_fit >= _MOST_WITHOUT_FIT:
             self._stuck = _STUCK
         if misfit <= _NO_FIT:
-            self._from_fresh_start = False
+            self._from_fresh_start, self._failures = False, 0
         elif misfit > _MISFIT and fit.stalled:
             self._known = None  # the next frame starts anew
             short = self._as_good_as_short(x)
             if short.any():  # readings hardly tell such a cell from a short
                 return self._nothing(short)
-            if self._from_fresh_start:
+            self._failures += 1
+            if self._from_fresh_start and self._failures > _MOST_FAILURES:
                 raise SolverError("no cell resistances give these readings; check that the design is that of the board")
         signal = signal.ravel()
         own = (self._half_step + SIGMAS * noise) * slope
         own[slope == 0] = 1.0
         spread = base.std * np.maximum(fit.steeper, 1.0)
         # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        sigmas = float(np.hypot(_SIGMAS, _NOISE_SIGMAS * noise / self._noise))
-        by_readings = np.maximum(sigmas * max(1.0, misfit) * spread, own)
+        by_noise = _NOISE_SIGMAS * noise / self._noise
+        sigmas = max(float(np.hypot(_SIGMAS * self._random, by_noise)), misfit * float(np.hypot(_SIGMAS, by_noise)))
+        by_readings = np.maximum(sigmas * spread, own)
         by_readings += np.abs(fit.step) * (_STALLED if fit.stalled and misfit > _FITS else fit.stale)
+        if self._shifts is not None:
+            by_readings += self._by_shifts(measured)
         others = base.others + by_lost
         uncertainty = by_readings + others + doubt
         open_cells = signal <= self._half_step + SIGMAS * noise
@@ -402,12 +418,17 @@ class CoupledLive:
         if short.any():  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
         if not self._astray:
+            board = self._board
             excess = signal - _RESOLVED * (self._half_step + SIGMAS * noise)
             if lost.any():  # what these make of their rows is in by_lost
                 excess[np.tile(lost, self._shape[0])] = 0.0
             tied = self._tied(x, uncertainty - by_lost, excess)
             if tied is not None:
                 beside = beside | tied
+            least = self._least_signal + SIGMAS * noise
+            imitated = board.circuit.imitated_by_shorts(board, self._row_lead, volts - board.level, least)
+            if imitated is not None:
+                beside = beside | imitated
         uncertainty[beside.ravel()] = inf
         reason[beside.ravel()] = DISTURBED
         reason[at_limit.ravel()] = SATURATED
@@ -548,6 +569,16 @@ class CoupledLive:
         proven = (serves and misfit <= _CONVERGED and moved <= _FAR) or (stalled and moved <= _MOVED)
         stale = exp(float(_apart(self._base, known.log).max()))
         return _Fit(known, step, misfit, stalled, proven=proven, lost=lost, stale=stale, steeper=steeper)
+
+    def _by_shifts(self, measured: FloatArray) -> FloatArray:
+        """Change (n,) of the logarithms by the converter's offset and gain error, which move all readings together."""
+        assert self._base is not None
+        assert self._shifts is not None
+        offset, gain, lowest = self._shifts
+        by_offset = np.abs(self._base.step(np.full(len(measured), offset)))
+        by_gain: FloatArray = np.abs(self._base.step(gain * (measured - lowest)))
+        by_gain += by_offset
+        return by_gain
 
     def _as_good_as_short(self, x: FloatArray) -> BoolArray:
         """(N, M) where a cell of the logarithm x (n,) is far below its leads and no fault explains that."""
@@ -713,6 +744,12 @@ class CoupledLive:
         if loss <= _HEAVY or not self._has_matrix:
             return self._based_on_lines(at, loss)
         return next(base for base in self._renewed(at) if base is not None)
+
+    def _rebase(self, at: _Known) -> None:
+        """Take derivatives from there at once, where columns give them in closed form."""
+        loss = self._loss(at.log)
+        if self._base is not None and self._columns.applies and loss <= _HEAVY:
+            self._base, self._renewal = self._based_on_lines(at, loss), None
 
     def _based_on_lines(self, at: _Known, loss: float) -> _Base:
         """Derivatives there by what is special about cells of one line: no matrix of all readings by all cells."""

@@ -1,0 +1,156 @@
+"""Shorts on boards whose cells share their current: no other cells are read in their place, and none beside them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ohmskin.arrays import FloatArray
+from ohmskin.bench import _live_hunt
+from ohmskin.bench._live_streams import stream
+from ohmskin.circuits import Design, Reason, adc_codes, scan
+from ohmskin.driver import CountReader
+
+KINDS = {
+    "divider": ("voltage-divider", "ground", "float"),
+    "loaded": ("voltage-divider", "ground", "load"),
+    "open divider": ("voltage-divider", "float", "float"),
+    "feedback": ("voltage-feedback", "ground", "float"),
+}
+RESISTANCES = (1e-3, 1e-2, 0.1, 1.0, 10.0, 30.0, 100.0)
+"""ohm of a short"""
+
+
+def board(kind: str, shape: tuple[int, int], bits: int = 10, **changes: Any) -> Design:
+    circuit, idle_rows, idle_columns = KINDS[kind]
+    readout: dict[str, Any] = {"circuit": circuit, "reference_resistance": 4.7e3, "idle_columns": idle_columns}
+    if circuit == "voltage-feedback":
+        readout["open_loop_gain"] = 1e3
+    return Design.model_validate(
+        {
+            "array": {"rows": shape[0], "columns": shape[1]} | changes.pop("array", {}),
+            "drive": {"voltage": 3.3, "idle_rows": idle_rows},
+            "readout": readout | changes.pop("readout", {}),
+            "adc": {"bits": bits, "range": [0.0, 3.3]},
+        }
+    )
+
+
+def counts_of(design: Design, cells: FloatArray) -> Any:
+    return adc_codes(design, scan(design, cells).volts).astype(np.uint16)
+
+
+def check(reading: Any, cells: FloatArray) -> None:
+    """All valid cells are within their uncertainties, and none is off by a factor of two."""
+    valid = reading.valid
+    share = reading.resistance[valid] / cells[valid]
+    assert (np.abs(share - 1.0) <= reading.uncertainty[valid]).all()
+    assert ((share > 0.5) & (share < 2.0)).all()
+
+
+@pytest.mark.parametrize(
+    ("family", "number"),
+    [
+        ("feedback", 910000116),  # two shorts of a row read like two cells of 2.3 kohm behind a follower
+        ("feedback", 3010000245),  # and like two different ones, with an offset
+        ("divider", 910000458),  # a few ohm of two cells decide how their rows share the readings
+        ("divider", 310000415),
+        ("divider", 910000216),  # a step with derivatives from cells that were different
+        ("divider", 910000404),  # a cell beside a known shunt went to no conductance, and never came back
+        ("divider", 310000401),
+        ("loaded", 410000126),
+        ("loaded", 3010000430),
+        ("feedback", 3010000064),  # an open cell whose amplifier's offset lies below the converter's range
+    ],
+)
+def test_streams_that_were_read_wrong(family: str, number: int) -> None:
+    tally = _live_hunt.LiveTally()
+    _live_hunt.check(family, number, tally)
+    assert tally.findings == []
+
+
+def places(draw: np.random.Generator, shape: tuple[int, int], form: str) -> list[tuple[int, int]]:
+    """Shorts in one row, in one column, or at the corners of a rectangle."""
+    count = int(draw.integers(2, 5))
+    rows, columns = draw.permutation(shape[0]), draw.permutation(shape[1])
+    if form == "row":
+        return [(int(rows[0]), int(j)) for j in columns[:count]]
+    if form == "column":
+        return [(int(i), int(columns[0])) for i in rows[:count]]
+    return [(int(i), int(j)) for i in rows[:2] for j in columns[:2]]
+
+
+@pytest.mark.parametrize("form", ["row", "column", "rectangle"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_shorts_of_a_line_are_never_read_as_other_cells(kind: str, form: str) -> None:
+    """They come and go in mid-stream; lines, converters and references are drawn."""
+    draw = np.random.default_rng([*kind.encode(), *form.encode()])
+    for _ in range(12):
+        shape = int(draw.integers(2, 9)), int(draw.integers(2, 9))
+        lead = float(draw.choice([0.0, 1.0, 5.0, 25.0, 100.0]))
+        array = {"row_lead": lead, "column_lead": float(draw.choice([0.0, lead]))}
+        array["row_segment"] = array["column_segment"] = float(draw.choice([0.0, 0.0, 0.5]))
+        reference = float(draw.choice([1e3, 4.7e3, 10e3, 47e3]))
+        bits = int(draw.choice([8, 10, 12, 16]))
+        design = board(kind, shape, bits, array=array, readout={"reference_resistance": reference})
+        read, rest = CountReader(design), reference * 4.0 * 10 ** draw.uniform(-0.2, 0.2, shape)
+        shorted = rest.copy()
+        for place in places(draw, shape, form):
+            shorted[place] = draw.choice(RESISTANCES)
+        for cells in (rest, rest, shorted, shorted, shorted, shorted, rest, rest):
+            check(read(counts_of(design, cells)), cells)
+
+
+@pytest.mark.parametrize("kind", ["divider", "loaded", "feedback"])
+def test_a_short_that_goes_leaves_nothing_behind(kind: str) -> None:
+    design, draw = board(kind, (8, 8), 12, array={"row_lead": 5.0, "column_lead": 5.0}), np.random.default_rng(0)
+    read, rest = CountReader(design), 2e4 * 10 ** draw.uniform(-0.1, 0.1, (8, 8))
+    shorted = rest.copy()
+    shorted[3, 2:5] = 0.01
+    for cells in (rest, rest, shorted, shorted, shorted, rest, rest, rest):
+        reading = read(counts_of(design, cells))
+        check(reading, cells)
+    assert reading.valid.all()
+
+
+@pytest.mark.parametrize("shape", [(16, 16), (16, 32)])
+def test_large_dividers_of_8_bits_with_fingers_and_shorts(shape: tuple[int, int]) -> None:
+    draw = np.random.default_rng(shape[1])
+    design = board("divider", shape, 8, array={"row_lead": 25.0, "column_lead": 25.0})
+    read, rest = CountReader(design), 3e4 * 10 ** draw.uniform(-0.1, 0.1, shape)
+    row, column = np.indices(shape)
+    for number in range(8):
+        load = np.exp(-((row - 6.0) ** 2 + (column - 3.0 - number) ** 2) / 3.0)
+        cells = rest / (1.0 + 20.0 * load)
+        if 3 <= number < 6:
+            cells[4, 9] = cells[11, 9] = cells[4, 12] = 0.1
+        check(read(counts_of(design, cells)), cells)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("gain", [1e3, 1e5])
+def test_cells_that_are_pressed_are_no_shorts(kind: str, gain: float) -> None:
+    """Two fingers on cells of one row and of one column: what shorts might imitate is believed where they do not."""
+    readout = {"open_loop_gain": gain} if kind == "feedback" else {}
+    design = board(kind, (8, 8), 12, array={"row_lead": 5.0}, readout=readout)
+    read, cells = CountReader(design), 2e4 * 10 ** np.random.default_rng(0).uniform(-0.1, 0.1, (8, 8))
+    for _ in range(4):  # until the noise is known
+        read(counts_of(design, cells))
+    cells[2, 1:3] = cells[2, 5] = cells[6, 1] = 1.5e3
+    for _ in range(6):  # boards with floating rows take more than four
+        reading = read(counts_of(design, cells))
+        check(reading, cells)
+    assert reading.valid.mean() > 0.95
+
+
+def test_the_streams_named_here_still_have_what_made_them_hard() -> None:
+    """Shorts in one row behind a follower that reads them far below full scale."""
+    hard = stream("feedback", 910000116)
+    assert hard is not None
+    row, both = hard.counts[0][0], hard.cells[0][0] < 1.0
+    assert both.sum() == 2
+    assert (row[both] < 0.7 * 2**hard.design.adc.bits).all()  # type: ignore[union-attr]
+    reading = CountReader(hard.design)(hard.counts[0])
+    assert (reading.reason[0, both] == Reason.DISTURBED).all()
