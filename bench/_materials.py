@@ -259,6 +259,24 @@ def under_load(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float
     return load[cut:], 0.7 * head_s
 
 
+def alike(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
+    """Twenty presses that are all alike, which are learned from, and then random ones."""
+    rise, held, fall, pause = rng.uniform(1, 5), rng.uniform(0, 4), rng.uniform(1, 5), rng.uniform(0, 4)
+    points = [(0.0, 0.0), (20.0, 0.0)]
+    for _ in range(20):
+        points += [(rise, 1.0), (held + 1e-6, 1.0), (fall, 0.0), (pause + 1e-6, 0.0)]
+    first = _along(points, dt_s)
+    later = np.clip(independent.presses(rng, 300, dt_s, holds=True), 0, None)
+    return np.concatenate([first, later]), len(first) * dt_s
+
+
+def overload(rng: np.random.Generator, dt_s: float) -> tuple[FloatArray, float]:
+    """Random presses to at most half of full scale, which are learned from, and then such to all of it."""
+    first, later = (np.clip(independent.presses(rng, 240, dt_s, holds=True), 0, None) for _ in range(2))
+    first[-round(3 / dt_s) :] = 0
+    return np.concatenate([0.5 * first / first.max(), later / later.max()]), 240.0
+
+
 LOADS: dict[str, Load] = {
     "cyclic": cyclic,
     "one cycle": one_cycle,
@@ -270,4 +288,6 @@ LOADS: dict[str, Load] = {
     "slower": slower,
     "mostly rest": mostly_rest,
     "under load": under_load,
+    "alike": alike,
+    "overload": overload,
 }

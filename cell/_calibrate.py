@@ -30,6 +30,8 @@ FOLD_CELLS = 32
 """simulated for learning before each fold; a third of those for the final estimators"""
 TEACHES_WORSE = 0.7
 """share of the richer kind's error below which a simpler one teaches"""
+MISSES = 3.0
+"""times its held-out error, that an inverse may miss of a drift that goes on after the recording"""
 STEPS = 7
 """of a calibration, for progress: three kinds of model, three folds, and learning from all"""
 
@@ -119,25 +121,26 @@ def calibrate(
         tell("learned before a fold, and judged on it")
     judged |= _judge_models(cell.replace(estimators=None), found[0], thin, samples, parts)
     final = _learned(whole, full, cells=training.CELLS).replace(seen=seen)
+    noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
+    unexplained = float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0)))
+    taught = float(np.sqrt(max(teacher.held_out_error**2 - noise**2, 0.0)))
     for name in ("play", "distilled"):
         share = best_share(judged[name], judged["static"])
         judged[name] = mixed(judged[name], judged["static"], share)
-        learned = getattr(final, name)
-        final = final.replace(**{name: learned.replace(static_share=1 - share)})
-    elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, LEARNED)
+        learned = getattr(final, name).replace(static_share=1 - share, beyond_recorded=taught < choice.EXACT)
+        final = final.replace(**{name: learned})
+    tried = (*LEARNED, *(name for name in judged if name == "inverse"))
+    elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, tried, whole)
     tell("learned from all")
-    noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
     evidence = choice.Evidence(
         judged=judged,
         elsewhere=elsewhere,
         presses=float(samples.pressing[-1]) / 2,
-        unexplained=float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0))),
+        unexplained=unexplained,
         least_slope=1.0 if inverse is None else inverse,
     )
     default, reason = choice.choose(evidence)
     pressed = {name: 100 * max(part.pressed_rms for part in of) for name, of in judged.items()}
-    # An inverse follows what its model explains: the drift that a load adds on top would only swell its deviation.
-    drift = max(abs(float(np.mean(part.error))) for part in judged["static"])
     pressed_drift = max(abs(float(np.mean(part.pressed))) for part in judged["static"])
     calibrated = {
         name: training.calibrated(
@@ -158,7 +161,8 @@ def calibrate(
         held_out_percent={name: evidence.worst(name) for name in judged},
         fold_percent={name: tuple(evidence.percent(name)) for name in judged},
         pressed_percent=pressed,
-        drift_percent=100 * drift,
+        # An inverse follows the drift that its model explains, which shows in its errors on the folds.
+        drift_percent=min(100 * pressed_drift, MISSES * pressed.get("inverse", np.inf)),
         seen=seen,
         static=static,
         **calibrated,

@@ -45,7 +45,8 @@ class Calibrated(Section):
     pressed_percent: dict[EstimatorName, float] = Field(default_factory=dict)
     """as ``held_out_percent``, while the cell is loaded only: rest is easy, and may be most of a recording"""
     drift_percent: NotNegative = 0.0
-    """mean error of the static curve on the fold where it is largest, % of full scale: creep beyond what was learned"""
+    """mean error of the static curve under load on the fold where it is largest, % of full scale: creep beyond what was
+    learned. It counts at most as three times the error of the inverse, which follows what its model explains"""
     seen: Seen = Seen()
     static: StaticCurve
     play: Learned | None = None

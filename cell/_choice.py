@@ -19,6 +19,7 @@ from . import _simulate as simulate
 from ._cell import Cell, EstimatorName
 from ._identify import Fit
 from ._judged import Judged, standard_errors_better
+from ._training import NormalisedRecording, disturbed
 
 EXACT = 0.005
 """held-out error of a model beyond noise, over the range of r, below which its inverse is trusted with any load"""
@@ -27,7 +28,8 @@ INVERSE_SLACK = 0.25
 NEARLY, INVERSE_BETTER = 0.025, 0.7
 """held-out error below which an inverse is trusted that has less than this share of a learned estimator's error"""
 STIFF = 0.25
-"""least slope of a fast step over that at equilibrium that such an inverse needs; below, its small errors add up"""
+"""least slope of a fast step over that at equilibrium, below which the small errors of such an inverse may add up: it
+must then err no more than a learned estimator on simulated cells, too"""
 SURE = 1.28
 """standard errors by which an estimator must be better than the static curve: one-sided 90 % of a normal variable"""
 BEATS = 0.9
@@ -97,7 +99,8 @@ def choose(evidence: Evidence) -> tuple[EstimatorName, str]:
     candidates, why = learned, ""
     inverse, rival = worst.get("inverse", np.inf), worst[learned[0]]
     exact = evidence.unexplained < EXACT and inverse <= rival + INVERSE_SLACK
-    stiff = evidence.unexplained < NEARLY and evidence.least_slope > STIFF
+    tame = evidence.least_slope > STIFF or evidence.elsewhere_ratio("inverse") <= evidence.elsewhere_ratio(learned[0])
+    stiff = evidence.unexplained < NEARLY and tame
     if exact or (stiff and inverse < INVERSE_BETTER * rival):
         candidates = ["inverse", *learned]
     chosen = next((name for name in candidates if evidence.beats_static(name)), None)
@@ -124,7 +127,9 @@ def _doubts(evidence: Evidence, name: EstimatorName) -> str:
     return f"{name} is {side} by {abs(better):.1f} standard errors over the folds; {SURE} better needed"
 
 
-def errors_elsewhere(cell: Cell, fits: Sequence[Fit], names: Sequence[EstimatorName]) -> dict[EstimatorName, float]:
+def errors_elsewhere(
+    cell: Cell, fits: Sequence[Fit], names: Sequence[EstimatorName], calibration: NormalisedRecording
+) -> dict[EstimatorName, float]:
     """Rms errors of estimators on simulated cells under random ramps and holds, in shares of full scale.
 
     Cells of every kind are simulated that explains the recording about as well as the best one, since the recording
@@ -135,15 +140,19 @@ def errors_elsewhere(cell: Cell, fits: Sequence[Fit], names: Sequence[EstimatorN
         cell: calibrated.
         fits: of all kinds.
         names: of estimators that the cell has; the first is what the others are compared with.
+        calibration: the recording, which says how large the noise is and what models leave unexplained.
     """
     load = simulate.random_loads(np.random.default_rng(0), ELSEWHERE_STEPS, ELSEWHERE_CELLS, ELSEWHERE_STEP_S)
     least = min(fit.error for fit in fits)
     kinds = [fit for fit in fits if fit.error <= EXPLAINS_TOO * least]
     rms = np.empty((len(kinds), len(names)))
     for row, fit in enumerate(kinds):
-        resistance = fit.simulate(np.random.default_rng(1), load, ELSEWHERE_STEP_S)
+        rng = np.random.default_rng(1)
+        r = fit.simulate(rng, load, ELSEWHERE_STEP_S) / cell.rest_resistance_ohm - 1
+        r = disturbed(calibration, rng, load, r, ELSEWHERE_STEP_S)
+        resistance = cell.rest_resistance_ohm * (1 + r)
         for column, name in enumerate(names):
-            estimator = cell.estimator((ELSEWHERE_CELLS,), name, noise=0.0)
+            estimator = cell.estimator((ELSEWHERE_CELLS,), name)
             pressure = np.array([estimator.step(ELSEWHERE_STEP_S, frame) for frame in resistance])
             rms[row, column] = np.sqrt(np.mean((pressure / cell.full_scale_kpa - load) ** 2))
     rms = np.maximum(rms, 1e-9)

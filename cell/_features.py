@@ -1,8 +1,9 @@
-"""What a learned estimator looks at: the reading, and how it differs from a bank of memories of it.
+"""Features of a learned estimator: the reading, and how it differs from a bank of memories of it.
 
-Two kinds of memory: lags (the reading some seconds ago, smoothed: creep, recovery) and plays (a slack of some width
-between the reading and its follower: hysteresis, which way it was last going). Both are cheap, stable for any input,
-and at zero for a cell that has been read at one value for ever.
+The first feature is the last reading as it is, so that a fast press is answered at once. There are two kinds of
+memories. Lags hold the reading some seconds ago, smoothed; they tell of creep and recovery. Plays leave a slack of some
+width between the reading and its follower; they tell of hysteresis, that is, which way the reading was last going. Both
+are cheap, stable for any input, and at zero for a cell that has been read at one value for ever.
 """
 
 from __future__ import annotations
@@ -20,10 +21,12 @@ class Bank:
     """The memories; a frame of cells of any shape has features (count, *shape)."""
 
     smoothing_s: float
-    """lag of the reading itself, against noise"""
+    """lag of the smoothed reading, which the other memories follow"""
     lags_s: tuple[float, ...]
     plays: tuple[float, ...]
     """half widths of the slacks, as normalised resistance"""
+    smoothed: bool = False
+    """whether the first feature is the smoothed reading, as earlier versions learned from"""
 
     @property
     def count(self) -> int:
@@ -58,9 +61,14 @@ class Bank:
         np.minimum(plays, smooth + width, out=plays)
 
     def features(self, memory: FloatArray) -> FloatArray:
-        """(count, *shape): the smoothed reading, its distance from the last raw one, and from each memory."""
-        smooth = memory[3]
-        return np.concatenate([smooth[None], smooth - memory[2:3], smooth - memory[4:]])
+        """(count, *shape): the last reading, and its distance from the smoothed one and from each memory.
+
+        The last and the smoothed reading are exchanged where the bank is :attr:`smoothed`.
+        """
+        last, smooth = memory[2:3], memory[3:4]
+        if self.smoothed:
+            return np.concatenate([smooth, smooth - last, smooth - memory[4:]])
+        return np.concatenate([last, last - memory[3:]])
 
     def run(self, dt_s: FloatArray, r: FloatArray) -> FloatArray:
         """Features (n, count, *shape) of recordings (n, *shape) that start from a long-held reading."""

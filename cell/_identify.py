@@ -27,10 +27,12 @@ PRESSED = 0.05
 """of full scale: half width of the play whose movement counts as pressing"""
 FEWEST = 30
 """readings before a fold that are enough to fit"""
-STARTS = 2
+STARTS = 3
 """of the starts, those that are nearest to the recording, are followed to the end"""
 EXPLAINS = 0.7
 """share of the standard deviation of the resistance that some model must fit better than"""
+TAUGHT = 1.2
+"""full presses before a fold from which on it tells how well a kind describes the cell, and not how little it needs"""
 SIMPLER = 1.05
 """a simpler kind wins when the error of its worst fold is within this factor of the best"""
 PRIOR = 0.02
@@ -40,7 +42,11 @@ PRIOR_LOG, PRIOR_PLAIN, PRIOR_REST = 1.5, 0.5, 0.1
 """those widths: of the logarithm of a positive parameter, over its bound for one of either sign, and of R0, relative"""
 SEEN_AT_REST, NEVER_AT_REST = 0.15, 0.7
 """share by which the true R0 may be below what was read before the first press, or below the least reading"""
-INSTANT_S = 0.05
+INSTANT_S, RISE2_S = 0.05, 1.0
+"""time constant of a branch that is charged at once, and the usual one of the slow branch"""
+BEGINS_LOADED, BEGUN = 0.05, 0.5
+"""load at which a recording begins, over full scale, from which on what the cell remembers there is fitted too; and how
+far each branch may then be from its equilibrium, over the range of r"""
 FLATTEST = 0.1
 """of the range of r: slope over full scale that the equilibrium curve of m10 should have everywhere"""
 
@@ -74,11 +80,19 @@ class Fit:
     """the same as fitted before each fold"""
     before_folds: tuple[tuple[Model, float] | None, ...] = ()
     """model and R0 in ohm as fitted before each fold; None: what was found is no valid cell"""
+    first_telling: int = 0
+    """the first fold before which enough was pressed to fit a model at all"""
+
+    @property
+    def label(self) -> str:
+        """The kind, and whether its chains never break: m10 is fitted with and without such chains."""
+        unbroken = isinstance(self.model, M10Model) and self.model.k == 0
+        return "m10, k = 0" if unbroken else self.model.kind
 
     @property
     def held_out_error(self) -> float:
-        """That of the worst fold."""
-        return max(self.fold_errors)
+        """That of the worst of the folds that tell."""
+        return max(self.fold_errors[self.first_telling :])
 
 
 @dataclass(frozen=True)
@@ -114,6 +128,8 @@ class _Kind:
     """range of r in the recording"""
     run: Callable[[FloatArray, FloatArray, float], FloatArray]
     """parameters (p, m), load (n,) or (n, m) as ``felt``, dt -> r (n, m), without the offset of R0"""
+    begun: int = 0
+    """how many parameters, after those with names, are what branches and chains remember as the recording begins"""
     felt: Callable[[FloatArray], FloatArray] = lambda load: load
     """the load (n, m) or (n,) as this kind takes it: worked out once, for any number of parameters"""
 
@@ -231,24 +247,27 @@ def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None
     else:
         start = _start(recording, full_scale_kpa, rest)
         size = float(np.ptp(np.percentile(recording.resistance_ohm, [0.5, 99.5])) / rest)
+        begun = bool(recording.quiet.pressure_kpa[0] > BEGINS_LOADED * full_scale_kpa)
         task = _Task(recording, full_scale_kpa, rest, lower, folds(recording, full_scale_kpa))
-        asymmetric, solutions = _fit(_asymmetric_kind(start, size), task, [])
+        asymmetric, solutions = _fit(_asymmetric_kind(start, size, begun), task, [])
         told("fitted asymmetric")
         # What contains another kind is started from where that one ended too, so that it never fits worse.
         paper, _ = _fit(
-            _paper_kind(start, size), task, [(*solution[:-1], 0.2, 5.0, solution[-1]) for solution in solutions]
+            _paper_kind(start, size), task, [(*solution[:5], 0.2, 5.0, solution[-1]) for solution in solutions]
         )
         told("fitted paper")
-        m10, _ = _fit(_m10_kind(start, size), task, [_asymmetric_as_m10(solution, size) for solution in solutions])
+        whole, solutions = _fit(_whole_kind(start, size, begun), task, [_asymmetric_as_whole(one) for one in solutions])
+        m10, _ = _fit(_m10_kind(start, size, begun), task, [_whole_as_m10(one, size) for one in solutions])
         told("fitted m10")
-        found = [asymmetric, paper, m10]
+        found = [asymmetric, paper, whole, m10]
     least = min(fit.held_out_error for fit in found)
     blind = float(np.std(recording.resistance_ohm) / np.ptp(recording.resistance_ohm))
     left = min(fit.error for fit in found)
     if not left < EXPLAINS * blind:
         raise InputError(
             f"{recording.name}: the resistance does not follow the pressure: the best model leaves "
-            f"{100 * left:.0f} % of its range, knowing nothing {100 * blind:.0f} %; are the columns right?"
+            f"{100 * left:.0f} % of its range, knowing nothing {100 * blind:.0f} %; are the columns right, "
+            "and is the noise smaller than what the load does?"
         )
     best = next(fit for fit in found if fit.held_out_error <= SIMPLER * least)
     return [best, *sorted((fit for fit in found if fit is not best), key=lambda fit: fit.held_out_error)]
@@ -264,6 +283,16 @@ class _Task:
     lower: float
     """share by which R0 may be below ``rest_ohm``"""
     folds: tuple[Fold, ...]
+
+    @property
+    def first_telling(self) -> int:
+        """The first fold that :data:`TAUGHT` presses precede, or the last one."""
+        before = np.interp(
+            [fold.start_s for fold in self.folds],
+            self.recording.time_s,
+            pressing(self.recording, self.full_scale_kpa) / 2,
+        )
+        return min(int(np.count_nonzero(before < TAUGHT)), len(self.folds) - 1)
 
     def grid(self, until_s: float, end_s: float) -> _Grid:
         """The recording before ``end_s``, of which the part before ``until_s`` counts as fitted."""
@@ -327,14 +356,22 @@ def _fit(kind: _Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit
         simulate=_simulation(kind, found, rest),
         simulate_folds=tuple(_simulation(kind, solution, rest) for solution in solutions),
         before_folds=tuple(_valid_model(kind, solution, task) for solution in solutions),
+        first_telling=task.first_telling,
     )
     return fit, [tuple(map(float, solution)) for solution in (*solutions, found)]
 
 
-def _asymmetric_as_m10(solution: tuple[float, ...], size: float) -> tuple[float, ...]:
-    """The same cell in the richer model: nothing is curved, and hardly a chain breaks."""
-    a, alpha1, fall1, alpha2, fall2, offset = solution
-    return a, 0.0, alpha1, INSTANT_S, fall1, alpha2, fall2, 1e-3 * size, 30.0, offset
+def _asymmetric_as_whole(solution: tuple[float, ...]) -> tuple[float, ...]:
+    """The same cell in the richer model: nothing is curved, and the slow branch is charged at once."""
+    a, alpha1, fall1, alpha2, fall2, *recording = solution
+    return a, 0.0, alpha1, INSTANT_S, fall1, alpha2, INSTANT_S, fall2, *recording
+
+
+def _whole_as_m10(solution: tuple[float, ...], size: float) -> tuple[float, ...]:
+    """The same cell in the richer model: hardly a chain breaks."""
+    count = len(simulate.M10_PARAMETERS) - 2
+    *branches, offset = solution[count:]
+    return *solution[:count], 1e-3 * size, 30.0, *branches, *[0.0] * (len(branches) // 2), offset
 
 
 def _too_slow(name: str, value: float, duration_s: float) -> bool:
@@ -349,7 +386,8 @@ def _predict(kind: _Kind, parameters: FloatArray, grid: _Grid) -> FloatArray:
 
 def _solve(kind: _Kind, grid: _Grid, starts: list[tuple[float, ...]], lower: float) -> tuple[FloatArray, FloatArray]:
     """Least squares from every start; the best parameters (the offset last) and their covariance."""
-    low, high = np.array([*kind.low, -lower]), np.array([*kind.high, 0.15])
+    remembered = np.full(kind.begun, BEGUN * kind.size)
+    low, high = np.array([*kind.low, *-remembered, -lower]), np.array([*kind.high, *remembered, 0.15])
     positive = low > 0
     fitted = slice(0, grid.fitted)
     load = kind.felt(grid.load[fitted])
@@ -380,14 +418,14 @@ def _solve(kind: _Kind, grid: _Grid, starts: list[tuple[float, ...]], lower: flo
 
     bounds = free(low), free(high)
     spread = float(np.ptp(grid.r[fitted]))
-    centre = free(np.clip(np.array([*kind.starts[0], 0.0]), low, high))
+    centre = free(np.clip(_padded(kind.starts[0], len(low)), low, high))
     width = np.where(positive, PRIOR_LOG, PRIOR_PLAIN * np.abs(high))
     width[-1] = PRIOR_REST
     best: Any = None
     begins = []
     for start in starts:
-        first = np.array([*start, 0.0]) if len(start) == len(kind.names) else np.array(start)
-        begins.append(np.clip(free(np.clip(first, low, high)), bounds[0] + 1e-6, bounds[1] - 1e-6))
+        first = np.clip(_padded(start, len(low)), low, high)
+        begins.append(np.clip(free(first), bounds[0] + 1e-6, bounds[1] - 1e-6))
     errors = ((responses(np.column_stack(begins)) - target[:, None]) ** 2).sum(axis=0)
     for place in np.argsort(errors)[:STARTS]:
         first = begins[place]
@@ -403,6 +441,11 @@ def _solve(kind: _Kind, grid: _Grid, starts: list[tuple[float, ...]], lower: flo
     return value, covariance * np.outer(unit, unit)
 
 
+def _padded(start: tuple[float, ...], count: int) -> FloatArray:
+    """Parameters followed by as many zeros as are missing."""
+    return np.array([*start, *[0.0] * (count - len(start))])
+
+
 def _correlation_length(left: FloatArray) -> float:
     """Samples per independent one: model error is not white, and standard errors that say so are wider."""
     around = left - left.mean()
@@ -414,7 +457,7 @@ def _correlation_length(left: FloatArray) -> float:
 
 def _falling(kind: _Kind, p: FloatArray) -> FloatArray:
     """(9, m) how much the equilibrium curve falls short of rising: it is what the static answer rests on."""
-    if kind.kind != "m10":
+    if kind.kind not in ("m10", "whole"):
         return np.zeros((9, p.shape[1]))
     names = dict(zip(kind.names, p, strict=False))
     load = np.linspace(0, 1, 9)[:, None]
@@ -439,37 +482,65 @@ def _start(recording: Recording, full_scale_kpa: float, rest: float) -> tuple[fl
     return 0.5 * gain, 0.4 * gain, 0.1 * gain, 5.0, 100.0
 
 
-def _m10_kind(start: tuple[float, ...], size: float) -> _Kind:
-    g1, g2, g3, t2, t3 = start
-    fixed = simulate.M10_PARAMETERS.index("rise2_s")
-    names = tuple(name for name in simulate.M10_PARAMETERS if name != "rise2_s")
+def _m10_kind(start: tuple[float, ...], size: float, begun: bool) -> _Kind:
+    whole = _whole_kind(start, size, begun)
+    count = len(simulate.M10_PARAMETERS)
 
     def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-        full = np.insert(parameters, fixed, INSTANT_S, axis=0)
-        return simulate.m10(full, _columns(load), dt)
+        return simulate.m10(parameters[:count], _columns(load), dt, parameters[count:] if begun else None)
 
+    _, graphical, slow = whole.starts
     return _Kind(
         kind="m10",
-        names=names,
-        low=(-2 * size, -2 * size, 1e-4 * size, 0.02, 0.2, 1e-4 * size, 3.0, 1e-4 * size, 1.0),
-        high=(4 * size, 2 * size, 5 * size, 20.0, 100.0, 5 * size, 3000.0, 3 * size, 300.0),
+        names=simulate.M10_PARAMETERS,
+        low=(*whole.low, 1e-4 * size, 1.0),
+        high=(*whole.high, 3 * size, 300.0),
         starts=(
-            (0.35 * size, -0.6 * size, size, 0.4, 5.0, 0.2 * size, 100.0, 0.2 * size, 30.0),
-            (g1, -0.05 * size, g2, 0.1, t2, g3, t3, 0.1 * size, 5.0),
+            (0.35 * size, -0.6 * size, size, 0.4, 5.0, 0.2 * size, RISE2_S, 100.0, 0.2 * size, 30.0),
+            (*graphical, 0.1 * size, 5.0),
+            (*slow, 0.01 * size, 30.0),
         ),
         size=size,
         run=run,
+        begun=3 if begun else 0,
     )
 
 
-def _asymmetric_kind(start: tuple[float, ...], size: float) -> _Kind:
+def _whole_kind(start: tuple[float, ...], size: float, begun: bool) -> _Kind:
+    """Kind m10 whose chains never break."""
+    g1, g2, g3, t2, t3 = start
+    count = len(simulate.M10_PARAMETERS) - 2
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        none = np.zeros((2, parameters.shape[1]))
+        none[1] = 30.0
+        full = np.concatenate([parameters[:count], none])
+        return simulate.m10(full, _columns(load), dt, _unbroken(parameters[count:]))
+
+    return _Kind(
+        kind="whole",
+        names=simulate.M10_PARAMETERS[:-2],
+        low=(-2 * size, -2 * size, 1e-4 * size, 0.02, 0.2, 1e-4 * size, 0.02, 3.0),
+        high=(4 * size, 2 * size, 5 * size, 20.0, 100.0, 5 * size, 3000.0, 3000.0),
+        starts=(
+            (0.5 * size, 0.0, 0.3 * size, 0.4, 5.0, 0.2 * size, RISE2_S, 100.0),
+            (g1, -0.05 * size, g2, 0.1, t2, g3, INSTANT_S, t3),
+            (0.7 * size, 0.0, 0.2 * size, 3.0, 3.0, 0.2 * size, 60.0, 60.0),
+        ),
+        size=size,
+        run=run,
+        begun=2 if begun else 0,
+    )
+
+
+def _asymmetric_kind(start: tuple[float, ...], size: float, begun: bool) -> _Kind:
     g1, g2, g3, t2, t3 = start
 
     def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
-        a, alpha1, fall1, alpha2, fall2 = parameters
+        a, alpha1, fall1, alpha2, fall2 = parameters[:5]
         zero, instant = np.zeros_like(a), np.full_like(a, INSTANT_S)
         full = np.stack([a, zero, alpha1, instant, fall1, alpha2, instant, fall2, zero, instant])
-        return simulate.m10(full, _columns(load), dt)
+        return simulate.m10(full, _columns(load), dt, _unbroken(parameters[5:]))
 
     return _Kind(
         kind="asymmetric",
@@ -479,7 +550,13 @@ def _asymmetric_kind(start: tuple[float, ...], size: float) -> _Kind:
         starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0), (g1, g2, t2, g3, t3)),
         size=size,
         run=run,
+        begun=2 if begun else 0,
     )
+
+
+def _unbroken(begun: FloatArray) -> FloatArray | None:
+    """What branches (2, m) or (0, m) remember at first, as :func:`.simulate.m10` takes it."""
+    return np.concatenate([begun, np.zeros((1, begun.shape[1]))]) if len(begun) else None
 
 
 def _paper_kind(start: tuple[float, ...], size: float) -> _Kind:
@@ -513,13 +590,13 @@ def _model(kind: str, found: FloatArray, full_scale_kpa: float) -> Model:
     """The section of CELL.toml; gains are divided by 1 + offset, since r is taken from the corrected R0."""
     unit = 1 + found[-1]
     try:
-        if kind == "m10":
-            values = dict(
-                zip((n for n in simulate.M10_PARAMETERS if n != "rise2_s"), map(float, found[:-1]), strict=True)
-            )
+        if kind in ("m10", "whole"):
+            count = len(simulate.M10_PARAMETERS) - (2 if kind == "whole" else 0)
+            values = dict(zip(simulate.M10_PARAMETERS[:count], map(float, found), strict=False))
+            values.setdefault("k", 0.0)
             for name in ("a", "b", "alpha1", "alpha2", "k"):
                 values[name] /= unit
-            return M10Model.model_validate(values | {"rise2_s": INSTANT_S})
+            return M10Model.model_validate(values)
         g1, g2, t2, g3, t3 = found[:5]
         (g2, t2), (g3, t3) = sorted(((g2, t2), (g3, t3)), key=lambda branch: branch[1])
         e1, e2, e3 = (float(full_scale_kpa * unit / gain) for gain in (g1, g2, g3))
@@ -548,6 +625,7 @@ def _simulation(kind: _Kind, found: FloatArray, rest: float) -> Simulation:
     def run(rng: np.random.Generator, load: FloatArray, dt: float) -> FloatArray:
         cells = load.shape[1]
         jittered = np.repeat(found[:-1, None], cells, axis=1)
+        jittered[len(kind.names) :] = 0.0  # what was remembered when the recording began is no property of the cell
         for place, name in enumerate(kind.names):
             noise = rng.standard_normal(cells)
             jittered[place] *= np.exp(0.12 * noise) if name.endswith("_s") else 1 + 0.06 * noise

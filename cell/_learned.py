@@ -34,6 +34,8 @@ SATURATED = 5.0
 """times the mean slope, that the slope at the end of a static curve counts as at most"""
 BEYOND = 1.2
 """times the largest load learned from, that is answered at most: calibration may have missed full scale"""
+FADES = 0.25
+"""range of the recorded readings, beyond it, over which the share of the static curve fades"""
 CREDIBLE = 3.0
 """ranges of the readings learned from, by which a credible reading may lie outside"""
 STILL = 0.01
@@ -139,6 +141,8 @@ class Learned(Section):
     """
 
     smoothing_s: Positive
+    smoothed: bool = True
+    """whether the first feature is the smoothed reading, as in files of earlier versions, or the last one"""
     lags_s: Positives
     plays: Positives
     mean: Numbers
@@ -157,11 +161,14 @@ class Learned(Section):
     """between which values the features lay that were learned from; None: in files of earlier versions"""
     static_share: Annotated[float, Field(ge=0, le=1)] = 0.0
     """share of the answer that is the static curve's; the rest is the map's"""
+    beyond_recorded: bool = False
+    """whether the map is followed to readings that were simulated and not recorded, since its model explains the
+    resistance; otherwise a straight line goes on from the recorded ones"""
 
     @property
     def bank(self) -> Bank:
         """The memories that make the features."""
-        return Bank(smoothing_s=self.smoothing_s, lags_s=self.lags_s, plays=self.plays)
+        return Bank(self.smoothing_s, self.lags_s, self.plays, self.smoothed)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
@@ -289,7 +296,7 @@ class LearnedEstimator(Estimator):
             # The map knows little beyond the readings of the recording, and nothing beyond the other features learned
             # from: there it goes on with the slope at equilibrium.
             low, high = np.array(learned.reached.lowest)[:, None], np.array(learned.reached.highest)[:, None]
-            if curve.reached is not None:
+            if curve.reached is not None and not learned.beyond_recorded:
                 low[0], high[0] = max(low[0], curve.reached.lowest[0]), min(high[0], curve.reached.highest[0])
             inside = self._terms.standardised(np.clip(features, low, high))
             beyond = learned.reached.excess(features)
@@ -301,7 +308,15 @@ class LearnedEstimator(Estimator):
         if learned.reached is not None:
             load += self._slope * (reading - np.clip(reading, low[0], high[0]))
         if learned.static_share:
-            load += learned.static_share * (curve.load(reading) - load)
+            load += self._static_share(reading) * (curve.load(reading) - load)
         std = np.hypot(std, np.maximum(STEEPER * beyond * abs(self._slope), curve.doubt(reading)))
         std = np.hypot(std, STEEPER * np.maximum(load - learned.limits.highest / BEYOND, 0.0))
         return np.clip(load, learned.limits.lowest, learned.limits.highest), std
+
+    def _static_share(self, reading: FloatArray) -> FloatArray | float:
+        """Share of the static curve; it fades beyond the recorded readings where the map is followed there."""
+        learned, recorded = self.learned, self._curve.reached
+        if recorded is None or not learned.beyond_recorded:
+            return learned.static_share
+        fades = FADES * max(recorded.highest[0] - recorded.lowest[0], 1e-9)
+        return learned.static_share * np.maximum(1 - recorded.excess(reading[None]) / fades, 0.0)

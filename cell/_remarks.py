@@ -20,6 +20,8 @@ CLEARLY = 0.3
 """least correlation of the two signals' changes for a lead to be believed"""
 AT_LIMIT = 0.02
 """share of the readings under load with the same extreme value, from which they look clipped"""
+USUAL_KPA, USUAL_OHM = (0.1, 1000.0), (30.0, 1e9)
+"""between which full scales and median resistances of robot skins lie: what lies outside is perhaps in another unit"""
 LOADED, DIFFERENT = 0.3, 0.2
 """of full scale: from which a cell counts as loaded here, and a difference that readings of clipped loads have"""
 
@@ -45,6 +47,7 @@ def remarks(recording: Recording, full_scale_kpa: float, presses: float, *, vari
             f"{100 * share:.0f} % of the readings under load are the same extreme value: does the converter clip? "
             "Loads beyond it cannot be told apart"
         )
+    yield from _unusual(recording, full_scale_kpa)
     highest = float(recording.pressure_kpa.max())
     if highest < 0.8 * full_scale_kpa:
         yield f"the largest load is {highest:.3g} of {full_scale_kpa:.3g} kPa: beyond it the deviation grows fast"
@@ -52,6 +55,19 @@ def remarks(recording: Recording, full_scale_kpa: float, presses: float, *, vari
         yield f"the load amounts to {presses:.1f} full presses: little is known of others, and the deviation says so"
     elif not varied:
         yield "the presses are all alike: little is known of others, and the deviation says so"
+
+
+def _unusual(recording: Recording, full_scale_kpa: float) -> Iterator[str]:
+    """What is perhaps in another unit; :mod:`._recording` refuses what surely is."""
+    low, high = USUAL_KPA
+    if not low <= full_scale_kpa <= high:
+        unit = "MPa or bar" if full_scale_kpa < low else "Pa or mbar"
+        yield f"a full scale of {full_scale_kpa:.3g} kPa is unusual for a skin: is pressure_kpa in {unit}?"
+    median_ohm = float(np.median(recording.resistance_ohm))
+    low, high = USUAL_OHM
+    if not low <= median_ohm <= high:
+        unit = "kohm" if median_ohm < low else "mohm"
+        yield f"a resistance of {median_ohm:.3g} ohm is unusual for a skin: is resistance_ohm in {unit}?"
 
 
 def resistance_lead_s(recording: Recording) -> float:

@@ -21,7 +21,7 @@ def calibration_text(calibration: CalibrationResult) -> str:
         f"full scale {cell.full_scale_kpa:.4g} kPa",
         "error of r, % of its range, on what was fitted / on each fold after fitting what comes before it:",
         *(
-            f"  {other.model.kind:<11} {100 * other.error:5.1f} / {_percents(other.fold_errors, 100)}"
+            f"  {other.label:<11} {100 * other.error:5.1f} / {_percents(other.fold_errors, 100)}"
             + ("  <- chosen" if other is fit else "")
             for other in calibration.fits
         ),
@@ -74,6 +74,7 @@ def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
         "fits": [
             {
                 "kind": fit.model.kind,
+                "label": fit.label,
                 "error": fit.error,
                 "held_out_error": fit.held_out_error,
                 "folds": list(fit.fold_errors),

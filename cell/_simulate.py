@@ -19,13 +19,15 @@ FEW_CELLS = 8
 M10_PARAMETERS = ("a", "b", "alpha1", "rise1_s", "fall1_s", "alpha2", "rise2_s", "fall2_s", "k", "tau_s")
 
 
-def m10(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
-    """Normalised resistance (n, m) of m cells of kind m10, settled at their first load.
+def m10(parameters: FloatArray, load: FloatArray, dt_s: float, begun: FloatArray | None = None) -> FloatArray:
+    """Normalised resistance (n, m) of m cells of kind m10.
 
     Args:
         parameters: (10, m), in the order of ``M10_PARAMETERS``.
         load: (n, m) or (n, 1), pressure / full scale.
         dt_s: the time between samples.
+        begun: (3, m) by how much each branch is above its equilibrium at the first load, and what broken chains add
+            there; 0: settled.
     """
     a, b, alpha1, rise1, fall1, alpha2, rise2, fall2, k, tau = parameters
     samples, cells = len(load), parameters.shape[1]
@@ -37,17 +39,23 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
     target = np.multiply(alpha, load[:, None, :])  # (n, 2, m)
     into = target[:-1, None] * (gone - ramp) + target[1:, None] * ramp
     branches = np.empty((samples, 2, cells))
-    branches[0] = target[0]
+    begun = np.zeros((3, cells)) if begun is None else begun
+    branches[0] = target[0] + begun[:2]
     if cells <= FEW_CELLS:
         for branch, cell in np.ndindex(2, cells):
             charging, discharging = into[:, :, branch, cell].T
             branches[:, branch, cell] = _one_branch(
-                target[:, branch, cell], charging, discharging, stay[:, branch, cell]
+                float(branches[0, branch, cell]),
+                target[1:, branch, cell],
+                charging,
+                discharging,
+                stay[:, branch, cell],
             )
     else:
         _all_branches(target, into, stay, branches)
     gone, ramp = lag.weights(dt_s, tau)
     moved = np.abs(np.diff(load, axis=0, prepend=load[:1])) * (k * (1 - ramp))
+    moved[0] = begun[2]
     broken = np.empty((samples, cells))
     for cell in range(cells):
         broken[:, cell] = lfilter([1.0], [1.0, gone[cell] - 1], moved[:, cell])
@@ -66,15 +74,17 @@ def _all_branches(target: FloatArray, into: FloatArray, stay: FloatArray, branch
         np.copyto(to, either[0], where=charging)
 
 
-def _one_branch(target: FloatArray, charging: FloatArray, discharging: FloatArray, stay: FloatArray) -> list[float]:
-    """One branch of one cell (n,), the same numbers as those of :func:`_all_branches`.
+def _one_branch(
+    first: float, target: FloatArray, charging: FloatArray, discharging: FloatArray, stay: FloatArray
+) -> list[float]:
+    """One branch of one cell (n,) from its first value on, the same numbers as those of :func:`_all_branches`.
 
     numpy takes some microseconds per operation however small the array is; plain numbers are ten times faster.
     """
-    x = float(target[0])
+    x = first
     up, down = stay.tolist()
     states = [x]
-    for now, rise, fall in zip(target[1:].tolist(), charging.tolist(), discharging.tolist(), strict=True):
+    for now, rise, fall in zip(target.tolist(), charging.tolist(), discharging.tolist(), strict=True):
         x = x * up + rise if now > x else x * down + fall
         states.append(x)
     return states

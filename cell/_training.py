@@ -144,15 +144,23 @@ def variations(
         axis=1,
     )
     r = calibration.simulation(rng, load, dt) / calibration.rest_resistance_ohm - 1
+    return load, disturbed(calibration, rng, load, r, dt), dt
+
+
+def disturbed(
+    calibration: NormalisedRecording, rng: np.random.Generator, load: FloatArray, r: FloatArray, dt_s: float
+) -> FloatArray:
+    """Readings (n, m) with what a model of the cell does not know: its own error, noise, creep, and an error of R0."""
+    samples, cells = len(r), int(r.shape[1])
     unexplained = max(calibration.unexplained, 0.005 * calibration.spread)
     for seconds, share in UNEXPLAINED:
-        r = r + simulate.wandering(rng, samples, cells, dt, seconds, share * unexplained)
+        r = r + simulate.wandering(rng, samples, cells, dt_s, seconds, share * unexplained)
     r = r + simulate.white_noise(calibration.r) * rng.standard_normal(r.shape)
     creep = CREEP * calibration.spread * np.abs(rng.standard_normal(cells))
     shortest, longest = calibration.seconds * np.array(CREEP_LENGTH)
     seconds_of = np.exp(rng.uniform(np.log(shortest), np.log(longest), cells))
-    r = r + creep * simulate.lagging(load, dt, seconds_of, rng.uniform(0, 0.6, cells))
-    return load, (1 + r) * (1 + R0_ERROR * rng.standard_normal(cells)) - 1, dt
+    r = r + creep * simulate.lagging(load, dt_s, seconds_of, rng.uniform(0, 0.6, cells))
+    return np.asarray((1 + r) * (1 + R0_ERROR * rng.standard_normal(cells)) - 1)
 
 
 def rows(calibration: NormalisedRecording, bank: Bank, simulated: tuple[FloatArray, FloatArray, float]) -> Rows:
@@ -226,6 +234,7 @@ def learn(
     errors = solve(lambda block, load: np.abs(block @ weights - load))
     return Learned(
         smoothing_s=SMOOTHING_S,
+        smoothed=False,
         lags_s=lags_s,
         plays=widths,
         mean=tuple(map(float, mean)),

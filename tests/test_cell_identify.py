@@ -8,6 +8,7 @@ import cells
 import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL, Unknown, protocol_recording, sense
+from scipy.signal import lfilter
 
 from ohmskin.cell import (
     AsymmetricModel,
@@ -163,6 +164,42 @@ def test_the_fast_simulation_is_the_forward_model() -> None:
     assert np.sqrt(np.mean((fast - exact) ** 2)) < 0.001
 
 
+def test_a_simulation_goes_on_from_what_the_cell_remembered() -> None:
+    """Cut in a history, with the memory of branches and chains given, it is the second half of the whole one."""
+    values = np.array([[0.3], [-0.1], [0.5], [0.3], [4.0], [0.2], [30.0], [90.0], [0.2], [20.0]])
+    named = dict(zip(simulate.M10_PARAMETERS, values[:, 0].tolist(), strict=True))
+    load = np.maximum(simulate.random_loads(np.random.default_rng(3), 1200, 1, DT), 0)
+    at = 100 + int(np.argmax(load[100:, 0] > 0.4))
+    whole = simulate.m10(values, load, DT)
+    chains = whole - simulate.m10(np.where(np.arange(10)[:, None] == 8, 0.0, values), load, DT)
+    one = [np.where(np.isin(np.arange(10)[:, None], kept), values, 0.0) for kept in ((2, 3, 4), (5, 6, 7))]
+    for off in one:
+        off[[3, 4, 6, 7, 9]] = values[[3, 4, 6, 7, 9]]
+    branches = [simulate.m10(parameters, load, DT)[at] for parameters in one]
+    gains = named["alpha1"], named["alpha2"]
+    begun = np.array([*(x - gain * load[at] for x, gain in zip(branches, gains, strict=True)), chains[at]])
+    assert np.abs(begun).min() > 1e-4
+    assert simulate.m10(values, load[at:], DT, begun) == pytest.approx(whole[at:], abs=1e-9)
+    many = simulate.m10(np.repeat(values, 10, axis=1), load[at:], DT, np.repeat(begun, 10, axis=1))
+    assert many == pytest.approx(np.repeat(whole[at:], 10, axis=1), abs=1e-9)
+
+
+def test_r0_of_a_recording_that_begins_under_load_is_found() -> None:
+    """What the cell remembers of the time before is fitted with the rest, so that R0 is right."""
+    model = M10Model(a=0.4, alpha1=0.3, rise1_s=1.5, fall1_s=4, alpha2=0.2, rise2_s=0.05, fall2_s=120, k=0.15, tau_s=10)
+    time = np.arange(0, 200, 0.2)
+    level = np.array([0, 0.9, 0.9, 0.2, 0.7, 0.1, 0.8, 0.8, 0.0, 0.0, 0.6, 0.1, 0.5, 0.0])
+    load = np.interp(time, np.linspace(0, 200, level.size), level)
+    cell = EXAMPLE.replace(model=model)
+    read = cell.forward(()).run(np.full(len(time), 0.2), FULL * load)
+    later = time > 22
+    assert load[later][0] > 0.8
+    found = fits(checked_recording(time[later], FULL * load[later], read[later]), FULL)
+    assert found[0].rest_resistance_ohm == pytest.approx(EXAMPLE.rest_resistance_ohm, rel=0.02)
+    assert found[0].error < 0.001
+    assert found[0].held_out_error < 0.01
+
+
 def test_the_fast_simulation_of_paper_cells_is_their_forward_model() -> None:
     truth = EXAMPLE.model
     assert isinstance(truth, PaperModel)
@@ -283,6 +320,24 @@ def test_folds_each_contain_presses() -> None:
     for part in parts:
         inside = load[(time >= part.start_s) & (time < part.end_s)]
         assert np.ptp(inside) > 0.3
+
+
+def test_creep_that_is_charged_slowly_is_identified() -> None:
+    """A linear body that creeps as slowly as it recovers (generalised Maxwell) is a cell of kind m10 without chains."""
+    time = np.arange(0, 300, 0.2)
+    load = np.interp(
+        time,
+        [0, 10, 12, 60, 62, 120, 130, 190, 192, 210, 215, 250, 255, 300],
+        [0, 0, 1, 1, 0, 0] + [0.6] * 2 + [0.1, 0.1, 0.8, 0.8, 0, 0],
+    )
+    keep = np.exp(-0.2 / 40)
+    slow = lfilter([1 - keep], [1, -keep], load)
+    found = fits(checked_recording(time, FULL * load, 1e4 * (1 + 0.6 * load + 0.3 * slow)), FULL)
+    model = found[0].model
+    assert isinstance(model, M10Model)
+    assert found[0].label == "m10, k = 0"
+    assert found[0].error < 0.002
+    assert max(model.rise2_s, model.rise1_s) == pytest.approx(40, rel=0.1)
 
 
 def test_a_shuffled_resistance_is_refused() -> None:

@@ -27,6 +27,7 @@ from ohmskin.cell import _training as training
 from ohmskin.cell._calibrate import _judge, _seen
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell._choice import Evidence, choose
+from ohmskin.cell._features import Bank
 from ohmskin.cell._identify import Fold, fits
 from ohmskin.cell._judged import MOVING, Judged, Regimes, best_share, mixed, standard_errors_better
 from ohmskin.cell._learned import DRIFT, Learned
@@ -173,6 +174,27 @@ def test_a_learned_map_mixed_with_the_static_curve_answers_in_between() -> None:
     assert np.allclose(answers(learned.replace(static_share=1.0)), curve, atol=1e-9)
     assert np.allclose(answers(learned.replace(static_share=0.5)), (alone + curve) / 2, atol=1e-9)
     assert not np.allclose(alone, curve, atol=0.01)
+
+
+@given(seed=st.integers(0, 1000), glitch=st.floats(0.1, 10))
+def test_the_first_feature_is_the_last_reading_and_a_glitch_does_not_enter_the_memories(
+    seed: int, glitch: float
+) -> None:
+    """A press within one frame is answered at once. Banks of earlier versions see it a frame later, and smoothed."""
+    rng = np.random.default_rng(seed)
+    now, before = Bank(0.1, (0.5, 8.0), (0.05,)), Bank(0.1, (0.5, 8.0), (0.05,), smoothed=True)
+    memory = now.begin(np.zeros(1))
+    for r in rng.uniform(0, 1, 5):
+        now.advance(memory, 0.1, np.array([r]))
+    features, earlier = now.features(memory)[:, 0], before.features(memory)[:, 0]
+    assert features[0] == r
+    assert features[0] - features[1] == pytest.approx(earlier[0])
+    assert features[0] - features[2:] == pytest.approx(earlier[0] - earlier[2:])
+    calm, glitched = (now.begin(np.zeros(1)) for _ in range(2))
+    for r in (0.0, glitch, 0.0, 0.0):
+        now.advance(glitched, 0.1, np.array([r]))
+        now.advance(calm, 0.1, np.zeros(1))
+    assert np.array_equal(now.features(glitched), now.features(calm))
 
 
 def test_the_static_curve_is_judged_as_it_will_run() -> None:
@@ -342,6 +364,20 @@ def test_a_load_cell_that_is_late_and_a_converter_that_clips_are_noticed() -> No
     assert "changes 1 s before the pressure" in said(np.interp(time - 1.0, time, load), read)
     assert "does the converter clip" in said(load, np.minimum(read, np.quantile(read, 0.8)))
     assert "beyond it the deviation grows" in said(load, read, 2 * panel.FULL_SCALE_KPA)
+
+
+@pytest.mark.parametrize(
+    ("kpa", "ohm", "expected"),
+    [(1.0, 1.0, ""), (100.0, 1.0, "Pa or mbar"), (0.004, 1.0, "MPa or bar"), (1.0, 1e-3, "kohm"), (1.0, 3e5, "mohm")],
+)
+def test_numbers_in_an_unusual_unit_are_remarked_upon(kpa: float, ohm: float, expected: str) -> None:
+    scene = panel.scene("random", "relays", 2)
+    head = scene.time_s < 120
+    full = kpa * panel.FULL_SCALE_KPA
+    recording = checked_recording(scene.time_s[head], kpa * scene.pressure_kpa[head], ohm * scene.resistance_ohm[head])
+    said = list(remarks(recording, full, 10.0, varied=True))
+    assert len(said) == bool(expected)
+    assert all(f"in {expected}?" in one for one in said)
 
 
 def test_a_recording_with_its_sign_turned_round_is_refused_in_words() -> None:
