@@ -113,6 +113,8 @@ class WorstFrames:
     """longest frame of each event, in usual frames; frames after the first"""
     back: dict[str, float]
     """percent of the cells valid in the last frame of the event, and in the last frame after it, the less of both"""
+    wait: dict[str, int]
+    """frames without any valid cell after an event begins, or after it ends, the more of both"""
     valid_percent: float
     """of the cells, while fingers wander"""
 
@@ -156,13 +158,15 @@ def worst_frames_of(name: str, board: Design) -> WorstFrames:
     wandering = list(_wandering(rest, draw))
     times, valid = _read(board, wandering)
     usual = float(np.median(times[5:]))
-    events, back = {}, {}
+    events, back, wait = {}, {}, {}
     for event, change in EVENTS.items():
         pressed = change(rest, draw)
         frames = [rest] * BEFORE + [pressed] * DURING + [rest] * AFTER
         spent, share = _read(board, frames)
         events[event] = float(spent[1:].max()) / usual
         back[event] = 100.0 * min(share[BEFORE + DURING - 1], share[-1])
+        during, after = share[BEFORE : BEFORE + DURING], share[BEFORE + DURING :]
+        wait[event] = max(_without_valid(during), _without_valid(after))
     return WorstFrames(
         board=name,
         rows=shape[0],
@@ -172,8 +176,14 @@ def worst_frames_of(name: str, board: Design) -> WorstFrames:
         wandering=float(times[5:].max()) / usual,
         events=events,
         back=back,
+        wait=wait,
         valid_percent=100.0 * float(valid[5:].mean()),
     )
+
+
+def _without_valid(share: FloatArray) -> int:
+    """Frames before the first one with a valid cell; all, if there is none."""
+    return int(np.argmax(share > 0)) if (share > 0).any() else len(share)
 
 
 def _wandering(rest: FloatArray, draw: np.random.Generator) -> Iterator[FloatArray]:
@@ -213,13 +223,18 @@ def _read(board: Design, frames: list[FloatArray]) -> tuple[FloatArray, FloatArr
 def worst_table(rows: Iterable[WorstFrames]) -> Iterator[str]:
     """The boards as lines of text, as they come."""
     yield "longest call, counts to kPa, in usual frames of the same board; the first frame of all apart"
-    yield f"'over': more than {LIMIT:g}; valid cells in percent with fingers, and at the end of each event"
+    yield (
+        f"'over': more than {LIMIT:g}; valid cells in percent with fingers, and at the end of each event; frames "
+        "without any after an event"
+    )
     names = "".join(f"{name:>10}" for name in ("fingers", *EVENTS))
-    yield f"{'board':48}{'array':>9}{'first ms':>9}{'usual us':>9}{names}   valid   afterwards"
+    columns = "   valid   afterwards   frames without"
+    yield f"{'board':48}{'array':>9}{'first ms':>9}{'usual us':>9}{names}{columns}"
     for row in rows:
         most = "".join(f"{value:>10.1f}" for value in (row.wandering, *row.events.values()))
         afterwards = " ".join(f"{value:.0f}" for value in row.back.values())
+        without = " ".join(str(frames) for frames in row.wait.values())
         size = f"{row.rows} x {row.columns}"
         start = f"{row.board:48}{size:>9}{row.first_ms:>9.1f}{row.usual_us:>9.0f}"
         over = "  over" if row.worst > LIMIT else ""
-        yield f"{start}{most}{row.valid_percent:>8.1f}   {afterwards}{over}"
+        yield f"{start}{most}{row.valid_percent:>8.1f}   {afterwards}   {without}{over}"

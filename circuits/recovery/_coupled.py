@@ -464,7 +464,7 @@ class CoupledLive:
         elif self._leaves_out <= 0:
             self._left_out[:] = False  # and try again
         self._leaves_out -= 1
-        if self._astray and not self._from_fresh_start:
+        if self._astray and (self._astray_for > 1 or not self._from_fresh_start):
             found = share >= (_ONE_OF_SOME if self._astray_for > 1 else _HEAVY_CELL)
             if found.any():
                 self._left_out |= found
