@@ -55,6 +55,7 @@ def check(reading: Any, cells: FloatArray) -> None:
     [
         ("feedback", 910000116),  # two shorts of a row read like two cells of 2.3 kohm behind a follower
         ("feedback", 3010000245),  # and like two different ones, with an offset
+        ("feedback", 2020000241),  # and like one strong and one weak cell, where their resistances differ
         ("divider", 910000458),  # a few ohm of two cells decide how their rows share the readings
         ("divider", 310000415),
         ("divider", 910000216),  # a step with derivatives from cells that were different

@@ -26,7 +26,7 @@ from ._voltage_divider import VoltageDivider
 
 _LEAST_SHORT = 1e-3  # ohm that a short has at least, with its contacts
 _LEAST_DIVISION = 1.1  # of a column's readings by shorts, below which nothing is to be mistaken
-_FAR_ABOVE = 5.0  # times the usual conductance above which a cell is no ordinary one
+_FAR_ABOVE = 3.0  # times the usual conductance above which a cell is no ordinary one
 _WELL_ABOVE = 10.0  # the same over that of Rref
 
 
@@ -129,6 +129,8 @@ class VoltageFeedback(VoltageDivider):
         such readings in a row are not believed where the readings of their columns, multiplied by F, are those of
         ordinary cells as well.
         """
+        if not (board.inverse_gain.any() and row_lead.any()):
+            return None
         share = signal / board.drive
         largest = 1.0 + board.reference * board.inverse_gain / (board.column_lead + _LEAST_SHORT)
         possible = share * (1.0 + largest * row_lead / board.reference) >= 1.0
@@ -136,7 +138,9 @@ class VoltageFeedback(VoltageDivider):
         if not _of_pairs(possible).any():
             return None
         with np.errstate(divide="ignore", invalid="ignore"):
-            divided = np.where(possible, np.maximum((1.0 / share - 1.0) * board.reference / row_lead, 1.0), 1.0)
+            alone = np.where(possible, np.maximum((1.0 / share - 1.0) * board.reference / row_lead, 1.0), np.inf)
+            # Both columns of a pair are divided alike; the larger reading tells by how much.
+            divided = np.where(possible, alone.min(axis=1, keepdims=True), 1.0)
             lift = board.loop_share * board.offset - board.inverse_gain * board.level
             moved = np.where(lift != 0.0, lift / board.inverse_gain * (1.0 - 1.0 / divided.max(axis=0)), 0.0)
         # Whatever reads nothing may be pushed below the range.
