@@ -32,8 +32,8 @@ class Selection(NamedTuple):
     """whether the frame tells of any cell"""
     at_limit: BoolArray
     """readings at a limit"""
-    lost: BoolArray
-    """(M,) columns that are left out"""
+    lost: BoolArray | None
+    """(M,) columns that are left out; None: there are none"""
     beside: BoolArray
     """cells of which the frame does not tell: those of lost columns and of columns that no amplifier holds"""
     ignored: BoolArray | None
@@ -100,7 +100,7 @@ class ReadingLimits:
                 if self._board.floating and beside.any():
                     return _nothing(limited)
             ignored = (expected | beside).ravel() | self._parts.hidden
-        return Selection(True, at_limit, lost, beside, ignored if ignored.any() else None)
+        return Selection(True, at_limit, lost if any_lost else None, beside, ignored if ignored.any() else None)
 
     def _at_limit(self, signal: FloatArray, limited: BoolArray, error: float) -> BoolArray:
         """(N, M) readings that are limited, or as large as that of a short."""
