@@ -4,7 +4,7 @@
 :mod:`._recover`          one frame, to certified bounds: :func:`recover`
 :mod:`._inversion`        its equations: fixed-point iteration, then Newton's method
 :mod:`._live`             a stream, in bounded time per frame: :func:`live_recovery`
-:mod:`._amplified`        for amplifiers that hold their lines, where readings are nearly apart
+:mod:`._amplified`        for amplifiers that hold their lines, where readings are nearly apart; names its parts
 :mod:`._coupled`          for circuits in which every cell moves every reading
 :mod:`._live_reading`     what a stream gives: conductances, uncertainties, reasons
 :mod:`._quick_model`      readings of given cells, to a part of an ADC step
