@@ -10,7 +10,7 @@ import pytest
 from ohmskin.bench import _live_hunt, _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, live_recovery, scan
 from ohmskin.circuits._exact import read_exactly
-from ohmskin.circuits.recovery import _amplified, _quick_model
+from ohmskin.circuits.recovery import _amplified, _amplified_base, _amplified_leads, _quick_model
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
 from ohmskin.circuits.recovery._frame_budget import USUAL_EFFORT
 from ohmskin.circuits.recovery._linearised import Linearised
@@ -130,13 +130,15 @@ def test_a_frame_has_a_bounded_number_of_evaluations(size: int, monkeypatch: pyt
     counted: dict[str, int] = {}
 
     def count(name: str) -> None:
-        real = getattr(_amplified, name)
+        real = getattr(_amplified_base, name)
 
         def counting(*given: Any) -> Any:
             counted[name] = counted.get(name, 0) + 1
             return real(*given)
 
-        monkeypatch.setattr(_amplified, name, counting)
+        for module in (_amplified_base, _amplified_leads):
+            if hasattr(module, name):
+                monkeypatch.setattr(module, name, counting)
 
     count("attenuate")
     count("exact_transfer")

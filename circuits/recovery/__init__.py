@@ -4,7 +4,12 @@
 :mod:`._recover`             one frame, to certified bounds: :func:`recover`
 :mod:`._inversion`           its equations: fixed-point iteration, then Newton's method
 :mod:`._live`                a stream, in bounded time per frame: :func:`live_recovery`
-:mod:`._amplified`           for amplifiers that hold their lines, where readings are nearly apart
+:mod:`._amplified`           for amplifiers that hold their lines, where readings are nearly apart: a frame's way
+:mod:`._amplified_board`     lines, amplifiers and converter there; first-order bounds
+:mod:`._amplified_base`      its cells by line attenuation, relinearised about a base
+:mod:`._amplified_leads`     by Kirchhoff's laws beside heavy leads (:mod:`._heavy_leads`)
+:mod:`._amplified_errors`    how far its cells can be off by quantisation and noise
+:mod:`._amplified_limits`    which cells others at limits would disturb; :mod:`._joined_columns`: through two shorts
 :mod:`._coupled`             for circuits in which every cell moves every reading: the stages of a frame
 :mod:`._coupled_board`       the board and its circuit model there
 :mod:`._readings_at_limits`  which readings a fit leaves out
