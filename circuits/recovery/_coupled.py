@@ -771,7 +771,9 @@ class CoupledLive:
         jacobian = np.empty((len(x), len(x)))
         meter = Meter(len(x), beside=self._columns.applies)
         at_cells = cells.reshape(self._shape)
-        for _ in derivatives(self._board, at_cells, self._quick, meter, out=jacobian):
+        # A cell that ran away is as good as a short, and the derivatives are not made for shorts.
+        no_shorts = np.maximum(at_cells, np.exp(-_LARGEST))
+        for _ in derivatives(self._board, no_shorts, self._quick, meter, out=jacobian):
             yield None
         in_series = 1.0 / (cells + self._board.series_ohms.ravel())  # S of the cell and an open-cell fault
         scale = in_series**2 * cells / self._noise
