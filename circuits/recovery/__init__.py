@@ -1,6 +1,5 @@
 """From readings back to cells: the circuit model inverted, with how far each cell can be off.
 
-=======
 ===========================  =============================================================================
 :mod:`._recover`             one frame, to certified bounds: :func:`recover`
 :mod:`._inversion`           its equations: fixed-point iteration, then Newton's method

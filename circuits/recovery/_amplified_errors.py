@@ -12,7 +12,7 @@ from ._amplified_board import SIMILAR_MARGIN, AmplifiedBoard
 from ._heavy_leads import Propagation
 from ._live_reading import SIGMAS, ValidityRule
 
-_NONE = np.array(0.0)
+_NONE = np.array(0.0)  # as an array, since NumPy makes one of a float in every call
 _LEAST_OF_NOISE = 0.6  # share of a noise level down to which the level serves
 _NOISE_MARGIN = 1.2  # so that a noise that moves about does not call for new levels in every frame
 _SIMILAR_GAINS = 0.05  # relative change of gains in closed form up to which levels are kept
