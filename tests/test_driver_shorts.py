@@ -42,10 +42,10 @@ def test_shorts_that_disturb_all_cells_are_named_in_a_remark(tmp_path: Path) -> 
     scene = tmp_path / "scene.toml"
     scene.write_text(SCENE)
     address = f"ohmskin://{scene}?clock=fast&duration=1.5&seed=7"
-    with pytest.warns(RuntimeWarning, match="look for shorted cells") as said:
-        with Skin.open(address, delivery="lossless") as skin:
+    with Skin.open(address, delivery="lossless") as skin:
+        with pytest.warns(RuntimeWarning, match="look for shorted cells") as said:
             frames = list(skin)
-            remark = skin.stats().remark
+        remark = skin.stats().remark
     assert len(said) == 1
     assert remark is not None
     assert "shorted cells" in remark
