@@ -26,7 +26,7 @@ from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._board import Board
 from ._closed_start import ClosedStart
-from ._coupled_board import CoupledBoard, Frame, Known
+from ._coupled_board import Compared, CoupledBoard, Frame, Known
 from ._fit_uncertainty import FitUncertainty
 from ._frame_budget import FIRST_EFFORT, Effort
 from ._gauss_newton import Convergence, Fit, GaussNewton
@@ -101,8 +101,8 @@ class CoupledLive:
         if not selection.tells:
             return self._nothing(selection.at_limit)
         frame = self._parts.frame(volts, signal, noise, selection.ignored)
-        start, by_lost = self._usual_start(frame, selection)
-        start, effort = self._nearer_start(frame, start)
+        known, by_lost = self._usual_start(frame, selection)
+        start, effort = self._nearer_start(frame, known)
         fit, doubt = self._fit(frame, start, effort)
         short = self._shorts.as_good_as_short(fit.known)
         self._judge_misfit(fit, short)
@@ -126,7 +126,7 @@ class CoupledLive:
             self._steps.begin_anew()
             self._linearised.begin_anew(start)
         beside = selection.beside.ravel()
-        if selection.lost.any():
+        if selection.lost is not None:
             usual = np.where(beside, np.median(start.log[~beside]), start.log)
             if np.abs(usual - start.log).max() > 0.0:
                 start = self._parts.at(usual)
@@ -138,21 +138,21 @@ class CoupledLive:
                 start = self._parts.at(apparent)
         return start, 0.0
 
-    def _nearer_start(self, frame: Frame, start: Known) -> tuple[Known, Effort]:
+    def _nearer_start(self, frame: Frame, known: Known) -> tuple[Compared, Effort]:
         """The start or, after a jump of the readings, closed formulas where these are nearer; and the budget."""
         effort = self._linearised.usual_effort if self._convergence.begun else FIRST_EFFORT
-        if self._linearised.columns.applies and start is self._known:
-            distance = frame.half_steps(frame.apart(start))
-            if distance > _JUMP * frame.coarser:
-                anew = self._parts.at(self._start(frame.volts))
-                effort = effort._replace(evaluations=effort.evaluations - 1)
-                if frame.half_steps(frame.apart(anew)) < distance:
-                    start = anew
-                    self._linearised.rebase(start)
-        self._linearised.begin(start)
+        start = frame.compared(known)
+        goes_on = self._linearised.columns.applies and known is self._known
+        if goes_on and start.half_steps > _JUMP * frame.coarser:
+            anew = frame.compared(self._parts.at(self._start(frame.volts)))
+            effort = effort._replace(evaluations=effort.evaluations - 1)
+            if anew.half_steps < start.half_steps:
+                start = anew
+                self._linearised.rebase(start.known)
+        self._linearised.begin(start.known)
         return start, effort
 
-    def _fit(self, frame: Frame, start: Known, effort: Effort) -> tuple[Fit, float]:
+    def _fit(self, frame: Frame, start: Compared, effort: Effort) -> tuple[Fit, float]:
         """Cells that give the readings, and what a continuous sheet leaves open about them, relative."""
         fit, sheet = self._steps.fit(frame, start, effort), self._parts.sheet
         if sheet is None:
@@ -161,7 +161,7 @@ class CoupledLive:
             if sheet.serves(fit.known.log, SIGMAS * frame.coarser * self._linearised.base.std):
                 break
             sheet.solve(fit.known.log)
-            fit = self._steps.fit(frame, self._parts.at(fit.known.log), effort)
+            fit = self._steps.fit(frame, frame.compared(self._parts.at(fit.known.log)), effort)
         return fit, sheet.doubt(fit.known.log)
 
     def _judge_misfit(self, fit: Fit, short: BoolArray | None) -> None:
@@ -253,7 +253,7 @@ class CoupledLive:
         resistance = fit.known.cells.ravel().copy()
         resistance[gone] = np.nan
         resistance[open_cells & ~gone] = inf
-        if selection.lost.any():
+        if selection.lost is not None:
             resistance[disturbed] = np.nan
         return LiveReading(
             resistance.reshape(shape),

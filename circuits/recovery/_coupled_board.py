@@ -34,6 +34,17 @@ class Known(NamedTuple):
     """(n,) V, the readings that the model gives for them"""
 
 
+class Compared(NamedTuple):
+    """Cells, and how well they give the readings of a frame."""
+
+    known: Known
+    """the cells"""
+    apart: FloatArray
+    """V (n,) between readings and model, where the readings count"""
+    half_steps: float
+    """root mean square of that, or half of the largest if that is more, over the converter's half step"""
+
+
 class Frame(NamedTuple):
     """One frame of readings, and which of them count."""
 
@@ -61,19 +72,16 @@ class Frame(NamedTuple):
         """(n,) V, the readings."""
         return self.volts.ravel()
 
-    def apart(self, known: Known) -> FloatArray:
-        """V (n,) between readings and model, where the readings count."""
+    def compared(self, known: Known) -> Compared:
+        """Compare the readings with those of the model."""
         apart = self.volts.ravel() - known.volts
         if self.bottom is not None:
             apart[self.bottom & (apart > 0.0)] = 0.0
         if self.ignored is not None:
             apart[self.ignored] = 0.0
-        return apart
-
-    def half_steps(self, apart: FloatArray) -> float:
-        """Half steps between readings and model (n,): root mean square, or half of the largest if that is more."""
         most = max(float(apart.max()), -float(apart.min()))
-        return max(sqrt(float(apart @ apart) / len(apart)), 0.5 * most) / self.half_step
+        root_mean_square = sqrt(float(apart @ apart) / len(apart))
+        return Compared(known, apart, max(root_mean_square, 0.5 * most) / self.half_step)
 
 
 class CoupledBoard:

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import FloatArray
-from ._coupled_board import CoupledBoard, Frame, Known
+from ._coupled_board import Compared, CoupledBoard, Frame, Known
 from ._frame_budget import Effort
 from ._linearised import Base, Linearised, Moved
 
@@ -115,6 +115,8 @@ class GaussNewton:
         self._parts, self._linearised, self._convergence = parts, linearised, convergence
         self._tells = ~parts.gone
         self._damping = 1.0  # share of a step that is taken
+        # A base and a noise stay the same for many frames: both, and what follows from them.
+        self._least: tuple[Base | None, float, FloatArray] = None, 0.0, np.empty(0)
 
     def begin_anew(self) -> None:
         """Note that the next frame starts from closed formulas."""
@@ -126,7 +128,7 @@ class GaussNewton:
         if not self._convergence.astray:
             self._damping = 1.0
 
-    def fit(self, frame: Frame, start: Known, effort: Effort) -> Fit:
+    def fit(self, frame: Frame, start: Compared, effort: Effort) -> Fit:
         """Fit the cells to a frame, from ``start`` on."""
         here = _Place(self._linearised.base, frame, start)
         allowed = effort.instalments
@@ -134,16 +136,15 @@ class GaussNewton:
         damped = self._convergence.astray_for >= _PATIENCE
         stalled = False
         for _ in range(effort.evaluations):
-            ahead = self._parts.at(here.base.advanced(here.known.log, self._damping * here.step))
-            apart = frame.apart(ahead)
-            misfit = frame.half_steps(apart) / frame.coarser
+            ahead = frame.compared(self._parts.at(here.base.advanced(here.known.log, self._damping * here.step)))
+            misfit, apart = ahead.half_steps / frame.coarser, ahead.apart
             stalled = abs(misfit - here.misfit) <= _SAME * misfit
             if damped and misfit > FITS and not stalled and apart @ apart > here.apart @ here.apart:
                 allowed = self._step_back(here, allowed)
                 continue
             self._damping = min(self._damping / _SHORTER, 1.0)
             before = here.step
-            here.go(ahead, apart, misfit)
+            here.go(ahead)
             here.serves = self._serves(here)
             allowed = self._renew_if_due(here, before, stalled, allowed)
             if here.serves and (misfit <= _CONVERGED or not self._doubted):
@@ -214,19 +215,25 @@ class GaussNewton:
         length = np.abs(here.step)
         if self._convergence.fresh and length.max(where=self._tells, initial=0.0) > _AT_REST:
             return False
-        std = here.frame.coarser * here.base.std
-        determined = (std <= _LOOSE) & (here.base.others <= _LOOSE)
-        return bool(((length <= np.maximum(_SETTLED * std, _LEAST_CHANGE)) | ~determined).all())
+        return bool((length <= self._least_change(here)).all())
+
+    def _least_change(self, here: _Place) -> FloatArray:
+        """Change (n,) of each logarithm up to which it does not matter; inf where the readings do not tell."""
+        base, scale = here.base, here.frame.coarser
+        if self._least[:2] != (base, scale):
+            std = scale * base.std
+            determined = (std <= _LOOSE) & (base.others <= _LOOSE)
+            self._least = base, scale, np.where(determined, np.maximum(_SETTLED * std, _LEAST_CHANGE), inf)
+        return self._least[2]
 
 
 class _Place:
     """Where the steps of a frame have come to."""
 
-    def __init__(self, base: Base, frame: Frame, known: Known) -> None:
-        self.frame, self.base, self.known = frame, base, known
-        self.apart = frame.apart(known)
-        """V (n,) between readings and model"""
-        self.misfit = frame.half_steps(self.apart) / frame.coarser
+    def __init__(self, base: Base, frame: Frame, start: Compared) -> None:
+        self.frame, self.base = frame, base
+        self.known, self.apart = start.known, start.apart
+        self.misfit = start.half_steps / frame.coarser
         """half steps and noise"""
         self._steeper = base.steeper(frame.slope)
         self.step = base.change(self.apart, self._steeper)
@@ -236,10 +243,11 @@ class _Place:
         self.moved = Moved(inf, inf)
         """since the derivatives were made"""
 
-    def go(self, known: Known, apart: FloatArray, misfit: float) -> None:
+    def go(self, ahead: Compared) -> None:
         """Take a step."""
-        self.known, self.apart, self.misfit = known, apart, misfit
-        self.step = self.base.change(apart, self._steeper)
+        self.known, self.apart = ahead.known, ahead.apart
+        self.misfit = ahead.half_steps / self.frame.coarser
+        self.step = self.base.change(ahead.apart, self._steeper)
         self.measure()
 
     def measure(self) -> None:

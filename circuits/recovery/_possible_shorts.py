@@ -34,21 +34,22 @@ class PossibleShorts:
         found: BoolArray = known.cells < self._short
         return found if found.any() else None
 
-    def disturb(self, frame: Frame, known: Known, uncertainty: FloatArray, lost: BoolArray) -> BoolArray | None:
+    def disturb(self, frame: Frame, known: Known, uncertainty: FloatArray, lost: BoolArray | None) -> BoolArray | None:
         """Cells whose values would be wrong if cells that may be shorts were such.
 
         Args:
             frame: the readings.
             known: the cells that have been found for them.
             uncertainty: (n,) of the conductances, but for what the lost columns do.
-            lost: (M,) columns that are left out.
+            lost: (M,) columns that are left out; None: there are none.
 
         Returns:
             (N, M); None where there are none.
 
         """
         excess = frame.signal - _RESOLVED * frame.error
-        excess[:, lost] = 0.0  # what these make of their rows is known
+        if lost is not None:
+            excess[:, lost] = 0.0  # what these make of their rows is known
         tied = self._tied(known, uncertainty, excess)
         least = self._least_signal + SIGMAS * frame.noise
         signal = frame.volts - self._board.level
