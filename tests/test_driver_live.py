@@ -365,8 +365,8 @@ class TestEnds:
             with running(scene(), port), Skin.open(port.name) as skin:
                 next(skin)
                 skin.on_frame(lambda frame: None)
-        assert threading.active_count() == threads
-        assert len(os.listdir("/proc/self/fd")) == descriptors
+        until(lambda: threading.active_count() == threads)
+        until(lambda: len(os.listdir("/proc/self/fd")) == descriptors)
 
     def test_a_callback_may_close_the_skin(self) -> None:
         port = described()
