@@ -5,11 +5,11 @@ Two estimates of the standard deviation s are made, both from changes of reading
 * the mean absolute change, of which noise makes 1.13 s. A press enlarges the changes of the readings it reaches;
 * the alternating part of two successive changes. Noise goes back and forth: of three readings in a row the middle
   one is beyond both others twice in three times. A press moves a reading once, or goes on in one direction, and
-  lowers this estimate. What comes and goes within a frame (a spark, a tap) alternates as well, but leaves no change from
-  the frame before it to the one after it.
+  lowers this estimate. What comes and goes within a frame (a spark, a tap) alternates as well, but leaves no change
+  from the frame before it to the one after it.
 
-A mean change above the noise so far counts as noise up to what the alternating part confirms: a press of all cells is no
-noise, and a noise that has begun is known in its second or third frame.
+A mean change above the noise so far counts as noise up to what the alternating part confirms: a press of all cells is
+no noise, and a noise that has begun is known in its second or third frame.
 
 Few readings say little. The estimate is therefore enlarged by what they leave open (:func:`_left_open`): 3 % with 64
 readings after twenty frames, a factor of 2.4 with four readings in the first change.
@@ -18,6 +18,7 @@ readings after twenty frames, a factor of 2.4 with four readings in the first ch
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 from scipy.special import chdtri
@@ -101,7 +102,7 @@ class Scatter:
                 self._changes = 0.0  # what was seen before was another noise
             self._seen = max(FORGET * self._seen, shown)
         self._changes += free
-        self._open = _left_open(self._changes)
+        self._open = _left_open(max(round(self._changes), 1))
         self._change = change
 
     def _shown_by(self, change: FloatArray, moving: int) -> float:
@@ -115,8 +116,8 @@ class Scatter:
         alternating = self._alternating(change, self._seen, moving)
         if min(mean, alternating) <= GROWING * self._seen:
             return min(mean, alternating)
-        # Noise so far cuts off too much of a larger one. Either median is of noise unless half of the cells move; that of
-        # both changes together also where all of them come and go.
+        # Noise so far cuts off too much of a larger one. Either median is of noise unless half of the cells move; that
+        # of both changes together also where all of them come and go.
         about = min(_median(size), _median(np.abs(self._change)), _median(np.abs(change + self._change)))
         about = max(self._seen, about)
         return min(self._by_mean(size, about, moving), self._alternating(change, about, moving))
@@ -155,14 +156,14 @@ class Scatter:
         return float(np.add.reduce(np.minimum(size, most), axis=None)) / (moving * MEAN_CHANGE)
 
 
-def _left_open(changes: float) -> float:
+@cache
+def _left_open(changes: int) -> float:
     """The relative error of a standard deviation that was seen in so many changes: by how much it may be larger.
 
-    The variance of n normally distributed changes, in that of the noise, is chi-square with n degrees of freedom, over n.
-    It is below the quantile of :data:`DOUBT` with this probability.
+    The variance of n normally distributed changes, over that of the noise, is chi-square with n degrees of freedom,
+    over n. It is below the quantile of :data:`DOUBT` with this probability.
     """
-    free = max(changes, 1.0)
-    return max(math.sqrt(free / float(chdtri(free, 1.0 - DOUBT))) - 1.0, 0.0)
+    return math.sqrt(changes / float(chdtri(changes, 1.0 - DOUBT))) - 1.0
 
 
 def _median(size: FloatArray) -> float:
