@@ -1,8 +1,8 @@
 """Noise of readings, measured from frame to frame while the skin may be pressed.
 
-Two estimates of the standard deviation s are made, both from changes of readings between successive frames:
+Two estimates of the standard deviation sigma are made, both from changes of readings between successive frames:
 
-* the mean absolute change, of which noise makes 1.13 s. A press enlarges the changes of the readings it reaches;
+* the mean absolute change, 1.13 sigma for noise. A press enlarges the changes of the readings it reaches;
 * the alternating part of two successive changes. Noise goes back and forth: of three readings in a row the middle
   one is beyond both others twice in three times. A press moves a reading once, or goes on in one direction, and
   lowers this estimate. What comes and goes within a frame (a spark, a tap) alternates as well, but leaves no change
@@ -30,13 +30,13 @@ FORGET = 0.95
 MOST_CHANGE = 1.5
 """standard deviations of a reading up to which its change counts"""
 MEAN_CHANGE, ALTERNATING = 0.918, 0.438
-"""of normally distributed readings, changes cut off so: mean change in their s, and alternating part in s^2"""
+"""mean in sigma, and alternating part in sigma^2, of changes that are cut off there (normal distribution)"""
 AT_FIRST = 4.0
 """ADC steps, the most that is seen in the first two frames: they may also differ because all cells were pressed"""
 MEDIAN_CHANGE = 0.954
-"""median of the absolute change, in their s"""
+"""median of the absolute change in sigma (normal distribution)"""
 GROWING = 1.3
-"""times the noise so far from which on it may have become another one"""
+"""ratio to the noise so far, from which on the noise may have become another one"""
 DOUBT = 0.05
 """probability of readings as quiet as those that were seen, with the noise that is stated"""
 DEVIATIONS = 1.645
@@ -94,8 +94,8 @@ class Scatter:
         self._changes = FORGET * min(self._changes, change.size / (1.0 - FORGET))
         if self.frames == 2:
             size = np.abs(change)
-            about = max(self._seen, min(_median(size), AT_FIRST * self._step))
-            self._seen = self._by_mean(size, about, moving)
+            expected = max(self._seen, min(_median(size), AT_FIRST * self._step))
+            self._seen = self._by_mean(size, expected, moving)
         else:
             shown = self._shown_by(change, moving)
             if shown > GROWING * self._seen:
@@ -118,19 +118,19 @@ class Scatter:
             return min(mean, alternating)
         # Noise so far cuts off too much of a larger one. Either median is of noise unless half of the cells move; that
         # of both changes together also where all of them come and go.
-        about = min(_median(size), _median(np.abs(self._change)), _median(np.abs(change + self._change)))
-        about = max(self._seen, about)
-        return min(self._by_mean(size, about, moving), self._alternating(change, about, moving))
+        expected = min(_median(size), _median(np.abs(self._change)), _median(np.abs(change + self._change)))
+        expected = max(self._seen, expected)
+        return min(self._by_mean(size, expected, moving), self._alternating(change, expected, moving))
 
-    def _alternating(self, change: FloatArray, about: float, moving: int) -> float:
+    def _alternating(self, change: FloatArray, expected: float, moving: int) -> float:
         """V, the most that the alternating part of this change (N, M) in V and the one before lets the noise be.
 
-        The smaller one of both changes counts, so that a jump before or after a quiet frame is no noise. ``about`` and
+        The smaller one of both changes counts, so that a jump before or after a quiet frame is no noise. ``expected`` and
         ``moving`` as in :meth:`_by_mean`.
         """
         assert self._change is not None
         back = np.minimum(np.abs(change), np.abs(self._change))
-        back = np.square(np.minimum(back, max(self._step, MOST_CHANGE * about)))
+        back = np.square(np.minimum(back, max(self._step, MOST_CHANGE * expected)))
         onward = (change > 0.0) == (self._change > 0.0)
         # A sample of few cells may alternate less than its noise.
         chance = DEVIATIONS * float(np.linalg.norm(back))
@@ -143,16 +143,16 @@ class Scatter:
         self._change = None  # nothing goes back to before
         self._seen *= FORGET
 
-    def _by_mean(self, size: FloatArray, about: float, moving: int) -> float:
+    def _by_mean(self, size: FloatArray, expected: float, moving: int) -> float:
         """V, standard deviation by the mean absolute change.
 
         Args:
             size: (N, M) V, absolute changes since the last frame.
-            about: V, standard deviation that is expected; larger changes are cut off.
+            expected: V, standard deviation that is expected; larger changes are cut off.
             moving: readings that can change.
 
         """
-        most = max(self._step, MOST_CHANGE * about)
+        most = max(self._step, MOST_CHANGE * expected)
         return float(np.add.reduce(np.minimum(size, most), axis=None)) / (moving * MEAN_CHANGE)
 
 
