@@ -125,8 +125,8 @@ class Scatter:
     def _alternating(self, change: FloatArray, expected: float, moving: int) -> float:
         """V, the most that the alternating part of this change (N, M) in V and the one before lets the noise be.
 
-        The smaller one of both changes counts, so that a jump before or after a quiet frame is no noise. ``expected`` and
-        ``moving`` as in :meth:`_by_mean`.
+        The smaller one of both changes counts, so that a jump before or after a quiet frame is no noise. Arguments as
+        in :meth:`_by_mean`.
         """
         assert self._change is not None
         back = np.minimum(np.abs(change), np.abs(self._change))
