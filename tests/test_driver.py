@@ -199,7 +199,9 @@ def test_a_short_costs_the_cells_that_it_makes_wrong_and_no_others(lead: float) 
         expected[:, 1] = False
     np.testing.assert_array_equal(reading.valid, expected)
     np.testing.assert_allclose(reading.resistance[reading.valid], 5e3, rtol=0.01)
-    assert (reading.uncertainty[reading.valid] < 0.01).all()
+    others = np.delete(reading.uncertainty, 2, axis=0)[:, [0, 2, 3]]
+    assert (others < 0.01).all()
+    assert (reading.uncertainty[2, [0, 2, 3]] < 0.03).all()  # over leads their row has half of its voltage
     assert (reading.uncertainty[~expected] > 0.2).all()
 
 
