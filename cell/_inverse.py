@@ -275,7 +275,7 @@ class InverseEstimator(Estimator):
             if self.model.k > 0:
                 memory[BROKEN, beyond] += np.maximum(left, 0.0)
 
-    def _hold(self, memory: FloatArray, dt_s: float) -> FloatArray:
+    def _hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
         held = memory.copy()
         s = memory[LOAD]
         held[BRANCHES] = self._branches(memory, dt_s, s)
@@ -330,7 +330,7 @@ class InverseEstimator(Estimator):
             tried |= to_end
         return step, ends
 
-    def _branches(self, memory: FloatArray, dt_s: float, s: FloatArray) -> FloatArray:
+    def _branches(self, memory: FloatArray, dt_s: float | FloatArray, s: FloatArray) -> FloatArray:
         """Branches (2, n) after a step to load ``s``, through any change-over."""
         before, after = self._alpha * memory[LOAD], self._alpha * s
         return lag.asymmetric(memory[BRANCHES], before, after, dt_s, self._rise_s, self._fall_s)

@@ -68,3 +68,41 @@ def test_no_frame_takes_more_than_ten_times_the_work_of_a_usual_one(kind: str) -
     usual = np.median(work(cell.estimator((8,)), pressed(cell, "press", 10.0)))
     for read in (pressed(cell, "drumming", 10.0), wild(cell)):
         assert work(cell.estimator((8,)), read)[10:].max() < 10 * usual
+
+
+@pytest.mark.parametrize("kind", ["paper", "asymmetric", "m10", "contact"])
+def test_cells_that_return_together_after_different_gaps_are_brought_up_together(kind: str) -> None:
+    """A connector that slides off row by row, and is pushed on again: each cell has missed another number of frames."""
+    cell = CELLS[kind]
+    read = np.tile(pressed(cell, "hold", 1.0, 300), (1, 8))
+    usual = np.median(work(cell.estimator((64,)), read))
+    for place in range(64):
+        read[100 + 2 * place : 250, place] = np.inf
+    assert work(cell.estimator((64,)), read)[10:].max() < 5 * usual
+
+
+@pytest.mark.parametrize("kind", ["paper", "m10"])
+def test_gaps_of_different_lengths_are_held_as_one_by_one(kind: str) -> None:
+    cell = CELLS[kind]
+    read = pressed(cell, "taps", 1.0, 400)[:, :3]
+    for place in range(3):
+        read[200 + 40 * place : 350, place] = np.nan
+    together = cell.estimator((3,), noise=0.0)
+    alone = [cell.estimator((1,), noise=0.0) for _ in range(3)]
+    for ohm in read:
+        found = together.step(DT, ohm)
+        apart = [estimator.step(DT, ohm[[place]]).item() for place, estimator in enumerate(alone)]
+        assert found == pytest.approx(apart, rel=1e-12, abs=1e-12)
+
+
+@pytest.mark.parametrize("noise_mv", [0.1, 10.0])
+@pytest.mark.parametrize("load", ["drumming", "vibration", "slip"])
+def test_an_m10_cell_in_doubt_shows_no_more_than_a_load(load: honesty.Load, noise_mv: float) -> None:
+    """Chains that break between two frames raise the reading far beyond any load's; they are told from one."""
+    found = honesty.judged(CELLS["m10"], "m10", load, noise_mv)
+    assert found.rmse_percent < 50.0
+    assert found.within_two > 0.98
+    cell = CELLS["m10"]
+    read = pressed(cell, load, noise_mv, 900)
+    pressure, _ = honesty.estimated(cell, read, np.ones(len(read), dtype=bool), DT)
+    assert np.nanmax(pressure) < 1.35 * cell.full_scale_kpa
