@@ -46,7 +46,7 @@ STILL_SIGMAS = 3.0
 ACCURACY = 1e-11
 """of full scale, to which a step with a change-over is solved"""
 EVALUATIONS = 16
-"""of the model, at most, in a step with a change-over: what a frame costs is bounded. Newton's method needs two or three
+"""of the model, at most, in a step with a change-over: a frame costs no more. Newton's method needs two or three
 at high sample rates, six where a step is many time constants long; bisection halves what is left otherwise"""
 
 
