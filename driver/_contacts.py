@@ -79,7 +79,7 @@ class ContactTracker:
         return self._contacts(patches, names)
 
     def look_back(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[Contact, ...]:
-        """The contacts of a frame from before the last one, at ``time_s``; what is known stays as it is."""
+        """The contacts of a frame from before the last one, at ``time_s``; tracks and hysteresis stay as they are."""
         labels, patches = self._find(pressure_kpa, std_kpa)
         return self._contacts(patches, self._tracks.look_back(time_s, patches, labels))
 
@@ -101,6 +101,7 @@ class ContactTracker:
         return labels, self._measure(labels, pressure_kpa)
 
     def _measure(self, labels: IntArray, pressure_kpa: FloatArray) -> list[Patch]:
+        """Centre, force, peak and spread of each labelled patch, in one pass over the touched cells."""
         cells = np.flatnonzero(labels)
         if not len(cells):
             return []
@@ -116,10 +117,10 @@ class ContactTracker:
         variances = (squares / totals - x_mean**2 - y_mean**2) / 2
         forces = 1e3 * self.pitch_m**2 * totals
         peaks = np.maximum.reduceat(pressure, starts)
-        columns = (x_mean, y_mean, forces, peaks, variances, starts, ends)
+        measures = (x_mean, y_mean, forces, peaks, variances, starts, ends)
         return [
             Patch(x, y, force, peak, variance, cells[start:end], places[start:end], pressure[start:end])
-            for x, y, force, peak, variance, start, end in zip(*(column.tolist() for column in columns), strict=True)
+            for x, y, force, peak, variance, start, end in zip(*(measure.tolist() for measure in measures), strict=True)
         ]
 
     def _contacts(self, patches: list[Patch], names: list[Named]) -> tuple[Contact, ...]:

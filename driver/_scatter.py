@@ -1,15 +1,15 @@
 """Noise of readings, measured from frame to frame while the skin may be pressed.
 
-Two estimates of the standard deviation s are made, both from changes of readings between successive frames:
+Two estimates of the standard deviation sigma are made, both from changes of readings between successive frames:
 
-* the mean absolute change, of which noise makes 1.13 s. A press enlarges the changes of the readings it reaches;
-* the lag-one autocovariance of the changes, -s^2 for noise. A press that lasts for more than a frame moves a reading in
-  one direction, or once, and adds nothing to it. What comes and goes within a frame (a spark, a tap) looks like noise
-  there, but leaves no change from the frame before it to the one after it.
+* the mean absolute change, 1.13 sigma for noise. A press enlarges the changes of the readings it reaches;
+* the lag-one autocovariance of the changes, -sigma^2 for noise. A press that lasts for more than a frame moves a
+  reading in one direction, or once, and adds nothing to it. What comes and goes within a frame (a spark, a tap) looks
+  like noise there, but leaves no change from the frame before it to the one after it.
 
-Changes count up to 1.5 s, so cells that are pressed weigh little in the first estimate: 30 % of them raise it by 60 %.
-That is enough where a press changes its own readings only. On a board whose readings share their current a finger moves
-all of them; there the smaller estimate of the two counts, which notices a growing noise one frame later.
+Changes count up to 1.5 sigma, so cells that are pressed weigh little in the first estimate: 30 % of them raise it by
+60 %. That is enough where a press changes its own readings only. On a board whose readings share their current a finger
+moves all of them; there the smaller estimate of the two counts, which notices a growing noise one frame later.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ FORGET = 0.95
 MOST_CHANGE = 1.5
 """standard deviations of a reading up to which its change counts"""
 MEAN_CHANGE, AUTOCOVARIANCE = 0.918, 0.516
-"""of normally distributed readings, changes cut off so: mean change in their s, and minus the autocovariance in s^2"""
+"""mean in sigma, and minus the autocovariance in sigma^2, of changes that are cut off there (normal distribution)"""
 AT_FIRST = 4.0
 """ADC steps, the most that is seen in the first two frames: they may also differ because all cells were pressed"""
 MEDIAN_CHANGE = 0.954
-"""median of the absolute change, in their s"""
+"""median of the absolute change in sigma (normal distribution)"""
 GROWING = 1.3
-"""times the noise so far from which on it has become another one"""
+"""ratio to the noise so far, from which on the noise has become another one"""
 CAUTION = 1.5
 """standard deviations by which the first measurement of the noise may be too small"""
 ASSUMED = 0.5
@@ -80,9 +80,9 @@ class Scatter:
         moving = max(change.size - silent, 1)  # readings at a limit do not move
         if self.frames == 2:
             size = np.abs(change)
-            about = max(self.std, min(_median(size), AT_FIRST * self._step))
+            expected = max(self.std, min(_median(size), AT_FIRST * self._step))
             # A sample of few cells may be smaller than its deviation.
-            self.std = self._by_mean(size, about, moving) * (1.0 + CAUTION / math.sqrt(moving))
+            self.std = self._by_mean(size, expected, moving) * (1.0 + CAUTION / math.sqrt(moving))
         else:
             self.std = max(FORGET * self.std, self._shown_by(change, moving))
         self._change = change
@@ -96,13 +96,13 @@ class Scatter:
         alternating = self._by_autocovariance(change, self.std, moving)
         if alternating > self.std:
             # What was known so far cuts too much off. The median is of noise unless half of the cells move.
-            about = _median(size)
+            expected = _median(size)
             if self._shared and self._change is not None:
-                about = min(about, _median(np.abs(change + self._change)))
-            about = max(self.std, about)
-            alternating = self._by_autocovariance(change, about, moving)
+                expected = min(expected, _median(np.abs(change + self._change)))
+            expected = max(self.std, expected)
+            alternating = self._by_autocovariance(change, expected, moving)
             if self._shared:
-                mean = self._by_mean(size, about, moving)
+                mean = self._by_mean(size, expected, moving)
         # On boards whose cells are read apart, a press raises the mean of few cells only.
         return min(mean, alternating) if self._shared else max(mean, alternating)
 
@@ -112,23 +112,23 @@ class Scatter:
         self._change = None  # the next product of two changes is 0
         self.std *= FORGET
 
-    def _by_mean(self, size: FloatArray, about: float, moving: int) -> float:
+    def _by_mean(self, size: FloatArray, expected: float, moving: int) -> float:
         """V, standard deviation by the mean absolute change.
 
         Args:
             size: (N, M) V, absolute changes since the last frame.
-            about: V, standard deviation that is expected; larger changes are cut off.
+            expected: V, standard deviation that is expected; larger changes are cut off.
             moving: readings that can change.
 
         """
-        most = max(self._step, MOST_CHANGE * about)
+        most = max(self._step, MOST_CHANGE * expected)
         return float(np.add.reduce(np.minimum(size, most), axis=None)) / (moving * MEAN_CHANGE)
 
-    def _by_autocovariance(self, change: FloatArray, about: float, moving: int) -> float:
+    def _by_autocovariance(self, change: FloatArray, expected: float, moving: int) -> float:
         """V, by this change (N, M) in V and the one before; 0 if that was not kept. Else as :meth:`_by_mean`."""
         if self._change is None:
             return 0.0
-        most = max(self._step, MOST_CHANGE * about)
+        most = max(self._step, MOST_CHANGE * expected)
         covariance = float(np.vdot(_cut(change, most), _cut(self._change, most))) / moving
         return math.sqrt(max(-covariance, 0.0) / AUTOCOVARIANCE)
 

@@ -1,11 +1,11 @@
-"""Multi-object tracking of contacts: fading-memory (g-h) filters, linear assignment, and mixtures for merged contacts.
+"""Multi-object tracking of contacts: fading-memory (g-h) filters, linear assignment, Gaussian mixtures.
 
 A track is one finger. Each frame its position is predicted from the last one and its velocity. Linear assignment then
 gives each patch of touched cells to one track, by distance from the prediction and by force. A track left over whose
-cells have become part of a patch has merged: several tracks then share the patch. Within it they are followed by an EM
-algorithm for a mixture of bells whose widths are known from the time before. Bells that lie upon each other cannot be
-told apart; there the tracks go on with the velocities that they had. When the patch parts again, each piece is given to
-a track in the usual way, so ids survive.
+cells have become part of a patch has merged: several tracks then share the patch. The pressure of a shared patch is
+taken for a mixture of Gaussian bells, one for each track, as wide as its finger was before. Expectation maximisation
+(EM) finds the centres. Bells that lie upon each other cannot be told apart; their tracks go on with the velocities that
+they had. When the patch parts again, each piece is given to a track in the usual way, so ids survive.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 
 SPEED_MM_PER_S = 500.0
 REACH_PITCHES = 1.5
@@ -149,9 +149,9 @@ class Tracks:
         shared = self._assign(known, patches, labels, time_s)
         self._time_s = time_s
         moved = [self._move(tracks, patch, time_s) for tracks, patch in zip(shared, patches, strict=True)]
-        seen = {track.id for tracks in moved for track in tracks}
-        self._tracks = [track for tracks in moved for track in tracks]
-        self._tracks += [track for track in known if track.id not in seen]
+        present = [track for tracks in moved for track in tracks]
+        seen = {track.id for track in present}
+        self._tracks = present + [track for track in known if track.id not in seen]
         names = [_names(tracks) for tracks in moved]
         leaders = {name.id for name in names}
         for track in self._tracks:
@@ -159,7 +159,7 @@ class Tracks:
         return names
 
     def look_back(self, time_s: float, patches: Sequence[Patch], labels: IntArray) -> list[Named]:
-        """The ids of the patches of an earlier frame; the tracks stay as they are."""
+        """The ids of the patches of an earlier frame; tracks do not move, and unknown patches get new ids."""
         assigned = self._assign(self._tracks, patches, labels, time_s, remembered=True)
         return [_names(tracks or [self._begin(patch, time_s)]) for tracks, patch in zip(assigned, patches, strict=True)]
 
@@ -174,8 +174,8 @@ class Tracks:
     ) -> list[list[Track]]:
         """For each patch the tracks that continue in it.
 
-        A track that was not there in the frame before can be given a patch of its own, but cannot merge with another
-        one: it was lifted. ``remembered`` lets it.
+        A track that was not there in the frame before was lifted: it can be given a patch of its own, but cannot merge
+        with another track. With ``remembered``, it can.
         """
         shared: list[list[Track]] = [[] for _ in patches]
         if not known or not patches:
@@ -223,7 +223,8 @@ class Tracks:
         np.fill_diagonal(gaps, np.inf)
         # Bells closer than their width look like one; at twice the width each has a top of its own.
         apart = np.clip(gaps.min(axis=1) - 1.0, 0.0, 1.0)
-        # What looks like one goes where the patch goes. Where each has a top, a patch moves as forces change, too.
+        # Bells that look like one move with the patch's centre. Of bells with a top each, the centre says less: it
+        # also moves when their forces change.
         places = predicted + (1.0 - apart)[:, None] * (np.array([patch.x_mm, patch.y_mm]) - shares @ predicted)
         trust = np.zeros(len(tracks))
         if apart.any():
@@ -247,7 +248,15 @@ class Tracks:
     def _fit(
         self, patch: Patch, places: FloatArray, shares: FloatArray, variances: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Some steps of the EM algorithm: centres and shares of bells whose widths are known."""
+        """Some steps of expectation maximisation: centres (n, 2) in mm and shares (n,) of the bells of a patch.
+
+        Args:
+            patch: whose pressure is the mixture.
+            places: (n, 2) mm, centres (x, y) to begin with.
+            shares: (n,) of the patch's force, to begin with.
+            variances: (n,) mm^2 of the bells, known.
+
+        """
         cells = self.pitch_mm * patch.places[:, ::-1]
         weights = patch.pressure_kpa / patch.pressure_kpa.sum()
         for _ in range(EM_STEPS):
@@ -267,12 +276,12 @@ def _names(tracks: list[Track]) -> Named:
 
 def _nearest(x: float, y: float, numbers: set[int], patches: Sequence[Patch]) -> int:
     """Of the patches with these numbers, from 1, the index of the one nearest to (x, y) in mm."""
-    places = {number - 1: patches[number - 1] for number in sorted(numbers)}
-    return min(places, key=lambda k: math.hypot(x - places[k].x_mm, y - places[k].y_mm))
+    indices = sorted(number - 1 for number in numbers)
+    return min(indices, key=lambda k: math.hypot(x - patches[k].x_mm, y - patches[k].y_mm))
 
 
-def _pairs(costs: FloatArray, possible: FloatArray) -> dict[int, int]:
-    """Row -> column of the possible pairs with the least sum of costs, as many as there can be."""
+def _pairs(costs: FloatArray, possible: BoolArray) -> dict[int, int]:
+    """Linear assignment: as many possible pairs as there can be, with the least sum of costs; row -> column."""
     if costs.size == 1:
         return {0: 0} if possible[0, 0] else {}
     # An impossible pair costs more than all possible ones together: it is chosen only for want of others.

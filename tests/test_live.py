@@ -10,7 +10,10 @@ import pytest
 from ohmskin.bench import _live_hunt, _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, live_recovery, scan
 from ohmskin.circuits._exact import read_exactly
-from ohmskin.circuits.recovery import _amplified, _coupled, _quick_model
+from ohmskin.circuits.recovery import _amplified, _amplified_base, _amplified_leads, _quick_model
+from ohmskin.circuits.recovery._coupled_board import CoupledBoard
+from ohmskin.circuits.recovery._frame_budget import USUAL_EFFORT
+from ohmskin.circuits.recovery._linearised import Linearised
 from ohmskin.circuits.recovery._lines import LineResistance
 from ohmskin.driver import CountReader, Reading
 from ohmskin.errors import InputError
@@ -127,13 +130,15 @@ def test_a_frame_has_a_bounded_number_of_evaluations(size: int, monkeypatch: pyt
     counted: dict[str, int] = {}
 
     def count(name: str) -> None:
-        real = getattr(_amplified, name)
+        real = getattr(_amplified_base, name)
 
         def counting(*given: Any) -> Any:
             counted[name] = counted.get(name, 0) + 1
             return real(*given)
 
-        monkeypatch.setattr(_amplified, name, counting)
+        for module in (_amplified_base, _amplified_leads):
+            if hasattr(module, name):
+                monkeypatch.setattr(module, name, counting)
 
     count("attenuate")
     count("exact_transfer")
@@ -206,25 +211,26 @@ def test_a_frame_of_a_coupled_board_has_a_bounded_number_of_evaluations(
     design = board(circuit, 6, 6, 12, idle_rows=idle_rows)
     counted: dict[str, int] = {}
 
-    def count(name: str) -> None:
-        real = getattr(_coupled.CoupledLive, name)
+    def count(where: type, name: str) -> None:
+        real = getattr(where, name)
 
         def counting(*given: Any) -> Any:
             counted[name] = counted.get(name, 0) + 1
             return real(*given)
 
-        monkeypatch.setattr(_coupled.CoupledLive, name, counting)
+        monkeypatch.setattr(where, name, counting)
 
-    for name in ("_known_at", "_renew", "_based_on"):
-        count(name)
+    count(CoupledBoard, "at")
+    count(Linearised, "renew")
+    count(Linearised, "_at_once")
     read = CountReader(design)
     for number, frame in enumerate(pressed((6, 6), np.random.default_rng(0), 12, 500.0)):
         counted.clear()
         read(adc_codes(design, scan(design, frame).volts))
         if number:
-            assert counted.get("_known_at", 0) <= _coupled.USUAL_EFFORT.evaluations
-            assert counted.get("_renew", 0) <= _coupled.USUAL_EFFORT.instalments
-            assert "_based_on" not in counted
+            assert counted.get("at", 0) <= USUAL_EFFORT.evaluations
+            assert counted.get("renew", 0) <= USUAL_EFFORT.instalments
+            assert "_at_once" not in counted
 
 
 @pytest.mark.parametrize("sigma_steps", [0.5, 3.0])
@@ -316,14 +322,14 @@ def test_a_usual_frame_of_a_coupled_board_needs_one_or_two_evaluations(
 ) -> None:
     """With noise of half a step, on a skin that a finger slowly presses: derivatives are renewed now and then."""
     evaluations, renewals = [0], [0]
-    for name, counted in (("_known_at", evaluations), ("_renew", renewals)):
-        real = getattr(_coupled.CoupledLive, name)
+    for where, name, counted in ((CoupledBoard, "at", evaluations), (Linearised, "renew", renewals)):
+        real = getattr(where, name)
 
         def counting(self: Any, at: Any, real: Any = real, counted: list[int] = counted) -> Any:
             counted[0] += 1
             return real(self, at)
 
-        monkeypatch.setattr(_coupled.CoupledLive, name, counting)
+        monkeypatch.setattr(where, name, counting)
     design, rng = board(circuit, 5, 6, 12, idle_rows=idle_rows), np.random.default_rng(3)
     read, cells = CountReader(design), 1e4 * 10 ** rng.uniform(-0.1, 0.1, (5, 6))
     assert design.adc is not None

@@ -11,9 +11,9 @@ from ohmskin.arrays import FloatArray
 from ohmskin.bench import _live_hunt
 from ohmskin.circuits import Design, Reason, adc_codes, scan
 from ohmskin.circuits.recovery import _heavy_leads
-from ohmskin.circuits.recovery._amplified import AmplifiedLive
+from ohmskin.circuits.recovery._amplified_board import AmplifiedBoard
+from ohmskin.circuits.recovery._amplified_leads import LeadBases
 from ohmskin.circuits.recovery._heavy_leads import LeadFit, invert_leads
-from ohmskin.circuits.recovery._live_reading import ValidityRule
 from ohmskin.circuits.solvers import Lines, exact_transfer
 from ohmskin.driver import CountReader
 
@@ -91,9 +91,9 @@ def test_errors_of_readings_come_through_heavy_leads_as_by_inverting_twice(
 def test_currents_of_unlike_offsets_are_taken_out_exactly(segment: float) -> None:
     design = board(4, 3, 30.0, segment=segment, offset_voltage=[3e-3, -2e-3, 1e-3], open_loop_gain=1e3)
     cells = 10 ** np.random.default_rng(0).uniform(1.5, 2.5, (4, 3))
-    recovery = AmplifiedLive(design.board, ValidityRule())
-    current = scan(design, cells).volts * recovery._scale + recovery._constant
-    transfer, apart = recovery._apart(current, 1.0 / cells)
+    amplified = AmplifiedBoard(design.board)
+    current = scan(design, cells).volts * amplified.scale + amplified.constant
+    _, transfer, apart = LeadBases(amplified)._checked(current, 1.0 / cells)
     assert np.abs(apart / transfer).max() < 1e-12
 
 

@@ -9,8 +9,11 @@ import pytest
 
 from ohmskin.arrays import FloatArray
 from ohmskin.circuits import Design, Reason, adc_codes, scan, sensitivity
-from ohmskin.circuits.recovery import _coupled, _derivatives, _normal_matrix, _sheet_model
+from ohmskin.circuits.recovery import _derivatives, _linearised, _normal_matrix, _sheet_model
 from ohmskin.circuits.recovery._column_blocks import ColumnBlocks, beyond_linear
+from ohmskin.circuits.recovery._coupled_board import CoupledBoard
+from ohmskin.circuits.recovery._frame_budget import NODE_EFFORT, USUAL_EFFORT
+from ohmskin.circuits.recovery._linearised import Linearised
 from ohmskin.circuits.recovery._lines import LineResistance
 from ohmskin.circuits.recovery._node_blocks import NodeBlocks
 from ohmskin.circuits.recovery._quick_model import QuickModel
@@ -197,8 +200,8 @@ def test_the_normal_matrix_is_inverted_in_instalments_of_bounded_work(
 @pytest.mark.parametrize(("kind", "small"), [*((kind, 100) for kind in KINDS), *((kind, 20) for kind in FLOATING)])
 def test_no_event_takes_more_than_a_frame_s_work(kind: str, small: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A hard press of all cells at once, cells at a limit, a dead row, and back: counted per frame."""
-    monkeypatch.setattr(_coupled, "_SMALL", small)
-    effort = _coupled.USUAL_EFFORT if small == 100 else _coupled.NODE_EFFORT
+    monkeypatch.setattr(_linearised, "_SMALL", small)
+    effort = USUAL_EFFORT if small == 100 else NODE_EFFORT
     done: dict[str, int] = {}
 
     def count(where: Any, name: str) -> None:
@@ -210,9 +213,9 @@ def test_no_event_takes_more_than_a_frame_s_work(kind: str, small: int, monkeypa
 
         monkeypatch.setattr(where, name, counting)
 
-    count(_coupled.CoupledLive, "_known_at")
-    count(_coupled.CoupledLive, "_renew")
-    count(_coupled.CoupledLive, "_based_on")
+    count(CoupledBoard, "at")
+    count(Linearised, "renew")
+    count(Linearised, "_at_once")
     design = board(kind, 7, 8)
     rest = 1e4 * 10 ** np.random.default_rng(0).uniform(-0.05, 0.05, (7, 8))
     pressed, limited, dead = 0.1 * rest, rest.copy(), rest.copy()
@@ -225,9 +228,9 @@ def test_no_event_takes_more_than_a_frame_s_work(kind: str, small: int, monkeypa
             done.clear()
             reading = read(counts)
             if number or again:
-                assert done.get("_known_at", 0) <= effort.evaluations + 1
-                assert done.get("_renew", 0) <= effort.instalments
-                assert "_based_on" not in done
+                assert done.get("at", 0) <= effort.evaluations + 1
+                assert done.get("renew", 0) <= effort.instalments
+                assert "_at_once" not in done
             if reading.valid.any():
                 off = np.abs(reading.resistance / cells - 1.0)[reading.valid]
                 assert (off <= reading.uncertainty[reading.valid]).all()
@@ -352,9 +355,9 @@ def test_a_continuous_sheet_is_solved_once_per_frame(kind: str, monkeypatch: pyt
 @pytest.mark.parametrize("kind", ["divider", "feedback", *FLOATING])
 def test_a_large_board_needs_no_matrix(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """More cells than a matrix of all readings by all cells could serve: every step does without it."""
-    monkeypatch.setattr(_coupled, "LARGEST_BESIDE", 100)
-    monkeypatch.setattr(_coupled, "LARGEST_MATRIX", 100)
-    monkeypatch.setattr(_coupled, "NormalMatrix", None)
+    monkeypatch.setattr(_linearised, "LARGEST_BESIDE", 100)
+    monkeypatch.setattr(_linearised, "LARGEST_MATRIX", 100)
+    monkeypatch.setattr(_linearised, "NormalMatrix", None)
     design, draw = board(kind, 12, 14, 16), np.random.default_rng(0)
     read, rest = CountReader(design), 1e4 * 10 ** draw.uniform(-0.05, 0.05, (12, 14))
     for share in (1.0, 0.7, 0.7, 0.3, 0.3, 0.3, 1.0, 1.0, 1.0):
@@ -367,7 +370,7 @@ def test_a_large_board_needs_no_matrix(kind: str, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_bridged_board_that_is_too_large_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_coupled, "LARGEST_MATRIX", 110)
+    monkeypatch.setattr(_linearised, "LARGEST_MATRIX", 110)
     bridge = {"kind": "bridged-rows", "place": [2, 3], "resistance": 50.0}
     with pytest.raises(InputError, match="at most 110 cells"):
         CountReader(board("floating", 11, 11, fault=[bridge]))

@@ -50,6 +50,8 @@ class Step(NamedTuple):
     """standard deviations of a reading per unit of its cell's logarithm, the column's sum kept"""
     by_sum: FloatArray
     """standard deviations of a reading per S of its column's sum"""
+    second_vector: FloatArray
+    """product of the two"""
     driven: FloatArray
     """S, change of D per unit of its cell's logarithm"""
     free: FloatArray
@@ -75,11 +77,11 @@ class Step(NamedTuple):
         normal = self.own * apart + self.driven * np.einsum("ij,ij->j", self.by_sum, apart)
         free = self.free * normal
         along_first = np.einsum("ij,ij->j", self.driven, free)
-        along_second = np.einsum("ij,ij->j", self.own * self.by_sum, free)
+        along_second = np.einsum("ij,ij->j", self.second_vector, free)
         first, both, second = self.mixed
         change = free - self.free * (
             self.driven * (first * along_first + both * along_second)
-            + self.own * self.by_sum * (both * along_first + second * along_second)
+            + self.second_vector * (both * along_first + second * along_second)
         )
         change += self.share * np.einsum("ij,ij->i", self.through_lead, change)[:, None]
         flat: FloatArray = change.ravel()
@@ -199,6 +201,7 @@ class ColumnBlocks:
         return Step(
             own=own,
             by_sum=by_sum,
+            second_vector=second_vector,
             driven=driven,
             free=free,
             mixed=(first, both, second),

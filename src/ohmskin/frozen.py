@@ -1,7 +1,7 @@
 """Immutable dataclasses that are as quick to make as mutable ones.
 
-``dataclass(frozen=True)`` sets each field by ``object.__setattr__``. For the nineteen fields of a frame this takes as
-long as ten operations on the array of a small skin.
+``dataclass(frozen=True)`` sets each field by ``object.__setattr__``, which makes the nineteen fields of a frame cost as
+much as ten operations on the array of a small skin. :func:`frozen` refuses changes, too, but sets fields as usual.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def _refuse(instance: object, name: str, value: object = None) -> NoReturn:
 
 
 def _reduced(instance: Any) -> tuple[Callable[..., Any], tuple[type, dict[str, Any]]]:
-    """For pickle and copy, which else set the fields of an empty instance."""
+    """For pickle and copy, which would otherwise set the fields of an empty instance one by one."""
     return _restored, (type(instance), {item.name: getattr(instance, item.name) for item in fields(instance)})
 
 

@@ -1,0 +1,203 @@
+"""A board whose amplifiers hold all columns: lines, amplifiers and converter, and first-order bounds by the lines.
+
+With T the transfer conductances of the grid, the outputs are
+
+    V_ij = output_j + slope_j (drive T_ij - s_j sum_k T_kj + c_j).
+
+The s_j are the sources behind the columns' ends, and c_j is the current between columns whose sources differ. Arrays
+are in line coordinates: N rows that are driven one by one, M columns that end in amplifiers.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import FloatArray
+from .._adc import adc_error
+from .._board import Board
+from ..solvers import Lines, Wires
+from ._heavy_leads import Propagation
+
+BOUNDLESS = 1e6
+"""relative change of a conductance that counts for any larger one"""
+FAR = 0.5
+"""relative change of a gain beyond which the first order says nothing"""
+LEAST_SHARE = 1e-9
+"""of the largest conductance: an open cell's stand-in, so that every ratio is defined"""
+MARGIN = 2.0
+"""by which intervals from first-order bounds are widened"""
+SIMILAR_MARGIN = 1.25
+"""by which kept bounds are widened: two conductances have changed by 1.1 against each other"""
+_SIMILAR = 0.1  # relative change of conductances up to which bounds are kept
+_SHARE_OF_STEP = 0.25  # of an ADC step that the model may leave as its own error
+_LEAD_LIKE = 0.5  # most resistance of segments over that of leads, for which a grid is taken for one without segments
+_NONE = np.array(0.0)  # as an array, since NumPy makes one of a float in every call
+
+
+class AmplifiedBoard:
+    """What a live recovery needs to know of a board whose amplifiers hold all columns."""
+
+    def __init__(self, board: Board) -> None:
+        """For a board whose circuit has ends (:meth:`.ReadoutCircuit.ends`) and whose design has a converter."""
+        adc, ends = board.adc, board.circuit.ends(board)
+        assert adc is not None
+        assert ends is not None
+        self.board = board
+        resistance = ends.resistance + board.column_lead
+        with np.errstate(divide="ignore"):
+            self.lines = Lines(board.lines.row, board.lines.column, 1.0 / resistance)
+        self.wires = Wires.of(self.lines)
+
+        self.to_driver = np.cumsum(board.row_ohms, axis=1)
+        """(N, M) ohm of wire between a crosspoint and its row's driver"""
+        self.behind = np.concatenate([board.column_ohms[1:], resistance[None]])
+        """(N, M) ohm of wire between a crosspoint and the next one towards the amplifier, or the amplifier"""
+        self.to_amplifier = np.cumsum(self.behind[::-1], axis=0)[::-1]
+        """(N, M) ohm of wire between a crosspoint and its column's amplifier"""
+        self.farthest_driver = self.to_driver.max(axis=0)
+        """(M,) ohm"""
+        self.farthest_amplifier = self.to_amplifier.max(axis=1)
+        """(N,) ohm"""
+        self.row_lead, self.column_lead = self.to_driver.mean(axis=1), self.to_amplifier.mean(axis=0)
+        """(N,) and (M,) ohm of the leads of a grid without segments that is most like this one"""
+        along_rows, along_columns = np.ptp(self.to_driver, axis=1), np.ptp(self.to_amplifier, axis=0)
+        leads = float(self.row_lead.mean() + self.column_lead.mean())
+        self.lead_like = float(along_rows.max() + along_columns.max()) <= _LEAD_LIKE * leads
+        """the segments are small against the leads"""
+        self.has_segments = bool(along_rows.any() or along_columns.any())
+        self.independent_columns = not (self.to_driver.any() or board.column_ohms.any())
+        """only the columns' ends have resistance"""
+        self._along_row = _shared_wire(self.to_driver)
+        self._along_column = _shared_wire(self.to_amplifier.T)
+
+        rows = board.shape[0]
+        self.source = ends.source
+        """(M,) V behind the columns' ends"""
+        self.source_per_volt = ends.source / board.drive
+        """(M,) the same per volt of drive"""
+        self.has_sources = bool(ends.source.any())
+        self.sources_differ = bool((ends.source != ends.source[0]).any())
+        self.source_spread = 2.0 * float(np.ptp(ends.source)) / abs(board.drive)
+        # T = scale V + constant + per_sum (sum of that over the rows); without currents between columns
+        self.scale = 1.0 / ends.slope / board.drive
+        """(M,) S of T per volt of output"""
+        self.constant = -ends.output * self.scale
+        """(M,) S"""
+        # The same for all cells: operations on arrays of one shape take a third of the time.
+        self._scale_of_all = self.for_all(self.scale)
+        self._constant_of_all = self.for_all(self.constant)
+        self._per_sum = ends.source / (board.drive - rows * ends.source)
+        self._ones = np.ones(rows)
+
+        self.half_step = adc_error(board) * np.abs(self.scale)
+        """(M,) S by which the converter may put T off"""
+        self.tolerance = _SHARE_OF_STEP * adc.step * np.abs(self.scale)
+        """(M,) S by which a model may put T off"""
+        self.least_tolerance = float(self.tolerance.min())
+        """S"""
+
+    def for_all(self, values: FloatArray) -> FloatArray:
+        """Values that broadcast to (N, M), as an array (N, M) of their own."""
+        return np.ascontiguousarray(np.broadcast_to(values, self.board.shape))
+
+    def transfer(self, volts: FloatArray, between: FloatArray | None) -> FloatArray:
+        """S (N, M): transfer conductances from outputs; 0 where the current has the wrong sign.
+
+        Args:
+            volts: (N, M) V, outputs.
+            between: (M,) S that currents between columns add to each T of a column; None: nothing.
+
+        """
+        transfer: FloatArray = volts * self._scale_of_all
+        transfer += self._constant_of_all
+        if self.has_sources:
+            if between is not None:
+                transfer -= between
+            transfer += self._per_sum * (self._ones @ transfer)
+        np.maximum(transfer, _NONE, out=transfer)
+        return transfer
+
+    def of_independent_columns(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Conductances (N, M) in S and gains (M,) where only the columns' ends have resistance, in closed form.
+
+        T = G / (1 + R sum G), R the resistance of a column's end.
+        """
+        gain = 1.0 / np.maximum(1.0 - self.to_amplifier[0] * (self._ones @ transfer), LEAST_SHARE)
+        return transfer * gain, gain
+
+    def between_columns(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """S (M,) that currents between columns of different sources add to each T of a column, and how far that is off.
+
+        The columns' sources drive these currents through the rows that the columns share, which lifts the rows. To
+        first order in the resistance of the rows; what is left out is smaller by the loss in the lines.
+        """
+        source, drive = self.source, self.board.drive
+        given = (self.drop_along_rows(transfer * source) * transfer).sum(axis=0) / drive
+        taken = source * (self.drop_along_rows(transfer) * transfer).sum(axis=0) / drive
+        left: FloatArray = 2.0 * (np.abs(given) + np.abs(taken))
+        return given - taken, left
+
+    def drop_along_rows(self, current: FloatArray) -> FloatArray:
+        """V (N, M) along the rows for currents (N, M) in A that leave them at the crosspoints."""
+        if self._along_row is not None:
+            drop: FloatArray = current.dot(self._along_row)
+            return drop
+        flow = np.cumsum(current[:, ::-1], axis=1)[:, ::-1]
+        return np.cumsum(self.board.row_ohms * flow, axis=1)
+
+    def drop_along_columns(self, current: FloatArray) -> FloatArray:
+        """V (N, M) along the columns for currents (N, M) in A into them at the crosspoints."""
+        if self._along_column is not None:
+            drop: FloatArray = self._along_column.dot(current)
+            return drop
+        flow = np.cumsum(current, axis=0)
+        return np.cumsum((self.behind * flow)[::-1], axis=0)[::-1]
+
+    def by_lines(self, change: FloatArray) -> FloatArray:
+        """Bound on the relative change of each T_ij, to first order, by what lines take of changed conductances."""
+        change = np.broadcast_to(change, self.board.shape)
+        row: FloatArray = np.einsum("ij,ij->i", self.to_driver, change)
+        column: FloatArray = np.einsum("ij,ij->j", self.to_amplifier, change)
+        return row[:, None] + column
+
+    def within_linear_range(self, change: FloatArray, conductance: FloatArray) -> FloatArray:
+        """Bounds (N, M) in S of first order on changes of conductances; inf if they move the gains too far for that.
+
+        What the lines take of a cell's current makes gains of about one and the resistance of the lines over that of
+        their cells, whose conductances (N, M) in S are given.
+        """
+        allowed = FAR * (1.0 + self.by_lines(conductance))
+        return change if (self.by_lines(change) <= allowed).all() else np.full_like(change, np.inf)
+
+    def moved_by(self, readings: FloatArray, propagation: Propagation, conductance: FloatArray) -> FloatArray:
+        """S (N, M) by which conductances (N, M) in S may be off where readings may be off by these S (N, M)."""
+        return self.within_linear_range(SIMILAR_MARGIN * propagation(readings), conductance)
+
+
+def above_floor(conductance: FloatArray) -> FloatArray:
+    """Conductances (N, M) in S with stand-ins for open cells."""
+    return np.maximum(conductance, floor_of(conductance))
+
+
+def floor_of(conductance: FloatArray) -> float:
+    """The S of an open cell's stand-in among these conductances."""
+    return LEAST_SHARE * max(float(conductance.max()), 1e-12)
+
+
+def similar(conductance: FloatArray, before: FloatArray) -> bool:
+    """Whether conductances (N, M) in S have changed so little that bounds on them hold but for a small margin."""
+    change = np.abs(conductance - before)
+    return bool((change <= _SIMILAR * (before + float(before.mean()))).all())
+
+
+def _shared_wire(ohms: FloatArray) -> FloatArray | None:
+    """Resistance of the wire that two places of a line share on the way to the line's end: the matrix K.
+
+    Args:
+        ohms: (lines, places) from each place to the line's end.
+
+    Returns:
+        (places, places) ohm, or None if the lines are not alike.
+
+    """
+    return np.minimum.outer(ohms[0], ohms[0]) if (ohms == ohms[0]).all() else None

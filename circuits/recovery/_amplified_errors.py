@@ -1,0 +1,128 @@
+"""Uncertainties of cells behind amplifiers: quantisation and noise of all readings, and the model's own error."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ._amplified_base import Base
+from ._amplified_board import SIMILAR_MARGIN, AmplifiedBoard
+from ._heavy_leads import Propagation
+from ._live_reading import SIGMAS, ValidityRule
+
+_NONE = np.array(0.0)  # as an array, since NumPy makes one of a float in every call
+_LEAST_OF_NOISE = 0.6  # share of a noise level down to which the level serves
+_NOISE_MARGIN = 1.2  # so that a noise that moves about does not call for new levels in every frame
+_SIMILAR_GAINS = 0.05  # relative change of gains in closed form up to which levels are kept
+
+
+class Levels(NamedTuple):
+    """How well readings of a certain noise are known. Arrays broadcast to (N, M) in line coordinates."""
+
+    noise: float
+    """V, standard deviation of the readings"""
+    gain: FloatArray
+    """conductance per transfer conductance, for which the levels hold"""
+    own: FloatArray
+    """S by which a cell's own transfer conductance may be off: half a step, noise, and what the model leaves"""
+    others: FloatArray
+    """relative uncertainty by the readings of other cells on light lines"""
+    by_leads: FloatArray
+    """S by which a transfer conductance may be off for the readings of other cells, where leads are heavy; else 0"""
+    least: FloatArray
+    """S, transfer conductance from which on a cell is valid"""
+    propagation: Propagation | None
+    """the base's, with which this was worked out"""
+
+    def uncertainties(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Relative uncertainties (N, M) of cells, and the part that is by their own readings.
+
+        Args:
+            transfer: (N, M) S, the cells' own transfer conductances.
+
+        """
+        reading = np.maximum(transfer, self.own)
+        own = self.own / reading
+        return own + self.by_leads / reading + self.others, own
+
+
+class ReadingErrors:
+    """Works out :class:`Levels`, and keeps them while they hold."""
+
+    def __init__(self, board: AmplifiedBoard, rule: ValidityRule) -> None:
+        """For one board, before its first frame."""
+        self._board, self._rule = board, rule
+        self._kept: Levels | None = None
+
+    def __call__(self, gain: FloatArray, noise: float, base: Base | None) -> Levels:
+        """How well readings are known.
+
+        Args:
+            gain: conductance per transfer conductance; broadcasts to (N, M).
+            noise: V, standard deviation of the readings.
+            base: the base of these gains; None where they are known in closed form.
+
+        """
+        kept = self._kept
+        propagation = None if base is None else base.propagation
+        if kept is not None and _LEAST_OF_NOISE * kept.noise <= noise <= kept.noise:
+            if propagation is not None:
+                holds = kept.propagation is propagation
+            else:
+                holds = kept.gain is gain or (base is None and _similar_gains(kept.gain, gain))
+            if holds:
+                return kept
+        self._kept = self._worked_out(gain, _NOISE_MARGIN * noise, base)
+        return self._kept
+
+    def _worked_out(self, gain: FloatArray, noise: float, base: Base | None) -> Levels:
+        board = self._board
+        own_noise = SIGMAS * noise * np.abs(board.scale)
+        own = board.half_step + own_noise + (board.tolerance if base is None else base.model_error)
+        propagation = None if base is None else base.propagation
+        others, by_leads = _NONE, _NONE
+        if base is None or propagation is None:
+            others = self._others_of_light_lines(gain, own_noise)
+        else:
+            by_leads = self._others_of_heavy_leads(propagation, base, own, own_noise)
+        least = self._rule.least_reading(own + by_leads, others)
+        return Levels(noise, gain, board.for_all(own), others, by_leads, least, propagation)
+
+    def _others_of_light_lines(self, gain: FloatArray, own_noise: FloatArray) -> FloatArray:
+        """Relative uncertainty (N, M) by other readings, whose noise is ``own_noise`` (M,) in S."""
+        board = self._board
+        # Quantisation errors of neighbours may all have the same sign; noise adds up by its squares.
+        others = board.by_lines(board.half_step * gain)
+        if own_noise.any():
+            squares = np.broadcast_to((own_noise * gain) ** 2, board.board.shape)
+            others = others + np.sqrt(
+                np.einsum("ij,ij->i", board.to_driver**2, squares)[:, None]
+                + np.einsum("ij,ij->j", board.to_amplifier**2, squares)
+            )
+        return others
+
+    def _others_of_heavy_leads(
+        self, propagation: Propagation, base: Base, own: FloatArray, own_noise: FloatArray
+    ) -> FloatArray:
+        """S (N, M) by which a transfer conductance may seem to be off for other readings.
+
+        Args:
+            propagation: of errors at the base.
+            base: the base.
+            own: (M,) S that readings may be off by, noise included.
+            own_noise: (M,) S, the noise in that.
+
+        """
+        board = self._board
+        spread = propagation(board.for_all(own - own_noise))
+        if own_noise.any():
+            spread = spread + np.sqrt(propagation.squared()(board.for_all(own_noise**2)))
+        spread = board.within_linear_range(SIMILAR_MARGIN * spread, base.conductance)
+        by_leads: FloatArray = np.maximum(spread / base.gain - own, 0.0)
+        return by_leads
+
+
+def _similar_gains(before: FloatArray, gain: FloatArray) -> bool:
+    return bool((np.abs(gain - before) <= _SIMILAR_GAINS * before).all())

@@ -1,0 +1,46 @@
+"""Where the first frame of a coupled board begins: conductances from readings by closed formulas.
+
+Columns that hardly load each other are taken apart exactly, and row leads as by :mod:`._column_blocks`. On other boards
+each reading is taken for that of a cell alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import FloatArray
+from .._board import cell_alone
+from ..solvers import siemens
+from ._column_blocks import ColumnBlocks
+from ._coupled_board import CoupledBoard
+
+_NEARLY_OPEN = 1e-3  # share of the median conductance below which a formula's result is taken for no conductance
+_FOR_OPEN = 0.1  # share of the median conductance that an open cell begins at
+_LARGEST = 1e3  # multiples of the largest apparent conductance that a cell beside a short may begin at
+_NO_CELLS = 1e-5  # S, a median where no reading tells of a conductance
+
+
+class ClosedStart:
+    """The closed formulas of one board."""
+
+    def __init__(self, parts: CoupledBoard, columns: ColumnBlocks) -> None:
+        """For a board, and its formulas for columns taken apart."""
+        self._board, self._columns = parts.board, columns
+        self._shunt = np.zeros(parts.shape)  # S, beside the cells
+        for fault in self._board.shorts:
+            self._shunt[fault.place] += siemens(fault.ohms)
+
+    def __call__(self, volts: FloatArray) -> FloatArray:
+        """Logarithms (n,) of the conductances behind readings (N, M) in V."""
+        signal = volts - self._board.level
+        if self._columns.applies:
+            apparent = self._columns.crosspoints(signal)
+        else:
+            apparent = self._board.circuit.apparent_conductance(self._board, signal)
+        conducting = apparent[apparent > 0]
+        typical = float(np.median(conducting)) if conducting.size else _NO_CELLS
+        most = _LARGEST * float(apparent.max(initial=0.0)) or 1.0
+        apparent = np.minimum(cell_alone(self._board, apparent, self._shunt), most)
+        seen = apparent > _NEARLY_OPEN * typical
+        start: FloatArray = np.log(np.where(seen, apparent, _FOR_OPEN * typical)).ravel()
+        return start

@@ -1,0 +1,50 @@
+"""Uncertainty of a fit: what ADC steps, noise, the converter's offset and gain, and steps not taken leave open."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ._coupled_board import CoupledBoard, Frame
+from ._gauss_newton import FITS, Fit
+from ._linearised import Base
+
+_SIGMAS = 4.5  # posterior standard deviations by ADC steps that an uncertainty covers: a bound on the error
+_NOISE_SIGMAS = 3.5  # the same by noise: a fifth more, a factor of two at the limit of validity, is 5 of them
+_STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
+
+
+class FitUncertainty:
+    """Relative uncertainties of the conductances that a fit has found."""
+
+    def __init__(self, parts: CoupledBoard) -> None:
+        """For a board."""
+        adc = parts.board.adc
+        self._noise = parts.noise  # V
+        self._random = 1.0  # share of the converter's error that differs from reading to reading
+        self._shifts: tuple[float, float, float] | None = None  # V and relative, errors of all readings; V of code 0
+        if adc is not None and (adc.offset_voltage or adc.gain_error):
+            self._shifts = abs(adc.offset_voltage), abs(adc.gain_error), adc.range[0]
+            self._random = (0.5 + abs(adc.inl_steps)) * adc.step / parts.half_step
+
+    def by_own_reading(self, frame: Frame) -> FloatArray:
+        """The part (n,) that a cell's own reading leaves open."""
+        own = frame.error * frame.slope
+        own[frame.slope == 0] = 1.0
+        return own
+
+    def by_readings(self, frame: Frame, fit: Fit, base: Base, own: FloatArray) -> FloatArray:
+        """What all readings leave open (n,), at least ``own`` (n,)."""
+        spread = base.std * np.maximum(fit.steeper, 1.0)
+        # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
+        by_noise = _NOISE_SIGMAS * frame.noise / self._noise
+        sigmas = max(float(np.hypot(_SIGMAS * self._random, by_noise)), fit.misfit * float(np.hypot(_SIGMAS, by_noise)))
+        uncertainty: FloatArray = np.maximum(sigmas * spread, own)
+        uncertainty += np.abs(fit.step) * (_STALLED if fit.stalled and fit.misfit > FITS else fit.stale)
+        if self._shifts is not None:
+            # Offset and gain error move all readings together.
+            offset, gain, lowest = self._shifts
+            by_gain = np.abs(base.step(gain * (frame.measured - lowest)))
+            by_gain += np.abs(base.step(np.full(len(own), offset)))
+            uncertainty += by_gain
+        return uncertainty

@@ -1,0 +1,277 @@
+"""Regularised Gauss-Newton steps from the last frame's cells to those of a new frame, within the frame's budget."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, inf
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ._coupled_board import Compared, CoupledBoard, Frame, Known
+from ._frame_budget import Effort
+from ._linearised import Base, Linearised, Moved
+
+NO_FIT = 3.0
+"""half steps between readings and model beyond which a fit says nothing yet"""
+FITS = 0.8
+"""half steps between readings and model that rounding alone makes"""
+_CONVERGED = 0.2  # the same after steps that have come to their end
+_SAME = 1e-3  # relative change of the misfit by a step that gained nothing
+_TOO_FAR = 1.0  # change of a logarithm from which on derivatives no longer tell what a misfit means for the cells
+_SLOW = 0.2  # length of a step over the one before from which on the derivatives are to blame
+_MOVED = 0.02  # change of a logarithm from which on derivatives may be to blame: closer, new ones would be no better
+_SETTLED = 0.3  # posterior standard deviations that a further step would change a cell by
+_LEAST_CHANGE = 1e-6  # change of a logarithm that is none
+_LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
+_AT_REST = 0.3  # most change by a further step after a fresh start
+_SHORTER = 0.4  # of a step that led away from the readings: what is taken next
+_PATIENCE = 3  # frames that do not settle, after which steps that lead away from the readings are not taken
+_MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
+_MOST_WITHOUT_FIT = 6  # frames in a row until steps column by column are given up
+
+
+class Fit(NamedTuple):
+    """Cells that give the readings, more or less."""
+
+    known: Known
+    """the cells"""
+    step: FloatArray
+    """(n,) change that a further step would make"""
+    misfit: float
+    """half steps and noise between readings and model"""
+    stalled: bool
+    """the last step has hardly changed that"""
+    proven: bool
+    """no further step would change what matters, by derivatives from cells like these"""
+    lost: bool
+    """it does not serve, and the derivatives are from too far away to tell how uncertain it is"""
+    stale: float
+    """times its length that the remaining step may have, since the derivatives are from cells that were different"""
+    steeper: FloatArray
+    """(n,) present slopes over those at the base"""
+
+    @property
+    def none(self) -> bool:
+        """Whether steps have come to their end, and no cells there give the readings."""
+        return self.misfit > _MISFIT and self.stalled
+
+
+@dataclass
+class Convergence:
+    """How frame after frame has come to a fit."""
+
+    begun: bool = False
+    """there has been a frame"""
+    fresh: bool = False
+    """a frame has started from closed formulas, and none has come to a fit since"""
+    failures: int = 0
+    """frames in a row at whose end no cells gave the readings"""
+    without_fit: int = 0
+    """frames in a row that did not come to a fit"""
+    astray_for: int = 0
+    """frames in a row that did not settle"""
+
+    @property
+    def astray(self) -> bool:
+        """Whether the last frame did not settle."""
+        return self.astray_for > 0
+
+    @property
+    def stuck(self) -> bool:
+        """Whether steps of the same kind lead to no fit."""
+        return self.without_fit >= _MOST_WITHOUT_FIT
+
+    def count(self, fit: Fit) -> None:
+        """Count a frame's fit, or that there is none."""
+        self.begun = True
+        self.without_fit = 0 if fit.misfit <= NO_FIT else self.without_fit + 1
+
+    def settle(self, fit: Fit) -> None:
+        """Decide whether the frame has settled.
+
+        After a frame that did not, nothing is valid before derivatives from near by confirm the cells.
+        """
+        doubted = self.astray or self.fresh
+        astray = fit.misfit > NO_FIT or fit.lost or (doubted and not fit.proven)
+        self.astray_for = self.astray_for + 1 if astray else 0
+        if fit.misfit <= NO_FIT:
+            self.fresh, self.failures = False, 0
+
+
+class GaussNewton:
+    """Steps for boards on which each reading depends on many cells.
+
+    Unknowns are the logarithms x of the conductances, so that none becomes negative. Readings count in standard
+    deviations of an ADC step's error: r = (measured - model) / (half step / sqrt 3). With J = dr/dx and the prior's
+    standard deviation s, a step is (J'J + 1/s^2)^-1 J' r (Levenberg, Marquardt; the Bayesian update of a linear model
+    with a broad prior about the last estimate). What the readings determine follows them; what they do not stays. The
+    covariance (J'J + 1/s^2)^-1 says which is which.
+    """
+
+    def __init__(self, parts: CoupledBoard, linearised: Linearised, convergence: Convergence) -> None:
+        """For a board, its linear model, and what earlier frames have come to."""
+        self._parts, self._linearised, self._convergence = parts, linearised, convergence
+        self._tells = ~parts.gone
+        self._damping = 1.0  # share of a step that is taken
+        # A base and a noise stay the same for many frames: both, and what follows from them.
+        self._least: tuple[Base | None, float, FloatArray] = None, 0.0, np.empty(0)
+
+    def begin_anew(self) -> None:
+        """Note that the next frame starts from closed formulas."""
+        self._damping, self._convergence.fresh = 1.0, True
+
+    def settle(self, fit: Fit) -> None:
+        """Decide whether the frame has settled, after which steps are whole ones again."""
+        self._convergence.settle(fit)
+        if not self._convergence.astray:
+            self._damping = 1.0
+
+    def fit(self, frame: Frame, start: Compared, effort: Effort) -> Fit:
+        """Fit the cells to a frame, from ``start`` on."""
+        here = _Place(self._linearised.base, frame, start)
+        allowed = effort.instalments
+        # Over strong nonlinearities whole steps are quick as a rule, but may lead too far, back, and so on for ever.
+        damped = self._convergence.astray_for >= _PATIENCE
+        stalled = False
+        for _ in range(effort.evaluations):
+            ahead = frame.compared(self._parts.at(here.base.advanced(here.known.log, self._damping * here.step)))
+            misfit, apart = ahead.half_steps / frame.coarser, ahead.apart
+            stalled = abs(misfit - here.misfit) <= _SAME * misfit
+            if damped and misfit > FITS and not stalled and apart @ apart > here.apart @ here.apart:
+                allowed = self._step_back(here, allowed)
+                continue
+            self._damping = min(self._damping / _SHORTER, 1.0)
+            before = here.step
+            here.go(ahead)
+            here.serves = self._serves(here)
+            allowed = self._renew_if_due(here, before, stalled, allowed)
+            if here.serves and (misfit <= _CONVERGED or not self._doubted):
+                break
+        return here.fit(stalled)
+
+    @property
+    def _doubted(self) -> bool:
+        """Whether steps go on to their end, see :attr:`Fit.proven`."""
+        return self._convergence.astray or self._convergence.fresh
+
+    def _step_back(self, here: _Place, allowed: int) -> int:
+        """After a step that led away from the readings: new derivatives, or a shorter step.
+
+        Args:
+            here: where the step began.
+            allowed: instalments of derivatives that the frame may still make.
+
+        Returns:
+            The instalments that remain.
+
+        """
+        here.measure()
+        if allowed and here.moved.counted > _MOVED and not self._linearised.under_way:
+            allowed -= 1
+            if self._linearised.renew(here.known):
+                here.rebase(self._linearised.base)
+                return allowed
+        self._damping *= _SHORTER
+        return allowed
+
+    def _renew_if_due(self, here: _Place, before: FloatArray, stalled: bool, allowed: int) -> int:
+        """Make new derivatives where those in use are from too far away, or to blame for slow convergence.
+
+        Args:
+            here: the cells, and the step that would be next.
+            before: (n,) the last step.
+            stalled: it has hardly changed the misfit.
+            allowed: instalments of derivatives that the frame may still make.
+
+        Returns:
+            The instalments that remain.
+
+        """
+        moved, linearised = here.moved, self._linearised
+        blamed = not here.serves and moved.counted > _MOVED and np.abs(here.step).max() > _SLOW * np.abs(before).max()
+        if self._convergence.fresh and stalled and here.misfit > NO_FIT:
+            linearised.give_up_columns()
+        if not (linearised.upgrade_due or moved.far or blamed or here.base.coarse or linearised.under_way):
+            return allowed
+        if here.serves and not self._convergence.astray:
+            allowed = min(allowed, 1)  # no need to hurry
+        while allowed:
+            allowed -= 1
+            if linearised.renew(here.known):
+                here.rebase(linearised.base)
+                here.serves = self._serves(here)
+                break
+        return allowed
+
+    def _serves(self, here: _Place) -> bool:
+        """Whether a further step would move no cell that the readings determine by more than its own uncertainty.
+
+        After a fresh start the other cells have to come to rest as well: what they carry shifts the readings of all.
+        """
+        if here.misfit > FITS:
+            return False
+        length = np.abs(here.step)
+        if self._convergence.fresh and length.max(where=self._tells, initial=0.0) > _AT_REST:
+            return False
+        return bool((length <= self._least_change(here)).all())
+
+    def _least_change(self, here: _Place) -> FloatArray:
+        """Change (n,) of each logarithm up to which it does not matter; inf where the readings do not tell."""
+        base, scale = here.base, here.frame.coarser
+        if self._least[:2] != (base, scale):
+            std = scale * base.std
+            determined = (std <= _LOOSE) & (base.others <= _LOOSE)
+            self._least = base, scale, np.where(determined, np.maximum(_SETTLED * std, _LEAST_CHANGE), inf)
+        return self._least[2]
+
+
+class _Place:
+    """Where the steps of a frame have come to."""
+
+    def __init__(self, base: Base, frame: Frame, start: Compared) -> None:
+        self.frame, self.base = frame, base
+        self.known, self.apart = start.known, start.apart
+        self.misfit = start.half_steps / frame.coarser
+        """half steps and noise"""
+        self._steeper = base.steeper(frame.slope)
+        self.step = base.change(self.apart, self._steeper)
+        """(n,) what is next"""
+        self.serves = False
+        """no further step is needed"""
+        self.moved = Moved(inf, inf)
+        """since the derivatives were made"""
+
+    def go(self, ahead: Compared) -> None:
+        """Take a step."""
+        self.known, self.apart = ahead.known, ahead.apart
+        self.misfit = ahead.half_steps / self.frame.coarser
+        self.step = self.base.change(ahead.apart, self._steeper)
+        self.measure()
+
+    def measure(self) -> None:
+        """Compare the cells with those of the derivatives."""
+        self.moved = self.base.moved(self.known.log, self.frame.coarser)
+
+    def rebase(self, base: Base) -> None:
+        """Go on by other derivatives."""
+        self.base = base
+        self._steeper = base.steeper(self.frame.slope)
+        self.step = base.change(self.apart, self._steeper)
+        self.measure()
+
+    def fit(self, stalled: bool) -> Fit:
+        """The cells as the frame's fit."""
+        moved = self.moved
+        settled = self.serves and self.misfit <= _CONVERGED and not moved.far
+        return Fit(
+            self.known,
+            self.step,
+            self.misfit,
+            stalled,
+            proven=settled or (stalled and moved.counted <= _MOVED),
+            lost=not self.serves and moved.counted > _TOO_FAR,
+            stale=exp(moved.largest),
+            steeper=self._steeper,
+        )

@@ -1,0 +1,308 @@
+"""Linearised model of a coupled board: derivatives, their regularised inverse and its posterior standard deviations.
+
+A :class:`Base` is the linear model about some cells. A live recovery keeps it while it serves, which is for many frames
+as a rule. :class:`Linearised` makes new ones: at once where derivatives have a closed form (column by column, or node
+by node), and in instalments where they are a matrix of all readings by all cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from math import inf
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from ...errors import InputError
+from ._column_blocks import ColumnBlocks, beyond_linear
+from ._coupled_board import CoupledBoard, Known
+from ._derivatives import derivatives
+from ._frame_budget import LARGE_EFFORT, NODE_EFFORT, USUAL_EFFORT, Effort
+from ._node_blocks import NodeBlocks
+from ._normal_matrix import Meter, NormalMatrix
+
+_PRIOR = 3.0  # standard deviation of the logarithm of a conductance before anything is read: a factor of 20
+_UNKNOWN = 8.0  # the same for a cell that a fault hides
+_FAR = 0.5  # change of a logarithm since the derivatives were made from which on they no longer serve
+_BY_NOISE = 4.0  # standard deviations by which noise and rounding move a cell without new derivatives being due
+_STUCK = 300  # frames until steps column by column are tried again
+_STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
+_STRIDE = 1.5  # most change of the logarithm of a conductance in one step
+_LINEAR_STRIDE = 1e3  # most change of a conductance that counts linearly, in multiples of what its reading can tell
+_LARGEST = 50.0  # logarithm that is as good as infinite
+_NEXT_TO_NONE = 0.01  # share of the least conductance that a reading tells, below which a cell may as well be open
+_LEAST_READING = 0.03  # half steps that the least conductance would read alone: from below, nothing would lead back
+_LIGHT = 0.3  # share of a voltage in the lines up to which derivatives in closed form are as good as any
+_HEAVY = 3.0  # the same up to which steps by them converge
+_SMALL = 100  # cells up to which an instalment is a whole renewal
+_PER_SQUARE = 16  # multiplications of a matrix product that take as long as the square of one entry
+
+LARGEST_MATRIX = 4096
+"""cells up to which a matrix of all readings by all cells is made: 0.3 GB"""
+LARGEST_BESIDE = 1024
+"""the same where columns are nearly independent: beyond, a step by that matrix costs ten without it"""
+
+
+class Moved(NamedTuple):
+    """How far cells are from those of a base, as changes of logarithms."""
+
+    counted: float
+    """largest one; what noise does counts less"""
+    largest: float
+    """largest one"""
+
+    @property
+    def far(self) -> bool:
+        """Whether the derivatives no longer serve there."""
+        return self.counted > _FAR
+
+
+@dataclass(eq=False)
+class Base:
+    """The linear model about some cells; n = N M, flattened."""
+
+    log: FloatArray
+    """(n,) logarithm of the conductances"""
+    step: Callable[[FloatArray], FloatArray]
+    """regularised inverse of the derivatives, from readings (n,) in V to changes (n,) of ``log``"""
+    std: FloatArray
+    """(n,) posterior standard deviation of ``log``"""
+    slope: FloatArray
+    """(n,) 1/V: change of ``log`` per volt if each cell were alone; 0 where its reading says nothing"""
+    others: FloatArray
+    """(n,) change of ``log`` if all hidden cells change by _UNKNOWN"""
+    floor: FloatArray
+    """(n,) ``log`` of the conductance that a cell's own reading can just tell from none; below, cells count linearly"""
+    linear: BoolArray | None
+    """(n,) cells that count linearly; None: none ever does, and ``floor`` is where logarithms end"""
+    whole: bool
+    """by the matrix of all readings by all cells, not column by column"""
+    coarse: bool
+    """column by column where that is good for convergence, but makes cells less certain than they are"""
+    _told: FloatArray = field(init=False)
+    """(n,) ``log``, but for what lies below ``floor``"""
+    _any_linear: bool = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Keep what every comparison with other cells needs."""
+        self._told = np.maximum(self.log, self.floor)
+        self._any_linear = self.linear is not None and bool(self.linear.any())
+
+    def moved(self, log: FloatArray, scale: float) -> Moved:
+        """Changes from here to logarithms (n,), with readings that are ``scale`` times as uncertain as by rounding."""
+        change = np.maximum(log, self.floor)
+        change -= self._told
+        np.abs(change, out=change)
+        largest = float(change.max())
+        change /= np.maximum((_BY_NOISE * scale / _FAR) * self.std, 1.0)
+        return Moved(float(change.max()), largest)
+
+    def is_far(self, log: FloatArray) -> bool:
+        """Whether the model is from too far away to serve at logarithms (n,), whatever the noise."""
+        return float(np.abs(np.maximum(log, self.floor) - self._told).max()) > _FAR
+
+    def advanced(self, log: FloatArray, step: FloatArray) -> FloatArray:
+        """Logarithms (n,) after a step.
+
+        Below what its own reading can tell from none, a cell's conductance is the unknown instead of its logarithm.
+        Readings depend on it linearly, and whether it is 1 % or 10 % of that makes no difference to any of them.
+        """
+        floor, linear = self.floor, self.linear
+        after: FloatArray = log + step
+        if linear is None:
+            return np.maximum(after, floor)
+        below = (after < floor) | (log < floor)
+        if self._any_linear:
+            below |= linear
+        if not below.any():
+            return after
+        above_floor = np.where(linear, np.exp(np.minimum(log - floor, _LARGEST)), 1.0 + log - floor)
+        relative = np.where(log < floor, np.exp(np.minimum(log - floor, 0.0)), above_floor) + step
+        logarithm = np.log(np.maximum(relative, _NEXT_TO_NONE))
+        return np.where(below, floor + np.where(linear | (relative < 1.0), logarithm, relative - 1.0), after)
+
+    def change(self, volts: FloatArray, steeper: FloatArray) -> FloatArray:
+        """Change (n,) of the logarithms for a difference (n,) of the readings in V.
+
+        A cell's own nonlinearity is known in closed form. Readings therefore count by what they would mean for a cell
+        alone at present, ``steeper`` times what they meant when the derivatives were made.
+        """
+        change = self.step(volts * steeper)
+        if max(change.max(), -change.min()) > _STRIDE:
+            most = _STRIDE if self.linear is None else np.where(self.linear, _LINEAR_STRIDE, _STRIDE)
+            np.clip(change, -_STRIDE, most, out=change)
+        return change
+
+    def steeper(self, slope: FloatArray) -> FloatArray:
+        """Slopes (n,) in 1/V over those at the base, up to a factor of _STEEPER; 1 where there is none."""
+        both = (self.slope > 0) & (slope > 0)
+        ratio = np.divide(slope, self.slope, out=np.ones(len(slope)), where=both)
+        np.minimum(ratio, _STEEPER, out=ratio)
+        return np.maximum(ratio, 1.0 / _STEEPER, out=ratio)
+
+
+class Linearised:
+    """The base of one board, and its renewal."""
+
+    def __init__(self, parts: CoupledBoard) -> None:
+        """Choose how derivatives are made.
+
+        Raises:
+            InputError: the board is too large.
+
+        """
+        board, cells = parts.board, parts.shape[0] * parts.shape[1]
+        self._parts = parts
+        self._tells = ~parts.gone
+        tells = self._tells.reshape(parts.shape)
+        self.columns = ColumnBlocks(board, parts.lines.to_driver, parts.lines.to_end, parts.noise, tells)
+        """derivatives in closed form, where columns hardly load each other"""
+        nodes = NodeBlocks(board, parts.quick, parts.noise) if board.floating and cells > _SMALL else None
+        self._nodes = nodes if nodes is not None and nodes.applies else None
+        if cells > LARGEST_MATRIX and not (self.columns.applies or self._nodes):
+            raise InputError(
+                "the live recovery of boards with bridged lines, or with floating rows and broken lines, is for at "
+                f"most {LARGEST_MATRIX} cells, and the array has {cells}; expected a smaller array, or no such fault"
+            )
+        nearly_independent = self.columns.applies and not parts.shorted.any()
+        self._has_matrix = cells <= (LARGEST_BESIDE if nearly_independent else LARGEST_MATRIX)
+        self._prior = np.where(parts.hidden, _UNKNOWN, _PRIOR)
+        per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(parts.shape)))
+        self._least = np.log(_LEAST_READING * parts.half_step * per_volt).ravel()  # of the logarithms
+        self._series = (parts.leads + board.series_ohms).ravel()  # ohm of leads and faults, for each cell
+        self._base: Base | None = None
+        self._renewal: Iterator[Base | None] | None = None
+        self._stuck = 0
+
+    @property
+    def usual_effort(self) -> Effort:
+        """What a frame after the first may cost."""
+        if self._nodes is not None:
+            return NODE_EFFORT
+        bridged = not self.columns.applies and len(self._prior) > _SMALL
+        return LARGE_EFFORT if bridged else USUAL_EFFORT
+
+    @property
+    def base(self) -> Base:
+        """The present linear model; there is one after :meth:`begin`."""
+        assert self._base is not None
+        return self._base
+
+    @property
+    def under_way(self) -> bool:
+        """Whether instalments of a new base have been made, and more are to come."""
+        return self._renewal is not None
+
+    @property
+    def upgrade_due(self) -> bool:
+        """Whether steps column by column have led to no fit, and the whole matrix is due instead."""
+        return self._stuck > 0 and not self.base.whole
+
+    def give_up_columns(self) -> None:
+        """Take steps by the whole matrix for some frames, where there is one: steps column by column lead to no fit."""
+        if self._has_matrix and not self.base.whole:
+            self._stuck = _STUCK
+
+    def end_frame(self) -> None:
+        """Count the frames until steps column by column are tried again."""
+        self._stuck = max(self._stuck - 1, 0)
+
+    def begin(self, at: Known) -> None:
+        """Make the first base there, at once."""
+        if self._base is None:
+            self._base = self._at_once(at)
+
+    def begin_anew(self, at: Known) -> None:
+        """Drop the instalments that have been made, and go on from cells of closed formulas."""
+        self._renewal = None
+        self.rebase(at)
+
+    def rebase(self, at: Known) -> None:
+        """Take derivatives from there at once, where columns give them in closed form."""
+        loss = self._loss(at)
+        if self._base is not None and self.columns.applies and loss <= _HEAVY:
+            self._base, self._renewal = self._by_lines(at, loss), None
+
+    def renew(self, at: Known) -> bool:
+        """Derivatives at these cells, or a further instalment of them. True if the base has just become new."""
+        base, loss, new = self.base, self._loss(at), False
+        columns_serve = loss <= _HEAVY and not self._stuck
+        if columns_serve or not self._has_matrix:
+            if not base.whole or base.is_far(at.log):
+                self._base, new = self._by_lines(at, loss), True
+            if not self.base.whole and not self.base.coarse:
+                self._renewal = None
+                return new
+        if self._renewal is None:
+            self._renewal = self._by_matrix(at)
+        made = next(self._renewal)
+        if made is None:
+            return new
+        self._renewal = None
+        if columns_serve and made.is_far(at.log):
+            return new  # made for cells that are no more
+        self._base = made
+        return True
+
+    def _loss(self, at: Known) -> float:
+        """Share of a voltage in the lines, as far as steps by single lines neglect it; inf: there are no such steps."""
+        if self._nodes is not None:
+            return 0.0
+        if not self.columns.applies:
+            return inf
+        return self.columns.loss(self._parts.board.cell_conductance(at.cells))
+
+    def _at_once(self, at: Known) -> Base:
+        """Derivatives and their regularised inverse there, however long they take."""
+        loss = self._loss(at)
+        if loss <= _HEAVY or not self._has_matrix:
+            return self._by_lines(at, loss)
+        return next(base for base in self._by_matrix(at) if base is not None)
+
+    def _by_lines(self, at: Known, loss: float) -> Base:
+        """Derivatives there by what is special about cells of one line: no matrix of all readings by all cells."""
+        shape, slope = self._parts.shape, self._parts.slope(at.volts)
+        prior = self._prior.reshape(shape)
+        if self._nodes is not None:
+            by_nodes = self._nodes.at(at.cells, prior)
+            none, std = np.zeros(len(at.log)), by_nodes.std.ravel()
+            return Base(at.log, by_nodes.solve, std, slope, none, self._least, None, whole=False, coarse=False)
+        step = self.columns.at(at.cells, prior, self._parts.hidden.reshape(shape))
+        coarse = loss > _LIGHT and self._has_matrix
+        std, others, floor = step.std.ravel(), step.others.ravel(), step.floor.ravel()
+        return Base(at.log, step.solve, std, slope, others, floor, at.log < floor, whole=False, coarse=coarse)
+
+    def _by_matrix(self, at: Known) -> Iterator[Base | None]:
+        """Derivatives and their regularised inverse there, in instalments; None until the last."""
+        parts, size = self._parts, len(at.log)
+        jacobian, cells, noise = np.empty((size, size)), at.cells.ravel(), parts.noise
+        meter = Meter(size, beside=self.columns.applies)
+        for _ in derivatives(parts.board, at.cells, parts.quick, meter, out=jacobian):
+            yield None
+        in_series = 1.0 / (cells + parts.board.series_ohms.ravel())  # S of the cell and an open-cell fault
+        scale = in_series**2 * cells / noise
+        # Of a cell whose reading hardly tells it from none, the unknown is the conductance itself, see advanced().
+        own = np.abs(np.diagonal(jacobian))
+        least = np.divide(1.0, own, out=np.zeros(size), where=self._tells & (own > 0))
+        floor = np.log(np.maximum(least * noise, np.finfo(np.float64).tiny))
+        jacobian *= np.where((scale < least) & (cells > self._series), least, scale)
+        normal = NormalMatrix(jacobian, self._prior)
+        for _ in normal.instalments(meter):
+            yield None
+        variance = np.maximum(np.diagonal(normal.inverse), np.finfo(np.float64).tiny)
+        if meter.is_full(_PER_SQUARE * normal.inverse.size):
+            yield None
+        more = beyond_linear(np.sqrt(variance)) / variance
+        std = np.sqrt(variance + np.einsum("ij,ij,j->i", normal.inverse, normal.inverse, more))
+        # Of the covariance with the hidden cells: how far each cell follows when all of them go to their ends.
+        hidden, others = parts.hidden, np.zeros(size)
+        if parts.any_hidden:
+            others = np.abs(normal.inverse[:, hidden] / std[hidden] ** 2).sum(axis=1) * _UNKNOWN
+
+        def step(volts: FloatArray) -> FloatArray:
+            return normal.step(volts / noise)
+
+        slope = parts.slope(at.volts)
+        yield Base(at.log, step, std, slope, others, floor, at.log < floor, whole=True, coarse=False)

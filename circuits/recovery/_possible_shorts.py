@@ -1,0 +1,86 @@
+"""Cells of a fit that may be shorts, and the cells whose values such shorts would disturb."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from ._coupled_board import CoupledBoard, Frame, Known
+from ._live_reading import SIGMAS
+
+_FAR_BELOW = 0.05  # share of its leads' resistance below which a cell is as good as a short
+_TIES = 1.0  # share of its leads' resistance below which a cell may join lines with each other
+_ALIKE = 0.125  # least share of a column's largest reading that a short in the column has
+_RESOLVED = 4.0  # half steps and noise of a reading that is far from none
+
+
+class PossibleShorts:
+    """What shorts would do to the readings of one board."""
+
+    def __init__(self, parts: CoupledBoard) -> None:
+        """For a board."""
+        board, lines = parts.board, parts.lines
+        self._board, self._shape = board, parts.shape
+        explained = parts.gone.reshape(parts.shape)
+        self._short = np.where(explained, 0.0, _FAR_BELOW * parts.leads)  # (N, M) ohm
+        self._tie = np.where(explained | (parts.leads == 0.0), -inf, _TIES * parts.leads).ravel()  # (n,) ohm
+        self._row_lead = np.where(np.isfinite(lines.to_driver), lines.to_driver, 0.0)
+        self._least_signal = parts.half_step + (0.0 if board.adc is None else board.adc.step)
+
+    def as_good_as_short(self, known: Known) -> BoolArray | None:
+        """(N, M) cells far below their leads that no fault explains; None where there are none."""
+        found: BoolArray = known.cells < self._short
+        return found if found.any() else None
+
+    def disturb(self, frame: Frame, known: Known, uncertainty: FloatArray, lost: BoolArray | None) -> BoolArray | None:
+        """Cells whose values would be wrong if cells that may be shorts were such.
+
+        Args:
+            frame: the readings.
+            known: the cells that have been found for them.
+            uncertainty: (n,) of the conductances, but for what the lost columns do.
+            lost: (M,) columns that are left out; None: there are none.
+
+        Returns:
+            (N, M); None where there are none.
+
+        """
+        excess = frame.signal - _RESOLVED * frame.error
+        if lost is not None:
+            excess[:, lost] = 0.0  # what these make of their rows is known
+        tied = self._tied(known, uncertainty, excess)
+        least = self._least_signal + SIGMAS * frame.noise
+        signal = frame.volts - self._board.level
+        imitated = self._board.circuit.imitated_by_shorts(self._board, self._row_lead, signal, least)
+        if tied is None or imitated is None:
+            return imitated if tied is None else tied
+        return tied | imitated
+
+    def _tied(self, known: Known, uncertainty: FloatArray, excess: FloatArray) -> BoolArray | None:
+        """Cells on lines that two cells, which may be shorts, join with each other by way of a third line.
+
+        Two shorts in a column divide the voltage between their rows' leads, whichever of the two rows is driven. Both
+        rows then read alike, and in between a few ohm of the two cells decide how the readings are shared. The law is
+        the same for columns.
+
+        Args:
+            known: the cells.
+            uncertainty: (n,) of the conductances.
+            excess: (N, M) V of the readings above those that are hardly any.
+
+        Returns:
+            (N, M); None where there are none.
+
+        """
+        small = (1.0 - uncertainty) * known.cells.ravel() < self._tie
+        suspect = small.reshape(self._shape) & (excess > 0.0)
+        if np.count_nonzero(suspect) < 2:
+            return None
+        # Shorts of one column read alike, but for the leads of their rows.
+        suspect &= excess > _ALIKE * excess.max(axis=0)
+        rows = (suspect & (suspect.sum(axis=0) > 1)).any(axis=1)
+        columns = (suspect & (suspect.sum(axis=1, keepdims=True) > 1)).any(axis=0)
+        beside: BoolArray = rows[:, None] | columns
+        return beside

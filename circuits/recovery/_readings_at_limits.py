@@ -1,0 +1,191 @@
+"""Readings at a limit, where a short may be: which readings a fit leaves out, and how far others become uncertain.
+
+No derivative at a limit tells what a short there does to all other cells. On most coupled boards a frame with such a
+reading therefore tells of no cell. With driven idle rows and no amplifiers, columns meet in the rows' leads alone. The
+columns of such readings are then left out, and the others become less certain by what the leads may change.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from ...errors import SolverError
+from ._coupled_board import CoupledBoard, Frame
+from ._gauss_newton import Convergence
+
+_SHORT = 8.0  # half steps and noise from the reading of a short within which a cell may be one
+_SHORT_SHARE = 0.998  # of the reading of a short, likewise
+_HEAVY_CELL = 0.8  # of what a short reads, from which on a column is left out where the last frame did not settle
+_ONE_OF_SOME = 0.2  # the same where two frames did not, since cells of a few ohm share a reading
+_LEFT_OUT = 300  # frames until a column that has been left out is tried again
+_BY_LEADS = 1.5  # times the share of a voltage that leads lose, what they may change
+
+
+class Selection(NamedTuple):
+    """Readings that a frame's fit leaves out. Arrays are (N, M) unless said otherwise."""
+
+    tells: bool
+    """whether the frame tells of any cell"""
+    at_limit: BoolArray
+    """readings at a limit"""
+    lost: BoolArray | None
+    """(M,) columns that are left out; None: there are none"""
+    beside: BoolArray
+    """cells of which the frame does not tell: those of lost columns and of columns that no amplifier holds"""
+    ignored: BoolArray | None
+    """(n,) readings that do not count; None: all do"""
+
+
+class ReadingLimits:
+    """The readings of one board at their limits."""
+
+    def __init__(self, parts: CoupledBoard, *, nearly_independent: bool) -> None:
+        """For a board, and whether its columns hardly load each other."""
+        board = parts.board
+        self._parts, self._board = parts, board
+        self._gone = parts.gone.reshape(parts.shape)
+        # V of a short that is alone, inf with ideal lines and amplifiers; and the most that any cells can make of it
+        leads = np.broadcast_to(board.row_ohms[:, :1] + board.column_lead, parts.shape)
+        self._short_signal = np.abs(board.circuit.ideal_volts(board, parts.leads) - board.level)
+        most = np.abs(board.circuit.ideal_volts(board, leads) - board.level)
+        self._most_signal = most + 2.0 * np.abs(board.offset)
+        self._loses_columns = (
+            nearly_independent and parts.quick.is_quick and not board.circuit.has_amplifiers and not board.faults
+        )
+        self._usual = np.zeros(parts.shape, dtype=np.bool_)
+        self._usual_below = -1.0, self._short_signal  # V: an error of readings, and what they do not reach as a rule
+        self._left_out = np.zeros(parts.shape[1], dtype=np.bool_)  # columns
+        self._leaves_out = 0  # frames for which they stay so
+
+    def select(
+        self, signal: FloatArray, limited: BoolArray | None, error: float, convergence: Convergence
+    ) -> Selection:
+        """Choose the readings that count.
+
+        Args:
+            signal: (N, M) V, distance of the readings from the reference voltage.
+            limited: (N, M) where the converter or the output is at a limit; None: nowhere.
+            error: V by which a reading may be off.
+            convergence: how the last frames have come to a fit.
+
+        Raises:
+            SolverError: no cells of this board give readings that large.
+
+        """
+        limited_known = limited is not None
+        limited = self._usual if limited is None else limited
+        if self._parts.mixes and self._parts.any_hidden:
+            return _nothing(limited)
+        if not limited_known and self._is_usual(signal, error, convergence):
+            ignored = self._parts.hidden if self._parts.any_hidden else None
+            return Selection(True, self._usual, None, self._usual, ignored)
+        at_limit = self._at_limit(signal, limited & ~self._gone, error)
+        lost = np.logical_or.reduce(at_limit, axis=0)
+        if self._loses_columns:
+            self._leave_out(signal, convergence)
+            if not (lost | self._left_out).all():
+                lost = lost | self._left_out
+        any_lost = bool(lost.any())
+        if any_lost and not (self._loses_columns and not lost.all()):
+            return _nothing(at_limit)
+        beside = np.repeat(lost[None], len(at_limit), axis=0)
+        ignored = self._parts.hidden
+        if any_lost:
+            ignored = beside.ravel() | ignored
+        if limited_known:
+            expected = limited & self._gone
+            if self._board.circuit.has_amplifiers:
+                # While a known short's amplifier stands at its limit, it does not hold its column: others notice.
+                beside |= np.any(expected & self._parts.shorted, axis=1, keepdims=True)
+                if self._board.floating and beside.any():
+                    return _nothing(limited)
+            ignored = (expected | beside).ravel() | self._parts.hidden
+        return Selection(True, at_limit, lost if any_lost else None, beside, ignored if ignored.any() else None)
+
+    def _is_usual(self, signal: FloatArray, error: float, convergence: Convergence) -> bool:
+        """Whether no reading is near a limit, and no column is left out: quickly, as it is so in nearly all frames."""
+        if self._loses_columns and (convergence.astray or self._left_out.any()):
+            return False
+        if self._usual_below[0] != error:
+            margin = _SHORT * error
+            below = np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)
+            below = np.minimum(below, self._most_signal + margin)
+            self._usual_below = error, np.where(self._gone, np.inf, below)
+        return not (signal >= self._usual_below[1]).any()
+
+    def _at_limit(self, signal: FloatArray, limited: BoolArray, error: float) -> BoolArray:
+        """(N, M) readings that are limited, or as large as that of a short."""
+        margin, tells = _SHORT * error, ~self._gone
+        if ((signal > self._most_signal + margin) & tells & ~limited).any():
+            raise SolverError("readings above that of a short; check that the design is that of the board")
+        short = np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)
+        at_limit: BoolArray = limited | ((signal >= short) & tells)
+        return at_limit
+
+    def _leave_out(self, signal: FloatArray, convergence: Convergence) -> None:
+        """Choose columns without which a board settles that does not: cells of a few ohm there may keep it from that.
+
+        Args:
+            signal: (N, M) V.
+            convergence: how the last frames have come to a fit.
+
+        """
+        share = (signal / self._short_signal).max(axis=0)
+        self._left_out &= share >= _ONE_OF_SOME
+        if not self._left_out.any():
+            self._leaves_out = 0
+        elif self._leaves_out <= 0:
+            self._left_out[:] = False  # and try again
+        self._leaves_out -= 1
+        again = convergence.astray_for > 1
+        if again or (convergence.astray and not convergence.fresh):
+            found = share >= (_ONE_OF_SOME if again else _HEAVY_CELL)
+            if found.any():
+                self._left_out |= found
+                self._leaves_out = _LEFT_OUT
+
+    def by_lost_columns(self, frame: Frame, lost: BoolArray, conductance: FloatArray) -> FloatArray:
+        """Relative change (n,) of other columns' cells by columns that are taken for usual ones, whatever these are.
+
+        With driven idle rows columns meet in the rows' leads alone. The readings of a column are to each other as its
+        conductances D to the rows' drivers are, and none of these is more than 1/lead. So no D of the column times a
+        lead is more than its reading over the largest one, which belongs to the cell at its limit. That is the share of
+        a voltage that the leads lose to the column, or bring into other columns by way of it.
+
+        Args:
+            frame: the readings.
+            lost: (M,) columns with cells at their limits.
+            conductance: (N, M) S of the cells as they are taken.
+
+        """
+        board, lead, columns = self._board, self._parts.lines.to_driver, np.flatnonzero(lost)
+        most, off = float(lead.max()), frame.error
+        readings = frame.signal[:, lost]
+        row = readings.argmax(axis=0)  # of the cell at its limit, in each of the columns
+        largest = np.maximum(readings.max(axis=0) - off, np.finfo(np.float64).tiny)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            per_volt = np.nan_to_num(most / lead[row, columns] / largest, nan=0.0)
+        steeper = 1.0 + conductance.max(axis=0) / conductance  # what other rows bring in, against the cell's own
+        # A row that is selected loses to the column what its own cell passes, which comes out at the cell at its limit.
+        passed = (readings + off) * per_volt
+        passed[row, np.arange(len(row))] = 0.0
+        by_row = passed.sum(axis=1) + most * conductance[:, lost].sum(axis=1)
+        share: FloatArray = by_row[:, None] * steeper
+        # With that cell's row selected, the column is at the drive, and feeds all other rows.
+        for place, each, column in zip(row, per_volt, columns, strict=True):
+            fed = frame.signal[:, column] * each
+            fed[place] = sqrt(len(fed)) * off * each
+            if not board.circuit.columns_one_by_one(board):
+                fed[place] += most / (board.reference[column] + board.column_lead[column])
+            share[place] += fed.sum() + fed @ conductance / conductance[place]
+        changed: FloatArray = _BY_LEADS * share
+        return changed.ravel()
+
+
+def _nothing(at_limit: BoolArray) -> Selection:
+    """No reading tells of a cell."""
+    return Selection(False, at_limit, np.ones(at_limit.shape[1], dtype=np.bool_), np.ones_like(at_limit), None)
