@@ -89,50 +89,67 @@ class AmplifiedLive:
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
-        """A frame's way, in line coordinates: readings, cells, uncertainties, and reasons where cells are not valid."""
-        board, base = self._board, self._base
-        transfer = board.transfer(volts, None if base is None else base.between)
-        if board.independent_columns:
-            conductance, gain = board.of_independent_columns(transfer)
-            off = None
-        else:
-            if base is None:
-                base, transfer = self._begin(volts, transfer)
-            else:
-                self._by_attenuation.exact_left = EXACT_EVALUATIONS
-            conductance, off, base = self._settle(base, volts, transfer)
-            self._base, gain = base, base.gain
-            transfer = base.own_part(transfer)
-        levels = self._errors(gain, noise, base)
+        """A frame's way, in line coordinates: cells, uncertainties, cells at limits, and reasons for the rest."""
+        transfer, conductance, gain, off = self._cells(volts)
+        levels = self._errors(gain, noise, self._base)
         if limited is None and off is None and not self._faults.any:
             valid = transfer >= levels.least
             if np.count_nonzero(valid) == valid.size:
                 return LiveReading(
                     np.reciprocal(conductance), self._all, self._no_reason, partial(levels.uncertainties, transfer)
                 )
-        disturbance = None if limited is None else self._at_limits(conductance, volts, limited, levels.noise, base)
+        disturbance = None
+        if limited is not None:
+            disturbance = self._at_limits(conductance, volts, limited, levels.noise, self._base)
         return self._examined(transfer, conductance, levels, off, limited, disturbance)
 
-    def _begin(self, volts: FloatArray, transfer: FloatArray) -> tuple[Base, FloatArray]:
-        """The first base, and the transfer conductances (N, M) in S again that it makes known better."""
-        attempts, self._by_attenuation.exact_left = FIRST_EVALUATIONS[0] - EVALUATIONS, FIRST_EVALUATIONS[1]
-        base, conductance = None, transfer
-        for _ in range(attempts):
+    def _cells(self, volts: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
+        """What a frame's outputs (N, M) in V say of the cells, within the frame's budget.
+
+        Returns:
+            S (N, M), the cells' own parts of the transfer conductances; S (N, M), conductances; gains, which broadcast
+            to (N, M); and the certificate as by :class:`.Relinearisation`, None where the budget sufficed.
+
+        """
+        board, base = self._board, self._base
+        if board.independent_columns:
+            transfer = board.transfer(volts, None)
+            conductance, gain = board.of_independent_columns(transfer)
+            return transfer, conductance, gain, None
+        if base is None:
+            base, transfer = self._begin(volts)
+        else:
+            self._by_attenuation.exact_left = EXACT_EVALUATIONS
+            transfer = board.transfer(volts, base.between)
+        conductance, off, base = self._settle(base, volts, transfer)
+        self._base = base
+        return base.own_part(transfer), conductance, base.gain, off
+
+    def _begin(self, volts: FloatArray) -> tuple[Base, FloatArray]:
+        """The first base, and the transfer conductances (N, M) in S that the outputs (N, M) in V give with it."""
+        self._by_attenuation.exact_left = FIRST_EVALUATIONS[1]
+        conductance = self._board.transfer(volts, None)  # as if the lines had no resistance
+        for _ in range(FIRST_EVALUATIONS[0] - EVALUATIONS):
             base = self._by_attenuation(conductance)
             transfer = self._board.transfer(volts, base.between)
             conductance, off = self._relinearised(base, transfer)
             if off is None:
                 break
-        assert base is not None
         self._by_attenuation.exact_left = max(self._by_attenuation.exact_left, EXACT_EVALUATIONS)
         return base, transfer
 
     def _settle(
         self, base: Base, volts: FloatArray, transfer: FloatArray
     ) -> tuple[FloatArray, FloatArray | None, Base]:
-        """Conductances (N, M) in S, their certificate as by :class:`.Relinearisation`, and the base that gave them.
+        """Conductances (N, M) in S, their certificate, and the base that gave them.
 
-        The certificate is not None where the frame's budget did not suffice.
+        The base moves to the present conductances as long as the certificate asks for that and the budget allows it.
+
+        Args:
+            base: of the last frame.
+            volts: (N, M) V, outputs.
+            transfer: (N, M) S, transfer conductances.
+
         """
         if self._heavy:
             by_leads = self._base_by_leads(volts, base)
@@ -144,8 +161,17 @@ class AmplifiedLive:
                 break
             base = self._by_attenuation(conductance)
             conductance, off = self._relinearised(base, transfer)
-        if base.loss <= _HEAVY:
-            return conductance, off, base
+        if base.loss > _HEAVY:
+            return self._settle_on_heavy_lines(base, volts, conductance, off)
+        return conductance, off, base
+
+    def _settle_on_heavy_lines(
+        self, base: Base, volts: FloatArray, conductance: FloatArray, off: FloatArray | None
+    ) -> tuple[FloatArray, FloatArray | None, Base]:
+        """As :meth:`_settle`, after attenuation has given these conductances and this certificate.
+
+        Kirchhoff's laws say more where the lines are hardly more than leads. Elsewhere the certificate is widened.
+        """
         if self._board.lead_like:
             by_leads = self._base_by_leads(volts, base)
             if by_leads is not None:

@@ -56,7 +56,7 @@ class ReadingLimits:
         self._loses_columns = (
             nearly_independent and parts.quick.is_quick and not board.circuit.has_amplifiers and not board.faults
         )
-        self._usual = np.zeros(parts.shape, dtype=np.bool_)
+        self._nowhere = np.zeros(parts.shape, dtype=np.bool_)
         self._usual_below = -1.0, self._short_signal  # V: an error of readings, and what they do not reach as a rule
         self._left_out = np.zeros(parts.shape[1], dtype=np.bool_)  # columns
         self._leaves_out = 0  # frames for which they stay so
@@ -76,35 +76,32 @@ class ReadingLimits:
             SolverError: no cells of this board give readings that large.
 
         """
-        limited_known = limited is not None
-        limited = self._usual if limited is None else limited
+        reported = self._nowhere if limited is None else limited
         if self._parts.mixes and self._parts.any_hidden:
-            return _nothing(limited)
-        if not limited_known and self._is_usual(signal, error, convergence):
+            return _nothing(reported)
+        if limited is None and self._is_usual(signal, error, convergence):
             ignored = self._parts.hidden if self._parts.any_hidden else None
-            return Selection(True, self._usual, None, self._usual, ignored)
-        at_limit = self._at_limit(signal, limited & ~self._gone, error)
-        lost = np.logical_or.reduce(at_limit, axis=0)
-        if self._loses_columns:
-            self._leave_out(signal, convergence)
-            if not (lost | self._left_out).all():
-                lost = lost | self._left_out
+            return Selection(tells=True, at_limit=self._nowhere, lost=None, beside=self._nowhere, ignored=ignored)
+        at_limit = self._at_limit(signal, reported & ~self._gone, error)
+        lost = self._lost_columns(signal, at_limit, convergence)
         any_lost = bool(lost.any())
         if any_lost and not (self._loses_columns and not lost.all()):
             return _nothing(at_limit)
+        expected = reported & self._gone
         beside = np.repeat(lost[None], len(at_limit), axis=0)
-        ignored = self._parts.hidden
-        if any_lost:
-            ignored = beside.ravel() | ignored
-        if limited_known:
-            expected = limited & self._gone
-            if self._board.circuit.has_amplifiers:
-                # While a known short's amplifier stands at its limit, it does not hold its column: others notice.
-                beside |= np.any(expected & self._parts.shorted, axis=1, keepdims=True)
-                if self._board.floating and beside.any():
-                    return _nothing(limited)
-            ignored = (expected | beside).ravel() | self._parts.hidden
-        return Selection(True, at_limit, lost if any_lost else None, beside, ignored if ignored.any() else None)
+        if self._board.circuit.has_amplifiers:
+            # While a known short's amplifier stands at its limit, it does not hold its column: others notice.
+            beside |= np.any(expected & self._parts.shorted, axis=1, keepdims=True)
+            if self._board.floating and beside.any():
+                return _nothing(reported)
+        ignored = (expected | beside).ravel() | self._parts.hidden
+        return Selection(
+            tells=True,
+            at_limit=at_limit,
+            lost=lost if any_lost else None,
+            beside=beside,
+            ignored=ignored if ignored.any() else None,
+        )
 
     def _is_usual(self, signal: FloatArray, error: float, convergence: Convergence) -> bool:
         """Whether no reading is near a limit, and no column is left out: quickly, as it is so in nearly all frames."""
@@ -125,6 +122,16 @@ class ReadingLimits:
         short = np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)
         at_limit: BoolArray = limited | ((signal >= short) & tells)
         return at_limit
+
+    def _lost_columns(self, signal: FloatArray, at_limit: BoolArray, convergence: Convergence) -> BoolArray:
+        """Columns (M,) that a reading at a limit takes with it, and those that keep the others from settling."""
+        lost: BoolArray = np.logical_or.reduce(at_limit, axis=0)
+        if self._loses_columns:
+            self._leave_out(signal, convergence)
+            together = lost | self._left_out
+            if not together.all():
+                return together
+        return lost
 
     def _leave_out(self, signal: FloatArray, convergence: Convergence) -> None:
         """Choose columns without which a board settles that does not: cells of a few ohm there may keep it from that.
@@ -188,4 +195,4 @@ class ReadingLimits:
 
 def _nothing(at_limit: BoolArray) -> Selection:
     """No reading tells of a cell."""
-    return Selection(False, at_limit, np.ones(at_limit.shape[1], dtype=np.bool_), np.ones_like(at_limit), None)
+    return Selection(tells=False, at_limit=at_limit, lost=None, beside=np.ones_like(at_limit), ignored=None)
