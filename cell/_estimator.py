@@ -84,6 +84,8 @@ UNKNOWN_PAST = 0.25
 that has been there for long; it falls as the doubt about a gap does"""
 AFTER_GAP, AFTER_GAP_S = 0.3, 10.0
 """share of the doubt about a gap that the first reading after it leaves, and the time in which that falls to 1/e"""
+CHANGED_IN_GAP = 0.4
+"""share of a pressure's change over a long gap that is in doubt: presses that came and went may have left it behind"""
 
 
 @dataclass(frozen=True)
@@ -197,6 +199,7 @@ class Estimator(ABC):
         r = self._reading = np.empty(resistance.size)
         self._normalise(resistance.ravel(), r)
         known = self._readable(r)
+        before = self._pressure.copy()
         if not self._exact:
             self._noise.update(r, known)
         if not self._begun:
@@ -207,7 +210,9 @@ class Estimator(ABC):
             self._choose(known)
         if self._block.cells.size:
             self._follow(dt, r)
-        self._gaps.advance(dt, self._usual_s or dt, known, self._most_kpa, self._speed)
+        ended = self._gaps.advance(dt, self._usual_s or dt, known, self._most_kpa, self._speed)
+        if ended is not None:
+            self._doubt_after_gaps(ended, before)
         self._held.advance(dt, self._pressure)
         self._usual_s += (dt - self._usual_s) * (0.1 if self._frames > 1 else 1.0)
         self._frames += 1
@@ -289,6 +294,24 @@ class Estimator(ABC):
             pressure[self._sparks.cells[beyond]] = self._sparks.memory[PRESSURE, beyond]
         shown: FloatArray = pressure.reshape(self.shape)
         return shown
+
+    def _doubt_after_gaps(self, hidden_kpa: FloatArray, before: FloatArray) -> None:
+        """Doubt the memory of cells whose gap has just ended: loads that nobody saw may have changed it.
+
+        A reading is the sum of load and memory, both on the same side of rest. So neither is larger than the whole
+        reading, and a cell that reads as at rest is at rest.
+
+        Args:
+            hidden_kpa: (n,) largest change of a load in the gap; 0 without a gap.
+            before: (n,) kPa shown before it; NaN before the first reading.
+        """
+        cells = np.flatnonzero(hidden_kpa > 0)
+        hidden = hidden_kpa[cells]
+        whole = np.abs(self._reading[cells]) * (self.full_scale_kpa / self._full_scale_r)
+        change = np.abs(np.nan_to_num(self._pressure[cells] - before[cells]))
+        held = AFTER_GAP * np.minimum(hidden, whole)
+        left_behind = CHANGED_IN_GAP * change * (hidden / self._most_kpa)
+        self._gaps.doubt(cells, np.hypot(held, left_behind))
 
     # -- steps of a frame, in their order ----------------------------------------------------------------------------
 
@@ -796,27 +819,39 @@ class _Gaps:
     def none(cls, cells: int) -> _Gaps:
         return cls(np.zeros(cells), np.zeros(cells))
 
-    def advance(self, dt: float, usual_s: float, known: BoolArray | None, most_kpa: float, speed: float) -> None:
-        """Take a frame of which ``known`` (n,) was read (None: all), ``dt`` after the last one."""
+    def advance(
+        self, dt: float, usual_s: float, known: BoolArray | None, most_kpa: float, speed: float
+    ) -> FloatArray | None:
+        """Take a frame of which ``known`` (n,) was read (None: all), ``dt`` after the last one.
+
+        Returns:
+            (n,) kPa by which a load may have changed in the gap that this frame ends, 0 for cells without one. None if
+            there is no such cell.
+
+        """
         if known is None and not self.doubtful and not self.open and dt <= 3 * usual_s:
-            return
+            return None
         self._left *= math.exp(-2 * dt / AFTER_GAP_S)
         self.unread_s += dt
         gap = np.maximum(self.unread_s - usual_s, 0.0)
-        doubt = (most_kpa * np.expm1(-speed * gap / most_kpa)) ** 2
+        hidden = -most_kpa * np.expm1(-speed * gap / most_kpa)
         read: BoolArray | slice = slice(None) if known is None else known
-        self._left[read] += AFTER_GAP**2 * doubt[read]
-        doubt[read] = 0.0
+        ended = np.zeros(len(hidden))
+        ended[read] = hidden[read]
+        hidden[read] = 0.0
         self.unread_s[read] = 0.0
-        self.variance = self._left + doubt
+        self.variance = self._left + hidden**2
         self._renew()
         if self.doubtful and float(self.variance.max()) < (1e-3 * most_kpa) ** 2:
             self._left[:] = 0.0
             self.doubtful = self.open
+        return ended if ended.any() else None
 
     def doubt(self, cells: IntArray, std_kpa: FloatArray) -> None:
         """Add a standard deviation in kPa to what readings leave open of these cells."""
         self._left[cells] += std_kpa**2
+        self.variance = self.variance.copy()
+        self.variance[cells] += std_kpa**2
         self._renew()
 
     def _renew(self) -> None:

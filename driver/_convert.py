@@ -50,6 +50,8 @@ _WHY_NONE = {
     "resistor of the design may not fit each other, or the skin is not connected",
     Reason.SATURATED: "their readings stand at a limit of the converter or the output; a smaller reference resistor, "
     "or a smaller drive voltage, lowers them",
+    Reason.DISTURBED: "other cells, which stand at a limit or behind a fault, may shift their readings by more than "
+    "was asked for; look for shorted cells, or take a circuit that reads each cell alone",
     Reason.UNSOLVED: "no cells give such readings; the design is not that of this board",
 }
 

@@ -403,9 +403,10 @@ class Skin:
             LinkTimeout: none came in time.
             LinkEnded: none will come: the stream is over, or the skin is closed.
             LinkError, ProtocolError: as for iteration.
+            InputError: ``timeout`` is no number.
 
         """
-        return self._taker.take(self._timeout if timeout is None else timeout)
+        return self._taker.take(self._timeout if timeout is None else _seconds("timeout", timeout))
 
     def latest(self, max_age: float, timeout: float = 0.0) -> Frame:
         """The newest frame, taken before or not, never older than ``max_age``. For control loops.
@@ -417,9 +418,12 @@ class Skin:
         Raises:
             LinkTimeout: there is none; the message says how old the newest is.
             LinkEnded, LinkError, ProtocolError: as for :meth:`read`.
+            InputError: ``max_age`` is not above 0, or ``timeout`` is no number.
 
         """
-        return self._taker.latest(max_age, timeout)
+        if not max_age > 0:
+            raise InputError(f"max_age is {max_age} s; expected more than 0")
+        return self._taker.latest(max_age, _seconds("timeout", timeout))
 
     def on_frame(
         self, callback: Callable[[Frame], None], on_end: Callable[[OhmskinError], None] | None = None
@@ -640,6 +644,13 @@ class Skin:
             f"{self._reader.port_name}: the inverse of the board's circuit was not set up within {self._timeout:g} s; "
             "give a longer timeout, if the board's description is right"
         )
+
+
+def _seconds(name: str, value: float) -> float:
+    """``value`` in s; InputError where it is no number. A time that is over already waits for nothing."""
+    if math.isnan(value):
+        raise InputError(f"{name} is {value} s; expected a number of seconds")
+    return value
 
 
 def _check_numbers(timeout: float, queue: int, reconnect: float, pitch: float | None) -> None:

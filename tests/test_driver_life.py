@@ -493,6 +493,18 @@ class TestNumbers:
             assert skin.latest(forever, forever).sequence == 1
             assert list(skin) == []
 
+    @pytest.mark.parametrize("age", [0.0, -1.0, float("nan")])
+    def test_no_frame_can_be_so_young(self, age: float) -> None:
+        with Skin(described(frame(0))) as skin, pytest.raises(InputError, match="expected more than 0"):
+            skin.latest(max_age=age)
+
+    def test_a_wait_is_a_number_of_seconds(self) -> None:
+        with Skin(described(frame(0))) as skin:
+            with pytest.raises(InputError, match="timeout is nan s"):
+                skin.read(float("nan"))
+            with pytest.raises(InputError, match="timeout is nan s"):
+                skin.latest(0.1, timeout=float("nan"))
+
     @pytest.mark.parametrize("frames", [0, -1, 2.5, float("nan")])
     def test_a_tare_takes_a_whole_number_of_frames(self, frames: Any) -> None:
         with Skin(described(frame(0))) as skin, pytest.raises(InputError, match="expected a whole number"):

@@ -1,12 +1,12 @@
 """Live recovery of boards whose amplifiers hold all sensed lines: a frame's way from outputs to cells.
 
-========================  =================================================================================
-:mod:`._amplified_board`  lines, amplifiers and converter: transfer conductances T from outputs
-:mod:`._amplified_base`   cells from T by line attenuation, relinearised about a base, with a certificate
-:mod:`._amplified_leads`  bases by Kirchhoff's laws, where leads take much of the voltage
-:mod:`._amplified_errors` uncertainties by quantisation, noise and the model's own error
-:mod:`._amplified_limits` what cells at limits make of the others; :mod:`._joined_columns`: through two shorts
-========================  =================================================================================
+==========================  ===================================================================================
+:mod:`._amplified_board`    lines, amplifiers and converter: transfer conductances T from outputs
+:mod:`._amplified_base`     cells from T by line attenuation, relinearised about a base, with a certificate
+:mod:`._amplified_leads`    bases by Kirchhoff's laws, where leads take much of the voltage
+:mod:`._amplified_errors`   uncertainties by quantisation, noise and the model's own error
+:mod:`._amplified_limits`   what cells at limits make of the others; :mod:`._joined_columns`: through two shorts
+==========================  ===================================================================================
 
 A base serves as long as the certificate stays below a share of an ADC step. Otherwise the present conductances become
 the new base, within the frame's budget (:data:`EVALUATIONS`, :data:`EXACT_EVALUATIONS`). Cells that the budget does not

@@ -19,13 +19,12 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ..solvers import Attenuated, attenuate, exact_transfer
-from ._amplified_board import FAR, LEAST_SHARE, AmplifiedBoard, above_floor
+from ._amplified_board import FAR, LEAST_SHARE, ZERO, AmplifiedBoard, above_floor
 from ._heavy_leads import Propagation
 
 T = TypeVar("T", float, FloatArray)
 
 _SECOND_ORDER = 2.0  # terms beyond the first order over the first order times the loss; 1 to 1.5 on boards tried
-_NONE = np.array(0.0)  # as an array, since NumPy makes one of a float in every call
 
 
 class Base(NamedTuple):
@@ -77,7 +76,7 @@ class Relinearisation:
         conductance = base.gain * transfer
         if base.shift is not None:
             conductance += base.shift
-            np.maximum(conductance, _NONE, out=conductance)
+            np.maximum(conductance, ZERO, out=conductance)
         change = conductance - base.conductance
         size = np.abs(change)
         by_row, by_column = size.dot(board.farthest_driver), board.farthest_amplifier.dot(size)

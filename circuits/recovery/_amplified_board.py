@@ -28,10 +28,11 @@ MARGIN = 2.0
 """by which intervals from first-order bounds are widened"""
 SIMILAR_MARGIN = 1.25
 """by which kept bounds are widened: two conductances have changed by 1.1 against each other"""
+ZERO = np.array(0.0)
+"""as an array, since NumPy makes one of a float in every call"""
 _SIMILAR = 0.1  # relative change of conductances up to which bounds are kept
 _SHARE_OF_STEP = 0.25  # of an ADC step that the model may leave as its own error
 _LEAD_LIKE = 0.5  # most resistance of segments over that of leads, for which a grid is taken for one without segments
-_NONE = np.array(0.0)  # as an array, since NumPy makes one of a float in every call
 
 
 class AmplifiedBoard:
@@ -114,7 +115,7 @@ class AmplifiedBoard:
             if between is not None:
                 transfer -= between
             transfer += self._per_sum * (self._ones @ transfer)
-        np.maximum(transfer, _NONE, out=transfer)
+        np.maximum(transfer, ZERO, out=transfer)
         return transfer
 
     def of_independent_columns(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -8,11 +8,10 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ._amplified_base import Base
-from ._amplified_board import SIMILAR_MARGIN, AmplifiedBoard
+from ._amplified_board import SIMILAR_MARGIN, ZERO, AmplifiedBoard
 from ._heavy_leads import Propagation
 from ._live_reading import SIGMAS, ValidityRule
 
-_NONE = np.array(0.0)  # as an array, since NumPy makes one of a float in every call
 _LEAST_OF_NOISE = 0.6  # share of a noise level down to which the level serves
 _NOISE_MARGIN = 1.2  # so that a noise that moves about does not call for new levels in every frame
 _SIMILAR_GAINS = 0.05  # relative change of gains in closed form up to which levels are kept
@@ -82,7 +81,7 @@ class ReadingErrors:
         own_noise = SIGMAS * noise * np.abs(board.scale)
         own = board.half_step + own_noise + (board.tolerance if base is None else base.model_error)
         propagation = None if base is None else base.propagation
-        others, by_leads = _NONE, _NONE
+        others, by_leads = ZERO, ZERO
         if base is None or propagation is None:
             others = self._others_of_light_lines(gain, own_noise)
         else:

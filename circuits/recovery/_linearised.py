@@ -279,7 +279,9 @@ class Linearised:
         parts, size = self._parts, len(at.log)
         jacobian, cells, noise = np.empty((size, size)), at.cells.ravel(), parts.noise
         meter = Meter(size, beside=self.columns.applies)
-        for _ in derivatives(parts.board, at.cells, parts.quick, meter, out=jacobian):
+        # A cell that ran away is as good as a short, and the derivatives are not made for shorts.
+        no_shorts = np.maximum(at.cells, np.exp(-_LARGEST))
+        for _ in derivatives(parts.board, no_shorts, parts.quick, meter, out=jacobian):
             yield None
         in_series = 1.0 / (cells + parts.board.series_ohms.ravel())  # S of the cell and an open-cell fault
         scale = in_series**2 * cells / noise
