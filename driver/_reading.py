@@ -140,11 +140,7 @@ class CountReader:
         self._rising = (design.drive.voltage > 0) != design.board.circuit.inverts  # whether current raises the outputs
         self._level = design.readout.reference_voltage
         self._design_noise = _noise_of(design)  # V
-        self._scatter = Scatter(
-            adc.step,
-            assumed=not self._design_noise,
-            shared=design.board.circuit.mixes_cells or design.board.floating,
-        )
+        self._scatter = Scatter(adc.step, assumed=not self._design_noise)
         self._silent = 0  # cells whose readings stood at a limit in the last frame
         self._counts = b""
         self._reading: Reading | None = None
