@@ -126,3 +126,18 @@ def test_the_table_of_gains_is_that_of_the_kalman_filter(steps: float) -> None:
         known = known - np.outer(gain, known[0])
         assert (table.level[n], table.slope[n]) == pytest.approx(gain, rel=1e-9)
         assert table.std[n] == pytest.approx(np.sqrt(known[0, 0]), rel=1e-9)
+
+
+@pytest.mark.parametrize("cells", [1, 8, 64])
+@pytest.mark.parametrize("expected", [0.1, 1.0, 10.0])
+def test_the_noise_of_a_calibration_is_soon_forgotten(cells: int, expected: float) -> None:
+    """It is only where the measurement begins: 150 readings later the board's own noise is known."""
+    random = np.random.default_rng(3)
+    found = []
+    for _ in range(20):
+        meter = NoiseMeter(cells, expected * NOISE)
+        for _ in range(150):
+            meter.update(NOISE * random.standard_normal(cells), None)
+        found.append(meter.quiet)
+    assert np.isfinite(found).all()
+    assert np.median(found) == pytest.approx(NOISE, rel=0.2)
