@@ -401,10 +401,9 @@ class Estimator(ABC):
         if np.count_nonzero(lost):
             self._undo_jumps(lost)
             self._interrupt(np.flatnonzero(lost))
-        back = wanted & (self._gaps.unread_s > 0)
-        for held_s in np.unique(self._gaps.unread_s[back]).tolist():
-            cells = np.flatnonzero(back & (self._gaps.unread_s == held_s))
-            self._memory[:, cells] = self._hold(self._memory[:, cells], held_s)
+        back = np.flatnonzero(wanted & (self._gaps.unread_s > 0))
+        if back.size:
+            self._memory[:, back] = self._hold(self._memory[:, back], self._gaps.unread_s[back])
 
     def _undo_jumps(self, lost: BoolArray) -> None:
         """Put back what cells that are not read any more remembered before they jumped."""
@@ -701,8 +700,8 @@ class Estimator(ABC):
         May change ``memory`` itself.
         """
 
-    def _hold(self, memory: FloatArray, dt_s: float) -> FloatArray:
-        """The memory (rows, m) after ``dt_s`` in which the pressure stayed."""
+    def _hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
+        """The memory (rows, m) after ``dt_s``, one number or (m,), in which the pressure stayed."""
         return memory
 
     def _miss(self, memory: FloatArray, noise: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed

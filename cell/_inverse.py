@@ -19,7 +19,7 @@ from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
 from ._forward import as_m10
 from ._models import AsymmetricModel, M10Model
 from ._noise import WINDOW
-from ._paper import LOADS, MEMORIES
+from ._paper import DOUBT, LOADS, MEMORIES, USUAL
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP = (
     3,
@@ -45,8 +45,9 @@ STILL_SIGMAS = 3.0
 
 ACCURACY = 1e-11
 """of full scale, to which a step with a change-over is solved"""
-NEWTON_STEPS = 12
-"""two or three do at high sample rates, six where a step is many time constants long"""
+EVALUATIONS = 16
+"""of the model, at most, in a step with a change-over: a frame costs no more. Newton's method needs two or three
+at high sample rates, six where a step is many time constants long; bisection halves what is left otherwise"""
 
 
 def margin(model: AsymmetricModel | M10Model, full_scale_kpa: float) -> float:
@@ -105,7 +106,7 @@ class InverseEstimator(Estimator):
     As long as no branch changes between charging and discharging within the step, that is a quadratic equation. A
     branch that does change over is, in terms of the load, convex if it rises faster than it falls, concave else
     (see :class:`_ChangeOver`): Newton's method, from the answer without any change-over, then comes ever closer from
-    one side. Where b or opposite branches spoil that, what is left is bracketed.
+    one side. Where b or opposite branches spoil that, bisection takes a step instead.
     """
 
     rows = (
@@ -137,6 +138,7 @@ class InverseEstimator(Estimator):
         # With b < 0 the answer grows ever steeper towards the load where a fast step has no slope left.
         self._highest = min(LOADS[1], max(1.0, 0.4 * (m.a - m.k) / -m.b)) if m.b < 0 else LOADS[1]
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
+        self._reach = self._loads_within_reach()
 
     def _begin(self, r: FloatArray) -> FloatArray:
         m = self.model
@@ -172,7 +174,7 @@ class InverseEstimator(Estimator):
             # A load that has turned has crossed its play, and broken chains there.
             went_up = memory[WENT_UP] > 0
             gone_back = (memory[ANCHOR] - s0) * np.where(went_up, 1.0, -1.0)
-            gone_back = np.clip(gone_back + (1.0 - 1.0) * width, 0.0, 2.0 * width)
+            gone_back = np.clip(gone_back, 0.0, 2.0 * width)
             crossed_play = np.where(moves & (up != went_up), m.k * gone_back, 0.0)
             free += crossed_play
             change -= crossed_play
@@ -194,15 +196,9 @@ class InverseEstimator(Estimator):
                 follows=follows[:, crossed],
             )
             bend = (alpha * dt_s * np.abs(1 / self._rise_s - 1 / self._fall_s)).sum(axis=0)
-            sums = change[crossed] + kept[0, crossed] + kept[1, crossed]
-            found, ends, solved = self._newton(change_over, bend, slope[crossed], sums, step[crossed])
-            if not solved.all():
-                left = ~solved
-                rest = memory[:, crossed[left]]
-                s = self._bracketed(rest, dt_s, r[crossed[left]], rest[LOAD] + step[crossed[left]])
-                found[left] = s - rest[LOAD]
-                ends[:, left] = self._branches(rest, dt_s, s)
-            step[crossed], branches[:, crossed] = found, ends
+            step[crossed], branches[:, crossed] = self._solved(
+                change_over, bend, slope[crossed], change[crossed], step[crossed], s0[crossed]
+            )
         new = memory.copy()
         new[LOAD], new[BRANCHES], new[BROKEN] = s0 + step, branches, free + breaking * np.abs(step)
         if not self._exact:
@@ -254,9 +250,15 @@ class InverseEstimator(Estimator):
         memory[MISSED] += np.where(rise_kpa < most, rise_kpa, 0.0) / gain  # what rises faster is a load
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
-        """Keep loads within :data:`LOADS`; where the model needs a pull, let it remember less instead."""
+        """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.
+
+        Where the model needs a pull, it remembers less; where it needs too large a load, it has missed broken chains.
+        While the memory is in doubt, less is too large.
+        """
         allowed = -(3 * std / self._full_scale_r + 0.01)
         load = memory[LOAD]
+        in_doubt = min(USUAL, self._highest)
+        highest = np.where(memory[VARIANCE] > (DOUBT * self.full_scale_kpa) ** 2, in_doubt, self._highest)
         pulled = load < allowed
         if pulled.any():
             s = np.broadcast_to(allowed, load.shape)[pulled]
@@ -265,9 +267,15 @@ class InverseEstimator(Estimator):
             share = np.clip(np.divide(left, remembered, out=np.zeros_like(left), where=remembered > 0), 0, 1)
             memory[4:7, pulled] *= share
             load[pulled] = s
-        np.minimum(load, self._highest, out=load)
+        beyond = load >= highest
+        if beyond.any():
+            load[beyond] = s = highest[beyond]
+            left = r[beyond] - (self.model.a + self.model.b * s) * s - memory[4:7, beyond].sum(axis=0)
+            # No load that is believed explains so much: chains have broken unseen.
+            if self.model.k > 0:
+                memory[BROKEN, beyond] += np.maximum(left, 0.0)
 
-    def _hold(self, memory: FloatArray, dt_s: float) -> FloatArray:
+    def _hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
         held = memory.copy()
         s = memory[LOAD]
         held[BRANCHES] = self._branches(memory, dt_s, s)
@@ -278,67 +286,67 @@ class InverseEstimator(Estimator):
         found: BoolArray = np.abs(memory[4:7]).sum(axis=0) < band
         return found
 
-    def _newton(
-        self, change_over: _ChangeOver, bend: FloatArray, slope: FloatArray, sums: FloatArray, step: FloatArray
-    ) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Steps of load (n,), branches (2, n) after them, and (n,) whether they have been found.
+    def _solved(
+        self,
+        change_over: _ChangeOver,
+        bend: FloatArray,
+        slope: FloatArray,
+        change: FloatArray,
+        step: FloatArray,
+        load: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Steps (n,) of ``load``, and branches (2, n) after them, by Newton's method within a bracket.
 
-        Solves slope step + b step^2 + branches = ``sums``, from ``step``. ``bend`` bounds the second derivative of
-        the branches times the step.
+        Solves slope step + b step^2 + branches - kept = ``change``, from ``step`` on. The left side rises with the
+        step and is zero without one, so that the root lies between zero and the end of the loads within reach; that
+        end answers what is beyond it. ``bend`` bounds the second derivative of the branches times the step.
         """
-        b, ends, solved = self.model.b, change_over.kept, np.zeros(step.shape, dtype=bool)
-        for _ in range(NEWTON_STEPS):
+        b, kept = self.model.b, change_over.kept[0] + change_over.kept[1]
+        up = change > 0
+        end = np.where(up, np.maximum(self._reach[1] - load, 0.0), np.minimum(self._reach[0] - load, 0.0))
+        low, high = np.minimum(end, 0.0), np.maximum(end, 0.0)
+        step = np.clip(step, low, high)
+        tried = step == end
+        for left in reversed(range(EVALUATIONS)):
             ends, rates = change_over.branches(step)
+            if not left:
+                break
             rate = slope + 2 * b * step + rates[0] + rates[1]
-            excess = (slope + b * step) * step + ends[0] + ends[1] - sums
+            excess = (slope + b * step) * step + ends[0] + ends[1] - kept - change
+            low, high = np.where(excess > 0, low, step), np.where(excess > 0, step, high)
             rises = rate > 1e-6
             move = np.divide(-excess, rate, out=np.zeros_like(rate), where=rises)
+            newton = np.clip(step + move, low, high)
             # What a step of Newton's leaves is the next term of Taylor's series.
-            solved = rises & ((bend + np.abs(b * step)) * move**2 <= ACCURACY * rate * np.abs(step))
-            step, ends = step + move, ends + rates * move
+            next_term = (bend + np.abs(b * step)) * move**2
+            small = (next_term <= ACCURACY * rate * np.abs(step)) | (np.abs(move) <= ACCURACY)
+            solved = (rises & small) | (low == high)
             if solved.all():
+                step, ends = newton, ends + rates * (newton - step)
                 break
-        return step, ends, solved
+            inside = solved | (rises & (low < newton) & (newton < high))
+            to_end = rises & (newton == end) & ~tried
+            step = np.where(inside | to_end, newton, 0.5 * (low + high))
+            tried |= to_end
+        return step, ends
 
-    def _branches(self, memory: FloatArray, dt_s: float, s: FloatArray) -> FloatArray:
+    def _branches(self, memory: FloatArray, dt_s: float | FloatArray, s: FloatArray) -> FloatArray:
         """Branches (2, n) after a step to load ``s``, through any change-over."""
         before, after = self._alpha * memory[LOAD], self._alpha * s
         return lag.asymmetric(memory[BRANCHES], before, after, dt_s, self._rise_s, self._fall_s)
 
-    def _bracketed(self, memory: FloatArray, dt_s: float, r: FloatArray, guess: FloatArray) -> FloatArray:
-        """Illinois' false position on the step function, which rises with the load."""
-        m, s0 = self.model, memory[LOAD]
-        gone, ramp = lag.weights(dt_s, m.tau_s)
+    def _loads_within_reach(self) -> tuple[float, float]:
+        """Loads beyond which none is looked for.
 
-        def excess(s: FloatArray) -> FloatArray:
-            broken = memory[BROKEN] * (1 - gone) + m.k * np.abs(s - s0) * (1 - ramp)
-            above: FloatArray = (m.a + m.b * s) * s + self._branches(memory, dt_s, s).sum(axis=0) + broken - r
-            return above
-
-        # Beyond the top of the curve is no load; readings above it are answered by the top.
-        top = -(m.a - m.k) / (2 * m.b) if m.b < 0 else np.inf
-        guess = np.minimum(guess, top)
-        width = np.maximum(np.abs(guess - s0), 1e-3)
-        low, high = guess - width, np.minimum(guess + width, top)
-        f_low, f_high = excess(low), excess(high)
-        for _ in range(40):
-            outside = (f_low > 0) | (f_high < 0)
-            if not outside.any():
-                break
-            width = 2 * width
-            low, high = np.where(f_low > 0, low - width, low), np.where(f_high < 0, np.minimum(high + width, top), high)
-            f_low, f_high = excess(low), excess(high)
-        s, f = guess, excess(guess)
-        for _ in range(60):
-            if np.abs(f).max() < ACCURACY:
-                break
-            above = f > 0
-            f_low, f_high = np.where(above, 0.5 * f_low, f), np.where(above, f, 0.5 * f_high)
-            low, high = np.where(above, low, s), np.where(above, s, high)
-            share = np.divide(f_low, f_low - f_high, out=np.full_like(s, 0.5), where=f_low != f_high)
-            s = low + (high - low) * np.clip(share, 0, 1)
-            f = excess(s)
-        return s
+        Beyond the top or the bottom of a curve with b is no load. A step is finite anyway: readings are credible.
+        """
+        m = self.model
+        widest = self._credible[1] / max(m.a - m.k, 1e-9)
+        bottom = -(m.a - m.k) / (2 * m.b) if m.b > 0 else -widest
+        top = (m.a - m.k) / (-2 * m.b) if m.b < 0 else widest
+        if self._exact:
+            return bottom, top
+        return max(bottom, LOADS[0]), min(top, self._highest)
 
 
 def _root(b: float, slope: FloatArray, change: FloatArray) -> FloatArray:

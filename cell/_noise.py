@@ -38,9 +38,10 @@ SHARED_LOOKS = 16
 a cell may be near zero by chance, and any reading after them would seem to jump"""
 ENOUGH = 500
 """cells whose median stands for that of more"""
-KNOWN, KNOWN_ANEW = 24, 200
-"""looks from which the median cell tells how quiet the board is; the same where an earlier recording had another noise,
-which takes longer to be forgotten"""
+KNOWN = 24
+"""looks from which the median cell tells how quiet the board is"""
+EXPECTED_LOOKS = 4
+"""looks that the noise of an earlier recording is worth to few cells, until theirs is known; many tell it at once"""
 FORGET = 1.002
 """by which the least noise of the median cell grows from one look at it to the next, so that noise may rise for good"""
 MEDIAN_OF_SQUARES = 0.4549
@@ -77,10 +78,10 @@ class NoiseMeter:
         """``expected``: standard deviation of r at rest that an earlier recording had; 0 if there is none."""
         self._ring = np.zeros((WINDOW, cells))
         self._variance = np.full(cells, expected**2)
-        self._looks = SOON if expected else 0
-        self._known = KNOWN_ANEW if expected else KNOWN
+        self._looks = 0
+        self._expected = expected**2 if cells < MANY else 0.0
         # The median of few cells is itself uncertain, and counts for less.
-        self._shared_looks = min(cells // MANY, SHARED_LOOKS)
+        self._shared_looks = EXPECTED_LOOKS if self._expected else min(cells // MANY, SHARED_LOOKS)
         self._seen = 0
         self._blind = np.zeros(cells)
         self._any_blind = 0
@@ -140,9 +141,11 @@ class NoiseMeter:
 
     def _average(self, squares: FloatArray) -> None:
         if not self._looks:
-            many = squares.size >= MANY
-            start = np.full(squares.size, float(np.median(squares)) / MEDIAN_OF_SQUARES) if many else squares
-            self._variance = np.maximum(start, LEAST**2)
+            if squares.size >= MANY:
+                self._variance = np.full(squares.size, float(np.median(squares)) / MEDIAN_OF_SQUARES)
+            elif not self._expected:
+                self._variance = squares.copy()
+            np.maximum(self._variance, LEAST**2, out=self._variance)
         self._looks += 1
         np.multiply(self._variance, _OUTLIER, self._limit)
         self._limit += _LEAST_VARIANCE
@@ -150,6 +153,9 @@ class NoiseMeter:
         squares -= self._variance
         squares *= max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
         self._variance += squares
+        if self._expected and self._looks == KNOWN:  # what was expected leaves the average again
+            self._variance += EXPECTED_LOOKS / KNOWN * (self._variance - self._expected)
+            np.maximum(self._variance, LEAST**2, out=self._variance)
         if self._looks % POOL == 1:
             self._pool()
         np.add(self._variance, _LEAST_VARIANCE, self.at_rest)
@@ -162,7 +168,7 @@ class NoiseMeter:
         if self._variance.size >= MANY:
             np.minimum(self._variance, ABOVE_POOL * middle + LEAST**2, out=self._variance)
         self.typical = middle**0.5
-        if self._looks > self._known:
+        if self._looks > KNOWN:
             least = max(self.typical, self.typical_resolution, LEAST)
             self.quiet = min(FORGET * self.quiet, least)
 

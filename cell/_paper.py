@@ -185,7 +185,7 @@ class PaperEstimator(Estimator):
         np.copyto(memory[5], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=starts)
         np.copyto(memory[6], r - p / m.e1_kpa - memory[7], where=ends)
 
-    def _hold(self, memory: FloatArray, dt_s: float) -> FloatArray:
+    def _hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
         m = self.model
         held = memory.copy()
         p, rising = memory[PRESSURE], memory[4] > 0
@@ -520,15 +520,15 @@ class TurningEstimator(Estimator):
         state[2, pulled[rising]] = (p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r)[rising]
         state[3, pulled[~rising]] = (r - p / m.e1_kpa - state[5, pulled])[~rising]
 
-    def _hold(self, memory: FloatArray, dt_s: float) -> FloatArray:
+    def _hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
         m = self.model
-        gone, _ = lag.weights(dt_s, np.array([m.tu_s, m.t2_s, m.t3_s, m.t3_s]))
+        gone, _ = lag.weights(dt_s, np.array([[m.tu_s], [m.t2_s], [m.t3_s], [m.t3_s]]))
         held = memory.copy()
         state = held[STATE]
         # A hypothesis that begins where the one in force is does so after the gap, too.
         apart = state[0] != state[1]
         pressures = state[[0, 1, 0, 1]] * np.array([[1.0], [1 / m.e2_kpa], [1 / m.e3_kpa], [1 / m.e3_kpa]])
-        state[2:6] += (pressures - state[2:6]) * gone[:, None]
+        state[2:6] += (pressures - state[2:6]) * gone
         settled, x2, _, x3 = state[2:6]
         rising = state[0] / m.eu1_kpa + (state[0] - settled) / m.etau2_kpa
         state[6] = np.where(held[SIGN] > 0, rising, state[1] / m.e1_kpa + x2 + x3)

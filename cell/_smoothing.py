@@ -92,19 +92,18 @@ def window_s(noise: float, dt_s: float) -> float:
 def gains(steps: float) -> Gains:
     """Gains of a window of ``steps`` readings, in units of the time between readings (the slope's too).
 
-    The last entry is the limit for many readings.
+    The last entry is the limit for many readings. The gains of the Kalman filter are the covariances of its level and
+    slope, whose inverse is a sum over readings: the table takes no loop.
     """
-    forget = np.exp(1 / steps)
-    level, slope, std = [1.0], [0.0], [1.0]
-    # Covariance of level and slope, over the variance of a reading: a line through few readings is held flat.
-    a, b, c = 1.0, 0.0, min(STEEPEST / steps, 1.0) ** 2
-    for _ in range(min(int(4 * steps) + 2, 4000)):
-        a, b, c = forget * (a + 2 * b + c), forget * (b + c), forget * c
-        total = a + 1
-        level.append(a / total)
-        slope.append(b / total)
-        a, b, c = a / total, b / total, c - b * b / total
-        std.append(np.sqrt(a))
+    age = np.arange(min(int(4 * steps) + 3, 4001), dtype=np.float64)
+    weight = np.exp(-age / steps)
+    # Information of level and slope: discounted sums over the ages of the readings. A line through few readings is
+    # held flat by the usual slope.
+    sum_0, sum_1, sum_2 = (np.cumsum(weight * age**power) for power in range(3))
+    sum_2 += weight / min(STEEPEST / steps, 1.0) ** 2
+    spread = sum_0 * sum_2 - sum_1**2
+    level = sum_2 / spread
+    slope, std = sum_1 / spread, np.sqrt(level)
     rows = np.array([level, slope, std])
     return Gains(rows[0], rows[1], rows[2], rows)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ohmskin.bench import _honesty as honesty
 from ohmskin.cell import AsymmetricModel, Cell, PaperModel
 from ohmskin.cell._cell import Calibrated
-from ohmskin.cell._learned import Limits, StaticCurve
+from ohmskin.cell._learned import Limits, Seen, StaticCurve
 
 LOADS = st.sampled_from(["hold", "edge", "press", "slow ramp", "fast ramp", "sine", "taps", "finger"])
 NOISES = st.sampled_from([0.1, 1.0, 10.0])
@@ -291,3 +291,21 @@ def test_a_hold_of_ten_minutes_does_not_fade_and_its_release_is_rest(kind: str, 
     full = cell.full_scale_kpa
     assert np.abs(np.median(pressure[2950:3000], axis=0) - full * share[2980]).max() < 0.02 * full
     assert np.abs(np.median(pressure[3060:], axis=0)).max() < 0.02 * full
+
+
+@pytest.mark.parametrize("factor", [0.2, 1.0])
+def test_a_calibrations_noise_does_not_hide_motion_of_this_board(factor: float) -> None:
+    """Slip within the noise, which begins before two seconds, of a cell whose calibration had another noise."""
+    cell = honesty.uncalibrated()["m10"]
+    static = StaticCurve(coefficients=(0.0, 1.0), limits=Limits(lowest=0.0, highest=1.0), std_kpa=10.0)
+    calibrated = Calibrated(
+        default="inverse",
+        reason="",
+        held_out_percent={"inverse": 0.7},
+        seen=Seen(noise=5e-3 * factor, step_s=0.05, speed_kpa_per_s=20.0, longest_load_s=60.0),
+        static=static,
+    )
+    believed = cell.replace(estimators=calibrated)
+    found = honesty.judged(cell, "m10", "slip", 10.0, believed=believed)
+    assert found.within_two > 0.9
+    assert found.worst < 6.0

@@ -59,8 +59,10 @@ def bracketed(model: M10Model, dt: float, readings: np.ndarray) -> np.ndarray:
         branches, moved = after(load)
         return float(model.a * load + model.b * load**2 + branches.sum() + moved - r)
 
+    bend = (model.a - model.k) / (2 * model.b) if model.b else np.inf  # the curve turns back there
+    lowest, highest = (-bend, np.inf) if model.b >= 0 else (-np.inf, -bend)
     for r in readings[1:]:
-        found = brentq(excess, s - 2, s + 2, args=(r,), xtol=1e-15)
+        found = brentq(excess, max(s - 2, lowest), min(s + 2, highest), args=(r,), xtol=1e-15)
         x, broken = after(found)
         s = found
         loads.append(s)
@@ -70,12 +72,18 @@ def bracketed(model: M10Model, dt: float, readings: np.ndarray) -> np.ndarray:
 REVERSED = M10Model(a=0.5, b=-0.1, alpha1=0.3, rise1_s=4, fall1_s=0.3, alpha2=0.1, fall2_s=90, k=0.1, tau_s=20)
 
 
+STIFFENING = M10Model(a=0.6, b=0.1, alpha1=0.4, rise1_s=3.0, fall1_s=0.1, alpha2=0.2, fall2_s=50.0, k=0.01)
+
+
+@pytest.mark.parametrize("noise", [0.005, 0.03])
 @pytest.mark.parametrize("dt", [1e-3, 0.05, 2.0])
-@pytest.mark.parametrize("model", [SAFE, WIDE, CANCELLING, REVERSED], ids=["m10", "wide", "cancel", "reversed"])
-def test_noise_that_turns_branches_in_every_sample_costs_no_accuracy(model: M10Model, dt: float) -> None:
+@pytest.mark.parametrize(
+    "model", [SAFE, WIDE, CANCELLING, REVERSED, STIFFENING], ids=["m10", "wide", "cancel", "reversed", "stiffening"]
+)
+def test_noise_that_turns_branches_in_every_sample_costs_no_accuracy(model: M10Model, dt: float, noise: float) -> None:
     """Noisy readings against bracketing, sample by sample: 1e-9 of full scale."""
     rng = np.random.default_rng(9)
-    readings = 0.4 * np.sin(np.arange(120) / 15)[:, None] ** 2 + 0.005 * rng.standard_normal((120, 3))
+    readings = 0.4 * np.sin(np.arange(120) / 15)[:, None] ** 2 + noise * rng.standard_normal((120, 3))
     found = exactly(cell_of(model), "inverse", dt * np.arange(120), EXAMPLE.rest_resistance_ohm * (1 + readings))
     for cell in range(3):
         expected = 15.5 * bracketed(model, dt, readings[:, cell])

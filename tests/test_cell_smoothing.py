@@ -111,3 +111,33 @@ def test_readings_coarser_than_their_noise_have_that_of_their_steps() -> None:
     assert white_noise(coarse) == 0
     assert step_noise(coarse) == pytest.approx(np.std(coarse - fine), rel=0.05)
     assert step_noise(np.full(10, 3.0)) == 0
+
+
+@pytest.mark.parametrize("steps", [1.1**k for k in (-3, 0, 4, 20, 45, 80)])
+def test_the_table_of_gains_is_that_of_the_kalman_filter(steps: float) -> None:
+    """Level and slope, predicted and corrected reading by reading; what was known before counts e^(1/steps) less."""
+    moves = np.array([[1.0, 1.0], [0.0, 1.0]])
+    known = np.diag([1.0, min(smoothing.STEEPEST / steps, 1.0) ** 2])
+    table = smoothing.gains(steps)
+    assert (table.level[0], table.slope[0]) == (1.0, 0.0)
+    for n in range(1, table.level.size):
+        known = np.exp(1 / steps) * moves @ known @ moves.T
+        gain = known[:, 0] / (known[0, 0] + 1.0)
+        known = known - np.outer(gain, known[0])
+        assert (table.level[n], table.slope[n]) == pytest.approx(gain, rel=1e-9)
+        assert table.std[n] == pytest.approx(np.sqrt(known[0, 0]), rel=1e-9)
+
+
+@pytest.mark.parametrize("cells", [1, 8, 64])
+@pytest.mark.parametrize("expected", [0.1, 1.0, 10.0])
+def test_the_noise_of_a_calibration_is_soon_forgotten(cells: int, expected: float) -> None:
+    """It is only where the measurement begins: 150 readings later the board's own noise is known."""
+    random = np.random.default_rng(3)
+    found = []
+    for _ in range(20):
+        meter = NoiseMeter(cells, expected * NOISE)
+        for _ in range(150):
+            meter.update(NOISE * random.standard_normal(cells), None)
+        found.append(meter.quiet)
+    assert np.isfinite(found).all()
+    assert np.median(found) == pytest.approx(NOISE, rel=0.2)
