@@ -78,6 +78,7 @@ class Scatter:
         """Go on after a frame ``before`` and with what was measured until then."""
         self._seen, self.before = std, before
         self.frames, self._change = 0 if before is None else 2, None
+        self._free = 0  # readings that can change: those at a limit cannot
         self._open = 0.0  # share of the noise seen that may be missing in it
         self._changes = 0.0 if before is None else math.inf  # that the noise was seen in
 
@@ -85,13 +86,11 @@ class Scatter:
         """Take the readings (N, M) in V of a frame, in whose predecessor ``silent`` ones stood at a limit."""
         before, self.before = self.before, volts
         self.frames += 1
+        self._free = volts.size - silent
         if before is None:
             return
         change = volts - before
-        free = change.size - silent  # readings at a limit do not move
-        moving = max(free, 1)
-        # Changes are forgotten as the noise that they have shown is.
-        self._changes = FORGET * min(self._changes, change.size / (1.0 - FORGET))
+        moving = max(self._free, 1)
         if self.frames == 2:
             size = np.abs(change)
             expected = max(self._seen, min(_median(size), AT_FIRST * self._step))
@@ -101,9 +100,22 @@ class Scatter:
             if shown > GROWING * self._seen:
                 self._changes = 0.0  # what was seen before was another noise
             self._seen = max(FORGET * self._seen, shown)
-        self._changes += free
-        self._open = _left_open(max(round(self._changes), 1))
         self._change = change
+        self._count()
+
+    def still(self) -> None:
+        """Take a frame whose readings are those of the last one."""
+        self.frames += 1
+        self._change = None  # nothing goes back to before
+        self._seen *= FORGET
+        self._count()
+
+    def _count(self) -> None:
+        """Count the changes of one more frame. They are forgotten as the noise that they have shown is."""
+        assert self.before is not None
+        most = self.before.size / (1.0 - FORGET)
+        self._changes = FORGET * min(self._changes, most) + self._free
+        self._open = _left_open(max(round(self._changes), 1))
 
     def _shown_by(self, change: FloatArray, moving: int) -> float:
         """V, by this change (N, M) in V and the one before; ``moving`` readings can change."""
@@ -136,12 +148,6 @@ class Scatter:
         chance = DEVIATIONS * float(np.linalg.norm(back))
         part = float(np.where(onward, -back, back).sum()) + chance
         return math.sqrt(max(part, 0.0) / (moving * ALTERNATING))
-
-    def still(self) -> None:
-        """Take a frame whose readings are those of the last one."""
-        self.frames += 1
-        self._change = None  # nothing goes back to before
-        self._seen *= FORGET
 
     def _by_mean(self, size: FloatArray, expected: float, moving: int) -> float:
         """V, standard deviation by the mean absolute change.
