@@ -90,7 +90,7 @@ def test_counts_become_the_ohms_that_gave_them(ohms: float) -> None:
 
 
 def settled(read: CountReader, counts: np.ndarray) -> Reading:
-    """The last of many equal frames, which say that there is hardly a noise; in the first one half a step is assumed."""
+    """The last of many equal frames, which say that there is hardly a noise; in the first, half a step is assumed."""
     for _ in range(40):
         read(counts)
     return read(counts)
