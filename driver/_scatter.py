@@ -142,11 +142,13 @@ class Scatter:
         """
         assert self._change is not None
         back = np.minimum(np.abs(change), np.abs(self._change))
-        back = np.square(np.minimum(back, max(self._step, MOST_CHANGE * expected)))
-        onward = (change > 0.0) == (self._change > 0.0)
+        np.minimum(back, max(self._step, MOST_CHANGE * expected), out=back)
+        back *= back
+        each = back.ravel()
         # A sample of few cells may alternate less than its noise.
-        chance = DEVIATIONS * float(np.linalg.norm(back))
-        part = float(np.where(onward, -back, back).sum()) + chance
+        chance = DEVIATIONS * math.sqrt(each.dot(each))
+        onward = np.copysign(back, change * self._change, out=back)
+        part = chance - float(np.add.reduce(onward, axis=None))
         return math.sqrt(max(part, 0.0) / (moving * ALTERNATING))
 
     def _by_mean(self, size: FloatArray, expected: float, moving: int) -> float:
