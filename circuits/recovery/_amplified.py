@@ -123,8 +123,8 @@ class AmplifiedLive:
             found = self._loops.about(base, levels, volts)
         if found is None:
             return None
-        transfer, resistance = found
-        return LiveReading(resistance, self._all, self._no_reason, partial(levels.uncertainties, transfer))
+        resistance, uncertainties = found
+        return LiveReading(resistance, self._all, self._no_reason, uncertainties)
 
     def _cells(self, volts: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
         """What a frame's outputs (N, M) in V say of the cells, within the frame's budget.

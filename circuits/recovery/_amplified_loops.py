@@ -9,6 +9,8 @@ Sums over cells are added up in another order than by array operations, so resul
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -20,6 +22,8 @@ from ._amplified_board import FAR, LEAST_SHARE, AmplifiedBoard
 from ._amplified_errors import SIMILAR_GAINS, Levels
 
 _Blocks = Annotated[AnyArray, "Array(float64, 3, 'C', readonly=True)"]
+UsualFrame = tuple[FloatArray, Callable[[], tuple[FloatArray, FloatArray]]]
+"""resistances (N, M) in ohm, and what computes relative uncertainties and the part by a cell's own reading"""
 _SCALE, _CONSTANT, _PER_SUM, _FARTHEST_DRIVER, _RESISTANCE = range(5)  # rows of the board's constants
 _GAIN, _SHIFT, _CONDUCTANCE = range(3)  # blocks of a base
 
@@ -32,7 +36,8 @@ class UsualFrames:
         self._board = board
         self._about_base = _about_base.machine_code()
         self._independent = _independent_columns.machine_code()
-        self.compiled = self._about_base is not None and self._independent is not None
+        self._uncertainties = _uncertainties.machine_code()
+        self.compiled = None not in (self._about_base, self._independent, self._uncertainties)
         """there is machine code"""
         constants = (board.scale, board.constant, board.per_sum, board.farthest_driver, board.to_amplifier[0])
         self._constants = _fixed(np.array([np.broadcast_to(values, board.board.shape[1:]) for values in constants]))
@@ -42,10 +47,10 @@ class UsualFrames:
         self._base: Base | None = None
         self._of_base = _OfBase.none()
         self._levels: Levels | None = None
-        self._least = self._level_gain = np.zeros((0, 0))
+        self._of_levels = _OfLevels.none()
 
-    def about(self, base: Base, levels: Levels, volts: FloatArray) -> tuple[FloatArray, FloatArray] | None:
-        """Transfer conductances in S and resistances in ohm, both (N, M); None where the frame is not usual.
+    def about(self, base: Base, levels: Levels, volts: FloatArray) -> UsualFrame | None:
+        """The frame, or None where it is not usual.
 
         Args:
             base: a base whose own error is below the tolerance, on lines that are not heavy.
@@ -55,7 +60,7 @@ class UsualFrames:
         """
         if self._base is not base:
             self._base, self._of_base = base, _OfBase.of(base, self._board)
-        self._keep(levels)
+        of_levels = self._of(levels)
         transfer, resistance = np.empty(volts.shape), np.empty(volts.shape)
         of_base, board = self._of_base, self._board
         assert self._about_base is not None
@@ -67,7 +72,7 @@ class UsualFrames:
             self._behind,
             of_base.blocks,
             of_base.between,
-            self._least,
+            of_levels.least,
             board.has_sources,
             board.source_spread,
             board.least_tolerance,
@@ -76,23 +81,29 @@ class UsualFrames:
             transfer,
             resistance,
         )
-        return (transfer, resistance) if usual else None
+        return (resistance, partial(self._uncertain, of_levels, transfer)) if usual else None
 
-    def independent(self, levels: Levels, volts: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    def independent(self, levels: Levels, volts: FloatArray) -> UsualFrame | None:
         """As :meth:`about`, where only the columns' ends have resistance and gains are known in closed form."""
-        self._keep(levels)
+        of_levels = self._of(levels)
         transfer, resistance = np.empty(volts.shape), np.empty(volts.shape)
         assert self._independent is not None
         usual = self._independent(
-            volts, self._constants, self._level_gain, self._least, self._board.has_sources, transfer, resistance
+            volts, self._constants, of_levels.gain, of_levels.least, self._board.has_sources, transfer, resistance
         )
-        return (transfer, resistance) if usual else None
+        return (resistance, partial(self._uncertain, of_levels, transfer)) if usual else None
 
-    def _keep(self, levels: Levels) -> None:
+    def _uncertain(self, levels: _OfLevels, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Relative uncertainties (N, M) and the part by a cell's own reading: :meth:`.Levels.uncertainties`."""
+        uncertainty, own = np.empty(transfer.shape), np.empty(transfer.shape)
+        assert self._uncertainties is not None
+        self._uncertainties(transfer, levels.own, levels.by_leads, levels.others, uncertainty, own)
+        return uncertainty, own
+
+    def _of(self, levels: Levels) -> _OfLevels:
         if self._levels is not levels:
-            self._levels = levels
-            self._least = _fixed(np.broadcast_to(levels.least, self._board.board.shape))
-            self._level_gain = _fixed(levels.gain)
+            self._levels, self._of_levels = levels, _OfLevels.of(levels, self._board.board.shape)
+        return self._of_levels
 
 
 class _OfBase(NamedTuple):
@@ -118,6 +129,26 @@ class _OfBase(NamedTuple):
         return cls(_fixed(np.array([base.gain, shift, base.conductance])), _fixed(between), missing)
 
 
+class _OfLevels(NamedTuple):
+    """What the loops need of levels: their fields, (N, M) and not to be written to."""
+
+    gain: FloatArray
+    """as it is"""
+    least: FloatArray
+    own: FloatArray
+    others: FloatArray
+    by_leads: FloatArray
+
+    @classmethod
+    def none(cls) -> _OfLevels:
+        return cls(*(np.zeros((0, 0)) for _ in range(5)))
+
+    @classmethod
+    def of(cls, levels: Levels, shape: tuple[int, int]) -> _OfLevels:
+        fields = (levels.least, levels.own, levels.others, levels.by_leads)
+        return cls(_fixed(levels.gain), *(_fixed(np.broadcast_to(field, shape)) for field in fields))
+
+
 def _fixed(values: AnyArray) -> AnyArray:
     """A contiguous copy of the caller's own that nobody may write to."""
     copy = np.array(values, dtype=np.float64, order="C")
@@ -126,9 +157,7 @@ def _fixed(values: AnyArray) -> AnyArray:
 
 
 @loop
-def _transfer(
-    volts: FixedRows, constants: FixedRows, between: FixedRow, has_sources: bool, transfer: Rows
-) -> None:
+def _transfer(volts: FixedRows, constants: FixedRows, between: FixedRow, has_sources: bool, transfer: Rows) -> None:
     """Write the transfer conductances (N, M) in S: :meth:`.AmplifiedBoard.transfer`."""
     rows, columns = volts.shape
     scale, constant = constants[_SCALE], constants[_CONSTANT]
@@ -241,3 +270,16 @@ def _independent_columns(
                 return False
             resistance[i, j] = 1.0 / (transfer[i, j] * gain)
     return True
+
+
+@loop
+def _uncertainties(
+    transfer: FixedRows, own: FixedRows, by_leads: FixedRows, others: FixedRows, uncertainty: Rows, own_share: Rows
+) -> None:
+    """Write relative uncertainties (N, M) and the cells' own share of them: :meth:`.Levels.uncertainties`."""
+    rows, columns = transfer.shape
+    for i in range(rows):
+        for j in range(columns):
+            reading = max(transfer[i, j], own[i, j])
+            own_share[i, j] = own[i, j] / reading
+            uncertainty[i, j] = own_share[i, j] + by_leads[i, j] / reading + others[i, j]
