@@ -714,7 +714,7 @@ class Estimator(ABC):
         return memory
 
     def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
-        """(m,) kPa by which motion as large as the ``noise`` (m,) may at most let pressures seem to rise in a window."""
+        """(m,) kPa by which motion as large as the ``noise`` (m,) may at most let pressures seem to rise."""
         return _ZERO
 
     def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed

@@ -173,7 +173,7 @@ class NoiseMeter:
             self.quiet = min(FORGET * self.quiet, least)
 
     def beside_parabola(self, cells: IntArray) -> FloatArray:
-        """(m,) variance of the last :data:`WINDOW` readings of ``cells`` about parabolas, over that of the board's noise.
+        """(m,) variance of the last :data:`WINDOW` readings of ``cells`` about parabolas, over the board's noise.
 
         A vibration within the noise looks like noise, but the board has less. Parabolas take up what moves smoothly.
         0 where that is not known.
