@@ -23,7 +23,7 @@ from ._learned import BEYOND, DRIFT, UNKNOWN_DRIFT, Learned, Limits, Reached, St
 LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
 """of the distilled estimator; longer ones are memories of how the recording began"""
 PATHS_S = (5.0, 20.0, 80.0)
-"""of the distilled estimator: chains that motion broke heal within seconds to minutes"""
+"""of the distilled estimator of a cell whose conductive chains break under motion, and heal in seconds to minutes"""
 SMOOTHING_S = 0.1
 DIRECTIONS = 600
 CELLS, SECONDS = 96, 400.0
@@ -276,7 +276,11 @@ def play(calibration: NormalisedRecording, simulated: tuple[FloatArray, FloatArr
 
 
 def distilled(
-    calibration: NormalisedRecording, simulated: tuple[FloatArray, FloatArray, float], *, seed: int = 1
+    calibration: NormalisedRecording,
+    simulated: tuple[FloatArray, FloatArray, float],
+    *,
+    paths_s: tuple[float, ...] = (),
+    seed: int = 1,
 ) -> Learned:
     """Lags, plays, paths and cosines of them: the inverse of the identified model, distilled into a map."""
     plays = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
@@ -285,7 +289,7 @@ def distilled(
         simulated,
         lags_s=LAGS_S,
         plays=plays,
-        paths_s=PATHS_S,
+        paths_s=paths_s,
         directions=DIRECTIONS,
         ridge=5e-5,
         seed=seed,
