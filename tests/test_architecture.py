@@ -13,14 +13,26 @@ import pytest
 from ohmskin.circuits.readouts import CIRCUITS
 
 ROOT = Path(__file__).parent.parent
-SHARED = {"arrays", "errors", "config", "files", "frozen", "plots", "progress", "tables", "text", "workers"}
+SHARED = {
+    "arrays",
+    "errors",
+    "config",
+    "files",
+    "frozen",
+    "plots",
+    "progress",
+    "rendezvous",
+    "tables",
+    "text",
+    "workers",
+}
 MAY_IMPORT = {
     "circuits": SHARED,
     "cell": SHARED,
     "wire": SHARED,
     "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
-    "emulator": SHARED | {"circuits", "cell", "wire"},
-    "driver": SHARED | {"circuits", "cell", "wire"},
+    "emulator": SHARED | {"rendezvous", "circuits", "cell", "wire"},
+    "driver": SHARED | {"rendezvous", "circuits", "cell", "wire"},
     "calibration": SHARED | {"circuits", "cell", "wire", "driver"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
     "hil": SHARED | {"driver", "emulator"},
