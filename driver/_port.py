@@ -131,6 +131,16 @@ class _RealTimePort:
         """Present time in s on the machine's monotonic clock."""
         return time.monotonic()
 
+    def close(self) -> None:
+        """Give the port back; a second time does nothing. Not while another thread waits, reads or writes."""
+        self._close()
+        if self.announced is not None:
+            self.announced.close()
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Close what the operating system gave."""
+
     def _arrived(self, data: bytes) -> Arrival:
         return Arrival(data, time.monotonic(), time.time())
 
@@ -209,8 +219,7 @@ class DescriptorPort(_RealTimePort):
             if not self._closed:
                 os.write(self._wake_write, b"!")
 
-    def close(self) -> None:
-        """Give the port back; a second time does nothing. Not while another thread waits, reads or writes."""
+    def _close(self) -> None:
         with self._closing:
             if self._closed:
                 return
@@ -319,8 +328,7 @@ class UrlPort(_RealTimePort):
     def interrupt(self) -> None:
         """Does nothing: a wait ends by itself within 0.1 s."""
 
-    def close(self) -> None:
-        """Give the port back; a second time does nothing."""
+    def _close(self) -> None:
         self._device.close()
 
 

@@ -208,6 +208,7 @@ class Reader:
         finally:
             self._mailbox.finish(LinkError(f"{self.port_name}: the reader thread has ended"))
             self._release()
+            self._reopen = None  # its finder follows the port's announcement, a file
             self.introduced.set()
 
     def _live(self) -> None:

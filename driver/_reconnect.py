@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from ..errors import LinkError
-from ..rendezvous import AnnouncedPort
+from ..rendezvous import AnnouncedPort, announced
 from ._port import (
     BytePort,
     is_linked_terminal,
@@ -59,7 +59,10 @@ class PortFinder:
 
         """
         emulated = self._announced
-        if self.name.startswith("ohmskin://") or (emulated is not None and emulated.is_over):
+        if self.name.startswith("ohmskin://"):
+            raise over(self.name)
+        if emulated is not None and emulated.is_over:
+            emulated.close()
             raise over(self.name)
         names = ports_with(self._usb_serial) if self._usb_serial else self._names_without_number()
         if not names:
@@ -90,8 +93,9 @@ class PortFinder:
         return {*serial_ports(), *linked}
 
     def _open(self, name: str) -> BytePort:
+        emulated = announced(name)
         port = open_port(name, **self._options)  # type: ignore[arg-type]  # a dict of mixed values
-        self._announced = port.announced
+        self._announced = emulated
         return port
 
 

@@ -64,21 +64,22 @@ class Announcement:
 
 
 class AnnouncedPort:
-    """The announcement of a port as its host sees it. Stays open, and readable, as long as this object lives."""
+    """The announcement of a port as its host sees it. Stays readable until :meth:`close`, or as long as this lives."""
 
     def __init__(self, file: int) -> None:
         self._file = file
-        weakref.finalize(self, os.close, file)
+        self.close = weakref.finalize(self, os.close, file)
+        """gives the file back; a second time does nothing"""
 
     @property
     def name(self) -> str:
         """The present name of the port."""
-        return _read(self._file).partition(b"\n")[0].decode(errors="replace")
+        return _read(self._file).partition(b"\n")[0].decode(errors="replace") if self.close.alive else ""
 
     @property
     def is_over(self) -> bool:
         """Whether the board has come to its regular end. False as well if its program was stopped or killed."""
-        return _read(self._file).endswith(_OVER)
+        return self.close.alive and _read(self._file).endswith(_OVER)
 
     def is_at(self, port: str) -> bool:
         """Whether ``port`` is another way to write the name of this port."""
@@ -130,10 +131,7 @@ def _is_left_behind(file: int) -> bool:
 
 
 def _read(file: int) -> bytes:
-    try:
-        return os.pread(file, _LONGEST, 0)
-    except OSError:
-        return b""
+    return os.pread(file, _LONGEST, 0)
 
 
 def _same_place(one: str, other: str) -> bool:
