@@ -307,10 +307,8 @@ class InverseEstimator(Estimator):
         low, high = np.minimum(end, 0.0), np.maximum(end, 0.0)
         step = np.clip(step, low, high)
         tried = step == end
-        for left in reversed(range(EVALUATIONS)):
+        for _ in range(EVALUATIONS - 1):
             ends, rates = change_over.branches(step)
-            if not left:
-                break
             rate = slope + 2 * b * step + rates[0] + rates[1]
             excess = (slope + b * step) * step + ends[0] + ends[1] - kept - change
             low, high = np.where(excess > 0, low, step), np.where(excess > 0, step, high)
@@ -322,13 +320,12 @@ class InverseEstimator(Estimator):
             small = (next_term <= ACCURACY * rate * np.abs(step)) | (np.abs(move) <= ACCURACY)
             solved = (rises & small) | (low == high)
             if solved.all():
-                step, ends = newton, ends + rates * (newton - step)
-                break
+                return newton, ends + rates * (newton - step)
             inside = solved | (rises & (low < newton) & (newton < high))
             to_end = rises & (newton == end) & ~tried
             step = np.where(inside | to_end, newton, 0.5 * (low + high))
             tried |= to_end
-        return step, ends
+        return step, change_over.branches(step)[0]
 
     def _branches(self, memory: FloatArray, dt_s: float | FloatArray, s: FloatArray) -> FloatArray:
         """Branches (2, n) after a step to load ``s``, through any change-over."""

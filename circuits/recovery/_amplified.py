@@ -152,9 +152,9 @@ class AmplifiedLive:
 
         """
         if self._heavy:
-            by_leads = self._base_by_leads(volts, base)
-            if by_leads is not None:
-                return by_leads.conductance, by_leads.off, by_leads
+            found = self._settle_by_leads(volts, base)
+            if found is not None:
+                return found
         conductance, off = self._relinearised(base, transfer)
         for _ in range(EVALUATIONS):
             if off is None:
@@ -173,20 +173,23 @@ class AmplifiedLive:
         Kirchhoff's laws say more where the lines are hardly more than leads. Elsewhere the certificate is widened.
         """
         if self._board.lead_like:
-            by_leads = self._base_by_leads(volts, base)
-            if by_leads is not None:
-                return by_leads.conductance, by_leads.off, by_leads
+            found = self._settle_by_leads(volts, base)
+            if found is not None:
+                return found
             off = None if off is None else np.full_like(off, inf)  # a bound of first order says nothing
         elif off is not None:
             most = off * base.gain / max(1.0 - base.loss, LEAST_SHARE)
             off = self._board.within_linear_range(most, base.conductance) / base.gain
         return conductance, off, base
 
-    def _base_by_leads(self, volts: FloatArray, base: Base) -> Base | None:
-        """The base by Kirchhoff's laws, if they have a solution; decides whether the next frame begins with them."""
+    def _settle_by_leads(self, volts: FloatArray, base: Base) -> tuple[FloatArray, FloatArray | None, Base] | None:
+        """As :meth:`_settle`, by Kirchhoff's laws; None where these have no solution.
+
+        Decides whether the next frame begins with them.
+        """
         found = self._by_leads(volts, base)
         self._heavy = found is not None and found.loss > 0.5 * _HEAVY
-        return found
+        return None if found is None else (found.conductance, found.off, found)
 
     def _examined(
         self,
