@@ -27,7 +27,7 @@ from ohmskin.cell import Cell
 from ohmskin.circuits import Design
 from ohmskin.config import parse
 from ohmskin.driver import Arrival, BytePort, Delivery, Frame, Skin, discover
-from ohmskin.driver._convert import Measurement
+from ohmskin.driver._convert import Converter, Measurement
 from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._port import DescriptorPort, UrlPort
 from ohmskin.driver._reader import Reader
@@ -872,6 +872,24 @@ class TestBoards:
     def test_a_silent_board_is_not_opened_though_all_is_given(self) -> None:
         with pytest.raises(LinkTimeout, match=r"script: no description within 0\.05 s: the port is silent"):
             Skin(Script(), design=WHAT.design, cell=WHAT.cell, timeout=0.05)
+
+    @pytest.mark.parametrize("compiling", [False, True])
+    def test_the_time_of_the_compiler_is_not_the_boards(self, compiling: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+        """The first skin on a machine waits some seconds for machine code, whatever ``timeout`` is."""
+        try_out = Converter.try_out
+        over = threading.Event()
+
+        def slow(converter: Converter) -> None:
+            over.wait(2.0)
+            try_out(converter)
+
+        monkeypatch.setattr(Converter, "try_out", slow)
+        monkeypatch.setattr("ohmskin.driver._skin.is_compiling", lambda: compiling)
+        with contextlib.ExitStack() as life:
+            if not compiling:
+                life.enter_context(pytest.raises(ProtocolError, match=r"was not set up within 0\.7 s"))
+            Skin(described(), timeout=0.7).close()
+        over.set()
 
     def test_a_board_without_a_known_readout_asks_for_it(self) -> None:
         family = replace(BOARDS["ohmskin"], has_description=False)
