@@ -167,7 +167,7 @@ class Scatter:
         if moving < FEW:
             return self._shown_by_few(change, size, mean)
         shown = self._by_quietest(_quietest_of_two(change, self._change), QUIET_OF_TWO, moving)
-        if shown > self._seen and self._older is not None:
+        if shown > 1.1 * self._seen and self._older is not None:
             of_three = _quietest(np.stack((change, self._change, self._older)).reshape(3, -1))
             shown = min(shown, self._by_quietest(of_three, QUIET_OF_THREE, moving))
         return shown
