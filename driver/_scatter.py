@@ -11,10 +11,10 @@ one pattern over the readings, whatever its course in time, vanishes from one of
 * some sum in between, while a press accelerates.
 
 The weights of the quietest sum are the eigenvector to the smallest eigenvalue of the changes' second moments, taken
-relative to those of noise (:func:`_quietest_of_two`). The scatter of this sum over the readings is the noise. Its median
-limits what counts of each reading, so that motion of other patterns hardly counts where it moves less than half of the
-readings. Noise that seems to have grown has to be in three changes as well (:func:`_quietest`), among which two patterns
-of motion vanish. A noise that has begun is thus known in its third frame, in motion too.
+relative to those of noise (:func:`_quietest_of_two`). The scatter of this sum over the readings is the noise. Its
+median limits how much each reading counts: motion of other patterns hardly does where it moves less than half of the
+readings. Noise that seems to have grown has to be in three changes as well (:func:`_quietest`), among which two
+patterns of motion vanish. A noise that has begun is thus known in its third frame, in motion too.
 
 A noise is remembered for as long as it was seen, up to twenty frames: what has been mistaken for noise in one frame is
 soon forgotten.
@@ -51,9 +51,11 @@ AT_FIRST = 4.0
 """ADC steps, the most that is seen in the first two frames: they may also differ because all cells were pressed"""
 MEDIAN_CHANGE = 0.954
 """median of the absolute change in sigma (normal distribution)"""
-QUIET_OF_TWO, QUIET_OF_THREE = 0.6, 1.1
-"""times 1/sqrt(n), by which the quietest sum of two or three changes of n readings lies below the noise by chance;
-fits to the medians of simulated noise of 6 to 256 readings"""
+QUIET_OF_TWO, QUIET_OF_THREE = 0.8, 1.4
+"""times 1/sqrt(n): by how much the quietest sum of two or three changes of n readings lies below the noise by chance;
+about the lower third of simulated noise of 6 to 256 readings (its medians: 0.6 and 1.1)"""
+ABOVE = 1.1
+"""ratio to the noise so far, from which on motion may be the reason"""
 GROWING = 1.3
 """ratio to the noise so far, from which on the noise may have become another one"""
 DOUBT = 0.05
@@ -123,7 +125,7 @@ class Scatter:
         if self.frames == 2:
             size = np.abs(change)
             expected = max(self._seen, min(_median(size), AT_FIRST * self._step))
-            self._seen = self._by_mean(size, expected, moving)
+            self._seen, self._confirmed = self._by_mean(size, expected, moving), 1
         else:
             shown, assumed = self._shown_by(change, moving), self._assumed_next
             if shown > GROWING * self._seen:
@@ -160,14 +162,14 @@ class Scatter:
         """V, by this change (N, M) in V and those before; ``moving`` readings can change."""
         size = np.abs(change)
         mean = self._by_mean(size, self._seen, moving)
-        if mean <= FORGET * self._seen:  # no more than what is still assumed
+        if mean <= self._seen:  # whatever moves
             return mean
         if self._change is None:
             return 0.0
         if moving < FEW:
             return self._shown_by_few(change, size, mean)
         shown = self._by_quietest(_quietest_of_two(change, self._change), QUIET_OF_TWO, moving)
-        if shown > 1.1 * self._seen and self._older is not None:
+        if shown > ABOVE * self._seen and self._older is not None:
             of_three = _quietest(np.stack((change, self._change, self._older)).reshape(3, -1))
             shown = min(shown, self._by_quietest(of_three, QUIET_OF_THREE, moving))
         return shown
@@ -182,8 +184,10 @@ class Scatter:
 
         """
         size = np.abs(quietest)
-        expected = max(self._seen, _median(size))
-        return self._by_mean(size, expected, moving) / (1.0 - quiet / math.sqrt(moving))
+        mean = self._by_mean(size, self._seen, moving)
+        if mean > GROWING * self._seen:  # noise so far cuts off too much of a larger one
+            mean = self._by_mean(size, max(self._seen, _median(size, size.size - moving)), moving)
+        return mean / (1.0 - quiet / math.sqrt(moving))
 
     def _shown_by_few(self, change: FloatArray, size: FloatArray, mean: float) -> float:
         """V, by the alternation of this change (N, M) in V and the one before.
@@ -290,6 +294,9 @@ def _rarely_less(changes: int) -> float:
     return float(chdtri(changes, 1.0 - RARE))
 
 
-def _median(size: FloatArray) -> float:
-    """V, standard deviation by the median of absolute changes in V."""
-    return median(size) / MEDIAN_CHANGE
+def _median(size: FloatArray, silent: int = 0) -> float:
+    """V, standard deviation by the median of absolute changes in V, ``silent`` of which cannot be but 0."""
+    if not silent:
+        return median(size) / MEDIAN_CHANGE
+    middle = silent + (size.size - silent) // 2
+    return float(np.partition(size, middle, axis=None)[middle]) / MEDIAN_CHANGE
