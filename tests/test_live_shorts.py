@@ -154,6 +154,7 @@ def test_the_streams_named_here_still_have_what_made_them_hard() -> None:
     assert hard is not None
     row, both = hard.counts[0][0], hard.cells[0][0] < 1.0
     assert both.sum() == 2
-    assert (row[both] < 0.7 * 2**hard.design.adc.bits).all()  # type: ignore[union-attr]
+    assert hard.design.adc is not None
+    assert (row[both] < 0.7 * 2**hard.design.adc.bits).all()
     reading = CountReader(hard.design)(hard.counts[0])
     assert (reading.reason[0, both] == Reason.DISTURBED).all()
