@@ -16,9 +16,10 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from . import _lag as lag
-from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
+from ._estimator import Conditions, Estimator
 from ._models import PaperModel
 from ._noise import WINDOW
+from ._rows import GAIN, PRESSURE, VARIANCE
 
 LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
@@ -297,6 +298,7 @@ class TurningEstimator(Estimator):
         self._usual = USUAL * full_scale_kpa
         self._of = _Rows(np.zeros((len(self.rows), 0)), TURN * full_scale_kpa)
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
+        self._bends = BETWEEN * self._bend, SURE
         # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
         self._sure, self._less, self._again, self._either, self._far = (
             np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)

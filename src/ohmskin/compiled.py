@@ -72,6 +72,11 @@ class Loop(Generic[P, R]):
         self.failure: str | None = None
         """why the compiler refused the function; None: it did not, or was not asked yet"""
         self._compiled: Any = None
+        self.code: Callable[P, R] = function
+        """the compiled function once :func:`load` said so, before that ``function``"""
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        return self.code(*args, **kwargs)
 
     def __reduce__(self) -> str:
         """For pickle and copy: the loop of that name."""
@@ -89,7 +94,7 @@ class Loop(Generic[P, R]):
         if self._compiled is None and self.failure is None:
             with _lock:
                 try:
-                    self._compile()
+                    self.code = self._compile()
                 except Exception as error:  # of any part of the compiler
                     self.failure = f"{type(error).__name__}: {error}"
         return cast(Callable[P, R] | None, self._compiled)
@@ -166,6 +171,14 @@ def loop(function: Callable[P, R]) -> Loop[P, R]:
     its module, the modules ``math`` and ``numpy``, and other loops; within a function, no function.
     """
     return Loop(function)
+
+
+def load(*loops: Loop[..., Any]) -> bool:
+    """Compile loops, or load what is kept on disk; whether all of them are there as machine code, in ``Loop.code``.
+
+    To be called when an object is made whose frames are to be quick. Where the answer is no, array operations do it.
+    """
+    return all([each.machine_code() is not None for each in loops])
 
 
 def _written(hint: Any) -> str:
