@@ -524,7 +524,7 @@ class Estimator(ABC):
         if smooth.begun is not None:
             self._remember(smooth.begun, reading, noise)
         block.line_before = line.copy()
-        looked = _Looked(reading, noise, smooth.std, block.line_before)
+        looked = Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
         if self._frames % WINDOW == 0:
             self._look_for_tremor(memory, noise)
@@ -555,7 +555,7 @@ class Estimator(ABC):
             self._put_back(dt, reading, noise)
         if smoothing.advance_each.code(line, block.line_before, dt, self._gains(dt).rows, taken, block.begun):
             self._remember(block.begun, reading, noise)
-        memory = block.memory = self._advance_compiled(dt, level, std, _Looked(reading, noise, std, line))
+        memory = block.memory = self._advance_compiled(dt, level, std, Looked(reading, noise, std, line))
         if self._frames % WINDOW == 0:
             self._look_for_tremor(memory, noise)
         added = self._variance_of_jumps(memory) if self._sparks.cells.size else np.zeros(cells.size)
@@ -566,7 +566,7 @@ class Estimator(ABC):
         )
         self._left_open = _Stated(cells, variance)
 
-    def _advance_compiled(self, dt: float, r: FloatArray, std: FloatArray, looked: _Looked) -> FloatArray:
+    def _advance_compiled(self, dt: float, r: FloatArray, std: FloatArray, looked: Looked) -> FloatArray:
         """The block's memory after :meth:`_advance`; an estimator that has loops for that calls them."""
         return self._advance(self._block.memory, dt, r, std, looked.doubt)
 
@@ -832,7 +832,7 @@ def _sum(one: FloatArray | None, other: FloatArray) -> FloatArray:
     return other if one is None else one + other
 
 
-class _Looked(NamedTuple):
+class Looked(NamedTuple):
     """The readings of one step as the smoothing took them. Arrays (m,), which never change again."""
 
     reading: FloatArray
@@ -885,7 +885,7 @@ class _LeftOpen(NamedTuple):
     """(m,) that were followed"""
     memory: FloatArray
     """(SHARED, m) first rows of their memory after the step"""
-    looked: _Looked | None
+    looked: Looked | None
     """None: readings are exact"""
     added: FloatArray | None
     """(m,) kPa^2 beside that of noise and memory"""
