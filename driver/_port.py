@@ -14,9 +14,8 @@ import stat
 import threading
 import time
 from abc import abstractmethod
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 from urllib.parse import urlsplit
 
 import serial
@@ -40,8 +39,7 @@ _NOT_NOW = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 _HUNG_UP = (errno.EPIPE, errno.ECONNRESET, errno.EIO, errno.ENXIO, errno.ENODEV)
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
+class Arrival(NamedTuple):
     """Bytes and the time at which the host took them from the operating system."""
 
     data: bytes

@@ -71,7 +71,7 @@ class Reader:
         self._mailbox, self._counters = mailbox, counters
         self._lossless = lossless
         self._reopen, self._reconnect_s = reopen, reconnect_s
-        self._heard_before, self._heard_since = b"", bytearray()
+        self._heard_before, self._heard_since = bytearray(), bytearray()
         """bytes from the last frame but one to the last frame, and from the last frame on"""
         self._reading = threading.RLock()
         """held by who reads from the port, writes to it, or replaces it"""
@@ -159,7 +159,7 @@ class Reader:
         beginning of a packet.
         """
         with self._reading:
-            yield self.introduction.as_bytes() + self._heard_before + bytes(self._heard_since)
+            yield self.introduction.as_bytes() + bytes(self._heard_before) + bytes(self._heard_since)
 
     @property
     def away(self) -> bool:
@@ -285,7 +285,10 @@ class Reader:
                 for tap in self.taps:
                     tap(arrival)
                 events = self._protocol.feed(arrival.data, arrival.received_at)
-                frames = sum([isinstance(event, FramePacket) for event in events])
+                frames = 0
+                for event in events:
+                    if isinstance(event, FramePacket):
+                        frames += 1
                 self.stream.arrive(arrival, frames)
                 self._keep(arrival.data, has_frame=frames > 0)
                 for event in events:
@@ -295,7 +298,7 @@ class Reader:
     def _keep(self, data: bytes, *, has_frame: bool) -> None:
         """Keep the last bytes for a recorder that joins."""
         if has_frame:
-            self._heard_before, self._heard_since = bytes(self._heard_since), bytearray(data)
+            self._heard_before, self._heard_since = self._heard_since, bytearray(data)
             return
         self._heard_since += data
         if len(self._heard_since) > MOST_HEARD:
@@ -412,7 +415,7 @@ class Reader:
             with self._reading:
                 self._port = port
                 self._protocol = self._new_protocol()
-                self._heard_before, self._heard_since = b"", bytearray()
+                self._heard_before, self._heard_since = bytearray(), bytearray()
                 self._unproven.clear()
                 known = self.introduction.identity, self.introduction.description
                 self._proofs = {type(packet) for packet in known if packet is not None}
