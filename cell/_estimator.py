@@ -195,11 +195,14 @@ class Estimator(ABC):
         Returns:
             Whether machine code does the work. Pressures and standard deviations are the same either way.
         """
-        self._compiled = not self._exact and compiled.load(*self._loops())
-        self._noise.compiled = self._compiled
-        self._block.line_before = self._block.line.copy()  # an earlier step may hold the present one
-        self._numbers = self._numbers_of_loops()
+        self._use(machine_code=not self._exact and compiled.load(*self._loops()))
         return self._compiled
+
+    def _use(self, *, machine_code: bool) -> None:
+        """Do the work of frames by machine code, or by array operations."""
+        self._compiled = self._noise.compiled = machine_code
+        self._block.line_before = self._block.line.copy()  # machine code has that from before the last step
+        self._numbers = self._numbers_of_loops()
 
     def _loops(self) -> tuple[Loop[..., Any], ...]:
         """All that a frame calls."""
@@ -912,6 +915,10 @@ class _Block:
         """readings of the step, for machine code; see :mod:`._rows`"""
         self.begun = np.empty(cells.size, dtype=np.bool_)
         """where a line began in the step, for machine code"""
+
+    def __reduce__(self) -> tuple[type[_Block], tuple[IntArray, FloatArray, FloatArray], dict[str, FloatArray]]:
+        """For pickle and copy: the rows in ``scratch`` are parts of the line, and would become arrays of their own."""
+        return type(self), (self.cells, self.memory, self.line), {"line_before": self.line_before}
 
 
 class _Gaps:

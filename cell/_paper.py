@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,6 +23,8 @@ from ._models import PaperModel
 from ._noise import WINDOW
 from ._rows import GAIN, PRESSURE, VARIANCE
 from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
+
+T = TypeVar("T")
 
 LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
@@ -127,6 +129,18 @@ STATE_ROWS, R_ROW = [PRESSURE, 5, 6, 7], 3
 """rows of the memory of :class:`PaperEstimator`: pressure, settled, x2, x3; and the reading"""
 
 
+class _Weights(Generic[T]):
+    """What one time step does, for each length of step: computed once."""
+
+    def __init__(self, computed: Callable[[PaperModel, float], T], model: PaperModel) -> None:
+        self._made_from = computed, model
+        self.of = lru_cache(maxsize=1024)(partial(computed, model))
+
+    def __reduce__(self) -> tuple[type[_Weights[T]], tuple[Callable[[PaperModel, float], T], PaperModel]]:
+        """For pickle and copy: without what was computed."""
+        return type(self), self._made_from
+
+
 class PaperEstimator(Estimator):
     """The paper's estimator (P8): invert the rising or the recovery model, as dr/dt and two thresholds say.
 
@@ -148,7 +162,7 @@ class PaperEstimator(Estimator):
         conditions: Conditions,
     ) -> None:
         self.model = model
-        self._weights_of = lru_cache(maxsize=1024)(partial(switch_weights, model))
+        self._weights = _Weights(switch_weights, model)
         self._thresholds_per_s = model.thresholds_per_s(full_scale_kpa)
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, MEMORIES * steepest)
@@ -164,7 +178,7 @@ class PaperEstimator(Estimator):
     def _advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
-        weights = self._weights_of(dt_s)
+        weights = self._weights.of(dt_s)
         rises, falls = self._thresholds_per_s
         was_rising = memory[4] > 0
         followed = (r - memory[8]) * weights.smoothing
@@ -283,7 +297,7 @@ class TurningEstimator(Estimator):
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, MEMORIES * steepest)
         full_r = model.gain_per_kpa * full_scale_kpa
-        self._weights_of = lru_cache(maxsize=1024)(partial(turn_weights, model))
+        self._weights = _Weights(turn_weights, model)
         self._taken_over = taken_over(model)
         self._bend = 1 / model.eu1_kpa + 1 / model.etau2_kpa - 1 / model.e1_kpa
         """r per kPa by which the answer to a fast rise exceeds that to a fast fall"""
@@ -321,7 +335,7 @@ class TurningEstimator(Estimator):
     def _advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
-        w = self._weights_of(dt_s)
+        w = self._weights.of(dt_s)
         of = self._of
         if memory is not of.memory:
             of = self._of = _Rows(memory, TURN * self.full_scale_kpa)
@@ -425,7 +439,7 @@ class TurningEstimator(Estimator):
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
     def _advance_compiled(self, dt: float, r: FloatArray, std: FloatArray, looked: Looked) -> FloatArray:
-        w, memory, of, numbers = self._weights_of(dt), self._block.memory, self._of, self._turns
+        w, memory, of, numbers = self._weights.of(dt), self._block.memory, self._of, self._turns
         if memory is not of.memory:
             of = self._of = _Rows(memory, TURN * self.full_scale_kpa)
         loops.take.code(memory, r)
@@ -624,6 +638,10 @@ class _Rows:
         self.flags = np.empty((3, cells), dtype=np.bool_)
         self.where, self.near, self.confirmed = self.flags
         self._weights: TurnWeights | None = None
+
+    def __reduce__(self) -> tuple[type[_Rows], tuple[FloatArray, float]]:
+        """For pickle and copy: rows of the memory are parts of it, which would become arrays of their own."""
+        return type(self), (self.memory, self._turn_kpa)
 
     def take_gains(self, weights: TurnWeights, *, anew: bool = False) -> None:
         """What depends on the hypothesis in force; ``anew``: another one may be in force than in the last frame."""
