@@ -8,8 +8,9 @@ A frame passes these steps. Every estimator then adds its own map from smoothed 
 3. Cells at rest sleep: only their mean is watched, until it leaves the noise. This makes large skins cheap.
 4. Readings of the other cells are smoothed as their noise demands (:mod:`._smoothing`).
 5. A reading that jumps and is back within :data:`SPARK_S` was a bad contact: the memory from before it is put back.
-6. The standard deviation sums the variances of noise, of the memory, of gaps, of R0, of creep under loads longer than
-   any in the calibration (:mod:`._held`), and of what calibration left unexplained.
+6. The standard deviation sums the variances of noise, of the memory, of motion within the noise (:mod:`._tremor`), of
+   gaps, of R0, of creep under loads longer than any in the calibration (:mod:`._held`), and of what calibration left
+   unexplained.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from ._forward import resistance_of
 from ._held import Held
 from ._noise import WINDOW, NoiseMeter
 from ._rows import GAIN, PRESSURE, VARIANCE
+from ._tremor import Tremor
 
 SHARED = 6
 """number of rows, at most, that the standard deviation follows from"""
@@ -71,9 +73,8 @@ SETTLE_EVERY = 32
 HIDDEN, SIGMAS = 3.3, 3.0
 """standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
 a change could be that the smoothing has not noticed yet"""
-HIDES, SURELY_HIDES = 1.25, 1.6
-"""variance of a cell's readings beside smooth motion, over that of the board's noise: from the first on, a load may
-move within the noise; from the second on, it does"""
+LOOKS = 3
+"""for tremor, in a window of readings"""
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation without a calibration. It covers what an estimator passes over: loads
 that let a cell sleep, turns below a percent. It is no estimate of a model's error, for nobody compared the model with a
@@ -151,7 +152,7 @@ class Estimator(ABC):
         self._noise = NoiseMeter(cells, conditions.noise or 0.0)
         self._mean = np.zeros(cells)
         self._sum = np.zeros(cells)
-        self._risen_from = np.zeros(cells)
+        self._tremor = Tremor(cells)
         self._sum_s, self._summed = 0.0, 0
         self._pressure = np.full(cells, np.nan)
         self._variance = np.full(cells, np.nan)  # kPa^2; without the cells of _left_open; replaced, never changed
@@ -529,11 +530,13 @@ class Estimator(ABC):
         block.line_before = line.copy()
         looked = Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
-        if self._frames % WINDOW == 0:
-            self._look_for_tremor(memory, noise)
+        if self._frames % (WINDOW // LOOKS) == 0:
+            self._look_for_tremor(memory, self._most_seeming(memory, noise))
         pressure, added = memory[PRESSURE], None
+        if self._tremor.suspicious:
+            added = self._tremor.variance(cells, pressure, self._most_seeming(memory, noise))
         if self._sparks.cells.size:
-            added = self._variance_of_jumps(memory)
+            added = _sum(added, self._variance_of_jumps(memory))
         if pressure.item(pressure.argmax()) > USUAL * self.full_scale_kpa:
             # A pressure that the cell is not meant for may as well be an error of the memory.
             added = _sum(added, np.maximum(pressure - self.full_scale_kpa, 0.0) ** 2)
@@ -559,9 +562,13 @@ class Estimator(ABC):
         if smoothing.advance_each.code(line, block.line_before, dt, self._gains(dt).rows, taken, block.begun):
             self._remember(block.begun, reading, noise)
         memory = block.memory = self._advance_compiled(dt, level, std, Looked(reading, noise, std, line))
-        if self._frames % WINDOW == 0:
-            self._look_for_tremor(memory, noise)
-        added = self._variance_of_jumps(memory) if self._sparks.cells.size else np.zeros(cells.size)
+        if self._frames % (WINDOW // LOOKS) == 0:
+            self._look_for_tremor(memory, self._most_seeming(memory, noise))
+        added = np.zeros(cells.size)
+        if self._tremor.suspicious:
+            added += self._tremor.variance(cells, memory[PRESSURE], self._most_seeming(memory, noise))
+        if self._sparks.cells.size:
+            added += self._variance_of_jumps(memory)
         variance = np.empty(cells.size)
         loops.show.code(
             *(memory, line, taken, added, self._numbers, self._rest_at_kpa, self._rest_variances),
@@ -573,15 +580,19 @@ class Estimator(ABC):
         """The block's memory after :meth:`_advance`; an estimator that has loops for that calls them."""
         return self._advance(self._block.memory, dt, r, std, looked.doubt)
 
-    def _look_for_tremor(self, memory: FloatArray, noise: FloatArray) -> None:
-        """Doubt the rise of cells whose load goes to and fro within the ``noise`` (m,) of a reading."""
+    def _look_for_tremor(self, memory: FloatArray, most_kpa: FloatArray) -> None:
+        """Doubt the rise of cells whose load goes to and fro within the noise; changes ``memory``.
+
+        ``most_kpa`` (m,) is the rise that motion as large as the noise may at most make up in a window.
+        """
         cells = self._block.cells
-        unrest = self._noise.unrest(cells)
-        if unrest.item(unrest.argmax()) > HIDES:
-            hides = np.clip((unrest - HIDES) / (SURELY_HIDES - HIDES), 0.0, 1.0)
-            rise = np.maximum(memory[PRESSURE] - self._risen_from[cells], 0.0)
-            self._miss(memory, noise, hides * rise)
-        self._risen_from[cells] = memory[PRESSURE]
+        beside = self._noise.beside_parabola(cells)
+        self._tremor.look(cells, beside)
+        if self._frames % WINDOW == 0:
+            unrest = self._noise.unrest(cells, beside)
+            missed = self._tremor.end_window(cells, memory[PRESSURE], most_kpa, beside, unrest)
+            if missed is not None:
+                self._miss(memory, missed)
 
     def _likely(self, pressure: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """(m,) pressures with those that noise alone could give shown nearer to none.
@@ -647,6 +658,7 @@ class Estimator(ABC):
         self._pressure[cells] = 0.0  # a calibration curve may miss that by some percent
         self._sparks = self._sparks.where(~np.isin(self._sparks.cells, cells))
         self._awake[cells] = False
+        self._tremor.forget(cells)
         self._all_awake = False
         self._stale = True
 
@@ -747,13 +759,13 @@ class Estimator(ABC):
 
     # -- saving ------------------------------------------------------------------------------------------------------
 
-    _KEPT = ("memory", "line", "mean", "sum", "pressure", "variance", "readings", "awake", "followed", "risen_from")
+    _KEPT = ("memory", "line", "mean", "sum", "pressure", "variance", "readings", "awake", "followed")
 
     def state(self) -> dict[str, FloatArray]:
         """Everything remembered, as a copy: arrays of float64 by name, which :meth:`restore` takes."""
         self._flush()
         own = {name: getattr(self, f"_{name}") for name in self._KEPT} | self._noise.state() | self._gaps.state()
-        own |= self._held.state()
+        own |= self._held.state() | self._tremor.state()
         clock = [self._usual_s, self._frames, self._sum_s, self._summed]
         own["clock"] = np.array(clock, dtype=np.float64)
         return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
@@ -774,6 +786,7 @@ class Estimator(ABC):
         self._noise.restore(given)
         self._gaps.restore(given)
         self._held.restore(given)
+        self._tremor.restore(given)
         self._usual_s, frames, self._sum_s, summed = given["clock"].tolist()
         self._frames, self._summed = int(frames), int(summed)
         self._sparks = _Sparks.none(self._memory, self._line)
@@ -802,11 +815,12 @@ class Estimator(ABC):
         """The memory (rows, m) after ``dt_s``, one number or (m,), in which the pressure stayed."""
         return memory
 
-    def _miss(self, memory: FloatArray, noise: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
-        """Count what cells may remember wrong where the load moved within the ``noise`` (m,); changes ``memory``.
+    def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
+        """(m,) kPa by which motion as large as the ``noise`` (m,) may at most let pressures seem to rise."""
+        return _ZERO
 
-        ``rise_kpa`` (m,) is the rise in the last :data:`WINDOW` frames that this motion may only seem to be.
-        """
+    def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
+        """Count what cells may remember wrong where a rise (m,) may only have seemed to be one; changes ``memory``."""
 
     def _within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """(m,) variance in kPa^2 by what the load may have done since the last frame.

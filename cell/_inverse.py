@@ -244,11 +244,13 @@ class InverseEstimator(Estimator):
         variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2
         memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)
 
-    def _miss(self, memory: FloatArray, noise: FloatArray, rise_kpa: FloatArray) -> None:
+    def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
+        most: FloatArray = WINDOW * self.model.k * memory[GAIN] ** 2 * noise / self.full_scale_kpa
+        return most
+
+    def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """Motion within the noise breaks chains, which seems to be a load that rises."""
-        gain = memory[GAIN]
-        most = WINDOW * self.model.k * gain**2 * noise / self.full_scale_kpa
-        memory[MISSED] += np.where(rise_kpa < most, rise_kpa, 0.0) / gain  # what rises faster is a load
+        memory[MISSED] += rise_kpa / memory[GAIN]
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.

@@ -195,12 +195,11 @@ class NoiseMeter:
             least = max(self.typical, self.typical_resolution, LEAST)
             self.quiet = min(FORGET * self.quiet, least)
 
-    def unrest(self, cells: IntArray) -> FloatArray:
-        """(m,) variance of the readings of ``cells`` about parabolas, over that of the board's noise. To be called
-        every :data:`WINDOW` frames.
+    def beside_parabola(self, cells: IntArray) -> FloatArray:
+        """(m,) variance of the last :data:`WINDOW` readings of ``cells`` about parabolas, over the board's noise.
 
-        A vibration within the noise looks like noise, but the board has less. Parabolas through :data:`WINDOW` readings
-        take up what moves smoothly. The lesser of the last two counts, since a single edge is in one of them only.
+        A vibration within the noise looks like noise, but the board has less. Parabolas take up what moves smoothly.
+        0 where that is not known.
         """
         if self._seen < WINDOW or not np.isfinite(self.quiet):
             return np.zeros(cells.size)
@@ -210,9 +209,16 @@ class NoiseMeter:
         scale *= scale
         scale *= np.maximum(self.quiet, self.resolution[cells])
         beside /= scale
-        present = np.einsum("ij,ij->j", beside, beside) / len(beside)
+        present: FloatArray = np.einsum("ij,ij->j", beside, beside) / len(beside)
         if self._any_blind:
             present[self._blind[cells] > 0] = 0.0
+        return present
+
+    def unrest(self, cells: IntArray, present: FloatArray) -> FloatArray:
+        """(m,) the lesser of the last two windows' variances, since a single edge is in one of them only.
+
+        To be called every :data:`WINDOW` frames, with what :meth:`beside_parabola` says at ``present`` (m,).
+        """
         before = self._beside[cells]
         found: FloatArray = np.minimum(present, before)
         found[np.maximum(present, before) > CROSSED] = 0.0

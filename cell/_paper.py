@@ -471,12 +471,14 @@ class TurningEstimator(Estimator):
         of.doubt += lost + np.sqrt(of.doubt * lost)
         np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
 
-    def _miss(self, memory: FloatArray, noise: FloatArray, rise_kpa: FloatArray) -> None:
+    def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
+        most: FloatArray = WINDOW * UNSEEN * self._bend * noise * memory[GAIN] ** 2
+        return most
+
+    def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """A load to and fro within the noise seems to rise: r goes up by one model, and would go down by the other."""
-        gain, before = memory[GAIN], memory[TURNED]
-        most = WINDOW * UNSEEN * self._bend * noise * gain**2
-        rise = np.where(rise_kpa < most, rise_kpa, 0.0)  # what rises faster is a load
-        after = np.minimum((np.sqrt(before) + rise) ** 2, self._lost_at_most_kpa2)
+        before = memory[TURNED]
+        after = np.minimum((np.sqrt(before) + rise_kpa) ** 2, self._lost_at_most_kpa2)
         memory[VARIANCE] += after - before
         memory[TURNED] = after
 

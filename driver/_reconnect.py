@@ -6,12 +6,14 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from ..errors import LinkEnded, LinkError
+from ..errors import LinkError
+from ..rendezvous import AnnouncedPort, announced
 from ._port import (
     BytePort,
     is_linked_terminal,
     linked_terminals,
     open_port,
+    over,
     ports_with,
     serial_ports,
     usb_serial_number,
@@ -40,6 +42,8 @@ class PortFinder:
         """ports that have been there whenever this finder looked"""
         self._last: str | None = None
         """name under which the port was opened again last"""
+        self._announced: AnnouncedPort | None = None
+        """what an emulated board says of its port, also while the port is away"""
 
     def open(self) -> BytePort:
         """Open the port where it is now; LinkError where it is not there."""
@@ -49,12 +53,17 @@ class PortFinder:
         """Open the port where it is now, perhaps under another name.
 
         Raises:
-            LinkEnded: the port was a board in this process. To open such a port is to start another board.
+            LinkEnded: the port's emulated board has come to its end. One in this process (``ohmskin://``) is never
+                opened again, since that would start another board.
             LinkError: the port is nowhere.
 
         """
+        emulated = self._announced
         if self.name.startswith("ohmskin://"):
-            raise LinkEnded(f"{self.name}: the emulated board has come to the end of its time")
+            raise over(self.name)
+        if emulated is not None and emulated.is_over:
+            emulated.close()
+            raise over(self.name)
         names = ports_with(self._usb_serial) if self._usb_serial else self._names_without_number()
         if not names:
             raise LinkError(f"{self.name}: no USB device with serial number {self._usb_serial} is plugged in")
@@ -84,7 +93,10 @@ class PortFinder:
         return {*serial_ports(), *linked}
 
     def _open(self, name: str) -> BytePort:
-        return open_port(name, **self._options)  # type: ignore[arg-type]  # a dict of mixed values
+        emulated = announced(name)
+        port = open_port(name, **self._options)  # type: ignore[arg-type]  # a dict of mixed values
+        self._announced = emulated
+        return port
 
 
 def attempts(limit_s: float, wait: Callable[[float], bool]) -> Iterator[float]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import pytest
 from hypothesis import settings
 
 pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point is older than the source
@@ -9,3 +12,11 @@ pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point 
 # A busy machine is no failure, and a failure must come again.
 settings.register_profile("ohmskin", deadline=None, derandomize=True)
 settings.load_profile("ohmskin")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _boards_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Emulated boards of other processes, such as tests that run at the same time, are not found here."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("OHMSKIN_RUNTIME_DIR", str(tmp_path_factory.mktemp("boards")))
+        yield
