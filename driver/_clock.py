@@ -86,14 +86,17 @@ class ClockMap:
             self._least = (x, y)
         elif y < self._least[1]:
             self._least = (x, y)
-        if y < self._line(x) - STEP_S:
+        line = self._line(x)
+        if y < line - STEP_S:
             # No drift does this: the clock was set forward, or all frames before had waited in a buffer.
             self._buckets.clear()
             self._drift = 0.0
-        if y < self._line(x):
+            line = self._line(x)
+        if y < line:
             # Less delayed than any frame before: the line is moved down to this frame.
             self._anchor = (x, y)
-        return self._origin[1] + x + self._line(x)
+            line = y
+        return self._origin[1] + x + line
 
     def _line(self, x: float) -> float:
         return self._anchor[1] + self._drift * (x - self._anchor[0])
