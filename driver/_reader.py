@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from math import inf
 
-from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
 from ._introduce import Introduction
 from ._mailbox import Mailbox
@@ -100,6 +100,7 @@ class Reader:
         Raises:
             LinkTimeout: the board is silent.
             ProtocolError: it sends something else than packets, or a description beyond the limits.
+            InputError: the design that was given is not of this board.
             LinkError: the port is gone.
 
         """
@@ -208,6 +209,7 @@ class Reader:
         finally:
             self._mailbox.finish(LinkError(f"{self.port_name}: the reader thread has ended"))
             self._release()
+            self._reopen = None  # its finder follows the port's announcement, a file
             self.introduced.set()
 
     def _live(self) -> None:
@@ -320,6 +322,8 @@ class Reader:
 
     def _hear(self, packet: FramePacket, arrival: Arrival) -> None:
         if not self.introduction.complete:
+            self._learn(packet)
+        if not self.introduction.complete:
             following = None if packet.sequence is None else (packet.sequence + 1) % 2**32
             self.stream.announce(following, packet.boot_id)
             return
@@ -356,6 +360,7 @@ class Reader:
         Raises:
             LinkError: another board is there, or the board has changed since the skin was opened.
             ProtocolError: the board that is being opened contradicts itself, or exceeds the limits.
+            InputError: the design that was given is not of the board that is being opened.
 
         """
         first_frame_is_near = not self._unproven
@@ -371,16 +376,20 @@ class Reader:
             self.stream.end(event.sequence, event.boot_id)
             self._finish()
             return
+        self._learn(event)
+        if first_frame_is_near:
+            self.stream.announce(event.sequence, event.boot_id)
+
+    def _learn(self, event: Identity | Description | FramePacket) -> None:
+        """Let the introduction go on; errors as for :meth:`_get_to_know`."""
         known = self.introduction.complete
         try:
             self.introduction.hear(event)
-        except ProtocolError as error:
-            # A ProtocolError of an open skin is one after which better frames may come; this is for good.
+        except (ProtocolError, InputError) as error:
+            # Such an error of an open skin is one after which better frames may come; this is for good.
             final = LinkError(str(error)) if known else error
             self._mailbox.finish(final)
             raise final from error
-        if first_frame_is_near:
-            self.stream.announce(event.sequence, event.boot_id)
         if self.introduction.complete and not known:
             self._start_frames()
             self.introduced.set()

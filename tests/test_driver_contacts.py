@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from itertools import islice
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +17,7 @@ from ohmskin.arrays import FloatArray
 from ohmskin.driver import Contact, ContactTracker
 from ohmskin.driver import _watershed as watershed
 from ohmskin.driver._contacts import JOIN_SHARE, STAY_SHARE
+from ohmskin.driver._messages import FRAME_TOPIC, MESSAGE_SCHEMAS, messages_of
 from ohmskin.emulator import Board
 
 PITCH_M = 0.004
@@ -154,6 +158,19 @@ def test_ids_survive_crossing_touching_and_parting(how: str, seed: int, rate_hz:
     assert ids_at(seen[-1], paths[:, -1]) == names
     for contacts in seen:
         assert sorted(name for c in contacts for name in (c.id, *c.joined)) == sorted(names)
+
+
+def test_json_names_the_contacts_that_have_run_into_another() -> None:
+    frames = [bump((16, 16), 7, near, 9.0) + bump((16, 16), 7, 12, 8.0) for near in np.arange(6.0, 10.0, 0.1)]
+    contacts = track(frames)[-1]
+    with lossless(Wire(Board(scene(contact=[])))) as skin:
+        message = messages_of(replace(next(skin), _contacts=lambda: contacts))[FRAME_TOPIC]
+    (told,) = json.loads(json.dumps(message))["contacts"]
+    assert (told["id"], told["joined"]) == (contacts[0].id, list(contacts[0].joined))
+    assert {told["id"], *told["joined"]} == {1, 2}
+    properties: Any = MESSAGE_SCHEMAS[FRAME_TOPIC]["properties"]
+    assert set(told) == set(properties["contacts"]["items"]["properties"])
+    assert set(message) == set(properties)
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 1000.0])

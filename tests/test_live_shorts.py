@@ -63,6 +63,8 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("divider", 310000401),
         ("loaded", 410000126),
         ("loaded", 3010000430),
+        ("feedback events", 5010000130),  # noise begins a frame before all cells are pressed at once
+        ("loaded events", 4030000002),  # noise begins while fingers move a third of the readings
         ("feedback", 3010000064),  # an open cell whose amplifier's offset lies below the converter's range
     ],
 )

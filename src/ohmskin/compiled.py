@@ -43,6 +43,8 @@ FixedCodes = Annotated[CodeArray, "Array(uint32, 1, 'C', readonly=True)"]
 _SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
 _OFF = ("0", "no", "off", "false")
 _lock = threading.RLock()
+_waiting: list[Loop[..., Any]] = []
+"""loops that are being compiled, or that wait for the compiler"""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -92,11 +94,14 @@ class Loop(Generic[P, R]):
         if why_not() is not None:
             return None
         if self._compiled is None and self.failure is None:
-            with _lock:
-                try:
+            _waiting.append(self)
+            try:
+                with _lock:
                     self.code = self._compile()
-                except Exception as error:  # of any part of the compiler
-                    self.failure = f"{type(error).__name__}: {error}"
+            except Exception as error:  # of any part of the compiler
+                self.failure = f"{type(error).__name__}: {error}"
+            finally:
+                _waiting.remove(self)
         return cast(Callable[P, R] | None, self._compiled)
 
     def _compile(self) -> Any:
@@ -179,6 +184,11 @@ def load(*loops: Loop[..., Any]) -> bool:
     To be called when an object is made whose frames are to be quick. Where the answer is no, array operations do it.
     """
     return all([each.machine_code() is not None for each in loops])
+
+
+def is_compiling() -> bool:
+    """Whether the compiler is at work in some thread: who limits the time of other work does not count this time."""
+    return bool(_waiting)
 
 
 def _written(hint: Any) -> str:
