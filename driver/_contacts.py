@@ -130,8 +130,10 @@ class ContactTracker:
         alone = np.bincount(shared)[shared] == 1
         measures = (x_mean, y_mean, forces, peaks, variances, alone, starts, ends)
         return [
-            Patch(*measured, cells[start:end], places[start:end], pressure[start:end])
-            for *measured, start, end in zip(*(measure.tolist() for measure in measures), strict=True)
+            Patch(x, y, force, peak, variance, one, cells[start:end], places[start:end], pressure[start:end])
+            for x, y, force, peak, variance, one, start, end in zip(
+                *(measure.tolist() for measure in measures), strict=True
+            )
         ]
 
     def _contacts(self, patches: list[Patch], names: list[Named]) -> tuple[Contact, ...]:

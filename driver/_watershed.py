@@ -73,11 +73,10 @@ def _tops(height: FloatArray) -> IntArray:
     padded[1:-1, 1:-1] = height
     around = np.stack([padded[row : row + rows, column : column + columns] for row, column in _AROUND])
     # The middle first: cells of equal height lead nowhere else, and no path is a circle.
-    step = np.where(around[4] >= around.max(axis=0), 4, around.argmax(axis=0))
-    offset = (step // 3 - 1) * columns + step % 3 - 1
-    to: IntArray = np.arange(height.size) + offset.ravel()
+    step = np.where(around[4] >= around.max(axis=0), 4, around.argmax(axis=0)).ravel()
+    to: IntArray = np.arange(height.size) + (step // 3 - 1) * columns + step % 3 - 1
     while True:
-        further = to[to]
+        further: IntArray = to[to]
         if np.array_equal(further, to):
             return to
         to = further
