@@ -58,9 +58,9 @@ def part(
         return labels
     top = _tops(height)
     tops = np.flatnonzero((top == np.arange(top.size)) & touched.ravel())
-    basin = np.zeros(top.size, dtype=np.intp)
-    basin[tops] = np.arange(len(tops))
-    basin = basin[top].reshape(labels.shape)
+    number = np.zeros(top.size, dtype=np.intp)
+    number[tops] = np.arange(len(tops))
+    basin: IntArray = number[top].reshape(labels.shape)
     root = _merged(tops, basin, height, std_kpa.ravel(), begins.ravel(), before.ravel())
     numbers = np.cumsum(np.bincount(root) > 0)[root]
     return np.where(touched, numbers[basin], 0)
@@ -73,8 +73,9 @@ def _tops(height: FloatArray) -> IntArray:
     padded[1:-1, 1:-1] = height
     around = np.stack([padded[row : row + rows, column : column + columns] for row, column in _AROUND])
     # The middle first: cells of equal height lead nowhere else, and no path is a circle.
-    step = np.where(around[4] >= around.max(axis=0), 4, around.argmax(axis=0)).ravel()
-    to: IntArray = np.arange(height.size) + (step // 3 - 1) * columns + step % 3 - 1
+    step: IntArray = np.where(around[4] >= around.max(axis=0), 4, around.argmax(axis=0)).reshape(-1)
+    to: IntArray = np.arange(height.size)
+    to += (step // 3 - 1) * columns + step % 3 - 1
     while True:
         further: IntArray = to[to]
         if np.array_equal(further, to):
