@@ -33,7 +33,7 @@ from ._introduce import Introduction
 from ._mailbox import Mailbox
 from ._past import Past
 from ._port import Arrival, BytePort
-from ._reader import Reader
+from ._reader import Reader, await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
 from ._replay import RecordedSettings, ReplayPort
@@ -196,6 +196,7 @@ class Skin:
         if self._recorder is not None:
             self._follow_frames(self._recorder)
         _OPEN_HERE.add(self)
+        weakref.finalize(self, self._reader.forget).atexit = False
 
     @classmethod
     def open(
@@ -276,6 +277,7 @@ class Skin:
             port = find_board(serial_number, board=board)
         compiled.load()  # while no frames come
         finder = PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
+        await_free(port)
         skin = cls(
             finder.open(),
             board=family,
@@ -384,7 +386,7 @@ class Skin:
 
     def __aiter__(self) -> AsyncIterator[Frame]:
         """The frames that come from now on, for ``async for``; ends and raises as iteration does."""
-        return AsyncFrames(self._source, self._timeout)
+        return AsyncFrames(self._source, self._timeout, keep=self)
 
     def frames(self) -> Iterator[Frame]:
         """An iterator with a place of its own: the frames that come from now on, whoever else takes them."""
@@ -444,7 +446,7 @@ class Skin:
             An object whose ``close()`` ends the calls. An exception in the callback ends them too.
 
         """
-        made = FrameCallback(self._source, callback, on_end)
+        made = FrameCallback(self._source, callback, on_end, keep=self)
         self._callbacks.append(made)
         return made
 
