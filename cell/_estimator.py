@@ -8,8 +8,9 @@ A frame passes these steps. Every estimator then adds its own map from smoothed 
 3. Cells at rest sleep: only their mean is watched, until it leaves the noise. This makes large skins cheap.
 4. Readings of the other cells are smoothed as their noise demands (:mod:`._smoothing`).
 5. A reading that jumps and is back within :data:`SPARK_S` was a bad contact: the memory from before it is put back.
-6. The standard deviation sums the variances of noise, of the memory, of gaps, of R0, of creep under loads longer than
-   any in the calibration (:mod:`._held`), and of what calibration left unexplained.
+6. The standard deviation sums the variances of noise, of the memory, of motion within the noise (:mod:`._tremor`), of
+   gaps, of R0, of creep under loads longer than any in the calibration (:mod:`._held`), and of what calibration left
+   unexplained.
 """
 
 from __future__ import annotations
@@ -19,20 +20,24 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import compiled
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..compiled import Loop
 from ..errors import InputError
+from . import _loops as loops
+from . import _noise as noise_meter
 from . import _smoothing as smoothing
 from ._forward import resistance_of
 from ._held import Held
 from ._noise import WINDOW, NoiseMeter
+from ._rows import GAIN, PRESSURE, VARIANCE
+from ._tremor import Tremor
 
-PRESSURE, GAIN, VARIANCE = range(3)
-"""first rows of every memory: kPa; kPa per unit of r by which noise enters it; kPa^2 by which memory adds to it"""
 SHARED = 6
 """number of rows, at most, that the standard deviation follows from"""
 SPARK_S = 0.1
@@ -68,9 +73,8 @@ SETTLE_EVERY = 32
 HIDDEN, SIGMAS = 3.3, 3.0
 """standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
 a change could be that the smoothing has not noticed yet"""
-HIDES, SURELY_HIDES = 1.25, 1.6
-"""variance of a cell's readings beside smooth motion, over that of the board's noise: from the first on, a load may
-move within the noise; from the second on, it does"""
+LOOKS = 3
+"""for tremor, in a window of readings"""
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation without a calibration. It covers what an estimator passes over: loads
 that let a cell sleep, turns below a percent. It is no estimate of a model's error, for nobody compared the model with a
@@ -140,6 +144,7 @@ class Estimator(ABC):
         self._model_variance = (conditions.model_std_kpa or MODEL_ERROR * full_scale_kpa) ** 2
         rest_std_kpa = conditions.rest_std_kpa
         self._rest_variance = None if rest_std_kpa is None else rest_std_kpa**2
+        self._rest_variances = np.zeros(0) if rest_std_kpa is None else rest_std_kpa**2
         self._rest_at_kpa = np.linspace(0, full_scale_kpa, 0 if rest_std_kpa is None else rest_std_kpa.size)
         self._band = AT_REST * self._full_scale_r
         """r within which a cell counts as at rest"""
@@ -147,11 +152,11 @@ class Estimator(ABC):
         self._noise = NoiseMeter(cells, conditions.noise or 0.0)
         self._mean = np.zeros(cells)
         self._sum = np.zeros(cells)
-        self._risen_from = np.zeros(cells)
+        self._tremor = Tremor(cells)
         self._sum_s, self._summed = 0.0, 0
         self._pressure = np.full(cells, np.nan)
         self._variance = np.full(cells, np.nan)  # kPa^2; without the cells of _left_open; replaced, never changed
-        self._left_open: _LeftOpen | None = None
+        self._left_open: _LeftOpen | _Stated | None = None
         self._asleep: _Asleep | None = None
         self._reading = np.zeros(cells)
         self._readings = np.zeros(cells)
@@ -165,6 +170,11 @@ class Estimator(ABC):
         self._smoothed_for = (-1.0, -1.0)
         self._smoothed_by = smoothing.gains_for(1.0, 1.0)
         self._all_awake = False
+        self._compiled = False
+        self._bends = 0.0, 0.0
+        """standard deviation of r by a turn within the frame, per kPa by which the load bent, and by how many standard
+        deviations of noise it must have bent; 0: see :meth:`_within_frame`, which says the same"""
+        self._numbers = np.zeros(0)
         # What is remembered of each cell. The cells that are followed at present have theirs in the block.
         self._memory = self._begin(np.zeros(cells))
         self._line = smoothing.begin(np.zeros(cells))
@@ -174,6 +184,54 @@ class Estimator(ABC):
         self._followed = np.zeros(cells, dtype=np.bool_)
         self._stale = True
         self._sparks = _Sparks.none(self._memory, self._line)
+
+    # -- machine code ------------------------------------------------------------------------------------------------
+
+    def compile(self) -> bool:
+        """Do the work of frames by machine code from now on, where the extra ``fast`` is installed.
+
+        Loading takes half a second in the first call of a process, and compiling ten where no earlier process has done
+        so. An estimator of exact readings (``noise=0``) has no machine code.
+
+        Returns:
+            Whether machine code does the work. Pressures and standard deviations are the same either way.
+        """
+        self._use(machine_code=not self._exact and compiled.load(*self._loops()))
+        return self._compiled
+
+    def _use(self, *, machine_code: bool) -> None:
+        """Do the work of frames by machine code, or by array operations."""
+        self._compiled = self._noise.compiled = machine_code
+        self._block.line_before = self._block.line.copy()  # machine code has that from before the last step
+        self._numbers = self._numbers_of_loops()
+
+    def _loops(self) -> tuple[Loop[..., Any], ...]:
+        """All that a frame calls."""
+        return *loops.ALL, *smoothing.LOOPS, *noise_meter.LOOPS
+
+    def _numbers_of_loops(self) -> FloatArray:
+        """What :func:`._loops.show` takes."""
+        full = self.full_scale_kpa
+        numbers = {
+            loops.MODEL_VARIANCE: self._model_variance,
+            loops.WITHIN: self._bends[0],
+            loops.SURE: self._bends[1],
+            loops.FULL: full,
+            loops.MUCH: USUAL * full,
+            loops.MUCH_NOISE: AT_REST * full,
+            loops.NO_LOAD: NO_LOAD_SIGMAS,
+            loops.TINY: TINY,
+            loops.HIDDEN: HIDDEN,
+            loops.PER_SIGMAS: 1.0 / SIGMAS,
+            loops.STATED: float(self._states_std),
+        }
+        return np.array([numbers[place] for place in range(len(numbers))])
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Continue from a pickle, perhaps in a process without machine code."""
+        self.__dict__.update(state)
+        if self._compiled:
+            self.compile()
 
     # -- the frame ---------------------------------------------------------------------------------------------------
 
@@ -197,8 +255,7 @@ class Estimator(ABC):
             raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
         dt = float(elapsed_s) if self._frames else 1.0
         r = self._reading = np.empty(resistance.size)
-        self._normalise(resistance.ravel(), r)
-        known = self._readable(r)
+        known = None if self._normalise(resistance.ravel(), r) else self._readable(r)
         before = self._pressure.copy()
         if not self._exact:
             self._noise.update(r, known)
@@ -262,7 +319,7 @@ class Estimator(ABC):
         before: FloatArray,
         asleep: _Asleep | None,
         reading: FloatArray,
-        left_open: _LeftOpen | None,
+        left_open: _LeftOpen | _Stated | None,
         by_gaps: FloatArray | None,
         by_creep: FloatArray | None,
     ) -> FloatArray:
@@ -272,7 +329,7 @@ class Estimator(ABC):
         else:
             variance = before.copy()
             if asleep is not None:
-                asleep.add_to(variance, reading)
+                asleep.add_to(variance, reading, compiled=self._compiled)
             if left_open is not None:
                 variance[left_open.cells] = self._variance_of(left_open)
         for more in (by_gaps, by_creep):
@@ -315,10 +372,13 @@ class Estimator(ABC):
 
     # -- steps of a frame, in their order ----------------------------------------------------------------------------
 
-    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
-        """Write the normalised resistances (n,) of the cells into ``r``."""
+    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> bool:
+        """Write the normalised resistances (n,) of the cells into ``r``; whether they were found to be credible."""
+        if self._compiled:
+            return loops.read.code(resistance_ohm, self._per_ohm, r, *self._credible)
         np.multiply(resistance_ohm, self._per_ohm, out=r)
         r -= _ONE
+        return False
 
     def _readable(self, r: FloatArray) -> BoolArray | None:
         """(n,) which readings are credible; None: all. The others become the mean of their cell, in place."""
@@ -350,7 +410,7 @@ class Estimator(ABC):
 
     def _watch(self, dt: float, r: FloatArray) -> None:
         """Wake sleeping cells whose reading, or the mean of their readings, has left what noise does."""
-        self._sum += r
+        woken = self._add_up(r)
         self._sum_s += dt
         self._summed += 1
         means = self._sum_s >= WATCH_S / MEANS
@@ -362,19 +422,26 @@ class Estimator(ABC):
             self._mean += self._sum
             self._sum[:] = 0.0
             self._sum_s, self._summed = 0.0, 0
-        if self._all_awake:
+        if not (woken or (means and not self._all_awake)):
             return
-        left = np.abs(r) > self._wake_at
+        left: BoolArray = np.abs(r) > self._wake_at
         if means:
             share = -math.expm1(-dt / WATCH_S)
             averaged = math.sqrt(share / (2 - share))
             left |= np.abs(self._mean) > self._band + averaged * (self._wake_at - self._band)
         if np.count_nonzero(left):
-            woken = np.flatnonzero(left)
-            self._memory[:, woken] = self._begin(np.zeros(woken.size))
-            self._line[:, woken] = smoothing.begin(np.zeros(woken.size), 1.0)
-            self._awake[woken] = True
+            cells = np.flatnonzero(left)
+            self._memory[:, cells] = self._begin(np.zeros(cells.size))
+            self._line[:, cells] = smoothing.begin(np.zeros(cells.size), 1.0)
+            self._awake[cells] = True
             self._stale = True
+
+    def _add_up(self, r: FloatArray) -> bool:
+        """Add the readings (n,) to the sum of which the mean is made; whether one of them may wake its cell."""
+        if self._compiled:
+            return loops.watch.code(r, self._sum, self._wake_at)
+        self._sum += r
+        return not self._all_awake
 
     def _choose(self, known: BoolArray | None) -> None:
         """Gather the cells to follow: those that are awake and have been read.
@@ -438,6 +505,9 @@ class Estimator(ABC):
 
     def _follow(self, dt: float, r: FloatArray) -> None:
         """Smooth the readings of cells that are followed, and let the estimator advance."""
+        if self._compiled:
+            self._follow_compiled(dt, r)
+            return
         block = self._block
         cells, line = block.cells, block.line
         every = cells.size == r.size
@@ -458,13 +528,15 @@ class Estimator(ABC):
         if smooth.begun is not None:
             self._remember(smooth.begun, reading, noise)
         block.line_before = line.copy()
-        looked = _Looked(reading, noise, smooth.std, block.line_before)
+        looked = Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
-        if self._frames % WINDOW == 0:
-            self._look_for_tremor(memory, noise)
+        if self._frames % (WINDOW // LOOKS) == 0:
+            self._look_for_tremor(memory, self._most_seeming(memory, noise))
         pressure, added = memory[PRESSURE], None
+        if self._tremor.suspicious:
+            added = self._tremor.variance(cells, pressure, self._most_seeming(memory, noise))
         if self._sparks.cells.size:
-            added = self._variance_of_jumps(memory)
+            added = _sum(added, self._variance_of_jumps(memory))
         if pressure.item(pressure.argmax()) > USUAL * self.full_scale_kpa:
             # A pressure that the cell is not meant for may as well be an error of the memory.
             added = _sum(added, np.maximum(pressure - self.full_scale_kpa, 0.0) ** 2)
@@ -479,15 +551,48 @@ class Estimator(ABC):
         else:
             self._pressure[cells] = pressure
 
-    def _look_for_tremor(self, memory: FloatArray, noise: FloatArray) -> None:
-        """Doubt the rise of cells whose load goes to and fro within the ``noise`` (m,) of a reading."""
+    def _follow_compiled(self, dt: float, r: FloatArray) -> None:
+        """The same by machine code, except where a reading jumps."""
+        block = self._block
+        cells, line, taken = block.cells, block.line, block.taken
+        reading, noise, level, std = taken
+        loops.take.code(r, self._noise.at_rest, cells, line, taken, LEAST_NOISE)
+        if self._sparks.cells.size:
+            self._put_back(dt, reading, noise)
+        if smoothing.advance_each.code(line, block.line_before, dt, self._gains(dt).rows, taken, block.begun):
+            self._remember(block.begun, reading, noise)
+        memory = block.memory = self._advance_compiled(dt, level, std, Looked(reading, noise, std, line))
+        if self._frames % (WINDOW // LOOKS) == 0:
+            self._look_for_tremor(memory, self._most_seeming(memory, noise))
+        added = np.zeros(cells.size)
+        if self._tremor.suspicious:
+            added += self._tremor.variance(cells, memory[PRESSURE], self._most_seeming(memory, noise))
+        if self._sparks.cells.size:
+            added += self._variance_of_jumps(memory)
+        variance = np.empty(cells.size)
+        loops.show.code(
+            *(memory, line, taken, added, self._numbers, self._rest_at_kpa, self._rest_variances),
+            *(cells, self._pressure, variance),
+        )
+        self._left_open = _Stated(cells, variance)
+
+    def _advance_compiled(self, dt: float, r: FloatArray, std: FloatArray, looked: Looked) -> FloatArray:
+        """The block's memory after :meth:`_advance`; an estimator that has loops for that calls them."""
+        return self._advance(self._block.memory, dt, r, std, looked.doubt)
+
+    def _look_for_tremor(self, memory: FloatArray, most_kpa: FloatArray) -> None:
+        """Doubt the rise of cells whose load goes to and fro within the noise; changes ``memory``.
+
+        ``most_kpa`` (m,) is the rise that motion as large as the noise may at most make up in a window.
+        """
         cells = self._block.cells
-        unrest = self._noise.unrest(cells)
-        if unrest.item(unrest.argmax()) > HIDES:
-            hides = np.clip((unrest - HIDES) / (SURELY_HIDES - HIDES), 0.0, 1.0)
-            rise = np.maximum(memory[PRESSURE] - self._risen_from[cells], 0.0)
-            self._miss(memory, noise, hides * rise)
-        self._risen_from[cells] = memory[PRESSURE]
+        beside = self._noise.beside_parabola(cells)
+        self._tremor.look(cells, beside)
+        if self._frames % WINDOW == 0:
+            unrest = self._noise.unrest(cells, beside)
+            missed = self._tremor.end_window(cells, memory[PRESSURE], most_kpa, beside, unrest)
+            if missed is not None:
+                self._miss(memory, missed)
 
     def _likely(self, pressure: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """(m,) pressures with those that noise alone could give shown nearer to none.
@@ -497,11 +602,15 @@ class Estimator(ABC):
         """
         squared = pressure * pressure
         squared *= squared
-        likely: FloatArray = pressure * (squared / (squared + (NO_LOAD_SIGMAS * noise_kpa) ** 4 + TINY))
+        hides = NO_LOAD_SIGMAS * noise_kpa
+        hides *= hides
+        likely: FloatArray = pressure * (squared / (squared + hides * hides + TINY))
         return likely
 
-    def _variance_of(self, left_open: _LeftOpen) -> FloatArray:
+    def _variance_of(self, left_open: _LeftOpen | _Stated) -> FloatArray:
         """(m,) variance in kPa^2 of the cells that were followed in a step; gaps are not counted."""
+        if isinstance(left_open, _Stated):
+            return left_open.variance.copy()
         doubt = _ZERO if left_open.looked is None else left_open.looked.doubt()
         variance = self._own_variance(left_open.memory, doubt)
         if left_open.added is not None:
@@ -549,6 +658,7 @@ class Estimator(ABC):
         self._pressure[cells] = 0.0  # a calibration curve may miss that by some percent
         self._sparks = self._sparks.where(~np.isin(self._sparks.cells, cells))
         self._awake[cells] = False
+        self._tremor.forget(cells)
         self._all_awake = False
         self._stale = True
 
@@ -649,13 +759,13 @@ class Estimator(ABC):
 
     # -- saving ------------------------------------------------------------------------------------------------------
 
-    _KEPT = ("memory", "line", "mean", "sum", "pressure", "variance", "readings", "awake", "followed", "risen_from")
+    _KEPT = ("memory", "line", "mean", "sum", "pressure", "variance", "readings", "awake", "followed")
 
     def state(self) -> dict[str, FloatArray]:
         """Everything remembered, as a copy: arrays of float64 by name, which :meth:`restore` takes."""
         self._flush()
         own = {name: getattr(self, f"_{name}") for name in self._KEPT} | self._noise.state() | self._gaps.state()
-        own |= self._held.state()
+        own |= self._held.state() | self._tremor.state()
         clock = [self._usual_s, self._frames, self._sum_s, self._summed]
         own["clock"] = np.array(clock, dtype=np.float64)
         return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
@@ -676,6 +786,7 @@ class Estimator(ABC):
         self._noise.restore(given)
         self._gaps.restore(given)
         self._held.restore(given)
+        self._tremor.restore(given)
         self._usual_s, frames, self._sum_s, summed = given["clock"].tolist()
         self._frames, self._summed = int(frames), int(summed)
         self._sparks = _Sparks.none(self._memory, self._line)
@@ -704,11 +815,12 @@ class Estimator(ABC):
         """The memory (rows, m) after ``dt_s``, one number or (m,), in which the pressure stayed."""
         return memory
 
-    def _miss(self, memory: FloatArray, noise: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
-        """Count what cells may remember wrong where the load moved within the ``noise`` (m,); changes ``memory``.
+    def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
+        """(m,) kPa by which motion as large as the ``noise`` (m,) may at most let pressures seem to rise."""
+        return _ZERO
 
-        ``rise_kpa`` (m,) is the rise in the last :data:`WINDOW` frames that this motion may only seem to be.
-        """
+    def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
+        """Count what cells may remember wrong where a rise (m,) may only have seemed to be one; changes ``memory``."""
 
     def _within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """(m,) variance in kPa^2 by what the load may have done since the last frame.
@@ -737,7 +849,7 @@ def _sum(one: FloatArray | None, other: FloatArray) -> FloatArray:
     return other if one is None else one + other
 
 
-class _Looked(NamedTuple):
+class Looked(NamedTuple):
     """The readings of one step as the smoothing took them. Arrays (m,), which never change again."""
 
     reading: FloatArray
@@ -771,8 +883,11 @@ class _Asleep(NamedTuple):
     hidden_kpa: FloatArray
     """(m,) what the noise may hide beyond, as standard deviation"""
 
-    def add_to(self, variance: FloatArray, reading: FloatArray) -> None:
+    def add_to(self, variance: FloatArray, reading: FloatArray, *, compiled: bool) -> None:
         """Add what the present readings (n,) leave open to variances (n,) in kPa^2."""
+        if compiled:
+            loops.add_asleep.code(variance, reading, self.cells, self.per_reading, self.hidden_kpa)
+            return
         std = np.abs(reading.take(self.cells))
         std *= self.per_reading
         std += self.hidden_kpa
@@ -787,10 +902,19 @@ class _LeftOpen(NamedTuple):
     """(m,) that were followed"""
     memory: FloatArray
     """(SHARED, m) first rows of their memory after the step"""
-    looked: _Looked | None
+    looked: Looked | None
     """None: readings are exact"""
     added: FloatArray | None
     """(m,) kPa^2 beside that of noise and memory"""
+
+
+class _Stated(NamedTuple):
+    """The variances of one step, worked out. Arrays never change again."""
+
+    cells: IntArray
+    """(m,) that were followed"""
+    variance: FloatArray
+    """(m,) kPa^2; gaps are not counted"""
 
 
 class _Block:
@@ -799,8 +923,16 @@ class _Block:
     def __init__(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
         self.cells, self.memory, self.line = cells, memory, line
         self.line_before = line.copy()
-        """the line after the last step; replaced, never changed"""
+        """the line after the last step; replaced, never changed. Machine code sets it when the next step begins"""
         self.scratch = smoothing.Scratch(line)
+        self.taken = np.empty((4, cells.size))
+        """readings of the step, for machine code; see :mod:`._rows`"""
+        self.begun = np.empty(cells.size, dtype=np.bool_)
+        """where a line began in the step, for machine code"""
+
+    def __reduce__(self) -> tuple[type[_Block], tuple[IntArray, FloatArray, FloatArray], dict[str, FloatArray]]:
+        """For pickle and copy: the rows in ``scratch`` are parts of the line, and would become arrays of their own."""
+        return type(self), (self.cells, self.memory, self.line), {"line_before": self.line_before}
 
 
 class _Gaps:

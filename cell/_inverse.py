@@ -15,11 +15,12 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
 from . import _lag as lag
-from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
+from ._estimator import Conditions, Estimator
 from ._forward import as_m10
 from ._models import AsymmetricModel, M10Model
 from ._noise import WINDOW
 from ._paper import DOUBT, LOADS, MEMORIES, USUAL
+from ._rows import GAIN, PRESSURE, VARIANCE
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP = (
     3,
@@ -243,11 +244,13 @@ class InverseEstimator(Estimator):
         variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2
         memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)
 
-    def _miss(self, memory: FloatArray, noise: FloatArray, rise_kpa: FloatArray) -> None:
+    def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
+        most: FloatArray = WINDOW * self.model.k * memory[GAIN] ** 2 * noise / self.full_scale_kpa
+        return most
+
+    def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """Motion within the noise breaks chains, which seems to be a load that rises."""
-        gain = memory[GAIN]
-        most = WINDOW * self.model.k * gain**2 * noise / self.full_scale_kpa
-        memory[MISSED] += np.where(rise_kpa < most, rise_kpa, 0.0) / gain  # what rises faster is a load
+        memory[MISSED] += rise_kpa / memory[GAIN]
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.
@@ -307,10 +310,8 @@ class InverseEstimator(Estimator):
         low, high = np.minimum(end, 0.0), np.maximum(end, 0.0)
         step = np.clip(step, low, high)
         tried = step == end
-        for left in reversed(range(EVALUATIONS)):
+        for _ in range(EVALUATIONS - 1):
             ends, rates = change_over.branches(step)
-            if not left:
-                break
             rate = slope + 2 * b * step + rates[0] + rates[1]
             excess = (slope + b * step) * step + ends[0] + ends[1] - kept - change
             low, high = np.where(excess > 0, low, step), np.where(excess > 0, step, high)
@@ -322,13 +323,12 @@ class InverseEstimator(Estimator):
             small = (next_term <= ACCURACY * rate * np.abs(step)) | (np.abs(move) <= ACCURACY)
             solved = (rises & small) | (low == high)
             if solved.all():
-                step, ends = newton, ends + rates * (newton - step)
-                break
+                return newton, ends + rates * (newton - step)
             inside = solved | (rises & (low < newton) & (newton < high))
             to_end = rises & (newton == end) & ~tried
             step = np.where(inside | to_end, newton, 0.5 * (low + high))
             tried |= to_end
-        return step, ends
+        return step, change_over.branches(step)[0]
 
     def _branches(self, memory: FloatArray, dt_s: float | FloatArray, s: FloatArray) -> FloatArray:
         """Branches (2, n) after a step to load ``s``, through any change-over."""

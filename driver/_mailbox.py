@@ -42,7 +42,7 @@ class Mailbox:
         # `with lock` cannot be cut in two by Ctrl-C, since the lock is C code. `with condition` is Python code and can:
         # the lock would stay taken, and the reader thread would wait for it for ever.
         self.lock = threading.RLock()
-        self.condition = threading.Condition(self.lock)
+        self._condition = threading.Condition(self.lock)
         self.capacity = capacity
         self.newest: RawFrame | None = None
         self.fault = Fault(0, LinkError("none"), 0)
@@ -53,6 +53,8 @@ class Mailbox:
         self._drops_oldest = drops_oldest
         self._closed = False
         self._room_wanted = False
+        self._waiting = 0
+        """threads in :meth:`wait_for`"""
         self._frames: deque[RawFrame] = deque()
         self._dropped: RawFrame | None = None
         """the frame before the oldest one that is kept"""
@@ -149,8 +151,9 @@ class Mailbox:
     def move(self, place: Place, index: int) -> None:
         """Note that a taker has passed frame ``index``. Frames that all takers have passed are dropped."""
         with self.lock:
-            place.index = max(place.index, index)
-            self._drop_passed()
+            if index > place.index:
+                place.index = index
+                self._drop_passed()
 
     def oldest(self) -> int:
         """Number of the oldest frame that is kept, or of the next one that will be."""
@@ -167,7 +170,7 @@ class Mailbox:
     def _drop_passed(self) -> None:
         self._drop_to(self._passed())
         if self._room_wanted and self._has_room():
-            self.condition.notify_all()
+            self._condition.notify_all()
 
     def _drop_to(self, index: int) -> None:
         while self._frames and self._frames[0].index <= index:
@@ -184,10 +187,19 @@ class Mailbox:
                 self._drop_unused()
             return len(self._frames) >= self.capacity
 
+    def wait_for(self, news: Callable[[], bool], timeout_s: float) -> None:
+        """Wait until ``news`` returns True, for at most ``timeout_s``; asked whenever something is new."""
+        with self.lock:
+            self._waiting += 1
+            try:
+                self._condition.wait_for(news, timeout_s)
+            finally:
+                self._waiting -= 1
+
     def disown(self, error: LinkError) -> None:
         """In a forked process: forget who held the lock, and let there be no frames but ``error``."""
         self.lock = threading.RLock()
-        self.condition = threading.Condition(self.lock)
+        self._condition, self._waiting = threading.Condition(self.lock), 0
         self._wakers.clear()
         self.close(error)
 
@@ -195,7 +207,7 @@ class Mailbox:
         """Wait until half of the queue is free, for at most ``timeout_s``."""
         with self.lock:
             self._room_wanted = True
-            self.condition.wait_for(lambda: self._has_room() or self.end is not None, timeout_s)
+            self.wait_for(lambda: self._has_room() or self.end is not None, timeout_s)
             self._room_wanted = False
 
     def _has_room(self) -> bool:
@@ -214,6 +226,7 @@ class Mailbox:
             self._wakers.remove(waker)
 
     def _tell(self) -> None:
-        self.condition.notify_all()
+        if self._waiting:  # the condition's own look at that takes longer than all else here
+            self._condition.notify_all()
         for waker in self._wakers:
             waker()

@@ -14,15 +14,15 @@ import stat
 import threading
 import time
 from abc import abstractmethod
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 from urllib.parse import urlsplit
 
 import serial
 from serial.tools import list_ports
 
-from ..errors import LinkError
+from ..errors import LinkEnded, LinkError
+from ..rendezvous import announced, announced_ports
 
 BAUDRATE = 1_000_000
 """for a real UART; USB, pseudo-terminals and TCP ignore it"""
@@ -40,8 +40,7 @@ _NOT_NOW = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 _HUNG_UP = (errno.EPIPE, errno.ECONNRESET, errno.EIO, errno.ENXIO, errno.ENODEV)
 
 
-@dataclass(frozen=True, slots=True)
-class Arrival:
+class Arrival(NamedTuple):
     """Bytes and the time at which the host took them from the operating system."""
 
     data: bytes
@@ -91,7 +90,9 @@ class BytePort(Protocol):
         ...
 
 
-def open_port(name: str, *, baudrate: int = BAUDRATE, dtr: bool | None = None, rts: bool | None = None) -> BytePort:
+def open_port(
+    name: str, *, baudrate: int = BAUDRATE, dtr: bool | None = None, rts: bool | None = None
+) -> SerialPort | SocketPort | UrlPort:
     """Open a serial device, a pseudo-terminal, ``socket://HOST:PORT`` or another URL that pyserial knows.
 
     Nobody else can open a serial device as long as it is open here.
@@ -117,18 +118,33 @@ def open_port(name: str, *, baudrate: int = BAUDRATE, dtr: bool | None = None, r
 
 
 class _RealTimePort:
-    """The part that all live ports share: they tell the machine's time."""
+    """The part that all live ports share: they tell the machine's time, and why they are gone."""
 
-    name: str
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.announced = announced(name)
+        """what an emulated board of this machine says of its port; None: the port is another one"""
 
     def now(self) -> float:
         """Present time in s on the machine's monotonic clock."""
         return time.monotonic()
 
+    def close(self) -> None:
+        """Give the port back; a second time does nothing. Not while another thread waits, reads or writes."""
+        self._close()
+        if self.announced is not None:
+            self.announced.close()
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Close what the operating system gave."""
+
     def _arrived(self, data: bytes) -> Arrival:
         return Arrival(data, time.monotonic(), time.time())
 
     def _gone(self, error: Exception | str) -> LinkError:
+        if self.announced is not None and self.announced.is_over:
+            return over(self.name)
         reason = error if isinstance(error, str) else _reason(error)
         return LinkError(f"{self.name}: the board has gone away ({reason})")
 
@@ -137,7 +153,7 @@ class DescriptorPort(_RealTimePort):
     """A port with a non-blocking file descriptor; POSIX only."""
 
     def __init__(self, name: str, descriptor: int) -> None:
-        self.name = name
+        super().__init__(name)
         self._descriptor = descriptor
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_write, False)
@@ -201,8 +217,7 @@ class DescriptorPort(_RealTimePort):
             if not self._closed:
                 os.write(self._wake_write, b"!")
 
-    def close(self) -> None:
-        """Give the port back; a second time does nothing. Not while another thread waits, reads or writes."""
+    def _close(self) -> None:
         with self._closing:
             if self._closed:
                 return
@@ -263,7 +278,7 @@ class UrlPort(_RealTimePort):
     """A port that pyserial reads in a way of its own, such as ``rfc2217://HOST:PORT``."""
 
     def __init__(self, name: str, device: serial.SerialBase) -> None:
-        self.name = name
+        super().__init__(name)
         self._device = device
         self._waiting = b""
         self._taking = threading.Lock()
@@ -311,8 +326,7 @@ class UrlPort(_RealTimePort):
     def interrupt(self) -> None:
         """Does nothing: a wait ends by itself within 0.1 s."""
 
-    def close(self) -> None:
-        """Give the port back; a second time does nothing."""
+    def _close(self) -> None:
         self._device.close()
 
 
@@ -327,9 +341,24 @@ def ports_with(usb_serial: str) -> list[str]:
     return [port.device for port in list_ports.comports() if port.serial_number == usb_serial]
 
 
+def over(name: str) -> LinkEnded:
+    """The error for a port whose emulated board has come to its regular end."""
+    return LinkEnded(f"{name}: the emulated board has come to the end of its time")
+
+
 def serial_ports() -> list[str]:
     """The names of the serial ports that the operating system lists. Pseudo-terminals are not among them."""
     return [port.device for port in list_ports.comports()]
+
+
+def emulated_ports() -> list[str]:
+    """The names of the pseudo-terminals and sockets of the emulated boards on this machine."""
+    return [port.name for port in announced_ports()]
+
+
+def is_numbered_terminal(name: str) -> bool:
+    """Whether ``name`` is a pseudo-terminal under its number, which the next one gets when this one is closed."""
+    return name.startswith("/dev/pts/")
 
 
 def is_linked_terminal(name: str) -> bool:

@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from math import inf
 
-from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
 from ._introduce import Introduction
 from ._mailbox import Mailbox
@@ -71,7 +71,7 @@ class Reader:
         self._mailbox, self._counters = mailbox, counters
         self._lossless = lossless
         self._reopen, self._reconnect_s = reopen, reconnect_s
-        self._heard_before, self._heard_since = b"", bytearray()
+        self._heard_before, self._heard_since = bytearray(), bytearray()
         """bytes from the last frame but one to the last frame, and from the last frame on"""
         self._reading = threading.RLock()
         """held by who reads from the port, writes to it, or replaces it"""
@@ -100,6 +100,7 @@ class Reader:
         Raises:
             LinkTimeout: the board is silent.
             ProtocolError: it sends something else than packets, or a description beyond the limits.
+            InputError: the design that was given is not of this board.
             LinkError: the port is gone.
 
         """
@@ -159,7 +160,7 @@ class Reader:
         beginning of a packet.
         """
         with self._reading:
-            yield self.introduction.as_bytes() + self._heard_before + bytes(self._heard_since)
+            yield self.introduction.as_bytes() + bytes(self._heard_before) + bytes(self._heard_since)
 
     @property
     def away(self) -> bool:
@@ -208,6 +209,7 @@ class Reader:
         finally:
             self._mailbox.finish(LinkError(f"{self.port_name}: the reader thread has ended"))
             self._release()
+            self._reopen = None  # its finder follows the port's announcement, a file
             self.introduced.set()
 
     def _live(self) -> None:
@@ -285,7 +287,10 @@ class Reader:
                 for tap in self.taps:
                     tap(arrival)
                 events = self._protocol.feed(arrival.data, arrival.received_at)
-                frames = sum([isinstance(event, FramePacket) for event in events])
+                frames = 0
+                for event in events:
+                    if isinstance(event, FramePacket):
+                        frames += 1
                 self.stream.arrive(arrival, frames)
                 self._keep(arrival.data, has_frame=frames > 0)
                 for event in events:
@@ -295,7 +300,7 @@ class Reader:
     def _keep(self, data: bytes, *, has_frame: bool) -> None:
         """Keep the last bytes for a recorder that joins."""
         if has_frame:
-            self._heard_before, self._heard_since = bytes(self._heard_since), bytearray(data)
+            self._heard_before, self._heard_since = self._heard_since, bytearray(data)
             return
         self._heard_since += data
         if len(self._heard_since) > MOST_HEARD:
@@ -316,6 +321,8 @@ class Reader:
                 self.stream.corrupt(event)
 
     def _hear(self, packet: FramePacket, arrival: Arrival) -> None:
+        if not self.introduction.complete:
+            self._learn(packet)
         if not self.introduction.complete:
             following = None if packet.sequence is None else (packet.sequence + 1) % 2**32
             self.stream.announce(following, packet.boot_id)
@@ -353,6 +360,7 @@ class Reader:
         Raises:
             LinkError: another board is there, or the board has changed since the skin was opened.
             ProtocolError: the board that is being opened contradicts itself, or exceeds the limits.
+            InputError: the design that was given is not of the board that is being opened.
 
         """
         first_frame_is_near = not self._unproven
@@ -368,16 +376,20 @@ class Reader:
             self.stream.end(event.sequence, event.boot_id)
             self._finish()
             return
+        self._learn(event)
+        if first_frame_is_near:
+            self.stream.announce(event.sequence, event.boot_id)
+
+    def _learn(self, event: Identity | Description | FramePacket) -> None:
+        """Let the introduction go on; errors as for :meth:`_get_to_know`."""
         known = self.introduction.complete
         try:
             self.introduction.hear(event)
-        except ProtocolError as error:
-            # A ProtocolError of an open skin is one after which better frames may come; this is for good.
+        except (ProtocolError, InputError) as error:
+            # Such an error of an open skin is one after which better frames may come; this is for good.
             final = LinkError(str(error)) if known else error
             self._mailbox.finish(final)
             raise final from error
-        if first_frame_is_near:
-            self.stream.announce(event.sequence, event.boot_id)
         if self.introduction.complete and not known:
             self._start_frames()
             self.introduced.set()
@@ -412,7 +424,7 @@ class Reader:
             with self._reading:
                 self._port = port
                 self._protocol = self._new_protocol()
-                self._heard_before, self._heard_since = b"", bytearray()
+                self._heard_before, self._heard_since = bytearray(), bytearray()
                 self._unproven.clear()
                 known = self.introduction.identity, self.introduction.description
                 self._proofs = {type(packet) for packet in known if packet is not None}

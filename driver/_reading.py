@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..arrays import BoolArray, FloatArray
 from ..circuits import Design, LiveReading, Reason, adc_error, live_recovery, noise, volts_of_codes
+from ..compiled import Row, Rows, loop
 from ..errors import InputError, ProtocolError, SolverError
 from ._scatter import Scatter
 
@@ -63,16 +64,26 @@ class Reading:
         """
         if self._found is None:
             return np.zeros(self.resistance.shape)
-        noise, uncertainty = self._noise_steps, self._found.uncertainty
-        quantisation = (1.0 - math.exp(-2.0 * (math.pi * noise) ** 2)) / 12.0
-        share = math.sqrt(noise * noise + quantisation) / (0.5 + _SIGMAS * noise)
+        uncertainty = self._found.uncertainty
         if self.all_valid:
             others: FloatArray = uncertainty - self._found.own
         else:
             others = np.zeros(self.resistance.shape)
             np.subtract(uncertainty, self._found.own, out=others, where=np.isfinite(uncertainty))
-        others *= share
+        others *= self.noise_share
         return others
+
+    @property
+    def noise_share(self) -> float:
+        """Standard deviation by noise over the uncertainty that half a step and noise make."""
+        noise = self._noise_steps
+        quantisation = (1.0 - math.exp(-2.0 * (math.pi * noise) ** 2)) / 12.0
+        return math.sqrt(noise * noise + quantisation) / (0.5 + _SIGMAS * noise)
+
+    @property
+    def own_uncertainty(self) -> FloatArray:
+        """The part of :attr:`uncertainty` that comes from the cell's own reading."""
+        return np.full(self.resistance.shape, np.inf) if self._found is None else self._found.own
 
     @property
     def for_estimation(self) -> FloatArray:
@@ -141,6 +152,8 @@ class CountReader:
         self._level = design.readout.reference_voltage
         self._design_noise = _noise_of(design)  # V
         self._scatter = Scatter(adc.step, assumed=not self._design_noise)
+        self._middle_of_codes = _middle_of_codes.machine_code()
+        self._extremes = np.zeros(2)
         self._silent = 0  # cells whose readings stood at a limit in the last frame
         self._counts = b""
         self._reading: Reading | None = None
@@ -183,6 +196,16 @@ class CountReader:
         volts += self._lowest_array
         return volts
 
+    def _volts_and_extremes(self, counts: NDArray[np.integer]) -> tuple[FloatArray, float, float]:
+        """The middle of each code, in V, the least count and the largest one."""
+        if self._middle_of_codes is None:
+            # The place of an extreme is found several times as fast as its value.
+            return self._volts(counts), counts.item(counts.argmin()), counts.item(counts.argmax())
+        volts = counts.astype(np.float64, order="C")
+        self._middle_of_codes(volts, self._step, self._lowest_volts, self._extremes)
+        least, most = self._extremes.tolist()
+        return volts, least, most
+
     def __call__(self, counts: NDArray[np.integer]) -> Reading:
         """The resistances behind ``counts`` (rows, columns).
 
@@ -209,7 +232,7 @@ class CountReader:
         return reading
 
     def _read(self, counts: NDArray[np.integer]) -> Reading:
-        volts = self._volts(counts)
+        volts, least, most = self._volts_and_extremes(counts)
         self._scatter.update(volts, self._silent)
         noise = self._judged_with = self.noise_volts
         guard = math.ceil(_GUARD * noise / self._step)  # codes
@@ -217,12 +240,10 @@ class CountReader:
         highest = min(self._last - (guard if self._rising else 0), self._codes - 1)
         limited = faint = None
         self._silent = 0
-        # The place of an extreme is found several times as fast as its value.
-        most = counts.item(counts.argmax())
-        if most >= highest or counts.item(counts.argmin()) < lowest:
+        if most >= highest or least < lowest:
             if most >= self._codes:
                 bits = self._codes.bit_length() - 1
-                raise ProtocolError(f"the board sends a count of {most}; its ADC has {bits} bits")
+                raise ProtocolError(f"the board sends a count of {most:.0f}; its ADC has {bits} bits")
             limited = (counts < lowest) | (counts >= highest)
             self._silent = int(np.count_nonzero(limited))
             # At the end of the range where hardly a current flows, not knowing a cell disturbs no other.
@@ -253,6 +274,19 @@ class CountReader:
             _noise_steps=noise / self._step,
             _most_noise=self._most_noise,
         )
+
+
+@loop
+def _middle_of_codes(codes: Rows, step: float, lowest: float, extremes: Row) -> None:
+    """Replace codes (N, M) by the middle of each in V, and write the least code and the largest one."""
+    rows, columns = codes.shape
+    least = most = codes[0, 0]
+    for i in range(rows):
+        for j in range(columns):
+            code = codes[i, j]
+            least, most = min(least, code), max(most, code)
+            codes[i, j] = code * step + lowest
+    extremes[0], extremes[1] = least, most
 
 
 def _noise_of(design: Design) -> float:

@@ -18,9 +18,11 @@ from typing import Literal, NoReturn, Self
 
 import numpy as np
 
+from .. import compiled
 from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design
+from ..compiled import is_compiling
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Description, Family, HostProtocol, Identity, Order, board_family, host_protocol
 from ._calibration import Calibration
@@ -52,6 +54,8 @@ Delivery = Literal["newest", "every", "lossless"]
     that wait for their host; a real board then has to drop frames itself.
 """
 QUEUE = 256
+LOOK_S = 0.05
+"""how often to look whether the compiler is at work"""
 
 
 class Skin:
@@ -91,8 +95,8 @@ class Skin:
             cell: what the skin is made of, or its CELL.toml; None: as the board describes itself. Without both,
                 pressures are NaN.
             estimator: name for :meth:`ohmskin.cell.Cell.estimator`.
-            timeout: s to wait for the board to introduce itself, to set up the inverse of its circuit, and later for
-                each frame.
+            timeout: s to wait for the board to introduce itself, then for the inverse of its circuit to be set up, and
+                later for each frame. The compiler (extra ``fast``) may take longer, once on a machine.
             delivery: which frames readers get, see :data:`Delivery`.
             queue: frames that wait for readers, unless ``delivery`` is ``newest``.
             reconnect: s to try to open a port again that has gone away.
@@ -121,7 +125,6 @@ class Skin:
         """recordings under way -> what tells them of converted frames"""
         try:
             _check_numbers(timeout, queue, reconnect, pitch)
-            deadline = time.monotonic() + timeout
             family = board_family(board)
             design = design if isinstance(design, Design | None) else Design.load(design)
             cell = cell if isinstance(cell, Cell | None) else Cell.load(cell)
@@ -159,7 +162,7 @@ class Skin:
             self._reader.await_introduction(timeout)
             changes = port.rest.changes if isinstance(port, ReplayPort) else ()
             set_up = partial(_set_up, introduction, estimator, pitch, accuracy, self._counters, changes, given)
-            self._converter = _within(set_up, deadline, self._too_slow)
+            self._converter = _within(set_up, timeout, self._too_slow)
             if past is not None:
                 self._remember(past)
         except BaseException:
@@ -271,6 +274,7 @@ class Skin:
             if serial_number is None:
                 raise InputError("neither a port nor a serial number; expected one of them")
             port = find_board(serial_number, board=board)
+        compiled.load()  # while no frames come
         finder = PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
         skin = cls(
             finder.open(),
@@ -714,8 +718,12 @@ def _set_up(
     return converter
 
 
-def _within(work: Callable[[], Converter], deadline: float, too_slow: Callable[[], ProtocolError]) -> Converter:
-    """The result of ``work``, or the error of ``too_slow`` at the ``deadline``; the work then ends by itself."""
+def _within(work: Callable[[], Converter], limit_s: float, too_slow: Callable[[], ProtocolError]) -> Converter:
+    """The result of ``work``, or the error of ``too_slow`` after ``limit_s``; the work then ends by itself.
+
+    The limit is for descriptions that nothing can be computed from. The compiler, which the first skin on a machine
+    waits for, is not of their making, and its time does not count.
+    """
     results: list[Converter] = []
     errors: list[BaseException] = []
 
@@ -727,7 +735,11 @@ def _within(work: Callable[[], Converter], deadline: float, too_slow: Callable[[
 
     thread = threading.Thread(target=run, name="ohmskin set-up", daemon=True)
     thread.start()
-    thread.join(min(max(deadline - time.monotonic(), 0.0), threading.TIMEOUT_MAX))
+    left_s = limit_s
+    while thread.is_alive() and left_s > 0:
+        before = time.monotonic()
+        thread.join(min(left_s, LOOK_S))
+        left_s -= 0.0 if is_compiling() else time.monotonic() - before
     if errors:
         raise errors[0]
     if not results:

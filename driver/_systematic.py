@@ -22,6 +22,7 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, median
 from ..cell import Cell
+from ..compiled import FixedRow, FixedRows, Rows, loop
 from ._reading import Reading
 
 LOOK_EVERY = 8
@@ -39,6 +40,8 @@ RANGE, POINTS = math.log(300.0), 4001
 """the table of slopes reaches from rest to this factor (as a logarithm) up and down, with so many points"""
 LOOK_UP = 4096
 """pressures, evenly spaced, at which the slopes are looked up: interpolation would take as long as all else together"""
+_OF_INTERVAL = 1.0 / math.sqrt(3.0)
+"""standard deviation of an error that is evenly distributed over an interval, over the interval's half-width"""
 MARGIN = 0.005
 """of full scale: pressures nearer to the ends of the static curve, which is cut off there, are left out of the table"""
 
@@ -64,6 +67,9 @@ class SystematicError:
         if self._tabulated:
             for row, slope in enumerate((by_reading, by_rest)):
                 self._slopes_squared[row] = np.interp(self._pressure, pressure[order], slope[order]) ** 2
+        self._of_valid_cells = _of_valid_cells.machine_code()
+        for table in (self._pressure, self._slopes_squared):
+            table.flags.writeable = False
         self.rest_spread: float | None = None
         """relative standard deviation of the cells' rest resistances about that of the data sheet: the least that was
         seen, and what so few cells leave open"""
@@ -99,6 +105,16 @@ class SystematicError:
         return partial(self._variance, self._steps, spread)
 
     def _variance(self, steps: _Steps, spread: float, pressure_kpa: FloatArray) -> FloatArray:
+        if steps.earlier is None and self._of_valid_cells is not None:
+            by_steps, by_noise = steps.reading.steps_share * _OF_INTERVAL, steps.reading.noise_share
+            found = np.empty(pressure_kpa.shape)
+            uncertainty = np.ascontiguousarray(steps.reading.uncertainty)
+            own = np.ascontiguousarray(steps.reading.own_uncertainty)
+            pressure, slopes = np.ascontiguousarray(pressure_kpa), self._slopes_squared
+            self._of_valid_cells(
+                uncertainty, own, by_steps, by_noise, pressure, self._pressure, slopes, spread * spread, found
+            )
+            return found
         place = self._pressure.searchsorted(pressure_kpa)  # NaN is beyond the end
         by_reading, by_rest = self._slopes_squared.take(place, axis=1, mode="clip")
         variance: FloatArray = steps.relative_variance()
@@ -164,11 +180,44 @@ class _Steps(NamedTuple):
 
     def _sum(self, uncertainty: FloatArray, others: FloatArray) -> FloatArray:
         """Relative variance by ADC steps, and by noise of standard deviation ``others``."""
-        # An error that is evenly distributed over an interval has the half-width over the root of three.
-        variance = uncertainty * (self.reading.steps_share / math.sqrt(3.0))
+        variance = uncertainty * (self.reading.steps_share * _OF_INTERVAL)
         variance *= variance
         variance += others * others
         return variance
+
+
+@loop
+def _of_valid_cells(
+    uncertainty: FixedRows,
+    own: FixedRows,
+    by_steps: float,
+    by_noise: float,
+    pressure: FixedRows,
+    table: FixedRow,
+    slopes_squared: FixedRows,
+    rest_variance: float,
+    variance: Rows,
+) -> None:
+    """As :meth:`SystematicError._variance`, for a frame whose cells (N, M) are all valid.
+
+    The place in the ``table`` of evenly spaced pressures is guessed by their spacing, and put right by the table.
+    """
+    rows, columns = uncertainty.shape
+    last = table.size - 1
+    per_kpa = last / table[last]
+    for i in range(rows):
+        for j in range(columns):
+            kpa, place = pressure[i, j], last
+            if kpa <= table[last]:  # False where it is NaN
+                place = int(max(kpa * per_kpa, 0.0))
+                while place > 0 and table[place - 1] >= kpa:
+                    place -= 1
+                while table[place] < kpa:
+                    place += 1
+            steps = uncertainty[i, j] * by_steps
+            others = (uncertainty[i, j] - own[i, j]) * by_noise
+            found = (steps * steps + others * others) * slopes_squared[0, place]
+            variance[i, j] = found + slopes_squared[1, place] * rest_variance
 
 
 def _median_size(values: FloatArray) -> float | None:

@@ -272,8 +272,7 @@ class FrameTaker:
                 or mailbox.fault.number > self._faults
             )
 
-        with mailbox.lock:
-            mailbox.condition.wait_for(new, min(timeout_s, threading.TIMEOUT_MAX))
+        mailbox.wait_for(new, min(timeout_s, threading.TIMEOUT_MAX))
 
 
 class AsyncFrames:

@@ -29,13 +29,12 @@ from ._service import (
     HOST_POLL_S,
     LISTENER_S,
     MOST_BEHIND_S,
-    OVER_S,
     ClockName,
     HasFileno,
     Outcome,
     Stop,
     in_thread,
-    patience,
+    tell_over,
     wait_for,
 )
 from ._truth import TruthFile
@@ -105,6 +104,8 @@ def emulate(
                 session.wait(stop)
         outcome.seconds = min(device.time_s, duration_s)
         session.drain(stop)
+        if not stop.is_set():
+            port.end()
         outcome.dropped, outcome.lost_bytes = device.dropped, device.transmission.lost_bytes
     return outcome
 
@@ -213,29 +214,27 @@ class _Session:
         wait_for(readable, writable, min(max(self._pace.wait_s(), 0.0), longest))
 
     def drain(self, stop: Stop) -> None:
-        """Tell the host that no frame follows, and let it read to the end, as long as it goes on reading.
-
-        A host that has understood hangs up. To one that is still there after a lossy line it is said again.
-        """
+        """Let a host take what was sent, and the end; unless the board was switched off, and may come back."""
         self._pace.finish()
         self.exchange()
-        if stop.is_set():
-            return  # the board was switched off, and may come back
-        said = self._device.say_over(self._pace.now_us())
-        say_again_until = time.monotonic() + (OVER_S if self._device.may_lose else 0.0)
+        if not stop.is_set():
+            tell_over(self, stop, lossy=self._device.may_lose)
 
-        def to_do() -> tuple[int, int]:
-            still_to_say = not said or time.monotonic() < say_again_until
-            return len(self._device.transmission) + still_to_say, self._port.unread()
+    @property
+    def present(self) -> bool:
+        return self._present
 
-        for _ in patience(to_do):
-            self.exchange()
-            if stop.is_set() or not self._present:
-                return
-            again = not said or time.monotonic() < say_again_until
-            if again and not len(self._device.transmission):
-                said = self._device.say_over(self._pace.now_us())
-            wait_for([stop], [], HOST_POLL_S)
+    def say_over(self) -> bool:
+        return self._device.say_over(self._pace.now_us())
+
+    def unsent(self) -> int:
+        return len(self._device.transmission)
+
+    def unread(self) -> int:
+        return self._port.unread()
+
+    def rest(self, stop: Stop) -> None:
+        wait_for([stop], [], HOST_POLL_S)
 
     def _follow_cable(self) -> bool:
         """Take the port away or bring it back as the scene says; whether it is there."""

@@ -101,6 +101,55 @@ class Outcome:
         return notes
 
 
+class Leaving(Protocol):
+    """A board at its end, on the way to its host."""
+
+    @property
+    def present(self) -> bool:
+        """Whether a host is there."""
+        ...
+
+    def exchange(self) -> None:
+        """Pass on what has come from either side."""
+        ...
+
+    def say_over(self) -> bool:
+        """Say that no frame follows; False where there was no room for that."""
+        ...
+
+    def unsent(self) -> int:
+        """Bytes that wait for the port."""
+        ...
+
+    def unread(self) -> int:
+        """Bytes in the port that the host has not read."""
+        ...
+
+    def rest(self, stop: Stop) -> None:
+        """Wait for a moment."""
+        ...
+
+
+def tell_over(board: Leaving, stop: Stop, *, lossy: bool) -> None:
+    """Tell the host that no frame follows, and let it read to the end, as long as it goes on reading.
+
+    A host that has understood hangs up. To one that is still there behind a ``lossy`` line it is said again.
+    """
+    said = board.say_over()
+    say_again_until = time.monotonic() + (OVER_S if lossy else 0.0)
+
+    def to_say() -> bool:
+        return not said or time.monotonic() < say_again_until
+
+    for _ in patience(lambda: (board.unsent() + to_say(), board.unread())):
+        board.exchange()
+        if stop.is_set() or not board.present:
+            return
+        if to_say() and not board.unsent():
+            said = board.say_over()
+        board.rest(stop)
+
+
 class HasFileno(Protocol):
     """What a selector can wait for."""
 

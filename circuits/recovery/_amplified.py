@@ -6,6 +6,7 @@
 :mod:`._amplified_leads`    bases by Kirchhoff's laws, where leads take much of the voltage
 :mod:`._amplified_errors`   uncertainties by quantisation, noise and the model's own error
 :mod:`._amplified_limits`   what cells at limits make of the others; :mod:`._joined_columns`: through two shorts
+:mod:`._amplified_loops`    machine code for the usual frame
 ==========================  ===================================================================================
 
 A base serves as long as the certificate stays below a share of an ADC step. Otherwise the present conductances become
@@ -28,6 +29,7 @@ from ._amplified_board import BOUNDLESS, LEAST_SHARE, AmplifiedBoard
 from ._amplified_errors import Levels, ReadingErrors
 from ._amplified_leads import LeadBases
 from ._amplified_limits import CellsAtLimits
+from ._amplified_loops import UsualFrames
 from ._live_reading import (
     DISTURBED,
     HIDDEN,
@@ -62,6 +64,7 @@ class AmplifiedLive:
         self._errors = ReadingErrors(self._board, rule)
         self._at_limits = CellsAtLimits(self._board)
         self._faults = _Faults(board)
+        self._loops = UsualFrames(self._board)
         self._base: Base | None = None
         self._heavy = False  # the leads take so much that cells are found by Kirchhoff's laws
         self._turned, self._turn = board.turned, board.turn
@@ -90,6 +93,10 @@ class AmplifiedLive:
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
         """A frame's way, in line coordinates: cells, uncertainties, cells at limits, and reasons for the rest."""
+        if limited is None and self._loops.compiled and not self._faults.any:
+            usual = self._usual(volts, noise)
+            if usual is not None:
+                return usual
         transfer, conductance, gain, off = self._cells(volts)
         levels = self._errors(gain, noise, self._base)
         if limited is None and off is None and not self._faults.any:
@@ -102,6 +109,22 @@ class AmplifiedLive:
         if limited is not None:
             disturbance = self._at_limits(conductance, volts, limited, levels.noise, self._base)
         return self._examined(transfer, conductance, levels, off, limited, disturbance)
+
+    def _usual(self, volts: FloatArray, noise: float) -> LiveReading | None:
+        """A frame in which all cells are valid and nothing is kept anew, by machine code; None for any other frame."""
+        levels, base = self._errors.kept_for(noise), self._base
+        if levels is None:
+            return None
+        if self._board.independent_columns:
+            found = self._loops.independent(levels, volts)
+        elif base is None or base.off is not None or self._heavy or base.loss > _HEAVY or levels.gain is not base.gain:
+            return None
+        else:
+            found = self._loops.about(base, levels, volts)
+        if found is None:
+            return None
+        resistance, uncertainties = found
+        return LiveReading(resistance, self._all, self._no_reason, uncertainties)
 
     def _cells(self, volts: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
         """What a frame's outputs (N, M) in V say of the cells, within the frame's budget.
@@ -152,9 +175,9 @@ class AmplifiedLive:
 
         """
         if self._heavy:
-            by_leads = self._base_by_leads(volts, base)
-            if by_leads is not None:
-                return by_leads.conductance, by_leads.off, by_leads
+            found = self._settle_by_leads(volts, base)
+            if found is not None:
+                return found
         conductance, off = self._relinearised(base, transfer)
         for _ in range(EVALUATIONS):
             if off is None:
@@ -173,20 +196,23 @@ class AmplifiedLive:
         Kirchhoff's laws say more where the lines are hardly more than leads. Elsewhere the certificate is widened.
         """
         if self._board.lead_like:
-            by_leads = self._base_by_leads(volts, base)
-            if by_leads is not None:
-                return by_leads.conductance, by_leads.off, by_leads
+            found = self._settle_by_leads(volts, base)
+            if found is not None:
+                return found
             off = None if off is None else np.full_like(off, inf)  # a bound of first order says nothing
         elif off is not None:
             most = off * base.gain / max(1.0 - base.loss, LEAST_SHARE)
             off = self._board.within_linear_range(most, base.conductance) / base.gain
         return conductance, off, base
 
-    def _base_by_leads(self, volts: FloatArray, base: Base) -> Base | None:
-        """The base by Kirchhoff's laws, if they have a solution; decides whether the next frame begins with them."""
+    def _settle_by_leads(self, volts: FloatArray, base: Base) -> tuple[FloatArray, FloatArray | None, Base] | None:
+        """As :meth:`_settle`, by Kirchhoff's laws; None where these have no solution.
+
+        Decides whether the next frame begins with them.
+        """
         found = self._by_leads(volts, base)
         self._heavy = found is not None and found.loss > 0.5 * _HEAVY
-        return found
+        return None if found is None else (found.conductance, found.off, found)
 
     def _examined(
         self,

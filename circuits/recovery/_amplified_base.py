@@ -24,7 +24,8 @@ from ._heavy_leads import Propagation
 
 T = TypeVar("T", float, FloatArray)
 
-_SECOND_ORDER = 2.0  # terms beyond the first order over the first order times the loss; 1 to 1.5 on boards tried
+SECOND_ORDER = 2.0
+"""terms beyond the first order over the first order times the loss; 1 to 1.5 on boards tried"""
 
 
 class Base(NamedTuple):
@@ -110,7 +111,7 @@ class Relinearisation:
         The terms beyond the first order of the attenuation; currents between columns, which are those of the base; and
         other cells' current, which changes about as the losses of its lines do.
         """
-        share = _SECOND_ORDER * (base.loss + moved) + self._board.source_spread
+        share = SECOND_ORDER * (base.loss + moved) + self._board.source_spread
         left_out = transfer * moved * share
         if base.shift is not None:
             left_out = left_out + moved * (2.0 * base.missing / base.loss)

@@ -87,7 +87,8 @@ class AmplifiedBoard:
         # The same for all cells: operations on arrays of one shape take a third of the time.
         self._scale_of_all = self.for_all(self.scale)
         self._constant_of_all = self.for_all(self.constant)
-        self._per_sum = ends.source / (board.drive - rows * ends.source)
+        self.per_sum = ends.source / (board.drive - rows * ends.source)
+        """(M,) by which T rises per sum of a column's T without that"""
         self._ones = np.ones(rows)
 
         self.half_step = adc_error(board) * np.abs(self.scale)
@@ -114,7 +115,7 @@ class AmplifiedBoard:
         if self.has_sources:
             if between is not None:
                 transfer -= between
-            transfer += self._per_sum * (self._ones @ transfer)
+            transfer += self.per_sum * (self._ones @ transfer)
         np.maximum(transfer, ZERO, out=transfer)
         return transfer
 

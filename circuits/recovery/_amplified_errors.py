@@ -14,7 +14,8 @@ from ._live_reading import SIGMAS, ValidityRule
 
 _LEAST_OF_NOISE = 0.6  # share of a noise level down to which the level serves
 _NOISE_MARGIN = 1.2  # so that a noise that moves about does not call for new levels in every frame
-_SIMILAR_GAINS = 0.05  # relative change of gains in closed form up to which levels are kept
+SIMILAR_GAINS = 0.05
+"""relative change of gains in closed form up to which levels are kept"""
 
 
 class Levels(NamedTuple):
@@ -64,9 +65,9 @@ class ReadingErrors:
             base: the base of these gains; None where they are known in closed form.
 
         """
-        kept = self._kept
+        kept = self.kept_for(noise)
         propagation = None if base is None else base.propagation
-        if kept is not None and _LEAST_OF_NOISE * kept.noise <= noise <= kept.noise:
+        if kept is not None:
             if propagation is not None:
                 holds = kept.propagation is propagation
             else:
@@ -75,6 +76,11 @@ class ReadingErrors:
                 return kept
         self._kept = self._worked_out(gain, _NOISE_MARGIN * noise, base)
         return self._kept
+
+    def kept_for(self, noise: float) -> Levels | None:
+        """The last levels, if they serve for a noise in V; for gains like theirs."""
+        kept = self._kept
+        return kept if kept is not None and _LEAST_OF_NOISE * kept.noise <= noise <= kept.noise else None
 
     def _worked_out(self, gain: FloatArray, noise: float, base: Base | None) -> Levels:
         board = self._board
@@ -124,4 +130,4 @@ class ReadingErrors:
 
 
 def _similar_gains(before: FloatArray, gain: FloatArray) -> bool:
-    return bool((np.abs(gain - before) <= _SIMILAR_GAINS * before).all())
+    return bool((np.abs(gain - before) <= SIMILAR_GAINS * before).all())

@@ -67,19 +67,28 @@ class LeadFit(NamedTuple):
             column_ohm=self.column_ohm,
             cells=self.conductance,
             row_ohm=self.row_ohm,
-            divided=1.0 / (1.0 + self.row_ohm * self.conductance.sum(axis=1)),
-            across=np.abs(self.columns[:, None, :] - self.rows.T[:, :, None]),
+            divided=self._divided(),
+            across=np.abs(self._across()),
         )
+
+    def _across(self) -> FloatArray:
+        """V (steps, rows, M) across the cells."""
+        drops: FloatArray = self.columns[:, None, :] - self.rows.T[:, :, None]
+        return drops
+
+    def _divided(self) -> FloatArray:
+        """Share (N,) of a current into an idle row that returns through its lead."""
+        share: FloatArray = 1.0 / (1.0 + self.row_ohm * self.conductance.sum(axis=1))
+        return share
 
     def _derivatives(self) -> FloatArray:
         """(NM, NM) of all conductances by all readings; inf where the readings do not tell the cells apart."""
         cells, row_ohm, column_ohm = self.conductance, self.row_ohm, self.column_ohm
         steps, columns = cells.shape
-        across = self.columns[:, None, :] - self.rows.T[:, :, None]  # V (steps, rows, M)
-        divided = 1.0 / (1.0 + row_ohm * cells.sum(axis=1))
+        across = self._across()
         # What a current into idle row k changes in reading ij: it lifts row k, and takes from the driver of row i.
         lifts = (cells * row_ohm[:, None])[None] - (cells * row_ohm[:, None])[:, None]  # (steps, rows, M)
-        lifts *= divided[:, None]
+        lifts *= self._divided()[:, None]
         lifts[np.arange(steps), np.arange(steps)] = 0.0
         by_cells = np.einsum("ikj,ikl->ijkl", lifts, across)
         own = np.einsum("ijkj->ijk", by_cells)

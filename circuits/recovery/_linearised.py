@@ -101,7 +101,7 @@ class Base:
 
     def is_far(self, log: FloatArray) -> bool:
         """Whether the model is from too far away to serve at logarithms (n,), whatever the noise."""
-        return float(np.abs(np.maximum(log, self.floor) - self._told).max()) > _FAR
+        return self.moved(log, 1.0).largest > _FAR
 
     def advanced(self, log: FloatArray, step: FloatArray) -> FloatArray:
         """Logarithms (n,) after a step.

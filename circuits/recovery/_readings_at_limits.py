@@ -108,20 +108,21 @@ class ReadingLimits:
         if self._loses_columns and (convergence.astray or self._left_out.any()):
             return False
         if self._usual_below[0] != error:
-            margin = _SHORT * error
-            below = np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)
-            below = np.minimum(below, self._most_signal + margin)
+            below = np.minimum(self._as_a_short(error), self._most_signal + _SHORT * error)
             self._usual_below = error, np.where(self._gone, np.inf, below)
         return not (signal >= self._usual_below[1]).any()
 
     def _at_limit(self, signal: FloatArray, limited: BoolArray, error: float) -> BoolArray:
         """(N, M) readings that are limited, or as large as that of a short."""
-        margin, tells = _SHORT * error, ~self._gone
-        if ((signal > self._most_signal + margin) & tells & ~limited).any():
+        tells = ~self._gone
+        if ((signal > self._most_signal + _SHORT * error) & tells & ~limited).any():
             raise SolverError("readings above that of a short; check that the design is that of the board")
-        short = np.minimum(self._short_signal - margin, _SHORT_SHARE * self._short_signal)
-        at_limit: BoolArray = limited | ((signal >= short) & tells)
+        at_limit: BoolArray = limited | ((signal >= self._as_a_short(error)) & tells)
         return at_limit
+
+    def _as_a_short(self, error: float) -> FloatArray:
+        """V (N, M) from which on a reading, which may be off by ``error``, may be that of a short."""
+        return np.minimum(self._short_signal - _SHORT * error, _SHORT_SHARE * self._short_signal)
 
     def _lost_columns(self, signal: FloatArray, at_limit: BoolArray, convergence: Convergence) -> BoolArray:
         """Columns (M,) that a reading at a limit takes with it, and those that keep the others from settling."""

@@ -28,13 +28,12 @@ from .._service import (
     HOST_POLL_S,
     LISTENER_S,
     MOST_BEHIND_S,
-    OVER_S,
     ClockName,
     HasFileno,
     Outcome,
     Stop,
     in_thread,
-    patience,
+    tell_over,
     wait_for,
 )
 from .._truth import TruthFile
@@ -106,6 +105,8 @@ def emulate_firmware(
                     converter.wait(stop, wait_s)
             outcome.seconds = min(board.time_s, duration_s)
             converter.drain(stop)
+            if not stop.is_set():
+                port.end()
     return outcome
 
 
@@ -204,31 +205,29 @@ class _Converter:
         wait_for(readable, writable, min(timeout_s, HOST_POLL_S))
 
     def drain(self, stop: Stop) -> None:
-        """Tell the host that no frame follows, and let it read to the end, as long as it goes on reading.
-
-        A host that has understood hangs up. To one that is still there after a lossy line it is said again.
-        """
+        """Let a host take what was sent, and the end; unless the board was switched off, and may come back."""
         self.exchange()
         if stop.is_set():
-            return  # the board was switched off, and may come back
-        scene = self._board.scene
-        lossy = may_lose(scene.line, scene.link_fault)
-        say_again_until = time.monotonic() + (OVER_S if lossy else 0.0)
+            return
         self._over = True
-        self._say_over()
+        scene = self._board.scene
+        tell_over(self, stop, lossy=may_lose(scene.line, scene.link_fault))
 
-        def to_do() -> tuple[int, int]:
-            return len(self._buffer) + (time.monotonic() < say_again_until), self._port.unread()
+    @property
+    def present(self) -> bool:
+        return self._present
 
-        for _ in patience(to_do):
-            self.exchange()
-            if stop.is_set() or not self._present:
-                return
-            if not self._buffer and time.monotonic() < say_again_until:
-                self._say_over()
-            self.wait(stop, HOST_POLL_S)
-
-    def _say_over(self) -> None:
+    def say_over(self) -> bool:
         farewell = self._board.farewell()
         if self._present and farewell:
             self._buffer += self._line.carry(farewell, self._board.time_s)
+        return True
+
+    def unsent(self) -> int:
+        return len(self._buffer)
+
+    def unread(self) -> int:
+        return self._port.unread()
+
+    def rest(self, stop: Stop) -> None:
+        self.wait(stop, HOST_POLL_S)

@@ -1,0 +1,110 @@
+"""Vibration and slip within the noise of the readings, and the uncertainty of the rises that they fake.
+
+Vibration and slip that turn within a frame, or by less than the noise, are never noticed as turns. A cell answers a
+fast rise by more than a fast fall, or breaks chains both ways, so that such motion seems to be a load that rises. What
+tells of it is that the readings scatter more than the board's noise about a smooth curve. An edge of a load does so as
+well, for one window of readings or two. A rise is therefore in doubt for the time being while one window shows motion,
+and for good where several windows in a row do.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..arrays import FloatArray, IntArray
+from ._noise import CROSSED
+
+HIDES, SURELY_HIDES = 1.25, 1.6
+"""variance of a cell's readings beside smooth motion, over that of the board's noise, in two windows: from the first
+on, a load may move within the noise; from the second on, it does"""
+SUSPECTS, SURELY_SUSPECTS = 2.0, 2.6
+"""the same of a single window, which noise alone exceeds in 4 and in 0.5 % of all windows"""
+SUSPICION = 0.5
+"""of a rise that is in doubt for the time being: its standard deviation"""
+
+
+def _share(ratio: FloatArray, low: float, high: float) -> FloatArray:
+    return np.asarray(np.clip((ratio - low) / (high - low), 0.0, 1.0))
+
+
+class Tremor:
+    """How far the rises of n cells are in doubt. Methods take the indices of m cells, and arrays (m,) of theirs."""
+
+    _KEPT = ("risen_from", "waiting_kpa", "suspicion", "amplitude", "unrest_before")
+
+    def __init__(self, cells: int) -> None:
+        self._risen_from = np.zeros(cells)
+        """kPa at the beginning of the window"""
+        self._waiting_kpa = np.zeros(cells)
+        """rise of the windows before, in doubt until this one has told"""
+        self._suspicion = np.zeros(cells)
+        """largest in this window, 0 to 1"""
+        self._amplitude = np.ones(cells)
+        """of motion over that of the noise, as far as the readings show it"""
+        self._unrest_before = np.zeros(cells)
+        self.suspicious = False
+        """whether a rise is in doubt for the time being"""
+
+    def look(self, cells: IntArray, beside: FloatArray) -> None:
+        """Take the variance of readings beside smooth motion, over that of the noise, in the midst of a window."""
+        self._suspicion[cells] = np.maximum(self._suspicion[cells], _share(beside, HIDES, SUSPECTS))
+        self._amplitude[cells] = np.sqrt(np.clip(beside - 1.0, 1.0, CROSSED))
+        self.suspicious = bool(self._suspicion.any() or self._waiting_kpa.any())
+
+    def end_window(
+        self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray, beside: FloatArray, unrest: FloatArray
+    ) -> FloatArray | None:
+        """End a window of readings, after :meth:`look`, and begin the next one.
+
+        Args:
+            cells: (m,) indices.
+            pressure_kpa: (m,) estimates.
+            most_kpa: (m,) by which motion as large as the noise may let them seem to rise in a window.
+            beside: (m,) as in :meth:`look`.
+            unrest: (m,) the lesser of the last two windows'.
+
+        Returns:
+            (m,) kPa of the rise that is in doubt for good; None: of no cell.
+
+        """
+        rise, waiting = self._seeming_rise(cells, pressure_kpa, most_kpa), self._waiting_kpa[cells]
+        missed = None
+        if unrest.item(unrest.argmax()) > HIDES:
+            by_two = _share(unrest, HIDES, SURELY_HIDES) * np.where(rise < most_kpa, rise, 0.0)
+            by_three = _share(np.minimum(unrest, self._unrest_before[cells]), SUSPECTS, SURELY_SUSPECTS)
+            now = np.maximum(by_two, by_three * rise)
+            missed = now + by_three * waiting
+            rise -= now
+            waiting *= 1.0 - by_three
+        self._waiting_kpa[cells] = self._suspicion[cells] * (rise + waiting)
+        self._suspicion[cells] = _share(beside, HIDES, SUSPECTS)
+        self._unrest_before[cells] = unrest
+        self._risen_from[cells] = pressure_kpa
+        return missed
+
+    def variance(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
+        """(m,) kPa^2 of what is in doubt for the time being."""
+        std = self._seeming_rise(cells, pressure_kpa, most_kpa)
+        std *= self._suspicion[cells]
+        std += self._waiting_kpa[cells]
+        std *= SUSPICION
+        return std * std
+
+    def forget(self, cells: IntArray) -> None:
+        """Let nothing be in doubt about cells that are put to sleep."""
+        self._suspicion[cells] = self._waiting_kpa[cells] = self._risen_from[cells] = 0.0
+
+    def _seeming_rise(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
+        """(m,) kPa by which pressures have risen in this window; 0 where they rose faster, which is a load."""
+        rise: FloatArray = np.maximum(pressure_kpa - self._risen_from[cells], 0.0)
+        return np.where(rise < self._amplitude[cells] * most_kpa, rise, 0.0)
+
+    def state(self) -> dict[str, FloatArray]:
+        """All that is remembered, by name."""
+        return {f"tremor_{name}": getattr(self, f"_{name}") for name in self._KEPT}
+
+    def restore(self, state: dict[str, FloatArray]) -> None:
+        """Continue from a saved :meth:`state`."""
+        for name in self._KEPT:
+            setattr(self, f"_{name}", state[f"tremor_{name}"])
+        self.suspicious = bool(self._suspicion.any() or self._waiting_kpa.any())

@@ -1,0 +1,285 @@
+"""Machine code for the usual frame behind amplifiers: outputs to cells in one pass, where the extra ``fast`` is there.
+
+A frame is usual if no reading is at a limit, the base and the levels of the last frame still hold, and every cell is
+valid. The loops compute what :mod:`._amplified` computes of such a frame by array operations. A loop that finds the
+frame unusual changes nothing, and the array operations begin anew.
+
+Sums over cells are added up in another order than by array operations, so results differ by about 1e-15 of themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Annotated, NamedTuple
+
+import numpy as np
+
+from ...arrays import AnyArray, FloatArray
+from ...compiled import FixedRow, FixedRows, Rows, loop
+from ._amplified_base import SECOND_ORDER, Base
+from ._amplified_board import FAR, LEAST_SHARE, AmplifiedBoard
+from ._amplified_errors import SIMILAR_GAINS, Levels
+
+_Blocks = Annotated[AnyArray, "Array(float64, 3, 'C', readonly=True)"]
+UsualFrame = tuple[FloatArray, Callable[[], tuple[FloatArray, FloatArray]]]
+"""resistances (N, M) in ohm, and what computes relative uncertainties and the part by a cell's own reading"""
+_SCALE, _CONSTANT, _PER_SUM, _FARTHEST_DRIVER, _RESISTANCE = range(5)  # rows of the board's constants
+_GAIN, _SHIFT, _CONDUCTANCE = range(3)  # blocks of a base
+
+
+class UsualFrames:
+    """The loops for one board, and what they need of its bases."""
+
+    def __init__(self, board: AmplifiedBoard) -> None:
+        """For one board, before its first frame."""
+        self._board = board
+        self._about_base = _about_base.machine_code()
+        self._independent = _independent_columns.machine_code()
+        self._uncertainties = _uncertainties.machine_code()
+        self.compiled = None not in (self._about_base, self._independent, self._uncertainties)
+        """there is machine code"""
+        constants = (board.scale, board.constant, board.per_sum, board.farthest_driver, board.to_amplifier[0])
+        self._constants = _fixed(np.array([np.broadcast_to(values, board.board.shape[1:]) for values in constants]))
+        self._farthest_amplifier = _fixed(board.farthest_amplifier)
+        self._row_ohms = _fixed(np.broadcast_to(board.board.row_ohms, board.board.shape))
+        self._behind = _fixed(board.behind)
+        self._base: Base | None = None
+        self._of_base = _OfBase.none()
+        self._levels: Levels | None = None
+        self._of_levels = _OfLevels.none()
+
+    def about(self, base: Base, levels: Levels, volts: FloatArray) -> UsualFrame | None:
+        """The frame, or None where it is not usual.
+
+        Args:
+            base: a base whose own error is below the tolerance, on lines that are not heavy.
+            levels: of that base.
+            volts: (N, M) V, outputs.
+
+        """
+        if self._base is not base:
+            self._base, self._of_base = base, _OfBase.of(base, self._board)
+        of_levels = self._of(levels)
+        transfer, resistance = np.empty(volts.shape), np.empty(volts.shape)
+        of_base, board = self._of_base, self._board
+        assert self._about_base is not None
+        usual = self._about_base(
+            volts,
+            self._constants,
+            self._farthest_amplifier,
+            self._row_ohms,
+            self._behind,
+            of_base.blocks,
+            of_base.between,
+            of_levels.least,
+            board.has_sources,
+            board.source_spread,
+            board.least_tolerance,
+            base.loss,
+            of_base.missing_per_moved,
+            transfer,
+            resistance,
+        )
+        return (resistance, partial(self._uncertain, of_levels, transfer)) if usual else None
+
+    def independent(self, levels: Levels, volts: FloatArray) -> UsualFrame | None:
+        """As :meth:`about`, where only the columns' ends have resistance and gains are known in closed form."""
+        of_levels = self._of(levels)
+        transfer, resistance = np.empty(volts.shape), np.empty(volts.shape)
+        assert self._independent is not None
+        usual = self._independent(
+            volts, self._constants, of_levels.gain, of_levels.least, self._board.has_sources, transfer, resistance
+        )
+        return (resistance, partial(self._uncertain, of_levels, transfer)) if usual else None
+
+    def _uncertain(self, levels: _OfLevels, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Relative uncertainties (N, M) and the part by a cell's own reading: :meth:`.Levels.uncertainties`."""
+        uncertainty, own = np.empty(transfer.shape), np.empty(transfer.shape)
+        assert self._uncertainties is not None
+        self._uncertainties(transfer, levels.own, levels.by_leads, levels.others, uncertainty, own)
+        return uncertainty, own
+
+    def _of(self, levels: Levels) -> _OfLevels:
+        if self._levels is not levels:
+            self._levels, self._of_levels = levels, _OfLevels.of(levels, self._board.board.shape)
+        return self._of_levels
+
+
+class _OfBase(NamedTuple):
+    """What the loop needs of a base."""
+
+    blocks: AnyArray
+    """(3, N, M) gain, shift in S, conductance in S"""
+    between: FloatArray
+    """(M,) S that currents between columns add to each T of a column"""
+    missing_per_moved: float
+    """S by which other cells' current changes per share of the gains"""
+
+    @classmethod
+    def none(cls) -> _OfBase:
+        return cls(np.zeros((3, 0, 0)), np.zeros(0), 0.0)
+
+    @classmethod
+    def of(cls, base: Base, board: AmplifiedBoard) -> _OfBase:
+        none = np.zeros(board.board.shape)
+        shift = none if base.shift is None else base.shift
+        between = none[0] if base.between is None else base.between
+        missing = 0.0 if base.shift is None else 2.0 * base.missing / base.loss
+        return cls(_fixed(np.array([base.gain, shift, base.conductance])), _fixed(between), missing)
+
+
+class _OfLevels(NamedTuple):
+    """What the loops need of levels: their fields, (N, M) and not to be written to."""
+
+    gain: FloatArray
+    """as it is"""
+    least: FloatArray
+    own: FloatArray
+    others: FloatArray
+    by_leads: FloatArray
+
+    @classmethod
+    def none(cls) -> _OfLevels:
+        return cls(*(np.zeros((0, 0)) for _ in range(5)))
+
+    @classmethod
+    def of(cls, levels: Levels, shape: tuple[int, int]) -> _OfLevels:
+        fields = (levels.least, levels.own, levels.others, levels.by_leads)
+        return cls(_fixed(levels.gain), *(_fixed(np.broadcast_to(field, shape)) for field in fields))
+
+
+def _fixed(values: AnyArray) -> AnyArray:
+    """A contiguous copy of the caller's own that nobody may write to."""
+    copy = np.array(values, dtype=np.float64, order="C")
+    copy.flags.writeable = False
+    return copy
+
+
+@loop
+def _transfer(volts: FixedRows, constants: FixedRows, between: FixedRow, has_sources: bool, transfer: Rows) -> None:
+    """Write the transfer conductances (N, M) in S: :meth:`.AmplifiedBoard.transfer`."""
+    rows, columns = volts.shape
+    scale, constant = constants[_SCALE], constants[_CONSTANT]
+    for i in range(rows):
+        for j in range(columns):
+            transfer[i, j] = volts[i, j] * scale[j] + constant[j] - between[j]
+    if has_sources:
+        for j in range(columns):
+            total = 0.0
+            for i in range(rows):
+                total += transfer[i, j]
+            added = constants[_PER_SUM, j] * total
+            for i in range(rows):
+                transfer[i, j] += added
+    for i in range(rows):
+        for j in range(columns):
+            transfer[i, j] = max(transfer[i, j], 0.0)
+
+
+@loop
+def _about_base(
+    volts: FixedRows,
+    constants: FixedRows,
+    farthest_amplifier: FixedRow,
+    row_ohms: FixedRows,
+    behind: FixedRows,
+    base: _Blocks,
+    between: FixedRow,
+    least: FixedRows,
+    has_sources: bool,
+    source_spread: float,
+    least_tolerance: float,
+    loss: float,
+    missing_per_moved: float,
+    transfer: Rows,
+    resistance: Rows,
+) -> bool:
+    """Write the cells' own transfer conductances and resistances (N, M), unless the frame is not usual.
+
+    As :class:`.Relinearisation`, for a frame in which the coarsest bound of the certificate suffices.
+    """
+    rows, columns = volts.shape
+    farthest_driver = constants[_FARTHEST_DRIVER]
+    _transfer(volts, constants, between, has_sources, transfer)
+    conductance, change = resistance, np.empty((rows, columns))
+    by_column = np.zeros(columns)
+    most_by_row = most_by_column = most_transfer = 0.0
+    for i in range(rows):
+        by_row = 0.0
+        for j in range(columns):
+            conductance[i, j] = max(base[_GAIN, i, j] * transfer[i, j] + base[_SHIFT, i, j], 0.0)
+            change[i, j] = conductance[i, j] - base[_CONDUCTANCE, i, j]
+            size = abs(change[i, j])
+            by_row += size * farthest_driver[j]
+            by_column[j] += size * farthest_amplifier[i]
+            most_transfer = max(most_transfer, transfer[i, j])
+        most_by_row = max(most_by_row, by_row)
+    for j in range(columns):
+        most_by_column = max(most_by_column, by_column[j])
+    moved = most_by_row + most_by_column
+    left_out = most_transfer * moved * (SECOND_ORDER * (loss + moved) + source_spread) + moved * missing_per_moved
+    if not (moved <= FAR and left_out <= least_tolerance):
+        return False
+    flow = np.zeros(columns)
+    drop = np.empty((rows, columns))
+    for i in range(rows):
+        for j in range(columns):
+            flow[j] += change[i, j]
+            drop[i, j] = behind[i, j] * flow[j]
+    for i in range(rows - 2, -1, -1):
+        for j in range(columns):
+            drop[i, j] += drop[i + 1, j]
+    for i in range(rows):
+        current = 0.0
+        for j in range(columns - 1, -1, -1):
+            current += change[i, j]
+            change[i, j] = current
+        along = 0.0
+        for j in range(columns):
+            along += row_ohms[i, j] * change[i, j]
+            transfer[i, j] = max(transfer[i, j] + base[_SHIFT, i, j] / base[_GAIN, i, j], 0.0)
+            if not transfer[i, j] >= least[i, j]:
+                return False
+            resistance[i, j] = 1.0 / ((along + drop[i, j]) * conductance[i, j] + conductance[i, j])
+    return True
+
+
+@loop
+def _independent_columns(
+    volts: FixedRows,
+    constants: FixedRows,
+    level_gain: FixedRow,
+    least: FixedRows,
+    has_sources: bool,
+    transfer: Rows,
+    resistance: Rows,
+) -> bool:
+    """As :func:`_about_base`, by :meth:`.AmplifiedBoard.of_independent_columns`."""
+    rows, columns = volts.shape
+    _transfer(volts, constants, np.zeros(columns), has_sources, transfer)
+    for j in range(columns):
+        total = 0.0
+        for i in range(rows):
+            total += transfer[i, j]
+        gain = 1.0 / max(1.0 - constants[_RESISTANCE, j] * total, LEAST_SHARE)
+        if not abs(gain - level_gain[j]) <= SIMILAR_GAINS * level_gain[j]:
+            return False
+        for i in range(rows):
+            if not transfer[i, j] >= least[i, j]:
+                return False
+            resistance[i, j] = 1.0 / (transfer[i, j] * gain)
+    return True
+
+
+@loop
+def _uncertainties(
+    transfer: FixedRows, own: FixedRows, by_leads: FixedRows, others: FixedRows, uncertainty: Rows, own_share: Rows
+) -> None:
+    """Write relative uncertainties (N, M) and the cells' own share of them: :meth:`.Levels.uncertainties`."""
+    rows, columns = transfer.shape
+    for i in range(rows):
+        for j in range(columns):
+            reading = max(transfer[i, j], own[i, j])
+            own_share[i, j] = own[i, j] / reading
+            uncertainty[i, j] = own_share[i, j] + by_leads[i, j] / reading + others[i, j]

@@ -1,0 +1,205 @@
+"""Just-in-time compilation of loops over cells to machine code, by Numba, where the extra ``fast`` is installed.
+
+An array operation of NumPy costs about a microsecond, however few cells there are, and a frame of a small skin takes
+hundreds of them. A loop that does the same work for one cell after the other takes a few microseconds as machine code.
+So a room writes such work twice: as array operations, which always run, and as a :class:`Loop`, which runs only
+compiled. The array operations are the reference of the loops' tests.
+
+A loop rounds as the array operations do: sums, products, quotients and square roots follow IEEE 754, in the order in
+which they are written, and dividing by zero gives an infinity or NaN.
+
+Compiling takes seconds, importing Numba a quarter of one. So nothing happens until somebody asks for the machine code
+(:meth:`Loop.machine_code`), which is kept on disk for the next process, in ``__pycache__`` or in the user's cache.
+"""
+
+from __future__ import annotations
+
+import builtins
+import hashlib
+import os
+import threading
+from collections.abc import Callable
+from types import CodeType, FunctionType, ModuleType
+from typing import Annotated, Any, Generic, ParamSpec, TypeVar, cast, get_args, get_origin, get_type_hints
+
+from .arrays import BoolArray, CodeArray, FloatArray, IntArray
+
+SWITCH = "OHMSKIN_COMPILED"
+"""environment variable; 0, no, off or false: no machine code is used, though Numba is installed"""
+
+# Types of a loop's arguments: arrays whose elements are contiguous in memory, row after row.
+Row = Annotated[FloatArray, "float64[::1]"]
+Rows = Annotated[FloatArray, "float64[:, ::1]"]
+Places = Annotated[IntArray, "intp[::1]"]
+Flags = Annotated[BoolArray, "boolean[::1]"]
+FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
+Codes = Annotated[CodeArray, "uint32[::1]"]
+# The same for arrays that the loop does not write to, and that nobody may write to (flags.writeable is False).
+FixedRow = Annotated[FloatArray, "Array(float64, 1, 'C', readonly=True)"]
+FixedRows = Annotated[FloatArray, "Array(float64, 2, 'C', readonly=True)"]
+FixedFlags = Annotated[BoolArray, "Array(boolean, 1, 'C', readonly=True)"]
+FixedCodes = Annotated[CodeArray, "Array(uint32, 1, 'C', readonly=True)"]
+
+_SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
+_OFF = ("0", "no", "off", "false")
+_lock = threading.RLock()
+_offered: list[Loop[..., Any]] = []
+_waiting: list[Loop[..., Any]] = []
+"""loops that are being compiled, or that wait for the compiler"""
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def why_not() -> str | None:
+    """Why no loop is compiled, in a few words; None: loops are compiled."""
+    if os.environ.get(SWITCH, "").strip().lower() in _OFF:
+        return f"switched off by {SWITCH}={os.environ[SWITCH]}"
+    try:
+        import numba
+    except Exception as error:
+        if isinstance(error, ModuleNotFoundError) and error.name == "numba":
+            return "numba is not installed"
+        return f"numba cannot be imported: {error}"
+    return None if hasattr(numba, "njit") else "numba is not the compiler of that name"
+
+
+class Loop(Generic[P, R]):
+    """A function of a module that works on arrays element by element, to be compiled; see :func:`loop`."""
+
+    def __init__(self, function: Callable[P, R]) -> None:
+        self.__module__, self.__qualname__ = function.__module__, function.__qualname__
+        self.__doc__ = function.__doc__
+        self.function = function
+        """the function itself: the same answers, about a thousand times as slow"""
+        self.failure: str | None = None
+        """why the compiler refused the function; None: it did not, or was not asked yet"""
+        self._compiled: Any = None
+        _offered.append(self)
+        self.code: Callable[P, R] = function
+        """the compiled function once :func:`load` said so, before that ``function``"""
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        return self.code(*args, **kwargs)
+
+    def __reduce__(self) -> str:
+        """For pickle and copy: the loop of that name."""
+        return self.__qualname__
+
+    def machine_code(self) -> Callable[P, R] | None:
+        """The compiled function, or None where there is none: ask when an object is made, not for every frame.
+
+        The first call loads the machine code from disk, or compiles for a second or so; later ones return at once.
+        Threads may call, and the compiled function runs without the interpreter's lock. It takes positional arguments
+        of exactly the types that the function states.
+        """
+        if why_not() is not None:
+            return None
+        if self._compiled is None and self.failure is None:
+            _waiting.append(self)
+            try:
+                with _lock:
+                    self.code = self._compile()
+            except Exception as error:  # of any part of the compiler
+                self.failure = f"{type(error).__name__}: {error}"
+            finally:
+                _waiting.remove(self)
+        return cast(Callable[P, R] | None, self._compiled)
+
+    def _compile(self) -> Any:
+        """The function as Numba compiled it, kept on disk if there is a place for it."""
+        if self._compiled is None:
+            try:
+                self._compiled = self._compiled_by_numba(keep=True)
+            except Exception:  # no folder to write to, a full disk, a damaged file
+                self._compiled = self._compiled_by_numba(keep=False)
+        return self._compiled
+
+    def _compiled_by_numba(self, *, keep: bool) -> Any:
+        import numba
+
+        # The signature makes Numba compile at once, and for no other types: a stream never waits for the compiler.
+        return numba.njit(self._signature(), cache=keep, nogil=True, error_model="numpy")(self._own_function())
+
+    def _own_function(self) -> FunctionType:
+        """A copy whose helpers are compiled functions, under a name that changes with all that it depends on.
+
+        Numba knows a function on disk again by its name, file and code, but not by the numbers of other modules that
+        were compiled into it.
+        """
+        plain = cast(FunctionType, self.function)
+        helpers = {name: value._compile() for name, value in self._globals().items() if isinstance(value, Loop)}
+        own = FunctionType(
+            plain.__code__, {**plain.__globals__, **helpers}, plain.__name__, plain.__defaults__, plain.__closure__
+        )
+        own.__module__, own.__qualname__ = plain.__module__, f"{plain.__qualname__}_{self._stamp()[:16]}"
+        return own
+
+    def _signature(self) -> str:
+        """The types as Numba writes them, from the annotations."""
+        hints = get_type_hints(self.function, include_extras=True)
+        answer = _written(hints.pop("return"))
+        return f"{answer}({', '.join(_written(hint) for hint in hints.values())})"
+
+    def _stamp(self) -> str:
+        """Digest of the code, and of the numbers and helpers that it uses."""
+        code = cast(FunctionType, self.function).__code__
+        parts = [code.co_code.hex(), repr(code.co_consts), repr(code.co_names), self._signature()]
+        for name, value in sorted(self._globals().items()):
+            parts.append(f"{name}={value._stamp() if isinstance(value, Loop) else value!r}")
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+    def _globals(self) -> dict[str, Any]:
+        """The helpers and numbers of the module that the function names.
+
+        Raises:
+            TypeError: the function uses something else, which a change on disk could not be told from.
+        """
+        function = cast(FunctionType, self.function)
+        code, found = function.__code__, {}
+        if code.co_freevars or any(isinstance(part, CodeType) for part in code.co_consts):
+            raise TypeError(f"{function.__qualname__} uses a function within a function")
+        for name in code.co_names:
+            if name not in function.__globals__:
+                continue  # of builtins, or an attribute
+            value = function.__globals__[name]
+            if isinstance(value, ModuleType) or (hasattr(builtins, name) and value is getattr(builtins, name)):
+                continue
+            if not isinstance(value, (Loop, bool, int, float)):
+                raise TypeError(f"{function.__qualname__} uses {name}, which is neither a number nor a loop")
+            found[name] = value
+        return found
+
+
+def loop(function: Callable[P, R]) -> Loop[P, R]:
+    """Offer a function of a module for compilation: a decorator.
+
+    Its annotations are the types above, ``float``, ``int``, ``bool`` and None. Beside its arguments it uses numbers of
+    its module, the modules ``math`` and ``numpy``, and other loops; within a function, no function.
+    """
+    return Loop(function)
+
+
+def load(*loops: Loop[..., Any]) -> bool:
+    """Compile loops, or load what is kept on disk; without arguments those of all modules that have been imported.
+
+    To be called when an object is made whose frames are to be quick, and before anything is waited for.
+
+    Returns:
+        Whether all of them are there as machine code, in ``Loop.code``. If not, array operations are to do the work.
+    """
+    if why_not() is not None:
+        return False
+    return all([each.machine_code() is not None for each in loops or tuple(_offered)])
+
+
+def is_compiling() -> bool:
+    """Whether the compiler is at work in some thread: who limits the time of other work does not count this time."""
+    return bool(_waiting)
+
+
+def _written(hint: Any) -> str:
+    """A type as Numba writes it."""
+    if get_origin(hint) is Annotated:
+        return str(get_args(hint)[1])
+    return _SCALARS[hint]

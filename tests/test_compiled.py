@@ -1,0 +1,194 @@
+"""Compilation of loops: the compiled form rounds as the written one, and everything works without it."""
+
+from __future__ import annotations
+
+import copy
+import math
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ohmskin import compiled
+from ohmskin.compiled import FixedRow, Flags, Row, Rows, loop
+
+ENOUGH = 2.5
+NAMES = ["a", "list"]
+
+
+@loop
+def rooted(x: float, enough: bool) -> float:
+    return math.sqrt(x) if enough else ENOUGH * x
+
+
+@loop
+def divided(a: FixedRow, b: FixedRow, out: Row, large: Flags) -> int:
+    count = 0
+    for i in range(a.size):
+        out[i] = a[i] / b[i] + rooted(abs(a[i]), True) * b[i] - rooted(b[i], False)
+        large[i] = out[i] > ENOUGH
+        count += large[i]
+    return count
+
+
+@loop
+def first_of(rows: Rows, at: int) -> float:
+    return rows[at, 0]
+
+
+@loop
+def named(at: int) -> int:
+    return len(NAMES[at])
+
+
+@loop
+def grows(a: Row) -> float:
+    return a.no_such_attribute  # type: ignore[attr-defined,no-any-return]
+
+
+numbers = st.lists(st.floats(width=64), min_size=1, max_size=20)
+
+
+@given(a=numbers, b=numbers)
+def test_machine_code_rounds_as_array_operations_do(a: list[float], b: list[float]) -> None:
+    code = divided.machine_code()
+    assert code is not None, divided.failure or compiled.why_not()
+    size = min(len(a), len(b))
+    one, other = np.array(a[:size]), np.array(b[:size])
+    out, large = np.empty(size), np.zeros(size, dtype=np.bool_)
+    with np.errstate(all="ignore"):
+        expected = one / other + np.sqrt(np.abs(one)) * other - ENOUGH * other
+    assert code(one, other, out, large) == np.count_nonzero(expected > ENOUGH)
+    np.testing.assert_array_equal(out, expected)
+    np.testing.assert_array_equal(large, expected > ENOUGH)
+
+
+def test_a_loop_is_the_same_function_without_a_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    code = first_of.machine_code()
+    assert code is not None
+    assert code is not first_of.function
+    rows = np.array([[1.0, 2.0], [3.0, 4.0]])
+    assert code(rows, 1) == first_of.function(rows, 1) == 3.0
+    monkeypatch.setenv(compiled.SWITCH, "off")
+    assert first_of.machine_code() is None
+    assert "OHMSKIN_COMPILED=off" in (compiled.why_not() or "")
+    monkeypatch.setenv(compiled.SWITCH, "1")
+    assert first_of.machine_code() is code
+
+
+def test_arguments_of_other_types_are_refused_rather_than_compiled_for() -> None:
+    code = first_of.machine_code()
+    assert code is not None
+    with pytest.raises(TypeError, match="argument type"):
+        code(np.zeros((2, 2), dtype=np.float32), 0)  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="argument type"):
+        code(np.zeros((4, 4))[:, ::2], 0)
+
+
+def test_arrays_that_nobody_may_write_to_are_taken_where_the_loop_says_so() -> None:
+    code = divided.machine_code()
+    assert code is not None
+    fixed, out = np.array([4.0]), np.empty(1)
+    fixed.flags.writeable = False
+    code(fixed, fixed, out, np.zeros(1, dtype=np.bool_))
+    assert out[0] == 1.0 + 8.0 - 10.0
+    with pytest.raises(TypeError, match="argument type"):
+        code(fixed, fixed, fixed, np.zeros(1, dtype=np.bool_))
+
+
+@pytest.mark.parametrize(("refused", "why"), [(named, "neither a number nor a loop"), (grows, "no_such_attribute")])
+def test_what_cannot_be_compiled_says_why_and_is_left_to_array_operations(
+    refused: compiled.Loop[[int], int], why: str
+) -> None:
+    assert refused.machine_code() is None
+    assert why in (refused.failure or "")
+
+
+def test_loops_are_copied_and_pickled_by_name() -> None:
+    assert copy.deepcopy(divided) is divided
+    assert divided.__reduce__() == "divided"
+
+
+def test_the_name_on_disk_changes_with_the_numbers_and_helpers_that_are_compiled_in(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    before = rooted._stamp(), divided._stamp()
+    assert (rooted._stamp(), divided._stamp()) == before
+    monkeypatch.setitem(globals(), "ENOUGH", 2.0)
+    after = rooted._stamp(), divided._stamp()
+    assert after[0] != before[0]
+    assert after[1] != before[1]
+
+
+def _run(program: str, **variables: str) -> str:
+    """What a new interpreter prints that treats warnings as errors."""
+    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", textwrap.dedent(program)],
+        env={**os.environ, "PYTHONPATH": paths, **variables},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return done.stdout
+
+
+def test_importing_the_package_does_not_import_the_compiler() -> None:
+    program = "import sys, ohmskin.cell, ohmskin.driver, ohmskin.cli; print('numba' in sys.modules)"
+    assert _run(program) == "False\n"
+
+
+USE = """
+    from pathlib import Path
+    from ohmskin import compiled
+    from some_loops import doubled
+    code = doubled.machine_code()
+    print(code and code(4.0), doubled.failure, compiled.why_not())
+"""
+
+
+@pytest.fixture
+def some_loops(tmp_path: Path) -> Path:
+    """A module of loops in a folder of its own."""
+    folder = tmp_path / "modules"
+    folder.mkdir()
+    text = "from ohmskin.compiled import loop\nK = 2.0\n@loop\ndef doubled(x: float) -> float:\n    return K * x\n"
+    (folder / "some_loops.py").write_text(text)
+    return folder
+
+
+def _used(folder: Path, **variables: str) -> str:
+    return _run(f"import sys; sys.path.insert(0, {str(folder)!r})\n" + textwrap.dedent(USE), **variables)
+
+
+def test_machine_code_is_kept_for_the_next_process_and_renewed_when_damaged(some_loops: Path) -> None:
+    assert _used(some_loops) == "8.0 None None\n"
+    kept = list((some_loops / "__pycache__").glob("*.nb?"))
+    assert len(kept) == 2, "an index and the code"
+    times = [file.stat().st_mtime_ns for file in kept]
+    assert _used(some_loops) == "8.0 None None\n"
+    assert [file.stat().st_mtime_ns for file in kept] == times, "taken from disk"
+    for file in kept:
+        file.write_bytes(b"damaged")
+    assert _used(some_loops) == "8.0 None None\n"
+
+
+def test_nothing_is_kept_where_no_folder_can_be_written_to(some_loops: Path) -> None:
+    (some_loops / "__pycache__").write_text("no folder")
+    nowhere = str(some_loops / "some_loops.py")
+    assert _used(some_loops, HOME=nowhere, XDG_CACHE_HOME=nowhere, PYTHONDONTWRITEBYTECODE="1") == "8.0 None None\n"
+
+
+def test_without_numba_there_is_no_machine_code(some_loops: Path) -> None:
+    (some_loops / "numba.py").write_text("raise ModuleNotFoundError('no numba', name='numba')")
+    assert _used(some_loops) == "None None numba is not installed\n"
+    (some_loops / "numba.py").write_text("raise ImportError('Numba needs NumPy 2.4 or less')")
+    assert _used(some_loops) == "None None numba cannot be imported: Numba needs NumPy 2.4 or less\n"

@@ -1,0 +1,141 @@
+"""Loops of the live path as machine code: the same cells, uncertainties and reasons as array operations give."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ohmskin import compiled
+from ohmskin.bench import _live_streams
+from ohmskin.cell import Cell
+from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.circuits.recovery._amplified import AmplifiedLive
+from ohmskin.circuits.recovery._amplified_loops import UsualFrames
+from ohmskin.driver import CountReader
+from ohmskin.driver._reading import Reading
+from ohmskin.driver._systematic import SystematicError
+
+CLOSE = 1e-11
+"""relative: sums over cells are added up in another order"""
+FRAMES = 60
+
+pytestmark = pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
+
+
+class Pair:
+    """Two readers of one board, one with machine code, and the frames that the loops served."""
+
+    def __init__(self, design: Design, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.served = 0
+        self.loops = CountReader(design)
+        self.systematic = SystematicError(Cell.example())
+        with monkeypatch.context() as without:
+            without.setenv(compiled.SWITCH, "0")
+            self.arrays = CountReader(design)
+            self.reference = SystematicError(Cell.example())
+        if isinstance(self.loops._recover, AmplifiedLive):
+            self._count(self.loops._recover._loops, monkeypatch)
+
+    def _count(self, loops: UsualFrames, monkeypatch: pytest.MonkeyPatch) -> None:
+        for name in ("about", "independent"):
+            serve = getattr(loops, name)
+
+            def counted(*arguments: Any, serve: Any = serve) -> Any:
+                found = serve(*arguments)
+                self.served += found is not None
+                return found
+
+            monkeypatch.setattr(loops, name, counted)
+
+    def read(self, counts: Any) -> tuple[Reading, Reading]:
+        """What both find in a frame, after comparing it."""
+        found, expected = self.loops(counts), self.arrays(counts)
+        np.testing.assert_array_equal(found.reason, expected.reason)
+        np.testing.assert_array_equal(found.valid, expected.valid)
+        np.testing.assert_allclose(found.resistance, expected.resistance, rtol=CLOSE)
+        np.testing.assert_allclose(found.uncertainty, expected.uncertainty, rtol=CLOSE)
+        np.testing.assert_allclose(found.own_uncertainty, expected.own_uncertainty, rtol=CLOSE)
+        # A difference of two rounded numbers, each at most about one.
+        np.testing.assert_allclose(found.others_noise_std, expected.others_noise_std, rtol=CLOSE, atol=1e-15)
+        np.testing.assert_allclose(found.step_std, expected.step_std, rtol=CLOSE)
+        assert (found.solved, found.all_valid) == (expected.solved, expected.all_valid)
+        assert self.loops.noise_volts == pytest.approx(self.arrays.noise_volts, rel=CLOSE)
+        return found, expected
+
+
+@pytest.mark.parametrize("family", ["inverting", "row", "inverting events", "row events", "divider", "feedback events"])
+def test_streams_of_the_hunt_read_alike(family: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    served = frames = 0
+    for number in range(40):
+        stream = _live_streams.stream(family, number)
+        if stream is None:
+            continue
+        pair = Pair(stream.design, monkeypatch)
+        for counts in stream.counts:
+            pair.read(counts)
+            frames += 1
+        served += pair.served
+    assert frames > 300
+    if family in ("inverting", "row"):
+        assert served > 0.04 * frames
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16, 18])
+@pytest.mark.parametrize(
+    ("circuit", "array", "readout"),
+    [
+        ("inverting-amplifier", {"rows": 8, "columns": 8, "row_lead": 5.0, "column_lead": 5.0}, {}),
+        ("row-amplifier", {"rows": 5, "columns": 9, "row_lead": 8.0, "column_lead": 3.0}, {}),
+        ("inverting-amplifier", {"rows": 6, "columns": 4}, {}),
+        ("inverting-amplifier", {"rows": 1, "columns": 1}, {}),
+        ("inverting-amplifier", {"rows": 7, "columns": 5}, {"open_loop_gain": 2e4, "offset_voltage": 2e-3}),
+        ("inverting-amplifier", {"rows": 7, "columns": 5, "row_segment": 1.0, "column_segment": 0.5}, {}),
+        (
+            "inverting-amplifier",
+            {"rows": 3, "columns": 4, "row_lead": 5.0, "column_lead": 9.0},
+            {"open_loop_gain": 1e5, "offset_voltage": [1e-3, -2e-3, 0.0, 3e-3]},
+        ),
+    ],
+)
+def test_a_skin_that_is_pressed_reads_alike(
+    circuit: str, array: dict[str, Any], readout: dict[str, Any], bits: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    design = Design.model_validate(
+        {
+            "array": array,
+            "drive": {"voltage": -1.0},
+            "readout": {"circuit": circuit, "reference_resistance": 15e3} | readout,
+            "adc": {"bits": bits, "range": [0.0, 3.3]},
+        }
+    )
+    pair, random = Pair(design, monkeypatch), np.random.default_rng(bits)
+    shape = design.array.shape
+    ohms = 10e3 * random.uniform(0.9, 1.1, shape)
+    for frame in range(FRAMES):
+        ohms[frame % shape[0]] *= random.uniform(0.99, 1.01)
+        volts = scan(design, ohms).volts
+        assert design.adc is not None
+        counts = adc_codes(design, volts + random.normal(scale=0.6 * design.adc.step, size=shape)).astype(
+            np.uint16 if bits <= 16 else np.uint32
+        )
+        found, expected = pair.read(counts)
+        kpa = random.uniform(-1.0, 30.0, shape)
+        kpa.flat[frame % kpa.size] = [np.nan, 0.0, 1e9, -1e9][frame % 4]
+        known = frame % 3 > 0
+        variance = pair.systematic.take(found, rest_known=known)(kpa)
+        reference = pair.reference.take(expected, rest_known=known)(kpa)
+        np.testing.assert_allclose(variance, reference, rtol=1e-9)
+    assert pair.served > FRAMES / 3
+
+
+def test_without_machine_code_array_operations_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(compiled.SWITCH, "0")
+    stream = _live_streams.stream("inverting", 1)
+    assert stream is not None
+    reader = CountReader(stream.design)
+    assert isinstance(reader._recover, AmplifiedLive)
+    assert not reader._recover._loops.compiled
+    for counts in stream.counts:
+        assert reader(counts).solved
