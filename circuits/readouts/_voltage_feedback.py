@@ -291,9 +291,10 @@ class VoltageFeedback(VoltageDivider):
         rows = _PulledRows.of(self, board, row_lead.max(axis=1), signal, lift, least)
         ordinary = np.maximum(_WELL_ABOVE / rows.reference, rows.apparent)
         for _ in range(_ROUNDS):
-            through = rows.second_solutions()
-            if through is None:
+            found = rows.second_solutions()
+            if found is None:
                 return None
+            through = found
             suspect = rows.suspect(board, signal, lift, least, through)
             if not suspect.any():
                 return None
