@@ -356,6 +356,11 @@ def emulated_ports() -> list[str]:
     return [port.name for port in announced_ports()]
 
 
+def is_numbered_terminal(name: str) -> bool:
+    """Whether ``name`` is a pseudo-terminal under its number, which the next one gets when this one is closed."""
+    return name.startswith("/dev/pts/")
+
+
 def is_linked_terminal(name: str) -> bool:
     """Whether ``name`` is a link to a pseudo-terminal: the port of an emulated board."""
     return os.path.islink(name) and os.path.realpath(name).startswith("/dev/pts/")

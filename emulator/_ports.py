@@ -84,6 +84,11 @@ class Port(ABC):
 
     def unplug(self) -> None:
         """Take the port away for a while, as when the cable is pulled."""
+        self._unplug()
+        if self._announcement is not None:
+            self._announcement.move("")
+
+    def _unplug(self) -> None:
         self._close()
 
     def plug_in(self, name: str | None) -> None:
@@ -197,7 +202,7 @@ class PtyPort(Port):
             os.close(host_end)
         return int(waiting)
 
-    def unplug(self) -> None:
+    def _unplug(self) -> None:
         if self._link is not None:
             self._link.remove()
         os.close(self._master)

@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+import termios
 import threading
+import tty
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -88,6 +90,30 @@ class TestEnds:
             Skin.open(port.name, reconnect=60.0, timeout=30.0) as skin,
         ):
             assert len(list(skin)) > 5
+
+    def test_a_board_that_is_plugged_in_again_is_found_under_its_new_number(self) -> None:
+        """Another program gets the number of its pseudo-terminal meanwhile."""
+        pulled = {"kind": "unplug", "at_s": 1.0, "duration_s": 1.0}
+        port = PtyPort()
+        with (
+            running(scene(board={"frame_rate": 100.0}, link_fault=[pulled]), port),
+            Skin.open(port.name, reconnect=60.0, timeout=30.0) as skin,
+        ):
+            old_name = port.name
+            until(lambda: skin._mailbox.away is not None)
+            master, stranger = os.openpty()
+            try:
+                assert os.ttyname(stranger) == old_name, "the kernel gives the lowest free number"
+                os.write(master, b"for somebody else")
+                back = next(frame for frame in skin if frame.reconnected)
+                assert back.rebooted
+                assert port.name != old_name
+                os.set_blocking(stranger, False)
+                tty.setraw(stranger, termios.TCSANOW)
+                assert os.read(stranger, 100) == b"for somebody else"
+            finally:
+                os.close(master)
+                os.close(stranger)
 
     def test_the_end_of_a_recording_without_an_end_packet_is_an_end(self, tmp_path: Path) -> None:
         path, link = tmp_path / "cut.mcap", tmp_path / "skin"

@@ -26,6 +26,7 @@ SUFFIX = ".port"
 _LONGEST = 4096
 """bytes of a file that are read: a name, and the word below"""
 _OVER = b"\nover\n"
+"""what follows the name once the board has come to its end; before that an end of line"""
 
 
 class Announcement:
@@ -40,8 +41,8 @@ class Announcement:
             self.move(port)
 
     def move(self, port: str) -> None:
-        """Tell the present name of the port."""
-        self._write(port.encode())
+        """Tell the present name of the port; empty while the port is away."""
+        self._write(port.encode() + b"\n")
 
     def over(self) -> None:
         """Tell that the board has come to its regular end: no byte will follow."""
@@ -73,7 +74,7 @@ class AnnouncedPort:
 
     @property
     def name(self) -> str:
-        """The present name of the port."""
+        """The present name of the port; empty while the port is away."""
         return _read(self._file).partition(b"\n")[0].decode(errors="replace") if self.close.alive else ""
 
     @property
