@@ -59,6 +59,8 @@ ABOVE = 1.1
 """ratio to the noise so far, from which on motion may be the reason"""
 GROWING = 1.3
 """ratio to the noise so far, from which on the noise may have become another one"""
+ROUNDED = 1.0 + 1e-9
+"""so that changes of the sizes of before are not more than those by the order in which they are added up"""
 DOUBT = 0.05
 """probability of readings as quiet as those that were seen, with the noise that is stated"""
 RARE = 0.01
@@ -162,7 +164,7 @@ class Scatter:
     def _shown_by(self, change: FloatArray, moving: int) -> float:
         """V, by this change (N, M) in V and those before; ``moving`` readings can change."""
         mean = self._by_mean(change, self._seen, moving)
-        if mean <= self._seen:  # whatever moves
+        if mean <= ROUNDED * self._seen:  # whatever moves
             return mean
         if self._change is None:
             return 0.0
