@@ -361,9 +361,11 @@ class Converter:
             rest_error = TARE_DRIFT
         if rest_ohm is None and self._calibration is not None:
             rest_ohm = self._calibration.rest_ohm
-        return self.cell.estimator(
+        estimator = self.cell.estimator(
             self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm, rest_error=rest_error
         )
+        estimator.compile()
+        return estimator
 
 
 def _std(
