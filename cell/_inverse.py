@@ -15,11 +15,12 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
 from . import _lag as lag
-from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
+from ._estimator import Conditions, Estimator
 from ._forward import as_m10
 from ._models import AsymmetricModel, M10Model
 from ._noise import WINDOW
 from ._paper import DOUBT, LOADS, MEMORIES, USUAL
+from ._rows import GAIN, PRESSURE, VARIANCE
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP = (
     3,

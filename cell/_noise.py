@@ -13,9 +13,12 @@ independent: averaging only these costs a quarter of the accuracy and a third of
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray, median
+from ..compiled import Row, loop
 
 READINGS = 200
 """over which the variance is averaged"""
@@ -63,7 +66,8 @@ _THIRD_DIFFERENCE = _rolled(_THIRD)
 _POWERS = np.vander(np.linspace(-1.0, 1.0, WINDOW), WINDOW, increasing=True)
 _BESIDE_PARABOLA = _rolled(np.linalg.qr(_POWERS)[0][:, 3:].T.copy())
 """orthonormal rows; parabolas have no part in them, white noise has its variance in each"""
-_ONE, _OUTLIER, _LEAST_VARIANCE = np.array(1.0), np.array(OUTLIER), np.array(LEAST**2)
+LEAST_VARIANCE = LEAST**2
+_ONE, _OUTLIER, _LEAST_VARIANCE = np.array(1.0), np.array(OUTLIER), np.array(LEAST_VARIANCE)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
@@ -97,6 +101,8 @@ class NoiseMeter:
         """(n,) the part of it that the steps of the ADC make; 0: not known"""
         self.typical_resolution = 0.0
         """that of the median cell"""
+        self.compiled = False
+        """whether the loops are there as machine code"""
 
     def resolve(self, resolution: FloatArray) -> None:
         """Take the standard deviation (n,) of r at rest that the steps of the ADC make."""
@@ -131,6 +137,11 @@ class NoiseMeter:
         """Average the square of the third difference that ends with ``r``."""
         squares = self._squares
         _THIRD_DIFFERENCE[self._seen % WINDOW].dot(self._ring, squares)
+        if self.compiled and self._looks:
+            self._looks += 1
+            average.code(squares, r, self._variance, self._blind, WINDOW - 4.0, self._share)
+            self._renew()
+            return
         np.add(r, _ONE, self._limit)
         self._limit *= self._limit
         squares /= self._limit
@@ -151,13 +162,25 @@ class NoiseMeter:
         self._limit += _LEAST_VARIANCE
         np.minimum(squares, self._limit, out=squares)
         squares -= self._variance
-        squares *= max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
+        squares *= self._share
         self._variance += squares
+        self._renew()
+
+    @property
+    def _share(self) -> float:
+        """Of a look in the average."""
+        return max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
+
+    def _renew(self) -> None:
+        """Renew the standard deviations after a look."""
         if self._expected and self._looks == KNOWN:  # what was expected leaves the average again
             self._variance += EXPECTED_LOOKS / KNOWN * (self._variance - self._expected)
             np.maximum(self._variance, LEAST**2, out=self._variance)
         if self._looks % POOL == 1:
             self._pool()
+        if self.compiled:
+            std_at_rest.code(self._variance, self.resolution, self.typical_resolution > 0.0, self.at_rest)
+            return
         np.add(self._variance, _LEAST_VARIANCE, self.at_rest)
         np.sqrt(self.at_rest, self.at_rest)
         if self.typical_resolution:
@@ -236,3 +259,31 @@ class NoiseMeter:
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
         self.at_rest = np.sqrt(self._variance + LEAST**2)
         self.resolve(state["noise_resolution"])
+
+
+@loop
+def average(squares: Row, r: Row, variance: Row, blind: Row, since: float, share: float) -> None:
+    """:meth:`NoiseMeter._average`, of third differences (n,) that are not squared yet, as a loop over cells.
+
+    Cells keep their variance that are ``blind`` (n,) for more than ``since`` frames to come.
+    """
+    for i in range(r.size):
+        scale = r[i] + 1.0
+        square = squares[i] / (scale * scale)
+        square *= square
+        if blind[i] > since:
+            square = variance[i]
+        limit = variance[i] * OUTLIER + LEAST_VARIANCE
+        variance[i] += (min(square, limit) - variance[i]) * share
+
+
+@loop
+def std_at_rest(variance: Row, resolution: Row, resolved: bool, std: Row) -> None:
+    """Standard deviations (n,) of r at rest from the variances of the noise, as a loop over cells."""
+    for i in range(std.size):
+        std[i] = math.sqrt(variance[i] + LEAST_VARIANCE)
+        if resolved:
+            std[i] = max(std[i], resolution[i])
+
+
+LOOPS = average, std_at_rest

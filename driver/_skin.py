@@ -18,6 +18,7 @@ from typing import Literal, NoReturn, Self
 
 import numpy as np
 
+from .. import compiled
 from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design
@@ -273,6 +274,7 @@ class Skin:
             if serial_number is None:
                 raise InputError("neither a port nor a serial number; expected one of them")
             port = find_board(serial_number, board=board)
+        compiled.load()  # while no frames come
         finder = PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
         skin = cls(
             finder.open(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Iterator
 
 import pytest
@@ -12,6 +13,10 @@ pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point 
 # A busy machine is no failure, and a failure must come again.
 settings.register_profile("ohmskin", deadline=None, derandomize=True)
 settings.load_profile("ohmskin")
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # A shell starts jobs in the background so, and programs that the tests interrupt would inherit it and never end.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session", autouse=True)

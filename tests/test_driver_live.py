@@ -670,7 +670,7 @@ class TestReconnection:
     def test_a_killed_emulator_that_starts_again_is_found_again(self, tmp_path: Path) -> None:
         link = tmp_path / "skin"
         with running(scene(board={"frame_rate": 500.0}), PtyPort(link)):
-            skin = Skin.open(str(link), reconnect=30.0)
+            skin = Skin.open(str(link), reconnect=60.0, timeout=30.0)
             assert next(skin).sequence is not None
         with skin, running(scene(board={"frame_rate": 500.0}), PtyPort(link)):
             back = next(frame for frame in skin if frame.reconnected)
@@ -691,7 +691,7 @@ class TestReconnection:
         one, other = PtyPort(), PtyPort()
         names[one.name] = "USB-1"
         with running(scene(), one):
-            skin = Skin.open(one.name, reconnect=30.0)
+            skin = Skin.open(one.name, reconnect=60.0, timeout=30.0)
             assert next(skin).sequence is not None
             names.clear()
         with skin, running(scene(), other):

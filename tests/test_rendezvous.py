@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 import sys
+import termios
 import threading
+import tty
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -14,9 +16,10 @@ from pathlib import Path
 import pytest
 from boards import EXAMPLES, scene, until
 
+from ohmskin.circuits import Design
 from ohmskin.driver import Skin, discover
 from ohmskin.emulator import Port, PtyPort, Rfc2217Port, Scene, TcpPort, running
-from ohmskin.errors import LinkEnded, LinkError
+from ohmskin.errors import LinkEnded, LinkError, ProtocolError
 from ohmskin.rendezvous import Announcement, announced, announced_ports
 
 FINGERS, PROTOTYPE = EXAMPLES / "fingers.toml", EXAMPLES / "prototype.toml"
@@ -89,6 +92,30 @@ class TestEnds:
         ):
             assert len(list(skin)) > 5
 
+    def test_a_board_that_is_plugged_in_again_is_found_under_its_new_number(self) -> None:
+        """Another program gets the number of its pseudo-terminal meanwhile."""
+        pulled = {"kind": "unplug", "at_s": 1.0, "duration_s": 1.0}
+        port = PtyPort()
+        with (
+            running(scene(board={"frame_rate": 100.0}, link_fault=[pulled]), port),
+            Skin.open(port.name, reconnect=60.0, timeout=30.0) as skin,
+        ):
+            old_name = port.name
+            until(lambda: skin._mailbox.away is not None)
+            master, stranger = os.openpty()
+            try:
+                assert os.ttyname(stranger) == old_name, "the kernel gives the lowest free number"
+                os.write(master, b"for somebody else")
+                back = next(frame for frame in skin if frame.reconnected)
+                assert back.rebooted
+                assert port.name != old_name
+                os.set_blocking(stranger, False)
+                tty.setraw(stranger, termios.TCSANOW)
+                assert os.read(stranger, 100) == b"for somebody else"
+            finally:
+                os.close(master)
+                os.close(stranger)
+
     def test_the_end_of_a_recording_without_an_end_packet_is_an_end(self, tmp_path: Path) -> None:
         path, link = tmp_path / "cut.mcap", tmp_path / "skin"
         port = PtyPort()
@@ -105,6 +132,7 @@ class TestEnds:
         try:
             assert player.stdout is not None
             player.stdout.readline()
+            assert discover() == []  # would play the recording
             with Skin.open(str(link), delivery="lossless", reconnect=60.0, timeout=30.0) as skin:
                 assert len(list(skin)) >= count
                 with pytest.raises(LinkEnded):
@@ -149,6 +177,16 @@ class TestBoards:
         port = PtyPort(tmp_path / "old")
         with running(scene(link_fault=[pulled]), port):
             until(lambda: [board.port for board in discover(timeout=1.0)] == [str(tmp_path / "new")])
+
+    def test_a_design_of_another_size_is_named_where_packets_do_not_say_the_size(self) -> None:
+        port, large = PtyPort(), Design.load(PROTOTYPE).replace(array={"rows": 16, "columns": 16})
+        said = "expected a board of family 'fsr-array' with 16 x 16 cells, at this baud rate"
+        with (
+            silent_board(port, clock="real", duration_s=1e6),
+            Skin.open(port.name, board="fsr-array", design=large, timeout=30.0) as skin,
+            pytest.raises(ProtocolError, match=said),
+        ):
+            skin.read(1.0)
 
 
 class TestFiles:

@@ -43,6 +43,7 @@ FixedCodes = Annotated[CodeArray, "Array(uint32, 1, 'C', readonly=True)"]
 _SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
 _OFF = ("0", "no", "off", "false")
 _lock = threading.RLock()
+_offered: list[Loop[..., Any]] = []
 _waiting: list[Loop[..., Any]] = []
 """loops that are being compiled, or that wait for the compiler"""
 
@@ -74,6 +75,7 @@ class Loop(Generic[P, R]):
         self.failure: str | None = None
         """why the compiler refused the function; None: it did not, or was not asked yet"""
         self._compiled: Any = None
+        _offered.append(self)
         self.code: Callable[P, R] = function
         """the compiled function once :func:`load` said so, before that ``function``"""
 
@@ -179,11 +181,16 @@ def loop(function: Callable[P, R]) -> Loop[P, R]:
 
 
 def load(*loops: Loop[..., Any]) -> bool:
-    """Compile loops, or load what is kept on disk; whether all of them are there as machine code, in ``Loop.code``.
+    """Compile loops, or load what is kept on disk; without arguments those of all modules that have been imported.
 
-    To be called when an object is made whose frames are to be quick. Where the answer is no, array operations do it.
+    To be called when an object is made whose frames are to be quick, and before anything is waited for.
+
+    Returns:
+        Whether all of them are there as machine code, in ``Loop.code``. If not, array operations are to do the work.
     """
-    return all([each.machine_code() is not None for each in loops])
+    if why_not() is not None:
+        return False
+    return all([each.machine_code() is not None for each in loops or tuple(_offered)])
 
 
 def is_compiling() -> bool:
