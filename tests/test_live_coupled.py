@@ -301,7 +301,7 @@ def test_cells_of_a_few_ohm_cost_their_columns_and_rows_that_they_join(kind: str
 def test_followers_keep_the_rows_that_have_no_saturated_cell(seed: int) -> None:
     """Whatever the saturated cells and their rows are, others stay valid and within their uncertainties.
 
-    The fillings of what nobody can tell are drawn anew after some frames: near and far from a short, with any neighbours.
+    The fillings of what nobody can tell are drawn anew after some frames: near a short or not, with any neighbours.
     """
     draw = np.random.default_rng(seed)
     shape, lead = ((8, 8), (12, 10), (16, 16))[seed % 3], (1.0, 25.0, 5.0, 60.0)[seed % 4]
