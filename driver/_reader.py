@@ -217,9 +217,12 @@ class Reader:
         port = self._port
         if port is not None:
             port.interrupt()
-        self._mailbox.close(LinkEnded(f"{self.port_name}: the skin is closed"))
+        self._mailbox.close(self._closed())
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(JOIN_S)
+
+    def _closed(self) -> LinkEnded:
+        return LinkEnded(f"{self.port_name}: the skin is closed")
 
     def forget(self) -> None:
         """Let the thread end within half a second, since nobody can take frames any more.
@@ -236,9 +239,11 @@ class Reader:
         try:
             self._live()
         except OhmskinError as error:
-            self._mailbox.finish(error)
+            self._mailbox.finish(self._closed() if self._is_ending else error)
         finally:
-            self._mailbox.finish(LinkError(f"{self.port_name}: the reader thread has ended"))
+            # stop() may have woken this thread, and not yet have told the takers.
+            ended = LinkError(f"{self.port_name}: the reader thread has ended")
+            self._mailbox.finish(self._closed() if self._is_ending else ended)
             self._release()
             self._reopen = None  # its finder follows the port's announcement, a file
             self.introduced.set()

@@ -25,6 +25,7 @@ from boards import EXAMPLES, Script, Wire, described, frame, gone, identity, los
 
 from ohmskin.driver import Arrival, Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
+from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._statistics import Counters
 from ohmskin.driver._stream import FrameStream
 from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
@@ -97,6 +98,22 @@ class TestOwners:
                 list(skin)
                 Skin.open(port.name, timeout=30.0).close()
                 closing.join()
+
+    def test_a_reader_thread_that_ends_before_the_takers_are_told_ends_them_quietly(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        skin = Skin(described(frame(0)), timeout=30.0)
+        skin.read()
+        close = Mailbox.close
+
+        def late(mailbox: Mailbox, error: OhmskinError) -> None:
+            skin._reader._thread.join(60.0)
+            assert isinstance(mailbox.end, LinkEnded)
+            close(mailbox, error)
+
+        monkeypatch.setattr(Mailbox, "close", late)
+        threading.Thread(target=skin.close).start()
+        assert list(skin) == []
 
     def test_a_skin_that_nobody_holds_gives_its_port_back(self) -> None:
         """As when a cell of a notebook is run again."""
