@@ -140,6 +140,7 @@ class InverseEstimator(Estimator):
         self._highest = min(LOADS[1], max(1.0, 0.4 * (m.a - m.k) / -m.b)) if m.b < 0 else LOADS[1]
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
         self._reach = self._loads_within_reach()
+        self._seeming = WINDOW * self.model.k / full_scale_kpa
 
     def _begin(self, r: FloatArray) -> FloatArray:
         m = self.model
@@ -243,10 +244,6 @@ class InverseEstimator(Estimator):
         memory[MOVED] = step
         variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2
         memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)
-
-    def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
-        most: FloatArray = WINDOW * self.model.k * memory[GAIN] ** 2 * noise / self.full_scale_kpa
-        return most
 
     def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """Motion within the noise breaks chains, which seems to be a load that rises."""

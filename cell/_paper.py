@@ -310,6 +310,7 @@ class TurningEstimator(Estimator):
         self._of = _Rows(np.zeros((len(self.rows), 0)), TURN * full_scale_kpa)
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
         self._bends = BETWEEN * self._bend, SURE
+        self._seeming = WINDOW * UNSEEN * self._bend
         # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
         self._sure, self._less, self._again, self._either, self._far = (
             np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
@@ -470,10 +471,6 @@ class TurningEstimator(Estimator):
         np.copyto(lost, 0.0, where=~begun)
         of.doubt += lost + np.sqrt(of.doubt * lost)
         np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
-
-    def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
-        most: FloatArray = WINDOW * UNSEEN * self._bend * noise * memory[GAIN] ** 2
-        return most
 
     def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """A load to and fro within the noise seems to rise: r goes up by one model, and would go down by the other."""
