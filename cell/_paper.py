@@ -24,6 +24,7 @@ from ._noise import WINDOW
 from ._rows import GAIN, PRESSURE, VARIANCE
 from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
 
+M = TypeVar("M")
 T = TypeVar("T")
 
 LOADS = (-0.5, 3.0)
@@ -129,14 +130,14 @@ STATE_ROWS, R_ROW = [PRESSURE, 5, 6, 7], 3
 """rows of the memory of :class:`PaperEstimator`: pressure, settled, x2, x3; and the reading"""
 
 
-class _Weights(Generic[T]):
+class ByStep(Generic[M, T]):
     """What one time step does, for each length of step: computed once."""
 
-    def __init__(self, computed: Callable[[PaperModel, float], T], model: PaperModel) -> None:
+    def __init__(self, computed: Callable[[M, float], T], model: M) -> None:
         self._made_from = computed, model
         self.of = lru_cache(maxsize=1024)(partial(computed, model))
 
-    def __reduce__(self) -> tuple[type[_Weights[T]], tuple[Callable[[PaperModel, float], T], PaperModel]]:
+    def __reduce__(self) -> tuple[type[ByStep[M, T]], tuple[Callable[[M, float], T], M]]:
         """For pickle and copy: without what was computed."""
         return type(self), self._made_from
 
@@ -162,7 +163,7 @@ class PaperEstimator(Estimator):
         conditions: Conditions,
     ) -> None:
         self.model = model
-        self._weights = _Weights(switch_weights, model)
+        self._weights = ByStep(switch_weights, model)
         self._thresholds_per_s = model.thresholds_per_s(full_scale_kpa)
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, MEMORIES * steepest)
@@ -297,7 +298,7 @@ class TurningEstimator(Estimator):
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, MEMORIES * steepest)
         full_r = model.gain_per_kpa * full_scale_kpa
-        self._weights = _Weights(turn_weights, model)
+        self._weights = ByStep(turn_weights, model)
         self._taken_over = taken_over(model)
         self._bend = 1 / model.eu1_kpa + 1 / model.etau2_kpa - 1 / model.e1_kpa
         """r per kPa by which the answer to a fast rise exceeds that to a fast fall"""
