@@ -7,7 +7,7 @@ readings at limits are left out         :mod:`._readings_at_limits`
 a start                                 the last frame's cells, or :mod:`._closed_start`
 steps within the frame's budget         :mod:`._gauss_newton`, :mod:`._linearised`, :mod:`._frame_budget`
 how well the cells give the readings    :meth:`CoupledLive._judge_misfit`
-uncertainty                             :mod:`._fit_uncertainty`
+uncertainty                             :mod:`._fit_uncertainty`, :mod:`._loose_columns`, :mod:`._below_range`
 what possible shorts disturb            :mod:`._possible_shorts`
 values, validity, and reasons           :meth:`CoupledLive._reading`
 ======================================  ================================================================
@@ -25,12 +25,14 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._board import Board
+from ._below_range import BelowRange
 from ._closed_start import ClosedStart
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
 from ._fit_uncertainty import FitUncertainty
 from ._frame_budget import FIRST_EFFORT, Effort
 from ._gauss_newton import Convergence, Fit, GaussNewton
 from ._linearised import Linearised
+from ._loose_columns import LooseColumns
 from ._live_reading import (
     DISTURBED,
     HIDDEN,
@@ -79,6 +81,9 @@ class CoupledLive:
         self._limits = ReadingLimits(parts, nearly_independent=columns.applies)
         self._shorts = PossibleShorts(parts)
         self._uncertainty = FitUncertainty(parts)
+        is_divider = columns.applies and not board.circuit.has_amplifiers
+        self._loose = LooseColumns(parts) if is_divider else None
+        self._below = BelowRange(parts)
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
         self._known: Known | None = None  # where the last frame ended
@@ -200,6 +205,12 @@ class CoupledLive:
         own = self._uncertainty.by_own_reading(frame)
         by_readings = self._uncertainty.by_readings(frame, fit, base, own)
         others = base.others + by_lost
+        sigmas = self._uncertainty.sigmas(frame, fit)
+        by_loose = None if self._loose is None else self._loose.disturb(frame, fit.known, base, sigmas)
+        if by_loose is not None:
+            others = others + by_loose
+        if frame.bottom is not None:
+            others = others + self._below(frame, fit.known, base)
         return _Open(own, others, by_readings + others + doubt)
 
     def _disturbed(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import hypot
+
 import numpy as np
 
 from ...arrays import FloatArray
@@ -33,13 +35,18 @@ class FitUncertainty:
         own[frame.slope == 0] = 1.0
         return own
 
+    def sigmas(self, frame: Frame, fit: Fit) -> float:
+        """Posterior standard deviations, by rounding alone, that an uncertainty covers.
+
+        Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
+        """
+        by_noise = _NOISE_SIGMAS * frame.noise / self._noise
+        return max(hypot(_SIGMAS * self._random, by_noise), fit.misfit * hypot(_SIGMAS, by_noise))
+
     def by_readings(self, frame: Frame, fit: Fit, base: Base, own: FloatArray) -> FloatArray:
         """What all readings leave open (n,), at least ``own`` (n,)."""
         spread = base.std * np.maximum(fit.steeper, 1.0)
-        # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        by_noise = _NOISE_SIGMAS * frame.noise / self._noise
-        sigmas = max(float(np.hypot(_SIGMAS * self._random, by_noise)), fit.misfit * float(np.hypot(_SIGMAS, by_noise)))
-        uncertainty: FloatArray = np.maximum(sigmas * spread, own)
+        uncertainty: FloatArray = np.maximum(self.sigmas(frame, fit) * spread, own)
         uncertainty += np.abs(fit.step) * (_STALLED if fit.stalled and fit.misfit > FITS else fit.stale)
         if self._shifts is not None:
             # Offset and gain error move all readings together.
