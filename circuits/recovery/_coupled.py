@@ -32,7 +32,6 @@ from ._fit_uncertainty import FitUncertainty
 from ._frame_budget import FIRST_EFFORT, Effort
 from ._gauss_newton import Convergence, Fit, GaussNewton
 from ._linearised import Linearised
-from ._loose_columns import LooseColumns
 from ._live_reading import (
     DISTURBED,
     HIDDEN,
@@ -44,6 +43,7 @@ from ._live_reading import (
     LiveReading,
     ValidityRule,
 )
+from ._loose_columns import LooseColumns
 from ._possible_shorts import PossibleShorts
 from ._readings_at_limits import ReadingLimits, Selection
 
@@ -58,7 +58,9 @@ class _Open(NamedTuple):
     own: FloatArray
     """by their own readings"""
     others: FloatArray
-    """by cells that no reading tells of"""
+    """by cells that no reading tells of, and by columns that are left out or of unknown scale"""
+    fitted: FloatArray
+    """by everything but those columns"""
     all: FloatArray
     """by everything"""
 
@@ -115,7 +117,7 @@ class CoupledLive:
             return self._nothing(short)
         self._steps.settle(fit)
         left = self._left_open(frame, fit, by_lost, doubt)
-        beside = self._disturbed(frame, fit, selection, left.all - by_lost, short)
+        beside = self._disturbed(frame, fit, selection, left.fitted, short)
         return self._reading(frame, fit, selection, left, beside)
 
     def _usual_start(self, frame: Frame, selection: Selection) -> tuple[Known, FloatArray | float]:
@@ -204,14 +206,14 @@ class CoupledLive:
         base = self._linearised.base
         own = self._uncertainty.by_own_reading(frame)
         by_readings = self._uncertainty.by_readings(frame, fit, base, own)
-        others = base.others + by_lost
+        others: FloatArray = base.others
         sigmas = self._uncertainty.sigmas(frame, fit)
         by_loose = None if self._loose is None else self._loose.disturb(frame, fit.known, base, sigmas)
-        if by_loose is not None:
-            others = others + by_loose
+        by_columns = by_lost if by_loose is None else by_lost + by_loose
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base)
-        return _Open(own, others, by_readings + others + doubt)
+        fitted = by_readings + others + doubt
+        return _Open(own, others + by_columns, fitted, fitted + by_columns)
 
     def _disturbed(
         self, frame: Frame, fit: Fit, selection: Selection, uncertainty: FloatArray, short: BoolArray | None
@@ -222,7 +224,7 @@ class CoupledLive:
             frame: the readings.
             fit: the cells that have been found for them.
             selection: readings that are left out.
-            uncertainty: (n,) of the fit, but for what lost columns do.
+            uncertainty: (n,) of the fit, but for what columns do that are left out or of unknown scale.
             short: (N, M) cells of the fit that are as good as shorts; None: there are none.
 
         """
