@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, IntArray
 from ._coupled_board import CoupledBoard, Frame, Known
 from ._linearised import Base
 
@@ -57,7 +57,7 @@ class LooseColumns:
         share = self._share(frame, conductance, loose, np.expm1(spread[loose]) - spread[loose])
         return share.ravel()
 
-    def _share(self, frame: Frame, conductance: FloatArray, loose: FloatArray, grown: FloatArray) -> FloatArray:
+    def _share(self, frame: Frame, conductance: FloatArray, loose: IntArray, grown: FloatArray) -> FloatArray:
         """Relative change (N, M) of the cells.
 
         Args:
