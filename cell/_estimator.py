@@ -20,21 +20,25 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from .. import compiled
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..compiled import Loop
 from ..errors import InputError
+from . import _loops as loops
+from . import _noise as noise_meter
 from . import _smoothing as smoothing
+from . import _tremor as tremor
 from ._forward import resistance_of
 from ._held import Held
 from ._noise import WINDOW, NoiseMeter
+from ._rows import GAIN, PRESSURE, VARIANCE
 from ._tremor import Tremor
 
-PRESSURE, GAIN, VARIANCE = range(3)
-"""first rows of every memory: kPa; kPa per unit of r by which noise enters it; kPa^2 by which memory adds to it"""
 SHARED = 6
 """number of rows, at most, that the standard deviation follows from"""
 SPARK_S = 0.1
@@ -141,6 +145,7 @@ class Estimator(ABC):
         self._model_variance = (conditions.model_std_kpa or MODEL_ERROR * full_scale_kpa) ** 2
         rest_std_kpa = conditions.rest_std_kpa
         self._rest_variance = None if rest_std_kpa is None else rest_std_kpa**2
+        self._rest_variances = np.zeros(0) if rest_std_kpa is None else rest_std_kpa**2
         self._rest_at_kpa = np.linspace(0, full_scale_kpa, 0 if rest_std_kpa is None else rest_std_kpa.size)
         self._band = AT_REST * self._full_scale_r
         """r within which a cell counts as at rest"""
@@ -152,7 +157,7 @@ class Estimator(ABC):
         self._sum_s, self._summed = 0.0, 0
         self._pressure = np.full(cells, np.nan)
         self._variance = np.full(cells, np.nan)  # kPa^2; without the cells of _left_open; replaced, never changed
-        self._left_open: _LeftOpen | None = None
+        self._left_open: _LeftOpen | _Stated | None = None
         self._asleep: _Asleep | None = None
         self._reading = np.zeros(cells)
         self._readings = np.zeros(cells)
@@ -166,6 +171,14 @@ class Estimator(ABC):
         self._smoothed_for = (-1.0, -1.0)
         self._smoothed_by = smoothing.gains_for(1.0, 1.0)
         self._all_awake = False
+        self._compiled = False
+        self._bends = 0.0, 0.0
+        """standard deviation of r by a turn within the frame, per kPa by which the load bent, and by how many standard
+        deviations of noise it must have bent; 0: see :meth:`_within_frame`, which says the same"""
+        self._seeming = 0.0
+        """kPa by which motion as large as the noise may let a pressure seem to rise in :data:`WINDOW` frames, per
+        standard deviation of a reading and per squared gain; 0: it does not"""
+        self._numbers = np.zeros(0)
         # What is remembered of each cell. The cells that are followed at present have theirs in the block.
         self._memory = self._begin(np.zeros(cells))
         self._line = smoothing.begin(np.zeros(cells))
@@ -175,6 +188,54 @@ class Estimator(ABC):
         self._followed = np.zeros(cells, dtype=np.bool_)
         self._stale = True
         self._sparks = _Sparks.none(self._memory, self._line)
+
+    # -- machine code ------------------------------------------------------------------------------------------------
+
+    def compile(self) -> bool:
+        """Do the work of frames by machine code from now on, where the extra ``fast`` is installed.
+
+        Loading takes half a second in the first call of a process, and compiling ten where no earlier process has done
+        so. An estimator of exact readings (``noise=0``) has no machine code.
+
+        Returns:
+            Whether machine code does the work. Pressures and standard deviations are the same either way.
+        """
+        self._use(machine_code=not self._exact and compiled.load(*self._loops()))
+        return self._compiled
+
+    def _use(self, *, machine_code: bool) -> None:
+        """Do the work of frames by machine code, or by array operations."""
+        self._compiled = self._noise.compiled = self._tremor.compiled = machine_code
+        self._block.line_before = self._block.line.copy()  # machine code has that from before the last step
+        self._numbers = self._numbers_of_loops()
+
+    def _loops(self) -> tuple[Loop[..., Any], ...]:
+        """All that a frame calls."""
+        return *loops.ALL, *smoothing.LOOPS, *noise_meter.LOOPS, *tremor.LOOPS
+
+    def _numbers_of_loops(self) -> FloatArray:
+        """What :func:`._loops.show` takes."""
+        full = self.full_scale_kpa
+        numbers = {
+            loops.MODEL_VARIANCE: self._model_variance,
+            loops.WITHIN: self._bends[0],
+            loops.SURE: self._bends[1],
+            loops.FULL: full,
+            loops.MUCH: USUAL * full,
+            loops.MUCH_NOISE: AT_REST * full,
+            loops.NO_LOAD: NO_LOAD_SIGMAS,
+            loops.TINY: TINY,
+            loops.HIDDEN: HIDDEN,
+            loops.PER_SIGMAS: 1.0 / SIGMAS,
+            loops.STATED: float(self._states_std),
+        }
+        return np.array([numbers[place] for place in range(len(numbers))])
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Continue from a pickle, perhaps in a process without machine code."""
+        self.__dict__.update(state)
+        if self._compiled:
+            self.compile()
 
     # -- the frame ---------------------------------------------------------------------------------------------------
 
@@ -198,8 +259,7 @@ class Estimator(ABC):
             raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
         dt = float(elapsed_s) if self._frames else 1.0
         r = self._reading = np.empty(resistance.size)
-        self._normalise(resistance.ravel(), r)
-        known = self._readable(r)
+        known = None if self._normalise(resistance.ravel(), r) else self._readable(r)
         before = self._pressure.copy()
         if not self._exact:
             self._noise.update(r, known)
@@ -263,7 +323,7 @@ class Estimator(ABC):
         before: FloatArray,
         asleep: _Asleep | None,
         reading: FloatArray,
-        left_open: _LeftOpen | None,
+        left_open: _LeftOpen | _Stated | None,
         by_gaps: FloatArray | None,
         by_creep: FloatArray | None,
     ) -> FloatArray:
@@ -273,7 +333,7 @@ class Estimator(ABC):
         else:
             variance = before.copy()
             if asleep is not None:
-                asleep.add_to(variance, reading)
+                asleep.add_to(variance, reading, compiled=self._compiled)
             if left_open is not None:
                 variance[left_open.cells] = self._variance_of(left_open)
         for more in (by_gaps, by_creep):
@@ -316,10 +376,13 @@ class Estimator(ABC):
 
     # -- steps of a frame, in their order ----------------------------------------------------------------------------
 
-    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
-        """Write the normalised resistances (n,) of the cells into ``r``."""
+    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> bool:
+        """Write the normalised resistances (n,) of the cells into ``r``; whether they were found to be credible."""
+        if self._compiled:
+            return loops.read.code(resistance_ohm, self._per_ohm, r, *self._credible)
         np.multiply(resistance_ohm, self._per_ohm, out=r)
         r -= _ONE
+        return False
 
     def _readable(self, r: FloatArray) -> BoolArray | None:
         """(n,) which readings are credible; None: all. The others become the mean of their cell, in place."""
@@ -351,31 +414,45 @@ class Estimator(ABC):
 
     def _watch(self, dt: float, r: FloatArray) -> None:
         """Wake sleeping cells whose reading, or the mean of their readings, has left what noise does."""
-        self._sum += r
+        woken = self._add_up(r)
         self._sum_s += dt
         self._summed += 1
         means = self._sum_s >= WATCH_S / MEANS
         if means:
-            share = -math.expm1(-self._sum_s / WATCH_S)
-            self._sum /= self._summed
-            self._sum -= self._mean
-            self._sum *= share
-            self._mean += self._sum
-            self._sum[:] = 0.0
-            self._sum_s, self._summed = 0.0, 0
-        if self._all_awake:
-            return
-        left = np.abs(r) > self._wake_at
-        if means:
             share = -math.expm1(-dt / WATCH_S)
             averaged = math.sqrt(share / (2 - share))
+            woken |= self._renew_means(averaged)
+        if not woken:
+            return
+        left: BoolArray = np.abs(r) > self._wake_at
+        if means:
             left |= np.abs(self._mean) > self._band + averaged * (self._wake_at - self._band)
         if np.count_nonzero(left):
-            woken = np.flatnonzero(left)
-            self._memory[:, woken] = self._begin(np.zeros(woken.size))
-            self._line[:, woken] = smoothing.begin(np.zeros(woken.size), 1.0)
-            self._awake[woken] = True
+            cells = np.flatnonzero(left)
+            self._memory[:, cells] = self._begin(np.zeros(cells.size))
+            self._line[:, cells] = smoothing.begin(np.zeros(cells.size), 1.0)
+            self._awake[cells] = True
             self._stale = True
+
+    def _add_up(self, r: FloatArray) -> bool:
+        """Add the readings (n,) to the sum of which the mean is made; whether one of them may wake its cell."""
+        if self._compiled:
+            return loops.watch.code(r, self._sum, self._wake_at)
+        self._sum += r
+        return not self._all_awake
+
+    def _renew_means(self, averaged: float) -> bool:
+        """Take the sums into the means; whether one of these may wake its cell, for noise that is ``averaged``."""
+        share, summed = -math.expm1(-self._sum_s / WATCH_S), self._summed
+        self._sum_s, self._summed = 0.0, 0
+        if self._compiled:
+            return loops.renew_means.code(self._sum, summed, self._mean, share, self._wake_at, self._band, averaged)
+        self._sum /= summed
+        self._sum -= self._mean
+        self._sum *= share
+        self._mean += self._sum
+        self._sum[:] = 0.0
+        return not self._all_awake
 
     def _choose(self, known: BoolArray | None) -> None:
         """Gather the cells to follow: those that are awake and have been read.
@@ -439,6 +516,9 @@ class Estimator(ABC):
 
     def _follow(self, dt: float, r: FloatArray) -> None:
         """Smooth the readings of cells that are followed, and let the estimator advance."""
+        if self._compiled:
+            self._follow_compiled(dt, r)
+            return
         block = self._block
         cells, line = block.cells, block.line
         every = cells.size == r.size
@@ -459,7 +539,7 @@ class Estimator(ABC):
         if smooth.begun is not None:
             self._remember(smooth.begun, reading, noise)
         block.line_before = line.copy()
-        looked = _Looked(reading, noise, smooth.std, block.line_before)
+        looked = Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
         if self._frames % (WINDOW // LOOKS) == 0:
             self._look_for_tremor(memory, self._most_seeming(memory, noise))
@@ -482,6 +562,35 @@ class Estimator(ABC):
         else:
             self._pressure[cells] = pressure
 
+    def _follow_compiled(self, dt: float, r: FloatArray) -> None:
+        """The same by machine code, except where a reading jumps."""
+        block = self._block
+        cells, line, taken = block.cells, block.line, block.taken
+        reading, noise, level, std = taken
+        loops.take.code(r, self._noise.at_rest, cells, line, taken, LEAST_NOISE)
+        if self._sparks.cells.size:
+            self._put_back(dt, reading, noise)
+        if smoothing.advance_each.code(line, block.line_before, dt, self._gains(dt).rows, taken, block.begun):
+            self._remember(block.begun, reading, noise)
+        memory = block.memory = self._advance_compiled(dt, level, std, Looked(reading, noise, std, line))
+        if self._frames % (WINDOW // LOOKS) == 0:
+            self._look_for_tremor_compiled(memory, taken)
+        added = np.zeros(cells.size)
+        if self._tremor.suspicious:
+            self._tremor.add_variance(cells, memory, taken, self._seeming, added)
+        if self._sparks.cells.size:
+            added += self._variance_of_jumps(memory)
+        variance = np.empty(cells.size)
+        loops.show.code(
+            *(memory, line, taken, added, self._numbers, self._rest_at_kpa, self._rest_variances),
+            *(cells, self._pressure, variance),
+        )
+        self._left_open = _Stated(cells, variance)
+
+    def _advance_compiled(self, dt: float, r: FloatArray, std: FloatArray, looked: Looked) -> FloatArray:
+        """The block's memory after :meth:`_advance`; an estimator that has loops for that calls them."""
+        return self._advance(self._block.memory, dt, r, std, looked.doubt)
+
     def _look_for_tremor(self, memory: FloatArray, most_kpa: FloatArray) -> None:
         """Doubt the rise of cells whose load goes to and fro within the noise; changes ``memory``.
 
@@ -496,6 +605,17 @@ class Estimator(ABC):
             if missed is not None:
                 self._miss(memory, missed)
 
+    def _look_for_tremor_compiled(self, memory: FloatArray, taken: FloatArray) -> None:
+        """The same by machine code; ``taken`` (4, m) are the readings and their noise."""
+        cells = self._block.cells
+        beside = self._noise.beside_parabola(cells)
+        self._tremor.look(cells, beside)
+        if self._frames % WINDOW == 0:
+            before = self._noise.beside
+            missed = self._tremor.end_window_compiled(cells, memory, taken, self._seeming, beside, before)
+            if missed is not None:
+                self._miss(memory, missed)
+
     def _likely(self, pressure: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """(m,) pressures with those that noise alone could give shown nearer to none.
 
@@ -504,11 +624,15 @@ class Estimator(ABC):
         """
         squared = pressure * pressure
         squared *= squared
-        likely: FloatArray = pressure * (squared / (squared + (NO_LOAD_SIGMAS * noise_kpa) ** 4 + TINY))
+        hides = NO_LOAD_SIGMAS * noise_kpa
+        hides *= hides
+        likely: FloatArray = pressure * (squared / (squared + hides * hides + TINY))
         return likely
 
-    def _variance_of(self, left_open: _LeftOpen) -> FloatArray:
+    def _variance_of(self, left_open: _LeftOpen | _Stated) -> FloatArray:
         """(m,) variance in kPa^2 of the cells that were followed in a step; gaps are not counted."""
+        if isinstance(left_open, _Stated):
+            return left_open.variance.copy()
         doubt = _ZERO if left_open.looked is None else left_open.looked.doubt()
         variance = self._own_variance(left_open.memory, doubt)
         if left_open.added is not None:
@@ -715,7 +839,8 @@ class Estimator(ABC):
 
     def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
         """(m,) kPa by which motion as large as the ``noise`` (m,) may at most let pressures seem to rise."""
-        return _ZERO
+        most: FloatArray = self._seeming * noise * memory[GAIN] ** 2
+        return most
 
     def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
         """Count what cells may remember wrong where a rise (m,) may only have seemed to be one; changes ``memory``."""
@@ -747,7 +872,7 @@ def _sum(one: FloatArray | None, other: FloatArray) -> FloatArray:
     return other if one is None else one + other
 
 
-class _Looked(NamedTuple):
+class Looked(NamedTuple):
     """The readings of one step as the smoothing took them. Arrays (m,), which never change again."""
 
     reading: FloatArray
@@ -781,8 +906,11 @@ class _Asleep(NamedTuple):
     hidden_kpa: FloatArray
     """(m,) what the noise may hide beyond, as standard deviation"""
 
-    def add_to(self, variance: FloatArray, reading: FloatArray) -> None:
+    def add_to(self, variance: FloatArray, reading: FloatArray, *, compiled: bool) -> None:
         """Add what the present readings (n,) leave open to variances (n,) in kPa^2."""
+        if compiled:
+            loops.add_asleep.code(variance, reading, self.cells, self.per_reading, self.hidden_kpa)
+            return
         std = np.abs(reading.take(self.cells))
         std *= self.per_reading
         std += self.hidden_kpa
@@ -797,10 +925,19 @@ class _LeftOpen(NamedTuple):
     """(m,) that were followed"""
     memory: FloatArray
     """(SHARED, m) first rows of their memory after the step"""
-    looked: _Looked | None
+    looked: Looked | None
     """None: readings are exact"""
     added: FloatArray | None
     """(m,) kPa^2 beside that of noise and memory"""
+
+
+class _Stated(NamedTuple):
+    """The variances of one step, worked out. Arrays never change again."""
+
+    cells: IntArray
+    """(m,) that were followed"""
+    variance: FloatArray
+    """(m,) kPa^2; gaps are not counted"""
 
 
 class _Block:
@@ -809,8 +946,16 @@ class _Block:
     def __init__(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
         self.cells, self.memory, self.line = cells, memory, line
         self.line_before = line.copy()
-        """the line after the last step; replaced, never changed"""
+        """the line after the last step; replaced, never changed. Machine code sets it when the next step begins"""
         self.scratch = smoothing.Scratch(line)
+        self.taken = np.empty((4, cells.size))
+        """readings of the step, for machine code; see :mod:`._rows`"""
+        self.begun = np.empty(cells.size, dtype=np.bool_)
+        """where a line began in the step, for machine code"""
+
+    def __reduce__(self) -> tuple[type[_Block], tuple[IntArray, FloatArray, FloatArray], dict[str, FloatArray]]:
+        """For pickle and copy: the rows in ``scratch`` are parts of the line, and would become arrays of their own."""
+        return type(self), (self.cells, self.memory, self.line), {"line_before": self.line_before}
 
 
 class _Gaps:

@@ -15,8 +15,9 @@ from scipy.special import ndtri
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..config import Finite, NotNegative, Positive, Section
-from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
+from ._estimator import Conditions, Estimator
 from ._features import Bank
+from ._rows import GAIN, PRESSURE, VARIANCE
 
 Numbers = Annotated[tuple[Finite, ...], Field(strict=False, min_length=1, max_length=4000)]
 """a list in TOML, not empty"""

@@ -13,9 +13,12 @@ independent: averaging only these costs a quarter of the accuracy and a third of
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray, median
+from ..compiled import Places, Row, Rows, loop
 
 READINGS = 200
 """over which the variance is averaged"""
@@ -63,7 +66,8 @@ _THIRD_DIFFERENCE = _rolled(_THIRD)
 _POWERS = np.vander(np.linspace(-1.0, 1.0, WINDOW), WINDOW, increasing=True)
 _BESIDE_PARABOLA = _rolled(np.linalg.qr(_POWERS)[0][:, 3:].T.copy())
 """orthonormal rows; parabolas have no part in them, white noise has its variance in each"""
-_ONE, _OUTLIER, _LEAST_VARIANCE = np.array(1.0), np.array(OUTLIER), np.array(LEAST**2)
+LEAST_VARIANCE = LEAST**2
+_ONE, _OUTLIER, _LEAST_VARIANCE = np.array(1.0), np.array(OUTLIER), np.array(LEAST_VARIANCE)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
@@ -92,11 +96,14 @@ class NoiseMeter:
         """(n,) standard deviation of r of a cell at rest; renewed in place"""
         self.quiet = np.inf
         """the least that the median cell has had of late: what is more may be the load; infinite: not known"""
-        self._beside = np.zeros(cells)
+        self.beside = np.zeros(cells)
+        """(n,) what :meth:`beside_parabola` said at the end of the last window"""
         self.resolution = np.zeros(cells)
         """(n,) the part of it that the steps of the ADC make; 0: not known"""
         self.typical_resolution = 0.0
         """that of the median cell"""
+        self.compiled = False
+        """whether the loops are there as machine code"""
 
     def resolve(self, resolution: FloatArray) -> None:
         """Take the standard deviation (n,) of r at rest that the steps of the ADC make."""
@@ -131,6 +138,11 @@ class NoiseMeter:
         """Average the square of the third difference that ends with ``r``."""
         squares = self._squares
         _THIRD_DIFFERENCE[self._seen % WINDOW].dot(self._ring, squares)
+        if self.compiled and self._looks:
+            self._looks += 1
+            average.code(squares, r, self._variance, self._blind, WINDOW - 4.0, self._share)
+            self._renew()
+            return
         np.add(r, _ONE, self._limit)
         self._limit *= self._limit
         squares /= self._limit
@@ -151,13 +163,25 @@ class NoiseMeter:
         self._limit += _LEAST_VARIANCE
         np.minimum(squares, self._limit, out=squares)
         squares -= self._variance
-        squares *= max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
+        squares *= self._share
         self._variance += squares
+        self._renew()
+
+    @property
+    def _share(self) -> float:
+        """Of a look in the average."""
+        return max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
+
+    def _renew(self) -> None:
+        """Renew the standard deviations after a look."""
         if self._expected and self._looks == KNOWN:  # what was expected leaves the average again
             self._variance += EXPECTED_LOOKS / KNOWN * (self._variance - self._expected)
             np.maximum(self._variance, LEAST**2, out=self._variance)
         if self._looks % POOL == 1:
             self._pool()
+        if self.compiled:
+            std_at_rest.code(self._variance, self.resolution, self.typical_resolution > 0.0, self.at_rest)
+            return
         np.add(self._variance, _LEAST_VARIANCE, self.at_rest)
         np.sqrt(self.at_rest, self.at_rest)
         if self.typical_resolution:
@@ -178,15 +202,22 @@ class NoiseMeter:
         A vibration within the noise looks like noise, but the board has less. Parabolas take up what moves smoothly.
         0 where that is not known.
         """
+        present: FloatArray
         if self._seen < WINDOW or not np.isfinite(self.quiet):
             return np.zeros(cells.size)
-        ring = self._ring[:, cells]
+        ring = self._ring.take(cells, axis=1)
         beside = np.dot(_BESIDE_PARABOLA[self._seen % WINDOW], ring)
+        if self.compiled:
+            present = np.empty(cells.size)
+            last = (self._seen - 1) % WINDOW
+            beside_each.code(cells, beside, ring, last, self.quiet, self.resolution, self._blind, present)
+            return present
         scale = ring[(self._seen - 1) % WINDOW] + 1.0
         scale *= scale
         scale *= np.maximum(self.quiet, self.resolution[cells])
         beside /= scale
-        present: FloatArray = np.einsum("ij,ij->j", beside, beside) / len(beside)
+        beside *= beside
+        present = np.add.accumulate(beside)[-1] / len(beside)
         if self._any_blind:
             present[self._blind[cells] > 0] = 0.0
         return present
@@ -196,10 +227,10 @@ class NoiseMeter:
 
         To be called every :data:`WINDOW` frames, with what :meth:`beside_parabola` says at ``present`` (m,).
         """
-        before = self._beside[cells]
+        before = self.beside[cells]
         found: FloatArray = np.minimum(present, before)
         found[np.maximum(present, before) > CROSSED] = 0.0
-        self._beside[cells] = present
+        self.beside[cells] = present
         return found
 
     def std(self, r: FloatArray, cells: slice | IntArray = slice(None)) -> FloatArray:
@@ -224,15 +255,70 @@ class NoiseMeter:
             "noise_resolution": self.resolution,
             "noise_counts": np.array([self._looks, self._seen, self._any_blind], dtype=np.float64),
             "noise_of_array": np.array([self.typical, self.quiet]),
-            "noise_beside": self._beside,
+            "noise_beside": self.beside,
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a :meth:`state`."""
         self._ring, self._blind, self._variance = (state[f"noise_{name}"] for name in ("ring", "blind", "variance"))
-        self._beside = state["noise_beside"]
+        self.beside = state["noise_beside"]
         looks, seen, any_blind = state["noise_counts"].tolist()
         self.typical, self.quiet = state["noise_of_array"].tolist()
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
         self.at_rest = np.sqrt(self._variance + LEAST**2)
         self.resolve(state["noise_resolution"])
+
+
+@loop
+def average(squares: Row, r: Row, variance: Row, blind: Row, since: float, share: float) -> None:
+    """:meth:`NoiseMeter._average`, of third differences (n,) that are not squared yet, as a loop over cells.
+
+    Cells keep their variance that are ``blind`` (n,) for more than ``since`` frames to come.
+    """
+    for i in range(r.size):
+        scale = r[i] + 1.0
+        square = squares[i] / (scale * scale)
+        square *= square
+        if blind[i] > since:
+            square = variance[i]
+        limit = variance[i] * OUTLIER + LEAST_VARIANCE
+        variance[i] += (min(square, limit) - variance[i]) * share
+
+
+@loop
+def std_at_rest(variance: Row, resolution: Row, resolved: bool, std: Row) -> None:
+    """Standard deviations (n,) of r at rest from the variances of the noise, as a loop over cells."""
+    for i in range(std.size):
+        std[i] = math.sqrt(variance[i] + LEAST_VARIANCE)
+        if resolved:
+            std[i] = max(std[i], resolution[i])
+
+
+@loop
+def beside_each(
+    cells: Places, beside: Rows, ring: Rows, last: int, quiet: float, resolution: Row, blind: Row, present: Row
+) -> None:
+    """The rest of :meth:`NoiseMeter.beside_parabola` as a loop over cells, into ``present`` (m,).
+
+    Args:
+        cells: (m,) indices.
+        beside: (k, m) parts of the readings that parabolas do not take up.
+        ring: (WINDOW, m) readings, of which those in row ``last`` are the present ones.
+        last: that row.
+        quiet: the board's noise.
+        resolution: (n,) what the steps of the ADC add.
+        blind: (n,) frames for which a cell's readings are not complete.
+        present: (m,), changed.
+    """
+    rows = beside.shape[0]
+    for i in range(cells.size):
+        scale = ring[last, i] + 1.0
+        scale = scale * scale * max(quiet, resolution[cells[i]])
+        total = 0.0
+        for row in range(rows):
+            part = beside[row, i] / scale
+            total += part * part
+        present[i] = 0.0 if blind[cells[i]] > 0.0 else total / rows
+
+
+LOOPS = average, std_at_rest, beside_each

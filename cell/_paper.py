@@ -10,15 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import lru_cache, partial
-from typing import NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..compiled import Loop
 from . import _lag as lag
-from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
+from . import _turning_loops as loops
+from ._estimator import Conditions, Estimator, Looked
 from ._models import PaperModel
 from ._noise import WINDOW
+from ._rows import GAIN, PRESSURE, VARIANCE
+from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
+
+M = TypeVar("M")
+T = TypeVar("T")
 
 LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
@@ -123,6 +130,18 @@ STATE_ROWS, R_ROW = [PRESSURE, 5, 6, 7], 3
 """rows of the memory of :class:`PaperEstimator`: pressure, settled, x2, x3; and the reading"""
 
 
+class ByStep(Generic[M, T]):
+    """What one time step does, for each length of step: computed once."""
+
+    def __init__(self, computed: Callable[[M, float], T], model: M) -> None:
+        self._made_from = computed, model
+        self.of = lru_cache(maxsize=1024)(partial(computed, model))
+
+    def __reduce__(self) -> tuple[type[ByStep[M, T]], tuple[Callable[[M, float], T], M]]:
+        """For pickle and copy: without what was computed."""
+        return type(self), self._made_from
+
+
 class PaperEstimator(Estimator):
     """The paper's estimator (P8): invert the rising or the recovery model, as dr/dt and two thresholds say.
 
@@ -144,7 +163,7 @@ class PaperEstimator(Estimator):
         conditions: Conditions,
     ) -> None:
         self.model = model
-        self._weights_of = lru_cache(maxsize=1024)(partial(switch_weights, model))
+        self._weights = ByStep(switch_weights, model)
         self._thresholds_per_s = model.thresholds_per_s(full_scale_kpa)
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, MEMORIES * steepest)
@@ -160,7 +179,7 @@ class PaperEstimator(Estimator):
     def _advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
-        weights = self._weights_of(dt_s)
+        weights = self._weights.of(dt_s)
         rises, falls = self._thresholds_per_s
         was_rising = memory[4] > 0
         followed = (r - memory[8]) * weights.smoothing
@@ -197,17 +216,11 @@ class PaperEstimator(Estimator):
         return held
 
 
-LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
-"""rows: the pressures of the last three frames; variance from turns not known to the point, which fades; 1 rising, -1
-in recovery; the largest sign times pressure since the last turn, less :data:`LESS` and less one standard deviation; the
-extreme that was left at an unconfirmed turn, else ``FAR``"""
 IN_FORCE, STATE = slice(11, 13), slice(13, 20)
 """1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
 RISING, RECOVERY = 0, 1
 HYPOTHESES = ("rising_pressure", "recovery_pressure", "settled", "x2", "rising_x3", "recovery_x3", "r")
 """pressure, own state, and slow branch of the rising and of the recovery model in turn; the reading of both"""
-FAR = 1e12
-"""kPa: no extreme"""
 
 
 class TurnWeights(NamedTuple):
@@ -285,7 +298,7 @@ class TurningEstimator(Estimator):
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, MEMORIES * steepest)
         full_r = model.gain_per_kpa * full_scale_kpa
-        self._weights_of = lru_cache(maxsize=1024)(partial(turn_weights, model))
+        self._weights = ByStep(turn_weights, model)
         self._taken_over = taken_over(model)
         self._bend = 1 / model.eu1_kpa + 1 / model.etau2_kpa - 1 / model.e1_kpa
         """r per kPa by which the answer to a fast rise exceeds that to a fast fall"""
@@ -297,6 +310,8 @@ class TurningEstimator(Estimator):
         self._usual = USUAL * full_scale_kpa
         self._of = _Rows(np.zeros((len(self.rows), 0)), TURN * full_scale_kpa)
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
+        self._bends = BETWEEN * self._bend, SURE
+        self._seeming = WINDOW * UNSEEN * self._bend
         # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
         self._sure, self._less, self._again, self._either, self._far = (
             np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
@@ -307,6 +322,7 @@ class TurningEstimator(Estimator):
         )
         # What is below zero is an error that fades, and no turn.
         self._least_kpa = np.array(self._lowest if self._exact else 0.0)
+        self._turns = self._numbers_of_turns()
 
     def _begin(self, r: FloatArray) -> FloatArray:
         m = self.model
@@ -321,7 +337,7 @@ class TurningEstimator(Estimator):
     def _advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
-        w = self._weights_of(dt_s)
+        w = self._weights.of(dt_s)
         of = self._of
         if memory is not of.memory:
             of = self._of = _Rows(memory, TURN * self.full_scale_kpa)
@@ -395,6 +411,54 @@ class TurningEstimator(Estimator):
         np.add(apart, of.doubt, of.variance)
         return memory
 
+    def _loops(self) -> tuple[Loop[..., Any], ...]:
+        return *super()._loops(), *loops.ALL
+
+    def _numbers_of_turns(self) -> FloatArray:
+        """What the loops take."""
+        numbers: dict[int, float | FloatArray] = {
+            loops.LOWEST: self._lowest,
+            loops.USUAL: self._usual,
+            loops.SURE: SURE,
+            loops.TURN_KPA: self._turn_kpa,
+            loops.LEAST_KPA: self._least_kpa,
+            loops.PULLED_KPA: -NEAR * self.full_scale_kpa,
+            loops.FLAT_KPA: self._flat_kpa,
+            loops.EXACT_KPA: self._exact_kpa,
+            loops.AGAIN: AGAIN,
+            loops.LESS: LESS,
+            loops.EITHER: EITHER,
+            loops.LEFT_OVER: self._left,
+            loops.CLEAR: self._clear_kpa2,
+            loops.JUST_BEGUN: JUST_BEGUN,
+            loops.BETWEEN: BETWEEN,
+            loops.BEND: self._bend,
+            loops.ROUND_KPA: ROUND * self.full_scale_kpa,
+            loops.MOST_KPA2: self._most_kpa**2,
+            loops.CONFIRMED_RISE: CONFIRMED_RISE,
+            loops.CONFIRMED_FALL: CONFIRMED_FALL,
+        }
+        return np.array([float(numbers[place]) for place in range(len(numbers))])
+
+    def _advance_compiled(self, dt: float, r: FloatArray, std: FloatArray, looked: Looked) -> FloatArray:
+        w, memory, of, numbers = self._weights.of(dt), self._block.memory, self._of, self._turns
+        if memory is not of.memory:
+            of = self._of = _Rows(memory, TURN * self.full_scale_kpa)
+        loops.take.code(memory, r)
+        w.step.dot(of.state, of.change)
+        if loops.step.code(memory, of.change, numbers):
+            self._limit(of, w)
+        of.take_gains(w)
+        found = loops.take_turns.code(memory, std, w.by_model, of.beside, of.flags, numbers)
+        if found & loops.PULLED:
+            self._correct(of, looked.doubt(), w)
+        self._taken_over.dot(of.state, of.change)
+        unconfirmed = found & loops.UNCONFIRMED > 0
+        if loops.begin_anew.code(memory, of.change, of.beside, of.flags, unconfirmed, numbers):
+            self._keep(of, of.spare, of.where)
+            np.add(of.spare, of.doubt, of.variance)
+        return memory
+
     def _keep(self, of: _Rows, apart: FloatArray, begun: BoolArray) -> None:
         """Where the other hypothesis has ``begun`` anew though it was apart by more than noise, the doubt stays.
 
@@ -408,10 +472,6 @@ class TurningEstimator(Estimator):
         np.copyto(lost, 0.0, where=~begun)
         of.doubt += lost + np.sqrt(of.doubt * lost)
         np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
-
-    def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
-        most: FloatArray = WINDOW * UNSEEN * self._bend * noise * memory[GAIN] ** 2
-        return most
 
     def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """A load to and fro within the noise seems to rise: r goes up by one model, and would go down by the other."""
@@ -567,21 +627,27 @@ class _Rows:
         self.share = np.empty((2, cells))
         self.rising_share, self.recovery_share = self.share
         self.rising_kpa, self.recovery_kpa = self.pressures
-        self.unsure, self.threshold, self.spare, self.noise, self.ahead, self.nearby = np.empty((6, cells))
-        self.confirming_sigmas, self.confirming_kpa = np.empty((2, cells))
-        """how far the model that was left must have gone back for a turn to be certain: standard deviations, and kPa"""
-        self.where, self.near, self.confirmed = np.empty((3, cells), dtype=np.bool_)
-        self.not_in_force = np.empty((2, cells))
+        self.beside = np.empty((13, cells))
+        """what follows from the memory, rows as in :mod:`._turning_loops`"""
+        self.unsure, self.threshold, self.spare, self.noise, self.ahead, self.nearby = self.beside[:6]
+        self.not_in_force, self.of_model = self.beside[6:8], self.beside[10:]
         self.not_rising, self.not_recovery = self.not_in_force
-        self._of_model = np.empty((3, cells))
-        self._gain, self.other_gain, self.fade = self._of_model
+        self.confirming_sigmas, self.confirming_kpa = self.beside[8:10]
+        """how far the model that was left must have gone back for a turn to be certain: standard deviations, and kPa"""
+        self._gain, self.other_gain, self.fade = self.of_model
+        self.flags = np.empty((3, cells), dtype=np.bool_)
+        self.where, self.near, self.confirmed = self.flags
         self._weights: TurnWeights | None = None
+
+    def __reduce__(self) -> tuple[type[_Rows], tuple[FloatArray, float]]:
+        """For pickle and copy: rows of the memory are parts of it, which would become arrays of their own."""
+        return type(self), (self.memory, self._turn_kpa)
 
     def take_gains(self, weights: TurnWeights, *, anew: bool = False) -> None:
         """What depends on the hypothesis in force; ``anew``: another one may be in force than in the last frame."""
         if weights is self._weights and not anew:
             return
-        weights.by_model.dot(self.in_force, self._of_model)
+        weights.by_model.dot(self.in_force, self.of_model)
         self.gain[...] = self._gain
         if anew or self._weights is None:
             self.not_in_force[...] = self.in_force[::-1]

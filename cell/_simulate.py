@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
-from scipy.signal import lfilter
 
 from ..arrays import BoolArray, FloatArray
 from . import _lag as lag
@@ -58,7 +57,7 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float, begun: FloatArray
     moved[0] = begun[2]
     broken = np.empty((samples, cells))
     for cell in range(cells):
-        broken[:, cell] = lfilter([1.0], [1.0, gone[cell] - 1], moved[:, cell])
+        broken[:, cell] = _recursion(moved[:, cell], 1 - gone[cell])
     r: FloatArray = a * load + b * load**2 + branches.sum(axis=1) + broken
     return r
 
@@ -120,7 +119,7 @@ def paper(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
     for cell in range(cells):
         stay3 = 1 - gone3[cell]
         x3[0, cell] = first = gain3[cell] * load[0, cell]
-        x3[1:, cell] = lfilter([1.0], [1.0, -stay3], into3[:, cell], zi=[stay3 * first])[0]
+        x3[1:, cell] = _recursion(into3[:, cell], stay3, stay3 * first)
 
     # Which way each load last went, upwards at first.
     sign = np.sign(np.diff(load, axis=0, prepend=load[:1] - 1))
@@ -201,15 +200,22 @@ def wandering(
     keep = np.exp(-dt_s / seconds)
     white = std * rng.standard_normal((samples, cells))
     white[1:] *= np.sqrt(1 - keep**2)
-    noise: FloatArray = lfilter([1.0], [1.0, -keep], white, axis=0)
-    return noise
+    return _recursion(white, keep)
 
 
 def lagging(load: FloatArray, dt_s: float, seconds: FloatArray, first: FloatArray) -> FloatArray:
     """Loads (n, m) behind lags of ``seconds`` (m,) that begin at ``first`` (m,): slow creep, and what came before."""
     found = np.empty_like(load)
     for cell, keep in enumerate(np.exp(-dt_s / seconds)):
-        found[:, cell] = lfilter([1 - keep], [1.0, -keep], load[:, cell], zi=[keep * first[cell]])[0]
+        found[:, cell] = _recursion((1 - keep) * load[:, cell], keep, keep * first[cell])
+    return found
+
+
+def _recursion(into: FloatArray, keep: float, before: float = 0.0) -> FloatArray:
+    """First-order recursive filter along axis 0: ``y[k] = keep y[k-1] + into[k]``, and ``before`` added to y[0]."""
+    from scipy.signal import lfilter  # loads scipy.stats, which takes as long as all else of this package
+
+    found: FloatArray = lfilter([1.0], [1.0, -keep], into, axis=0, zi=np.full((1, *into.shape[1:]), before))[0]
     return found
 
 

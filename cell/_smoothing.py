@@ -17,6 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
+from ..compiled import Flags, Rows, loop
+from ._rows import NOISE, READING, SMOOTHED, STD
 
 ALLOWED = 0.75
 """standard deviations that a reading may be off without adding to the sum"""
@@ -29,11 +31,12 @@ STEEPEST = 15.0
 """standard deviations of a reading by which readings usually change within the window"""
 SHORTEST_S, LONGEST_S = 0.03, 3.0
 """limits of the time in which the weight of a reading falls to 1/e"""
-LEVEL, SLOPE, COUNT, SUMS = 0, 1, 2, slice(3, 5)
+LEVEL, SLOPE, COUNT, UP, DOWN, SUMS = *range(5), slice(3, 5)
 """rows of the memory: the line now, its slope per second, readings since it began; sums of departures upwards and
 downwards"""
 ROWS = 5
-_ALLOWED, _SUM, _FAR, _FAR_SHARE = (np.array(x) for x in (ALLOWED, SUM, FAR, 1.0 - NEAR))
+FAR_SHARE = 1.0 - NEAR
+_ALLOWED, _SUM, _FAR, _FAR_SHARE = (np.array(x) for x in (ALLOWED, SUM, FAR, FAR_SHARE))
 _ZERO, _ONE = np.array(0.0), np.array(1.0)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
@@ -171,3 +174,50 @@ def gains_for(window: float, dt_s: float) -> Gains:
     """Gains for a window on a grid of 10 %, so that time stamps that jitter share a table."""
     steps = max(window / max(dt_s, 1e-9), 0.5)
     return gains(float(1.1 ** round(math.log(steps) / math.log(1.1))))
+
+
+@loop
+def advance_each(line: Rows, before: Rows, dt_s: float, gains: Rows, taken: Rows, begun: Flags) -> bool:
+    """:func:`advance` as a loop over cells.
+
+    Args:
+        line: (ROWS, m), changed.
+        before: (ROWS, m), to keep the line from before.
+        dt_s: since the last readings.
+        gains: (3, n), ``rows`` of :class:`Gains`.
+        taken: (4, m) readings and their noise; given their smoothed values and the standard deviations of these.
+        begun: (m,) to mark where a new line begins.
+
+    Returns:
+        Whether one begins.
+    """
+    last = gains.shape[1] - 1
+    any_begun = False
+    for i in range(begun.size):
+        for row in range(ROWS):
+            before[row, i] = line[row, i]
+        r, noise = taken[READING, i], taken[NOISE, i]
+        level = line[LEVEL, i] + line[SLOPE, i] * dt_s
+        off = r - level
+        z = off / noise
+        up = max(line[UP, i] + z - ALLOWED, 0.0)
+        down = max(line[DOWN, i] - z - ALLOWED, 0.0)
+        count = line[COUNT, i] + 1.0
+        n = min(int(count), last)
+        level += gains[0, n] * off
+        slope = line[SLOPE, i] + gains[1, n] * off / dt_s
+        share = gains[2, n]
+        begins = up > SUM or down > SUM
+        if begins:
+            level, slope, count, up, down, share = r, 0.0, 0.0, 0.0, 0.0, 1.0
+            if abs(z) < FAR:
+                level = r - off * FAR_SHARE
+                count = 1.0
+        line[LEVEL, i], line[SLOPE, i], line[COUNT, i], line[UP, i], line[DOWN, i] = level, slope, count, up, down
+        taken[SMOOTHED, i], taken[STD, i] = level, share * noise
+        begun[i] = begins
+        any_begun |= begins
+    return any_begun
+
+
+LOOPS = (advance_each,)

@@ -7,9 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from ..arrays import FloatArray
-from ._estimator import GAIN, PRESSURE, VARIANCE, Conditions, Estimator
+from ._estimator import Conditions, Estimator
 from ._learned import BEYOND, STEEPER, StaticCurve, credible_range
 from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
+from ._rows import GAIN, PRESSURE, VARIANCE
 
 POINTS, REACH = 1025, 3
 """of the tabulated equilibrium curve from rest to full scale, and how many times full scale it reaches: an overload
@@ -109,10 +110,9 @@ class EquilibriumEstimator(Estimator):
         self._shift = 1 / rest - self._per_ohm
         """S, to the conductance of a contact whose rest resistance is that of the curve"""
 
-    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> None:
+    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> bool:
         if not isinstance(self.model, ContactModel):
-            super()._normalise(resistance_ohm, r)
-            return
+            return super()._normalise(resistance_ohm, r)
         with np.errstate(divide="ignore"):
             np.divide(1.0, resistance_ohm, out=r)
             r += self._shift
@@ -120,6 +120,7 @@ class EquilibriumEstimator(Estimator):
             np.copyto(r, np.nan, where=~np.isfinite(resistance_ohm) | (r <= 0))  # no contact and no cell conducts so
             np.divide(1.0, r, out=r)
         r -= 1.0
+        return False
 
     def _begin(self, r: FloatArray) -> FloatArray:
         x = self._sign * r

@@ -8,6 +8,7 @@ measurements", INFOCOM 1999; hull by Andrew's monotone chain). A delay that neve
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 from ._past import ClockPast
@@ -40,8 +41,14 @@ class ClockMap:
 
     @property
     def drift_ppm(self) -> float:
-        """How much faster the host's clock runs than the board's, in parts per million."""
-        return 1e6 * self._drift
+        """How much faster the host's clock runs than the board's, in parts per million.
+
+        0 until 5 s of even pace have passed.
+
+        NaN where the line is as steep as is allowed: the board's time is not that of a clock, as in an emulation at the
+        fast clock, which runs as fast as its host reads.
+        """
+        return 1e6 * self._drift if abs(self._drift) < LARGEST_DRIFT else math.nan
 
     def state(self) -> ClockPast:
         """Everything remembered, which :meth:`restore` takes."""
@@ -86,14 +93,17 @@ class ClockMap:
             self._least = (x, y)
         elif y < self._least[1]:
             self._least = (x, y)
-        if y < self._line(x) - STEP_S:
+        line = self._line(x)
+        if y < line - STEP_S:
             # No drift does this: the clock was set forward, or all frames before had waited in a buffer.
             self._buckets.clear()
             self._drift = 0.0
-        if y < self._line(x):
+            line = self._line(x)
+        if y < line:
             # Less delayed than any frame before: the line is moved down to this frame.
             self._anchor = (x, y)
-        return self._origin[1] + x + self._line(x)
+            line = y
+        return self._origin[1] + x + line
 
     def _line(self, x: float) -> float:
         return self._anchor[1] + self._drift * (x - self._anchor[0])

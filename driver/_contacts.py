@@ -2,7 +2,8 @@
 
 A pixel-wise threshold flickers with noise. As in Canny's edge detector, cells above a low threshold form a contact only
 if one of them is above a high threshold, or if the contact was there a moment ago. Each cell has a hysteresis, too: the
-cell between two fingers neither joins nor parts them from frame to frame. :mod:`._tracks` gives the contacts their ids.
+cell between two fingers neither joins nor parts them from frame to frame. Fingers that touch are parted along the
+valley between them (:mod:`._watershed`). :mod:`._tracks` gives the contacts their ids.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from ..arrays import BoolArray, FloatArray, IntArray
+from ..arrays import FloatArray, IntArray
 from ._later import Later
 from ._tracks import Named, Patch, Tracks
+from ._watershed import part
 
 START_STDS, JOIN_STDS, STAY_STDS = 5.0, 3.2, 2.5
 """a contact begins, takes in a further cell, and keeps a cell at so many standard deviations of the cell's pressure"""
@@ -59,7 +61,8 @@ class ContactTracker:
         self.shape = shape
         self.pitch_m = pitch_m
         self.full_scale_kpa = full_scale_kpa
-        self._touched: BoolArray = np.zeros(shape, dtype=bool)
+        self._labels: IntArray = np.zeros(shape, dtype=int)
+        self._were_parted = False
         self._tracks = Tracks(1e3 * pitch_m)
         self._places: IntArray = np.indices(shape).reshape(2, -1).T.copy()
         """(cells, 2) row and column of each cell of the flattened array"""
@@ -75,7 +78,8 @@ class ContactTracker:
         """
         labels, patches = self._find(pressure_kpa, std_kpa)
         names = self._tracks.follow(time_s, patches, labels)
-        self._touched = (labels > 0).reshape(self.shape)
+        self._labels = labels.reshape(self.shape)
+        self._were_parted = not all(patch.alone for patch in patches)
         return self._contacts(patches, names)
 
     def look_back(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[Contact, ...]:
@@ -88,20 +92,25 @@ class ContactTracker:
         full = self.full_scale_kpa
         start = np.fmax(START_STDS * std_kpa, START_SHARE * full)  # not NaN where the deviation is
         begins = pressure_kpa > start  # False where NaN
-        if not (begins.any() or self._touched.any()):
+        touched = self._labels > 0
+        if not (begins.any() or touched.any()):
             return np.zeros(pressure_kpa.size, dtype=int), []
         stay = np.fmax(STAY_STDS * std_kpa, STAY_SHARE * full)
         join = np.fmax(JOIN_STDS * std_kpa, JOIN_SHARE * full)
-        candidates = pressure_kpa > np.where(self._touched, stay, join)
+        candidates = pressure_kpa > np.where(touched, stay, join)
         found, count = ndimage.label(candidates, structure=NEIGHBOURS)
         kept = np.zeros(count + 1, dtype=bool)
-        kept[found[begins | (self._touched & candidates)]] = True
+        kept[found[begins | (touched & candidates)]] = True
         kept[0] = False
-        labels = np.where(kept, np.cumsum(kept), 0)[found].ravel()
-        return labels, self._measure(labels, pressure_kpa)
+        labels = np.where(kept, np.cumsum(kept), 0)[found]
+        fingers = part(labels, pressure_kpa, std_kpa, begins, self._labels, were_parted=self._were_parted)
+        return fingers.ravel(), self._measure(fingers.ravel(), labels.ravel(), pressure_kpa)
 
-    def _measure(self, labels: IntArray, pressure_kpa: FloatArray) -> list[Patch]:
-        """Centre, force, peak and spread of each labelled patch, in one pass over the touched cells."""
+    def _measure(self, labels: IntArray, connected: IntArray, pressure_kpa: FloatArray) -> list[Patch]:
+        """Centre, force, peak and spread of each labelled patch, in one pass over the touched cells.
+
+        ``connected`` (cells,) are the labels that patches which touch each other share.
+        """
         cells = np.flatnonzero(labels)
         if not len(cells):
             return []
@@ -117,10 +126,14 @@ class ContactTracker:
         variances = (squares / totals - x_mean**2 - y_mean**2) / 2
         forces = 1e3 * self.pitch_m**2 * totals
         peaks = np.maximum.reduceat(pressure, starts)
-        measures = (x_mean, y_mean, forces, peaks, variances, starts, ends)
+        shared = connected[cells[starts]]
+        alone = np.bincount(shared)[shared] == 1
+        measures = (x_mean, y_mean, forces, peaks, variances, alone, starts, ends)
         return [
-            Patch(x, y, force, peak, variance, cells[start:end], places[start:end], pressure[start:end])
-            for x, y, force, peak, variance, start, end in zip(*(measure.tolist() for measure in measures), strict=True)
+            Patch(x, y, force, peak, variance, one, cells[start:end], places[start:end], pressure[start:end])
+            for x, y, force, peak, variance, one, start, end in zip(
+                *(measure.tolist() for measure in measures), strict=True
+            )
         ]
 
     def _contacts(self, patches: list[Patch], names: list[Named]) -> tuple[Contact, ...]:

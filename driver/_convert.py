@@ -252,9 +252,11 @@ class Converter:
         gap_s = 0.0 if self._last_s is None else frame.time_s - self._last_s
         self._last, self._last_s = frame, frame.time_s
         reading = self._read(frame.counts)
-        self._counters.converted += 1
-        self._counters.unsolved += not reading.solved
-        self._counters.reasons = reading.reason
+        counters = self._counters
+        counters.converted += 1
+        if not reading.solved:
+            counters.unsolved += 1
+        counters.reasons = reading.reason
         if self._judged is not None:
             self._judge(reading)
         while self._rest_changes and frame.monotonic_time > self._rest_changes[0][0]:
@@ -278,16 +280,17 @@ class Converter:
 
     def _estimate(self, gap_s: float, reading: Reading) -> tuple[FloatArray, Later]:
         """Pressures (rows, columns) in kPa and their standard deviations."""
-        if self._estimator is None or self._systematic is None:
+        estimator, calibration = self._estimator, self._calibration
+        if estimator is None or self._systematic is None:
             unknown = np.full(reading.valid.shape, np.nan)
             return unknown, Later(unknown.copy)
-        if not self._estimator.resolved:
-            self._estimator.resolve(reading.step_std, reading.resistance)
-        common = self._estimator.step(gap_s, reading.for_estimation)
+        if not estimator.resolved:
+            estimator.resolve(reading.step_std, reading.resistance)
+        common = estimator.step(gap_s, reading.resistance if reading.all_valid else reading.for_estimation)
         systematic = self._systematic.take(reading, rest_known=self._rest_known)
-        std = Later(partial(_std, self._estimator.variance_of_last_step(), systematic, common, self._calibration))
+        std = Later(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
         self._retained.add(std)
-        return common if self._calibration is None else self._calibration.applied(common), std
+        return common if calibration is None else calibration.applied(common), std
 
     @property
     def _rest_known(self) -> bool:
@@ -358,9 +361,11 @@ class Converter:
             rest_error = TARE_DRIFT
         if rest_ohm is None and self._calibration is not None:
             rest_ohm = self._calibration.rest_ohm
-        return self.cell.estimator(
+        estimator = self.cell.estimator(
             self.design.array.shape, self._estimator_name, rest_resistance_ohm=rest_ohm, rest_error=rest_error
         )
+        estimator.compile()
+        return estimator
 
 
 def _std(

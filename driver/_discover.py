@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from ..errors import LinkError, OhmskinError
 from ..wire import Family, FramePacket, Identity, Order, board_family, host_protocol
-from ._port import open_port, serial_ports, usb_serial_number
+from ._port import emulated_ports, open_port, serial_ports, usb_serial_number
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,8 @@ def discover(
     the language of the family, are left out.
 
     Args:
-        ports: names to look at; None: all serial ports that the operating system lists.
+        ports: names to look at; None: all serial ports that the operating system lists, and the pseudo-terminals and
+            sockets of boards that this user emulates on this machine.
         board: family of the boards.
         timeout: s to wait for an answer.
 
@@ -45,7 +46,7 @@ def discover(
 
     """
     board_family(board)
-    names = list(serial_ports() if ports is None else ports)
+    names = list(dict.fromkeys([*serial_ports(), *emulated_ports()] if ports is None else ports))
     if not names:
         return []
     with ThreadPoolExecutor(max_workers=min(len(names), 32)) as pool:
@@ -80,12 +81,15 @@ def _ask(name: str, board: str | Family, timeout_s: float) -> FoundBoard | None:
         port = open_port(name, baudrate=family.baud_rate, dtr=family.dtr, rts=family.rts)
     except LinkError:
         return None
+    # A board that says who it is need not send frames for that; one at the fast clock would spend its time on them.
+    knock = [Order.ONE_FRAME] if family.polled else [] if family.has_description else [Order.START]
+    orders = [Order.IDENTIFY, *knock]
     try:
         deadline = time.monotonic() + timeout_s
         ask_at = 0.0
         while (now := time.monotonic()) < deadline:
             if now >= ask_at:
-                for order in (Order.IDENTIFY, Order.ONE_FRAME) if family.polled else (Order.IDENTIFY, Order.START):
+                for order in orders:
                     port.write(protocol.request(order))
                 ask_at = now + timeout_s / 3
             port.wait(min(ask_at, deadline) - now)

@@ -10,7 +10,7 @@ from ..cell import Cell
 from ..circuits import Design
 from ..config import parse
 from ..errors import InputError, ProtocolError
-from ..wire import Description, Family, Identity, board_protocol, write_description
+from ..wire import Description, Family, FramePacket, Identity, board_protocol, write_description
 
 S = TypeVar("S", Design, Cell)
 
@@ -35,6 +35,7 @@ class Introduction:
         self.description: Description | None = None
         self._given = design, cell
         self._both_given = design is not None and cell is not None
+        self._frame_came = False
         self.must_identify = False
         """the serial number is waited for, too, where the family has one: a calibration is that of one board"""
 
@@ -48,8 +49,11 @@ class Introduction:
         """Whether all is known that the board will say."""
         if self.must_identify and self.family.has_description and self.identity is None:
             return False
-        if self.description is not None or not self.family.has_description or self._both_given:
+        if self.description is not None or not self.family.has_description:
             return True
+        if self._both_given:
+            # Nothing else is needed, but the board's first word tells whether the design is of its size.
+            return self.identity is not None or self._frame_came
         return self.identity is not None and not self.identity.description_bytes
 
     def as_bytes(self) -> bytes:
@@ -61,22 +65,41 @@ class Introduction:
             said += b"".join(board.describe(text, sequence=0, time_us=0, boot_id=described.boot_id or 0))
         return said
 
-    def hear(self, event: Identity | Description) -> None:
+    def hear(self, event: Identity | Description | FramePacket) -> None:
         """Take a packet.
 
         Raises:
             ProtocolError: the board says something else than before, or exceeds the limits.
+            InputError: the design that was given is not of this board: another size, or another converter.
 
         """
+        if isinstance(event, FramePacket):
+            self._check_given(event.rows, event.columns)
+            self._frame_came = True
+            return
         difference = self.difference(event)
         if difference:
             raise ProtocolError(f"{self.port_name}: {difference}; open the skin again")
         if isinstance(event, Identity):
+            self._check_given(event.rows, event.columns, event.adc_bits)
             self.identity = event
             return
         if self.description is None:
             check_limits(event, self.port_name)
         self.description = event
+
+    def _check_given(self, rows: int, columns: int, adc_bits: int | None = None) -> None:
+        """Compare the board with the design that was given, if one was; InputError."""
+        design = self._given[0]
+        if design is None:
+            return
+        if (rows, columns) != design.array.shape:
+            board, given = f"{rows} x {columns} cells", "{} x {}".format(*design.array.shape)
+        elif adc_bits is not None and design.adc is not None and adc_bits != design.adc.bits:
+            board, given = f"a converter of {adc_bits} bits", f"one of {design.adc.bits}"
+        else:
+            return
+        raise InputError(f"{self.port_name}: the board has {board}, the design that was given has {given}")
 
     def difference(self, event: Identity | Description) -> str:
         """In what the board that speaks differs from the board from before; empty where it does not."""

@@ -151,8 +151,9 @@ class Mailbox:
     def move(self, place: Place, index: int) -> None:
         """Note that a taker has passed frame ``index``. Frames that all takers have passed are dropped."""
         with self.lock:
-            place.index = max(place.index, index)
-            self._drop_passed()
+            if index > place.index:
+                place.index = index
+                self._drop_passed()
 
     def oldest(self) -> int:
         """Number of the oldest frame that is kept, or of the next one that will be."""

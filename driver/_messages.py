@@ -18,6 +18,18 @@ PRESSURE_TOPIC, FRAME_TOPIC = "/ohmskin/pressure", "/ohmskin/frame"
 
 _NUMBER = {"type": "number"}
 _TIME = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+_CONTACT = {
+    "type": "object",
+    "properties": {
+        "id": {"type": "integer"},
+        "joined": {"type": "array", "items": {"type": "integer"}},
+        "x_mm": _NUMBER,
+        "y_mm": _NUMBER,
+        "area_mm2": _NUMBER,
+        "force_n": _NUMBER,
+        "peak_kpa": _NUMBER,
+    },
+}
 _IMAGE_SCHEMA = {
     "title": "foxglove.RawImage",
     "type": "object",
@@ -55,7 +67,7 @@ _FRAME_SCHEMA = {
         "rebooted": {"type": "boolean"},
         "valid_cells": {"type": "integer"},
         "largest_kpa": {"type": ["number", "null"]},
-        "contacts": {"type": "array", "items": {"type": "object"}},
+        "contacts": {"type": "array", "items": _CONTACT},
     },
 }
 
@@ -91,6 +103,7 @@ def _numbers(frame: Frame) -> dict[str, Any]:
     values["contacts"] = [
         {
             "id": contact.id,
+            "joined": list(contact.joined),
             "x_mm": contact.x_mm,
             "y_mm": contact.y_mm,
             "area_mm2": contact.area_mm2,

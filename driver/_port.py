@@ -21,7 +21,8 @@ from urllib.parse import urlsplit
 import serial
 from serial.tools import list_ports
 
-from ..errors import LinkError
+from ..errors import LinkEnded, LinkError
+from ..rendezvous import announced, announced_ports
 
 BAUDRATE = 1_000_000
 """for a real UART; USB, pseudo-terminals and TCP ignore it"""
@@ -89,7 +90,9 @@ class BytePort(Protocol):
         ...
 
 
-def open_port(name: str, *, baudrate: int = BAUDRATE, dtr: bool | None = None, rts: bool | None = None) -> BytePort:
+def open_port(
+    name: str, *, baudrate: int = BAUDRATE, dtr: bool | None = None, rts: bool | None = None
+) -> SerialPort | SocketPort | UrlPort:
     """Open a serial device, a pseudo-terminal, ``socket://HOST:PORT`` or another URL that pyserial knows.
 
     Nobody else can open a serial device as long as it is open here.
@@ -115,18 +118,33 @@ def open_port(name: str, *, baudrate: int = BAUDRATE, dtr: bool | None = None, r
 
 
 class _RealTimePort:
-    """The part that all live ports share: they tell the machine's time."""
+    """The part that all live ports share: they tell the machine's time, and why they are gone."""
 
-    name: str
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.announced = announced(name)
+        """what an emulated board of this machine says of its port; None: the port is another one"""
 
     def now(self) -> float:
         """Present time in s on the machine's monotonic clock."""
         return time.monotonic()
 
+    def close(self) -> None:
+        """Give the port back; a second time does nothing. Not while another thread waits, reads or writes."""
+        self._close()
+        if self.announced is not None:
+            self.announced.close()
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Close what the operating system gave."""
+
     def _arrived(self, data: bytes) -> Arrival:
         return Arrival(data, time.monotonic(), time.time())
 
     def _gone(self, error: Exception | str) -> LinkError:
+        if self.announced is not None and self.announced.is_over:
+            return over(self.name)
         reason = error if isinstance(error, str) else _reason(error)
         return LinkError(f"{self.name}: the board has gone away ({reason})")
 
@@ -135,7 +153,7 @@ class DescriptorPort(_RealTimePort):
     """A port with a non-blocking file descriptor; POSIX only."""
 
     def __init__(self, name: str, descriptor: int) -> None:
-        self.name = name
+        super().__init__(name)
         self._descriptor = descriptor
         self._wake_read, self._wake_write = os.pipe()
         os.set_blocking(self._wake_write, False)
@@ -199,8 +217,7 @@ class DescriptorPort(_RealTimePort):
             if not self._closed:
                 os.write(self._wake_write, b"!")
 
-    def close(self) -> None:
-        """Give the port back; a second time does nothing. Not while another thread waits, reads or writes."""
+    def _close(self) -> None:
         with self._closing:
             if self._closed:
                 return
@@ -261,7 +278,7 @@ class UrlPort(_RealTimePort):
     """A port that pyserial reads in a way of its own, such as ``rfc2217://HOST:PORT``."""
 
     def __init__(self, name: str, device: serial.SerialBase) -> None:
-        self.name = name
+        super().__init__(name)
         self._device = device
         self._waiting = b""
         self._taking = threading.Lock()
@@ -309,8 +326,7 @@ class UrlPort(_RealTimePort):
     def interrupt(self) -> None:
         """Does nothing: a wait ends by itself within 0.1 s."""
 
-    def close(self) -> None:
-        """Give the port back; a second time does nothing."""
+    def _close(self) -> None:
         self._device.close()
 
 
@@ -325,9 +341,24 @@ def ports_with(usb_serial: str) -> list[str]:
     return [port.device for port in list_ports.comports() if port.serial_number == usb_serial]
 
 
+def over(name: str) -> LinkEnded:
+    """The error for a port whose emulated board has come to its regular end."""
+    return LinkEnded(f"{name}: the emulated board has come to the end of its time")
+
+
 def serial_ports() -> list[str]:
     """The names of the serial ports that the operating system lists. Pseudo-terminals are not among them."""
     return [port.device for port in list_ports.comports()]
+
+
+def emulated_ports() -> list[str]:
+    """The names of the pseudo-terminals and sockets of the emulated boards on this machine."""
+    return [port.name for port in announced_ports() if port.is_listed]
+
+
+def is_numbered_terminal(name: str) -> bool:
+    """Whether ``name`` is a pseudo-terminal under its number, which the next one gets when this one is closed."""
+    return name.startswith("/dev/pts/")
 
 
 def is_linked_terminal(name: str) -> bool:
@@ -396,7 +427,7 @@ def _why_not_opened(name: str, error: Exception) -> str:
         case errno.EACCES | errno.EPERM:
             return f"permission denied; {_why_forbidden(name)}; `ohmskin doctor {name}` says what to do"
         case errno.EAGAIN | errno.EBUSY:
-            return "in use by another program"
+            return "in use by another program, or by another Skin of this one"
         case errno.EMFILE | errno.ENFILE:
             return f"cannot be opened: {_reason(error)}"
     if os.path.exists(name) and not isinstance(error, ValueError):

@@ -6,11 +6,12 @@ import contextlib
 import os
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable, Iterator
 from math import inf
 
-from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
+from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostProtocol, Identity, Order
 from ._introduce import Introduction
 from ._mailbox import Mailbox
@@ -35,6 +36,19 @@ MOST_UNPROVEN = 1000
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
 JOIN_S = 2.0
 """how long closing waits for the thread, which may be about to open a port"""
+
+
+def await_free(name: str) -> None:
+    """Wait until a skin of this process that is being closed has given the port ``name`` back."""
+    if "://" in name:  # a server may take several hosts
+        return
+    place = os.path.realpath(name)
+    for reader in list(_READERS):
+        port = reader._port
+        if port is None or not reader._is_ending or os.path.realpath(port.name) != place:
+            continue
+        if reader._thread.is_alive() and reader._thread is not threading.current_thread():
+            reader._thread.join(JOIN_S)
 
 
 class Reader:
@@ -88,10 +102,12 @@ class Reader:
         self._away_because = ""
         self._received, self._reason = 0, "no end of a packet"
         """bytes since the last frame, and why the last of them were no packet"""
+        self._forgotten = False
         self._thread = threading.Thread(target=self._run, name=f"ohmskin reader {port.name}", daemon=True)
 
     def start(self) -> None:
         """Begin to read."""
+        _READERS.add(self)
         self._thread.start()
 
     def await_introduction(self, timeout_s: float) -> None:
@@ -100,6 +116,7 @@ class Reader:
         Raises:
             LinkTimeout: the board is silent.
             ProtocolError: it sends something else than packets, or a description beyond the limits.
+            InputError: the design that was given is not of this board.
             LinkError: the port is gone.
 
         """
@@ -111,17 +128,21 @@ class Reader:
 
     def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
         """The error for a wait that brought nothing of the kind wanted."""
-        where = f"{self.port_name}: no {what} within {timeout_s:g} s"
+        where = f"{self.port_name}: no {what} within {max(timeout_s, 0.0):g} s"
         if self._lossless and self._mailbox.is_full():
             return LinkTimeout(f"{where}: the queue is full of frames for another reader of this skin, who takes none")
         if self._mailbox.away is not None:
             return LinkTimeout(f"{where}: {self._mailbox.away}; trying to open the port again")
         if not self._received:
-            return LinkTimeout(f"{where}: the port is silent")
+            last = self._mailbox.newest
+            ago = "" if last is None else f"; the last frame came {self.now() - last.monotonic_time:.3g} s ago"
+            return LinkTimeout(f"{where}: the port is silent{ago}")
         if self._reason:
+            layout = self._protocol.layout
+            size = "" if self._family.has_description else f" with {layout.rows} x {layout.columns} cells"
             return ProtocolError(
                 f"{where}: {self._received} bytes came, the last of them no packet ({self._reason}); "
-                f"expected a board of family '{self._family.name}', at this baud rate"
+                f"expected a board of family '{self._family.name}'{size}, at this baud rate"
             )
         return LinkTimeout(f"{where}: the board is there, but sends none")
 
@@ -196,30 +217,47 @@ class Reader:
         port = self._port
         if port is not None:
             port.interrupt()
-        self._mailbox.close(LinkEnded(f"{self.port_name}: the skin is closed"))
+        self._mailbox.close(self._closed())
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(JOIN_S)
+
+    def _closed(self) -> LinkEnded:
+        return LinkEnded(f"{self.port_name}: the skin is closed")
+
+    def forget(self) -> None:
+        """Let the thread end within half a second, since nobody can take frames any more.
+
+        This is for destructors: it takes no lock, for the garbage collector may run in a thread that holds it.
+        """
+        self._forgotten = True
+
+    @property
+    def _is_ending(self) -> bool:
+        return self._forgotten or self._stop.is_set()
 
     def _run(self) -> None:
         try:
             self._live()
         except OhmskinError as error:
-            self._mailbox.finish(error)
+            self._mailbox.finish(self._closed() if self._is_ending else error)
         finally:
-            self._mailbox.finish(LinkError(f"{self.port_name}: the reader thread has ended"))
+            # stop() may have woken this thread, and not yet have told the takers.
+            ended = LinkError(f"{self.port_name}: the reader thread has ended")
+            self._mailbox.finish(self._closed() if self._is_ending else ended)
             self._release()
+            self._reopen = None  # its finder follows the port's announcement, a file
             self.introduced.set()
 
     def _live(self) -> None:
         """Serve the port, again and again as long as it comes back."""
-        while not self._stop.is_set():
+        while not self._is_ending:
             try:
                 self._serve()
                 return
             except LinkEnded:
                 raise
             except LinkError as error:
-                if self._stop.is_set() or self._reopen is None or not self.introduced.is_set():
+                if self._is_ending or self._reopen is None or not self.introduced.is_set():
                     raise
                 self._release()
                 for tap in self.on_gone:
@@ -234,7 +272,7 @@ class Reader:
             self.introduced.set()
         self._ask()
         ask_at = time.monotonic() + ASK_WHO_S
-        while not (self._stop.is_set() or self._mailbox.end):
+        while not (self._is_ending or self._mailbox.end):
             if self._lossless and self._mailbox.is_full():
                 self._mailbox.wait_for_room(ASK_AGAIN_S)
                 ask_at = time.monotonic() + ASK_AGAIN_S
@@ -320,6 +358,8 @@ class Reader:
 
     def _hear(self, packet: FramePacket, arrival: Arrival) -> None:
         if not self.introduction.complete:
+            self._learn(packet)
+        if not self.introduction.complete:
             following = None if packet.sequence is None else (packet.sequence + 1) % 2**32
             self.stream.announce(following, packet.boot_id)
             return
@@ -356,6 +396,7 @@ class Reader:
         Raises:
             LinkError: another board is there, or the board has changed since the skin was opened.
             ProtocolError: the board that is being opened contradicts itself, or exceeds the limits.
+            InputError: the design that was given is not of the board that is being opened.
 
         """
         first_frame_is_near = not self._unproven
@@ -371,16 +412,20 @@ class Reader:
             self.stream.end(event.sequence, event.boot_id)
             self._finish()
             return
+        self._learn(event)
+        if first_frame_is_near:
+            self.stream.announce(event.sequence, event.boot_id)
+
+    def _learn(self, event: Identity | Description | FramePacket) -> None:
+        """Let the introduction go on; errors as for :meth:`_get_to_know`."""
         known = self.introduction.complete
         try:
             self.introduction.hear(event)
-        except ProtocolError as error:
-            # A ProtocolError of an open skin is one after which better frames may come; this is for good.
+        except (ProtocolError, InputError) as error:
+            # Such an error of an open skin is one after which better frames may come; this is for good.
             final = LinkError(str(error)) if known else error
             self._mailbox.finish(final)
             raise final from error
-        if first_frame_is_near:
-            self.stream.announce(event.sequence, event.boot_id)
         if self.introduction.complete and not known:
             self._start_frames()
             self.introduced.set()
@@ -404,7 +449,7 @@ class Reader:
             self._mailbox.set_away(str(error))
         left_s = self._reconnect_s - (time.monotonic() - self._away_since)
         failure: LinkError | None = None
-        for _ in attempts(left_s, self._stop.wait):
+        for _ in attempts(left_s, lambda wait_s: self._stop.wait(wait_s) or self._forgotten):
             try:
                 port = self._reopen()
             except LinkEnded:
@@ -431,3 +476,7 @@ class Reader:
             if self._port is not None:
                 self._port.close()
                 self._port = None
+
+
+_READERS: weakref.WeakSet[Reader] = weakref.WeakSet()
+"""readers that this process has started"""

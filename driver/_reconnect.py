@@ -6,12 +6,15 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from ..errors import LinkEnded, LinkError
+from ..errors import LinkError
+from ..rendezvous import AnnouncedPort, announced
 from ._port import (
     BytePort,
     is_linked_terminal,
+    is_numbered_terminal,
     linked_terminals,
     open_port,
+    over,
     ports_with,
     serial_ports,
     usb_serial_number,
@@ -27,6 +30,9 @@ class PortFinder:
     that has taken its name is left alone. Many converters have no such number. A board behind one is looked for under
     its old name and, if it says a serial number of its own, at ports that have appeared since; who opens the port again
     must then ask the board for it. Ports that were there all the time belong to others and are not touched.
+
+    The number of a pseudo-terminal that was closed goes to the next program that opens one. So under such numbers only
+    emulated boards are looked for, where they say that they are now (:mod:`ohmskin.rendezvous`).
     """
 
     def __init__(self, name: str, *, baudrate: int, dtr: bool | None = None, rts: bool | None = None) -> None:
@@ -40,6 +46,8 @@ class PortFinder:
         """ports that have been there whenever this finder looked"""
         self._last: str | None = None
         """name under which the port was opened again last"""
+        self._announced: AnnouncedPort | None = None
+        """what an emulated board says of its port, also while the port is away"""
 
     def open(self) -> BytePort:
         """Open the port where it is now; LinkError where it is not there."""
@@ -49,14 +57,19 @@ class PortFinder:
         """Open the port where it is now, perhaps under another name.
 
         Raises:
-            LinkEnded: the port was a board in this process. To open such a port is to start another board.
+            LinkEnded: the port's emulated board has come to its end. One in this process (``ohmskin://``) is never
+                opened again, since that would start another board.
             LinkError: the port is nowhere.
 
         """
+        emulated = self._announced
         if self.name.startswith("ohmskin://"):
-            raise LinkEnded(f"{self.name}: the emulated board has come to the end of its time")
+            raise over(self.name)
+        if emulated is not None and emulated.is_over:
+            emulated.close()
+            raise over(self.name)
         names = ports_with(self._usb_serial) if self._usb_serial else self._names_without_number()
-        if not names:
+        if not names and self._usb_serial:
             raise LinkError(f"{self.name}: no USB device with serial number {self._usb_serial} is plugged in")
         failure = LinkError(f"{self.name}: no such port")
         # The next name first: behind the last one there may have been another board.
@@ -77,14 +90,24 @@ class PortFinder:
         present = self._present()
         appeared = sorted(present - self._always_there - {self.name}) if self.board_is_numbered else []
         self._always_there &= present
-        return [self.name, *appeared]
+        told = self._announced.name if self._announced is not None else ""
+        names = dict.fromkeys([self.name, told, *appeared])
+        return [name for name in names if name and not _is_of_others(name)]
 
     def _present(self) -> set[str]:
         linked = [] if self._directory is None else linked_terminals(self._directory)
         return {*serial_ports(), *linked}
 
     def _open(self, name: str) -> BytePort:
-        return open_port(name, **self._options)  # type: ignore[arg-type]  # a dict of mixed values
+        emulated = announced(name)
+        port = open_port(name, **self._options)  # type: ignore[arg-type]  # a dict of mixed values
+        self._announced = emulated
+        return port
+
+
+def _is_of_others(name: str) -> bool:
+    """Whether ``name`` is a pseudo-terminal under a number that no emulated board has now: another program's."""
+    return is_numbered_terminal(name) and announced(name) is None
 
 
 def attempts(limit_s: float, wait: Callable[[float], bool]) -> Iterator[float]:

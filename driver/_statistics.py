@@ -52,7 +52,8 @@ class LinkStatistics:
     jitter_s: dict[int, float]
     """percentile -> delay of a frame beyond the least delay seen, over the last 1000; NaN without device time"""
     drift_ppm: float
-    """how much faster the host's clock runs than the board's"""
+    """how much faster the host's clock runs than the board's, in parts per million; 0 until 5 s of even pace have
+    passed, and without device time; NaN where the board's is faster by more than 2 %, as at an emulator's fast clock"""
     clock_steps: int
     """times that the board's clock was set or paused while it ran"""
 

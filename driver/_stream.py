@@ -158,8 +158,9 @@ class FrameStream:
         if not self._in_step:
             counters.resyncs += 1
             self._in_step = True
-        stamp = packet.boot_id, packet.sequence, packet.time_us
-        if packet.sequence is not None and stamp in self._recent:
+        sequence, time_us = packet.sequence, packet.time_us
+        stamp = packet.boot_id, sequence, time_us
+        if sequence is not None and stamp in self._recent:
             counters.duplicates += 1
             return None
         found = self._succession(packet)
@@ -169,21 +170,21 @@ class FrameStream:
             return None
         if found is not _Succession.NEXT:
             self._begin_anew(packet, found)
-        if packet.sequence is not None:
+        if sequence is not None:
             self._remember(stamp)
         self._boot_id = packet.boot_id
         missing = self._count_lost(packet)
         counters.frames += 1
         if packet.flags is not _NO_FLAGS:
             counters.overruns += bool(packet.flags & Flag.OVERRUN)
-        device_s = None if packet.time_us is None else packet.time_us / 1e6
+        device_s = None if time_us is None else time_us / 1e6
         monotonic = self._map_time(device_s, arrival)
-        self._advance(packet.time_us, monotonic, missing, time_runs_through=found is _Succession.NEXT)
+        self._advance(time_us, monotonic, missing, time_runs_through=found is _Succession.NEXT)
         self._begun = True
         host_time = monotonic + (arrival.wall_time - arrival.received_at)
         return RawFrame(  # by position: keywords take half as long again
             counters.frames,
-            packet.sequence,
+            sequence,
             device_s,
             packet.counts,
             host_time,
@@ -202,7 +203,8 @@ class FrameStream:
 
     def _succession(self, packet: FramePacket) -> _Succession:
         """What a packet is after the one before: the table of this class."""
-        if packet.boot_id != self._boot_id and None not in (packet.boot_id, self._boot_id):
+        boot_id, before = packet.boot_id, self._boot_id
+        if boot_id != before and boot_id is not None and before is not None:
             return _Succession.REBOOT
         if packet.time_us is None or self._latest_us is None or packet.time_us >= self._latest_us:
             return _Succession.NEXT

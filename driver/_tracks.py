@@ -53,6 +53,8 @@ class Patch:
     peak_kpa: float
     variance_mm2: float
     """of the pressure about the centre, along one axis"""
+    alone: bool
+    """no other patch touches this one, which would cut off its side"""
     cells: IntArray
     """(n,) numbers in the flattened array"""
     places: IntArray
@@ -207,7 +209,9 @@ class Tracks:
             case [track]:
                 x, y = track.predicted(time_s)
                 track.move((patch.x_mm - x, patch.y_mm - y), time_s)
-                track.force_n, track.variance_mm2, track.cells = patch.force_n, patch.variance_mm2, patch.cells
+                track.force_n, track.cells = patch.force_n, patch.cells
+                if patch.alone:
+                    track.variance_mm2 = patch.variance_mm2
                 track.apart_s = time_s
                 return tracks
         return self._move_together(tracks, patch, time_s)

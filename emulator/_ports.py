@@ -20,6 +20,7 @@ from typing import Self, cast
 from serial.rfc2217 import PortManager, Serial
 
 from ..errors import InputError, LinkError
+from ..rendezvous import Announcement
 from ._link_name import LinkName
 
 READ_AT_ONCE = 4096
@@ -37,6 +38,8 @@ class Port(ABC):
     """what a host opens"""
     hosts = 0
     """hosts so far, for ports that can tell one from the next"""
+    _announcement: Announcement | None = None
+    _listed = True
 
     @abstractmethod
     def host_present(self) -> bool:
@@ -58,13 +61,36 @@ class Port(ABC):
     def unread(self) -> int:
         """How many of the bytes written the host, or its kernel, has not taken yet."""
 
-    @abstractmethod
     def close(self) -> None:
-        """Take the port away."""
+        """Take the port away; a second time does nothing."""
+        self._close()
+        if self._announcement is not None:
+            self._announcement.close()
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Close what the operating system offers."""
+
+    def _announce(self) -> None:
+        """Let hosts of this machine find the port under its present name."""
+        if self._announcement is None:
+            self._announcement = Announcement(self.name, listed=self._listed)
+        else:
+            self._announcement.move(self.name)
+
+    def end(self) -> None:
+        """Let hosts of this machine know that no byte will follow, before the port is closed."""
+        if self._announcement is not None:
+            self._announcement.over()
 
     def unplug(self) -> None:
         """Take the port away for a while, as when the cable is pulled."""
-        self.close()
+        self._unplug()
+        if self._announcement is not None:
+            self._announcement.move("")
+
+    def _unplug(self) -> None:
+        self._close()
 
     def plug_in(self, name: str | None) -> None:
         """Bring the port back, under another ``name`` if one is given.
@@ -98,13 +124,15 @@ class PtyPort(Port):
 
     Args:
         link: name of a symbolic link to the pseudo-terminal; None: none.
+        listed: whether hosts that look for boards open this port to see who is there.
 
     Raises:
         InputError: ``link`` belongs to another emulator, is something else than an emulator's link, or cannot be made.
 
     """
 
-    def __init__(self, link: Path | None = None) -> None:
+    def __init__(self, link: Path | None = None, *, listed: bool = True) -> None:
+        self._listed = listed
         self._link = None if link is None else LinkName(link)
         try:
             self._open()
@@ -127,6 +155,7 @@ class PtyPort(Port):
                 os.close(self._master)
                 raise
             self.name = str(self._link.path)
+        self._announce()
 
     def host_present(self) -> bool:
         if self._master < 0:
@@ -176,7 +205,7 @@ class PtyPort(Port):
             os.close(host_end)
         return int(waiting)
 
-    def unplug(self) -> None:
+    def _unplug(self) -> None:
         if self._link is not None:
             self._link.remove()
         os.close(self._master)
@@ -189,7 +218,7 @@ class PtyPort(Port):
             self._link = new
         self._open()
 
-    def close(self) -> None:
+    def _close(self) -> None:
         self._release()
         if self._master >= 0:
             os.close(self._master)
@@ -231,6 +260,7 @@ class TcpPort(Port):
         self._address = self._listener.getsockname()[:2]
         shown = f"[{self._address[0]}]" if ":" in self._address[0] else self._address[0]
         self.name = f"{self.SCHEME}://{shown}:{self._address[1]}"
+        self._announce()
 
     @classmethod
     def at(cls, address: str) -> Self:
@@ -297,14 +327,11 @@ class TcpPort(Port):
         (unacknowledged,) = struct.unpack("i", fcntl.ioctl(self._host, termios.TIOCOUTQ, struct.pack("i", 0)))
         return int(unacknowledged)
 
-    def unplug(self) -> None:
-        self.close()
-
     def plug_in(self, name: str | None) -> None:
         host, port = self._address
         self._listen(host, port if name is None else _host_and_port(f":{name}")[1])
 
-    def close(self) -> None:
+    def _close(self) -> None:
         self._hang_up()
         if self._listener is not None:
             self._listener.close()
@@ -456,7 +483,7 @@ class PairPort(Port):
         (waiting,) = struct.unpack("i", fcntl.ioctl(self._socket, termios.TIOCOUTQ, struct.pack("i", 0)))
         return int(waiting)
 
-    def close(self) -> None:
+    def _close(self) -> None:
         self._socket.close()
 
 

@@ -104,6 +104,8 @@ def emulate(
                 session.wait(stop)
         outcome.seconds = min(device.time_s, duration_s)
         session.drain(stop)
+        if not stop.is_set():
+            port.end()
         outcome.dropped, outcome.lost_bytes = device.dropped, device.transmission.lost_bytes
     return outcome
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ast
 import importlib
 import re
+import subprocess
+import sys
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -19,8 +21,8 @@ MAY_IMPORT = {
     "cell": SHARED,
     "wire": SHARED,
     "bench": SHARED | {"circuits", "cell", "wire", "emulator", "driver"},
-    "emulator": SHARED | {"circuits", "cell", "wire"},
-    "driver": SHARED | {"circuits", "cell", "wire"},
+    "emulator": SHARED | {"rendezvous", "circuits", "cell", "wire"},
+    "driver": SHARED | {"rendezvous", "circuits", "cell", "wire"},
     "calibration": SHARED | {"circuits", "cell", "wire", "driver"},
     "doctor": SHARED | {"circuits", "wire", "driver"},
     "hil": SHARED | {"driver", "emulator"},
@@ -118,6 +120,13 @@ def test_no_module_imports_itself_by_way_of_others() -> None:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(f"circle of imports: {' <- '.join(error.args[1])}")
+
+
+def test_the_driver_starts_without_packages_that_take_long_to_load() -> None:
+    heavy = ["scipy.signal", "scipy.stats", "scipy.interpolate", "numba", "matplotlib", "pandas", "websockets", "mcap"]
+    program = f"import sys; from ohmskin.driver import Skin; print([name for name in {heavy} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
+    assert done.stdout.strip() == "[]"
 
 
 def test_modules_that_docstrings_name_exist() -> None:

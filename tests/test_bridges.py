@@ -279,7 +279,10 @@ def test_the_foxglove_program_is_ended_by_an_interrupt_without_a_traceback(board
         assert program.stdout is not None
         assert program.stdout.readline().startswith("ws://127.0.0.1:")
         program.send_signal(signal.SIGINT)
-        _, errors = program.communicate(timeout=120)
+        try:
+            _, errors = program.communicate(timeout=120)
+        finally:
+            program.kill()
     assert program.returncode == 130
     assert "Traceback" not in errors
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -40,6 +41,17 @@ def test_no_frame_is_said_to_have_come_later_than_it_did(
         device_s += step
         received_s = host_s + device_s + delay
         assert clock.add(device_s, received_s) <= received_s + 1e-9 * max(1.0, received_s)
+
+
+@pytest.mark.parametrize("pace", [1.05, 2.0, 50.0])
+def test_a_time_that_no_clock_keeps_has_no_drift(pace: float) -> None:
+    """As at the emulator's fast clock. Frames are taken for delayed by no more than what counts as a step."""
+    clock, delays = ClockMap(), []
+    for k in range(5000):
+        arrived_s = 0.01 * k / pace
+        delays.append(arrived_s - clock.add(0.01 * k, arrived_s))
+    assert math.isnan(clock.drift_ppm)
+    assert max(delays) < STEP_S + 0.01
 
 
 @pytest.mark.parametrize("drift_ppm", [-300.0, -20.0, 0.0, 80.0, 5000.0])

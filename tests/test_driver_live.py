@@ -23,10 +23,11 @@ from boards import DESIGN, WHAT, Flow, Script, Wire, described, frame, gone, ide
 from hypothesis import given
 from hypothesis import strategies as st
 
+from ohmskin.cell import Cell
 from ohmskin.circuits import Design
 from ohmskin.config import parse
 from ohmskin.driver import Arrival, BytePort, Delivery, Frame, Skin, discover
-from ohmskin.driver._convert import Measurement
+from ohmskin.driver._convert import Converter, Measurement
 from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._port import DescriptorPort, UrlPort
 from ohmskin.driver._reader import Reader
@@ -669,7 +670,7 @@ class TestReconnection:
     def test_a_killed_emulator_that_starts_again_is_found_again(self, tmp_path: Path) -> None:
         link = tmp_path / "skin"
         with running(scene(board={"frame_rate": 500.0}), PtyPort(link)):
-            skin = Skin.open(str(link), reconnect=30.0)
+            skin = Skin.open(str(link), reconnect=60.0, timeout=30.0)
             assert next(skin).sequence is not None
         with skin, running(scene(board={"frame_rate": 500.0}), PtyPort(link)):
             back = next(frame for frame in skin if frame.reconnected)
@@ -690,7 +691,7 @@ class TestReconnection:
         one, other = PtyPort(), PtyPort()
         names[one.name] = "USB-1"
         with running(scene(), one):
-            skin = Skin.open(one.name, reconnect=30.0)
+            skin = Skin.open(one.name, reconnect=60.0, timeout=30.0)
             assert next(skin).sequence is not None
             names.clear()
         with skin, running(scene(), other):
@@ -700,7 +701,7 @@ class TestReconnection:
     def test_a_board_without_a_usb_number_is_found_under_another_name(self, tmp_path: Path) -> None:
         """Many converters have no serial number; the board's own tells which of the ports that appear is its."""
         stranger = scene(board={"serial_number": "B2", "frame_rate": 500.0})
-        unplugged = {"kind": "unplug", "at_s": 1.0, "duration_s": 0.5, "name": "skin-9"}
+        unplugged = {"kind": "unplug", "at_s": 3.0, "duration_s": 0.5, "name": "skin-9"}
         moves = scene(board={"serial_number": "A1", "frame_rate": 500.0}, link_fault=[unplugged])
         with (
             running(scene(board={"serial_number": "C3"}), PtyPort(tmp_path / "there-all-the-time")),
@@ -846,6 +847,49 @@ class TestBoards:
         assert np.isfinite(one.resistance).all()
         assert np.isnan(one.pressure).all()
         assert one.contacts == ()
+
+    @pytest.mark.parametrize("cell", [None, WHAT.cell])
+    @pytest.mark.parametrize("first", ["identity", "frame"])
+    def test_a_design_of_another_size_is_refused_when_the_skin_is_opened(self, cell: Cell | None, first: str) -> None:
+        large = WHAT.design.replace(array={"rows": 16, "columns": 16})
+        port = Script({"identity": identity(), "frame": frame(0)}[first])
+        with pytest.raises(
+            InputError, match=r"^script: the board has 3 x 2 cells, the design that was given has 16 x 16$"
+        ):
+            Skin(port, design=large, cell=cell, timeout=30.0)
+        assert port.closed
+
+    def test_a_design_of_another_converter_is_refused_when_the_skin_is_opened(self) -> None:
+        coarse = WHAT.design.replace(adc={"bits": 10})
+        said = "the board has a converter of 12 bits, the design that was given has one of 10"
+        with pytest.raises(InputError, match=said):
+            Skin(Script(identity(), frame(0)), design=coarse, cell=WHAT.cell, timeout=30.0)
+
+    def test_the_first_frame_of_a_board_whose_design_and_cell_are_given_is_not_lost(self) -> None:
+        with lossless(Script(frame(5), frame(6)), design=WHAT.design, cell=WHAT.cell) as skin:
+            assert sequences(list(islice(skin, 2))) == [5, 6]
+
+    def test_a_silent_board_is_not_opened_though_all_is_given(self) -> None:
+        with pytest.raises(LinkTimeout, match=r"script: no description within 0\.05 s: the port is silent"):
+            Skin(Script(), design=WHAT.design, cell=WHAT.cell, timeout=0.05)
+
+    @pytest.mark.parametrize("compiling", [False, True])
+    def test_the_time_of_the_compiler_is_not_the_boards(self, compiling: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+        """The first skin on a machine waits some seconds for machine code, whatever ``timeout`` is."""
+        try_out = Converter.try_out
+        over = threading.Event()
+
+        def slow(converter: Converter) -> None:
+            over.wait(2.0)
+            try_out(converter)
+
+        monkeypatch.setattr(Converter, "try_out", slow)
+        monkeypatch.setattr("ohmskin.driver._opening.is_compiling", lambda: compiling)
+        with contextlib.ExitStack() as life:
+            if not compiling:
+                life.enter_context(pytest.raises(ProtocolError, match=r"was not set up within 0\.7 s"))
+            Skin(described(), timeout=0.7).close()
+        over.set()
 
     def test_a_board_without_a_known_readout_asks_for_it(self) -> None:
         family = replace(BOARDS["ohmskin"], has_description=False)

@@ -142,6 +142,18 @@ LOAD = {"load_kpa": [[0.0, 1.0]]}
             "unknown key 'contact[0].disc.radius'; the nearest known key is 'radius_mm'",
         ),
         (
+            {"contact": [LOAD | {"bump": {"center": [0.0, 0.0], "sigma_cells": 1.0, "path_cells": [[0.0, 0.0, 0.0]]}}]},
+            "unknown key 'contact[0].bump.path_cells'; the key belongs into [[contact]]",
+        ),
+        (
+            {"contact": [LOAD | {"sigma_cells": 1.0}]},
+            "unknown key 'contact[0].sigma_cells'; the key belongs into [contact.bump]",
+        ),
+        (
+            {"board": {"contact": []}},
+            "unknown key 'board.contact'; the key belongs at the head of a table, [[contact]]",
+        ),
+        (
             {"contact": [{"cells": [[0, 0]], "load_kpa": [[1.0, 0.0], [0.5, 2.0]]}]},
             "contact[0]: the times of load_kpa must not decrease; 0.5 s follows 1.0 s",
         ),

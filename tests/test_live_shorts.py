@@ -56,6 +56,13 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("feedback", 910000116),  # two shorts of a row read like two cells of 2.3 kohm behind a follower
         ("feedback", 3010000245),  # and like two different ones, with an offset
         ("feedback", 2020000241),  # and like one strong and one weak cell, where their resistances differ
+        ("feedback events", 4030000047),  # two shorts of the only row divide all its other readings, by 16
+        ("feedback events", 6120000094),  # and a row of 8 to 130 ohm reads like one of 110 to 850
+        ("feedback events", 4010000738),  # steps that shrink by a third each, ended early in what seems to be noise
+        ("divider", 6110000248),  # a column of shorts whose conductances no reading tells
+        ("loaded events", 4030000106),  # ten times as large ones give the same readings, by way of other cells
+        ("loaded events", 4010000610),  # a scale that is known to 36 % of its logarithm
+        ("floating events", 4030000019),  # readings below the range, which leave their cells open
         ("divider", 910000458),  # a few ohm of two cells decide how their rows share the readings
         ("divider", 310000415),
         ("divider", 910000216),  # a step with derivatives from cells that were different
@@ -63,6 +70,8 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("divider", 310000401),
         ("loaded", 410000126),
         ("loaded", 3010000430),
+        ("feedback events", 5010000130),  # noise begins a frame before all cells are pressed at once
+        ("loaded events", 4030000002),  # noise begins while fingers move a third of the readings
         ("feedback", 3010000064),  # an open cell whose amplifier's offset lies below the converter's range
     ],
 )

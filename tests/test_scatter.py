@@ -89,6 +89,65 @@ def test_a_reading_back_from_its_limit_says_little_of_the_noise() -> None:
     assert scatter.std > 10.0 * STEP
 
 
+def pressing(shape: tuple[int, int], frames: int, peak: float) -> np.ndarray:
+    """(frames, rows, columns) V of a press of all cells that grows and goes on; cells answer differently."""
+    course = 0.5 - 0.5 * np.cos(np.arange(frames) / 25.0)
+    gain = np.random.default_rng(5).uniform(0.3, 1.0, shape)
+    return peak * STEP * gain * course[:, None, None]
+
+
+@pytest.mark.parametrize("cells", [(3, 5), (8, 8), (16, 16)])
+@pytest.mark.parametrize("begins", [20, 35, 50, 66])
+def test_noise_that_begins_while_all_cells_move_is_known_in_its_third_frame(
+    cells: tuple[int, int], begins: int
+) -> None:
+    """Wherever the press is: before, at and after its steepest frame. Afterwards it is known all the time."""
+    scale = np.where(np.arange(90) < begins, 0.5, 20.0)[:, None, None]
+    missed, later = 0, []
+    for seed in range(20):
+        noise = np.random.default_rng(seed).normal(size=(90, *cells))
+        seen = measured(pressing(cells, 90, 3000.0) + STEP * scale * noise)
+        missed += seen[begins + 2] < 12.0
+        later += seen[begins + 6 :]
+    assert missed <= 3
+    assert np.mean(np.array(later) < 14.0) < 0.05
+    assert np.median(later) < 30.0
+
+
+@pytest.mark.parametrize("cells", [(3, 5), (8, 8), (16, 16)])
+def test_a_press_of_all_cells_is_no_noise_whatever_its_course(cells: tuple[int, int]) -> None:
+    """Up to 120 steps per frame, with accelerations of 5; three in four frames state less than twice the noise."""
+    noise = np.random.default_rng(6).normal(scale=0.7, size=(160, *cells))
+    seen = np.array(measured(pressing(cells, 160, 6000.0) + STEP * noise)) / 0.7
+    assert np.quantile(seen[5:], 0.75) < 2.0
+    assert seen[5:].min() > 0.7
+
+
+def test_a_jump_of_all_cells_there_and_back_is_forgotten_at_once() -> None:
+    """Such a tap lasts two frames. What has been taken for noise in one frame is not assumed for a second."""
+    for cells in ((2, 2), (4, 4), (8, 8)):
+        rng = np.random.default_rng(7)
+        volts = rng.normal(scale=0.5 * STEP, size=(40, *cells))
+        volts[20:22] += 2000.0 * STEP * rng.uniform(0.3, 1.0, (2, *cells))
+        assert max(measured(volts)[26:]) < 8.0
+
+
+def test_noise_that_was_seen_for_long_is_not_forgotten_in_a_few_quiet_frames() -> None:
+    rng = np.random.default_rng(9)
+    scale = np.repeat([10.0, 0.5], [40, 10])[:, None, None]
+    seen = measured(scale * STEP * rng.normal(size=(50, 8, 8)))
+    assert seen[45] > 6.0
+
+
+def test_noise_is_known_where_most_readings_stand_at_their_limits() -> None:
+    scatter, rng = Scatter(STEP, assumed=True), np.random.default_rng(10)
+    for frame in range(23):
+        volts = np.full((6, 6), 3.0)
+        volts[:2] = STEP * np.round((0.5 if frame < 20 else 20.0) * rng.normal(size=(2, 6)))
+        scatter.update(volts, 24)
+    assert scatter.std > 12.0 * STEP
+
+
 def divider(bits: int, reference_ohm: float, idle_rows: str) -> Design:
     return Design.model_validate(
         {

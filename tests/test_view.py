@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import os
@@ -13,6 +14,7 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from http.client import HTTPConnection, RemoteDisconnected
 from itertools import islice
 from pathlib import Path
@@ -33,6 +35,7 @@ from ohmskin.driver import Frame, Skin
 from ohmskin.emulator import Board, Hand, PtyPort, Scene, running
 from ohmskin.errors import InputError, MissingExtra
 from ohmskin.view import LiveSource, RecordedSource
+from ohmskin.view._frame_message import pack_frame
 from ohmskin.view._recorded import extremes
 from ohmskin.view._source import TimeAxis
 from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
@@ -129,6 +132,24 @@ def test_values_pixels_and_contacts_equal_the_frame(browser: Browser) -> None:
         centre = round(contact.y_mm / 5.0) * 8 + round(contact.x_mm / 5.0)
         assert any(colour[3] for colour in marks[centre]), "the cross at its centre"
         assert not any(colour[3] for colour in marks[47]), "nothing far away"
+
+
+def test_contacts_that_have_run_into_another_are_named_beside_it(browser: Browser) -> None:
+    with live() as board, opened(browser, board.url) as page:
+        since = board.hand.press(bump())
+        until(page, "since => ohmskin.frame.deviceTime_s > since + 1", since)
+        frame = board.frame_of(paused(page))
+        (contact,) = frame.contacts
+        three = replace(frame, _contacts=lambda: (replace(contact, id=7, joined=(3, 2**31)), replace(contact, id=9)))
+        read = """async (text) => {
+            const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+            const read = (await import('./frame-message.js')).readFrame(bytes.buffer);
+            (await import('./panels.js')).showContacts(read.contacts);
+            return read.contacts.map((contact) => [contact.id, contact.joined]);
+        }"""
+        message = base64.b64encode(pack_frame(three, number=0, time_s=0.0)).decode()
+        assert page.evaluate(read, message) == [[7, [3, 2**31]], [9, []]]
+        assert page.locator("#contacts tbody td:first-child").all_inner_texts() == ["7+3+2147483648", "9"]
 
 
 def test_the_cell_under_the_pointer_is_told_in_full(browser: Browser) -> None:

@@ -17,6 +17,7 @@ offset         type                           content
 ...            (uint32, float32 [5]) each     contact: id; x and y in mm; force in N; peak in kPa; area in mm^2
 ...            uint16 [n]                     counts
 ...            uint8 [n]                      1 where the reading is valid
+...            (uint32, uint32) each          to the end: id of a contact, and of another one that has run into it
 =============  =============================  ====================================================================
 
 Cells are in rows, as in ``Frame``. Missing numbers are NaN. ``view/page/frame-message.js`` reads this layout.
@@ -34,6 +35,7 @@ from ..driver import Frame
 VERSION = 1
 HEADER = struct.Struct("<IIHHHHdddd")
 CONTACT = struct.Struct("<I5f")
+JOINED = struct.Struct("<II")
 
 
 class Mark(IntFlag):
@@ -73,5 +75,6 @@ def pack_frame(frame: Frame, *, number: int, time_s: float, age_s: float = float
             for values in (frame.pressure, frame.pressure_std, frame.resistance)
         ]
     touched = [CONTACT.pack(one.id, one.x_mm, one.y_mm, one.force_n, one.peak_kpa, one.area_mm2) for one in contacts]
+    joined = [JOINED.pack(one.id, other) for one in contacts for other in one.joined]
     counts, valid = np.asarray(frame.counts, dtype="<u2"), np.asarray(frame.valid, dtype="u1")
-    return b"".join([header, *numbers, *touched, counts.tobytes(), valid.tobytes()])
+    return b"".join([header, *numbers, *touched, counts.tobytes(), valid.tobytes(), *joined])

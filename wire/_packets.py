@@ -20,6 +20,7 @@ from ..frozen import frozen
 
 VERSION = 2
 """version of the native protocol"""
+_COUNT = np.dtype("<u2")
 
 
 class Flag(enum.Flag):
@@ -145,7 +146,7 @@ class FramePacket:
     @property
     def counts(self) -> NDArray[np.uint16]:
         """The counts as a read-only (rows, columns) array."""
-        return np.frombuffer(self.payload, dtype="<u2").reshape(self.rows, self.columns)
+        return np.ndarray((self.rows, self.columns), _COUNT, self.payload)  # half as long as frombuffer() and reshape()
 
 
 @dataclass(frozen=True, slots=True)

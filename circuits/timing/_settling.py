@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm, solve
 from scipy.optimize import brentq, minimize_scalar
-from scipy.signal import lfilter
 
 from ...arrays import ComplexArray, FloatArray
 from ...errors import InputError, SolverError
@@ -334,6 +333,8 @@ def _crossing(excess: Callable[[float], float], lower: float, upper: float) -> f
 
 def _periodic_decay(arriving: FloatArray, left: float) -> FloatArray:
     """The periodic solution of ``c[n] = left c[n-1] + arriving[n]`` along axis 0."""
+    from scipy.signal import lfilter  # loads scipy.stats, which takes as long as all else of this package
+
     once = lfilter([1.0], [1.0, -left], arriving, axis=0)
     before = once[-1] / (1 - left ** len(arriving))
     decay = left ** np.arange(1, len(arriving) + 1)

@@ -105,6 +105,8 @@ def emulate_firmware(
                     converter.wait(stop, wait_s)
             outcome.seconds = min(board.time_s, duration_s)
             converter.drain(stop)
+            if not stop.is_set():
+                port.end()
     return outcome
 
 

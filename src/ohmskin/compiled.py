@@ -43,6 +43,9 @@ FixedCodes = Annotated[CodeArray, "Array(uint32, 1, 'C', readonly=True)"]
 _SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
 _OFF = ("0", "no", "off", "false")
 _lock = threading.RLock()
+_offered: list[Loop[..., Any]] = []
+_waiting: list[Loop[..., Any]] = []
+"""loops that are being compiled, or that wait for the compiler"""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -72,6 +75,7 @@ class Loop(Generic[P, R]):
         self.failure: str | None = None
         """why the compiler refused the function; None: it did not, or was not asked yet"""
         self._compiled: Any = None
+        _offered.append(self)
         self.code: Callable[P, R] = function
         """the compiled function once :func:`load` said so, before that ``function``"""
 
@@ -92,11 +96,14 @@ class Loop(Generic[P, R]):
         if why_not() is not None:
             return None
         if self._compiled is None and self.failure is None:
-            with _lock:
-                try:
+            _waiting.append(self)
+            try:
+                with _lock:
                     self.code = self._compile()
-                except Exception as error:  # of any part of the compiler
-                    self.failure = f"{type(error).__name__}: {error}"
+            except Exception as error:  # of any part of the compiler
+                self.failure = f"{type(error).__name__}: {error}"
+            finally:
+                _waiting.remove(self)
         return cast(Callable[P, R] | None, self._compiled)
 
     def _compile(self) -> Any:
@@ -167,22 +174,34 @@ class Loop(Generic[P, R]):
 def loop(function: Callable[P, R]) -> Loop[P, R]:
     """Offer a function of a module for compilation: a decorator.
 
-    Its annotations are the types above, ``float``, ``int``, ``bool`` and None. Beside its arguments it uses numbers of
-    its module, the modules ``math`` and ``numpy``, and other loops; within a function, no function.
+    Its annotations are the types above, ``float``, ``int``, ``bool``, None, and tuples of these. Beside its arguments
+    it uses numbers of its module, the modules ``math`` and ``numpy``, and other loops; within a function, no function.
     """
     return Loop(function)
 
 
 def load(*loops: Loop[..., Any]) -> bool:
-    """Compile loops, or load what is kept on disk; whether all of them are there as machine code, in ``Loop.code``.
+    """Compile loops, or load what is kept on disk; without arguments those of all modules that have been imported.
 
-    To be called when an object is made whose frames are to be quick. Where the answer is no, array operations do it.
+    To be called when an object is made whose frames are to be quick, and before anything is waited for.
+
+    Returns:
+        Whether all of them are there as machine code, in ``Loop.code``. If not, array operations are to do the work.
     """
-    return all([each.machine_code() is not None for each in loops])
+    if why_not() is not None:
+        return False
+    return all([each.machine_code() is not None for each in loops or tuple(_offered)])
+
+
+def is_compiling() -> bool:
+    """Whether the compiler is at work in some thread: who limits the time of other work does not count this time."""
+    return bool(_waiting)
 
 
 def _written(hint: Any) -> str:
     """A type as Numba writes it."""
     if get_origin(hint) is Annotated:
         return str(get_args(hint)[1])
+    if get_origin(hint) is tuple:
+        return f"Tuple(({', '.join(_written(part) for part in get_args(hint))}))"
     return _SCALARS[hint]

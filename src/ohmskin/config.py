@@ -13,7 +13,7 @@ import math
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar
+from typing import Annotated, Any, Self, TypeVar, get_args, get_origin
 
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -30,6 +30,10 @@ MOST_LEVELS = 64
 """of tables and lists in each other"""
 LONGEST_KEY = 200
 """characters of a dotted key that a message repeats"""
+MOST_HOMES = 3
+"""tables with the same key that a message names"""
+LIKELY_SLIP = 0.8
+"""similarity (difflib) from which an unknown key may be a misspelt one"""
 
 Finite = Annotated[float, Field(ge=-MOST, le=MOST, allow_inf_nan=False)]
 Positive = Annotated[float, Field(ge=LEAST, le=MOST, allow_inf_nan=False)]
@@ -168,9 +172,8 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
     where = shortened(_dotted(first["loc"]), LONGEST_KEY)
     match first["type"]:
         case "extra_forbidden":
-            near = difflib.get_close_matches(str(first["loc"][-1]), _keys_at(model, first["loc"][:-1]), n=1, cutoff=0.0)
-            hint = f"; the nearest known key is '{near[0]}'" if near else ""
-            return f"unknown key '{where}'{hint}"
+            *table, key = first["loc"]
+            return f"unknown key '{where}'{_hint(model, tuple(table), str(key))}"
         case "missing":
             return f"missing key '{where}'"
         case "value_error":
@@ -209,18 +212,56 @@ def _dotted(location: tuple[int | str, ...]) -> str:
     return path
 
 
-def _keys_at(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
-    """Keys that the table at ``location`` may have."""
+def _hint(model: type[BaseModel], location: tuple[int | str, ...], key: str) -> str:
+    """What may be meant by an unknown ``key`` of the table at ``location``: a key of another table, or a slip."""
+    homes = _places_of(key, model)
+    here = _keys(_model_at(model, location))
+    if not homes:
+        near = difflib.get_close_matches(key, here, n=1, cutoff=0.0)
+        return f"; the nearest known key is '{near[0]}'" if near else ""
+    slip = difflib.get_close_matches(key, here, n=1, cutoff=LIKELY_SLIP)
+    or_slip = f"; or is '{slip[0]}' meant?" if slip else ""
+    more = f" and {len(homes) - MOST_HOMES} other tables" if len(homes) > MOST_HOMES else ""
+    return f"; the key belongs {', '.join(homes[:MOST_HOMES])}{more}{or_slip}"
+
+
+def _places_of(key: str, model: type[BaseModel]) -> list[str]:
+    """Where in a file of this model ``key`` may stand, outermost tables first."""
+    places: list[str] = []
+    queue: list[tuple[str, str, tuple[type[BaseModel], ...]]] = [("", "before the first table", (model,))]
+    while queue:
+        path, place, within = queue.pop(0)
+        for attribute, field in within[-1].model_fields.items():
+            name = field.alias or attribute
+            inner_path = f"{path}.{name}" if path else name
+            tables = _models_in(field.annotation)
+            head = f"[[{inner_path}]]" if any(is_list for _, is_list in tables) else f"[{inner_path}]"
+            if name == key:
+                places.append(f"at the head of a table, {head}" if tables else place)
+            # A table that may contain itself is looked at once.
+            queue += [(inner_path, f"into {head}", (*within, inner)) for inner, _ in tables if inner not in within]
+    return list(dict.fromkeys(places))
+
+
+def _models_in(annotation: Any, *, is_list: bool = False) -> list[tuple[type[BaseModel], bool]]:
+    """The models that a field may hold, and whether it holds a list of them."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [(annotation, is_list)]
+    is_list = is_list or get_origin(annotation) in (list, tuple)
+    return [found for part in get_args(annotation) for found in _models_in(part, is_list=is_list)]
+
+
+def _model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[BaseModel]:
+    """The model of the table at ``location``."""
     for part in location:
         if isinstance(part, int) or part not in model.model_fields:
             continue
-        candidates = [model.model_fields[part].annotation]
-        while candidates:
-            kind = candidates.pop()
-            if isinstance(kind, type) and issubclass(kind, BaseModel):
-                model = kind
-                break
-            candidates.extend(getattr(kind, "__args__", ()))
+        inner = _models_in(model.model_fields[part].annotation)
+        model = inner[0][0] if inner else model
+    return model
+
+
+def _keys(model: type[BaseModel]) -> list[str]:
     return [field.alias or name for name, field in model.model_fields.items()]
 
 

@@ -3,6 +3,7 @@
 const VERSION = 1;
 const HEADER_BYTES = 48;
 const CONTACT_BYTES = 24;
+const JOINED_BYTES = 8;
 
 /** Reads one message (ArrayBuffer). Arrays have rows * columns values, row by row, and share the message's memory. */
 export function readFrame(buffer) {
@@ -18,7 +19,11 @@ export function readFrame(buffer) {
   for (let k = 0; k < contactCount; k++) {
     const at = contactsAt + k * CONTACT_BYTES;
     const [x_mm, y_mm, force_n, peak_kpa, area_mm2] = new Float32Array(buffer, at + 4, 5);
-    contacts.push({ id: header.getUint32(at, true), x_mm, y_mm, force_n, peak_kpa, area_mm2 });
+    contacts.push({ id: header.getUint32(at, true), joined: [], x_mm, y_mm, force_n, peak_kpa, area_mm2 });
+  }
+  for (let at = countsAt + 3 * cells; at < buffer.byteLength; at += JOINED_BYTES) {
+    const id = header.getUint32(at, true);
+    contacts.find((contact) => contact.id === id).joined.push(header.getUint32(at + 4, true));
   }
   return {
     number: header.getUint32(4, true),

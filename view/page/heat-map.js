@@ -2,7 +2,7 @@
 
 import { PIXELS, colourIndex } from "./colours.js";
 import { haloText } from "./canvas.js";
-import { fixed } from "./numbers.js";
+import { fixed, ids } from "./numbers.js";
 
 const MARGIN = 26; // CSS pixels for the numbers of rows and columns
 const LEAST_CELL_WITH_GAP = 9; // device pixels
@@ -126,7 +126,7 @@ export class HeatMap {
     const taken = [];
     contacts.forEach((contact, k) => {
       const [x, y, radius] = places[k];
-      const text = `${contact.id}: ${fixed(contact.force_n, contact.force_n < 0.995 ? 2 : 1)} N`;
+      const text = `${ids(contact)}: ${fixed(contact.force_n, contact.force_n < 0.995 ? 2 : 1)} N`;
       const width = context.measureText(text).width;
       const [aside, off] = [0.72 * radius + 4 * ratio, 0.72 * radius + 6 * ratio];
       const corners = [y - off, y + off].flatMap((line) => [

@@ -43,3 +43,8 @@ export function tickLabel(value, values) {
   const decimals = step > 0 ? Math.max(0, Math.min(3, -Math.floor(Math.log10(step) + 1e-9))) : 0;
   return value.toFixed(decimals);
 }
+
+/** The id of a contact, with those of others that have run into it. */
+export function ids(contact) {
+  return [contact.id, ...contact.joined].join("+");
+}

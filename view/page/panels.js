@@ -1,6 +1,6 @@
 // The texts beside the heat map: the cell under the pointer, contacts, rest, and the link.
 
-import { fixed, milliseconds, ohm } from "./numbers.js";
+import { fixed, ids, milliseconds, ohm } from "./numbers.js";
 
 const MOST_CONTACTS = 8;
 
@@ -41,7 +41,7 @@ export function showContacts(all) {
   }
   contacts.forEach((contact, k) => {
     const texts = [
-      String(contact.id),
+      ids(contact),
       fixed(contact.force_n, 2),
       fixed(contact.peak_kpa, 1),
       `${fixed(contact.x_mm, 1)}, ${fixed(contact.y_mm, 1)}`,

@@ -25,10 +25,11 @@ def command(recording: Path, link: Path | None, speed: float) -> int:
     """Play FILE.mcap on a pseudo-terminal; the port to open is printed first.
 
     The bytes come as they came when they were recorded, from the moment at which a host opens the port. A host that
-    reads too slowly makes the recording wait. `Skin.open("FILE.mcap")` plays a recording without a port.
+    reads too slowly makes the recording wait. `Skin.open("FILE.mcap")` plays a recording without a port. A driver on
+    this machine takes the end of the recording for a regular end.
     """
     played = ReplayPort(recording, speed)
-    with stop_on_signals() as stop, PtyPort(link) as port:
+    with stop_on_signals() as stop, PtyPort(link, listed=False) as port:
         click.echo(port.name)
         _wait_for_host(port, stop)
         while not stop.is_set():
@@ -40,6 +41,8 @@ def command(recording: Path, link: Path | None, speed: float) -> int:
             except LinkError:
                 continue  # the port was gone for a while then; the host's is not
         _drain(port, stop)
+        if not stop.is_set():
+            port.end()
         return 0 if stop.signal is None else 128 + stop.signal
 
 

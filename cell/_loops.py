@@ -1,0 +1,149 @@
+"""The work of a frame that every estimator shares, as loops over cells for :mod:`ohmskin.compiled`.
+
+Each loop does what the array operations of :mod:`._estimator` do, operation for operation and in the same order, so
+that the results agree to the last bit. What happens in few frames (cells that wake, gaps, sparks) has no loop.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..compiled import FixedRow, Places, Row, Rows, loop
+from ._rows import GAIN, NOISE, PRESSURE, READING, STD, VARIANCE
+from ._smoothing import LEVEL
+
+
+@loop
+def read(resistance: FixedRow, per_ohm: FixedRow, r: Row, low: float, high: float) -> bool:
+    """Normalise resistances (n,) to ``r`` (n,); whether all are within ``low`` and ``high``."""
+    for i in range(r.size):
+        r[i] = resistance[i] * per_ohm[i] - 1.0
+    outside = 0
+    for i in range(r.size):
+        outside += not (low < r[i] < high)  # NaN is outside, too
+    return outside == 0
+
+
+@loop
+def watch(r: Row, total: Row, wake_at: Row) -> bool:
+    """Add readings (n,) to their sum; whether one of them wakes its cell."""
+    woken = False
+    for i in range(r.size):
+        total[i] += r[i]
+        woken |= abs(r[i]) > wake_at[i]
+    return woken
+
+
+@loop
+def renew_means(total: Row, summed: int, mean: Row, share: float, wake_at: Row, band: float, averaged: float) -> bool:
+    """Take sums (n,) of readings into their means, and begin new sums; whether one of the means wakes its cell."""
+    woken = False
+    for i in range(mean.size):
+        mean[i] += (total[i] / summed - mean[i]) * share
+        total[i] = 0.0
+        woken |= abs(mean[i]) > band + averaged * (wake_at[i] - band)
+    return woken
+
+
+@loop
+def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, least: float) -> None:
+    """Gather the readings of ``cells`` (m,) and their noise into ``taken`` (4, m)."""
+    every = cells.size == r.size
+    for i in range(cells.size):
+        cell = i if every else cells[i]
+        scale = line[LEVEL, i] + 1.0
+        taken[READING, i] = r[cell]
+        taken[NOISE, i] = scale * scale * noise_at_rest[cell] + least
+
+
+MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY, HIDDEN, PER_SIGMAS, STATED = range(11)
+"""places of the numbers that :func:`show` takes: variance in kPa^2 by the model; r per kPa of bend that a turn within
+the frame may leave, 0: none, and standard deviations of noise that are no bend; full scale, pressure, and noise in kPa
+from which more is done; standard deviations at which a load and none are as likely; keeps 0/0 from occurring; standard
+deviations of a reading that hide a load, and their inverse number; 1 if a standard deviation is stated"""
+LAST, BEFORE_LAST = 3, 4
+"""rows of the pressures of the last two frames, where a turn within the frame is reckoned with"""
+
+
+@loop
+def interpolated(x: float, at: FixedRow, values: FixedRow) -> float:
+    """:func:`numpy.interp` of one number."""
+    last = at.size - 1
+    if x >= at[last]:
+        return float(values[last])
+    if x < at[0]:
+        return float(values[0])
+    low, high = 0, last
+    while high - low > 1:
+        middle = (low + high) // 2
+        if x >= at[middle]:
+            low = middle
+        else:
+            high = middle
+    if at[low] == x:
+        return float(values[low])
+    slope = (values[low + 1] - values[low]) / (at[low + 1] - at[low])
+    return float(slope * (x - at[low]) + values[low])
+
+
+@loop
+def show(
+    memory: Rows,
+    line: Rows,
+    taken: Rows,
+    added: Row,
+    numbers: FixedRow,
+    rest_at_kpa: FixedRow,
+    rest_variance: FixedRow,
+    cells: Places,
+    pressure: Row,
+    variance: Row,
+) -> None:
+    """Pressures to show of ``cells`` (m,), into ``pressure`` (n,), and variances (m,) in kPa^2 of them.
+
+    ``added`` (m,) holds the variance by jumps, and is changed.
+    """
+    full, much, no_load = numbers[FULL], False, numbers[NO_LOAD]
+    much_noise = False
+    for i in range(cells.size):
+        much |= memory[PRESSURE, i] > numbers[MUCH]
+        much_noise |= taken[STD, i] * memory[GAIN, i] > numbers[MUCH_NOISE]
+    for i in range(cells.size):
+        shown, gain = memory[PRESSURE, i], memory[GAIN, i]
+        found = shown
+        noise_kpa = taken[STD, i] * gain
+        if much:
+            excess = max(shown - full, 0.0)
+            added[i] += excess * excess
+        if much_noise:
+            squared = shown * shown
+            squared *= squared
+            hides = no_load * noise_kpa
+            hides *= hides
+            shown *= squared / (squared + hides * hides + numbers[TINY])
+            off = found - shown
+            added[i] += off * off
+        pressure[cells[i]] = shown
+        doubt = (abs(taken[READING, i] - line[LEVEL, i]) + taken[NOISE, i] * numbers[HIDDEN]) * numbers[PER_SIGMAS]
+        std = max(doubt, taken[STD, i]) * gain
+        own = std * std
+        if numbers[WITHIN] != 0.0:
+            bend = abs(found - 2.0 * memory[LAST, i] + memory[BEFORE_LAST, i])
+            bend = numbers[WITHIN] * max(bend - numbers[SURE] * math.sqrt(own), 0.0) * gain
+            own += bend * bend
+        own += memory[VARIANCE, i]
+        own += numbers[MODEL_VARIANCE]
+        if rest_at_kpa.size > 0:
+            own += interpolated(found, rest_at_kpa, rest_variance)
+        variance[i] = own + added[i] if numbers[STATED] > 0.0 else math.nan
+
+
+@loop
+def add_asleep(variance: Row, reading: Row, cells: Places, per_reading: Row, hidden_kpa: Row) -> None:
+    """Add to variances (n,) in kPa^2 what the readings (n,) of sleeping ``cells`` (m,) leave open."""
+    for i in range(cells.size):
+        std = abs(reading[cells[i]]) * per_reading[i] + hidden_kpa[i]
+        variance[cells[i]] += std * std
+
+
+ALL = read, watch, renew_means, take, show, add_asleep

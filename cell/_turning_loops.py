@@ -1,0 +1,196 @@
+"""The frame of :class:`._paper.TurningEstimator` as loops over cells for :mod:`ohmskin.compiled`.
+
+The loops do what the array operations of its ``_advance`` do, in the same order. Between them come two matrix products,
+which NumPy does, and the turns and limits of few cells, which stay array operations.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ..compiled import FixedRow, FixedRows, FlagRows, Rows, loop
+from ._rows import GAIN, PRESSURE, VARIANCE
+
+LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
+"""rows: the pressures of the last three frames; variance from turns not known to the point, which fades; 1 rising, -1
+in recovery; the largest sign times pressure since the last turn, less some standard deviations of noise and less one;
+the extreme that was left at an unconfirmed turn, else :data:`FAR`"""
+RISING_IN_FORCE, RECOVERY_IN_FORCE = 11, 12
+RISING_KPA, RECOVERY_KPA, STATE_END = 13, 14, 20
+"""rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
+FAR = 1e12
+"""kPa: no extreme"""
+
+UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
+NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_KPA = range(6, 10)
+GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
+"""rows beside the memory: intermediate results; 1 in the row of the hypothesis that is not in force; how far that one
+must have gone back for a turn to be certain; what depends on the hypothesis in force"""
+WHERE, CONFIRMED = 0, 2
+"""rows of flags"""
+LOWEST, USUAL, SURE, TURN_KPA, LEAST_KPA, PULLED_KPA = range(6)
+FLAT_KPA, EXACT_KPA, AGAIN, LESS, EITHER, LEFT_OVER, CLEAR = range(6, 13)
+JUST_BEGUN, BETWEEN, BEND, ROUND_KPA, MOST_KPA2, CONFIRMED_RISE, CONFIRMED_FALL = range(13, 20)
+"""places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
+below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
+other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
+difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
+those of :meth:`._paper.TurningEstimator._turn`"""
+UNCONFIRMED, PULLED = 1, 2
+
+
+@loop
+def take(memory: Rows, r: FixedRow) -> None:
+    """Keep the pressures of the last frames, and take readings (m,)."""
+    for i in range(r.size):
+        memory[THIRD_LAST, i] = memory[BEFORE_LAST, i]
+        memory[BEFORE_LAST, i] = memory[LAST, i]
+        memory[LAST, i] = memory[PRESSURE, i]
+        memory[STATE_END - 1, i] = r[i]
+
+
+@loop
+def step(memory: Rows, after: Rows, numbers: FixedRow) -> bool:
+    """Take hypotheses ``after`` (6, m) the step; whether a pressure is beyond its limits."""
+    beyond = False
+    for row in range(after.shape[0]):
+        for i in range(after.shape[1]):
+            memory[RISING_KPA + row, i] = after[row, i]
+    for i in range(after.shape[1]):
+        beyond |= min(after[0, i], after[1, i]) < numbers[LOWEST]
+        beyond |= max(after[0, i], after[1, i]) > numbers[USUAL]
+    return beyond
+
+
+@loop
+def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, numbers: FixedRow) -> float:
+    """Standard deviation that turns between two frames leave in the ``pressure`` of cell ``i``."""
+    last, before, third, sign = memory[LAST, i], memory[BEFORE_LAST, i], memory[THIRD_LAST, i], memory[SIGN, i]
+    there = max(sign * (third - before), sign * (before - last))
+    way = min(numbers[JUST_BEGUN] * max(there, 0.0), abs(pressure - last))
+    return float(numbers[BETWEEN] * way * numbers[BEND] * gain)
+
+
+@loop
+def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+    """Take over the other hypothesis in cell ``i``."""
+    left, extreme = memory[LEFT, i], memory[EXTREME, i]
+    sign = -memory[SIGN, i]
+    rising, recovery = memory[RECOVERY_IN_FORCE, i], memory[RISING_IN_FORCE, i]
+    memory[SIGN, i], memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i] = sign, rising, recovery
+    of[NOT_RISING, i], of[NOT_RECOVERY, i] = recovery, rising
+    model = 0 if rising > 0.0 else 1
+    gain = by_model[0, model]
+    of[OTHER_GAIN, i], of[FADE, i] = by_model[1, model], by_model[2, model]
+    turns = numbers[CONFIRMED_RISE] if sign > 0.0 else numbers[CONFIRMED_FALL]
+    of[CONFIRMING_SIGMAS, i], of[CONFIRMING_KPA, i] = turns * numbers[SURE], turns * numbers[TURN_KPA]
+    pressure = memory[RISING_KPA, i] * rising + memory[RECOVERY_KPA, i] * recovery
+    now = sign * max(pressure, 0.0)
+    unsure = noise * gain
+    # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
+    doubt = math.sqrt(memory[VARIANCE, i]) + (unseen_kpa(memory, i, pressure, gain, numbers) + numbers[ROUND_KPA])
+    late = by_model[0, 1] * noise
+    memory[TURNED, i] = min(doubt * doubt + late * late, numbers[MOST_KPA2])
+    memory[GAIN, i] = gain
+    if left < FAR:
+        memory[EXTREME, i], memory[PEAK, i], memory[LEFT, i] = left, left, FAR
+    else:
+        memory[EXTREME, i], memory[PEAK, i], memory[LEFT, i] = now - numbers[LESS] * unsure, now - unsure, extreme
+
+
+@loop
+def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
+    """Look at the hypothesis in force in cell ``i``; whether it has turned, or an earlier turn was noise."""
+    rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
+    pressure = rising * memory[RISING_IN_FORCE, i] + recovery * memory[RECOVERY_IN_FORCE, i]
+    sign = memory[SIGN, i]
+    unsure = std * memory[GAIN, i]
+    ahead = max(pressure, numbers[LEAST_KPA]) * sign
+    back = (rising * of[NOT_RISING, i] + recovery * of[NOT_RECOVERY, i]) * sign + memory[LEFT, i]
+    noise = of[OTHER_GAIN, i] * std
+    memory[PRESSURE, i] = pressure
+    of[UNSURE, i], of[AHEAD, i], of[SPARE, i], of[NOISE, i] = unsure, ahead, back, noise
+    gone_back = memory[EXTREME, i] - ahead > unsure * numbers[SURE] + numbers[TURN_KPA]
+    return bool(gone_back or back < noise)
+
+
+@loop
+def take_turns(memory: Rows, std: FixedRow, by_model: FixedRows, of: Rows, flags: FlagRows, numbers: FixedRow) -> int:
+    """Take over the other hypothesis where the pressure has turned (m,), and confirm earlier turns.
+
+    Returns:
+        Sum of UNCONFIRMED if a cell had turned unconfirmed, and of PULLED if one needs a pull.
+    """
+    found = 0
+    for i in range(std.size):
+        turned = look(memory, i, std[i], of, numbers)
+        if memory[LEFT, i] < FAR or turned:
+            found |= UNCONFIRMED
+        if turned:
+            turn(memory, i, std[i], by_model, of, numbers)
+            look(memory, i, std[i], of, numbers)
+        # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
+        least = of[NOISE, i] * of[CONFIRMING_SIGMAS, i] + of[CONFIRMING_KPA, i]
+        confirmed = memory[LEFT, i] < FAR and of[SPARE, i] >= least
+        flags[CONFIRMED, i] = confirmed
+        if confirmed:
+            memory[LEFT, i] = FAR
+        if memory[PRESSURE, i] < numbers[PULLED_KPA]:
+            found |= PULLED
+    return found
+
+
+@loop
+def begin_anew(
+    memory: Rows,
+    anew: Rows,
+    of: Rows,
+    flags: FlagRows,
+    unconfirmed: bool,
+    numbers: FixedRow,
+) -> bool:
+    """Begin the other hypothesis anew near the extreme, and tell how far apart both are.
+
+    ``anew`` (6, m) is by how much the hypotheses change if they begin where the other one is.
+
+    Returns:
+        Whether one began that was apart by more than noise: its variance is then still to be made.
+    """
+    begun_anywhere = False
+    for i in range(memory.shape[1]):
+        below_peak = memory[PEAK, i] - of[AHEAD, i]
+        again = 0.0
+        if below_peak < max(of[UNSURE, i], numbers[FLAT_KPA]):
+            again = numbers[AGAIN]
+        if below_peak <= numbers[EXACT_KPA]:
+            again = 1.0
+        if unconfirmed and memory[LEFT, i] < FAR:
+            again = 0.0
+        rising, recovery = of[NOT_RISING, i] * again, of[NOT_RECOVERY, i] * again
+        for row in range(0, 6, 2):
+            memory[RISING_KPA + row, i] += anew[row, i] * rising
+            memory[RECOVERY_KPA + row, i] += anew[row + 1, i] * recovery
+    for i in range(memory.shape[1]):
+        ahead, unsure = of[AHEAD, i], of[UNSURE, i]
+        memory[PEAK, i] = max(memory[PEAK, i], ahead - unsure)
+        unsure *= numbers[LESS]
+        of[UNSURE, i] = unsure
+        memory[EXTREME, i] = max(memory[EXTREME, i], ahead - unsure)
+        memory[VARIANCE, i] -= memory[TURNED, i]  # by which the hypotheses were apart in the last frame
+        memory[TURNED, i] *= of[FADE, i]
+        apart = (memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]
+        apart *= apart
+        of[SPARE, i] = apart
+        # Whether the variance is large, and little of it is left.
+        begun = memory[VARIANCE, i] * numbers[LEFT_OVER] > max(apart, numbers[CLEAR])
+        if unconfirmed and flags[CONFIRMED, i]:
+            begun = False  # what the model that was left says has been decided
+        flags[WHERE, i] = begun
+        begun_anywhere |= begun
+    if not begun_anywhere:
+        for i in range(memory.shape[1]):
+            memory[VARIANCE, i] = of[SPARE, i] + memory[TURNED, i]
+    return begun_anywhere
+
+
+ALL = take, step, take_turns, begin_anew

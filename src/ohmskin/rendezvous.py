@@ -1,0 +1,170 @@
+"""Rendezvous of emulated boards and their hosts: a directory with one small file for each port of an emulated board.
+
+The operating system lists no pseudo-terminals and no listening sockets as ports, and makes the same hang-up of a board
+that has come to its end and of one whose program was killed. The files tell both: which ports there are, and which of
+them are over. Boards and hosts meet in ``$OHMSKIN_RUNTIME_DIR``, else in ``ohmskin-UID`` of the directory for temporary
+files, so they must be of one user and one machine. Without such a directory there are merely no announcements.
+
+A file is locked (flock) as long as its emulator lives. The kernel drops the lock when the emulator dies, however it
+dies, so a file that can be locked was left behind. A host keeps the file open and can read it after it was removed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import os
+import socket
+import stat
+import tempfile
+import weakref
+from collections.abc import Iterator
+from pathlib import Path
+from urllib.parse import urlsplit
+
+SUFFIX = ".port"
+_LONGEST = 4096
+"""bytes of a file that are read: a line with the name, and one of the words below or nothing"""
+_OVER, _UNLISTED = b"over\n", b"unlisted\n"
+
+
+class Announcement:
+    """The file of one emulated board, from now on until :meth:`close`.
+
+    Args:
+        port: name of the port; empty while it is away.
+        listed: whether boards that are looked for are looked for there; False: whoever opens the port uses it up.
+
+    """
+
+    def __init__(self, port: str, *, listed: bool = True) -> None:
+        self._state = b"" if listed else _UNLISTED
+        self._file, self._path = -1, Path()
+        with contextlib.suppress(OSError):
+            self._file, path = tempfile.mkstemp(SUFFIX, f"{os.getpid()}-", _made_directory())
+            self._path = Path(path)
+            fcntl.flock(self._file, fcntl.LOCK_EX)
+            self.move(port)
+
+    def move(self, port: str) -> None:
+        """Tell the present name of the port; empty while the port is away."""
+        self._write(port.encode() + b"\n" + self._state)
+
+    def over(self) -> None:
+        """Tell that the board has come to its regular end: no byte will follow."""
+        if self._file >= 0:
+            self._write(_read(self._file).partition(b"\n")[0] + b"\n" + _OVER)
+
+    def close(self) -> None:
+        """Take the file away; a second time does nothing."""
+        if self._file >= 0:
+            with contextlib.suppress(OSError):
+                self._path.unlink()
+            os.close(self._file)
+            self._file = -1
+
+    def _write(self, text: bytes) -> None:
+        if self._file >= 0:
+            with contextlib.suppress(OSError):  # a full disk
+                os.pwrite(self._file, text, 0)
+                os.ftruncate(self._file, len(text))
+
+
+class AnnouncedPort:
+    """The announcement of a port as its host sees it. Stays readable until :meth:`close`, or as long as this lives."""
+
+    def __init__(self, file: int) -> None:
+        self._file = file
+        self.close = weakref.finalize(self, os.close, file)
+        """gives the file back; a second time does nothing"""
+
+    @property
+    def name(self) -> str:
+        """The present name of the port; empty while the port is away."""
+        return self._content()[0].decode(errors="replace")
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the board has come to its regular end. False as well if its program was stopped or killed."""
+        return self._state() == _OVER
+
+    @property
+    def is_listed(self) -> bool:
+        """Whether there is a board now that may be opened to see who it is."""
+        return bool(self.name) and self._state() == b""
+
+    def _state(self) -> bytes:
+        return self._content()[2]
+
+    def _content(self) -> tuple[bytes, bytes, bytes]:
+        return (_read(self._file) if self.close.alive else b"").partition(b"\n")
+
+    def is_at(self, port: str) -> bool:
+        """Whether ``port`` is another way to write the name of this port."""
+        return _same_place(self.name, port)
+
+
+def announced_ports() -> Iterator[AnnouncedPort]:
+    """The ports of the emulated boards that are there now; files of emulators that have died are removed."""
+    with contextlib.suppress(OSError):
+        for path in sorted(_directory().glob(f"*{SUFFIX}")):
+            with contextlib.suppress(OSError):
+                file = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+                port = AnnouncedPort(file)
+                if _is_left_behind(file):
+                    path.unlink()
+                elif port.name and not port.is_over:
+                    yield port
+
+
+def announced(port: str) -> AnnouncedPort | None:
+    """The announcement of the port with this name; None where it is not that of an emulated board of this machine."""
+    return next((one for one in announced_ports() if one.is_at(port)), None)
+
+
+def _directory() -> Path:
+    given = os.environ.get("OHMSKIN_RUNTIME_DIR")
+    return Path(given) if given else Path(tempfile.gettempdir()) / f"ohmskin-{os.getuid()}"
+
+
+def _made_directory() -> Path:
+    """The directory, which nobody else may write to; OSError where there can be none."""
+    directory = _directory()
+    directory.mkdir(mode=0o700, parents=True, exist_ok=True)
+    there = directory.lstat()
+    if not stat.S_ISDIR(there.st_mode) or there.st_uid != os.getuid():
+        raise PermissionError(f"{directory} is somebody else's")
+    return directory
+
+
+def _is_left_behind(file: int) -> bool:
+    """Whether the emulator that wrote this file is no more."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    fcntl.flock(file, fcntl.LOCK_UN)
+    # Between its making and its locking, too, a file can be locked. It is empty then.
+    return os.fstat(file).st_size > 0
+
+
+def _read(file: int) -> bytes:
+    return os.pread(file, _LONGEST, 0)
+
+
+def _same_place(one: str, other: str) -> bool:
+    """Whether two names are of the same pseudo-terminal, or of the same socket of this machine."""
+    if "://" not in one and "://" not in other:
+        return os.path.realpath(one) == os.path.realpath(other)
+    try:
+        here, there = urlsplit(one), urlsplit(other)
+        if here.scheme != there.scheme or here.port != there.port or not (here.hostname and there.hostname):
+            return False
+        return here.hostname == there.hostname or socket.gethostbyname(there.hostname) in _addresses(here.hostname)
+    except (OSError, ValueError):
+        return False
+
+
+def _addresses(listening: str) -> tuple[str, ...]:
+    """Addresses of this machine at which a socket that listens at ``listening`` is surely reached."""
+    return ("127.0.0.1",) if listening in ("0.0.0.0", "::") else (listening,)

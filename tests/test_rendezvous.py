@@ -1,0 +1,255 @@
+"""Emulated boards and their hosts on one machine: which boards there are, and whether a hang-up was an end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import termios
+import threading
+import tty
+from collections.abc import Callable
+from itertools import chain, islice
+from pathlib import Path
+
+import pytest
+from boards import EXAMPLES, scene, until
+
+from ohmskin.circuits import Design
+from ohmskin.driver import Skin, discover
+from ohmskin.emulator import Port, PtyPort, Rfc2217Port, Scene, TcpPort, running
+from ohmskin.errors import LinkEnded, LinkError, ProtocolError
+from ohmskin.rendezvous import Announcement, announced, announced_ports
+
+FINGERS, PROTOTYPE = EXAMPLES / "fingers.toml", EXAMPLES / "prototype.toml"
+LINKS: dict[str, Callable[[], Port]] = {
+    "pty": PtyPort,
+    "tcp": lambda: TcpPort.at(":0"),
+    "rfc2217": lambda: Rfc2217Port.at(":0"),
+}
+
+
+def files() -> list[Path]:
+    return list(Path(os.environ["OHMSKIN_RUNTIME_DIR"]).glob("*"))
+
+
+def silent_board(port: Port, duration_s: float = 1.0, clock: str = "fast"):  # type: ignore[no-untyped-def]
+    """A board of a family that has no packet for its end."""
+    return running(Scene.load(FINGERS), port, clock=clock, duration_s=duration_s, family="fsr-array")  # type: ignore[arg-type]
+
+
+def host_of(port: Port, reconnect: float = 30.0) -> Skin:
+    return Skin.open(
+        port.name, board="fsr-array", design=PROTOTYPE, delivery="lossless", timeout=30.0, reconnect=reconnect
+    )
+
+
+class TestEnds:
+    @pytest.mark.parametrize("link", LINKS)
+    @pytest.mark.parametrize("reconnect", [0.0, 30.0])
+    def test_the_end_of_a_family_without_an_end_packet_is_an_end(self, link: str, reconnect: float) -> None:
+        port = LINKS[link]()
+        with silent_board(port), host_of(port, reconnect) as skin:
+            assert len(list(skin)) == 50
+            with pytest.raises(LinkEnded, match="the emulated board has come to the end of its time"):
+                skin.read()
+            assert skin.stats().reconnects == 0
+
+    @pytest.mark.parametrize("link", ["pty", "tcp"])
+    def test_a_board_that_is_switched_off_is_gone(self, link: str) -> None:
+        port = LINKS[link]()
+        with silent_board(port, 1e6):
+            skin = host_of(port, reconnect=0.2)
+            next(skin)
+        with skin, pytest.raises(LinkError, match=r"it has not come back within 0\.2 s"):
+            list(skin)
+
+    def test_a_program_that_is_killed_is_gone(self, tmp_path: Path) -> None:
+        words = [sys.executable, "-m", "ohmskin", "emulate", str(FINGERS), "--board", "fsr-array", "--clock", "fast"]
+        emulator = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        try:
+            assert emulator.stdout is not None
+            name = emulator.stdout.readline().strip()
+            with Skin.open(name, board="fsr-array", design=PROTOTYPE, timeout=30.0, reconnect=0.2) as skin:
+                next(skin)
+                emulator.send_signal(signal.SIGKILL)
+                with pytest.raises(LinkError, match=r"it has not come back within 0\.2 s") as caught:
+                    list(skin)
+                assert not isinstance(caught.value, LinkEnded)
+        finally:
+            emulator.kill()
+            emulator.communicate()
+        assert list(announced_ports()) == []
+        assert files() == []
+
+    def test_a_board_that_ends_while_it_is_unplugged_has_ended(self, tmp_path: Path) -> None:
+        pulled = {"kind": "unplug", "at_s": 0.5, "duration_s": 100.0}
+        port = PtyPort(tmp_path / "skin")
+        with (
+            running(scene(board={"frame_rate": 100.0}, link_fault=[pulled]), port, clock="fast", duration_s=1.5),
+            Skin.open(port.name, delivery="lossless", reconnect=60.0, timeout=30.0) as skin,
+        ):
+            list(skin)
+            with pytest.raises(LinkEnded, match="the emulated board has come to the end of its time"):
+                skin.read()
+
+    def test_a_board_that_is_plugged_in_again_is_found_under_its_new_number(self) -> None:
+        """Another program gets the number of its pseudo-terminal meanwhile."""
+        pulled = {"kind": "unplug", "at_s": 3.0, "duration_s": 1.0}
+        port = PtyPort()
+        with (
+            running(scene(board={"frame_rate": 100.0}, link_fault=[pulled]), port),
+            Skin.open(port.name, reconnect=60.0, timeout=30.0) as skin,
+        ):
+            old_name = port.name
+            until(lambda: skin._mailbox.away is not None)
+            others = [os.openpty()]
+            while os.ttyname(others[-1][1]) != old_name and len(others) < 8:  # a test beside this one may take it
+                others.append(os.openpty())
+            master, stranger = others[-1]
+            try:
+                os.write(master, b"for somebody else")
+                back = next(frame for frame in skin if frame.reconnected)
+                assert back.rebooted
+                assert port.name not in map(os.ttyname, (host for _, host in others))
+                os.set_blocking(stranger, False)
+                tty.setraw(stranger, termios.TCSANOW)
+                assert os.read(stranger, 100) == b"for somebody else"
+            finally:
+                for end in chain.from_iterable(others):
+                    os.close(end)
+
+    def test_the_end_of_a_recording_without_an_end_packet_is_an_end(self, tmp_path: Path) -> None:
+        path, link = tmp_path / "cut.mcap", tmp_path / "skin"
+        port = PtyPort()
+        with (
+            running(scene(board={"frame_rate": 200.0}), port),
+            Skin.open(port.name, delivery="every", record=path, timeout=30.0) as skin,
+        ):
+            count = len(list(islice(skin, 40)))
+        player = subprocess.Popen(
+            [sys.executable, "-m", "ohmskin", "replay", str(path), "--link", str(link), "--speed", "50"],
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        try:
+            assert player.stdout is not None
+            player.stdout.readline()
+            assert discover() == []  # would play the recording
+            with Skin.open(str(link), delivery="lossless", reconnect=60.0, timeout=30.0) as skin:
+                assert len(list(skin)) >= count
+                with pytest.raises(LinkEnded):
+                    skin.read()
+            assert player.wait(30) == 0
+        finally:
+            player.kill()
+            player.communicate()
+
+
+class TestBoards:
+    @pytest.fixture(autouse=True)
+    def _no_real_ports(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("ohmskin.driver._discover.serial_ports", list)
+
+    def test_emulated_boards_are_found_and_opened_by_serial_number(self, tmp_path: Path) -> None:
+        left, right = PtyPort(tmp_path / "arm"), TcpPort.at(":0")
+        with (
+            running(scene(board={"serial_number": "L-07"}), left),
+            running(scene(board={"serial_number": "R-02"}), right),
+        ):
+            assert [(board.serial_number, board.port) for board in discover()] == [
+                ("L-07", str(tmp_path / "arm")),
+                ("R-02", right.name),
+            ]
+            with Skin.open(serial_number="L-07") as one, Skin.open(serial_number="R-02") as other:
+                assert (one.read(30.0).sequence is None, other.read(30.0).sequence is None) == (False, False)
+                assert discover() == []  # both are in use
+        assert files() == []
+        assert discover() == []
+
+    def test_looking_for_boards_spends_no_time_of_a_board_at_the_fast_clock(self) -> None:
+        port = PtyPort()
+        with running(scene(), port, clock="fast", duration_s=1.0):
+            assert [board.port for board in discover()] == [port.name]
+            with Skin.open(port.name, delivery="lossless", timeout=30.0) as skin:
+                first = next(skin)
+        assert (first.sequence, first.lost_before) == (0, 0)
+
+    def test_a_board_is_found_under_its_new_name_and_not_while_it_is_away(self, tmp_path: Path) -> None:
+        pulled = {"kind": "unplug", "at_s": 0.2, "duration_s": 0.5, "name": "new"}
+        port = PtyPort(tmp_path / "old")
+        with running(scene(link_fault=[pulled]), port):
+            until(lambda: [board.port for board in discover(timeout=1.0)] == [str(tmp_path / "new")])
+
+    def test_a_design_of_another_size_is_named_where_packets_do_not_say_the_size(self) -> None:
+        port, large = PtyPort(), Design.load(PROTOTYPE).replace(array={"rows": 16, "columns": 16})
+        said = "expected a board of family 'fsr-array' with 16 x 16 cells, at this baud rate"
+        with (
+            silent_board(port, clock="real", duration_s=1e6),
+            Skin.open(port.name, board="fsr-array", design=large, timeout=30.0) as skin,
+            pytest.raises(ProtocolError, match=said),
+        ):
+            skin.read(1.0)
+
+
+class TestFiles:
+    def test_names_of_one_port_are_told_from_others(self, tmp_path: Path) -> None:
+        link = tmp_path / "skin"
+        with PtyPort(link) as port, TcpPort.at(":0") as listening:
+            number = listening.name.rpartition(":")[2]
+            for name in (str(link), os.path.realpath(link), listening.name, f"socket://localhost:{number}"):
+                assert announced(name) is not None, name
+            for name in (
+                "/dev/ttyACM0",
+                f"rfc2217://127.0.0.1:{number}",
+                "socket://127.0.0.1:1",
+                "loop://",
+                "socket://",
+            ):
+                assert announced(name) is None, name
+            assert port.name == str(link)
+        assert announced(str(link)) is None
+
+    def test_a_file_that_a_dead_emulator_left_is_removed(self) -> None:
+        there = Announcement("/dev/pts/1000")
+        left = files()[0].with_name("0-dead.port")
+        left.write_text("/dev/pts/1001")
+        assert [port.name for port in announced_ports()] == ["/dev/pts/1000"]
+        assert not left.exists()
+        there.close()
+        there.close()
+        assert files() == []
+
+    def test_without_a_directory_boards_run_unannounced(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setenv("OHMSKIN_RUNTIME_DIR", str(tmp_path / "file" / "below"))
+        (tmp_path / "file").write_text("")
+        port = PtyPort()
+        with running(scene(), port), Skin.open(port.name, timeout=30.0) as skin:
+            assert discover() == []
+            next(skin)
+
+    def test_boards_that_come_and_go_while_others_look(self) -> None:
+        over = threading.Event()
+        failures: list[BaseException] = []
+
+        def look() -> None:
+            try:
+                while not over.is_set():
+                    assert all(port.name.startswith("/dev/pts/") for port in announced_ports())
+            except BaseException as error:
+                failures.append(error)
+
+        looking = threading.Thread(target=look)
+        looking.start()
+        for number in range(300):
+            board = Announcement(f"/dev/pts/{number}")
+            assert announced(f"/dev/pts/{number}") is not None
+            if number % 2:
+                board.over()
+                assert announced(f"/dev/pts/{number}") is None
+            board.close()
+        over.set()
+        looking.join()
+        assert failures == []
+        assert files() == []
