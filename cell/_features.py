@@ -3,8 +3,8 @@
 The first feature is the last reading as it is, so that a fast press is answered at once. There are three kinds of
 memories. Lags hold the reading some seconds ago, smoothed; they tell of creep and recovery. Plays leave a slack of some
 width between the reading and its follower; they tell of hysteresis, that is, which way the reading was last going.
-Paths add up how far the reading has moved, either way, and fade; they tell how many conductive chains motion has broken.
-All are cheap, stable for any input, and at zero for a cell that has been read at one value for ever.
+Paths add up how far the reading has moved, either way, and fade; they tell how many conductive chains motion broke. All
+are cheap, stable for any input, and at zero for a cell that has been read at one value for ever.
 """
 
 from __future__ import annotations
