@@ -48,7 +48,7 @@ def remarks(
     if drift is not None and believed(drift):
         yield (
             f"R0 drifts by {100 * drift.share:+.0f} % over the recording, which creep of the model does not explain: "
-            "does the temperature change, or a lead loosen? Estimates drift alike, beyond what the deviation says; "
+            "does the temperature change, or a lead loosen? Estimates drift with it; "
             "record again when R0 is steady"
         )
     lead = resistance_lead_s(recording)
