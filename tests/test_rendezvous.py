@@ -10,7 +10,7 @@ import termios
 import threading
 import tty
 from collections.abc import Callable
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 
 import pytest
@@ -87,14 +87,16 @@ class TestEnds:
         pulled = {"kind": "unplug", "at_s": 0.5, "duration_s": 100.0}
         port = PtyPort(tmp_path / "skin")
         with (
-            running(scene(board={"frame_rate": 100.0}, link_fault=[pulled]), port, duration_s=1.5),
-            Skin.open(port.name, reconnect=60.0, timeout=30.0) as skin,
+            running(scene(board={"frame_rate": 100.0}, link_fault=[pulled]), port, clock="fast", duration_s=1.5),
+            Skin.open(port.name, delivery="lossless", reconnect=60.0, timeout=30.0) as skin,
         ):
-            assert len(list(skin)) > 5
+            list(skin)
+            with pytest.raises(LinkEnded, match="the emulated board has come to the end of its time"):
+                skin.read()
 
     def test_a_board_that_is_plugged_in_again_is_found_under_its_new_number(self) -> None:
         """Another program gets the number of its pseudo-terminal meanwhile."""
-        pulled = {"kind": "unplug", "at_s": 1.0, "duration_s": 1.0}
+        pulled = {"kind": "unplug", "at_s": 3.0, "duration_s": 1.0}
         port = PtyPort()
         with (
             running(scene(board={"frame_rate": 100.0}, link_fault=[pulled]), port),
@@ -102,19 +104,21 @@ class TestEnds:
         ):
             old_name = port.name
             until(lambda: skin._mailbox.away is not None)
-            master, stranger = os.openpty()
+            others = [os.openpty()]
+            while os.ttyname(others[-1][1]) != old_name and len(others) < 8:  # a test beside this one may take it
+                others.append(os.openpty())
+            master, stranger = others[-1]
             try:
-                assert os.ttyname(stranger) == old_name, "the kernel gives the lowest free number"
                 os.write(master, b"for somebody else")
                 back = next(frame for frame in skin if frame.reconnected)
                 assert back.rebooted
-                assert port.name != old_name
+                assert port.name not in map(os.ttyname, (host for _, host in others))
                 os.set_blocking(stranger, False)
                 tty.setraw(stranger, termios.TCSANOW)
                 assert os.read(stranger, 100) == b"for somebody else"
             finally:
-                os.close(master)
-                os.close(stranger)
+                for end in chain.from_iterable(others):
+                    os.close(end)
 
     def test_the_end_of_a_recording_without_an_end_packet_is_an_end(self, tmp_path: Path) -> None:
         path, link = tmp_path / "cut.mcap", tmp_path / "skin"
