@@ -182,7 +182,7 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
     times = np.empty((frames, 5))
     found_ohm, valid = np.empty_like(cells), np.empty(cells.shape, dtype=np.bool_)
     found_kpa = np.empty_like(cells)
-    port = PacedPort(packets, 1.0)
+    port = PacedPort(packets, 1.0, board)
     with _skin_at(port, board, cell, name) as skin:
         for number, packet in enumerate(packets):
             start = process_time()
@@ -232,7 +232,7 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
 
 def _taking_queued(packets: list[bytes], board: Design, cell: Cell, name: str | None) -> float:
     """Processor time in s in which a reader takes all frames with their standard deviations, of which many wait."""
-    port = PacedPort(packets, 1.0)
+    port = PacedPort(packets, 1.0, board)
     with _skin_at(port, board, cell, name) as skin:
         start = process_time()
         for number in range(len(packets)):

@@ -72,7 +72,7 @@ def freshness(sizes: Iterable[int], *, cycles: int = CYCLES) -> Iterator[Freshne
 
 def _opened(board: Design, cells: FloatArray, frames: int, period_s: float, *, each: int = 1) -> tuple[Skin, PacedPort]:
     """A skin whose frames come ``period_s`` apart; those with the same cells, ``each``, have a millisecond together."""
-    port = PacedPort(packets_of(board, cells, frames=frames, each=each, rate_hz=each * RATE_HZ), period_s)
+    port = PacedPort(packets_of(board, cells, frames=frames, each=each, rate_hz=each * RATE_HZ), period_s, board)
     return Skin(port, design=board, cell=Cell.example(), timeout=60.0), port
 
 

@@ -5,18 +5,24 @@ from __future__ import annotations
 import threading
 from time import process_time
 
+from ..circuits import Design
 from ..driver import Arrival
+from ..wire import Identity, board_protocol
 
 
 class PacedPort:
-    """A port in memory: packet k comes at ``k * period_s``. Only the reader who asks reads; the thread rests."""
+    """A port in memory: the board says who it is, and packet k comes at ``k * period_s``.
+
+    Frames are read only when their reader asks for them; the thread of the skin rests.
+    """
 
     name = "memory"
 
-    def __init__(self, packets: list[bytes], period_s: float) -> None:
+    def __init__(self, packets: list[bytes], period_s: float, board: Design) -> None:
         self._packets, self._period_s = packets, period_s
         self._began, self._worked_s = process_time(), 0.0
         self._sent = 0
+        self._introduction = _introduction(board)
         self._interrupted = threading.Event()
 
     def work(self, seconds: float) -> None:
@@ -27,12 +33,16 @@ class PacedPort:
         return process_time() - self._began + self._worked_s
 
     def wait(self, timeout_s: float) -> bool:
-        self._interrupted.wait(max(timeout_s, 0.0))
+        if not self._introduction:
+            self._interrupted.wait(max(timeout_s, 0.0))
         self._interrupted.clear()
-        return False
+        return bool(self._introduction)
 
     def read(self) -> Arrival:
         now = self.now()
+        if self._introduction:
+            said, self._introduction = self._introduction, b""
+            return Arrival(said, now, 1e9 + now)
         come = min(int(now / self._period_s), len(self._packets))
         data = b"".join(self._packets[self._sent : come])
         self._sent = come
@@ -46,3 +56,24 @@ class PacedPort:
 
     def close(self) -> None:
         pass
+
+
+def _introduction(board: Design) -> bytes:
+    """The packet in which a board says its size and its converter's bits."""
+    rows, columns = board.array.shape
+    assert board.adc is not None
+    return board_protocol("ohmskin").identify(
+        Identity(
+            sequence=0,
+            time_us=0,
+            rows=rows,
+            columns=columns,
+            adc_bits=board.adc.bits,
+            streaming=True,
+            period_us=1000,
+            description_bytes=0,
+            serial_number="",
+            firmware="",
+            boot_id=1,
+        )
+    )

@@ -353,7 +353,7 @@ def serial_ports() -> list[str]:
 
 def emulated_ports() -> list[str]:
     """The names of the pseudo-terminals and sockets of the emulated boards on this machine."""
-    return [port.name for port in announced_ports()]
+    return [port.name for port in announced_ports() if port.is_listed]
 
 
 def is_numbered_terminal(name: str) -> bool:

@@ -112,17 +112,21 @@ class Reader:
 
     def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
         """The error for a wait that brought nothing of the kind wanted."""
-        where = f"{self.port_name}: no {what} within {timeout_s:g} s"
+        where = f"{self.port_name}: no {what} within {max(timeout_s, 0.0):g} s"
         if self._lossless and self._mailbox.is_full():
             return LinkTimeout(f"{where}: the queue is full of frames for another reader of this skin, who takes none")
         if self._mailbox.away is not None:
             return LinkTimeout(f"{where}: {self._mailbox.away}; trying to open the port again")
         if not self._received:
-            return LinkTimeout(f"{where}: the port is silent")
+            last = self._mailbox.newest
+            ago = "" if last is None else f"; the last frame came {self.now() - last.monotonic_time:.3g} s ago"
+            return LinkTimeout(f"{where}: the port is silent{ago}")
         if self._reason:
+            layout = self._protocol.layout
+            size = "" if self._family.has_description else f" with {layout.rows} x {layout.columns} cells"
             return ProtocolError(
                 f"{where}: {self._received} bytes came, the last of them no packet ({self._reason}); "
-                f"expected a board of family '{self._family.name}', at this baud rate"
+                f"expected a board of family '{self._family.name}'{size}, at this baud rate"
             )
         return LinkTimeout(f"{where}: the board is there, but sends none")
 

@@ -36,6 +36,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from ..arrays import FloatArray, median
+from ..compiled import FixedRows, loop
 
 FORGET = 0.95
 """share of a noise that is still assumed a frame later, once it has been seen for long"""
@@ -58,6 +59,8 @@ ABOVE = 1.1
 """ratio to the noise so far, from which on motion may be the reason"""
 GROWING = 1.3
 """ratio to the noise so far, from which on the noise may have become another one"""
+ROUNDED = 1.0 + 1e-9
+"""so that changes of the sizes of before are not more than those by the order in which they are added up"""
 DOUBT = 0.05
 """probability of readings as quiet as those that were seen, with the noise that is stated"""
 RARE = 0.01
@@ -86,6 +89,7 @@ class Scatter:
         """
         self._step = step
         self._assumed = ASSUMED * step if assumed else 0.0
+        self._cut_sum = _cut_sum.machine_code() or cut_sum
         self.before: FloatArray | None = None
         """V, the last frame's readings"""
         self.frames = 0
@@ -123,9 +127,8 @@ class Scatter:
         change = volts - before
         moving = max(self._free, 1)
         if self.frames == 2:
-            size = np.abs(change)
-            expected = max(self._seen, min(_median(size), AT_FIRST * self._step))
-            self._seen, self._confirmed = self._by_mean(size, expected, moving), 1
+            expected = max(self._seen, min(_median(np.abs(change)), AT_FIRST * self._step))
+            self._seen, self._confirmed = self._by_mean(change, expected, moving), 1
         else:
             shown, assumed = self._shown_by(change, moving), self._assumed_next
             if shown > GROWING * self._seen:
@@ -160,17 +163,16 @@ class Scatter:
 
     def _shown_by(self, change: FloatArray, moving: int) -> float:
         """V, by this change (N, M) in V and those before; ``moving`` readings can change."""
-        size = np.abs(change)
-        mean = self._by_mean(size, self._seen, moving)
-        if mean <= self._seen:  # whatever moves
+        mean = self._by_mean(change, self._seen, moving)
+        if mean <= ROUNDED * self._seen:  # whatever moves
             return mean
         if self._change is None:
             return 0.0
         if moving < FEW:
-            return self._shown_by_few(change, size, mean)
+            return self._shown_by_few(change, mean)
         shown = self._by_quietest(_quietest_of_two(change, self._change), QUIET_OF_TWO, moving)
         if shown > ABOVE * self._seen and self._older is not None:
-            of_three = _quietest(np.stack((change, self._change, self._older)).reshape(3, -1))
+            of_three = _quietest(np.stack((change, self._change, self._older)).reshape(3, -1))[None]
             shown = min(shown, self._by_quietest(of_three, QUIET_OF_THREE, moving))
         return shown
 
@@ -178,24 +180,23 @@ class Scatter:
         """V, by the scatter over the readings of the quietest sum of some changes.
 
         Args:
-            quietest: V, the sum, with the variance of one change by noise.
+            quietest: (N, M) or (1, N M) V, the sum, with the variance of one change by noise.
             quiet: :data:`QUIET_OF_TWO` or :data:`QUIET_OF_THREE`.
             moving: readings that can change.
 
         """
-        size = np.abs(quietest)
-        mean = self._by_mean(size, self._seen, moving)
+        mean = self._by_mean(quietest, self._seen, moving)
         if mean > GROWING * self._seen:  # noise so far cuts off too much of a larger one
-            mean = self._by_mean(size, max(self._seen, _median(size, size.size - moving)), moving)
+            expected = _median(np.abs(quietest), quietest.size - moving)
+            mean = self._by_mean(quietest, max(self._seen, expected), moving)
         return mean / (1.0 - quiet / math.sqrt(moving))
 
-    def _shown_by_few(self, change: FloatArray, size: FloatArray, mean: float) -> float:
+    def _shown_by_few(self, change: FloatArray, mean: float) -> float:
         """V, by the alternation of this change (N, M) in V and the one before.
 
         Args:
             change: V.
-            size: V, the same without signs.
-            mean: V, noise by the mean of ``size``.
+            mean: V, noise by the mean size of ``change``.
 
         """
         assert self._change is not None
@@ -205,9 +206,9 @@ class Scatter:
             return min(mean, alternating)
         # Noise so far cuts off too much of a larger one. Either median is of noise unless half of the cells move; that
         # of both changes together also where all of them come and go.
-        expected = min(_median(size), _median(np.abs(self._change)), _median(np.abs(change + self._change)))
+        expected = min(_median(np.abs(change)), _median(np.abs(self._change)), _median(np.abs(change + self._change)))
         expected = max(self._seen, expected)
-        return min(self._by_mean(size, expected, moving), self._alternating(change, expected, moving))
+        return min(self._by_mean(change, expected, moving), self._alternating(change, expected, moving))
 
     def _most_by(self, change: FloatArray, moving: int) -> float:
         """V, a noise with which changes (N, M) as small as these would be rare: they end what a jump has shown."""
@@ -232,17 +233,33 @@ class Scatter:
         part = chance - float(np.add.reduce(onward, axis=None))
         return math.sqrt(max(part, 0.0) / (moving * ALTERNATING))
 
-    def _by_mean(self, size: FloatArray, expected: float, moving: int) -> float:
+    def _by_mean(self, change: FloatArray, expected: float, moving: int) -> float:
         """V, standard deviation by the mean absolute change.
 
         Args:
-            size: (N, M) V, absolute changes since the last frame.
+            change: (N, M) V, since the last frame.
             expected: V, standard deviation that is expected; larger changes are cut off.
             moving: readings that can change.
 
         """
         most = max(self._step, MOST_CHANGE * expected)
-        return float(np.add.reduce(np.minimum(size, most), axis=None)) / (moving * MEAN_CHANGE)
+        return self._cut_sum(change, most) / (moving * MEAN_CHANGE)
+
+
+def cut_sum(change: FloatArray, most: float) -> float:
+    """Sum of the absolute values (N, M), each cut off at ``most``."""
+    return float(np.add.reduce(np.minimum(np.abs(change), most), axis=None))
+
+
+@loop
+def _cut_sum(change: FixedRows, most: float) -> float:
+    """As :func:`cut_sum`."""
+    rows, columns = change.shape
+    total = 0.0
+    for i in range(rows):
+        for j in range(columns):
+            total += min(abs(change[i, j]), most)
+    return total
 
 
 def _quietest_of_two(change: FloatArray, before: FloatArray) -> FloatArray:

@@ -39,6 +39,7 @@ class Port(ABC):
     hosts = 0
     """hosts so far, for ports that can tell one from the next"""
     _announcement: Announcement | None = None
+    _listed = True
 
     @abstractmethod
     def host_present(self) -> bool:
@@ -73,7 +74,7 @@ class Port(ABC):
     def _announce(self) -> None:
         """Let hosts of this machine find the port under its present name."""
         if self._announcement is None:
-            self._announcement = Announcement(self.name)
+            self._announcement = Announcement(self.name, listed=self._listed)
         else:
             self._announcement.move(self.name)
 
@@ -123,13 +124,15 @@ class PtyPort(Port):
 
     Args:
         link: name of a symbolic link to the pseudo-terminal; None: none.
+        listed: whether hosts that look for boards open this port to see who is there.
 
     Raises:
         InputError: ``link`` belongs to another emulator, is something else than an emulator's link, or cannot be made.
 
     """
 
-    def __init__(self, link: Path | None = None) -> None:
+    def __init__(self, link: Path | None = None, *, listed: bool = True) -> None:
+        self._listed = listed
         self._link = None if link is None else LinkName(link)
         try:
             self._open()

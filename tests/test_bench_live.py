@@ -37,7 +37,7 @@ def test_the_errors_of_the_benchmark_are_those_of_a_skin() -> None:
     """The errors that the benchmark states are those that a user of the driver gets."""
     board = design(4, "inverting-amplifier", "ground", 12)
     truth, cells = pressed((4, 4), 60)
-    port = PacedPort(packets_of(board, cells), 1.0)
+    port = PacedPort(packets_of(board, cells), 1.0, board)
     shown = []
     with Skin(port, design=board, cell=Cell.example(), delivery="every") as skin:
         for _ in range(60):
@@ -52,7 +52,7 @@ def test_setting_up_a_skin_leaves_nothing_for_its_first_frames() -> None:
     board = design(8, "voltage-divider", "ground", 8)
     packets = packets_of(board, pressed((8, 8), 20)[1])
     read, decode = CountReader(board), host_protocol("ohmskin")
-    port = PacedPort(packets, 1.0)
+    port = PacedPort(packets, 1.0, board)
     with Skin(port, design=board, cell=Cell.example(), delivery="every", timeout=60.0) as skin:
         for packet in packets:
             port.work(1.0)
@@ -99,7 +99,7 @@ def test_frames_that_wait_in_a_queue_are_those_of_a_reader_who_is_in_time() -> N
     packets = packets_of(board, pressed((6, 6), 120)[1])
     shown = []
     for together in (1, 7, 120):
-        port = PacedPort(packets, 1.0)
+        port = PacedPort(packets, 1.0, board)
         with Skin(port, design=board, cell=Cell.example(), delivery="every", timeout=60.0) as skin:
             taken = []
             for number in range(len(packets)):

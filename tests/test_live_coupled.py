@@ -297,6 +297,35 @@ def test_cells_of_a_few_ohm_cost_their_columns_and_rows_that_they_join(kind: str
             assert valid[free].all()
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_followers_keep_the_rows_that_have_no_saturated_cell(seed: int) -> None:
+    """Whatever the saturated cells and their rows are, others stay valid and within their uncertainties.
+
+    The fillings of what nobody can tell are drawn anew after some frames: near a short or not, with any neighbours.
+    """
+    draw = np.random.default_rng(seed)
+    shape, lead = ((8, 8), (12, 10), (16, 16))[seed % 3], (1.0, 25.0, 5.0, 60.0)[seed % 4]
+    gain, offset = ((1e5, 0.0), (1e6, 1e-4), (np.inf, 1e-4))[seed // 4]
+    readout = {"open_loop_gain": gain, "offset_voltage": (offset * draw.uniform(-1.0, 1.0, shape[1])).tolist()}
+    adc = {"bits": (10, 12, 16)[seed % 3], "range": [0.0, (3.3, 2.5)[seed % 2]]}
+    design = board("feedback", *shape, row_lead=lead, column_lead=lead).replace(readout=readout, adc=adc)
+    rest = 2e4 * 10 ** draw.uniform(-0.1, 0.1, shape)
+    places = draw.permutation(shape[0])[:4], draw.permutation(shape[1])[:4]
+    free = np.ones(shape, dtype=np.bool_)
+    free[places[0]], free[:, places[1]] = False, False
+    read = CountReader(design)
+    for number in range(30):
+        if number % 9 == 3:
+            rest[places[0]] = 2e4 * 10 ** draw.uniform(-0.7, 0.7, (4, shape[1]))
+            rest[places] = 10 ** draw.uniform(-3.0, 1.0, 4)
+        cells = rest * (1.0 - 0.01 * number)
+        reading = read(adc_codes(design, scan(design, cells).volts))
+        valid = reading.valid
+        assert (np.abs(reading.resistance / cells - 1.0)[valid] <= reading.uncertainty[valid]).all()
+        if number % 9 == 2 and number > 3:
+            assert valid[free].mean() > 0.9
+
+
 SHORT = {"kind": "shorted-cell", "place": [1, 1], "resistance": 0.0}
 BROKEN_ROW = {"kind": "broken-row", "place": [1, 2]}
 BROKEN_COLUMN = {"kind": "broken-column", "place": [1, 2]}

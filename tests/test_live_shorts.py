@@ -56,6 +56,8 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("feedback", 910000116),  # two shorts of a row read like two cells of 2.3 kohm behind a follower
         ("feedback", 3010000245),  # and like two different ones, with an offset
         ("feedback", 2020000241),  # and like one strong and one weak cell, where their resistances differ
+        ("feedback events", 4030000047),  # two shorts of the only row divide all its other readings, by 16
+        ("feedback events", 6120000094),  # and a row of 8 to 130 ohm reads like one of 110 to 850
         ("divider", 910000458),  # a few ohm of two cells decide how their rows share the readings
         ("divider", 310000415),
         ("divider", 910000216),  # a step with derivatives from cells that were different

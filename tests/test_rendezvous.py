@@ -16,9 +16,10 @@ from pathlib import Path
 import pytest
 from boards import EXAMPLES, scene, until
 
+from ohmskin.circuits import Design
 from ohmskin.driver import Skin, discover
 from ohmskin.emulator import Port, PtyPort, Rfc2217Port, Scene, TcpPort, running
-from ohmskin.errors import LinkEnded, LinkError
+from ohmskin.errors import LinkEnded, LinkError, ProtocolError
 from ohmskin.rendezvous import Announcement, announced, announced_ports
 
 FINGERS, PROTOTYPE = EXAMPLES / "fingers.toml", EXAMPLES / "prototype.toml"
@@ -131,6 +132,7 @@ class TestEnds:
         try:
             assert player.stdout is not None
             player.stdout.readline()
+            assert discover() == []  # would play the recording
             with Skin.open(str(link), delivery="lossless", reconnect=60.0, timeout=30.0) as skin:
                 assert len(list(skin)) >= count
                 with pytest.raises(LinkEnded):
@@ -175,6 +177,16 @@ class TestBoards:
         port = PtyPort(tmp_path / "old")
         with running(scene(link_fault=[pulled]), port):
             until(lambda: [board.port for board in discover(timeout=1.0)] == [str(tmp_path / "new")])
+
+    def test_a_design_of_another_size_is_named_where_packets_do_not_say_the_size(self) -> None:
+        port, large = PtyPort(), Design.load(PROTOTYPE).replace(array={"rows": 16, "columns": 16})
+        said = "expected a board of family 'fsr-array' with 16 x 16 cells, at this baud rate"
+        with (
+            silent_board(port, clock="real", duration_s=1e6),
+            Skin.open(port.name, board="fsr-array", design=large, timeout=30.0) as skin,
+            pytest.raises(ProtocolError, match=said),
+        ):
+            skin.read(1.0)
 
 
 class TestFiles:

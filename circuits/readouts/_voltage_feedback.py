@@ -25,9 +25,19 @@ from ._rounding import conductance_into_rows
 from ._voltage_divider import VoltageDivider
 
 _LEAST_SHORT = 1e-3  # ohm that a short has at least, with its contacts
+_CAPPED = 2.0  # times the conductance of a short that a cell may seem to have, by rounding of the readings
 _LEAST_DIVISION = 1.1  # of a column's readings by shorts, below which nothing is to be mistaken
 _FAR_ABOVE = 3.0  # times the usual conductance above which a cell is no ordinary one
 _WELL_ABOVE = 10.0  # the same over that of Rref
+_FAR_ABOVE_RREF = 100.0  # the same where there is one row only, which may be pressed as a whole
+_ROUGHLY = 0.7  # of an offset's effect that shows in any case
+_LOADED = 0.1  # share of a row's drive that more conductive cells may take unnoticed
+_LEAST_DROP = 1e-6  # share of the drive between a driver and the column
+_LEAST_LEFT = 0.01  # share of the drive that a row's lead leaves
+_LEAST_PULLED = 0.1  # share of a cell's drop that the follower takes in a second solution
+_ROUNDS = 3  # of leaving out columns that a second solution cannot be right in
+_MOST_MORE = 1e6  # times as conductive as they seem may all cells of a row be
+_GROWTH = np.geomspace(1.5, _MOST_MORE, 24)
 
 
 class _Balance(NamedTuple):
@@ -61,6 +71,153 @@ class _Balance(NamedTuple):
         current = self.driven * board.drive - board.bias + self.idle * lift
         volts: FloatArray = current / self.slope
         return volts
+
+
+class _PulledRows(NamedTuple):
+    """Rows whose crosspoints the follower pulls at, through cells of a few ohm.
+
+    Idle columns stand at the follower's output, beside the potential V of the sensed column by a share
+    e = 1 / (1 + A) - Vos A / (1 + A) / V of V. With r the row's lead, G the sum of its conductances g, z = r G, and
+    a = drive / V - 1, the balance of currents at the row's crosspoints is
+
+        a = (1 + z) / (Rref g) + (z - r g) e.
+
+    All g that follow from a given z have to sum up to z / r. A second z does so as well as that of ordinary cells.
+    """
+
+    lead: FloatArray
+    """(N,) ohm, r"""
+    apparent: FloatArray
+    """(N, M) S of each cell, if it were alone"""
+    column: FloatArray
+    """(N, M) V, towards the drive"""
+    drop: FloatArray
+    """(N, M) a"""
+    pulled: FloatArray
+    """(N, M) e"""
+    first: FloatArray
+    """(N,) 1 + z of ordinary cells"""
+    largest: FloatArray
+    """(N,) 1 + z up to which most other cells are still ordinary ones"""
+    reference: FloatArray
+    """(M,) ohm, Rref"""
+    most: FloatArray
+    """(N, M) S that a cell has at most with its column's lead"""
+
+    @classmethod
+    def of(
+        cls,
+        circuit: VoltageFeedback,
+        board: Parts,
+        lead: FloatArray,
+        signal: FloatArray,
+        lift: FloatArray,
+        least: float,
+    ) -> _PulledRows:
+        """For readings.
+
+        Args:
+            circuit: the circuit.
+            board: parts of the readout.
+            lead: (N,) ohm between each row's driver and its cells.
+            signal: (N, M) V above the reference.
+            lift: (M,) V of the follower above its column where that is at the reference.
+            least: V of a signal that is none.
+
+        """
+        drive = abs(board.drive)
+        column = ((signal + board.level) / board.loop_share - board.level - board.offset) * np.sign(board.drive)
+        surely = np.maximum(column - least, 0.0)
+        column = np.maximum(column, least)
+        drop = np.maximum(drive / (column + least) - 1.0, _LEAST_DROP)
+        apparent = circuit.apparent_conductance(board, signal)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if len(signal) == 1:
+                largest = _FAR_ABOVE_RREF * (drive / _usual(surely.T) - 1.0)
+            else:
+                # Followers divide the readings of the other rows' cells by so much at most.
+                lowest = np.maximum(_usual(surely) - np.abs(lift) / board.inverse_gain, 0.0)
+                joined = _WELL_ABOVE * (drive / lowest - 1.0) / board.reference / board.inverse_gain
+                largest = 1.0 + lead * joined.sum()
+        first = 1.0 / np.maximum(1.0 - lead * apparent.sum(axis=1), _LEAST_LEFT)
+        return cls(
+            lead=lead,
+            apparent=apparent,
+            column=column,
+            drop=drop,
+            pulled=board.inverse_gain - lift * np.sign(board.drive) / column,
+            first=first,
+            largest=np.minimum(np.nan_to_num(largest, nan=np.inf, posinf=np.inf), _MOST_MORE),
+            reference=np.broadcast_to(board.reference, signal.shape[1:]),
+            most=np.broadcast_to(_CAPPED / (board.column_lead + _LEAST_SHORT), signal.shape),
+        )
+
+    def second_solutions(self) -> FloatArray | None:
+        """S (N, M) from each column to the others by way of a row that has a second solution; 0 in other rows.
+
+        None where no row has one.
+        """
+        # Far below this share of a cell's drop, what the follower pulls changes hardly anything.
+        share = np.maximum(2.0 / self.first - 1.0, _LEAST_PULLED)
+        rows = np.flatnonzero(((self.pulled / self.drop).max(axis=1) * self.largest > share) & (self.lead > 0.0))
+        if not rows.size:
+            return None
+        lead, pulled = self.lead[rows, None], self.pulled[rows]
+        more = np.minimum(self.first[rows] * _GROWTH[:, None], np.maximum(self.largest, self.first * _GROWTH[0])[rows])
+        falling = self.drop[rows] - (more - 1.0)[..., None] * pulled
+        current = more[..., None] / self.reference
+        root = np.sqrt(np.maximum(falling**2 + 4.0 * current * lead * pulled, 0.0))
+        with np.errstate(divide="ignore"):
+            cells = np.minimum(2.0 * current / np.maximum(falling + root, 0.0), self.most[rows])
+        total = cells.sum(axis=-1)
+        second = total * self.lead[rows] >= more - 1.0
+        doubtful = np.flatnonzero(second.any(axis=0))
+        if not doubtful.size:
+            return None
+        at = second.argmax(axis=0)[doubtful], doubtful
+        cells, beside = cells[at], total[at][:, None] - cells[at] + 1.0 / lead[doubtful]
+        through = np.zeros(self.drop.shape)
+        through[rows[doubtful]] = cells * beside / (cells + beside)
+        return through
+
+    def suspect(
+        self, board: Parts, signal: FloatArray, lift: FloatArray, least: float, through: FloatArray
+    ) -> BoolArray:
+        """(N, M) cells that join columns in whose other rows cells would still be ordinary ones.
+
+        Args:
+            board: parts of the readout.
+            signal: (N, M) V above the reference.
+            lift: (M,) V of the follower above its column where that is at the reference.
+            least: V of a signal that is none.
+            through: S (N, M) from each column to the others by way of a row.
+
+        """
+        if len(through) == 1:
+            return through > 0.0
+        rows = np.flatnonzero(through.any(axis=1))
+        joined = through[rows][:, None]  # one row at a time
+        # Balance of each cell's column, which the others drive through the row; of a reading that may be none, no cell.
+        taken = self.column * (1.0 / self.reference + joined * board.inverse_gain)
+        given = joined * lift * np.sign(board.drive)
+        others = np.maximum(taken - given, 0.0) / np.maximum(abs(board.drive) - self.column, _LEAST_DROP)
+        others[_ROUGHLY * given > taken] = inf
+        others[:, np.abs(signal) <= least] = 0.0
+        usual = np.zeros(through.shape)
+        usual[rows] = _usual(others.transpose(1, 0, 2))
+        divided = 1.0 + through * self.reference * board.inverse_gain
+        suspect = _of_pairs((divided > _LEAST_DIVISION) & (usual <= _WELL_ABOVE / self.reference))
+        elsewhere = self.apparent[~suspect.any(axis=1)][:, ~suspect.any(axis=0)]
+        elsewhere = elsewhere[elsewhere > 0.0]
+        if elsewhere.size:
+            suspect = _of_pairs(suspect & (usual <= _FAR_ABOVE * np.median(elsewhere)))
+        return suspect
+
+
+def _usual(cells: FloatArray) -> FloatArray:
+    """The median of all but the largest cells of a column, along the first axis."""
+    usual: FloatArray = np.sort(cells, axis=0)[max(len(cells) - 2, 0) // 2]
+    return usual
 
 
 class VoltageFeedback(VoltageDivider):
@@ -121,42 +278,37 @@ class VoltageFeedback(VoltageDivider):
     def imitated_by_shorts(
         self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float
     ) -> BoolArray | None:
-        """Two shorts in a row join its columns, and each column then nearly follows the follower that drives the other.
+        """Cells of rows that may conduct so well that the follower, through them, pulls at the row's crosspoints.
 
-        With r the row's lead and G the conductance between the columns through the shorts, the follower's finite gain
-        divides all other readings of such a column by F = 1 + G Rref / (1 + A), and its offset moves them by
-        (1 + A) Vos (F - 1) / F. The shorts themselves read drive / (1 + F r / Rref): like two ordinary cells. So two
-        such readings in a row are not believed where the readings of their columns, multiplied by F, are those of
-        ordinary cells as well.
+        All cells of such a row may be many times as conductive as they seem (:class:`_PulledRows`). Both solutions are
+        of this world only if most other cells remain ordinary ones. The best conductors of the row join their columns,
+        and the follower then divides all other readings of such a column by F = 1 + C Rref / (1 + A), C being the
+        conductance from the column to others by way of the row; its offset moves them by (1 + A) Vos (F - 1) / F.
         """
         if not (board.inverse_gain.any() and row_lead.any()):
             return None
-        share = signal / board.drive
-        largest = 1.0 + board.reference * board.inverse_gain / (board.column_lead + _LEAST_SHORT)
-        possible = share * (1.0 + largest * row_lead / board.reference) >= 1.0
-        possible &= (row_lead > 0.0) & (largest > _LEAST_DIVISION)
-        if not _of_pairs(possible).any():
-            return None
-        with np.errstate(divide="ignore", invalid="ignore"):
-            alone = np.where(possible, np.maximum((1.0 / share - 1.0) * board.reference / row_lead, 1.0), np.inf)
-            # Both columns of a pair are divided alike; the larger reading tells by how much.
-            divided = np.where(possible, alone.min(axis=1, keepdims=True), 1.0)
-            lift = board.loop_share * board.offset - board.inverse_gain * board.level
-            moved = np.where(lift != 0.0, lift / board.inverse_gain * (1.0 - 1.0 / divided.max(axis=0)), 0.0)
-        # Whatever reads nothing may be pushed below the range.
-        others = self.apparent_conductance(board, np.where(np.abs(signal) > least, signal - moved, 0.0))
-        # Of a column's cells but the largest, the median.
-        usual = np.sort(others, axis=0)[max(len(others) - 2, 0) // 2] if len(others) > 1 else np.zeros(len(moved))
-        suspect = _of_pairs(possible & (usual * divided <= _WELL_ABOVE / board.reference))
-        elsewhere = self.apparent_conductance(board, signal)[~suspect.any(axis=1)][:, ~suspect.any(axis=0)]
-        elsewhere = elsewhere[elsewhere > 0.0]
-        if elsewhere.size:
-            suspect = _of_pairs(suspect & (usual * divided <= _FAR_ABOVE * np.median(elsewhere)))
-        if not suspect.any():
-            return None
-        columns = suspect.any(axis=0)
-        found: BoolArray = columns | np.any(possible & columns, axis=1, keepdims=True)
-        return found
+        lift = board.loop_share * board.offset - board.inverse_gain * board.level
+        rows = _PulledRows.of(self, board, row_lead.max(axis=1), signal, lift, least)
+        ordinary = np.maximum(_WELL_ABOVE / rows.reference, rows.apparent)
+        for _ in range(_ROUNDS):
+            found = rows.second_solutions()
+            if found is None:
+                return None
+            through = found
+            suspect = rows.suspect(board, signal, lift, least, through)
+            if not suspect.any():
+                return None
+            # Without the columns in which it would make other cells extraordinary, there may be no second solution.
+            extraordinary = (through > 0.0) & ~suspect & (rows.most > ordinary)
+            if not extraordinary.any():
+                break
+            rows = rows._replace(most=np.where(extraordinary, ordinary, rows.most))
+        # Other rows' cells in these columns conduct more than they seem to, and load their rows.
+        divided = 1.0 + through * board.reference * board.inverse_gain
+        more = rows.apparent * np.where(suspect, divided - 1.0, 0.0).max(axis=0)
+        loaded = rows.lead * more.sum(axis=1) > _LOADED
+        disturbed: BoolArray = suspect.any(axis=0) | (loaded | suspect.any(axis=1))[:, None]
+        return disturbed
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.

@@ -42,6 +42,7 @@ from ._live_reading import (
     LiveReading,
     ValidityRule,
 )
+from ._lost_rows import LostRows
 from ._possible_shorts import PossibleShorts
 from ._readings_at_limits import ReadingLimits, Selection
 
@@ -76,7 +77,8 @@ class CoupledLive:
         self._linearised = Linearised(parts)
         columns = self._linearised.columns
         self._start = ClosedStart(parts, columns)
-        self._limits = ReadingLimits(parts, nearly_independent=columns.applies)
+        self._rows = LostRows(parts)
+        self._limits = ReadingLimits(parts, nearly_independent=columns.applies, loses_rows=self._rows.applies)
         self._shorts = PossibleShorts(parts)
         self._uncertainty = FitUncertainty(parts)
         self._convergence = Convergence()
@@ -109,6 +111,9 @@ class CoupledLive:
         if fit.none and short is not None:  # readings hardly tell such a cell from a short
             return self._nothing(short)
         self._steps.settle(fit)
+        if selection.lost_rows is not None:
+            conductance = 1.0 / fit.known.cells
+            by_lost = self._rows.change(frame, selection.lost_rows, selection.at_limit, conductance)
         left = self._left_open(frame, fit, by_lost, doubt)
         beside = self._disturbed(frame, fit, selection, left.all - by_lost, short)
         return self._reading(frame, fit, selection, left, beside)
@@ -126,10 +131,12 @@ class CoupledLive:
             self._steps.begin_anew()
             self._linearised.begin_anew(start)
         beside = selection.beside.ravel()
-        if selection.lost is not None:
+        if selection.lost is not None or selection.lost_rows is not None:
             usual = np.where(beside, np.median(start.log[~beside]), start.log)
             if np.abs(usual - start.log).max() > 0.0:
                 start = self._parts.at(usual)
+            if selection.lost is None:
+                return start, 0.0
             conductance = np.exp(usual).reshape(self._parts.shape)
             return start, self._limits.by_lost_columns(frame, selection.lost, conductance)
         if beside.any():
@@ -253,7 +260,7 @@ class CoupledLive:
         resistance = fit.known.cells.ravel().copy()
         resistance[gone] = np.nan
         resistance[open_cells & ~gone] = inf
-        if selection.lost is not None:
+        if selection.lost is not None or selection.lost_rows is not None:
             resistance[disturbed] = np.nan
         return LiveReading(
             resistance.reshape(shape),

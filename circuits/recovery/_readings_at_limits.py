@@ -19,9 +19,9 @@ from ._gauss_newton import Convergence
 
 _SHORT = 8.0  # half steps and noise from the reading of a short within which a cell may be one
 _SHORT_SHARE = 0.998  # of the reading of a short, likewise
-_HEAVY_CELL = 0.8  # of what a short reads, from which on a column is left out where the last frame did not settle
+_HEAVY_CELL = 0.8  # of what a short reads, from which on a line is left out where the last frame did not settle
 _ONE_OF_SOME = 0.2  # the same where two frames did not, since cells of a few ohm share a reading
-_LEFT_OUT = 300  # frames until a column that has been left out is tried again
+_LEFT_OUT = 300  # frames until a line that has been left out is tried again
 _BY_LEADS = 1.5  # times the share of a voltage that leads lose, what they may change
 
 
@@ -35,7 +35,9 @@ class Selection(NamedTuple):
     lost: BoolArray | None
     """(M,) columns that are left out; None: there are none"""
     beside: BoolArray
-    """cells of which the frame does not tell: those of lost columns and of columns that no amplifier holds"""
+    """cells of which the frame does not tell: those of lost lines and of columns that no amplifier holds"""
+    lost_rows: BoolArray | None
+    """(N,) rows that are left out; None: there are none"""
     ignored: BoolArray | None
     """(n,) readings that do not count; None: all do"""
 
@@ -43,8 +45,16 @@ class Selection(NamedTuple):
 class ReadingLimits:
     """The readings of one board at their limits."""
 
-    def __init__(self, parts: CoupledBoard, *, nearly_independent: bool) -> None:
-        """For a board, and whether its columns hardly load each other."""
+    def __init__(self, parts: CoupledBoard, *, nearly_independent: bool, loses_rows: bool) -> None:
+        """For a board.
+
+        Args:
+            parts: the board.
+            nearly_independent: whether its columns hardly load each other.
+            loses_rows: whether other rows are known without those with a reading at a limit.
+
+        """
+        self._loses_rows = loses_rows
         board = parts.board
         self._parts, self._board = parts, board
         self._gone = parts.gone.reshape(parts.shape)
@@ -58,7 +68,8 @@ class ReadingLimits:
         )
         self._nowhere = np.zeros(parts.shape, dtype=np.bool_)
         self._usual_below = -1.0, self._short_signal  # V: an error of readings, and what they do not reach as a rule
-        self._left_out = np.zeros(parts.shape[1], dtype=np.bool_)  # columns
+        self._along = 1 if loses_rows else 0  # axis along which lines are left out
+        self._left_out = np.zeros(parts.shape[1 - self._along], dtype=np.bool_)  # columns or rows
         self._leaves_out = 0  # frames for which they stay so
 
     def select(
@@ -81,8 +92,10 @@ class ReadingLimits:
             return _nothing(reported)
         if limited is None and self._is_usual(signal, error, convergence):
             ignored = self._parts.hidden if self._parts.any_hidden else None
-            return Selection(tells=True, at_limit=self._nowhere, lost=None, beside=self._nowhere, ignored=ignored)
+            return Selection(True, self._nowhere, None, self._nowhere, lost_rows=None, ignored=ignored)
         at_limit = self._at_limit(signal, reported & ~self._gone, error)
+        if self._loses_rows:
+            return self._without_rows(signal, at_limit, convergence)
         lost = self._lost_columns(signal, at_limit, convergence)
         any_lost = bool(lost.any())
         if any_lost and not (self._loses_columns and not lost.all()):
@@ -100,12 +113,34 @@ class ReadingLimits:
             at_limit=at_limit,
             lost=lost if any_lost else None,
             beside=beside,
+            lost_rows=None,
             ignored=ignored if ignored.any() else None,
         )
 
+    def _without_rows(self, signal: FloatArray, at_limit: BoolArray, convergence: Convergence) -> Selection:
+        """Readings of all rows but those with one at a limit, and those that keep the others from settling.
+
+        Args:
+            signal: (N, M) V.
+            at_limit: (N, M) readings at a limit.
+            convergence: how the last frames have come to a fit.
+
+        """
+        self._leave_out(signal, convergence)
+        rows: BoolArray = np.logical_or.reduce(at_limit, axis=1)
+        together = rows | self._left_out
+        if not together.all():
+            rows = together
+        if rows.all():
+            return _nothing(at_limit)
+        if not rows.any():
+            return Selection(True, at_limit, None, self._nowhere, lost_rows=None, ignored=None)
+        beside = np.repeat(rows[:, None], at_limit.shape[1], axis=1)
+        return Selection(True, at_limit, None, beside, lost_rows=rows, ignored=beside.ravel())
+
     def _is_usual(self, signal: FloatArray, error: float, convergence: Convergence) -> bool:
         """Whether no reading is near a limit, and no column is left out: quickly, as it is so in nearly all frames."""
-        if self._loses_columns and (convergence.astray or self._left_out.any()):
+        if (self._loses_columns or self._loses_rows) and (convergence.astray or self._left_out.any()):
             return False
         if self._usual_below[0] != error:
             below = np.minimum(self._as_a_short(error), self._most_signal + _SHORT * error)
@@ -135,14 +170,14 @@ class ReadingLimits:
         return lost
 
     def _leave_out(self, signal: FloatArray, convergence: Convergence) -> None:
-        """Choose columns without which a board settles that does not: cells of a few ohm there may keep it from that.
+        """Choose lines without which a board settles that does not: cells of a few ohm there may keep it from that.
 
         Args:
             signal: (N, M) V.
             convergence: how the last frames have come to a fit.
 
         """
-        share = (signal / self._short_signal).max(axis=0)
+        share = (signal / self._short_signal).max(axis=self._along)
         self._left_out &= share >= _ONE_OF_SOME
         if not self._left_out.any():
             self._leaves_out = 0
@@ -196,4 +231,4 @@ class ReadingLimits:
 
 def _nothing(at_limit: BoolArray) -> Selection:
     """No reading tells of a cell."""
-    return Selection(tells=False, at_limit=at_limit, lost=None, beside=np.ones_like(at_limit), ignored=None)
+    return Selection(False, at_limit, None, np.ones_like(at_limit), lost_rows=None, ignored=None)

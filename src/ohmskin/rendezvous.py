@@ -24,15 +24,21 @@ from urllib.parse import urlsplit
 
 SUFFIX = ".port"
 _LONGEST = 4096
-"""bytes of a file that are read: a name, and the word below"""
-_OVER = b"\nover\n"
-"""what follows the name once the board has come to its end; before that an end of line"""
+"""bytes of a file that are read: a line with the name, and one of the words below or nothing"""
+_OVER, _UNLISTED = b"over\n", b"unlisted\n"
 
 
 class Announcement:
-    """The file of one emulated board, from now on until :meth:`close`."""
+    """The file of one emulated board, from now on until :meth:`close`.
 
-    def __init__(self, port: str) -> None:
+    Args:
+        port: name of the port; empty while it is away.
+        listed: whether boards that are looked for are looked for there; False: whoever opens the port uses it up.
+
+    """
+
+    def __init__(self, port: str, *, listed: bool = True) -> None:
+        self._state = b"" if listed else _UNLISTED
         self._file, self._path = -1, Path()
         with contextlib.suppress(OSError):
             self._file, path = tempfile.mkstemp(SUFFIX, f"{os.getpid()}-", _made_directory())
@@ -42,12 +48,12 @@ class Announcement:
 
     def move(self, port: str) -> None:
         """Tell the present name of the port; empty while the port is away."""
-        self._write(port.encode() + b"\n")
+        self._write(port.encode() + b"\n" + self._state)
 
     def over(self) -> None:
         """Tell that the board has come to its regular end: no byte will follow."""
         if self._file >= 0:
-            self._write(_read(self._file).partition(b"\n")[0] + _OVER)
+            self._write(_read(self._file).partition(b"\n")[0] + b"\n" + _OVER)
 
     def close(self) -> None:
         """Take the file away; a second time does nothing."""
@@ -75,12 +81,23 @@ class AnnouncedPort:
     @property
     def name(self) -> str:
         """The present name of the port; empty while the port is away."""
-        return _read(self._file).partition(b"\n")[0].decode(errors="replace") if self.close.alive else ""
+        return self._content()[0].decode(errors="replace")
 
     @property
     def is_over(self) -> bool:
         """Whether the board has come to its regular end. False as well if its program was stopped or killed."""
-        return self.close.alive and _read(self._file).endswith(_OVER)
+        return self._state() == _OVER
+
+    @property
+    def is_listed(self) -> bool:
+        """Whether there is a board now that may be opened to see who it is."""
+        return bool(self.name) and self._state() == b""
+
+    def _state(self) -> bytes:
+        return self._content()[2]
+
+    def _content(self) -> tuple[bytes, bytes, bytes]:
+        return (_read(self._file) if self.close.alive else b"").partition(b"\n")
 
     def is_at(self, port: str) -> bool:
         """Whether ``port`` is another way to write the name of this port."""

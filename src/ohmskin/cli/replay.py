@@ -29,7 +29,7 @@ def command(recording: Path, link: Path | None, speed: float) -> int:
     this machine takes the end of the recording for a regular end.
     """
     played = ReplayPort(recording, speed)
-    with stop_on_signals() as stop, PtyPort(link) as port:
+    with stop_on_signals() as stop, PtyPort(link, listed=False) as port:
         click.echo(port.name)
         _wait_for_host(port, stop)
         while not stop.is_set():
