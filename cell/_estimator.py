@@ -587,7 +587,7 @@ class Estimator(ABC):
         """
         cells = self._block.cells
         beside = self._noise.beside_parabola(cells)
-        self._tremor.look(cells, beside)
+        self._tremor.look(cells, memory[PRESSURE], beside)
         if self._frames % WINDOW == 0:
             unrest = self._noise.unrest(cells, beside)
             missed = self._tremor.end_window(cells, memory[PRESSURE], most_kpa, beside, unrest)

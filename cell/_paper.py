@@ -48,6 +48,8 @@ CONFIRMED_RISE, CONFIRMED_FALL = 3.0, 1.0
 found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
 BETWEEN = 0.3
 """of the way of a load in a frame: how far beyond the frames it turned. Between none and half; the root mean square"""
+HALF = 0.5
+"""of the way of the frame before: no less counts in the frame of a turn, since to and fro may leave a small way"""
 JUST_BEGUN = 3.0
 """times the way of a frame: how far a load may go in a frame, since it may have begun to move in the midst of the one
 before"""
@@ -539,7 +541,8 @@ class TurningEstimator(Estimator):
         """
         last, before, third = memory[LAST : THIRD_LAST + 1]
         there = np.maximum(memory[SIGN] * (third - before), memory[SIGN] * (before - last))
-        way = np.minimum(JUST_BEGUN * np.maximum(there, 0.0), np.abs(pressure - last))
+        there = np.maximum(there, 0.0)
+        way = np.minimum(JUST_BEGUN * there, np.maximum(np.abs(pressure - last), HALF * there))
         noise_free: FloatArray = BETWEEN * way * self._bend * gain
         return noise_free
 

@@ -22,6 +22,9 @@ SUSPECTS, SURELY_SUSPECTS = 2.0, 2.6
 SUSPICION = 0.5
 """of a rise that is in doubt for the time being: its standard deviation"""
 
+FADES = 0.5
+"""share of such a doubt that the next window leaves, if nothing tells more"""
+
 
 def _share(ratio: FloatArray, low: float, high: float) -> FloatArray:
     return np.asarray(np.clip((ratio - low) / (high - low), 0.0, 1.0))
@@ -30,11 +33,15 @@ def _share(ratio: FloatArray, low: float, high: float) -> FloatArray:
 class Tremor:
     """How far the rises of n cells are in doubt. Methods take the indices of m cells, and arrays (m,) of theirs."""
 
-    _KEPT = ("risen_from", "waiting_kpa", "suspicion", "amplitude", "unrest_before")
+    _KEPT = ("risen_from", "looked_at", "edge_kpa", "waiting_kpa", "suspicion", "amplitude", "unrest_before")
 
     def __init__(self, cells: int) -> None:
         self._risen_from = np.zeros(cells)
         """kPa at the beginning of the window"""
+        self._looked_at = np.zeros(cells)
+        """kPa at the last look"""
+        self._edge_kpa = np.zeros(cells)
+        """largest rise from one look to the next in this window: an edge of a load is in one of them"""
         self._waiting_kpa = np.zeros(cells)
         """rise of the windows before, in doubt until this one has told"""
         self._suspicion = np.zeros(cells)
@@ -45,9 +52,11 @@ class Tremor:
         self.suspicious = False
         """whether a rise is in doubt for the time being"""
 
-    def look(self, cells: IntArray, beside: FloatArray) -> None:
-        """Take the variance of readings beside smooth motion, over that of the noise, in the midst of a window."""
+    def look(self, cells: IntArray, pressure_kpa: FloatArray, beside: FloatArray) -> None:
+        """Take estimates, and the variance of readings beside smooth motion over that of the noise."""
         self._suspicion[cells] = np.maximum(self._suspicion[cells], _share(beside, HIDES, SUSPECTS))
+        self._edge_kpa[cells] = np.maximum(self._edge_kpa[cells], pressure_kpa - self._looked_at[cells])
+        self._looked_at[cells] = pressure_kpa
         self._amplitude[cells] = np.sqrt(np.clip(beside - 1.0, 1.0, CROSSED))
         self.suspicious = bool(self._suspicion.any() or self._waiting_kpa.any())
 
@@ -68,15 +77,17 @@ class Tremor:
 
         """
         rise, waiting = self._seeming_rise(cells, pressure_kpa, most_kpa), self._waiting_kpa[cells]
+        spread = np.maximum(rise - self._edge_kpa[cells], 0.0)
         missed = None
         if unrest.item(unrest.argmax()) > HIDES:
             by_two = _share(unrest, HIDES, SURELY_HIDES) * np.where(rise < most_kpa, rise, 0.0)
             by_three = _share(np.minimum(unrest, self._unrest_before[cells]), SUSPECTS, SURELY_SUSPECTS)
-            now = np.maximum(by_two, by_three * rise)
+            now = np.maximum(by_two, by_three * spread)
             missed = now + by_three * waiting
-            rise -= now
+            spread *= 1.0 - by_three
             waiting *= 1.0 - by_three
-        self._waiting_kpa[cells] = self._suspicion[cells] * (rise + waiting)
+        self._waiting_kpa[cells] = self._suspicion[cells] * (spread + FADES * waiting)
+        self._edge_kpa[cells] = 0.0
         self._suspicion[cells] = _share(beside, HIDES, SUSPECTS)
         self._unrest_before[cells] = unrest
         self._risen_from[cells] = pressure_kpa
@@ -92,7 +103,8 @@ class Tremor:
 
     def forget(self, cells: IntArray) -> None:
         """Let nothing be in doubt about cells that are put to sleep."""
-        self._suspicion[cells] = self._waiting_kpa[cells] = self._risen_from[cells] = 0.0
+        self._suspicion[cells] = self._waiting_kpa[cells] = 0.0
+        self._risen_from[cells] = self._looked_at[cells] = self._edge_kpa[cells] = 0.0
 
     def _seeming_rise(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
         """(m,) kPa by which pressures have risen in this window; 0 where they rose faster, which is a load."""
