@@ -129,7 +129,14 @@ class Tremor:
         beside_before: FloatArray,
     ) -> FloatArray | None:
         """:meth:`end_window` by machine code; ``beside_before`` (n,) is that of the window before, and changed."""
-        kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa, self._unrest_before
+        kept = (
+            self._risen_from,
+            self._amplitude,
+            self._suspicion,
+            self._waiting_kpa,
+            self._unrest_before,
+            self._edge_kpa,
+        )
         missed = np.empty(cells.size)
         found = end_window_each.code(cells, memory, taken, seeming, beside, beside_before, *kept, missed)
         return missed if found else None
@@ -215,6 +222,7 @@ def end_window_each(
     suspicion: Row,
     waiting_kpa: Row,
     unrest_before: Row,
+    edge_kpa: Row,
     missed: Row,
 ) -> bool:
     """:meth:`._noise.NoiseMeter.unrest` and :meth:`Tremor.end_window` as a loop over cells.
@@ -238,11 +246,13 @@ def end_window_each(
         by_two *= rise if rise < most_kpa else 0.0
         lesser = min(unrest, unrest_before[cell])
         by_three = min(max((lesser - SUSPECTS) / (SURELY_SUSPECTS - SUSPECTS), 0.0), 1.0)
-        now = max(by_two, by_three * rise)
+        spread = max(rise - edge_kpa[cell], 0.0)
+        now = max(by_two, by_three * spread)
         missed[i] = now + by_three * waiting
-        rise -= now
+        spread *= 1.0 - by_three
         waiting *= 1.0 - by_three
-        waiting_kpa[cell] = suspicion[cell] * (rise + waiting)
+        waiting_kpa[cell] = suspicion[cell] * (spread + FADES * waiting)
+        edge_kpa[cell] = 0.0
         suspicion[cell] = min(max((present - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
         unrest_before[cell] = unrest
         risen_from[cell] = pressure
