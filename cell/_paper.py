@@ -44,7 +44,7 @@ EITHER = 0.5
 """standard deviation over the difference of the two hypotheses: either may be right until the pressure has turned"""
 SURE = 3.0
 """standard deviations of the smoothed noise by which it must have, too"""
-CONFIRMED_RISE, CONFIRMED_FALL = 3.0, 1.0
+CONFIRMED_RISE, CONFIRMED_FALL = 2.0, 1.0
 """turns by which the model that was left must have gone back by its own account, too; until then the turn may yet be
 found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
 BETWEEN = 0.3
