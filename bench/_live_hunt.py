@@ -11,7 +11,8 @@ the driver's :class:`.CountReader` takes the counts. Findings:
 
 Nobody can know of a noise before it is in the readings, and of two frames nobody can say whether noise or a press has
 changed them. Cells that are off in the first two frames of a noise larger than the reader assumes or has seen are
-counted as *surprised* and are no findings, as long as their uncertainties would do had the reader known the noise. For the same reason noise may carry a cell beyond a factor of two within
+counted as *surprised* and are no findings, as long as their uncertainties would do had the reader known the noise.
+For the same reason noise may carry a cell beyond a factor of two within
 five standard deviations: of the readings of a cell whose uncertainty just suffices, 3 in 1000 are beyond three.
 
 A *slow* stream has a frame with the work of more than ten usual ones, from counts to ohms. A usual frame is the median
