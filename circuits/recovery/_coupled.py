@@ -54,8 +54,6 @@ _JUMP = 20.0  # half steps between readings and the last frame's cells from whic
 class _Open(NamedTuple):
     """What a frame leaves open about its cells, relative to their conductances; (n,) each."""
 
-    own: FloatArray
-    """by their own readings"""
     others: FloatArray
     """by cells that no reading tells of"""
     all: FloatArray
@@ -94,6 +92,7 @@ class CoupledLive:
             turn(found.valid),
             turn(found.reason),
             lambda: (turn(found.uncertainty), turn(found.own)),
+            found.covered,
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
@@ -207,7 +206,7 @@ class CoupledLive:
         own = self._uncertainty.by_own_reading(frame)
         by_readings = self._uncertainty.by_readings(frame, fit, base, own)
         others = base.others + by_lost
-        return _Open(own, others, by_readings + others + doubt)
+        return _Open(others, by_readings + others + doubt)
 
     def _disturbed(
         self, frame: Frame, fit: Fit, selection: Selection, uncertainty: FloatArray, short: BoolArray | None
@@ -266,7 +265,8 @@ class CoupledLive:
             resistance.reshape(shape),
             valid.reshape(shape),
             reason.reshape(shape),
-            lambda: (uncertainty.reshape(shape), left.own.reshape(shape)),
+            lambda: (uncertainty.reshape(shape), self._uncertainty.of_own_reading(frame, uncertainty).reshape(shape)),
+            self._uncertainty.covered(frame),
         )
 
     def _nothing(self, at_limit: BoolArray) -> LiveReading:

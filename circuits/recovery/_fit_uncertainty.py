@@ -33,6 +33,16 @@ class FitUncertainty:
         own[frame.slope == 0] = 1.0
         return own
 
+    def covered(self, frame: Frame) -> float:
+        """V, the random error for which what readings leave open stands."""
+        return float(np.hypot(_SIGMAS * self._random * self._noise, _NOISE_SIGMAS * frame.noise))
+
+    def of_own_reading(self, frame: Frame, uncertainty: FloatArray) -> FloatArray:
+        """The part (n,) of an ``uncertainty`` (n,) that is by a cell's own reading, at most 1."""
+        own = self.covered(frame) * frame.slope
+        own[frame.slope == 0] = 1.0
+        return np.minimum(np.minimum(own, uncertainty), 1.0)
+
     def by_readings(self, frame: Frame, fit: Fit, base: Base, own: FloatArray) -> FloatArray:
         """What all readings leave open (n,), at least ``own`` (n,)."""
         spread = base.std * np.maximum(fit.steeper, 1.0)
