@@ -38,6 +38,8 @@ class Reading:
     _found: LiveReading | None
     _covered_steps: float
     """ADC steps of random error for which the uncertainty stands"""
+    _alike: float = 1.0
+    """standard deviation by systematic errors of quantisation over that of independent ones"""
     _noise_steps: float = 0.0
     """standard deviation of the readings' noise in ADC steps"""
     _most_noise: float = 0.0
@@ -50,12 +52,12 @@ class Reading:
         Noise of half a step or more makes the error of quantisation random: its mean falls with
         exp(-2 (pi noise/step)^2) (Widrow and Kollar, Quantization Noise, 2008).
         """
-        return 0.5 * self._systematic / self._covered_steps
+        return math.sqrt(3.0) * self.steps_std_share
 
     @property
     def steps_std_share(self) -> float:
         """Standard deviation by systematic errors of quantisation over :attr:`uncertainty`."""
-        return _STEP_STD * self._systematic / self._covered_steps
+        return self._alike * _STEP_STD * self._systematic / self._covered_steps
 
     @property
     def _systematic(self) -> float:
@@ -279,6 +281,7 @@ class CountReader:
             all_valid=every,
             _found=found,
             _covered_steps=covered / self._step,
+            _alike=found.alike,
             _noise_steps=noise / self._step,
             _most_noise=self._most_noise,
         )

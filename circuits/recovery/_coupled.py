@@ -27,7 +27,7 @@ from ...errors import SolverError
 from .._board import Board
 from ._closed_start import ClosedStart
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
-from ._fit_uncertainty import FitUncertainty
+from ._fit_uncertainty import ALIKE, FitUncertainty
 from ._frame_budget import FIRST_EFFORT, Effort
 from ._gauss_newton import Convergence, Fit, GaussNewton
 from ._linearised import Linearised
@@ -93,6 +93,7 @@ class CoupledLive:
             turn(found.reason),
             lambda: (turn(found.uncertainty), turn(found.own)),
             found.covered,
+            found.alike,
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
@@ -267,6 +268,7 @@ class CoupledLive:
             reason.reshape(shape),
             lambda: (uncertainty.reshape(shape), self._uncertainty.of_own_reading(frame, uncertainty).reshape(shape)),
             self._uncertainty.covered(frame),
+            ALIKE,
         )
 
     def _nothing(self, at_limit: BoolArray) -> LiveReading:

@@ -11,6 +11,10 @@ from ._linearised import Base
 
 _SIGMAS = 4.5  # posterior standard deviations by ADC steps that an uncertainty covers: a bound on the error
 _NOISE_SIGMAS = 3.5  # the same by noise: a fifth more, a factor of two at the limit of validity, is 5 of them
+ALIKE = 2.0
+"""standard deviation by ADC steps over that of independent errors: readings of cells at rest are alike, and so are
+their errors, which add up in what the cells of a column take together; 1.8 in a pressed column of equal cells
+"""
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
 
 
