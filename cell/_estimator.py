@@ -32,6 +32,7 @@ from ..errors import InputError
 from . import _loops as loops
 from . import _noise as noise_meter
 from . import _smoothing as smoothing
+from . import _tremor as tremor
 from ._forward import resistance_of
 from ._held import Held
 from ._noise import WINDOW, NoiseMeter
@@ -174,6 +175,9 @@ class Estimator(ABC):
         self._bends = 0.0, 0.0
         """standard deviation of r by a turn within the frame, per kPa by which the load bent, and by how many standard
         deviations of noise it must have bent; 0: see :meth:`_within_frame`, which says the same"""
+        self._seeming = 0.0
+        """kPa by which motion as large as the noise may let a pressure seem to rise in :data:`WINDOW` frames, per
+        standard deviation of a reading and per squared gain; 0: it does not"""
         self._numbers = np.zeros(0)
         # What is remembered of each cell. The cells that are followed at present have theirs in the block.
         self._memory = self._begin(np.zeros(cells))
@@ -201,13 +205,13 @@ class Estimator(ABC):
 
     def _use(self, *, machine_code: bool) -> None:
         """Do the work of frames by machine code, or by array operations."""
-        self._compiled = self._noise.compiled = machine_code
+        self._compiled = self._noise.compiled = self._tremor.compiled = machine_code
         self._block.line_before = self._block.line.copy()  # machine code has that from before the last step
         self._numbers = self._numbers_of_loops()
 
     def _loops(self) -> tuple[Loop[..., Any], ...]:
         """All that a frame calls."""
-        return *loops.ALL, *smoothing.LOOPS, *noise_meter.LOOPS
+        return *loops.ALL, *smoothing.LOOPS, *noise_meter.LOOPS, *tremor.LOOPS
 
     def _numbers_of_loops(self) -> FloatArray:
         """What :func:`._loops.show` takes."""
@@ -566,7 +570,7 @@ class Estimator(ABC):
             self._look_for_tremor(memory, self._most_seeming(memory, noise))
         added = np.zeros(cells.size)
         if self._tremor.suspicious:
-            added += self._tremor.variance(cells, memory[PRESSURE], self._most_seeming(memory, noise))
+            self._tremor.add_variance(cells, memory, taken, self._seeming, added)
         if self._sparks.cells.size:
             added += self._variance_of_jumps(memory)
         variance = np.empty(cells.size)
@@ -817,7 +821,8 @@ class Estimator(ABC):
 
     def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
         """(m,) kPa by which motion as large as the ``noise`` (m,) may at most let pressures seem to rise."""
-        return _ZERO
+        most: FloatArray = self._seeming * noise * memory[GAIN] ** 2
+        return most
 
     def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed
         """Count what cells may remember wrong where a rise (m,) may only have seemed to be one; changes ``memory``."""

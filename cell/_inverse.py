@@ -9,17 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
+from ..compiled import Loop
 from ..errors import InputError
+from . import _inverse_loops as loops
 from . import _lag as lag
-from ._estimator import Conditions, Estimator
+from ._estimator import Conditions, Estimator, Looked
 from ._forward import as_m10
 from ._models import AsymmetricModel, M10Model
 from ._noise import WINDOW
-from ._paper import DOUBT, LOADS, MEMORIES, USUAL
+from ._paper import DOUBT, LOADS, MEMORIES, USUAL, ByStep
 from ._rows import GAIN, PRESSURE, VARIANCE
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP = (
@@ -140,6 +143,10 @@ class InverseEstimator(Estimator):
         self._highest = min(LOADS[1], max(1.0, 0.4 * (m.a - m.k) / -m.b)) if m.b < 0 else LOADS[1]
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
         self._reach = self._loads_within_reach()
+        self._weights = ByStep(_weights, self.model)
+        self._model_numbers = self._numbers_of_inverse()
+        self._of, self._crossed = np.empty((loops.ROWS, 0)), np.empty(0, dtype=np.intp)
+        self._seeming = WINDOW * self.model.k / full_scale_kpa
 
     def _begin(self, r: FloatArray) -> FloatArray:
         m = self.model
@@ -213,6 +220,45 @@ class InverseEstimator(Estimator):
             self._err(new, forgets, gone[4], follows, step, std)
         return new
 
+    def _loops(self) -> tuple[Loop[..., Any], ...]:
+        return *super()._loops(), *loops.ALL
+
+    def _numbers_of_inverse(self) -> FloatArray:
+        """What the loops take."""
+        m, full = self.model, self.full_scale_kpa
+        numbers = {
+            **{loops.A: m.a, loops.B: m.b, loops.K: m.k, loops.ALPHA: m.alpha1, loops.ALPHA + 1: m.alpha2},
+            **{loops.RISE_S: m.rise1_s, loops.RISE_S + 1: m.rise2_s},
+            **{loops.FALL_S: m.fall1_s, loops.FALL_S + 1: m.fall2_s},
+            loops.FULL_KPA: full,
+            loops.FULL_R: self._full_scale_r,
+            loops.HIGHEST: self._highest,
+            loops.IN_DOUBT: min(USUAL, self._highest),
+            loops.DOUBT_KPA2: (DOUBT * full) ** 2,
+            loops.MOST_KPA2: self._most_kpa**2,
+            loops.LOWEST_END: self._reach[0],
+            loops.HIGHEST_END: self._reach[1],
+            loops.STILL: STILL_SIGMAS,
+            loops.BETWEEN: BETWEEN,
+            loops.BY_TURNS: AROUND * m.k,
+            loops.TO_AND_FRO: TO_AND_FRO * m.k,
+            loops.ACCURACY: ACCURACY,
+            loops.EVALUATIONS: EVALUATIONS,
+        }
+        return np.array([float(numbers[place]) for place in range(len(numbers))])
+
+    def _advance_compiled(self, dt: float, r: FloatArray, std: FloatArray, looked: Looked) -> FloatArray:
+        block, numbers = self._block, self._model_numbers
+        memory, taken, cells = block.memory, block.taken, block.cells.size
+        if self._crossed.size != cells:
+            self._of, self._crossed = np.empty((loops.ROWS, cells)), np.empty(cells, dtype=np.intp)
+        of, crossed, (gone, ramp) = self._of, self._crossed, self._weights.of(dt)
+        count = loops.solve.code(memory, taken, gone, ramp, numbers, of, crossed)
+        if count:
+            loops.solve_crossed.code(memory, crossed, count, dt, numbers, of)
+        loops.finish.code(memory, taken, float(gone[4]), numbers, of)
+        return memory
+
     def _err(
         self,
         memory: FloatArray,
@@ -243,10 +289,6 @@ class InverseEstimator(Estimator):
         memory[MOVED] = step
         variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2
         memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)
-
-    def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
-        most: FloatArray = WINDOW * self.model.k * memory[GAIN] ** 2 * noise / self.full_scale_kpa
-        return most
 
     def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """Motion within the noise breaks chains, which seems to be a load that rises."""
@@ -347,6 +389,12 @@ class InverseEstimator(Estimator):
         if self._exact:
             return bottom, top
         return max(bottom, LOADS[0]), min(top, self._highest)
+
+
+def _weights(model: M10Model, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """What lags forget in ``dt_s``, and their answers to a ramp: of rising and falling branches and broken chains."""
+    m = model
+    return lag.weights(dt_s, np.array([m.rise1_s, m.rise2_s, m.fall1_s, m.fall2_s, m.tau_s]))
 
 
 def _root(b: float, slope: FloatArray, change: FloatArray) -> FloatArray:

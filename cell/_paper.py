@@ -24,6 +24,7 @@ from ._noise import WINDOW
 from ._rows import GAIN, PRESSURE, VARIANCE
 from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
 
+M = TypeVar("M")
 T = TypeVar("T")
 
 LOADS = (-0.5, 3.0)
@@ -129,14 +130,14 @@ STATE_ROWS, R_ROW = [PRESSURE, 5, 6, 7], 3
 """rows of the memory of :class:`PaperEstimator`: pressure, settled, x2, x3; and the reading"""
 
 
-class _Weights(Generic[T]):
+class ByStep(Generic[M, T]):
     """What one time step does, for each length of step: computed once."""
 
-    def __init__(self, computed: Callable[[PaperModel, float], T], model: PaperModel) -> None:
+    def __init__(self, computed: Callable[[M, float], T], model: M) -> None:
         self._made_from = computed, model
         self.of = lru_cache(maxsize=1024)(partial(computed, model))
 
-    def __reduce__(self) -> tuple[type[_Weights[T]], tuple[Callable[[PaperModel, float], T], PaperModel]]:
+    def __reduce__(self) -> tuple[type[ByStep[M, T]], tuple[Callable[[M, float], T], M]]:
         """For pickle and copy: without what was computed."""
         return type(self), self._made_from
 
@@ -162,7 +163,7 @@ class PaperEstimator(Estimator):
         conditions: Conditions,
     ) -> None:
         self.model = model
-        self._weights = _Weights(switch_weights, model)
+        self._weights = ByStep(switch_weights, model)
         self._thresholds_per_s = model.thresholds_per_s(full_scale_kpa)
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, MEMORIES * steepest)
@@ -297,7 +298,7 @@ class TurningEstimator(Estimator):
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, MEMORIES * steepest)
         full_r = model.gain_per_kpa * full_scale_kpa
-        self._weights = _Weights(turn_weights, model)
+        self._weights = ByStep(turn_weights, model)
         self._taken_over = taken_over(model)
         self._bend = 1 / model.eu1_kpa + 1 / model.etau2_kpa - 1 / model.e1_kpa
         """r per kPa by which the answer to a fast rise exceeds that to a fast fall"""
@@ -310,6 +311,7 @@ class TurningEstimator(Estimator):
         self._of = _Rows(np.zeros((len(self.rows), 0)), TURN * full_scale_kpa)
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
         self._bends = BETWEEN * self._bend, SURE
+        self._seeming = WINDOW * UNSEEN * self._bend
         # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
         self._sure, self._less, self._again, self._either, self._far = (
             np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
@@ -470,10 +472,6 @@ class TurningEstimator(Estimator):
         np.copyto(lost, 0.0, where=~begun)
         of.doubt += lost + np.sqrt(of.doubt * lost)
         np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
-
-    def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
-        most: FloatArray = WINDOW * UNSEEN * self._bend * noise * memory[GAIN] ** 2
-        return most
 
     def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """A load to and fro within the noise seems to rise: r goes up by one model, and would go down by the other."""

@@ -9,10 +9,14 @@ and for good where several windows in a row do.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
+from ..compiled import FixedRow, Places, Row, Rows, loop
 from ._noise import CROSSED
+from ._rows import GAIN, NOISE, PRESSURE
 
 HIDES, SURELY_HIDES = 1.25, 1.6
 """variance of a cell's readings beside smooth motion, over that of the board's noise, in two windows: from the first
@@ -44,9 +48,14 @@ class Tremor:
         self._unrest_before = np.zeros(cells)
         self.suspicious = False
         """whether a rise is in doubt for the time being"""
+        self.compiled = False
+        """whether the loops are there as machine code"""
 
     def look(self, cells: IntArray, beside: FloatArray) -> None:
         """Take the variance of readings beside smooth motion, over that of the noise, in the midst of a window."""
+        if self.compiled:
+            self.suspicious = look_each.code(cells, beside, self._suspicion, self._amplitude, self._waiting_kpa)
+            return
         self._suspicion[cells] = np.maximum(self._suspicion[cells], _share(beside, HIDES, SUSPECTS))
         self._amplitude[cells] = np.sqrt(np.clip(beside - 1.0, 1.0, CROSSED))
         self.suspicious = bool(self._suspicion.any() or self._waiting_kpa.any())
@@ -90,6 +99,13 @@ class Tremor:
         std *= SUSPICION
         return std * std
 
+    def add_variance(
+        self, cells: IntArray, memory: FloatArray, taken: FloatArray, seeming: float, added: FloatArray
+    ) -> None:
+        """Add :meth:`variance` to ``added`` (m,) by machine code, from the memory and the readings (4, m) of cells."""
+        kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa
+        doubt_rises.code(cells, memory, taken, seeming, *kept, added)
+
     def forget(self, cells: IntArray) -> None:
         """Let nothing be in doubt about cells that are put to sleep."""
         self._suspicion[cells] = self._waiting_kpa[cells] = self._risen_from[cells] = 0.0
@@ -108,3 +124,42 @@ class Tremor:
         for name in self._KEPT:
             setattr(self, f"_{name}", state[f"tremor_{name}"])
         self.suspicious = bool(self._suspicion.any() or self._waiting_kpa.any())
+
+
+@loop
+def look_each(cells: Places, beside: FixedRow, suspicion: Row, amplitude: Row, waiting_kpa: Row) -> bool:
+    """:meth:`Tremor.look` as a loop over cells."""
+    for i in range(cells.size):
+        cell = cells[i]
+        suspects = min(max((beside[i] - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
+        suspicion[cell] = max(suspicion[cell], suspects)
+        amplitude[cell] = math.sqrt(min(max(beside[i] - 1.0, 1.0), CROSSED))
+    suspicious = False
+    for cell in range(suspicion.size):
+        suspicious |= suspicion[cell] != 0.0 or waiting_kpa[cell] != 0.0
+    return suspicious
+
+
+@loop
+def doubt_rises(
+    cells: Places,
+    memory: Rows,
+    taken: Rows,
+    seeming: float,
+    risen_from: Row,
+    amplitude: Row,
+    suspicion: Row,
+    waiting_kpa: Row,
+    added: Row,
+) -> None:
+    """:meth:`Tremor.variance` as a loop over cells. ``seeming`` is the rise in a window, per noise and squared gain."""
+    for i in range(cells.size):
+        cell, gain = cells[i], memory[GAIN, i]
+        rise = max(memory[PRESSURE, i] - risen_from[cell], 0.0)
+        most_kpa = seeming * taken[NOISE, i] * (gain * gain)
+        std = rise * suspicion[cell] if rise < amplitude[cell] * most_kpa else 0.0
+        std = (std + waiting_kpa[cell]) * SUSPICION
+        added[i] += std * std
+
+
+LOOPS = look_each, doubt_rises

@@ -427,7 +427,7 @@ def _why_not_opened(name: str, error: Exception) -> str:
         case errno.EACCES | errno.EPERM:
             return f"permission denied; {_why_forbidden(name)}; `ohmskin doctor {name}` says what to do"
         case errno.EAGAIN | errno.EBUSY:
-            return "in use by another program"
+            return "in use by another program, or by another Skin of this one"
         case errno.EMFILE | errno.ENFILE:
             return f"cannot be opened: {_reason(error)}"
     if os.path.exists(name) and not isinstance(error, ValueError):

@@ -6,6 +6,7 @@ import contextlib
 import os
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import Callable, Iterator
 from math import inf
@@ -35,6 +36,19 @@ MOST_UNPROVEN = 1000
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
 JOIN_S = 2.0
 """how long closing waits for the thread, which may be about to open a port"""
+
+
+def await_free(name: str) -> None:
+    """Wait until a skin of this process that is being closed has given the port ``name`` back."""
+    if "://" in name:  # a server may take several hosts
+        return
+    place = os.path.realpath(name)
+    for reader in list(_READERS):
+        port = reader._port
+        if port is None or not reader._is_ending or os.path.realpath(port.name) != place:
+            continue
+        if reader._thread.is_alive() and reader._thread is not threading.current_thread():
+            reader._thread.join(JOIN_S)
 
 
 class Reader:
@@ -88,10 +102,12 @@ class Reader:
         self._away_because = ""
         self._received, self._reason = 0, "no end of a packet"
         """bytes since the last frame, and why the last of them were no packet"""
+        self._forgotten = False
         self._thread = threading.Thread(target=self._run, name=f"ohmskin reader {port.name}", daemon=True)
 
     def start(self) -> None:
         """Begin to read."""
+        _READERS.add(self)
         self._thread.start()
 
     def await_introduction(self, timeout_s: float) -> None:
@@ -201,31 +217,47 @@ class Reader:
         port = self._port
         if port is not None:
             port.interrupt()
-        self._mailbox.close(LinkEnded(f"{self.port_name}: the skin is closed"))
+        self._mailbox.close(self._closed())
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(JOIN_S)
+
+    def _closed(self) -> LinkEnded:
+        return LinkEnded(f"{self.port_name}: the skin is closed")
+
+    def forget(self) -> None:
+        """Let the thread end within half a second, since nobody can take frames any more.
+
+        This is for destructors: it takes no lock, for the garbage collector may run in a thread that holds it.
+        """
+        self._forgotten = True
+
+    @property
+    def _is_ending(self) -> bool:
+        return self._forgotten or self._stop.is_set()
 
     def _run(self) -> None:
         try:
             self._live()
         except OhmskinError as error:
-            self._mailbox.finish(error)
+            self._mailbox.finish(self._closed() if self._is_ending else error)
         finally:
-            self._mailbox.finish(LinkError(f"{self.port_name}: the reader thread has ended"))
+            # stop() may have woken this thread, and not yet have told the takers.
+            ended = LinkError(f"{self.port_name}: the reader thread has ended")
+            self._mailbox.finish(self._closed() if self._is_ending else ended)
             self._release()
             self._reopen = None  # its finder follows the port's announcement, a file
             self.introduced.set()
 
     def _live(self) -> None:
         """Serve the port, again and again as long as it comes back."""
-        while not self._stop.is_set():
+        while not self._is_ending:
             try:
                 self._serve()
                 return
             except LinkEnded:
                 raise
             except LinkError as error:
-                if self._stop.is_set() or self._reopen is None or not self.introduced.is_set():
+                if self._is_ending or self._reopen is None or not self.introduced.is_set():
                     raise
                 self._release()
                 for tap in self.on_gone:
@@ -240,7 +272,7 @@ class Reader:
             self.introduced.set()
         self._ask()
         ask_at = time.monotonic() + ASK_WHO_S
-        while not (self._stop.is_set() or self._mailbox.end):
+        while not (self._is_ending or self._mailbox.end):
             if self._lossless and self._mailbox.is_full():
                 self._mailbox.wait_for_room(ASK_AGAIN_S)
                 ask_at = time.monotonic() + ASK_AGAIN_S
@@ -417,7 +449,7 @@ class Reader:
             self._mailbox.set_away(str(error))
         left_s = self._reconnect_s - (time.monotonic() - self._away_since)
         failure: LinkError | None = None
-        for _ in attempts(left_s, self._stop.wait):
+        for _ in attempts(left_s, lambda wait_s: self._stop.wait(wait_s) or self._forgotten):
             try:
                 port = self._reopen()
             except LinkEnded:
@@ -444,3 +476,7 @@ class Reader:
             if self._port is not None:
                 self._port.close()
                 self._port = None
+
+
+_READERS: weakref.WeakSet[Reader] = weakref.WeakSet()
+"""readers that this process has started"""

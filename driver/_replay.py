@@ -87,6 +87,10 @@ class RecordedSettings:
         )
 
 
+NOTHING_RECORDED = RecordedSettings("", None, None, None, None)
+"""for a live board"""
+
+
 class RestSchedule:
     """Rest resistances and the times from which they hold, in order."""
 

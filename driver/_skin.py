@@ -7,55 +7,35 @@ import copy
 import math
 import os
 import threading
-import time
 import weakref
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator
 from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, NoReturn, Self
+from typing import NoReturn, Self
 
 import numpy as np
 
 from .. import compiled
-from ..arrays import FloatArray
 from ..cell import Cell
 from ..circuits import Design
-from ..compiled import is_compiling
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
-from ..wire import Description, Family, HostProtocol, Identity, Order, board_family, host_protocol
+from ..wire import Description, Family, Identity, Order, board_family
 from ._calibration import Calibration
-from ._convert import Converter, Measurement
+from ._convert import Measurement
 from ._discover import find_board
 from ._frame import Frame
-from ._introduce import Introduction
-from ._mailbox import Mailbox
+from ._opening import QUEUE, Delivery, Link, Opening
 from ._past import Past
 from ._port import Arrival, BytePort
-from ._reader import Reader
+from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
-from ._replay import RecordedSettings, ReplayPort
-from ._statistics import Counters, LinkStatistics
+from ._replay import NOTHING_RECORDED, ReplayPort
+from ._statistics import LinkStatistics
 from ._stream import RawFrame
-from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker, Source
+from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker
 from ._tare import KNOWN_DRIFT, EarlierRest, RestReadings, Tare
-
-Delivery = Literal["newest", "every", "lossless"]
-"""which frames a reader of the skin gets
-
-``newest``
-    The newest frame that the reader has not seen. Frames that came since the last one are skipped, and counted.
-``every``
-    Every frame, in order. A reader that is slower than the board loses the oldest of ``queue`` frames, counted.
-``lossless``
-    Every frame, in order. The port is not read while ``queue`` frames wait. For recordings and for emulated boards
-    that wait for their host; a real board then has to drop frames itself.
-"""
-QUEUE = 256
-LOOK_S = 0.05
-"""how often to look whether the compiler is at work"""
 
 
 class Skin:
@@ -118,77 +98,49 @@ class Skin:
                 recording cannot be written or is there already, or the calibration is another board's.
 
         """
-        self._timeout = timeout
-        self._delivery = delivery
+        self._timeout, self._delivery = timeout, delivery
         self._recorder: Recording | None = None
         self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
         """recordings under way -> what tells them of converted frames"""
         try:
-            _check_numbers(timeout, queue, reconnect, pitch)
-            family = board_family(board)
-            design = design if isinstance(design, Design | None) else Design.load(design)
-            cell = cell if isinstance(cell, Cell | None) else Cell.load(cell)
-            given = calibration if isinstance(calibration, Calibration | None) else Calibration.load(calibration)
-            if delivery not in ("newest", "every", "lossless"):
-                raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
-            self._counters = Counters()
-            self._mailbox = Mailbox(1 if delivery == "newest" else queue, drops_oldest=delivery != "lossless")
-            introduction = Introduction(family, port.name, design, cell)
-            introduction.must_identify = given is not None and bool(given.serial_number)
-            self._reader = Reader(
-                port,
-                protocol=lambda: _host_end(family, introduction),
-                introduction=introduction,
-                mailbox=self._mailbox,
-                counters=self._counters,
-                lossless=delivery == "lossless",
-                reopen=reopen,
-                reconnect_s=reconnect,
+            opening = Opening.of(
+                board=board,
+                design=design,
+                cell=cell,
+                estimator=estimator,
+                pitch=pitch,
+                accuracy=accuracy,
+                calibration=calibration,
+                timeout=timeout,
+                delivery=delivery,
+                queue=queue,
+                reconnect=reconnect,
             )
-            self.settings = RecordedSettings(family.name, design, cell, estimator, pitch, accuracy, given)
-            """how the skin was opened, for recordings"""
-            past = port.past if isinstance(port, ReplayPort) else None
-            if past is not None:
-                self._reader.resume(past.heard_bytes(), past.stream)
+            link = Link(port, opening, reopen)
             if record is not None:
-                self._recorder = Recording(record, self.settings.as_metadata(), overwrite=overwrite)
-                self._reader.taps.append(self._recorder.arrived)
-                self._reader.on_gone.append(self._recorder.port_gone)
+                self._recorder = link.record(record, overwrite=overwrite)
         except BaseException:
             port.close()
             raise
-        self._reader.start()
         try:
-            self._reader.await_introduction(timeout)
-            changes = port.rest.changes if isinstance(port, ReplayPort) else ()
-            set_up = partial(_set_up, introduction, estimator, pitch, accuracy, self._counters, changes, given)
-            self._converter = _within(set_up, timeout, self._too_slow)
-            if past is not None:
-                self._remember(past)
+            self._converter = link.introduce()
         except BaseException:
-            self._reader.stop()
             if self._recorder is not None:
                 self._recorder.close()
             raise
-        self.family = family
+        self._reader, self._mailbox, self._counters = link.reader, link.mailbox, link.counters
+        self.settings = opening.settings
+        """how the skin was opened, for recordings"""
+        self.family = opening.family
         self.design = self._converter.design
         """how the board reads its array"""
         self.cell = self._converter.cell
         """what the skin is made of; None: not known, pressures are NaN"""
-        self.calibration = given
+        self.calibration = opening.settings.calibration
         """rest resistances and gains of the cells; None: all are as the cell's data say"""
         self.recorded_s = port.seconds if isinstance(port, ReplayPort) else None
         """s that the recording lasts; None: the board is live"""
-        self._source = Source(
-            port.name,
-            self._mailbox,
-            self._converter,
-            self._counters,
-            self._reader.poll,
-            self._reader.now,
-            self._reader.nothing_came,
-            newest_only=delivery == "newest",
-        )
+        self._source = link.source(self._converter)
         self._taker = FrameTaker(self._source, from_start=True)
         self._callbacks: list[FrameCallback] = []
         self._tares: list[Tare | None] = [None]
@@ -196,6 +148,7 @@ class Skin:
         if self._recorder is not None:
             self._follow_frames(self._recorder)
         _OPEN_HERE.add(self)
+        weakref.finalize(self, self._reader.forget).atexit = False
 
     @classmethod
     def open(
@@ -247,57 +200,44 @@ class Skin:
                 :meth:`__init__` raises.
 
         """
+        finder: PortFinder | None = None
+        opened: BytePort
+        reopen: Callable[[], BytePort]
         if port is not None and str(port).endswith(".mcap"):
-            played = ReplayPort(port, speed)
-            settings = played.settings
-            return cls(
-                played,
-                board=settings.board,
-                design=design or settings.design,
-                cell=cell or settings.cell,
-                estimator=estimator or settings.estimator,
-                timeout=timeout,
-                delivery=delivery or "lossless",
-                queue=queue,
-                reconnect=reconnect,
-                reopen=played.reopen,
-                pitch=settings.pitch if pitch is None else pitch,
-                accuracy=settings.accuracy if accuracy is None else accuracy,
-                record=record,
-                overwrite=overwrite,
-                calibration=settings.calibration if calibration is None else calibration,
-            )
-        family = board_family(board)
-        if baudrate is not None and not baudrate > 0:
-            raise InputError(f"baudrate is {baudrate} bit/s; expected more than 0")
-        if port is None:
-            if serial_number is None:
-                raise InputError("neither a port nor a serial number; expected one of them")
-            port = find_board(serial_number, board=board)
-        compiled.load()  # while no frames come
-        finder = PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
+            opened = played = ReplayPort(port, speed)
+            reopen, recorded = played.reopen, played.settings
+            board, delivery = recorded.board, delivery or "lossless"
+        else:
+            finder = _finder(port, board, serial_number, baudrate)
+            compiled.load()  # while no frames come
+            opened, reopen, recorded = finder.open(), finder.open_again, NOTHING_RECORDED
         skin = cls(
-            finder.open(),
-            board=family,
-            design=design,
-            cell=cell,
-            estimator=estimator,
+            opened,
+            board=board,
+            design=design or recorded.design,
+            cell=cell or recorded.cell,
+            estimator=estimator or recorded.estimator,
             timeout=timeout,
             delivery=delivery or "newest",
             queue=queue,
             reconnect=reconnect,
-            reopen=finder.open_again,
-            pitch=pitch,
-            accuracy=accuracy,
+            reopen=reopen,
+            pitch=recorded.pitch if pitch is None else pitch,
+            accuracy=recorded.accuracy if accuracy is None else accuracy,
             record=record,
             overwrite=overwrite,
-            calibration=calibration,
+            calibration=recorded.calibration if calibration is None else calibration,
         )
-        finder.board_is_numbered = bool(skin.serial_number)
-        if serial_number is not None and skin.serial_number and skin.serial_number != serial_number:
-            skin.close()
-            raise LinkError(f"{port}: board {skin.serial_number} is there; expected {serial_number}")
+        if finder is not None:
+            finder.board_is_numbered = bool(skin.serial_number)
+            skin._must_be(serial_number)
         return skin
+
+    def _must_be(self, serial_number: str | None) -> None:
+        """Close the skin where its board says another serial number; LinkError."""
+        if serial_number is not None and self.serial_number not in ("", serial_number):
+            self.close()
+            raise LinkError(f"{self.port_name}: board {self.serial_number} is there; expected {serial_number}")
 
     @property
     def serial_number(self) -> str:
@@ -384,7 +324,7 @@ class Skin:
 
     def __aiter__(self) -> AsyncIterator[Frame]:
         """The frames that come from now on, for ``async for``; ends and raises as iteration does."""
-        return AsyncFrames(self._source, self._timeout)
+        return AsyncFrames(self._source, self._timeout, keep=self)
 
     def frames(self) -> Iterator[Frame]:
         """An iterator with a place of its own: the frames that come from now on, whoever else takes them."""
@@ -444,7 +384,7 @@ class Skin:
             An object whose ``close()`` ends the calls. An exception in the callback ends them too.
 
         """
-        made = FrameCallback(self._source, callback, on_end)
+        made = FrameCallback(self._source, callback, on_end, keep=self)
         self._callbacks.append(made)
         return made
 
@@ -494,12 +434,6 @@ class Skin:
             self._reader.on_gone.remove(recording.port_gone)
             self._converter.on_rest.remove(recording.rest_changed)
             self._converter.on_converted.remove(told)
-
-    def _remember(self, past: Past) -> None:
-        try:
-            self._converter.resume(past.measurement)
-        except InputError as error:
-            raise InputError(f"{self._reader.port_name}: what was before: {error}") from error
 
     def _follow_frames(self, recording: Recording) -> None:
         told = ConvertedFrames(self._source, recording.frame).converted
@@ -643,11 +577,18 @@ class Skin:
             drift=drift,
         )
 
-    def _too_slow(self) -> ProtocolError:
-        return ProtocolError(
-            f"{self._reader.port_name}: the inverse of the board's circuit was not set up within {self._timeout:g} s; "
-            "give a longer timeout, if the board's description is right"
-        )
+
+def _finder(port: str | None, board: str | Family, serial_number: str | None, baudrate: int | None) -> PortFinder:
+    """What opens the port of a board, named or looked for by its serial number; errors as :meth:`Skin.open`."""
+    family = board_family(board)
+    if baudrate is not None and not baudrate > 0:
+        raise InputError(f"baudrate is {baudrate} bit/s; expected more than 0")
+    if port is None:
+        if serial_number is None:
+            raise InputError("neither a port nor a serial number; expected one of them")
+        port = find_board(serial_number, board=board)
+    await_free(port)
+    return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
 
 
 def _seconds(name: str, value: float) -> float:
@@ -655,17 +596,6 @@ def _seconds(name: str, value: float) -> float:
     if math.isnan(value):
         raise InputError(f"{name} is {value} s; expected a number of seconds")
     return value
-
-
-def _check_numbers(timeout: float, queue: int, reconnect: float, pitch: float | None) -> None:
-    if not timeout > 0:
-        raise InputError(f"timeout is {timeout} s; expected more than 0")
-    if not (isinstance(queue, int) and queue >= 1):
-        raise InputError(f"a queue of {queue!r} frames; expected a whole number, at least 1")
-    if not reconnect >= 0:
-        raise InputError(f"reconnect is {reconnect} s; expected at least 0")
-    if pitch is not None and not 0 < pitch < math.inf:
-        raise InputError(f"pitch is {pitch} m; expected more than 0")
 
 
 _OPEN_HERE: weakref.WeakSet[Skin] = weakref.WeakSet()
@@ -680,71 +610,6 @@ def _disown_skins() -> None:
 
 if hasattr(os, "register_at_fork"):  # POSIX
     os.register_at_fork(after_in_child=_disown_skins)
-
-
-def _host_end(family: Family, introduction: Introduction) -> HostProtocol:
-    """A new host's end of the line, told of the array where the board does not say it."""
-    if family.has_description:
-        return host_protocol(family)
-    design = introduction.design()
-    return host_protocol(family, shape=design.array.shape, adc_bits=None if design.adc is None else design.adc.bits)
-
-
-def _set_up(
-    introduction: Introduction,
-    estimator: str | None,
-    pitch: float | None,
-    accuracy: float | None,
-    counters: Counters,
-    rest_changes: Sequence[tuple[float, FloatArray | None]],
-    calibration: Calibration | None,
-) -> Converter:
-    """The converter for a board, tried out."""
-    design, cell = introduction.design(), introduction.cell()
-    if calibration is not None:
-        try:
-            calibration.check_board(design, cell, introduction.serial_number)
-        except InputError as error:
-            raise InputError(f"{introduction.port_name}: {error}") from None
-    try:
-        pitch_m = design.sheet.pitch if pitch is None else pitch
-        converter = Converter(design, cell, estimator, pitch_m, counters, rest_changes, accuracy, calibration)
-        converter.try_out()
-    except OhmskinError:
-        raise
-    except (ArithmeticError, LookupError, ValueError, TypeError, MemoryError, RecursionError) as error:
-        # A design and a cell that pass their own checks, but that nothing can be computed from.
-        raise introduction.refused(error) from error
-    return converter
-
-
-def _within(work: Callable[[], Converter], limit_s: float, too_slow: Callable[[], ProtocolError]) -> Converter:
-    """The result of ``work``, or the error of ``too_slow`` after ``limit_s``; the work then ends by itself.
-
-    The limit is for descriptions that nothing can be computed from. The compiler, which the first skin on a machine
-    waits for, is not of their making, and its time does not count.
-    """
-    results: list[Converter] = []
-    errors: list[BaseException] = []
-
-    def run() -> None:
-        try:
-            results.append(work())
-        except BaseException as error:
-            errors.append(error)
-
-    thread = threading.Thread(target=run, name="ohmskin set-up", daemon=True)
-    thread.start()
-    left_s = limit_s
-    while thread.is_alive() and left_s > 0:
-        before = time.monotonic()
-        thread.join(min(left_s, LOOK_S))
-        left_s -= 0.0 if is_compiling() else time.monotonic() - before
-    if errors:
-        raise errors[0]
-    if not results:
-        raise too_slow()
-    return results[0]
 
 
 __all__ = ["Delivery", "LinkTimeout", "Skin"]

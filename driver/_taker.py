@@ -278,8 +278,9 @@ class FrameTaker:
 class AsyncFrames:
     """Frames for ``async for``: waits in the event loop, converts in the thread of the loop."""
 
-    def __init__(self, source: Source, timeout_s: float) -> None:
-        self._source = source
+    def __init__(self, source: Source, timeout_s: float, *, keep: object = None) -> None:
+        """``keep``: what must not be collected as garbage while frames are taken, since the port closes with it."""
+        self._source, self._keep = source, keep
         self._timeout_s = timeout_s
         self._taker = FrameTaker(source)
         self._event = asyncio.Event()
@@ -327,7 +328,11 @@ class FrameCallback:
         source: Source,
         callback: Callable[[Frame], None],
         on_end: Callable[[OhmskinError], None] | None = None,
+        *,
+        keep: object = None,
     ) -> None:
+        """``keep``: as for :class:`AsyncFrames`, until the calls end."""
+        self._keep = keep
         self._taker = FrameTaker(source)
         self._callback, self._on_end = callback, on_end
         self._closed = threading.Event()
@@ -362,6 +367,7 @@ class FrameCallback:
                     self._callback(frame)
         finally:
             self._taker.leave()
+            self._keep = None
 
 
 class _CallbackThread(threading.Thread):

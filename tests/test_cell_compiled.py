@@ -1,7 +1,8 @@
 """Machine code of the estimators: frame for frame the same numbers as the array operations, which are the reference.
 
 Every step starts both forms from the same state, so that a difference shows in the frame that makes it. Sums, products,
-quotients and square roots round alike, and so all is equal to the last bit.
+quotients and square roots round alike, and so all is equal to the last bit. Only where a branch of the material changes
+over within a frame, which takes logarithms and exponentials, the last bits may differ.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from hypothesis import strategies as st
 
 from ohmskin.arrays import FloatArray
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, Estimator, M10Model
+from ohmskin.cell._inverse import InverseEstimator
 from ohmskin.compiled import SWITCH
 
 DT_S = 0.005
@@ -38,8 +40,12 @@ CELLS = {
 }
 
 
-def equal(one: object, other: object, what: str) -> None:
-    np.testing.assert_array_equal(np.asarray(one), np.asarray(other), err_msg=what)
+NEARLY = 1e-11
+"""relative, and in kPa: where a branch changes over"""
+
+
+def equal(one: object, other: object, what: str, nearly: float = 0.0) -> None:
+    np.testing.assert_allclose(np.asarray(one), np.asarray(other), rtol=nearly, atol=nearly, err_msg=what)
 
 
 def compare(estimator: Estimator, times_s: FloatArray, frames: FloatArray) -> Estimator:
@@ -48,13 +54,17 @@ def compare(estimator: Estimator, times_s: FloatArray, frames: FloatArray) -> Es
     for number, (dt, ohm) in enumerate(zip(times_s, frames, strict=True)):
         reference = copy.deepcopy(estimator)
         reference._use(machine_code=False)
+        changed: dict[str, int] = {}
+        if isinstance(reference, InverseEstimator):
+            _count(reference, "_solved", "changes", changed)
         expected = reference.step(float(dt), ohm)
-        equal(estimator.step(float(dt), ohm), expected, f"pressures of frame {number}")
-        equal(estimator.std_kpa, reference.std_kpa, f"deviations of frame {number}")
+        nearly = NEARLY if sum(changed.values()) else 0.0
+        equal(estimator.step(float(dt), ohm), expected, f"pressures of frame {number}", nearly)
+        equal(estimator.std_kpa, reference.std_kpa, f"deviations of frame {number}", nearly)
         if number % 7 == 0:
             found = copy.deepcopy(estimator).state()
             for name, value in reference.state().items():
-                equal(found[name], value, f"{name} after frame {number}")
+                equal(found[name], value, f"{name} after frame {number}", nearly)
     return estimator
 
 
@@ -139,6 +149,7 @@ def test_rare_events_do_happen_in_these_streams() -> None:
             "_look_for_tremor",
         ),
         "m10": ("_remember", "_put_back", "_put_to_sleep"),
+        "asymmetric": ("_remember",),
     }.items():
         estimator = CELLS[kind].estimator((30,))
         for name in methods:

@@ -11,9 +11,11 @@ import itertools
 import multiprocessing
 import os
 import pickle
+import re
 import socket
 import threading
 from collections.abc import AsyncIterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,7 @@ from boards import EXAMPLES, Script, Wire, described, frame, gone, identity, los
 
 from ohmskin.driver import Arrival, Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
+from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._statistics import Counters
 from ohmskin.driver._stream import FrameStream
 from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
@@ -80,6 +83,81 @@ def take_all(skin: Skin, how: str) -> int:
     with pytest.raises(LinkEnded, match="end of its frames"):
         read_on()
     return len(read)
+
+
+class TestOwners:
+    """Who has a port, within one program."""
+
+    def test_a_port_can_be_opened_again_as_soon_as_a_reader_learns_of_the_closing(self) -> None:
+        port = PtyPort()
+        with running(scene(), port):
+            for _ in range(10):
+                skin = Skin.open(port.name, timeout=30.0)
+                closing = threading.Thread(target=skin.close)
+                closing.start()
+                list(skin)
+                Skin.open(port.name, timeout=30.0).close()
+                closing.join()
+
+    def test_a_reader_thread_that_ends_before_the_takers_are_told_ends_them_quietly(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        skin = Skin(described(frame(0)), timeout=30.0)
+        skin.read()
+        close = Mailbox.close
+
+        def late(mailbox: Mailbox, error: OhmskinError) -> None:
+            skin._reader._thread.join(60.0)
+            assert isinstance(mailbox.end, LinkEnded)
+            close(mailbox, error)
+
+        monkeypatch.setattr(Mailbox, "close", late)
+        threading.Thread(target=skin.close).start()
+        assert list(skin) == []
+
+    def test_a_skin_that_nobody_holds_gives_its_port_back(self) -> None:
+        """As when a cell of a notebook is run again."""
+        port = PtyPort()
+        with running(scene(), port):
+            skin: Skin | None = Skin.open(port.name, timeout=30.0)
+            assert skin is not None
+            skin.read()
+            said = f"{port.name}: in use by another program, or by another Skin of this one"
+            with pytest.raises(LinkError, match=re.escape(said)):
+                Skin.open(port.name, timeout=30.0)
+            skin = None
+            gc.collect()
+            Skin.open(port.name, timeout=30.0).close()
+
+    @pytest.mark.parametrize("how", ["callback", "async", "frames", "iteration"])
+    def test_a_skin_that_a_reader_needs_stays_open(self, how: str) -> None:
+        port = PtyPort()
+        with running(scene(board={"frame_rate": 200.0}), port, duration_s=1e6):
+            if how == "callback":
+                seen: list[Frame] = []
+                calls = Skin.open(port.name, timeout=30.0).on_frame(seen.append)
+                gc.collect()
+                until(lambda: len(seen) >= 200)
+                calls.close()
+                del calls
+            elif how == "async":
+
+                async def follow() -> None:
+                    following = aiter(Skin.open(port.name, timeout=30.0))
+                    gc.collect()
+                    for _ in range(200):
+                        await anext(following)
+
+                asyncio.run(follow())
+            else:
+                skin = Skin.open(port.name, timeout=30.0)
+                frames = skin.frames() if how == "frames" else iter(skin)
+                del skin
+                gc.collect()
+                assert len(list(islice(frames, 200))) == 200
+                del frames
+            gc.collect()
+            Skin.open(port.name, timeout=30.0).close()
 
 
 class TestFiniteBoards:

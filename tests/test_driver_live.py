@@ -884,7 +884,7 @@ class TestBoards:
             try_out(converter)
 
         monkeypatch.setattr(Converter, "try_out", slow)
-        monkeypatch.setattr("ohmskin.driver._skin.is_compiling", lambda: compiling)
+        monkeypatch.setattr("ohmskin.driver._opening.is_compiling", lambda: compiling)
         with contextlib.ExitStack() as life:
             if not compiling:
                 life.enter_context(pytest.raises(ProtocolError, match=r"was not set up within 0\.7 s"))

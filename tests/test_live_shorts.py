@@ -58,6 +58,11 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("feedback", 2020000241),  # and like one strong and one weak cell, where their resistances differ
         ("feedback events", 4030000047),  # two shorts of the only row divide all its other readings, by 16
         ("feedback events", 6120000094),  # and a row of 8 to 130 ohm reads like one of 110 to 850
+        ("feedback events", 4010000738),  # steps that shrink by a third each, ended early in what seems to be noise
+        ("divider", 6110000248),  # a column of shorts whose conductances no reading tells
+        ("loaded events", 4030000106),  # ten times as large ones give the same readings, by way of other cells
+        ("loaded events", 4010000610),  # a scale that is known to 36 % of its logarithm
+        ("floating events", 4030000019),  # readings below the range, which leave their cells open
         ("divider", 910000458),  # a few ohm of two cells decide how their rows share the readings
         ("divider", 310000415),
         ("divider", 910000216),  # a step with derivatives from cells that were different

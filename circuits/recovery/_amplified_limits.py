@@ -85,6 +85,8 @@ class CellsAtLimits:
             moved = board.moved_by(less / base.gain, base.propagation, base.conductance)
             by_lines = moved / np.maximum(conductance, floor)
         fixed, added = np.zeros(more.shape), board.for_all(self._offset * less.sum(axis=0)).copy()
+        if base is None or base.propagation is None:
+            added += self._by_way_of_rows(less, conductance)
         if more.any():
             shorts = _Shorts.at(more, board)
             fixed = self._shares_of_shorts(shorts, saturated, conductance)
@@ -95,6 +97,26 @@ class CellsAtLimits:
             direct = fixed + added / np.maximum(conductance, floor)
             by_lines += board.by_lines(np.where(more, 0.0, np.minimum(direct, BOUNDLESS) * conductance))
         return _Disturbance(limited, more, conductance, floor, fixed, added, by_lines)
+
+    def _by_way_of_rows(self, less: FloatArray, conductance: FloatArray) -> FloatArray:
+        """S (N, M) of other cells' current that unknown cells at the low end bring into a reading, or keep from it.
+
+        The driven row i lifts column m, that the idle row k, and that column j: G_im C_m G_km R_k G_kj to first order.
+        Each of the three may be a cell whose conductance is anything from 0 to ``less`` (N, M) in S.
+        """
+        board = self._board
+        lifted = conductance * board.to_amplifier
+        fed = board.to_driver * conductance
+        current = np.zeros(less.shape)
+        for first, second, third in (
+            (conductance, less * board.to_amplifier, fed),
+            (conductance, lifted, board.to_driver * less),
+            (less, lifted, fed),
+        ):
+            rows = first @ second.T
+            np.fill_diagonal(rows, 0.0)
+            current += rows @ third
+        return current
 
     def _shares_of_shorts(self, shorts: _Shorts, saturated: BoolArray, conductance: FloatArray) -> FloatArray:
         """Share (N, M) of each cell's own current that shorts take or add.

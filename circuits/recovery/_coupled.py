@@ -7,7 +7,7 @@ readings at limits are left out         :mod:`._readings_at_limits`
 a start                                 the last frame's cells, or :mod:`._closed_start`
 steps within the frame's budget         :mod:`._gauss_newton`, :mod:`._linearised`, :mod:`._frame_budget`
 how well the cells give the readings    :meth:`CoupledLive._judge_misfit`
-uncertainty                             :mod:`._fit_uncertainty`
+uncertainty                             :mod:`._fit_uncertainty`, :mod:`._loose_columns`, :mod:`._below_range`
 what possible shorts disturb            :mod:`._possible_shorts`
 values, validity, and reasons           :meth:`CoupledLive._reading`
 ======================================  ================================================================
@@ -25,6 +25,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._board import Board
+from ._below_range import BelowRange
 from ._closed_start import ClosedStart
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
 from ._fit_uncertainty import ALIKE, FitUncertainty
@@ -42,6 +43,7 @@ from ._live_reading import (
     LiveReading,
     ValidityRule,
 )
+from ._loose_columns import LooseColumns
 from ._lost_rows import LostRows
 from ._possible_shorts import PossibleShorts
 from ._readings_at_limits import ReadingLimits, Selection
@@ -55,7 +57,9 @@ class _Open(NamedTuple):
     """What a frame leaves open about its cells, relative to their conductances; (n,) each."""
 
     others: FloatArray
-    """by cells that no reading tells of"""
+    """by cells that no reading tells of, and by columns that are left out or of unknown scale"""
+    fitted: FloatArray
+    """by everything but those columns"""
     all: FloatArray
     """by everything"""
 
@@ -79,6 +83,9 @@ class CoupledLive:
         self._limits = ReadingLimits(parts, nearly_independent=columns.applies, loses_rows=self._rows.applies)
         self._shorts = PossibleShorts(parts)
         self._uncertainty = FitUncertainty(parts)
+        is_divider = columns.applies and not board.circuit.has_amplifiers
+        self._loose = LooseColumns(parts) if is_divider else None
+        self._below = BelowRange(parts)
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
         self._known: Known | None = None  # where the last frame ended
@@ -115,7 +122,7 @@ class CoupledLive:
             conductance = 1.0 / fit.known.cells
             by_lost = self._rows.change(frame, selection.lost_rows, selection.at_limit, conductance)
         left = self._left_open(frame, fit, by_lost, doubt)
-        beside = self._disturbed(frame, fit, selection, left.all - by_lost, short)
+        beside = self._disturbed(frame, fit, selection, left.fitted, short)
         return self._reading(frame, fit, selection, left, beside)
 
     def _usual_start(self, frame: Frame, selection: Selection) -> tuple[Known, FloatArray | float]:
@@ -206,8 +213,14 @@ class CoupledLive:
         base = self._linearised.base
         own = self._uncertainty.by_own_reading(frame)
         by_readings = self._uncertainty.by_readings(frame, fit, base, own)
-        others = base.others + by_lost
-        return _Open(others, by_readings + others + doubt)
+        others: FloatArray = base.others
+        sigmas = self._uncertainty.sigmas(frame, fit)
+        by_loose = None if self._loose is None else self._loose.disturb(frame, fit.known, base, sigmas)
+        by_columns = by_lost if by_loose is None else by_lost + by_loose
+        if frame.bottom is not None:
+            others = others + self._below(frame, fit.known, base)
+        fitted = by_readings + others + doubt
+        return _Open(others + by_columns, fitted, fitted + by_columns)
 
     def _disturbed(
         self, frame: Frame, fit: Fit, selection: Selection, uncertainty: FloatArray, short: BoolArray | None
@@ -218,7 +231,7 @@ class CoupledLive:
             frame: the readings.
             fit: the cells that have been found for them.
             selection: readings that are left out.
-            uncertainty: (n,) of the fit, but for what lost columns do.
+            uncertainty: (n,) of the fit, but for what columns do that are left out or of unknown scale.
             short: (N, M) cells of the fit that are as good as shorts; None: there are none.
 
         """

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import hypot
+
 import numpy as np
 
 from ...arrays import FloatArray
@@ -15,6 +17,7 @@ ALIKE = 2.0
 """standard deviation by ADC steps over that of independent errors: readings of cells at rest are alike, and so are
 their errors, which add up in what the cells of a column take together; 1.8 in a pressed column of equal cells
 """
+_MOST = 50.0  # uncertainty of a logarithm that is as good as boundless
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
 
 
@@ -39,26 +42,34 @@ class FitUncertainty:
 
     def covered(self, frame: Frame) -> float:
         """V, the random error for which what readings leave open stands."""
-        return float(np.hypot(_SIGMAS * self._random * self._noise, _NOISE_SIGMAS * frame.noise))
+        return hypot(_SIGMAS * self._random * self._noise, _NOISE_SIGMAS * frame.noise)
 
     def of_own_reading(self, frame: Frame, uncertainty: FloatArray) -> FloatArray:
         """The part (n,) of an ``uncertainty`` (n,) that is by a cell's own reading, at most 1."""
         own = self.covered(frame) * frame.slope
         own[frame.slope == 0] = 1.0
-        return np.minimum(np.minimum(own, uncertainty), 1.0)
+        at_most: FloatArray = np.minimum(np.minimum(own, uncertainty), 1.0)
+        return at_most
+
+    def sigmas(self, frame: Frame, fit: Fit) -> float:
+        """Posterior standard deviations, by rounding alone, that an uncertainty covers.
+
+        Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
+        """
+        by_noise = _NOISE_SIGMAS * frame.noise / self._noise
+        return max(hypot(_SIGMAS * self._random, by_noise), fit.misfit * hypot(_SIGMAS, by_noise))
 
     def by_readings(self, frame: Frame, fit: Fit, base: Base, own: FloatArray) -> FloatArray:
         """What all readings leave open (n,), at least ``own`` (n,)."""
         spread = base.std * np.maximum(fit.steeper, 1.0)
-        # Readings that fit worse than an ADC step lets them make the whole fit less certain, by as much.
-        by_noise = _NOISE_SIGMAS * frame.noise / self._noise
-        sigmas = max(float(np.hypot(_SIGMAS * self._random, by_noise)), fit.misfit * float(np.hypot(_SIGMAS, by_noise)))
-        uncertainty: FloatArray = np.maximum(sigmas * spread, own)
-        uncertainty += np.abs(fit.step) * (_STALLED if fit.stalled and fit.misfit > FITS else fit.stale)
+        beyond: FloatArray = np.maximum(self.sigmas(frame, fit) * spread - own, 0.0)
+        beyond += np.abs(fit.step) * (_STALLED if fit.stalled and fit.misfit > FITS else fit.stale)
         if self._shifts is not None:
             # Offset and gain error move all readings together.
             offset, gain, lowest = self._shifts
             by_gain = np.abs(base.step(gain * (frame.measured - lowest)))
             by_gain += np.abs(base.step(np.full(len(own), offset)))
-            uncertainty += by_gain
+            beyond += by_gain
+        # A reading is nearly proportional to its own cell. What is beyond that is of the logarithm: it multiplies.
+        uncertainty: FloatArray = own + np.expm1(np.minimum(beyond, _MOST))
         return uncertainty

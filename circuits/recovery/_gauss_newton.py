@@ -27,6 +27,7 @@ _LEAST_CHANGE = 1e-6  # change of a logarithm that is none
 _LOOSE = 0.1  # standard deviation of a cell that the readings do not determine: where it is does not matter
 _AT_REST = 0.3  # most change by a further step after a fresh start
 _SHORTER = 0.4  # of a step that led away from the readings: what is taken next
+_MOST_LEFT = 0.9  # share of a misfit that a step leaves, from which on steps do not lead to an end
 _PATIENCE = 3  # frames that do not settle, after which steps that lead away from the readings are not taken
 _MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
 _MOST_WITHOUT_FIT = 6  # frames in a row until steps column by column are given up
@@ -48,7 +49,7 @@ class Fit(NamedTuple):
     lost: bool
     """it does not serve, and the derivatives are from too far away to tell how uncertain it is"""
     stale: float
-    """times its length that the remaining step may have, since the derivatives are from cells that were different"""
+    """times its length that the remaining steps may have, since the derivatives are from cells that were different"""
     steeper: FloatArray
     """(n,) present slopes over those at the base"""
 
@@ -144,9 +145,12 @@ class GaussNewton:
                 continue
             self._damping = min(self._damping / _SHORTER, 1.0)
             before = here.step
+            left = misfit / here.misfit if misfit < here.misfit else 0.0
             here.go(ahead)
             here.serves = self._serves(here)
+            base = here.base
             allowed = self._renew_if_due(here, before, stalled, allowed)
+            here.left = left if here.base is base else 0.0
             if here.serves and (misfit <= _CONVERGED or not self._doubted):
                 break
         return here.fit(stalled)
@@ -240,6 +244,8 @@ class _Place:
         """(n,) what is next"""
         self.serves = False
         """no further step is needed"""
+        self.left = 0.0
+        """share of the misfit that the last step has left; the further steps by these derivatives shrink likewise"""
         self.moved = Moved(inf, inf)
         """since the derivatives were made"""
 
@@ -272,6 +278,6 @@ class _Place:
             stalled,
             proven=settled or (stalled and moved.counted <= _MOVED),
             lost=not self.serves and moved.counted > _TOO_FAR,
-            stale=exp(moved.largest),
+            stale=max(exp(moved.largest), 1.0 / (1.0 - min(self.left, _MOST_LEFT))),
             steeper=self._steeper,
         )

@@ -22,6 +22,7 @@ _SHORT_SHARE = 0.998  # of the reading of a short, likewise
 _HEAVY_CELL = 0.8  # of what a short reads, from which on a line is left out where the last frame did not settle
 _ONE_OF_SOME = 0.2  # the same where two frames did not, since cells of a few ohm share a reading
 _LEFT_OUT = 300  # frames until a line that has been left out is tried again
+_LEAST_SIEMENS = 1e-200  # of a cell that conducts nothing, so that no ratio overflows
 _BY_LEADS = 1.5  # times the share of a voltage that leads lose, what they may change
 
 
@@ -224,7 +225,7 @@ class ReadingLimits:
             fed[place] = sqrt(len(fed)) * off * each
             if not board.circuit.columns_one_by_one(board):
                 fed[place] += most / (board.reference[column] + board.column_lead[column])
-            share[place] += fed.sum() + fed @ conductance / conductance[place]
+            share[place] += fed.sum() + fed @ conductance / np.maximum(conductance[place], _LEAST_SIEMENS)
         changed: FloatArray = _BY_LEADS * share
         return changed.ravel()
 

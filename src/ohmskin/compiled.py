@@ -174,8 +174,8 @@ class Loop(Generic[P, R]):
 def loop(function: Callable[P, R]) -> Loop[P, R]:
     """Offer a function of a module for compilation: a decorator.
 
-    Its annotations are the types above, ``float``, ``int``, ``bool`` and None. Beside its arguments it uses numbers of
-    its module, the modules ``math`` and ``numpy``, and other loops; within a function, no function.
+    Its annotations are the types above, ``float``, ``int``, ``bool``, None, and tuples of these. Beside its arguments
+    it uses numbers of its module, the modules ``math`` and ``numpy``, and other loops; within a function, no function.
     """
     return Loop(function)
 
@@ -202,4 +202,6 @@ def _written(hint: Any) -> str:
     """A type as Numba writes it."""
     if get_origin(hint) is Annotated:
         return str(get_args(hint)[1])
+    if get_origin(hint) is tuple:
+        return f"Tuple(({', '.join(_written(part) for part in get_args(hint))}))"
     return _SCALARS[hint]

@@ -1,0 +1,240 @@
+"""From an open port to a board that is known: what is asked of a skin, the introduction, and the circuit's inverse.
+
+:class:`Opening` is what a caller asks for, with files read and numbers checked. :class:`Link` is the reader thread with
+what belongs to it: the mailbox, the counters, and, once the board has introduced itself, the converter of its frames.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from ..cell import Cell
+from ..circuits import Design
+from ..compiled import is_compiling
+from ..errors import InputError, OhmskinError, ProtocolError
+from ..wire import Family, HostProtocol, board_family, host_protocol
+from ._calibration import Calibration
+from ._convert import Converter
+from ._introduce import Introduction
+from ._mailbox import Mailbox
+from ._port import BytePort
+from ._reader import Reader
+from ._recording import Recording
+from ._replay import RecordedSettings, ReplayPort
+from ._statistics import Counters
+from ._taker import Source
+
+Delivery = Literal["newest", "every", "lossless"]
+"""which frames a reader of the skin gets
+
+``newest``
+    The newest frame that the reader has not seen. Frames that came since the last one are skipped, and counted.
+``every``
+    Every frame, in order. A reader that is slower than the board loses the oldest of ``queue`` frames, counted.
+``lossless``
+    Every frame, in order. The port is not read while ``queue`` frames wait. For recordings and for emulated boards
+    that wait for their host; a real board then has to drop frames itself.
+"""
+QUEUE = 256
+LOOK_S = 0.05
+"""how often to look whether the compiler is at work"""
+
+
+@dataclass(frozen=True)
+class Opening:
+    """What is asked of a skin. The parameters of :meth:`Skin.__init__` say what each of them is."""
+
+    family: Family
+    settings: RecordedSettings
+    """what frames are made with; a recording holds it, too"""
+    timeout_s: float
+    delivery: Delivery
+    queue: int
+    reconnect_s: float
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        board: str | Family,
+        design: Design | str | Path | None,
+        cell: Cell | str | Path | None,
+        estimator: str | None,
+        pitch: float | None,
+        accuracy: float | None,
+        calibration: Calibration | str | Path | None,
+        timeout: float,
+        delivery: Delivery,
+        queue: int,
+        reconnect: float,
+    ) -> Opening:
+        """The same with files read and numbers checked; InputError."""
+        if not timeout > 0:
+            raise InputError(f"timeout is {timeout} s; expected more than 0")
+        if not (isinstance(queue, int) and queue >= 1):
+            raise InputError(f"a queue of {queue!r} frames; expected a whole number, at least 1")
+        if not reconnect >= 0:
+            raise InputError(f"reconnect is {reconnect} s; expected at least 0")
+        if pitch is not None and not 0 < pitch < math.inf:
+            raise InputError(f"pitch is {pitch} m; expected more than 0")
+        family = board_family(board)
+        settings = RecordedSettings(
+            family.name,
+            design if isinstance(design, Design | None) else Design.load(design),
+            cell if isinstance(cell, Cell | None) else Cell.load(cell),
+            estimator,
+            pitch,
+            accuracy,
+            calibration if isinstance(calibration, Calibration | None) else Calibration.load(calibration),
+        )
+        if delivery not in ("newest", "every", "lossless"):
+            raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
+        return cls(family, settings, timeout, delivery, queue, reconnect)
+
+
+class Link:
+    """A board at an open port: the thread that reads it, and what the thread and the takers of frames share."""
+
+    def __init__(self, port: BytePort, opening: Opening, reopen: Callable[[], BytePort] | None) -> None:
+        self._port, self._opening = port, opening
+        settings, delivery = opening.settings, opening.delivery
+        self.counters = Counters()
+        self.mailbox = Mailbox(1 if delivery == "newest" else opening.queue, drops_oldest=delivery != "lossless")
+        self.introduction = Introduction(opening.family, port.name, settings.design, settings.cell)
+        known = settings.calibration
+        self.introduction.must_identify = known is not None and bool(known.serial_number)
+        self.reader = Reader(
+            port,
+            protocol=self._host_end,
+            introduction=self.introduction,
+            mailbox=self.mailbox,
+            counters=self.counters,
+            lossless=delivery == "lossless",
+            reopen=reopen,
+            reconnect_s=opening.reconnect_s,
+        )
+        self._past = port.past if isinstance(port, ReplayPort) else None
+        if self._past is not None:
+            self.reader.resume(self._past.heard_bytes(), self._past.stream)
+
+    def record(self, path: str | Path, *, overwrite: bool) -> Recording:
+        """Record from the first byte on; before :meth:`introduce`. Raises InputError."""
+        recording = Recording(path, self._opening.settings.as_metadata(), overwrite=overwrite)
+        self.reader.taps.append(recording.arrived)
+        self.reader.on_gone.append(recording.port_gone)
+        return recording
+
+    def introduce(self) -> Converter:
+        """Begin to read, let the board introduce itself, and set up what converts its frames.
+
+        Raises:
+            LinkTimeout, ProtocolError, LinkError, InputError: as :meth:`Skin.__init__`. The port is then closed.
+
+        """
+        limit_s = self._opening.timeout_s
+        self.reader.start()
+        try:
+            self.reader.await_introduction(limit_s)
+            converter = _within(limit_s, self._set_up)
+            if converter is None:
+                raise ProtocolError(
+                    f"{self._port.name}: the inverse of the board's circuit was not set up within {limit_s:g} s; "
+                    "give a longer timeout, if the board's description is right"
+                )
+            self._remember(converter)
+        except BaseException:
+            self.reader.stop()
+            raise
+        return converter
+
+    def source(self, converter: Converter) -> Source:
+        """Where takers of frames get them."""
+        return Source(
+            self._port.name,
+            self.mailbox,
+            converter,
+            self.counters,
+            self.reader.poll,
+            self.reader.now,
+            self.reader.nothing_came,
+            newest_only=self._opening.delivery == "newest",
+        )
+
+    def _host_end(self) -> HostProtocol:
+        """A new host's end of the line, told of the array where the board does not say it."""
+        family = self._opening.family
+        if family.has_description:
+            return host_protocol(family)
+        design = self.introduction.design()
+        adc_bits = None if design.adc is None else design.adc.bits
+        return host_protocol(family, shape=design.array.shape, adc_bits=adc_bits)
+
+    def _set_up(self) -> Converter:
+        """The converter for the board, tried out."""
+        introduction, settings = self.introduction, self._opening.settings
+        design, cell = introduction.design(), introduction.cell()
+        if settings.calibration is not None:
+            try:
+                settings.calibration.check_board(design, cell, introduction.serial_number)
+            except InputError as error:
+                raise InputError(f"{self._port.name}: {error}") from None
+        try:
+            converter = Converter(
+                design,
+                cell,
+                settings.estimator,
+                design.sheet.pitch if settings.pitch is None else settings.pitch,
+                self.counters,
+                self._port.rest.changes if isinstance(self._port, ReplayPort) else (),
+                settings.accuracy,
+                settings.calibration,
+            )
+            converter.try_out()
+        except OhmskinError:
+            raise
+        except (ArithmeticError, LookupError, ValueError, TypeError, MemoryError, RecursionError) as error:
+            # A design and a cell that pass their own checks, but that nothing can be computed from.
+            raise introduction.refused(error) from error
+        return converter
+
+    def _remember(self, converter: Converter) -> None:
+        """Let conversion go on as in the skin that a recorder joined, where the port plays such a recording."""
+        if self._past is None:
+            return
+        try:
+            converter.resume(self._past.measurement)
+        except InputError as error:
+            raise InputError(f"{self._port.name}: what was before: {error}") from error
+
+
+def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
+    """The result of ``work``; None after ``limit_s``, and the work then ends by itself.
+
+    The limit is for descriptions that nothing can be computed from. The compiler, which the first skin on a machine
+    waits for, is not of their making, and its time does not count.
+    """
+    results: list[Converter] = []
+    errors: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            results.append(work())
+        except BaseException as error:
+            errors.append(error)
+
+    thread = threading.Thread(target=run, name="ohmskin set-up", daemon=True)
+    thread.start()
+    left_s = limit_s
+    while thread.is_alive() and left_s > 0:
+        before = time.monotonic()
+        thread.join(min(left_s, LOOK_S))
+        left_s -= 0.0 if is_compiling() else time.monotonic() - before
+    if errors:
+        raise errors[0]
+    return results[0] if results else None
