@@ -419,19 +419,13 @@ class Estimator(ABC):
         self._summed += 1
         means = self._sum_s >= WATCH_S / MEANS
         if means:
-            share = -math.expm1(-self._sum_s / WATCH_S)
-            self._sum /= self._summed
-            self._sum -= self._mean
-            self._sum *= share
-            self._mean += self._sum
-            self._sum[:] = 0.0
-            self._sum_s, self._summed = 0.0, 0
-        if not (woken or (means and not self._all_awake)):
+            share = -math.expm1(-dt / WATCH_S)
+            averaged = math.sqrt(share / (2 - share))
+            woken |= self._renew_means(averaged)
+        if not woken:
             return
         left: BoolArray = np.abs(r) > self._wake_at
         if means:
-            share = -math.expm1(-dt / WATCH_S)
-            averaged = math.sqrt(share / (2 - share))
             left |= np.abs(self._mean) > self._band + averaged * (self._wake_at - self._band)
         if np.count_nonzero(left):
             cells = np.flatnonzero(left)
@@ -445,6 +439,19 @@ class Estimator(ABC):
         if self._compiled:
             return loops.watch.code(r, self._sum, self._wake_at)
         self._sum += r
+        return not self._all_awake
+
+    def _renew_means(self, averaged: float) -> bool:
+        """Take the sums into the means; whether one of these may wake its cell, for noise that is ``averaged``."""
+        share, summed = -math.expm1(-self._sum_s / WATCH_S), self._summed
+        self._sum_s, self._summed = 0.0, 0
+        if self._compiled:
+            return loops.renew_means.code(self._sum, summed, self._mean, share, self._wake_at, self._band, averaged)
+        self._sum /= summed
+        self._sum -= self._mean
+        self._sum *= share
+        self._mean += self._sum
+        self._sum[:] = 0.0
         return not self._all_awake
 
     def _choose(self, known: BoolArray | None) -> None:
@@ -567,7 +574,7 @@ class Estimator(ABC):
             self._remember(block.begun, reading, noise)
         memory = block.memory = self._advance_compiled(dt, level, std, Looked(reading, noise, std, line))
         if self._frames % (WINDOW // LOOKS) == 0:
-            self._look_for_tremor(memory, self._most_seeming(memory, noise))
+            self._look_for_tremor_compiled(memory, taken)
         added = np.zeros(cells.size)
         if self._tremor.suspicious:
             self._tremor.add_variance(cells, memory, taken, self._seeming, added)
@@ -595,6 +602,17 @@ class Estimator(ABC):
         if self._frames % WINDOW == 0:
             unrest = self._noise.unrest(cells, beside)
             missed = self._tremor.end_window(cells, memory[PRESSURE], most_kpa, beside, unrest)
+            if missed is not None:
+                self._miss(memory, missed)
+
+    def _look_for_tremor_compiled(self, memory: FloatArray, taken: FloatArray) -> None:
+        """The same by machine code; ``taken`` (4, m) are the readings and their noise."""
+        cells = self._block.cells
+        beside = self._noise.beside_parabola(cells)
+        self._tremor.look(cells, beside)
+        if self._frames % WINDOW == 0:
+            before = self._noise.beside
+            missed = self._tremor.end_window_compiled(cells, memory, taken, self._seeming, beside, before)
             if missed is not None:
                 self._miss(memory, missed)
 

@@ -35,6 +35,17 @@ def watch(r: Row, total: Row, wake_at: Row) -> bool:
 
 
 @loop
+def renew_means(total: Row, summed: int, mean: Row, share: float, wake_at: Row, band: float, averaged: float) -> bool:
+    """Take sums (n,) of readings into their means, and begin new sums; whether one of the means wakes its cell."""
+    woken = False
+    for i in range(mean.size):
+        mean[i] += (total[i] / summed - mean[i]) * share
+        total[i] = 0.0
+        woken |= abs(mean[i]) > band + averaged * (wake_at[i] - band)
+    return woken
+
+
+@loop
 def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, least: float) -> None:
     """Gather the readings of ``cells`` (m,) and their noise into ``taken`` (4, m)."""
     every = cells.size == r.size
@@ -135,4 +146,4 @@ def add_asleep(variance: Row, reading: Row, cells: Places, per_reading: Row, hid
         variance[cells[i]] += std * std
 
 
-ALL = read, watch, take, show, add_asleep
+ALL = read, watch, renew_means, take, show, add_asleep

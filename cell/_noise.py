@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray, median
-from ..compiled import Row, loop
+from ..compiled import Places, Row, Rows, loop
 
 READINGS = 200
 """over which the variance is averaged"""
@@ -96,7 +96,8 @@ class NoiseMeter:
         """(n,) standard deviation of r of a cell at rest; renewed in place"""
         self.quiet = np.inf
         """the least that the median cell has had of late: what is more may be the load; infinite: not known"""
-        self._beside = np.zeros(cells)
+        self.beside = np.zeros(cells)
+        """(n,) what :meth:`beside_parabola` said at the end of the last window"""
         self.resolution = np.zeros(cells)
         """(n,) the part of it that the steps of the ADC make; 0: not known"""
         self.typical_resolution = 0.0
@@ -201,15 +202,22 @@ class NoiseMeter:
         A vibration within the noise looks like noise, but the board has less. Parabolas take up what moves smoothly.
         0 where that is not known.
         """
+        present: FloatArray
         if self._seen < WINDOW or not np.isfinite(self.quiet):
             return np.zeros(cells.size)
-        ring = self._ring[:, cells]
+        ring = self._ring.take(cells, axis=1)
         beside = np.dot(_BESIDE_PARABOLA[self._seen % WINDOW], ring)
+        if self.compiled:
+            present = np.empty(cells.size)
+            last = (self._seen - 1) % WINDOW
+            beside_each.code(cells, beside, ring, last, self.quiet, self.resolution, self._blind, present)
+            return present
         scale = ring[(self._seen - 1) % WINDOW] + 1.0
         scale *= scale
         scale *= np.maximum(self.quiet, self.resolution[cells])
         beside /= scale
-        present: FloatArray = np.einsum("ij,ij->j", beside, beside) / len(beside)
+        beside *= beside
+        present = np.add.accumulate(beside)[-1] / len(beside)
         if self._any_blind:
             present[self._blind[cells] > 0] = 0.0
         return present
@@ -219,10 +227,10 @@ class NoiseMeter:
 
         To be called every :data:`WINDOW` frames, with what :meth:`beside_parabola` says at ``present`` (m,).
         """
-        before = self._beside[cells]
+        before = self.beside[cells]
         found: FloatArray = np.minimum(present, before)
         found[np.maximum(present, before) > CROSSED] = 0.0
-        self._beside[cells] = present
+        self.beside[cells] = present
         return found
 
     def std(self, r: FloatArray, cells: slice | IntArray = slice(None)) -> FloatArray:
@@ -247,13 +255,13 @@ class NoiseMeter:
             "noise_resolution": self.resolution,
             "noise_counts": np.array([self._looks, self._seen, self._any_blind], dtype=np.float64),
             "noise_of_array": np.array([self.typical, self.quiet]),
-            "noise_beside": self._beside,
+            "noise_beside": self.beside,
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a :meth:`state`."""
         self._ring, self._blind, self._variance = (state[f"noise_{name}"] for name in ("ring", "blind", "variance"))
-        self._beside = state["noise_beside"]
+        self.beside = state["noise_beside"]
         looks, seen, any_blind = state["noise_counts"].tolist()
         self.typical, self.quiet = state["noise_of_array"].tolist()
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
@@ -286,4 +294,31 @@ def std_at_rest(variance: Row, resolution: Row, resolved: bool, std: Row) -> Non
             std[i] = max(std[i], resolution[i])
 
 
-LOOPS = average, std_at_rest
+@loop
+def beside_each(
+    cells: Places, beside: Rows, ring: Rows, last: int, quiet: float, resolution: Row, blind: Row, present: Row
+) -> None:
+    """The rest of :meth:`NoiseMeter.beside_parabola` as a loop over cells, into ``present`` (m,).
+
+    Args:
+        cells: (m,) indices.
+        beside: (k, m) parts of the readings that parabolas do not take up.
+        ring: (WINDOW, m) readings, of which those in row ``last`` are the present ones.
+        last: that row.
+        quiet: the board's noise.
+        resolution: (n,) what the steps of the ADC add.
+        blind: (n,) frames for which a cell's readings are not complete.
+        present: (m,), changed.
+    """
+    rows = beside.shape[0]
+    for i in range(cells.size):
+        scale = ring[last, i] + 1.0
+        scale = scale * scale * max(quiet, resolution[cells[i]])
+        total = 0.0
+        for row in range(rows):
+            part = beside[row, i] / scale
+            total += part * part
+        present[i] = 0.0 if blind[cells[i]] > 0.0 else total / rows
+
+
+LOOPS = average, std_at_rest, beside_each

@@ -106,6 +106,21 @@ class Tremor:
         kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa
         doubt_rises.code(cells, memory, taken, seeming, *kept, added)
 
+    def end_window_compiled(
+        self,
+        cells: IntArray,
+        memory: FloatArray,
+        taken: FloatArray,
+        seeming: float,
+        beside: FloatArray,
+        beside_before: FloatArray,
+    ) -> FloatArray | None:
+        """:meth:`end_window` by machine code; ``beside_before`` (n,) is that of the window before, and changed."""
+        kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa, self._unrest_before
+        missed = np.empty(cells.size)
+        found = end_window_each.code(cells, memory, taken, seeming, beside, beside_before, *kept, missed)
+        return missed if found else None
+
     def forget(self, cells: IntArray) -> None:
         """Let nothing be in doubt about cells that are put to sleep."""
         self._suspicion[cells] = self._waiting_kpa[cells] = self._risen_from[cells] = 0.0
@@ -162,4 +177,51 @@ def doubt_rises(
         added[i] += std * std
 
 
-LOOPS = look_each, doubt_rises
+@loop
+def end_window_each(
+    cells: Places,
+    memory: Rows,
+    taken: Rows,
+    seeming: float,
+    beside: FixedRow,
+    beside_before: Row,
+    risen_from: Row,
+    amplitude: Row,
+    suspicion: Row,
+    waiting_kpa: Row,
+    unrest_before: Row,
+    missed: Row,
+) -> bool:
+    """:meth:`._noise.NoiseMeter.unrest` and :meth:`Tremor.end_window` as a loop over cells.
+
+    Returns:
+        Whether a rise is in doubt for good: then ``missed`` (m,) has it.
+    """
+    found = False
+    for i in range(cells.size):
+        cell, gain, pressure, present = cells[i], memory[GAIN, i], memory[PRESSURE, i], beside[i]
+        unrest = min(present, beside_before[cell])
+        if max(present, beside_before[cell]) > CROSSED:
+            unrest = 0.0
+        beside_before[cell] = present
+        most_kpa = seeming * taken[NOISE, i] * (gain * gain)
+        rise, waiting = max(pressure - risen_from[cell], 0.0), waiting_kpa[cell]
+        if not rise < amplitude[cell] * most_kpa:
+            rise = 0.0
+        found |= unrest > HIDES
+        by_two = min(max((unrest - HIDES) / (SURELY_HIDES - HIDES), 0.0), 1.0)
+        by_two *= rise if rise < most_kpa else 0.0
+        lesser = min(unrest, unrest_before[cell])
+        by_three = min(max((lesser - SUSPECTS) / (SURELY_SUSPECTS - SUSPECTS), 0.0), 1.0)
+        now = max(by_two, by_three * rise)
+        missed[i] = now + by_three * waiting
+        rise -= now
+        waiting *= 1.0 - by_three
+        waiting_kpa[cell] = suspicion[cell] * (rise + waiting)
+        suspicion[cell] = min(max((present - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
+        unrest_before[cell] = unrest
+        risen_from[cell] = pressure
+    return found
+
+
+LOOPS = look_each, doubt_rises, end_window_each

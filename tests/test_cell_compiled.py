@@ -146,7 +146,7 @@ def test_rare_events_do_happen_in_these_streams() -> None:
             "_put_back",
             "_put_to_sleep",
             "_part",
-            "_look_for_tremor",
+            "_look_for_tremor_compiled",
         ),
         "m10": ("_remember", "_put_back", "_put_to_sleep"),
         "asymmetric": ("_remember",),

@@ -701,7 +701,7 @@ class TestReconnection:
     def test_a_board_without_a_usb_number_is_found_under_another_name(self, tmp_path: Path) -> None:
         """Many converters have no serial number; the board's own tells which of the ports that appear is its."""
         stranger = scene(board={"serial_number": "B2", "frame_rate": 500.0})
-        unplugged = {"kind": "unplug", "at_s": 1.0, "duration_s": 0.5, "name": "skin-9"}
+        unplugged = {"kind": "unplug", "at_s": 3.0, "duration_s": 0.5, "name": "skin-9"}
         moves = scene(board={"serial_number": "A1", "frame_rate": 500.0}, link_fault=[unplugged])
         with (
             running(scene(board={"serial_number": "C3"}), PtyPort(tmp_path / "there-all-the-time")),
