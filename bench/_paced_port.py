@@ -46,7 +46,7 @@ class PacedPort:
         come = min(int(now / self._period_s), len(self._packets))
         data = b"".join(self._packets[self._sent : come])
         self._sent = come
-        return Arrival(data, now, 1e9 + now)
+        return Arrival(data, now, 1e9 + now, more=False)
 
     def write(self, data: bytes) -> None:
         pass

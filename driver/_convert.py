@@ -382,5 +382,5 @@ def _std(
 
 
 def _read_only(array: NDArray[T]) -> NDArray[T]:
-    array.flags.writeable = False
+    array.setflags(write=False)  # half of the time that array.flags takes
     return array

@@ -32,7 +32,7 @@ class Later:
                 if array is None:
                     assert self._compute is not None
                     array = self._compute()
-                    array.flags.writeable = False
+                    array.setflags(write=False)
                     self._array = array
                     self._compute = None  # what it holds is several times as large as the array
         return array

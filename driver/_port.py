@@ -34,6 +34,8 @@ CONNECT_TIMEOUT_S = 5.0
 UNHEARD_S = 3.0
 """a TCP peer that acknowledges nothing for this long is gone: a cable pulled at its end is not told otherwise"""
 _CHUNK = 65536
+_SHORT = 1024
+"""bytes below which one system call has brought all that there was: terminals give up to 4095 at once, sockets more"""
 _EMULATOR = "ohmskin.emulator"
 """package in which pyserial finds the handler of ohmskin:// addresses; imported only for such an address"""
 _NOT_NOW = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
@@ -49,6 +51,8 @@ class Arrival(NamedTuple):
     """s on the monotonic clock of the port (:meth:`BytePort.now`)"""
     wall_time: float
     """s since the epoch at the same moment"""
+    more: bool = True
+    """more bytes may have come; False: reading again at once would bring nothing"""
 
 
 class BytePort(Protocol):
@@ -139,8 +143,8 @@ class _RealTimePort:
     def _close(self) -> None:
         """Close what the operating system gave."""
 
-    def _arrived(self, data: bytes) -> Arrival:
-        return Arrival(data, time.monotonic(), time.time())
+    def _arrived(self, data: bytes, *, more: bool = True) -> Arrival:
+        return Arrival(data, time.monotonic(), time.time(), more)
 
     def _gone(self, error: Exception | str) -> LinkError:
         if self.announced is not None and self.announced.is_over:
@@ -188,7 +192,7 @@ class DescriptorPort(_RealTimePort):
             if error.errno in _NOT_NOW:
                 return self._arrived(b"")
             raise self._gone(error) from error
-        return self._arrived(data)
+        return self._arrived(data, more=len(data) >= _SHORT)
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``; LinkError when that fails."""

@@ -332,6 +332,8 @@ class Reader:
                 for event in events:
                     self._handle(event, arrival)
                 self._mailbox.tell()
+                if not arrival.more:
+                    return
 
     def _keep(self, data: bytes, *, has_frame: bool) -> None:
         """Keep the last bytes for a recorder that joins."""

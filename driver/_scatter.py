@@ -33,6 +33,7 @@ import math
 from functools import cache
 
 import numpy as np
+from scipy.linalg.lapack import dsyev
 from scipy.special import chdtri
 
 from ..arrays import FloatArray, median
@@ -172,7 +173,7 @@ class Scatter:
             return self._shown_by_few(change, mean)
         shown = self._by_quietest(_quietest_of_two(change, self._change), QUIET_OF_TWO, moving)
         if shown > ABOVE * self._seen and self._older is not None:
-            of_three = _quietest(np.stack((change, self._change, self._older)).reshape(3, -1))[None]
+            of_three = _quietest(np.concatenate((change, self._change, self._older)).reshape(3, -1))[None]
             shown = min(shown, self._by_quietest(of_three, QUIET_OF_THREE, moving))
         return shown
 
@@ -289,9 +290,9 @@ def _quietest_of_two(change: FloatArray, before: FloatArray) -> FloatArray:
 
 def _quietest(changes: FloatArray) -> FloatArray:
     """As :func:`_quietest_of_two`, of three changes (3, n) in V: (n,) V."""
-    white = _WHITENED @ changes
-    least: FloatArray = np.linalg.eigh(white @ white.T)[1][:, 0]
-    quietest: FloatArray = (_ROOT_2 * least) @ white
+    white = _WHITENED.dot(changes)
+    least: FloatArray = dsyev(white.dot(white.T))[1][:, 0]  # eigh() of NumPy takes three times as long
+    quietest: FloatArray = (_ROOT_2 * least).dot(white)
     return quietest
 
 
