@@ -27,6 +27,7 @@ from boards import EXAMPLES, Script, Wire, described, frame, gone, identity, los
 from ohmskin.driver import Arrival, Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
 from ohmskin.driver._mailbox import Mailbox
+from ohmskin.driver._port import DescriptorPort
 from ohmskin.driver._statistics import Counters
 from ohmskin.driver._stream import FrameStream
 from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
@@ -611,3 +612,25 @@ class TestNumbers:
         cells = {"cell": cell} if cell.exists() else {}
         with Skin(Script(sheet(), counts), design=str(design), timeout=30.0, **cells) as skin:  # type: ignore[arg-type]
             assert skin.design.array.shape == next(skin).pressure.shape == (4, 4)
+
+
+def test_a_port_says_when_one_read_has_brought_all() -> None:
+    reading, writing = os.pipe()
+    os.set_blocking(reading, False)
+
+    class Pipe(DescriptorPort):
+        def _release(self) -> None:
+            os.close(reading)
+
+    port = Pipe("pipe", reading)
+    for size in (1, 156, 1024, 5000):
+        os.write(writing, bytes(size))
+        found, more = 0, True
+        while more and found < size:
+            arrival = port.read()
+            found, more = found + len(arrival.data), arrival.more
+        assert found == size
+        assert more == (size >= 1024), "a short read is the last one; after a long one there may be more"
+    assert port.read().data == b""
+    port.close()
+    os.close(writing)
