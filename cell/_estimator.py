@@ -598,7 +598,7 @@ class Estimator(ABC):
         """
         cells = self._block.cells
         beside = self._noise.beside_parabola(cells)
-        self._tremor.look(cells, beside)
+        self._tremor.look(cells, memory, beside)
         if self._frames % WINDOW == 0:
             unrest = self._noise.unrest(cells, beside)
             missed = self._tremor.end_window(cells, memory[PRESSURE], most_kpa, beside, unrest)
@@ -609,7 +609,7 @@ class Estimator(ABC):
         """The same by machine code; ``taken`` (4, m) are the readings and their noise."""
         cells = self._block.cells
         beside = self._noise.beside_parabola(cells)
-        self._tremor.look(cells, beside)
+        self._tremor.look(cells, memory, beside)
         if self._frames % WINDOW == 0:
             before = self._noise.beside
             missed = self._tremor.end_window_compiled(cells, memory, taken, self._seeming, beside, before)
