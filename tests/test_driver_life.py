@@ -14,6 +14,7 @@ import pickle
 import re
 import socket
 import threading
+import weakref
 from collections.abc import AsyncIterator
 from itertools import islice
 from pathlib import Path
@@ -129,6 +130,21 @@ class TestOwners:
             skin = None
             gc.collect()
             Skin.open(port.name, timeout=30.0).close()
+
+    def test_a_recording_goes_on_though_nobody_holds_the_skin(self, tmp_path: Path) -> None:
+        port, path = PtyPort(), tmp_path / "alone.mcap"
+        with running(scene(board={"frame_rate": 200.0}), port):
+            skin = Skin.open(port.name, timeout=30.0, record=path)
+            reader, recording, held = skin._reader, skin.recorder, weakref.ref(skin)
+            del skin
+            gc.collect()
+            assert held() is None
+            until(lambda: reader.stream.counters.frames > 300)
+            reader.stop()
+        assert recording is not None
+        recording.close()
+        with Skin.open(str(path)) as replay:
+            assert len(list(replay)) > 300
 
     @pytest.mark.parametrize("how", ["callback", "async", "frames", "iteration"])
     def test_a_skin_that_a_reader_needs_stays_open(self, how: str) -> None:

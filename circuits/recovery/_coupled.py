@@ -28,7 +28,7 @@ from .._board import Board
 from ._below_range import BelowRange
 from ._closed_start import ClosedStart
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
-from ._fit_uncertainty import FitUncertainty
+from ._fit_uncertainty import ALIKE, FitUncertainty
 from ._frame_budget import FIRST_EFFORT, Effort
 from ._gauss_newton import Convergence, Fit, GaussNewton
 from ._linearised import Linearised
@@ -56,8 +56,6 @@ _JUMP = 20.0  # half steps between readings and the last frame's cells from whic
 class _Open(NamedTuple):
     """What a frame leaves open about its cells, relative to their conductances; (n,) each."""
 
-    own: FloatArray
-    """by their own readings"""
     others: FloatArray
     """by cells that no reading tells of, and by columns that are left out or of unknown scale"""
     fitted: FloatArray
@@ -101,6 +99,8 @@ class CoupledLive:
             turn(found.valid),
             turn(found.reason),
             lambda: (turn(found.uncertainty), turn(found.own)),
+            found.covered,
+            found.alike,
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
@@ -220,7 +220,7 @@ class CoupledLive:
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base)
         fitted = by_readings + others + doubt
-        return _Open(own, others + by_columns, fitted, fitted + by_columns)
+        return _Open(others + by_columns, fitted, fitted + by_columns)
 
     def _disturbed(
         self, frame: Frame, fit: Fit, selection: Selection, uncertainty: FloatArray, short: BoolArray | None
@@ -279,7 +279,9 @@ class CoupledLive:
             resistance.reshape(shape),
             valid.reshape(shape),
             reason.reshape(shape),
-            lambda: (uncertainty.reshape(shape), left.own.reshape(shape)),
+            lambda: (uncertainty.reshape(shape), self._uncertainty.of_own_reading(frame, uncertainty).reshape(shape)),
+            self._uncertainty.covered(frame),
+            ALIKE,
         )
 
     def _nothing(self, at_limit: BoolArray) -> LiveReading:
