@@ -570,7 +570,8 @@ class Estimator(ABC):
         loops.take.code(r, self._noise.at_rest, cells, line, taken, LEAST_NOISE)
         if self._sparks.cells.size:
             self._put_back(dt, reading, noise)
-        if smoothing.advance_each.code(line, block.line_before, dt, self._gains(dt).rows, taken, block.begun):
+        gains, large = self._gains(dt).rows, LARGE_JUMP * self._full_scale_r
+        if smoothing.advance_each.code(line, block.line_before, dt, gains, taken, block.begun, large):
             self._remember(block.begun, reading, noise)
         memory = block.memory = self._advance_compiled(dt, level, std, Looked(reading, noise, std, line))
         if self._frames % (WINDOW // LOOKS) == 0:
