@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import plots
+from .. import compiled, plots
 from ..arrays import FloatArray
 from ..cell import ESTIMATORS, Cell, calibrate, checked_recording, protocol_load
 from ..circuits import Design, adc_codes, scan_batch
@@ -81,6 +81,8 @@ class Row:
     """per second of processor time: what a reader of a skin gets who takes every frame and its standard deviations"""
     queued_frames_per_second: float
     """the same where :data:`QUEUED` frames come together"""
+    times_as_fast: float
+    """by machine code over array operations, both in turn; 1 without machine code, see :mod:`ohmskin.compiled`"""
     decode_us: float
     """median per frame"""
     ohms_us: float
@@ -202,6 +204,7 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
             times[number] = decoded - start, solved - decoded, estimated - solved, asked - taken, asked - taking
             found_ohm[number], valid[number], found_kpa[number] = frame.resistance, frame.valid, frame.pressure
     queued_s = _taking_queued(packets, board, cell, name)
+    times_as_fast = 1.0 if compiled.why_not() else _times_as_fast(packets, board, cell, name)
     whole = times[:, 4]
     usual = float(np.median(whole))
     off_ohm = np.abs(found_ohm / cells - 1.0)[valid]
@@ -217,6 +220,7 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
         is_default=name in (None, cell.default_estimator),
         frames_per_second=frames / float(whole.sum()),
         queued_frames_per_second=frames / queued_s,
+        times_as_fast=times_as_fast,
         decode_us=1e6 * decode_s,
         ohms_us=1e6 * ohms_s,
         kpa_us=1e6 * kpa_s,
@@ -240,6 +244,23 @@ def _taking_queued(packets: list[bytes], board: Design, cell: Cell, name: str | 
                 port.work(float(QUEUED))
             _ = skin.read(0.0).pressure_std
         return process_time() - start
+
+
+def _times_as_fast(packets: list[bytes], board: Design, cell: Cell, name: str | None) -> float:
+    """How many times as fast machine code takes the frames as array operations do, frame by frame in turn."""
+    by_arrays, by_code = (PacedPort(packets, 1.0, board) for _ in range(2))
+    took_s = np.zeros(2)
+    with contextlib.ExitStack() as stack:
+        with compiled.switched_off():
+            plain = stack.enter_context(_skin_at(by_arrays, board, cell, name))
+        quick = stack.enter_context(_skin_at(by_code, board, cell, name))
+        for _ in packets:
+            for one, (skin, port) in enumerate(((plain, by_arrays), (quick, by_code))):
+                port.work(1.0)
+                start = process_time()
+                _ = skin.read(0.0).pressure_std
+                took_s[one] += process_time() - start
+    return float(took_s[0] / took_s[1])
 
 
 @contextlib.contextmanager
@@ -297,17 +318,27 @@ def packets_of(
     return [packet(number) for number in range(len(codes) if frames is None else frames)]
 
 
+def machine_code() -> str:
+    """Whether machine code is in use, and what the column ``code`` says."""
+    why_not = compiled.why_not()
+    if why_not:
+        return f"by array operations: {why_not}"
+    return "by machine code where there is some; code: times as fast as by array operations"
+
+
 def table(rows: Iterable[Row]) -> str:
     """The boards as text."""
     head = (
         "frames per second of processor time on one core that a reader of a skin gets, bytes to kPa with standard "
         f"deviations, and where {QUEUED} frames come together; worst frame in medians; errors of valid cells\n"
-        "    cells  circuit              idle    bits saturated  frames/s  queued  decode   ohms    kPa    std  skin us"
-        "  worst   valid   ohm error   RMSE  worst kPa"
+        f"{machine_code()}\n"
+        "    cells  circuit              idle    bits saturated  frames/s  queued   code  decode   ohms"
+        "    kPa    std  skin us  worst   valid   ohm error   RMSE  worst kPa"
     )
     lines = (
         f"{row.size:>4} x {row.size:<4}{row.circuit:<20} {row.idle_rows:<7}{row.bits:>4}{row.saturated_cells:>8}"
-        f"{row.frames_per_second:>12.0f}{row.queued_frames_per_second:>8.0f}{row.decode_us:>8.0f}"
+        f"{row.frames_per_second:>12.0f}{row.queued_frames_per_second:>8.0f}{row.times_as_fast:>7.2f}"
+        f"{row.decode_us:>8.0f}"
         f"{row.ohms_us:>7.0f}{row.kpa_us:>7.0f}{row.std_us:>7.0f}{row.skin_us:>9.0f}{row.worst_frame:>7.1f}"
         f"{row.valid_percent:>7.1f} %{row.worst_ohm_error_percent:>9.2f} %{row.rmse_kpa:>9.3f}{row.worst_kpa:>9.2f}"
         for row in rows

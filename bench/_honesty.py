@@ -95,6 +95,22 @@ class Honesty:
 _PRESS = [0.0, 1.0, 1.0, 0.0]
 _RANDOM_S = 0.7 + np.cumsum(np.random.default_rng(5).exponential(0.5, 60))
 _RANDOM = np.random.default_rng(6).choice([0.0, 0.0, 0.3, 0.6, 1.0], 60)
+_RANDOM_RISE_S = 0.04
+
+
+def _presses_at_random() -> tuple[FloatArray, FloatArray]:
+    """Corners (120,) in s, in order, and loads there. A press that begins within the last one goes on from there."""
+    ends_s = np.minimum(_RANDOM_S + _RANDOM_RISE_S, np.append(_RANDOM_S[1:], np.inf))
+    load, loads = 0.0, []
+    for start_s, end_s, level in zip(_RANDOM_S, ends_s, _RANDOM, strict=True):
+        loads.append(load)
+        share = (end_s - start_s) / _RANDOM_RISE_S
+        load = level if share > 1 - 1e-9 else load + share * (level - load)  # a rounded load would be a turn
+        loads.append(load)
+    return np.stack([_RANDOM_S, ends_s], axis=1).ravel(), np.array(loads)
+
+
+_RANDOM_PRESSES = _presses_at_random()
 
 
 def _train(t: FloatArray, period_s: float, rise_s: float, hold_s: float) -> FloatArray:
@@ -124,9 +140,7 @@ LOADS: dict[Load, Callable[[FloatArray, float], FloatArray]] = {
     "drumming": lambda t, dt: _train(t, 4 * dt, 0.5 * dt, 1.5 * dt) * ((t - 1.0) % 1.0 < 0.4),
     "vibration": lambda t, dt: _held(t) + 0.15 * np.sin(2.0 * np.pi * 0.28 / dt * t) * ((t > 3.0) & (t < 8.0)),
     "slip": lambda t, dt: _held(t) + 0.3 * (0.12 / dt * (t - 2.0) % 1.0) * ((t > 2.0) & (t < 6.0)),
-    "random": lambda t, dt: np.interp(
-        t, np.repeat(_RANDOM_S, 2) + np.tile([0.0, 0.04], 60), np.repeat(np.r_[0.0, _RANDOM], 2)[1:-1]
-    ),
+    "random": lambda t, dt: np.interp(t, *_RANDOM_PRESSES),
 }
 """share of the largest load at times in s, with the time between frames; the cells follow each other by up to 0.4 s, so
 that edges are not in step. Quick and short taps last for six and three frames; drumming and vibration have about four

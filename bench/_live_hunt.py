@@ -11,7 +11,8 @@ the driver's :class:`.CountReader` takes the counts. Findings:
 
 Nobody can know of a noise before it is in the readings, and of two frames nobody can say whether noise or a press has
 changed them. Cells that are off in the first two frames of a noise larger than the reader assumes or has seen are
-counted as *surprised* and are no findings. For the same reason noise may carry a cell beyond a factor of two within
+counted as *surprised* and are no findings, as long as their uncertainties would do had the reader known the noise.
+For the same reason noise may carry a cell beyond a factor of two within
 five standard deviations: of the readings of a cell whose uncertainty just suffices, 3 in 1000 are beyond three.
 
 A *slow* stream has a frame with the work of more than ten usual ones, from counts to ohms. A usual frame is the median
@@ -42,6 +43,7 @@ from ._live_streams import FAMILIES, MOVING, LiveStream, stream
 KINDS = ("wrong cell", "factor of two", "unsolved", "unsettled")
 _MOST_USUAL_FRAMES = 10.0
 _LEAST_USUAL = 3  # frames
+_SIGMAS = 3.0  # standard deviations of the noise that an uncertainty covers, beside half a step
 _ASSUMED_NOISE = 0.5  # ADC steps that the reader assumes in the first frame
 
 
@@ -98,7 +100,9 @@ def check(family: str, number: int, tally: LiveTally) -> None:
             found.setdefault("unsolved", f"frame {frame}")
         wrong = _wrong_cells(reading, read_from, frame, tally)
         seen = [_ASSUMED_NOISE, *read_from.noise_steps[: max(frame - 1, 0)]]
-        if wrong and read_from.noise_steps[frame] > max(seen):
+        noise, step = read_from.noise_steps[frame], read_from.design.adc.step  # type: ignore[union-attr]
+        more = (0.5 + _SIGMAS * noise) / (0.5 + _SIGMAS * reader.noise_volts / step)
+        if wrong and noise > max(seen) and not _wrong_cells(reading, read_from, frame, LiveTally(), max(more, 1.0)):
             tally.surprised += 1
         else:
             found |= wrong
@@ -112,8 +116,10 @@ def check(family: str, number: int, tally: LiveTally) -> None:
     tally.findings += [f"{what}: {family}:{number}, {where}" for what, where in found.items()]
 
 
-def _wrong_cells(reading: Reading, read_from: LiveStream, frame: int, tally: LiveTally) -> dict[str, str]:
-    """The findings in the valid cells of one frame."""
+def _wrong_cells(
+    reading: Reading, read_from: LiveStream, frame: int, tally: LiveTally, more: float = 1.0
+) -> dict[str, str]:
+    """The findings in the valid cells of one frame, were their uncertainties ``more`` times as large."""
     valid, found = reading.valid, {}
     if not valid.any():
         return {}
@@ -122,7 +128,7 @@ def _wrong_cells(reading: Reading, read_from: LiveStream, frame: int, tally: Liv
     used = float((np.abs(share - 1.0) / reading.uncertainty[valid]).max())
     if not read_from.noisy:
         tally.used = max(tally.used, used)
-    if used > (5.0 / 3.0 if read_from.noisy else 1.0 + 1e-9):
+    if used > more * (5.0 / 3.0 if read_from.noisy else 1.0 + 1e-9):
         found["wrong cell"] = f"frame {frame}, error {used:.2f} uncertainties"
         if share.min() < 0.5 or share.max() > 2.0:
             found["factor of two"] = f"frame {frame}"

@@ -570,7 +570,8 @@ class Estimator(ABC):
         loops.take.code(r, self._noise.at_rest, cells, line, taken, LEAST_NOISE)
         if self._sparks.cells.size:
             self._put_back(dt, reading, noise)
-        if smoothing.advance_each.code(line, block.line_before, dt, self._gains(dt).rows, taken, block.begun):
+        gains, large = self._gains(dt).rows, LARGE_JUMP * self._full_scale_r
+        if smoothing.advance_each.code(line, block.line_before, dt, gains, taken, block.begun, large):
             self._remember(block.begun, reading, noise)
         memory = block.memory = self._advance_compiled(dt, level, std, Looked(reading, noise, std, line))
         if self._frames % (WINDOW // LOOKS) == 0:
@@ -598,7 +599,7 @@ class Estimator(ABC):
         """
         cells = self._block.cells
         beside = self._noise.beside_parabola(cells)
-        self._tremor.look(cells, beside)
+        self._tremor.look(cells, memory, beside)
         if self._frames % WINDOW == 0:
             unrest = self._noise.unrest(cells, beside)
             missed = self._tremor.end_window(cells, memory[PRESSURE], most_kpa, beside, unrest)
@@ -609,7 +610,7 @@ class Estimator(ABC):
         """The same by machine code; ``taken`` (4, m) are the readings and their noise."""
         cells = self._block.cells
         beside = self._noise.beside_parabola(cells)
-        self._tremor.look(cells, beside)
+        self._tremor.look(cells, memory, beside)
         if self._frames % WINDOW == 0:
             before = self._noise.beside
             missed = self._tremor.end_window_compiled(cells, memory, taken, self._seeming, beside, before)

@@ -44,11 +44,13 @@ EITHER = 0.5
 """standard deviation over the difference of the two hypotheses: either may be right until the pressure has turned"""
 SURE = 3.0
 """standard deviations of the smoothed noise by which it must have, too"""
-CONFIRMED_RISE, CONFIRMED_FALL = 3.0, 1.0
+CONFIRMED_RISE, CONFIRMED_FALL = 2.0, 1.0
 """turns by which the model that was left must have gone back by its own account, too; until then the turn may yet be
 found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
 BETWEEN = 0.3
 """of the way of a load in a frame: how far beyond the frames it turned. Between none and half; the root mean square"""
+HALF = 0.5
+"""of the way of the frame before: no less counts in the frame of a turn, since to and fro may leave a small way"""
 JUST_BEGUN = 3.0
 """times the way of a frame: how far a load may go in a frame, since it may have begun to move in the midst of the one
 before"""
@@ -437,6 +439,7 @@ class TurningEstimator(Estimator):
             loops.MOST_KPA2: self._most_kpa**2,
             loops.CONFIRMED_RISE: CONFIRMED_RISE,
             loops.CONFIRMED_FALL: CONFIRMED_FALL,
+            loops.HALF: HALF,
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
@@ -537,7 +540,8 @@ class TurningEstimator(Estimator):
         """
         last, before, third = memory[LAST : THIRD_LAST + 1]
         there = np.maximum(memory[SIGN] * (third - before), memory[SIGN] * (before - last))
-        way = np.minimum(JUST_BEGUN * np.maximum(there, 0.0), np.abs(pressure - last))
+        there = np.maximum(there, 0.0)
+        way = np.minimum(JUST_BEGUN * there, np.maximum(np.abs(pressure - last), HALF * there))
         noise_free: FloatArray = BETWEEN * way * self._bend * gain
         return noise_free
 

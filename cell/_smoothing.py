@@ -177,7 +177,7 @@ def gains_for(window: float, dt_s: float) -> Gains:
 
 
 @loop
-def advance_each(line: Rows, before: Rows, dt_s: float, gains: Rows, taken: Rows, begun: Flags) -> bool:
+def advance_each(line: Rows, before: Rows, dt_s: float, gains: Rows, taken: Rows, begun: Flags, large: float) -> bool:
     """:func:`advance` as a loop over cells.
 
     Args:
@@ -187,12 +187,13 @@ def advance_each(line: Rows, before: Rows, dt_s: float, gains: Rows, taken: Rows
         gains: (3, n), ``rows`` of :class:`Gains`.
         taken: (4, m) readings and their noise; given their smoothed values and the standard deviations of these.
         begun: (m,) to mark where a new line begins.
+        large: jump from the line before, from which it may matter that a line begins.
 
     Returns:
-        Whether one begins.
+        Whether one begins, and a cell has jumped by more than that.
     """
     last = gains.shape[1] - 1
-    any_begun = False
+    any_begun, any_large = False, False
     for i in range(begun.size):
         for row in range(ROWS):
             before[row, i] = line[row, i]
@@ -217,7 +218,8 @@ def advance_each(line: Rows, before: Rows, dt_s: float, gains: Rows, taken: Rows
         taken[SMOOTHED, i], taken[STD, i] = level, share * noise
         begun[i] = begins
         any_begun |= begins
-    return any_begun
+        any_large |= abs(r - before[LEVEL, i]) > large
+    return any_begun and any_large
 
 
 LOOPS = (advance_each,)

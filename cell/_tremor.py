@@ -26,6 +26,9 @@ SUSPECTS, SURELY_SUSPECTS = 2.0, 2.6
 SUSPICION = 0.5
 """of a rise that is in doubt for the time being: its standard deviation"""
 
+FADES = 0.5
+"""share of such a doubt that the next window leaves, if nothing tells more"""
+
 
 def _share(ratio: FloatArray, low: float, high: float) -> FloatArray:
     return np.asarray(np.clip((ratio - low) / (high - low), 0.0, 1.0))
@@ -34,11 +37,15 @@ def _share(ratio: FloatArray, low: float, high: float) -> FloatArray:
 class Tremor:
     """How far the rises of n cells are in doubt. Methods take the indices of m cells, and arrays (m,) of theirs."""
 
-    _KEPT = ("risen_from", "waiting_kpa", "suspicion", "amplitude", "unrest_before")
+    _KEPT = ("risen_from", "looked_at", "edge_kpa", "waiting_kpa", "suspicion", "amplitude", "unrest_before")
 
     def __init__(self, cells: int) -> None:
         self._risen_from = np.zeros(cells)
         """kPa at the beginning of the window"""
+        self._looked_at = np.zeros(cells)
+        """kPa at the last look"""
+        self._edge_kpa = np.zeros(cells)
+        """largest rise from one look to the next in this window: an edge of a load is in one of them"""
         self._waiting_kpa = np.zeros(cells)
         """rise of the windows before, in doubt until this one has told"""
         self._suspicion = np.zeros(cells)
@@ -51,11 +58,15 @@ class Tremor:
         self.compiled = False
         """whether the loops are there as machine code"""
 
-    def look(self, cells: IntArray, beside: FloatArray) -> None:
-        """Take the variance of readings beside smooth motion, over that of the noise, in the midst of a window."""
+    def look(self, cells: IntArray, memory: FloatArray, beside: FloatArray) -> None:
+        """Take the cells' memory, and the variance (m,) of readings beside smooth motion over that of the noise."""
         if self.compiled:
-            self.suspicious = look_each.code(cells, beside, self._suspicion, self._amplitude, self._waiting_kpa)
+            kept = self._suspicion, self._amplitude, self._waiting_kpa, self._looked_at, self._edge_kpa
+            self.suspicious = look_each.code(cells, memory, beside, *kept)
             return
+        pressure_kpa = memory[PRESSURE]
+        self._edge_kpa[cells] = np.maximum(self._edge_kpa[cells], pressure_kpa - self._looked_at[cells])
+        self._looked_at[cells] = pressure_kpa
         self._suspicion[cells] = np.maximum(self._suspicion[cells], _share(beside, HIDES, SUSPECTS))
         self._amplitude[cells] = np.sqrt(np.clip(beside - 1.0, 1.0, CROSSED))
         self.suspicious = bool(self._suspicion.any() or self._waiting_kpa.any())
@@ -77,15 +88,17 @@ class Tremor:
 
         """
         rise, waiting = self._seeming_rise(cells, pressure_kpa, most_kpa), self._waiting_kpa[cells]
+        spread = np.maximum(rise - self._edge_kpa[cells], 0.0)
         missed = None
         if unrest.item(unrest.argmax()) > HIDES:
             by_two = _share(unrest, HIDES, SURELY_HIDES) * np.where(rise < most_kpa, rise, 0.0)
             by_three = _share(np.minimum(unrest, self._unrest_before[cells]), SUSPECTS, SURELY_SUSPECTS)
-            now = np.maximum(by_two, by_three * rise)
+            now = np.maximum(by_two, by_three * spread)
             missed = now + by_three * waiting
-            rise -= now
+            spread *= 1.0 - by_three
             waiting *= 1.0 - by_three
-        self._waiting_kpa[cells] = self._suspicion[cells] * (rise + waiting)
+        self._waiting_kpa[cells] = self._suspicion[cells] * (spread + FADES * waiting)
+        self._edge_kpa[cells] = 0.0
         self._suspicion[cells] = _share(beside, HIDES, SUSPECTS)
         self._unrest_before[cells] = unrest
         self._risen_from[cells] = pressure_kpa
@@ -116,14 +129,22 @@ class Tremor:
         beside_before: FloatArray,
     ) -> FloatArray | None:
         """:meth:`end_window` by machine code; ``beside_before`` (n,) is that of the window before, and changed."""
-        kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa, self._unrest_before
+        kept = (
+            self._risen_from,
+            self._amplitude,
+            self._suspicion,
+            self._waiting_kpa,
+            self._unrest_before,
+            self._edge_kpa,
+        )
         missed = np.empty(cells.size)
         found = end_window_each.code(cells, memory, taken, seeming, beside, beside_before, *kept, missed)
         return missed if found else None
 
     def forget(self, cells: IntArray) -> None:
         """Let nothing be in doubt about cells that are put to sleep."""
-        self._suspicion[cells] = self._waiting_kpa[cells] = self._risen_from[cells] = 0.0
+        self._suspicion[cells] = self._waiting_kpa[cells] = 0.0
+        self._risen_from[cells] = self._looked_at[cells] = self._edge_kpa[cells] = 0.0
 
     def _seeming_rise(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
         """(m,) kPa by which pressures have risen in this window; 0 where they rose faster, which is a load."""
@@ -142,10 +163,21 @@ class Tremor:
 
 
 @loop
-def look_each(cells: Places, beside: FixedRow, suspicion: Row, amplitude: Row, waiting_kpa: Row) -> bool:
+def look_each(
+    cells: Places,
+    memory: Rows,
+    beside: FixedRow,
+    suspicion: Row,
+    amplitude: Row,
+    waiting_kpa: Row,
+    looked_at: Row,
+    edge_kpa: Row,
+) -> bool:
     """:meth:`Tremor.look` as a loop over cells."""
     for i in range(cells.size):
-        cell = cells[i]
+        cell, pressure_kpa = cells[i], memory[PRESSURE, i]
+        edge_kpa[cell] = max(edge_kpa[cell], pressure_kpa - looked_at[cell])
+        looked_at[cell] = pressure_kpa
         suspects = min(max((beside[i] - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
         suspicion[cell] = max(suspicion[cell], suspects)
         amplitude[cell] = math.sqrt(min(max(beside[i] - 1.0, 1.0), CROSSED))
@@ -190,6 +222,7 @@ def end_window_each(
     suspicion: Row,
     waiting_kpa: Row,
     unrest_before: Row,
+    edge_kpa: Row,
     missed: Row,
 ) -> bool:
     """:meth:`._noise.NoiseMeter.unrest` and :meth:`Tremor.end_window` as a loop over cells.
@@ -213,11 +246,13 @@ def end_window_each(
         by_two *= rise if rise < most_kpa else 0.0
         lesser = min(unrest, unrest_before[cell])
         by_three = min(max((lesser - SUSPECTS) / (SURELY_SUSPECTS - SUSPECTS), 0.0), 1.0)
-        now = max(by_two, by_three * rise)
+        spread = max(rise - edge_kpa[cell], 0.0)
+        now = max(by_two, by_three * spread)
         missed[i] = now + by_three * waiting
-        rise -= now
+        spread *= 1.0 - by_three
         waiting *= 1.0 - by_three
-        waiting_kpa[cell] = suspicion[cell] * (rise + waiting)
+        waiting_kpa[cell] = suspicion[cell] * (spread + FADES * waiting)
+        edge_kpa[cell] = 0.0
         suspicion[cell] = min(max((present - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
         unrest_before[cell] = unrest
         risen_from[cell] = pressure

@@ -30,7 +30,7 @@ WHERE, CONFIRMED = 0, 2
 """rows of flags"""
 LOWEST, USUAL, SURE, TURN_KPA, LEAST_KPA, PULLED_KPA = range(6)
 FLAT_KPA, EXACT_KPA, AGAIN, LESS, EITHER, LEFT_OVER, CLEAR = range(6, 13)
-JUST_BEGUN, BETWEEN, BEND, ROUND_KPA, MOST_KPA2, CONFIRMED_RISE, CONFIRMED_FALL = range(13, 20)
+JUST_BEGUN, BETWEEN, BEND, ROUND_KPA, MOST_KPA2, CONFIRMED_RISE, CONFIRMED_FALL, HALF = range(13, 21)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
@@ -66,8 +66,8 @@ def step(memory: Rows, after: Rows, numbers: FixedRow) -> bool:
 def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, numbers: FixedRow) -> float:
     """Standard deviation that turns between two frames leave in the ``pressure`` of cell ``i``."""
     last, before, third, sign = memory[LAST, i], memory[BEFORE_LAST, i], memory[THIRD_LAST, i], memory[SIGN, i]
-    there = max(sign * (third - before), sign * (before - last))
-    way = min(numbers[JUST_BEGUN] * max(there, 0.0), abs(pressure - last))
+    there = max(sign * (third - before), sign * (before - last), 0.0)
+    way = min(numbers[JUST_BEGUN] * there, max(abs(pressure - last), numbers[HALF] * there))
     return float(numbers[BETWEEN] * way * numbers[BEND] * gain)
 
 

@@ -10,7 +10,7 @@ import subprocess
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 
-from .. import __version__
+from .. import __version__, compiled
 from ..circuits.spice import available, command_available
 from ._finding import Finding, State
 
@@ -29,6 +29,7 @@ def examine_installation() -> list[Finding]:
     return [
         Finding(State.OK, "ohmskin", f"{__version__} on Python {platform.python_version()}, {platform.platform()}"),
         *_packages(importlib.metadata.requires(PACKAGE) or []),
+        _machine_code(),
         *_spice(),
         _program("Chromium", CHROMIUM, "the tests of pages in a browser", "sudo apt install chromium"),
         _program("Node", ("node",), "the tests of pages without a browser", "sudo apt install nodejs"),
@@ -67,6 +68,15 @@ def _version(name: str) -> str | None:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return None
+
+
+def _machine_code() -> Finding:
+    """Whether the driver works by machine code."""
+    why_not = compiled.why_not()
+    if why_not is None:
+        return Finding(State.OK, "machine code", "the driver's loops are compiled")
+    mend = f"unset {compiled.SWITCH}" if compiled.SWITCH in why_not else f"pip install '{PACKAGE}[fast]'"
+    return Finding(State.OPTIONAL, "machine code", f"{why_not}; frames take the driver about twice as long", mend)
 
 
 def _spice() -> Iterator[Finding]:

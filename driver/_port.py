@@ -427,7 +427,8 @@ def _refuse_terminal(name: str) -> None:
 def _why_not_opened(name: str, error: Exception) -> str:
     match getattr(error, "errno", None):
         case errno.ENOENT:
-            return f"no such port; serial ports present: {', '.join(serial_ports()) or 'none'}"
+            emulated = f"; emulated boards: {', '.join(emulated_ports())}" if emulated_ports() else ""
+            return f"no such port; serial ports present: {', '.join(serial_ports()) or 'none'}{emulated}"
         case errno.EACCES | errno.EPERM:
             return f"permission denied; {_why_forbidden(name)}; `ohmskin doctor {name}` says what to do"
         case errno.EAGAIN | errno.EBUSY:

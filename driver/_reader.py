@@ -225,11 +225,11 @@ class Reader:
         return LinkEnded(f"{self.port_name}: the skin is closed")
 
     def forget(self) -> None:
-        """Let the thread end within half a second, since nobody can take frames any more.
+        """Let the thread end within half a second, since nobody can take frames any more; unless bytes are recorded.
 
         This is for destructors: it takes no lock, for the garbage collector may run in a thread that holds it.
         """
-        self._forgotten = True
+        self._forgotten = not self.taps
 
     @property
     def _is_ending(self) -> bool:

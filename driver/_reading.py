@@ -19,7 +19,7 @@ _ALIKE = 1.5  # ratio of noises with which a reading is judged about alike
 _FAINT = 0.05  # ADC steps of noise that hardly count beside the half step
 _MOST_NOISE = 0.95  # relative uncertainty, three standard deviations of noise, of a reading that an average can use
 _MOST_STEPS = 0.1  # of that by ADC steps, which no average lessens
-_SIGMAS = 3.0  # standard deviations of the noise that Reading.uncertainty covers, beside half a step
+_STEP_STD = 1.0 / math.sqrt(12.0)  # ADC steps, standard deviation of an error that is evenly distributed over one
 
 
 @dataclass(slots=True, eq=False)  # frozen ones take 2 us more to make; nobody changes one
@@ -36,8 +36,10 @@ class Reading:
     """False where no cell resistances give such readings: then no cell is valid"""
     all_valid: bool
     _found: LiveReading | None
-    _own_share: float
-    """of what a cell's own reading leaves open: standard deviation of an ADC step"""
+    _covered_steps: float
+    """ADC steps of random error for which the uncertainty stands"""
+    _alike: float = 1.0
+    """standard deviation by systematic errors of quantisation over that of independent ones"""
     _noise_steps: float = 0.0
     """standard deviation of the readings' noise in ADC steps"""
     _most_noise: float = 0.0
@@ -50,8 +52,17 @@ class Reading:
         Noise of half a step or more makes the error of quantisation random: its mean falls with
         exp(-2 (pi noise/step)^2) (Widrow and Kollar, Quantization Noise, 2008).
         """
-        noise = self._noise_steps
-        return math.exp(-2.0 * (math.pi * noise) ** 2) / (1.0 + 2.0 * _SIGMAS * noise)
+        return math.sqrt(3.0) * self.steps_std_share
+
+    @property
+    def steps_std_share(self) -> float:
+        """Standard deviation by systematic errors of quantisation over :attr:`uncertainty`."""
+        return self._alike * _STEP_STD * self._systematic / self._covered_steps
+
+    @property
+    def _systematic(self) -> float:
+        """The part of the error of quantisation that noise does not make random."""
+        return math.exp(-2.0 * (math.pi * self._noise_steps) ** 2)
 
     @property
     def others_noise_std(self) -> FloatArray:
@@ -75,10 +86,9 @@ class Reading:
 
     @property
     def noise_share(self) -> float:
-        """Standard deviation by noise over the uncertainty that half a step and noise make."""
+        """Standard deviation by noise and by random errors of quantisation over :attr:`uncertainty`."""
         noise = self._noise_steps
-        quantisation = (1.0 - math.exp(-2.0 * (math.pi * noise) ** 2)) / 12.0
-        return math.sqrt(noise * noise + quantisation) / (0.5 + _SIGMAS * noise)
+        return math.sqrt(noise * noise + (1.0 - self._systematic) / 12.0) / self._covered_steps
 
     @property
     def own_uncertainty(self) -> FloatArray:
@@ -100,7 +110,7 @@ class Reading:
         """Relative standard deviation of a cell's conductance by the ADC's steps alone; computed when asked for."""
         if self._found is None:
             return np.full(self.resistance.shape, np.nan)
-        return self._own_share * self._found.own
+        return _STEP_STD / self._covered_steps * self._found.own
 
     @property
     def uncertainty(self) -> FloatArray:
@@ -251,13 +261,13 @@ class CountReader:
             limited &= ~faint
             if not limited.any():
                 limited = None
-        share = self._step / 12**0.5 / (self._step / 2 + LiveReading.sigmas * noise)
         try:
             found = self._recover(volts, limited, noise)
         except SolverError:
             nothing = np.full(counts.shape, np.nan)
             reason = np.full(counts.shape, Reason.UNSOLVED, dtype=np.int8)
-            return Reading(nothing, counts < 0, reason, solved=False, all_valid=False, _found=None, _own_share=share)
+            return Reading(nothing, counts < 0, reason, solved=False, all_valid=False, _found=None, _covered_steps=1.0)
+        covered = self._step / 2 + LiveReading.sigmas * noise if found.covered is None else found.covered
         valid, reason = found.valid, found.reason
         every = faint is None and np.count_nonzero(valid) == valid.size
         if faint is not None:
@@ -270,7 +280,8 @@ class CountReader:
             True,  # solved; by position, since keywords take half as long again
             every,
             found,
-            share,
+            covered / self._step,
+            found.alike,
             noise / self._step,
             self._most_noise,
         )

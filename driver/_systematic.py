@@ -40,8 +40,6 @@ RANGE, POINTS = math.log(300.0), 4001
 """the table of slopes reaches from rest to this factor (as a logarithm) up and down, with so many points"""
 LOOK_UP = 4096
 """pressures, evenly spaced, at which the slopes are looked up: interpolation would take as long as all else together"""
-_OF_INTERVAL = 1.0 / math.sqrt(3.0)
-"""standard deviation of an error that is evenly distributed over an interval, over the interval's half-width"""
 MARGIN = 0.005
 """of full scale: pressures nearer to the ends of the static curve, which is cut off there, are left out of the table"""
 
@@ -106,7 +104,7 @@ class SystematicError:
 
     def _variance(self, steps: _Steps, spread: float, pressure_kpa: FloatArray) -> FloatArray:
         if steps.earlier is None and self._of_valid_cells is not None:
-            by_steps, by_noise = steps.reading.steps_share * _OF_INTERVAL, steps.reading.noise_share
+            by_steps, by_noise = steps.reading.steps_std_share, steps.reading.noise_share
             found = np.empty(pressure_kpa.shape)
             uncertainty = np.ascontiguousarray(steps.reading.uncertainty)
             own = np.ascontiguousarray(steps.reading.own_uncertainty)
@@ -180,7 +178,7 @@ class _Steps(NamedTuple):
 
     def _sum(self, uncertainty: FloatArray, others: FloatArray) -> FloatArray:
         """Relative variance by ADC steps, and by noise of standard deviation ``others``."""
-        variance = uncertainty * (self.reading.steps_share * _OF_INTERVAL)
+        variance = uncertainty * self.reading.steps_std_share
         variance *= variance
         variance += others * others
         return variance

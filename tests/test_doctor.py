@@ -120,6 +120,13 @@ def test_every_requirement_of_the_metadata_is_looked_at() -> None:
         assert f"{name} " in shown
 
 
+def test_machine_code_is_in_use_unless_it_is_switched_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert _installation._machine_code().state is State.OK
+    monkeypatch.setenv("OHMSKIN_COMPILED", "0")
+    off = _installation._machine_code()
+    assert (off.state, off.mend) == (State.OPTIONAL, "unset OHMSKIN_COMPILED")
+
+
 def test_a_program_that_is_missing_or_broken_is_optional(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
     assert _installation._program("Node", ("node",), "tests", "apt").state is State.OPTIONAL

@@ -14,6 +14,7 @@ import pickle
 import re
 import socket
 import threading
+import weakref
 from collections.abc import AsyncIterator
 from itertools import islice
 from pathlib import Path
@@ -26,6 +27,7 @@ from boards import EXAMPLES, Script, Wire, described, frame, gone, identity, los
 from ohmskin.driver import Arrival, Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
 from ohmskin.driver._mailbox import Mailbox
+from ohmskin.driver._port import DescriptorPort
 from ohmskin.driver._statistics import Counters
 from ohmskin.driver._stream import FrameStream
 from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
@@ -128,6 +130,21 @@ class TestOwners:
             skin = None
             gc.collect()
             Skin.open(port.name, timeout=30.0).close()
+
+    def test_a_recording_goes_on_though_nobody_holds_the_skin(self, tmp_path: Path) -> None:
+        port, path = PtyPort(), tmp_path / "alone.mcap"
+        with running(scene(board={"frame_rate": 200.0}), port):
+            skin = Skin.open(port.name, timeout=30.0, record=path)
+            reader, recording, held = skin._reader, skin.recorder, weakref.ref(skin)
+            del skin
+            gc.collect()
+            assert held() is None
+            until(lambda: reader.stream.counters.frames > 300)
+            reader.stop()
+        assert recording is not None
+        recording.close()
+        with Skin.open(str(path)) as replay:
+            assert len(list(replay)) > 300
 
     @pytest.mark.parametrize("how", ["callback", "async", "frames", "iteration"])
     def test_a_skin_that_a_reader_needs_stays_open(self, how: str) -> None:
@@ -595,3 +612,25 @@ class TestNumbers:
         cells = {"cell": cell} if cell.exists() else {}
         with Skin(Script(sheet(), counts), design=str(design), timeout=30.0, **cells) as skin:  # type: ignore[arg-type]
             assert skin.design.array.shape == next(skin).pressure.shape == (4, 4)
+
+
+def test_a_port_says_when_one_read_has_brought_all() -> None:
+    reading, writing = os.pipe()
+    os.set_blocking(reading, False)
+
+    class Pipe(DescriptorPort):
+        def _release(self) -> None:
+            os.close(reading)
+
+    port = Pipe("pipe", reading)
+    for size in (1, 156, 1024, 5000):
+        os.write(writing, bytes(size))
+        found, more = 0, True
+        while more and found < size:
+            arrival = port.read()
+            found, more = found + len(arrival.data), arrival.more
+        assert found == size
+        assert more == (size >= 1024), "a short read is the last one; after a long one there may be more"
+    assert port.read().data == b""
+    port.close()
+    os.close(writing)

@@ -326,6 +326,47 @@ def test_followers_keep_the_rows_that_have_no_saturated_cell(seed: int) -> None:
             assert valid[free].mean() > 0.9
 
 
+@pytest.mark.parametrize(("noise_steps", "least"), [(0.0, 0.4), (0.2, 0.6), (1.0, 0.8)])
+@pytest.mark.parametrize("kind", ["divider", "loaded", "open divider", "feedback", "floating"])
+def test_deviations_are_those_of_the_errors(kind: str, noise_steps: float, least: float) -> None:
+    """Standard deviations by steps and by noise, together, against the errors of many skins that hold still.
+
+    Errors by steps are half as large as stated where no cells are alike.
+    """
+    design, draw, squares = board(kind, 6, 7), np.random.default_rng(0), []
+    assert design.adc is not None
+    for _ in range(8):
+        cells, read = 2e4 * 10 ** draw.uniform(-0.3, 0.3, (6, 7)), CountReader(design)
+        volts = scan(design, cells).volts
+        for _ in range(25):
+            noise = draw.normal(scale=noise_steps * design.adc.step, size=volts.shape)
+            reading = read(adc_codes(design, volts + noise))
+        off = reading.resistance / cells - 1.0
+        std = reading.uncertainty * np.hypot(reading.steps_std_share, reading.noise_share)
+        squares.append((off / std)[reading.valid] ** 2)
+        others = np.square(reading.others_noise_std / (reading.uncertainty * reading.noise_share))
+        assert others.max() <= 1.0
+    assert least < np.sqrt(np.mean(np.concatenate(squares))) < 1.25
+
+
+@pytest.mark.parametrize("noise_steps", [0.0, 0.2, 0.4])
+def test_deviations_are_those_of_errors_that_are_alike(noise_steps: float) -> None:
+    """Cells at rest round alike. In a pressed column the sum of their errors counts."""
+    design, draw, squares = board("divider", 6, 10, bits=8), np.random.default_rng(0), []
+    assert design.adc is not None
+    for _ in range(40):
+        cells, read = np.full((6, 10), draw.uniform(25e3, 35e3)), CountReader(design)
+        cells[2:5, 6] = draw.uniform(850.0, 1300.0)
+        volts = scan(design, cells).volts
+        for _ in range(25):
+            noise = draw.normal(scale=noise_steps * design.adc.step, size=volts.shape)
+            reading = read(adc_codes(design, volts + noise))
+        off = (reading.resistance / cells - 1.0)[2:5, 6]
+        std = (reading.uncertainty * np.hypot(reading.steps_std_share, reading.noise_share))[2:5, 6]
+        squares.append((off / std)[reading.valid[2:5, 6]] ** 2)
+    assert 0.5 < np.sqrt(np.mean(np.concatenate(squares))) < 1.25
+
+
 SHORT = {"kind": "shorted-cell", "place": [1, 1], "resistance": 0.0}
 BROKEN_ROW = {"kind": "broken-row", "place": [1, 2]}
 BROKEN_COLUMN = {"kind": "broken-column", "place": [1, 2]}

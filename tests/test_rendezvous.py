@@ -162,6 +162,9 @@ class TestBoards:
                 ("L-07", str(tmp_path / "arm")),
                 ("R-02", right.name),
             ]
+            said = f"nowhere: no such port; serial ports present: .*; emulated boards: .*{left.name}"
+            with pytest.raises(LinkError, match=said):
+                Skin.open("nowhere")
             with Skin.open(serial_number="L-07") as one, Skin.open(serial_number="R-02") as other:
                 assert (one.read(30.0).sequence is None, other.read(30.0).sequence is None) == (False, False)
                 assert discover() == []  # both are in use

@@ -61,7 +61,7 @@ class OneCell:
             self.peak = left if again else ahead - unsure
             sign = 1.0 if self.rising else -1.0
             there = max(sign * (self.third_last - self.before_last), sign * (self.before_last - self.last), 0.0)
-            way = min(paper.JUST_BEGUN * there, abs(now.pressure - self.last))
+            way = min(paper.JUST_BEGUN * there, max(abs(now.pressure - self.last), paper.HALF * there))
             bend = 1 / m.eu1_kpa + 1 / m.etau2_kpa - 1 / m.e1_kpa
             unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full
             self.doubt = (np.sqrt(self.variance) + unseen) ** 2 + (gains[False] * std) ** 2

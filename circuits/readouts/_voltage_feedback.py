@@ -139,6 +139,7 @@ class _PulledRows(NamedTuple):
                 lowest = np.maximum(_usual(surely) - np.abs(lift) / board.inverse_gain, 0.0)
                 joined = _WELL_ABOVE * (drive / lowest - 1.0) / board.reference / board.inverse_gain
                 largest = 1.0 + lead * joined.sum()
+        most = np.broadcast_to(_CAPPED / (board.column_lead + _LEAST_SHORT), signal.shape[1:])
         first = 1.0 / np.maximum(1.0 - lead * apparent.sum(axis=1), _LEAST_LEFT)
         return cls(
             lead=lead,
@@ -147,9 +148,9 @@ class _PulledRows(NamedTuple):
             drop=drop,
             pulled=board.inverse_gain - lift * np.sign(board.drive) / column,
             first=first,
-            largest=np.minimum(np.nan_to_num(largest, nan=np.inf, posinf=np.inf), _MOST_MORE),
+            largest=np.minimum(np.fmin(largest, 1.0 + lead * most.sum()), _MOST_MORE),
             reference=np.broadcast_to(board.reference, signal.shape[1:]),
-            most=np.broadcast_to(_CAPPED / (board.column_lead + _LEAST_SHORT), signal.shape),
+            most=np.broadcast_to(most, signal.shape),
         )
 
     def second_solutions(self) -> FloatArray | None:

@@ -6,13 +6,17 @@ that unlike sources drive through the grid are taken out of the readings: exact 
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 
 from ...arrays import FloatArray
 from ..solvers import exact_transfer, port_conductances
 from ._amplified_base import Base, loss_at
-from ._amplified_board import MARGIN, AmplifiedBoard, above_floor, similar
+from ._amplified_board import FAR, MARGIN, AmplifiedBoard, above_floor, similar
 from ._heavy_leads import LeadFit, Propagation, invert_leads
+
+_FAR_OFF = 8.0  # half steps by which the readings of given cells may be off however small they are
 
 
 class LeadBases:
@@ -48,13 +52,21 @@ class LeadBases:
         own = fit.conductance / fit.gain
         off = np.abs(off)
         settled = bool((off <= board.tolerance).all())
+        # Of cells that give quite other readings, a bound of first order says nothing.
+        astray = not settled and bool((off > np.maximum(FAR * np.abs(transfer), _FAR_OFF * board.half_step)).any())
+        if settled:
+            left = None
+        elif astray:
+            left = np.full_like(off, inf)
+        else:
+            left = MARGIN * board.moved_by(off, propagation, before.conductance) / fit.gain
         return Base(
             conductance=above_floor(fit.conductance),
             gain=fit.gain,
             shift=(own - transfer) * fit.gain,
             loss=loss_at(fit.gain),
             missing=max(float((transfer - own).max()), 0.0),
-            off=None if settled else MARGIN * board.moved_by(off, propagation, before.conductance) / fit.gain,
+            off=left,
             model_error=board.tolerance,
             between=between,
             propagation=propagation,

@@ -28,7 +28,7 @@ from .._board import Board
 from ._below_range import BelowRange
 from ._closed_start import ClosedStart
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
-from ._fit_uncertainty import FitUncertainty
+from ._fit_uncertainty import ALIKE, FitUncertainty
 from ._frame_budget import FIRST_EFFORT, Effort
 from ._gauss_newton import Convergence, Fit, GaussNewton
 from ._linearised import Linearised
@@ -56,8 +56,6 @@ _JUMP = 20.0  # half steps between readings and the last frame's cells from whic
 class _Open(NamedTuple):
     """What a frame leaves open about its cells, relative to their conductances; (n,) each."""
 
-    own: FloatArray
-    """by their own readings"""
     others: FloatArray
     """by cells that no reading tells of, and by columns that are left out or of unknown scale"""
     fitted: FloatArray
@@ -101,6 +99,8 @@ class CoupledLive:
             turn(found.valid),
             turn(found.reason),
             lambda: (turn(found.uncertainty), turn(found.own)),
+            found.covered,
+            found.alike,
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
@@ -217,10 +217,15 @@ class CoupledLive:
         sigmas = self._uncertainty.sigmas(frame, fit)
         by_loose = None if self._loose is None else self._loose.disturb(frame, fit.known, base, sigmas)
         by_columns = by_lost if by_loose is None else by_lost + by_loose
+        if self._loose is not None and isinstance(
+            by_columns, np.ndarray
+        ):  # of crosspoints; a cell's share of one is small beside heavy leads
+            leads = np.where(np.isfinite(self._parts.leads), self._parts.leads, 0.0)
+            by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base)
         fitted = by_readings + others + doubt
-        return _Open(own, others + by_columns, fitted, fitted + by_columns)
+        return _Open(others + by_columns, fitted, fitted + by_columns)
 
     def _disturbed(
         self, frame: Frame, fit: Fit, selection: Selection, uncertainty: FloatArray, short: BoolArray | None
@@ -279,7 +284,9 @@ class CoupledLive:
             resistance.reshape(shape),
             valid.reshape(shape),
             reason.reshape(shape),
-            lambda: (uncertainty.reshape(shape), left.own.reshape(shape)),
+            lambda: (uncertainty.reshape(shape), self._uncertainty.of_own_reading(frame, uncertainty).reshape(shape)),
+            self._uncertainty.covered(frame),
+            ALIKE,
         )
 
     def _nothing(self, at_limit: BoolArray) -> LiveReading:

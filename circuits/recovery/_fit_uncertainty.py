@@ -13,6 +13,10 @@ from ._linearised import Base
 
 _SIGMAS = 4.5  # posterior standard deviations by ADC steps that an uncertainty covers: a bound on the error
 _NOISE_SIGMAS = 3.5  # the same by noise: a fifth more, a factor of two at the limit of validity, is 5 of them
+ALIKE = 2.0
+"""standard deviation by ADC steps over that of independent errors: readings of cells at rest are alike, and so are
+their errors, which add up in what the cells of a column take together; 1.8 in a pressed column of equal cells
+"""
 _MOST = 50.0  # uncertainty of a logarithm that is as good as boundless
 _STALLED = 10.0  # steps that a fit may still be from its end where the misfit no longer tells
 
@@ -35,6 +39,17 @@ class FitUncertainty:
         own = frame.error * frame.slope
         own[frame.slope == 0] = 1.0
         return own
+
+    def covered(self, frame: Frame) -> float:
+        """V, the random error for which what readings leave open stands."""
+        return hypot(_SIGMAS * self._random * self._noise, _NOISE_SIGMAS * frame.noise)
+
+    def of_own_reading(self, frame: Frame, uncertainty: FloatArray) -> FloatArray:
+        """The part (n,) of an ``uncertainty`` (n,) that is by a cell's own reading, at most 1."""
+        own = self.covered(frame) * frame.slope
+        own[frame.slope == 0] = 1.0
+        at_most: FloatArray = np.minimum(np.minimum(own, uncertainty), 1.0)
+        return at_most
 
     def sigmas(self, frame: Frame, fit: Fit) -> float:
         """Posterior standard deviations, by rounding alone, that an uncertainty covers.

@@ -101,8 +101,16 @@ class LiveReading:
         valid: BoolArray,
         reason: NDArray[np.int8],
         uncertainties: Callable[[], tuple[FloatArray, FloatArray]],
+        covered: float | None = None,
+        alike: float = 1.0,
     ) -> None:
         """Keep values, and how to compute :attr:`uncertainty` and :attr:`own` should somebody ask for them."""
+        self.alike = alike
+        """standard deviation by ADC steps, which may err alike in many readings, over that of independent errors"""
+        self.covered = covered
+        """V of random error for which :attr:`uncertainty` and :attr:`own` stand: an error of all readings with this
+        standard deviation has them for its own; None: half an ADC step and :data:`SIGMAS` standard deviations of noise
+        """
         self.resistance = resistance
         """ohm; inf for open cells, NaN where nothing is known"""
         self.valid = valid

@@ -22,6 +22,7 @@ _SHORT_SHARE = 0.998  # of the reading of a short, likewise
 _HEAVY_CELL = 0.8  # of what a short reads, from which on a line is left out where the last frame did not settle
 _ONE_OF_SOME = 0.2  # the same where two frames did not, since cells of a few ohm share a reading
 _LEFT_OUT = 300  # frames until a line that has been left out is tried again
+_SUDDEN = 2  # frames after which a noise that has begun is known
 _LEAST_SIEMENS = 1e-200  # of a cell that conducts nothing, so that no ratio overflows
 _BY_LEADS = 1.5  # times the share of a voltage that leads lose, what they may change
 
@@ -64,6 +65,12 @@ class ReadingLimits:
         self._short_signal = np.abs(board.circuit.ideal_volts(board, parts.leads) - board.level)
         most = np.abs(board.circuit.ideal_volts(board, leads) - board.level)
         self._most_signal = most + 2.0 * np.abs(board.offset)
+        if board.circuit.drives_idle_lines:
+            # Idle lines that are no more than leads away from a column lift it by the offset times the gain.
+            with np.errstate(divide="ignore", invalid="ignore"):
+                lifted = np.nan_to_num(np.abs(board.offset) / board.inverse_gain, nan=0.0, posinf=np.inf)
+            self._most_signal = self._most_signal + lifted
+        self._beyond = 0  # frames in a row with readings that no cells give
         self._loses_columns = (
             nearly_independent and parts.quick.is_quick and not board.circuit.has_amplifiers and not board.faults
         )
@@ -151,7 +158,9 @@ class ReadingLimits:
     def _at_limit(self, signal: FloatArray, limited: BoolArray, error: float) -> BoolArray:
         """(N, M) readings that are limited, or as large as that of a short."""
         tells = ~self._gone
-        if ((signal > self._most_signal + _SHORT * error) & tells & ~limited).any():
+        beyond = ((signal > self._most_signal + _SHORT * error) & tells & ~limited).any()
+        self._beyond = self._beyond + 1 if beyond else 0
+        if self._beyond > _SUDDEN:
             raise SolverError("readings above that of a short; check that the design is that of the board")
         at_limit: BoolArray = limited | ((signal >= self._as_a_short(error)) & tells)
         return at_limit

@@ -18,7 +18,8 @@ import builtins
 import hashlib
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from types import CodeType, FunctionType, ModuleType
 from typing import Annotated, Any, Generic, ParamSpec, TypeVar, cast, get_args, get_origin, get_type_hints
 
@@ -191,6 +192,20 @@ def load(*loops: Loop[..., Any]) -> bool:
     if why_not() is not None:
         return False
     return all([each.machine_code() is not None for each in loops or tuple(_offered)])
+
+
+@contextmanager
+def switched_off() -> Iterator[None]:
+    """Make what is made meanwhile do its work by array operations: to compare."""
+    before = os.environ.get(SWITCH)
+    os.environ[SWITCH] = "off"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ[SWITCH]
+        else:
+            os.environ[SWITCH] = before
 
 
 def is_compiling() -> bool:
