@@ -34,7 +34,7 @@ _LEAST_DROP = 1e-6  # share of the drive between a driver and the column
 _LEAST_LEFT = 0.01  # share of the drive that a row's lead leaves
 _LEAST_PULLED = 0.1  # share of a cell's drop that the follower takes in a second solution
 _HALVINGS = 6  # of the interval that a second solution is in
-_ROUNDS = 3  # of leaving out columns that a second solution cannot be right in
+_ROUNDS = 8  # of leaving out columns that a second solution cannot be right in
 _MOST_MORE = 1e6  # times as conductive as they seem may all cells of a row be
 _GROWTH = np.concatenate([[1.0], np.geomspace(1.5, _MOST_MORE, 24)])
 
@@ -222,9 +222,7 @@ class _PulledRows(NamedTuple):
             cells: FloatArray = np.minimum(2.0 * current / np.maximum(falling + root, 0.0), self.most[rows])
         return cells
 
-    def suspect(
-        self, board: Parts, signal: FloatArray, lift: FloatArray, least: float, through: _Joined
-    ) -> BoolArray:
+    def suspect(self, board: Parts, signal: FloatArray, lift: FloatArray, least: float, through: _Joined) -> BoolArray:
         """(N, M) cells that join columns in whose other rows cells would still be ordinary ones.
 
         Args:
@@ -347,7 +345,10 @@ class VoltageFeedback(VoltageDivider):
             extraordinary = (through > 0.0) & ~suspect & (rows.most > ordinary)
             if not extraordinary.any():
                 break
-            rows = rows._replace(most=np.where(extraordinary, ordinary, rows.most))
+            rows = rows._replace(
+                most=np.where(extraordinary, ordinary, rows.most),
+                largest=np.where(through.any(axis=1), rows.largest, 0.0),
+            )
         # Other rows' cells in these columns conduct more than they seem to, or less, and load their rows so.
         joined = np.where(suspect, through, 0.0).max(axis=0) * board.reference
         divided = 1.0 + joined * board.inverse_gain
