@@ -58,11 +58,12 @@ def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, lea
 
 MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY = range(8)
 HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE = range(8, 13)
-"""places of the numbers that :func:`show` and :func:`watch_over` take: variance in kPa^2 by the model; r per kPa of bend that a turn within
-the frame may leave, 0: none, and standard deviations of noise that are no bend; full scale, pressure, and noise in kPa
-from which more is done; standard deviations at which a load and none are as likely; keeps 0/0 from occurring; standard
-deviations of a reading that hide a load, and the inverse number of those that an estimate is to cover; 1 if a standard
-deviation is stated; standard deviations that an estimate is to cover, and those of a reading over them"""
+"""places of numbers that :func:`show` and :func:`watch_over` take: variance in kPa^2 by the model; r per kPa of bend
+that a turn within the frame may leave, 0: none, and standard deviations of noise that are no bend; full scale,
+pressure, and noise in kPa from which more is done; standard deviations at which a load and none are as likely; keeps
+0/0 from occurring; standard deviations of a reading that hide a load, and the inverse number of those that an estimate
+is to cover; 1 if a standard deviation is stated; standard deviations that an estimate is to cover, and those of a
+reading that hide a load over them"""
 LAST, BEFORE_LAST = 3, 4
 """rows of the pressures of the last two frames, where a turn within the frame is reckoned with"""
 
