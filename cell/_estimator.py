@@ -122,6 +122,8 @@ class Estimator(ABC):
     """False: the estimator takes readings as they are, whatever their noise"""
     knows_errors = True
     """False: only a calibration can say how far the estimator is off"""
+    remembers = True
+    """False: the resistance follows from the present load alone, so what came in a gap left nothing behind"""
 
     def __init__(
         self,
@@ -367,6 +369,8 @@ class Estimator(ABC):
             hidden_kpa: (n,) largest change of a load in the gap; 0 without a gap.
             before: (n,) kPa shown before it; NaN before the first reading.
         """
+        if not self.remembers:
+            return
         cells = np.flatnonzero(hidden_kpa > 0)
         hidden = hidden_kpa[cells]
         whole = np.abs(self._reading[cells]) * (self.full_scale_kpa / self._full_scale_r)
