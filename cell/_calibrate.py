@@ -32,6 +32,8 @@ TEACHES_WORSE = 0.7
 """share of the richer kind's error below which a simpler one teaches"""
 MISSES = 3.0
 """times its held-out error, that an inverse may miss of a drift that goes on after the recording"""
+BREAKS = 0.5
+"""share of the error of m10 without chains that break, below which a cell with such chains is believed to have them"""
 STEPS = 7
 """of a calibration, for progress: three kinds of model, three folds, and learning from all"""
 
@@ -102,7 +104,7 @@ def calibrate(
         return CalibrationResult(contact, recording, found, folds(thin, full), inverse, said)
 
     parts = folds(thin, full)
-    teacher = _teacher(found)
+    teacher, breaks = _teacher(found), _breaks(found)
     whole = training.NormalisedRecording(
         time_s=thin.time_s,
         r=thin.resistance_ohm / rest - 1,
@@ -115,12 +117,12 @@ def calibrate(
     judged: dict[EstimatorName, list[Judged]] = {}
     for fold, simulation in zip(parts, teacher.simulate_folds, strict=True):
         first = replace(whole, simulation=simulation).until(fold.start_s)
-        trial = cell.replace(estimators=_learned(first, full, cells=FOLD_CELLS).replace(seen=seen))
+        trial = cell.replace(estimators=_learned(first, full, cells=FOLD_CELLS, breaks=breaks).replace(seen=seen))
         for name in LEARNED:
             judged.setdefault(name, []).append(_judge(trial, name, thin, samples, fold))
         tell("learned before a fold, and judged on it")
     judged |= _judge_models(cell.replace(estimators=None), found[0], thin, samples, parts)
-    final = _learned(whole, full, cells=training.CELLS).replace(seen=seen)
+    final = _learned(whole, full, cells=training.CELLS, breaks=breaks).replace(seen=seen)
     noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
     unexplained = float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0)))
     taught = float(np.sqrt(max(teacher.held_out_error**2 - noise**2, 0.0)))
@@ -167,7 +169,8 @@ def calibrate(
         static=static,
         **calibrated,
     )
-    said = tuple(remarks(recording, full, evidence.presses, varied=evidence.varied))
+    drift = next(fit.drift for fit in found if fit.drift is not None)
+    said = tuple(remarks(recording, full, evidence.presses, varied=evidence.varied, drift=drift))
     return CalibrationResult(cell.replace(estimators=estimators), recording, found, parts, inverse, said)
 
 
@@ -207,8 +210,16 @@ def _teacher(found: tuple[Fit, ...]) -> Fit:
     return best if best.held_out_error < 0.5 * smooth.held_out_error else smooth
 
 
-def _learned(calibration: training.NormalisedRecording, full_scale_kpa: float, *, cells: int) -> Calibrated:
-    """All learned estimators, not judged yet."""
+def _breaks(found: tuple[Fit, ...]) -> bool:
+    """Whether motion breaks conductive chains: without them, m10 leaves far more of the recording."""
+    errors = {fit.label: fit.error for fit in found}  # an m10 whose k is 0 has the label of the one without chains
+    return errors.get("m10", np.inf) < BREAKS * errors.get("m10, k = 0", 0.0)
+
+
+def _learned(
+    calibration: training.NormalisedRecording, full_scale_kpa: float, *, cells: int, breaks: bool
+) -> Calibrated:
+    """All learned estimators, not judged yet; of a cell whose conductive chains break under motion, or not."""
     simulated = training.variations(calibration, np.random.default_rng(0), cells)
     return Calibrated(
         default="distilled",
@@ -216,7 +227,7 @@ def _learned(calibration: training.NormalisedRecording, full_scale_kpa: float, *
         held_out_percent={},
         static=training.static_curve(calibration, full_scale_kpa),
         play=training.play(calibration, simulated),
-        distilled=training.distilled(calibration, simulated),
+        distilled=training.distilled(calibration, simulated, paths_s=training.PATHS_S if breaks else ()),
     )
 
 

@@ -1,8 +1,9 @@
 """Features of a learned estimator: the reading, and how it differs from a bank of memories of it.
 
-The first feature is the last reading as it is, so that a fast press is answered at once. There are two kinds of
+The first feature is the last reading as it is, so that a fast press is answered at once. There are three kinds of
 memories. Lags hold the reading some seconds ago, smoothed; they tell of creep and recovery. Plays leave a slack of some
-width between the reading and its follower; they tell of hysteresis, that is, which way the reading was last going. Both
+width between the reading and its follower; they tell of hysteresis, that is, which way the reading was last going.
+Paths add up how far the reading has moved, either way, and fade; they tell how many conductive chains motion broke. All
 are cheap, stable for any input, and at zero for a cell that has been read at one value for ever.
 """
 
@@ -10,10 +11,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from ..arrays import FloatArray
+
+_FOLLOWED = 1
+"""the play whose movement is the path"""
 
 
 @dataclass(frozen=True)
@@ -25,26 +30,35 @@ class Bank:
     lags_s: tuple[float, ...]
     plays: tuple[float, ...]
     """half widths of the slacks, as normalised resistance"""
+    paths_s: tuple[float, ...] = ()
+    """times in which the path length of the follower behind the narrowest slack but one fades; narrower ones follow
+    noise, too"""
     smoothed: bool = False
     """whether the first feature is the smoothed reading, as earlier versions learned from"""
 
     @property
     def count(self) -> int:
         """Number of features."""
-        return 2 + len(self.lags_s) + len(self.plays)
+        return 2 + len(self.lags_s) + len(self.plays) + len(self.paths_s)
 
     @property
     def rows(self) -> int:
-        """Number of rows of the memory: the last three readings, the smoothed one, lags, plays."""
-        return 4 + len(self.lags_s) + len(self.plays)
+        """Number of rows of the memory: the last three readings, the smoothed one, lags, plays, paths."""
+        return 4 + len(self.lags_s) + len(self.plays) + len(self.paths_s)
 
     def begin(self, r: FloatArray) -> FloatArray:
         """The memory (rows, *shape) of cells that have always read ``r`` (*shape)."""
-        return np.repeat(r[None], self.rows, axis=0)
+        memory = np.repeat(r[None], self.rows, axis=0)
+        self.paths(memory)[:] = 0.0
+        return memory
 
     def lags(self, memory: FloatArray) -> FloatArray:
         """The smoothed reading and its lags (1 + lags, *shape)."""
         return memory[3 : 4 + len(self.lags_s)]
+
+    def paths(self, memory: FloatArray) -> FloatArray:
+        """The path lengths (paths, *shape)."""
+        return memory[self.rows - len(self.paths_s) :]
 
     def advance(self, memory: FloatArray, dt_s: float, r: FloatArray) -> None:
         """Let the reading go to ``r``; a glitch of one sample is passed over (median of three). Changes ``memory``."""
@@ -53,22 +67,28 @@ class Bank:
         memory[0:2] = memory[1:3].copy()
         memory[2] = r
         smooth = memory[3]
-        smoothing, gone, width = _constants(self, dt_s, r.ndim)
-        smooth += (median - smooth) * smoothing
-        lags, plays = self.lags(memory)[1:], memory[4 + len(self.lags_s) :]
-        lags += (smooth - lags) * gone
-        np.maximum(plays, smooth - width, out=plays)
-        np.minimum(plays, smooth + width, out=plays)
+        constants = _constants(self, dt_s, r.ndim)
+        smooth += (median - smooth) * constants.smoothing
+        lags, paths = self.lags(memory)[1:], self.paths(memory)
+        plays = memory[4 + len(self.lags_s) : self.rows - len(self.paths_s)]
+        lags += (smooth - lags) * constants.gone
+        followed = plays[_FOLLOWED].copy() if self.paths_s else None
+        np.maximum(plays, smooth - constants.width, out=plays)
+        np.minimum(plays, smooth + constants.width, out=plays)
+        if followed is not None:
+            paths *= constants.kept
+            paths += np.abs(plays[_FOLLOWED] - followed)
 
     def features(self, memory: FloatArray) -> FloatArray:
-        """(count, *shape): the last reading, and its distance from the smoothed one and from each memory.
+        """(count, *shape): the last reading, its distance from the smoothed one, each lag and each play, and the paths.
 
         The last and the smoothed reading are exchanged where the bank is :attr:`smoothed`.
         """
         last, smooth = memory[2:3], memory[3:4]
+        held, paths = memory[4 : self.rows - len(self.paths_s)], self.paths(memory)
         if self.smoothed:
-            return np.concatenate([smooth, smooth - last, smooth - memory[4:]])
-        return np.concatenate([last, last - memory[3:]])
+            return np.concatenate([smooth, smooth - last, smooth - held, paths])
+        return np.concatenate([last, last - smooth, last - held, paths])
 
     def run(self, dt_s: FloatArray, r: FloatArray) -> FloatArray:
         """Features (n, count, *shape) of recordings (n, *shape) that start from a long-held reading."""
@@ -90,11 +110,27 @@ def play_follow(signal: FloatArray, width: float) -> FloatArray:
     return followed
 
 
+class _Constants(NamedTuple):
+    """Of a bank and a time step, as columns."""
+
+    smoothing: FloatArray
+    """share that the smoothed reading forgets in a step"""
+    gone: FloatArray
+    """share that the lags forget"""
+    width: FloatArray
+    """half widths of the plays"""
+    kept: FloatArray
+    """share that the paths keep"""
+
+
 @lru_cache(maxsize=1024)
-def _constants(bank: Bank, dt_s: float, dimensions: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Share that the smoothing and the lags forget in a step, and the half widths of the plays, as columns."""
-    gone = _gone(dt_s, _column(bank.lags_s, dimensions))
-    return _gone(dt_s, bank.smoothing_s), gone, _column(bank.plays, dimensions)
+def _constants(bank: Bank, dt_s: float, dimensions: int) -> _Constants:
+    return _Constants(
+        smoothing=_gone(dt_s, bank.smoothing_s),
+        gone=_gone(dt_s, _column(bank.lags_s, dimensions)),
+        width=_column(bank.plays, dimensions),
+        kept=1 - _gone(dt_s, _column(bank.paths_s, dimensions)),
+    )
 
 
 def _gone(dt_s: float, seconds: FloatArray | float) -> FloatArray:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,10 @@ INSTANT_S, RISE2_S = 0.05, 1.0
 BEGINS_LOADED, BEGUN = 0.05, 0.5
 """load at which a recording begins, over full scale, from which on what the cell remembers there is fitted too; and how
 far each branch may then be from its equilibrium, over the range of r"""
+DRIFTS = 1.0
+"""share of R0 up to which a drift over the recording is looked for, either way"""
+NOISY = 0.1
+"""of the variance of noise: squared error beyond noise that is too little for a drift to explain"""
 FLATTEST = 0.1
 """of the range of r: slope over full scale that the equilibrium curve of m10 should have everywhere"""
 
@@ -82,6 +86,8 @@ class Fit:
     """model and R0 in ohm as fitted before each fold; None: what was found is no valid cell"""
     first_telling: int = 0
     """the first fold before which enough was pressed to fit a model at all"""
+    drift: Drift | None = None
+    """of R0, by the richest model; None: of the other kinds"""
 
     @property
     def label(self) -> str:
@@ -93,6 +99,18 @@ class Fit:
     def held_out_error(self) -> float:
         """That of the worst of the folds that tell."""
         return max(self.fold_errors[self.first_telling :])
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A steady change of R0 from the begin of a recording to its end, fitted with all the rest of a model."""
+
+    share: float
+    """of R0 at the begin"""
+    std_error: float
+    unexplained: float
+    """squared error beyond noise that the model with the drift leaves, over that of the model without; 1 where the
+    latter leaves hardly more than noise"""
 
 
 @dataclass(frozen=True)
@@ -132,6 +150,10 @@ class _Kind:
     """how many parameters, after those with names, are what branches and chains remember as the recording begins"""
     felt: Callable[[FloatArray], FloatArray] = lambda load: load
     """the load (n, m) or (n,) as this kind takes it: worked out once, for any number of parameters"""
+
+
+_Richer = Callable[[tuple[float, ...]], tuple[float, ...]]
+"""a solution as one of the richer kind that is fitted next"""
 
 
 def rest_resistance(recording: Recording, full_scale_kpa: float) -> tuple[float, float]:
@@ -249,15 +271,19 @@ def fits(recording: Recording, full_scale_kpa: float, told: Callable[[str], None
         size = float(np.ptp(np.percentile(recording.resistance_ohm, [0.5, 99.5])) / rest)
         begun = bool(recording.quiet.pressure_kpa[0] > BEGINS_LOADED * full_scale_kpa)
         task = _Task(recording, full_scale_kpa, rest, lower, folds(recording, full_scale_kpa))
-        asymmetric, solutions = _fit(_asymmetric_kind(start, size, begun), task, [])
+        kinds = _asymmetric_kind(start, size, begun), _whole_kind(start, size, begun), _m10_kind(start, size, begun)
+        asymmetric, branches = _fit(kinds[0], task, [])
         told("fitted asymmetric")
         # What contains another kind is started from where that one ended too, so that it never fits worse.
         paper, _ = _fit(
-            _paper_kind(start, size), task, [(*solution[:5], 0.2, 5.0, solution[-1]) for solution in solutions]
+            _paper_kind(start, size), task, [(*solution[:5], 0.2, 5.0, solution[-1]) for solution in branches]
         )
         told("fitted paper")
-        whole, solutions = _fit(_whole_kind(start, size, begun), task, [_asymmetric_as_whole(one) for one in solutions])
-        m10, _ = _fit(_m10_kind(start, size, begun), task, [_whole_as_m10(one, size) for one in solutions])
+        whole, unbroken = _fit(kinds[1], task, [_asymmetric_as_whole(one) for one in branches])
+        m10, broken = _fit(kinds[2], task, [_whole_as_m10(one, size) for one in unbroken])
+        richer: tuple[_Richer, ...] = _asymmetric_as_whole, lambda one: _whole_as_m10(one, size), lambda one: one
+        optima = branches[-1], unbroken[-1], broken[-1]
+        m10 = replace(m10, drift=_find_drift(list(zip(kinds, optima, richer, strict=True)), task))
         told("fitted m10")
         found = [asymmetric, paper, whole, m10]
     least = min(fit.held_out_error for fit in found)
@@ -359,6 +385,62 @@ def _fit(kind: _Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit
         first_telling=task.first_telling,
     )
     return fit, [tuple(map(float, solution)) for solution in (*solutions, found)]
+
+
+def _find_drift(models: Sequence[tuple[_Kind, tuple[float, ...], _Richer]], task: _Task) -> Drift:
+    """Fit a steady drift of R0 together with every parameter of the last, richest model.
+
+    A drift changes the readings at rest and under load by the same share. Creep mostly does not. A slow branch can
+    nevertheless take up much of a drift. Each model therefore begins from the simpler one's optimum with a drift, too.
+
+    Args:
+        models: each contains the one before: how it is fitted, its optimum without a drift, and that optimum as the
+            parameters of the next one.
+        task: what is fitted.
+    """
+    grid = task.grid(np.inf, np.inf)
+    nested: list[tuple[float, ...]] = []
+    for kind, found, richer in models:
+        count = len(kind.names)
+        drifting = _drifting(kind)
+        starts = [drifting.starts[0], _with_drift(found, count, 0.0), *nested]
+        fitted, covariance = _solve(drifting, grid, starts, task.lower)
+        noise = simulate.white_noise(grid.r) ** 2
+        without = float(np.mean((_predict(kind, np.array(found), grid) - grid.r) ** 2)) - noise
+        left = float(np.mean((_predict(drifting, fitted, grid) - grid.r) ** 2)) - noise
+        unexplained = max(left, 0.0) / without if without > NOISY * noise else 1.0
+        drift = Drift(float(fitted[count]), float(np.sqrt(covariance[count, count])), unexplained)
+        plain = richer(tuple(np.delete(fitted, count).tolist()))
+        nested = [_with_drift(plain, count + len(plain) - len(found), drift.share)]
+    return drift
+
+
+def _drifting(kind: _Kind) -> _Kind:
+    """The same kind of cells with a drift of R0 as one more parameter, after those with names."""
+    count = len(kind.names)
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        r = kind.run(np.delete(parameters, count, axis=0), load, dt)
+        return _drifted(parameters[count], r)
+
+    return replace(
+        kind,
+        names=(*kind.names, "drift"),
+        low=(*kind.low, -DRIFTS),
+        high=(*kind.high, DRIFTS),
+        starts=tuple((*start, 0.0) for start in kind.starts),
+        run=run,
+    )
+
+
+def _with_drift(solution: tuple[float, ...], count: int, share: float) -> tuple[float, ...]:
+    """A solution with a drift after its ``count`` parameters with names."""
+    return *solution[:count], share, *solution[count:]
+
+
+def _drifted(drift: FloatArray, r: FloatArray) -> FloatArray:
+    """r (n, m), relative to R0 at the begin, of cells whose R0 changes steadily by a share ``drift`` (m,) of it."""
+    return np.asarray((1 + r) * (1 + np.linspace(0, 1, len(r))[:, None] * drift) - 1)
 
 
 def _asymmetric_as_whole(solution: tuple[float, ...]) -> tuple[float, ...]:

@@ -146,6 +146,8 @@ class Learned(Section):
     """whether the first feature is the smoothed reading, as in files of earlier versions, or the last one"""
     lags_s: Positives
     plays: Positives
+    paths_s: Positives = ()
+    """() in files of earlier versions"""
     mean: Numbers
     scale: Positives
     seed: Annotated[int, Field(ge=0)] = 0
@@ -169,11 +171,13 @@ class Learned(Section):
     @property
     def bank(self) -> Bank:
         """The memories that make the features."""
-        return Bank(self.smoothing_s, self.lags_s, self.plays, self.smoothed)
+        return Bank(self.smoothing_s, self.lags_s, self.plays, self.paths_s, self.smoothed)
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        count = 2 + len(self.lags_s) + len(self.plays)
+        if self.paths_s and len(self.plays) < 2:
+            raise ValueError(f"paths_s needs two plays at least, got {len(self.plays)}")
+        count = self.bank.count
         terms = 3 + count + self.directions
         for name, length in (("mean", count), ("scale", count), ("weights", terms), ("error_weights", terms)):
             if len(getattr(self, name)) != length:
@@ -285,7 +289,9 @@ class LearnedEstimator(Estimator):
         memory[VARIANCE, cells] = (std * self.full_scale_kpa) ** 2
 
     def _settled(self, memory: FloatArray, band: float) -> BoolArray:
-        found: BoolArray = np.abs(self._bank.lags(memory[3 : self._seen.start])).max(axis=0) < 2 * band
+        bank = memory[3 : self._seen.start]
+        memories = np.concatenate([np.abs(self._bank.lags(bank)), self._bank.paths(bank)])
+        found: BoolArray = memories.max(axis=0) < 2 * band
         return found
 
     def _map(self, standardised: FloatArray) -> tuple[FloatArray, FloatArray]:

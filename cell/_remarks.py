@@ -8,6 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from ..arrays import FloatArray
+from ._identify import Drift
 from ._recording import Recording
 
 LONGEST_LEAD_S = 5.0
@@ -22,11 +23,19 @@ AT_LIMIT = 0.02
 """share of the readings under load with the same extreme value, from which they look clipped"""
 USUAL_KPA, USUAL_OHM = (0.1, 1000.0), (30.0, 1e9)
 """between which full scales and median resistances of robot skins lie: what lies outside is perhaps in another unit"""
+FALLS, RISES = 0.03, 0.08
+"""least drift of R0 that is remarked upon, relative. Creep under load alone can look like a rise by 0.06 (specimens of
+relays with fractional creep, `bench/_materials.py`), but hardly like a fall"""
+DRIFT_ERRORS, DRIFT_LEAVES = 4.0, 0.3
+"""least size of a drift that is believed, in standard errors, and most of the squared error beyond noise that the model
+with the drift may leave of what it leaves without"""
 LOADED, DIFFERENT = 0.3, 0.2
 """of full scale: from which a cell counts as loaded here, and a difference that readings of clipped loads have"""
 
 
-def remarks(recording: Recording, full_scale_kpa: float, presses: float, *, varied: bool) -> Iterator[str]:
+def remarks(
+    recording: Recording, full_scale_kpa: float, presses: float, *, varied: bool, drift: Drift | None = None
+) -> Iterator[str]:
     """One sentence each.
 
     Args:
@@ -34,7 +43,14 @@ def remarks(recording: Recording, full_scale_kpa: float, presses: float, *, vari
         full_scale_kpa: of the cell.
         presses: to full scale, that the path of the load amounts to.
         varied: whether held-out parts of the recording differ from each other.
+        drift: of R0, as fitted with a model; None: not fitted.
     """
+    if drift is not None and believed(drift):
+        yield (
+            f"R0 drifts by {100 * drift.share:+.0f} % over the recording, which creep of the model does not explain: "
+            "does the temperature change, or a lead loosen? Estimates drift with it; "
+            "record again when R0 is steady"
+        )
     lead = resistance_lead_s(recording)
     if lead > 0:
         yield (
@@ -68,6 +84,15 @@ def _unusual(recording: Recording, full_scale_kpa: float) -> Iterator[str]:
     if not low <= median_ohm <= high:
         unit = "kohm" if median_ohm < low else "mohm"
         yield f"a resistance of {median_ohm:.3g} ohm is unusual for a skin: is resistance_ohm in {unit}?"
+
+
+def believed(drift: Drift) -> bool:
+    """Whether a fitted drift of R0 is large and clear.
+
+    Creep that a model lacks looks like a drift, too, but a steady drift of R0 explains little of such creep.
+    """
+    large = drift.share < -FALLS or drift.share > RISES
+    return large and abs(drift.share) > DRIFT_ERRORS * drift.std_error and drift.unexplained < DRIFT_LEAVES
 
 
 def resistance_lead_s(recording: Recording) -> float:

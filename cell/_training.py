@@ -22,6 +22,8 @@ from ._learned import BEYOND, DRIFT, UNKNOWN_DRIFT, Learned, Limits, Reached, St
 
 LAGS_S = (0.5, 2.0, 8.0, 30.0, 120.0)
 """of the distilled estimator; longer ones are memories of how the recording began"""
+PATHS_S = (5.0, 20.0, 80.0)
+"""of the distilled estimator of a cell whose conductive chains break under motion, and heal in seconds to minutes"""
 SMOOTHING_S = 0.1
 DIRECTIONS = 600
 CELLS, SECONDS = 96, 400.0
@@ -194,6 +196,7 @@ def learn(
     *,
     lags_s: tuple[float, ...],
     plays: tuple[float, ...],
+    paths_s: tuple[float, ...] = (),
     directions: int,
     ridge: float,
     seed: int,
@@ -204,7 +207,7 @@ def learn(
     :func:`calibrated`.
     """
     widths = tuple(float(width) * calibration.spread for width in plays)
-    bank = Bank(smoothing_s=SMOOTHING_S, lags_s=lags_s, plays=widths)
+    bank = Bank(smoothing_s=SMOOTHING_S, lags_s=lags_s, plays=widths, paths_s=paths_s)
     data = rows(calibration, bank, simulated)
     mean = data.simulated.mean(axis=0)
     scale = np.maximum(data.simulated.std(axis=0), 1e-6 * max(calibration.spread, 1e-9))
@@ -237,6 +240,7 @@ def learn(
         smoothed=False,
         lags_s=lags_s,
         plays=widths,
+        paths_s=paths_s,
         mean=tuple(map(float, mean)),
         scale=tuple(map(float, scale)),
         seed=seed,
@@ -272,11 +276,24 @@ def play(calibration: NormalisedRecording, simulated: tuple[FloatArray, FloatArr
 
 
 def distilled(
-    calibration: NormalisedRecording, simulated: tuple[FloatArray, FloatArray, float], *, seed: int = 1
+    calibration: NormalisedRecording,
+    simulated: tuple[FloatArray, FloatArray, float],
+    *,
+    paths_s: tuple[float, ...] = (),
+    seed: int = 1,
 ) -> Learned:
-    """Lags, plays and cosines of them: the inverse of the identified model, distilled into a map."""
+    """Lags, plays, paths and cosines of them: the inverse of the identified model, distilled into a map."""
     plays = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
-    return learn(calibration, simulated, lags_s=LAGS_S, plays=plays, directions=DIRECTIONS, ridge=5e-5, seed=seed)
+    return learn(
+        calibration,
+        simulated,
+        lags_s=LAGS_S,
+        plays=plays,
+        paths_s=paths_s,
+        directions=DIRECTIONS,
+        ridge=5e-5,
+        seed=seed,
+    )
 
 
 def calibrated(learned: Learned, judged: Sequence[Judged], *, drift: float, elsewhere: float, most: float) -> Learned:

@@ -19,19 +19,20 @@ from ohmskin.cell import (
     CalibrationResult,
     Cell,
     ContactModel,
+    Recording,
     calibrate,
     checked_recording,
     estimate_recording,
 )
 from ohmskin.cell import _training as training
-from ohmskin.cell._calibrate import _judge, _seen
+from ohmskin.cell._calibrate import _breaks, _judge, _seen
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell._choice import Evidence, choose
 from ohmskin.cell._features import Bank
-from ohmskin.cell._identify import Fold, fits
+from ohmskin.cell._identify import Drift, Fold, fits
 from ohmskin.cell._judged import MOVING, Judged, Regimes, best_share, mixed, standard_errors_better
 from ohmskin.cell._learned import DRIFT, Learned
-from ohmskin.cell._remarks import remarks
+from ohmskin.cell._remarks import believed, remarks
 from ohmskin.errors import InputError
 
 
@@ -195,6 +196,37 @@ def test_the_first_feature_is_the_last_reading_and_a_glitch_does_not_enter_the_m
         now.advance(glitched, 0.1, np.array([r]))
         now.advance(calm, 0.1, np.zeros(1))
     assert np.array_equal(now.features(glitched), now.features(calm))
+
+
+def test_paths_are_learned_from_where_chains_that_break_explain_the_recording() -> None:
+    """Elsewhere they would let a map follow what little is told of other loads."""
+    fitted, _ = judged("random", "relays", 1)
+    whole, m10 = (next(fit for fit in fitted.fits if fit.label == label) for label in ("m10, k = 0", "m10"))
+    for error, expected in ((0.4, True), (0.6, False)):
+        found = (whole, replace(m10, error=error * whole.error))
+        assert _breaks(found) == expected
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 1000), dt=st.floats(0.02, 0.5))
+def test_a_path_is_the_faded_sum_of_what_the_reading_moved(seed: int, dt: float) -> None:
+    """Written out for one cell. Motion narrower than the play adds nothing, and a reading that stays lets it fade."""
+    rng = np.random.default_rng(seed)
+    bank = Bank(0.1, (0.5,), (0.01, 0.05), paths_s=(2.0, 20.0))
+    readings = np.cumsum(rng.normal(0, 0.05, 60))
+    steps = np.full(60, dt)
+    found = bank.run(steps, readings[:, None])[:, -2:, 0]
+    middle = [readings[0]] * 2 + [sorted(readings[n - 2 : n + 1])[1] for n in range(2, 60)]
+    smooth = follower = readings[0]
+    paths = np.zeros(2)
+    for n in range(1, 60):
+        smooth += (middle[n] - smooth) * (1 - np.exp(-dt / 0.1))
+        moved = float(np.clip(follower, smooth - 0.05, smooth + 0.05)) - follower
+        follower += moved
+        paths = paths * np.exp(-dt / np.array([2.0, 20.0])) + abs(moved)
+        assert found[n] == pytest.approx(paths, abs=1e-12)
+    narrow = bank.run(steps, 0.04 * rng.choice([-1.0, 1.0], (60, 1)) * np.minimum(np.arange(60), 1)[:, None])
+    assert not narrow[:, -2:].any()
 
 
 def test_the_static_curve_is_judged_as_it_will_run() -> None:
@@ -384,3 +416,49 @@ def test_a_recording_with_its_sign_turned_round_is_refused_in_words() -> None:
     scene = panel.scene("random", "relays", 2)
     with pytest.raises(InputError, match="is its sign turned round"):
         checked_recording(scene.time_s, -scene.pressure_kpa, scene.resistance_ohm)
+
+
+DRIFTING = (("random", "m10", -0.15), ("speeds", "asymmetric", 0.15))
+
+
+@pytest.mark.parametrize(("load", "material", "share"), DRIFTING)
+def test_a_drift_of_r0_is_found_with_its_size(load: str, material: str, share: float) -> None:
+    """Readings at the end of the recording are higher or lower by that share than without the drift."""
+    drift = _drift(load, material, share)
+    assert believed(drift)
+    assert drift.share == pytest.approx(share, abs=0.02)
+
+
+@pytest.mark.parametrize(("load", "material"), [("random", "m10"), ("cyclic", "relays")])
+def test_a_steady_r0_is_not_called_drifting(load: str, material: str) -> None:
+    """Relays creep on, so that their readings at rest rise by a fifth, though R0 is steady."""
+    assert not believed(_drift(load, material, 0.0))
+
+
+def _drift(load: str, material: str, share: float) -> Drift:
+    scene = panel.scene(load, material, 800)
+    head = scene.time_s < scene.head_s
+    time = scene.time_s[head]
+    drifted = scene.resistance_ohm[head] * (1 + share * time / time[-1])
+    recording = checked_recording(time, scene.pressure_kpa[head], drifted)
+    (drift,) = [fit.drift for fit in fits(recording, panel.FULL_SCALE_KPA) if fit.drift is not None]
+    return drift
+
+
+def test_a_drift_is_remarked_upon_only_where_it_is_clear() -> None:
+    recording = _waves()
+    for drift, expected in (
+        (Drift(0.12, 0.01, 0.1), True),
+        (Drift(-0.05, 0.01, 0.1), True),
+        (Drift(0.05, 0.01, 0.1), False),
+        (Drift(0.12, 0.05, 0.1), False),
+        (Drift(0.12, 0.01, 0.7), False),
+    ):
+        said = " ".join(remarks(recording, 10.0, 10.0, varied=True, drift=drift))
+        assert (f"R0 drifts by {100 * drift.share:+.0f} %" in said) == expected
+
+
+def _waves() -> Recording:
+    time = np.arange(0, 60, 0.1)
+    load = 5.0 * (1 - np.cos(time))
+    return checked_recording(time, load, 1000 * (1 + 0.05 * load))
