@@ -19,7 +19,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,6 +35,7 @@ from . import _smoothing as smoothing
 from . import _tremor as tremor
 from ._forward import resistance_of
 from ._held import Held
+from ._loops import ASLEEP_SIGMAS, CALM_SIGMAS, LEVEL_BANDS
 from ._noise import WINDOW, NoiseMeter
 from ._rows import GAIN, PRESSURE, VARIANCE
 from ._tremor import Tremor
@@ -61,8 +62,6 @@ BEYOND = 0.57
 inverse in doubt shows"""
 AT_REST = 0.005
 """of full scale below which a cell may sleep"""
-ASLEEP_SIGMAS = 5.0
-"""standard deviations by which a single reading wakes a cell, and its mean"""
 WATCH_S = 0.5
 """time over which the mean of a sleeping cell is taken"""
 MEANS = 8
@@ -123,6 +122,8 @@ class Estimator(ABC):
     """False: the estimator takes readings as they are, whatever their noise"""
     knows_errors = True
     """False: only a calibration can say how far the estimator is off"""
+    remembers = True
+    """False: the resistance follows from the present load alone, so what came in a gap left nothing behind"""
 
     def __init__(
         self,
@@ -228,6 +229,8 @@ class Estimator(ABC):
             loops.HIDDEN: HIDDEN,
             loops.PER_SIGMAS: 1.0 / SIGMAS,
             loops.STATED: float(self._states_std),
+            loops.SIGMAS: SIGMAS,
+            loops.HIDDEN_SHARE: HIDDEN / SIGMAS,
         }
         return np.array([numbers[place] for place in range(len(numbers))])
 
@@ -366,6 +369,8 @@ class Estimator(ABC):
             hidden_kpa: (n,) largest change of a load in the gap; 0 without a gap.
             before: (n,) kPa shown before it; NaN before the first reading.
         """
+        if not self.remembers:
+            return
         cells = np.flatnonzero(hidden_kpa > 0)
         hidden = hidden_kpa[cells]
         whole = np.abs(self._reading[cells]) * (self.full_scale_kpa / self._full_scale_r)
@@ -429,8 +434,8 @@ class Estimator(ABC):
             left |= np.abs(self._mean) > self._band + averaged * (self._wake_at - self._band)
         if np.count_nonzero(left):
             cells = np.flatnonzero(left)
-            self._memory[:, cells] = self._begin(np.zeros(cells.size))
-            self._line[:, cells] = smoothing.begin(np.zeros(cells.size), 1.0)
+            self._memory[:, cells] = self._memory_at_rest
+            self._line[:, cells] = _LINE_AT_REST
             self._awake[cells] = True
             self._stale = True
 
@@ -535,6 +540,8 @@ class Estimator(ABC):
         noise += _LEAST_NOISE
         if self._sparks.cells.size:
             self._put_back(dt, reading, noise)
+        if block.scratch is None:
+            block.scratch = smoothing.Scratch(line)
         smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
         if smooth.begun is not None:
             self._remember(smooth.begun, reading, noise)
@@ -657,37 +664,62 @@ class Estimator(ABC):
         """Let cells sleep that read as at rest and remember no load."""
         block, cells = self._block, self._block.cells
         if cells.size:
-            mean = self._mean[cells]
-            quiet = self._band + 0.4 * self._noise.std(mean, cells)
-            calm = (np.abs(mean) < quiet) & (np.abs(block.line[smoothing.LEVEL]) < 3 * quiet)
+            calm = self._calm()
             if np.count_nonzero(calm):
                 calm &= self._settled(block.memory, self._band)
                 calm &= self._readings[cells] >= FIRST_READINGS
                 self._put_to_sleep(cells[calm])
         asleep = np.flatnonzero(~self._awake & (self._readings > 0))
         if asleep.size:
-            self._wake_at[asleep] = self._waking()[asleep]
-            memory = self._memory[:, asleep]
-            noise = self._noise.std(self._mean[asleep], asleep)
-            self._asleep = _Asleep(asleep, memory[GAIN] / SIGMAS, memory[GAIN] * (HIDDEN / SIGMAS) * noise)
             self._variance = self._variance.copy()
-            self._variance[asleep] = self._own_variance(memory, _ZERO) + memory[PRESSURE] ** 2
+            self._asleep = self._watch_over(asleep)
+
+    def _calm(self) -> BoolArray:
+        """(m,) cells that are followed and read as at rest."""
+        block, cells = self._block, self._block.cells
+        calm: BoolArray
+        if self._compiled:
+            calm = np.empty(cells.size, dtype=np.bool_)
+            loops.find_calm.code(cells, self._mean, self._noise.at_rest, block.line, self._band, calm)
+            return calm
+        mean = self._mean[cells]
+        quiet = self._band + CALM_SIGMAS * self._noise.std(mean, cells)
+        calm = np.abs(mean) < quiet
+        calm &= np.abs(block.line[smoothing.LEVEL]) < LEVEL_BANDS * quiet
+        return calm
+
+    @cached_property
+    def _memory_at_rest(self) -> FloatArray:
+        """(rows, 1) memory of a cell that has been at rest for ever."""
+        return self._begin(np.zeros(1))
+
+    def _watch_over(self, asleep: IntArray) -> _Asleep:
+        """Renew the limits at which sleeping cells (m,) wake, and their variances, for the present noise."""
+        if self._compiled:
+            per_reading, hidden_kpa = np.empty((2, asleep.size))
+            loops.watch_over.code(
+                *(asleep, self._memory, self._mean, self._noise.at_rest, self._band, self._numbers),
+                *(self._rest_at_kpa, self._rest_variances, self._wake_at, per_reading, hidden_kpa, self._variance),
+            )
+            return _Asleep(asleep, per_reading, hidden_kpa)
+        memory = self._memory[:, asleep]
+        noise = self._noise.std(self._mean[asleep], asleep)
+        self._wake_at[asleep] = ASLEEP_SIGMAS * noise + self._band
+        self._variance[asleep] = self._own_variance(memory, _ZERO) + memory[PRESSURE] ** 2
+        return _Asleep(asleep, memory[GAIN] / SIGMAS, memory[GAIN] * (HIDDEN / SIGMAS) * noise)
 
     def _put_to_sleep(self, cells: IntArray) -> None:
         if not cells.size:
             return
         self._flush()
-        self._memory[:, cells] = self._begin(np.zeros(cells.size))
+        self._memory[:, cells] = self._memory_at_rest
         self._pressure[cells] = 0.0  # a calibration curve may miss that by some percent
-        self._sparks = self._sparks.where(~np.isin(self._sparks.cells, cells))
+        if self._sparks.cells.size:
+            self._sparks = self._sparks.where(~np.isin(self._sparks.cells, cells))
         self._awake[cells] = False
         self._tremor.forget(cells)
         self._all_awake = False
         self._stale = True
-
-    def _waking(self) -> FloatArray:
-        """(n,) size of r from which a single reading wakes a cell."""
-        return np.asarray(ASLEEP_SIGMAS * self._noise.std(self._mean) + self._band)
 
     @property
     def _most_kpa(self) -> float:
@@ -721,7 +753,10 @@ class Estimator(ABC):
         loaded = block.memory[PRESSURE] > LARGE_JUMP * self.full_scale_kpa
         released = loaded & (self._side > 0) & (jump < 0) & (reading > -CLEAR * noise)
         place = np.flatnonzero(begun & (size > least) & ~released)
-        place = place[~np.isin(block.cells[place], self._sparks.cells)]
+        if not place.size:
+            return
+        if self._sparks.cells.size:
+            place = place[~np.isin(block.cells[place], self._sparks.cells)]
         place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
         if place.size:
             self._sparks = self._sparks.with_more(
@@ -859,6 +894,7 @@ class Estimator(ABC):
 
 
 _ZERO = np.zeros(1)
+_LINE_AT_REST = smoothing.begin(_ZERO, 1.0)
 LEAST_NOISE = 1e-9
 """of r: keeps a division by the noise finite"""
 _ONE, _LEAST_NOISE, _HIDDEN, _PER_SIGMAS = (np.array(x) for x in (1.0, LEAST_NOISE, HIDDEN, 1.0 / SIGMAS))
@@ -948,7 +984,8 @@ class _Block:
         self.cells, self.memory, self.line = cells, memory, line
         self.line_before = line.copy()
         """the line after the last step; replaced, never changed. Machine code sets it when the next step begins"""
-        self.scratch = smoothing.Scratch(line)
+        self.scratch: smoothing.Scratch | None = None
+        """of the array operations; None: not used yet"""
         self.taken = np.empty((4, cells.size))
         """readings of the step, for machine code; see :mod:`._rows`"""
         self.begun = np.empty(cells.size, dtype=np.bool_)
@@ -985,9 +1022,14 @@ class _Gaps:
             there is no such cell.
 
         """
-        if known is None and not self.doubtful and not self.open and dt <= 3 * usual_s:
+        fade = math.exp(-2 * dt / AFTER_GAP_S)
+        if known is None and not self.open and dt <= 3 * usual_s:
+            if self.doubtful:
+                self._left *= fade
+                self.variance = self._left.copy()
+                self._end_if_small(most_kpa)
             return None
-        self._left *= math.exp(-2 * dt / AFTER_GAP_S)
+        self._left *= fade
         self.unread_s += dt
         gap = np.maximum(self.unread_s - usual_s, 0.0)
         hidden = -most_kpa * np.expm1(-speed * gap / most_kpa)
@@ -998,10 +1040,15 @@ class _Gaps:
         self.unread_s[read] = 0.0
         self.variance = self._left + hidden**2
         self._renew()
-        if self.doubtful and float(self.variance.max()) < (1e-3 * most_kpa) ** 2:
+        if self.doubtful:
+            self._end_if_small(most_kpa)
+        return ended if ended.any() else None
+
+    def _end_if_small(self, most_kpa: float) -> None:
+        """End doubts that hardly count any more."""
+        if self.variance.item(self.variance.argmax()) < (1e-3 * most_kpa) ** 2:
             self._left[:] = 0.0
             self.doubtful = self.open
-        return ended if ended.any() else None
 
     def doubt(self, cells: IntArray, std_kpa: FloatArray) -> None:
         """Add a standard deviation in kPa to what readings leave open of these cells."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ..compiled import FixedRow, Places, Row, Rows, loop
+from ..compiled import FixedRow, Flags, Places, Row, Rows, loop
 from ._rows import GAIN, NOISE, PRESSURE, READING, STD, VARIANCE
 from ._smoothing import LEVEL
 
@@ -56,11 +56,14 @@ def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, lea
         taken[NOISE, i] = scale * scale * noise_at_rest[cell] + least
 
 
-MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY, HIDDEN, PER_SIGMAS, STATED = range(11)
-"""places of the numbers that :func:`show` takes: variance in kPa^2 by the model; r per kPa of bend that a turn within
-the frame may leave, 0: none, and standard deviations of noise that are no bend; full scale, pressure, and noise in kPa
-from which more is done; standard deviations at which a load and none are as likely; keeps 0/0 from occurring; standard
-deviations of a reading that hide a load, and their inverse number; 1 if a standard deviation is stated"""
+MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY = range(8)
+HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE = range(8, 13)
+"""places of numbers that :func:`show` and :func:`watch_over` take: variance in kPa^2 by the model; r per kPa of bend
+that a turn within the frame may leave, 0: none, and standard deviations of noise that are no bend; full scale,
+pressure, and noise in kPa from which more is done; standard deviations at which a load and none are as likely; keeps
+0/0 from occurring; standard deviations of a reading that hide a load, and the inverse number of those that an estimate
+is to cover; 1 if a standard deviation is stated; standard deviations that an estimate is to cover, and those of a
+reading that hide a load over them"""
 LAST, BEFORE_LAST = 3, 4
 """rows of the pressures of the last two frames, where a turn within the frame is reckoned with"""
 
@@ -146,4 +149,66 @@ def add_asleep(variance: Row, reading: Row, cells: Places, per_reading: Row, hid
         variance[cells[i]] += std * std
 
 
-ALL = read, watch, renew_means, take, show, add_asleep
+ASLEEP_SIGMAS = 5.0
+"""standard deviations by which a single reading wakes a cell, and its mean"""
+CALM_SIGMAS, LEVEL_BANDS = 0.4, 3.0
+"""standard deviations by which the mean of a cell may leave the band in which it counts as at rest; times that band, in
+which the smoothed reading must be"""
+
+
+@loop
+def noise_std(mean: float, at_rest: float) -> float:
+    """:meth:`._noise.NoiseMeter.std` of one cell."""
+    scale = max(mean, -0.9) + 1.0
+    return scale * scale * at_rest
+
+
+@loop
+def find_calm(cells: Places, mean: Row, noise_at_rest: Row, line: Rows, band: float, calm: Flags) -> None:
+    """Mark those of ``cells`` (m,) in ``calm`` (m,) that read as at rest, within ``band`` of r and the noise."""
+    for i in range(cells.size):
+        cell = cells[i]
+        quiet = band + CALM_SIGMAS * noise_std(mean[cell], noise_at_rest[cell])
+        calm[i] = abs(mean[cell]) < quiet and abs(line[LEVEL, i]) < LEVEL_BANDS * quiet
+
+
+@loop
+def watch_over(
+    asleep: Places,
+    memory: Rows,
+    mean: Row,
+    noise_at_rest: Row,
+    band: float,
+    numbers: FixedRow,
+    rest_at_kpa: FixedRow,
+    rest_variance: FixedRow,
+    wake_at: Row,
+    per_reading: Row,
+    hidden_kpa: Row,
+    variance: Row,
+) -> None:
+    """Limits of r (n,) at which sleeping cells wake, and what is left open about the cells ``asleep`` (m,).
+
+    Arrays of all cells (n,) are changed at those that sleep. ``per_reading`` and ``hidden_kpa`` (m,) are those that
+    :func:`add_asleep` takes, ``variance`` (n,) in kPa^2 is that of a reading at rest.
+    """
+    for i in range(asleep.size):
+        cell = asleep[i]
+        pressure, gain = memory[PRESSURE, cell], memory[GAIN, cell]
+        noise = noise_std(mean[cell], noise_at_rest[cell])
+        wake_at[cell] = ASLEEP_SIGMAS * noise + band
+        per_reading[i] = gain / numbers[SIGMAS]
+        hidden_kpa[i] = gain * numbers[HIDDEN_SHARE] * noise
+        own = 0.0
+        if numbers[WITHIN] != 0.0:
+            bend = abs(pressure - 2.0 * memory[LAST, cell] + memory[BEFORE_LAST, cell])
+            bend = numbers[WITHIN] * bend * gain
+            own += bend * bend
+        own += memory[VARIANCE, cell]
+        own += numbers[MODEL_VARIANCE]
+        if rest_at_kpa.size > 0:
+            own += interpolated(pressure, rest_at_kpa, rest_variance)
+        variance[cell] = own + pressure * pressure if numbers[STATED] > 0.0 else math.nan
+
+
+ALL = read, watch, renew_means, take, show, add_asleep, find_calm, watch_over

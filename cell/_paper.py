@@ -18,7 +18,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..compiled import Loop
 from . import _lag as lag
 from . import _turning_loops as loops
-from ._estimator import Conditions, Estimator, Looked
+from ._estimator import HIDDEN, SIGMAS, Conditions, Estimator, Looked
 from ._models import PaperModel
 from ._noise import WINDOW
 from ._rows import GAIN, PRESSURE, VARIANCE
@@ -311,6 +311,7 @@ class TurningEstimator(Estimator):
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
         self._of = _Rows(np.zeros((len(self.rows), 0)), TURN * full_scale_kpa)
+        self._beside = _Beside(self._of.memory)
         super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
         self._bends = BETWEEN * self._bend, SURE
         self._seeming = WINDOW * UNSEEN * self._bend
@@ -440,26 +441,35 @@ class TurningEstimator(Estimator):
             loops.CONFIRMED_RISE: CONFIRMED_RISE,
             loops.CONFIRMED_FALL: CONFIRMED_FALL,
             loops.HALF: HALF,
+            loops.PULL: -PULL_SIGMAS,
+            loops.NEAR_KPA: NEAR * self.full_scale_kpa,
+            loops.SETTLED_PER_KPA: 1 + self.model.etau2_kpa / self.model.eu1_kpa,
+            loops.ETAU2_KPA: self.model.etau2_kpa,
+            loops.E1_KPA: self.model.e1_kpa,
+            loops.LOST_SIGMAS: LOST / LESS,
+            loops.MOST_LOST_KPA2: self._lost_at_most_kpa2,
+            loops.HIDDEN: HIDDEN,
+            loops.PER_SIGMAS: 1.0 / SIGMAS,
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
     def _advance_compiled(self, dt: float, r: FloatArray, std: FloatArray, looked: Looked) -> FloatArray:
-        w, memory, of, numbers = self._weights.of(dt), self._block.memory, self._of, self._turns
+        w, memory, of, numbers = self._weights.of(dt), self._block.memory, self._beside, self._turns
         if memory is not of.memory:
-            of = self._of = _Rows(memory, TURN * self.full_scale_kpa)
+            of = self._beside = _Beside(memory)
         loops.take.code(memory, r)
         w.step.dot(of.state, of.change)
         if loops.step.code(memory, of.change, numbers):
-            self._limit(of, w)
-        of.take_gains(w)
-        found = loops.take_turns.code(memory, std, w.by_model, of.beside, of.flags, numbers)
+            self._limit(_Rows(memory, TURN * self.full_scale_kpa), w)
+        if w is not of.weights:
+            loops.take_gains.code(memory, w.by_model, of.rows, numbers)
+            of.weights = w
+        found = loops.take_turns.code(memory, std, w.by_model, of.rows, of.flags, numbers)
         if found & loops.PULLED:
-            self._correct(of, looked.doubt(), w)
+            loops.correct.code(memory, self._block.taken, w.by_model, numbers)
         self._taken_over.dot(of.state, of.change)
         unconfirmed = found & loops.UNCONFIRMED > 0
-        if loops.begin_anew.code(memory, of.change, of.beside, of.flags, unconfirmed, numbers):
-            self._keep(of, of.spare, of.where)
-            np.add(of.spare, of.doubt, of.variance)
+        loops.begin_anew.code(memory, of.change, of.rows, of.flags, unconfirmed, numbers)
         return memory
 
     def _keep(self, of: _Rows, apart: FloatArray, begun: BoolArray) -> None:
@@ -612,6 +622,22 @@ class TurningEstimator(Estimator):
         return found
 
 
+class _Beside:
+    """What the loops write beside one ``memory`` (rows, m)."""
+
+    def __init__(self, memory: FloatArray) -> None:
+        cells = memory.shape[1]
+        self.memory, self.state = memory, memory[STATE]
+        self.change = np.empty((6, cells))
+        self.rows, self.flags = np.empty((loops.ROWS, cells)), np.empty((loops.FLAGS, cells), dtype=np.bool_)
+        self.weights: TurnWeights | None = None
+        """that ``rows`` were made with; None: with none"""
+
+    def __reduce__(self) -> tuple[type[_Beside], tuple[FloatArray]]:
+        """For pickle and copy: the state is a part of the memory, which would become an array of its own."""
+        return type(self), (self.memory,)
+
+
 class _Rows:
     """The rows of one ``memory`` (rows, m) by name, and arrays for intermediate results."""
 
@@ -631,7 +657,7 @@ class _Rows:
         self.share = np.empty((2, cells))
         self.rising_share, self.recovery_share = self.share
         self.rising_kpa, self.recovery_kpa = self.pressures
-        self.beside = np.empty((13, cells))
+        self.beside = np.empty((loops.ROWS, cells))
         """what follows from the memory, rows as in :mod:`._turning_loops`"""
         self.unsure, self.threshold, self.spare, self.noise, self.ahead, self.nearby = self.beside[:6]
         self.not_in_force, self.of_model = self.beside[6:8], self.beside[10:]
@@ -639,7 +665,7 @@ class _Rows:
         self.confirming_sigmas, self.confirming_kpa = self.beside[8:10]
         """how far the model that was left must have gone back for a turn to be certain: standard deviations, and kPa"""
         self._gain, self.other_gain, self.fade = self.of_model
-        self.flags = np.empty((3, cells), dtype=np.bool_)
+        self.flags = np.empty((loops.FLAGS, cells), dtype=np.bool_)
         self.where, self.near, self.confirmed = self.flags
         self._weights: TurnWeights | None = None
 

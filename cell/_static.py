@@ -90,6 +90,7 @@ class EquilibriumEstimator(Estimator):
         conditions: Conditions,
     ) -> None:
         self.model, self._share = model, memory_share(model)
+        self.remembers = not isinstance(model, ContactModel)
         rest = float(np.median(rest_resistance_ohm))
         full_r = equilibrium_gain(model, full_scale_kpa, rest)
         load = np.linspace(0, REACH, REACH * (POINTS - 1) + 1)
@@ -154,6 +155,7 @@ class StaticCurveEstimator(Estimator):
         conditions: Conditions,
     ) -> None:
         self.curve = curve
+        self.remembers = not curve.logarithmic  # as the curve of a contact is
         credible = credible_range(None if curve.logarithmic else curve.reached)  # a contact may be open at rest
         super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions, credible=credible)
 

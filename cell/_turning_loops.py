@@ -9,14 +9,15 @@ from __future__ import annotations
 import math
 
 from ..compiled import FixedRow, FixedRows, FlagRows, Rows, loop
-from ._rows import GAIN, PRESSURE, VARIANCE
+from ._rows import GAIN, PRESSURE, READING, SMOOTHED, STD, VARIANCE
+from ._rows import NOISE as READING_NOISE
 
 LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
 """rows: the pressures of the last three frames; variance from turns not known to the point, which fades; 1 rising, -1
 in recovery; the largest sign times pressure since the last turn, less some standard deviations of noise and less one;
 the extreme that was left at an unconfirmed turn, else :data:`FAR`"""
 RISING_IN_FORCE, RECOVERY_IN_FORCE = 11, 12
-RISING_KPA, RECOVERY_KPA, STATE_END = 13, 14, 20
+RISING_KPA, RECOVERY_KPA, SETTLED, X2, RECOVERY_X3, STATE_END = 13, 14, 15, 16, 18, 20
 """rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
 FAR = 1e12
 """kPa: no extreme"""
@@ -24,18 +25,21 @@ FAR = 1e12
 UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
 NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_KPA = range(6, 10)
 GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
+ROWS = 13
 """rows beside the memory: intermediate results; 1 in the row of the hypothesis that is not in force; how far that one
-must have gone back for a turn to be certain; what depends on the hypothesis in force"""
-WHERE, CONFIRMED = 0, 2
-"""rows of flags"""
+must have gone back for a turn to be certain; what depends on the hypothesis in force. Then the number of rows"""
+WHERE, CONFIRMED, FLAGS = 0, 2, 3
+"""rows of flags, and their number"""
 LOWEST, USUAL, SURE, TURN_KPA, LEAST_KPA, PULLED_KPA = range(6)
 FLAT_KPA, EXACT_KPA, AGAIN, LESS, EITHER, LEFT_OVER, CLEAR = range(6, 13)
 JUST_BEGUN, BETWEEN, BEND, ROUND_KPA, MOST_KPA2, CONFIRMED_RISE, CONFIRMED_FALL, HALF = range(13, 21)
+PULL, NEAR_KPA, SETTLED_PER_KPA, ETAU2_KPA, E1_KPA, LOST_SIGMAS, MOST_LOST_KPA2 = range(21, 28)
+HIDDEN, PER_SIGMAS = range(28, 30)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
-those of :meth:`._paper.TurningEstimator._turn`"""
+those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._paper.TurningEstimator`"""
 UNCONFIRMED, PULLED = 1, 2
 
 
@@ -60,6 +64,19 @@ def step(memory: Rows, after: Rows, numbers: FixedRow) -> bool:
         beyond |= min(after[0, i], after[1, i]) < numbers[LOWEST]
         beyond |= max(after[0, i], after[1, i]) > numbers[USUAL]
     return beyond
+
+
+@loop
+def take_gains(memory: Rows, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+    """Write into ``of`` (ROWS, m) what depends on the hypothesis in force, and on the time between frames."""
+    for i in range(memory.shape[1]):
+        rising, recovery = memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i]
+        memory[GAIN, i] = by_model[0, 0] * rising + by_model[0, 1] * recovery
+        of[OTHER_GAIN, i] = by_model[1, 0] * rising + by_model[1, 1] * recovery
+        of[FADE, i] = by_model[2, 0] * rising + by_model[2, 1] * recovery
+        of[NOT_RISING, i], of[NOT_RECOVERY, i] = recovery, rising
+        turns = numbers[CONFIRMED_RISE] if memory[SIGN, i] > 0.0 else numbers[CONFIRMED_FALL]
+        of[CONFIRMING_SIGMAS, i], of[CONFIRMING_KPA, i] = turns * numbers[SURE], turns * numbers[TURN_KPA]
 
 
 @loop
@@ -141,6 +158,39 @@ def take_turns(memory: Rows, std: FixedRow, by_model: FixedRows, of: Rows, flags
 
 
 @loop
+def correct(memory: Rows, taken: Rows, by_model: FixedRows, numbers: FixedRow) -> None:
+    """Let the hypothesis in force remember less where it needs a pull, for readings ``taken`` (4, m)."""
+    pull = numbers[PULL] * by_model[0, 1]
+    for i in range(memory.shape[1]):
+        off = abs(taken[READING, i] - taken[SMOOTHED, i]) + taken[READING_NOISE, i] * numbers[HIDDEN]
+        doubt = max(off * numbers[PER_SIGMAS], taken[STD, i])
+        allowed = pull * doubt - numbers[NEAR_KPA]
+        if not memory[PRESSURE, i] < allowed:
+            continue
+        r = memory[STATE_END - 1, i]
+        memory[PRESSURE, i] = allowed
+        if memory[RISING_IN_FORCE, i] > 0.0:
+            memory[RISING_KPA, i] = allowed
+            memory[SETTLED, i] = allowed * numbers[SETTLED_PER_KPA] - numbers[ETAU2_KPA] * r
+        else:
+            memory[RECOVERY_KPA, i] = allowed
+            memory[X2, i] = r - allowed / numbers[E1_KPA] - memory[RECOVERY_X3, i]
+
+
+@loop
+def keep(memory: Rows, of: Rows, flags: FlagRows, numbers: FixedRow) -> None:
+    """Keep the doubt where the other hypothesis has begun anew though it was apart by more than noise."""
+    for i in range(memory.shape[1]):
+        by_noise = of[UNSURE, i] * numbers[LOST_SIGMAS]
+        lost = 0.0
+        if flags[WHERE, i] and memory[VARIANCE, i] > by_noise * by_noise:
+            lost = memory[VARIANCE, i] - of[SPARE, i]
+        doubt = memory[TURNED, i]
+        doubt += lost + math.sqrt(doubt * lost)
+        memory[TURNED, i] = min(doubt, numbers[MOST_LOST_KPA2])
+
+
+@loop
 def begin_anew(
     memory: Rows,
     anew: Rows,
@@ -148,13 +198,10 @@ def begin_anew(
     flags: FlagRows,
     unconfirmed: bool,
     numbers: FixedRow,
-) -> bool:
+) -> None:
     """Begin the other hypothesis anew near the extreme, and tell how far apart both are.
 
     ``anew`` (6, m) is by how much the hypotheses change if they begin where the other one is.
-
-    Returns:
-        Whether one began that was apart by more than noise: its variance is then still to be made.
     """
     begun_anywhere = False
     for i in range(memory.shape[1]):
@@ -187,10 +234,10 @@ def begin_anew(
             begun = False  # what the model that was left says has been decided
         flags[WHERE, i] = begun
         begun_anywhere |= begun
-    if not begun_anywhere:
-        for i in range(memory.shape[1]):
-            memory[VARIANCE, i] = of[SPARE, i] + memory[TURNED, i]
-    return begun_anywhere
+    if begun_anywhere:
+        keep(memory, of, flags, numbers)
+    for i in range(memory.shape[1]):
+        memory[VARIANCE, i] = of[SPARE, i] + memory[TURNED, i]
 
 
-ALL = take, step, take_turns, begin_anew
+ALL = take, step, take_gains, take_turns, correct, begin_anew

@@ -57,7 +57,14 @@ class Reading:
     @property
     def steps_std_share(self) -> float:
         """Standard deviation by systematic errors of quantisation over :attr:`uncertainty`."""
-        return self._alike * _STEP_STD * self._systematic / self._covered_steps
+        return self.std_shares[0]
+
+    @property
+    def std_shares(self) -> tuple[float, float]:
+        """Standard deviations by systematic errors of quantisation, and by all that is random, likewise."""
+        noise, systematic, covered = self._noise_steps, self._systematic, self._covered_steps
+        by_steps = self._alike * _STEP_STD * systematic / covered
+        return by_steps, math.sqrt(noise * noise + (1.0 - systematic) / 12.0) / covered
 
     @property
     def _systematic(self) -> float:
@@ -87,8 +94,7 @@ class Reading:
     @property
     def noise_share(self) -> float:
         """Standard deviation by noise and by random errors of quantisation over :attr:`uncertainty`."""
-        noise = self._noise_steps
-        return math.sqrt(noise * noise + (1.0 - self._systematic) / 12.0) / self._covered_steps
+        return self.std_shares[1]
 
     @property
     def own_uncertainty(self) -> FloatArray:

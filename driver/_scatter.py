@@ -37,7 +37,7 @@ from scipy.linalg.lapack import dsyev
 from scipy.special import chdtri
 
 from ..arrays import FloatArray, median
-from ..compiled import FixedRows, loop
+from ..compiled import FixedRows, Rows, loop
 
 FORGET = 0.95
 """share of a noise that is still assumed a frame later, once it has been seen for long"""
@@ -91,6 +91,7 @@ class Scatter:
         self._step = step
         self._assumed = ASSUMED * step if assumed else 0.0
         self._cut_sum = _cut_sum.machine_code() or cut_sum
+        self._turned = _turned.machine_code()
         self.before: FloatArray | None = None
         """V, the last frame's readings"""
         self.frames = 0
@@ -171,11 +172,19 @@ class Scatter:
             return 0.0
         if moving < FEW:
             return self._shown_by_few(change, mean)
-        shown = self._by_quietest(_quietest_of_two(change, self._change), QUIET_OF_TWO, moving)
+        shown = self._by_quietest(self._quietest_of_two(change, self._change), QUIET_OF_TWO, moving)
         if shown > ABOVE * self._seen and self._older is not None:
             of_three = _quietest(np.concatenate((change, self._change, self._older)).reshape(3, -1))[None]
             shown = min(shown, self._by_quietest(of_three, QUIET_OF_THREE, moving))
         return shown
+
+    def _quietest_of_two(self, change: FloatArray, before: FloatArray) -> FloatArray:
+        """As :func:`_quietest_of_two`."""
+        if self._turned is None:
+            return _quietest_of_two(change, before)
+        quietest = np.empty(change.shape)
+        self._turned(change, before, quietest)
+        return quietest
 
     def _by_quietest(self, quietest: FloatArray, quiet: float, moving: int) -> float:
         """V, by the scatter over the readings of the quietest sum of some changes.
@@ -286,6 +295,25 @@ def _quietest_of_two(change: FloatArray, before: FloatArray) -> FloatArray:
     quietest: FloatArray = change * (cosine - sine)
     quietest += before * (cosine + sine)
     return quietest
+
+
+@loop
+def _turned(change: FixedRows, before: FixedRows, quietest: Rows) -> None:
+    """As :func:`_quietest_of_two`, into ``quietest`` (N, M)."""
+    rows, columns = change.shape
+    newer = mixed = older = 0.0
+    for i in range(rows):
+        for j in range(columns):
+            newer += change[i, j] * change[i, j]
+            mixed += change[i, j] * before[i, j]
+            older += before[i, j] * before[i, j]
+    second = (newer - 2.0 * mixed + older) / 3.0
+    across = newer + 2.0 * mixed + older
+    angle = 0.5 * math.atan2(2.0 * (newer - older) / _ROOT_3, second - across)
+    sine, cosine = math.sin(angle) / _ROOT_3, math.cos(angle)
+    for i in range(rows):
+        for j in range(columns):
+            quietest[i, j] = change[i, j] * (cosine - sine) + before[i, j] * (cosine + sine)
 
 
 def _quietest(changes: FloatArray) -> FloatArray:

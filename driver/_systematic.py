@@ -104,7 +104,7 @@ class SystematicError:
 
     def _variance(self, steps: _Steps, spread: float, pressure_kpa: FloatArray) -> FloatArray:
         if steps.earlier is None and self._of_valid_cells is not None:
-            by_steps, by_noise = steps.reading.steps_std_share, steps.reading.noise_share
+            by_steps, by_noise = steps.reading.std_shares
             found = np.empty(pressure_kpa.shape)
             uncertainty = np.ascontiguousarray(steps.reading.uncertainty)
             own = np.ascontiguousarray(steps.reading.own_uncertainty)

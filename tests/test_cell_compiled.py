@@ -140,8 +140,6 @@ def test_rare_events_do_happen_in_these_streams() -> None:
     for kind, methods in {
         "paper": (
             "_limit",
-            "_correct",
-            "_keep",
             "_remember",
             "_put_back",
             "_put_to_sleep",
@@ -155,8 +153,13 @@ def test_rare_events_do_happen_in_these_streams() -> None:
         for name in methods:
             _count(estimator, name, f"{kind} {name}", seen)
         assert estimator.compile()
+        by_arrays = CELLS[kind].estimator((30,))
+        if kind == "paper":
+            for name in ("_correct", "_keep"):  # parts of loops
+                _count(by_arrays, name, f"{kind} {name}", seen)
         for ohm in readings(CELLS[kind], (30,), 200, 1e-3, 0, sparks=0.01, opens=0.002):
             estimator.step(DT_S, ohm)
+            by_arrays.step(DT_S, ohm)
     assert min(seen.values()) > 0, seen
 
 
@@ -188,7 +191,8 @@ def _calls(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
             patched.setattr(each, "code", counted)
         pressed = readings(cell, (9,), 20, 1e-4, 0)
         rest = cell.rest_resistance_ohm * (1 + 1e-4 * np.random.default_rng(0).standard_normal((64, 9)))
-        for ohm in (*rest, *pressed):
+        noisy = readings(cell, (9,), 60, 1e-2, 1)
+        for ohm in (*rest, *pressed, *noisy):
             estimator.step(DT_S, ohm)
             assert np.isfinite(estimator.std_kpa).all() or not estimator.states_std
     return counts

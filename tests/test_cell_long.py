@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL
 
-from ohmskin.cell import AsymmetricModel, Cell, estimate_recording
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, estimate_recording
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell._learned import Limits, Seen, StaticCurve
 
@@ -134,6 +134,29 @@ def test_a_load_that_came_in_a_gap_is_doubted_more_than_one_that_was_seen(make: 
     assert more[279] == 0.0
     assert more[312] > 0.02 * FULL
     assert more[990] < 0.2 * more[312]
+
+
+@pytest.mark.parametrize("calibrated", [False, True])
+def test_a_contact_has_no_doubt_about_a_gap_once_it_is_read_again(calibrated: bool) -> None:
+    """It has no memory: under load, and at rest after it, the reading tells as much as if there had been no gap."""
+    model = ContactModel(full_scale_resistance_ohm=4e3)
+    cell = Cell(rest_resistance_ohm=6e4, full_scale_kpa=FULL, model=model)
+    if calibrated:
+        curve = StaticCurve(
+            coefficients=(0.0, 0.37), limits=Limits(lowest=0, highest=1.2), std_kpa=0.3, logarithmic=True
+        )
+        found = Calibrated(default="static", reason="", held_out_percent={"static": 1.0}, static=curve)
+        cell = cell.replace(estimators=found)
+    forward = cell.forward(())
+    estimator = cell.estimator((2,))
+    for n in range(600):
+        reading = float(forward.step(DT, 0.5 * FULL if 100 <= n < 400 else 0.0))
+        estimator.step(DT, np.array([np.nan if 90 <= n < 300 or 350 <= n < 450 else reading, reading]))
+        unseen, seen = estimator.std_kpa
+        if n in (299, 449):
+            assert unseen > 2 * seen
+        if 310 <= n < 350 or n >= 460:
+            assert unseen == pytest.approx(seen, rel=0.02)
 
 
 def test_taps_in_a_gap_leave_no_more_than_the_stated_error() -> None:
