@@ -16,11 +16,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from ... import compiled
 from ...arrays import FloatArray
 from .._board import Board
 from .._exact import read_exactly
 from .._sensitivity import basis_drops
-from ..readouts import QuickFields, QuickNetwork
+from ..readouts import QuickFields, QuickNetwork, quick_loops
 from ..solvers import has_ideal_lines, port_conductances
 from ._lines import LineResistance
 from ._port_derivatives import AnyLines, Branches, IdealLines, PortDerivatives
@@ -35,7 +36,8 @@ class QuickModel:
         """For a sliced sheet, and the shared wire of its lines."""
         self._board, self._lines = board, lines
         lead = board.row_ohms[:, 0]
-        self._lead = lead
+        self._lead = np.ascontiguousarray(lead)
+        self._compiled = False
         finite = lines.finite and bool(np.isfinite(board.column_lead).all())
         self.is_quick = board.plain and finite and has_ideal_lines(board.lines)
         """whether the network is known in closed form"""
@@ -45,6 +47,8 @@ class QuickModel:
             some = np.full(board.shape, 1e-4)
             self.has_network = self._quick(some) is not None
         self.is_quick = self.is_quick and self.has_network
+        small = self.is_quick and board.shape[1] <= quick_loops.MOST_COLUMNS
+        self._compiled = small and compiled.load(*quick_loops.LOOPS)
 
     def __call__(self, cells: FloatArray) -> FloatArray:
         """V (N, M) for ``cells`` (N, M) in ohm, in line coordinates.
@@ -100,6 +104,10 @@ class QuickModel:
         return AnyLines(self._lines.swept_drops(conductance) if light else basis_drops(self._board, cells))
 
     def _network(self, conductance: FloatArray) -> QuickNetwork:
+        if self._compiled:
+            driven, across = np.empty(conductance.shape), np.empty(conductance.shape[1:] * 2)
+            quick_loops.network_behind_leads.code(np.ascontiguousarray(conductance), self._lead, driven, across)
+            return QuickNetwork(driven, across, None, compiled=True)
         if self.is_quick:
             driven = conductance / (1.0 + self._lead * conductance.sum(axis=1))[:, None]
             across = conductance.T @ (driven * self._lead[:, None])
