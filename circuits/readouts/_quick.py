@@ -14,9 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import FixedRow, FixedRows, Rows, loop
+from ...compiled import FixedRow, FixedRows, Rows, load, loop
 from .._parts import Parts
 from ._ends import Ends
+
+_MOST_COLUMNS = 32  # up to which loops are quicker than matrix products and LAPACK
 
 
 class QuickNetwork(NamedTuple):
@@ -30,6 +32,26 @@ class QuickNetwork(NamedTuple):
     """(N, N) S between row terminals, zero on the diagonal; None where nothing joins them"""
     compiled: bool = False
     """whether machine code is to invert the columns' nodal matrix"""
+
+    @classmethod
+    def of_ideal_lines(cls, conductance: FloatArray, row_lead: FloatArray, *, compiled: bool) -> QuickNetwork:
+        """The network of a grid (N, M) in S with ideal lines behind leads (N,) in ohm.
+
+        ``compiled`` is what :meth:`load_loops` said.
+        """
+        if compiled:
+            driven, across = np.empty(conductance.shape), np.empty(conductance.shape[1:] * 2)
+            network_behind_leads.code(np.ascontiguousarray(conductance), row_lead, driven, across)
+            return cls(driven, across, None, compiled=True)
+        driven = conductance / (1.0 + row_lead * conductance.sum(axis=1))[:, None]
+        across = conductance.T @ (driven * row_lead[:, None])
+        across.flat[:: len(across) + 1] = 0.0
+        return cls(driven, across, None)
+
+    @staticmethod
+    def load_loops(columns: int) -> bool:
+        """Whether there is machine code, and a board of so many columns is quicker by it."""
+        return columns <= _MOST_COLUMNS and load(columns_impedance, network_behind_leads)
 
 
 def terminated_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> FloatArray:
@@ -115,7 +137,7 @@ def terminated_fields(board: Parts, network: QuickNetwork, ends: Ends) -> QuickF
         adjoint[:, rows:] = per_volt[:, None] * impedance
         no_rows = np.zeros((rows, ports))
         return QuickFields(PortFields(selected, no_columns, one, none), PortFields(no_rows, adjoint, none, one))
-    impedance = np.linalg.inv(_floating(network, into_end))
+    impedance = np.asarray(np.linalg.inv(_floating(network, into_end)), dtype=np.float64)
     by_sources = impedance[:, rows:] @ (into_end * ends.source)
     by_columns = per_volt[:, None] * impedance[rows:]
     # Potentials with each row's terminal at 1 V, sources off.
@@ -180,7 +202,7 @@ def _impedance(network: QuickNetwork, to_ground: FloatArray | float) -> FloatArr
 
     """
     if not network.compiled:
-        return np.linalg.inv(_grounded(network, to_ground))
+        return np.asarray(np.linalg.inv(_grounded(network, to_ground)), dtype=np.float64)
     impedance = np.empty(network.across.shape)
     ends = np.full(len(impedance), to_ground)
     if not columns_impedance.code(network.driven, network.across, ends, impedance):
@@ -239,14 +261,9 @@ def network_behind_leads(conductance: FixedRows, row_lead: FixedRow, driven: Row
         across[j, j] = 0.0
 
 
-LOOPS = columns_impedance, network_behind_leads
-MOST_COLUMNS = 32
-"""up to which the loops are quicker than matrix products and LAPACK"""
-
-
 def _grounded(network: QuickNetwork, to_ground: FloatArray | float) -> FloatArray:
     """Nodal matrix (M, M) in S of the columns, row terminals at ground."""
-    driven, across, _ = network
+    driven, across = network.driven, network.across
     matrix = -across
     matrix.flat[:: len(matrix) + 1] += across.sum(axis=0) + driven.sum(axis=0) + to_ground
     return matrix
@@ -254,7 +271,7 @@ def _grounded(network: QuickNetwork, to_ground: FloatArray | float) -> FloatArra
 
 def _floating(network: QuickNetwork, to_ground: FloatArray) -> FloatArray:
     """Nodal matrix (N + M, N + M) in S of row terminals and columns."""
-    driven, across, between = network
+    driven, across, between = network.driven, network.across, network.between
     rows, columns = driven.shape
     matrix = np.zeros((rows + columns, rows + columns))
     matrix[:rows, rows:] = -driven

@@ -16,12 +16,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ... import compiled
 from ...arrays import FloatArray
 from .._board import Board
 from .._exact import read_exactly
 from .._sensitivity import basis_drops
-from ..readouts import QuickFields, QuickNetwork, quick_loops
+from ..readouts import QuickFields, QuickNetwork
 from ..solvers import has_ideal_lines, port_conductances
 from ._lines import LineResistance
 from ._port_derivatives import AnyLines, Branches, IdealLines, PortDerivatives
@@ -47,8 +46,7 @@ class QuickModel:
             some = np.full(board.shape, 1e-4)
             self.has_network = self._quick(some) is not None
         self.is_quick = self.is_quick and self.has_network
-        small = self.is_quick and board.shape[1] <= quick_loops.MOST_COLUMNS
-        self._compiled = small and compiled.load(*quick_loops.LOOPS)
+        self._compiled = self.is_quick and QuickNetwork.load_loops(board.shape[1])
 
     def __call__(self, cells: FloatArray) -> FloatArray:
         """V (N, M) for ``cells`` (N, M) in ohm, in line coordinates.
@@ -104,15 +102,8 @@ class QuickModel:
         return AnyLines(self._lines.swept_drops(conductance) if light else basis_drops(self._board, cells))
 
     def _network(self, conductance: FloatArray) -> QuickNetwork:
-        if self._compiled:
-            driven, across = np.empty(conductance.shape), np.empty(conductance.shape[1:] * 2)
-            quick_loops.network_behind_leads.code(np.ascontiguousarray(conductance), self._lead, driven, across)
-            return QuickNetwork(driven, across, None, compiled=True)
         if self.is_quick:
-            driven = conductance / (1.0 + self._lead * conductance.sum(axis=1))[:, None]
-            across = conductance.T @ (driven * self._lead[:, None])
-            across.flat[:: len(across) + 1] = 0.0
-            return QuickNetwork(driven, across, None)
+            return QuickNetwork.of_ideal_lines(conductance, self._lead, compiled=self._compiled)
         rows = len(conductance)
         ports = port_conductances(conductance, self._board.lines).value
         return QuickNetwork(ports[:rows, rows:], ports[rows:, rows:], ports[:rows, :rows])
