@@ -75,6 +75,9 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("loaded", 3010000430),
         ("feedback events", 5010000130),  # noise begins a frame before all cells are pressed at once
         ("loaded events", 4030000002),  # noise begins while fingers move a third of the readings
+        ("feedback", 70020000174),  # two shorts that join columns by a seventh of what would divide readings notably
+        ("feedback", 8110000231),
+        ("feedback events", 70020000107),
         ("feedback", 3010000064),  # an open cell whose amplifier's offset lies below the converter's range
     ],
 )
@@ -114,6 +117,42 @@ def test_shorts_of_a_line_are_never_read_as_other_cells(kind: str, form: str) ->
             shorted[place] = draw.choice(RESISTANCES)
         for cells in (rest, rest, shorted, shorted, shorted, shorted, rest, rest):
             check(read(counts_of(design, cells)), cells)
+
+
+@pytest.mark.parametrize("shape", [(1, 6), (2, 9), (4, 2), (4, 7)])
+def test_shorts_of_a_row_behind_a_follower_whose_columns_have_no_leads(shape: tuple[int, int]) -> None:
+    """Gains, offsets and converters are drawn; without column leads shorts join columns best."""
+    draw = np.random.default_rng(shape)
+    for number in range(60):
+        reference = float(draw.choice([1e3, 4.7e3, 10e3, 47e3]))
+        readout = {
+            "reference_resistance": reference,
+            "open_loop_gain": float(draw.choice([300.0, 1e3, 1e4, 1e5, 1e6])),
+            "offset_voltage": float(draw.choice([0.0, 3e-4, 3e-3, -3e-3])),
+        }
+        array = {"row_lead": float(draw.choice([1.0, 5.0, 25.0, 100.0]))}
+        design = board("feedback", shape, int(draw.choice([8, 10, 12, 16])), array=array, readout=readout)
+        rest = reference * 10 ** (draw.uniform(-0.5, 1.5) + draw.uniform(-0.2, 0.2, shape))
+        shorted, row = rest.copy(), int(draw.integers(shape[0]))
+        columns = draw.permutation(shape[1])[: int(draw.choice([2, 2, 3, 7]))]
+        shorted[row, columns] = 1e-3 if number % 3 else draw.choice(RESISTANCES, len(columns))
+        read = CountReader(design)
+        for cells in (rest, shorted, shorted, rest) if number % 2 else (shorted, shorted):
+            check(read(counts_of(design, cells)), cells)
+
+
+@pytest.mark.parametrize("gain", [1e4, 1e5])
+def test_a_finger_on_a_board_with_a_follower_and_no_column_leads_is_read(gain: float) -> None:
+    """Its cells are ordinary ones, although shorts of its rows could read like them if readings elsewhere agreed."""
+    design = board("feedback", (8, 8), 12, array={"row_lead": 25.0}, readout={"open_loop_gain": gain})
+    read, (row, column) = CountReader(design), np.indices((8, 8))
+    rest = 2e4 * 10 ** np.random.default_rng(0).uniform(-0.1, 0.1, (8, 8))
+    for number in range(12):
+        load = np.exp(-((row - 3.0) ** 2 + (column - 3.0 - 0.1 * number) ** 2) / 2.0)
+        cells = rest / (1.0 + 20.0 * load)
+        reading = read(counts_of(design, cells))
+        check(reading, cells)
+    assert reading.valid.all()
 
 
 @pytest.mark.parametrize("kind", ["divider", "loaded", "feedback"])

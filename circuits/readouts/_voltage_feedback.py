@@ -26,18 +26,24 @@ from ._voltage_divider import VoltageDivider
 
 _LEAST_SHORT = 1e-3  # ohm that a short has at least, with its contacts
 _CAPPED = 2.0  # times the conductance of a short that a cell may seem to have, by rounding of the readings
-_LEAST_DIVISION = 1.1  # of a column's readings by shorts, below which nothing is to be mistaken
 _FAR_ABOVE = 3.0  # times the usual conductance above which a cell is no ordinary one
 _WELL_ABOVE = 10.0  # the same over that of Rref
-_FAR_ABOVE_RREF = 100.0  # the same where there is one row only, which may be pressed as a whole
 _ROUGHLY = 0.7  # of an offset's effect that shows in any case
-_LOADED = 0.1  # share of a row's drive that more conductive cells may take unnoticed
+_UNNOTICED = 0.1  # share of a reading's error by which other cells may shift it
 _LEAST_DROP = 1e-6  # share of the drive between a driver and the column
 _LEAST_LEFT = 0.01  # share of the drive that a row's lead leaves
 _LEAST_PULLED = 0.1  # share of a cell's drop that the follower takes in a second solution
-_ROUNDS = 3  # of leaving out columns that a second solution cannot be right in
+_HALVINGS = 6  # of the interval that a second solution is in
+_ROUNDS = 8  # of leaving out columns that a second solution cannot be right in
 _MOST_MORE = 1e6  # times as conductive as they seem may all cells of a row be
-_GROWTH = np.geomspace(1.5, _MOST_MORE, 24)
+_GROWTH = np.concatenate([[1.0], np.geomspace(1.5, _MOST_MORE, 24)])
+
+
+class _Joined(NamedTuple):
+    """S (N, M) from each column to the others by way of a row that has a second solution; 0 in other rows."""
+
+    least: FloatArray
+    most: FloatArray
 
 
 class _Balance(NamedTuple):
@@ -92,9 +98,13 @@ class _PulledRows(NamedTuple):
     column: FloatArray
     """(N, M) V, towards the drive"""
     drop: FloatArray
-    """(N, M) a"""
+    """(N, M) a, the least that it may be"""
+    drop_most: FloatArray
+    """(N, M) and the most"""
     pulled: FloatArray
-    """(N, M) e"""
+    """(N, M) e, the most that it may be"""
+    pulled_least: FloatArray
+    """(N, M) and the least"""
     first: FloatArray
     """(N,) 1 + z of ordinary cells"""
     largest: FloatArray
@@ -129,61 +139,90 @@ class _PulledRows(NamedTuple):
         column = ((signal + board.level) / board.loop_share - board.level - board.offset) * np.sign(board.drive)
         surely = np.maximum(column - least, 0.0)
         column = np.maximum(column, least)
-        drop = np.maximum(drive / (column + least) - 1.0, _LEAST_DROP)
+        lifted = lift * np.sign(board.drive)
+        lowest = np.maximum(surely, _LEAST_DROP * drive)
+        above, below = lifted / (column + least), lifted / lowest
         apparent = circuit.apparent_conductance(board, signal)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if len(signal) == 1:
-                largest = _FAR_ABOVE_RREF * (drive / _usual(surely.T) - 1.0)
-            else:
-                # Followers divide the readings of the other rows' cells by so much at most.
-                lowest = np.maximum(_usual(surely) - np.abs(lift) / board.inverse_gain, 0.0)
-                joined = _WELL_ABOVE * (drive / lowest - 1.0) / board.reference / board.inverse_gain
-                largest = 1.0 + lead * joined.sum()
         most = np.broadcast_to(_CAPPED / (board.column_lead + _LEAST_SHORT), signal.shape[1:])
+        largest = np.full(len(signal), inf)
+        if len(signal) > 1:
+            # Followers divide the readings of the other rows' cells by so much at most.
+            with np.errstate(divide="ignore", invalid="ignore"):
+                usual = np.maximum(_usual(surely) - np.abs(lift) / board.inverse_gain, 0.0)
+                joined = _WELL_ABOVE * (drive / usual - 1.0) / board.reference / board.inverse_gain
+            # The best conductor of a row joins its column to others no better than they are joined to the row.
+            largest = 1.0 + lead * (joined.sum() + most.max())
         first = 1.0 / np.maximum(1.0 - lead * apparent.sum(axis=1), _LEAST_LEFT)
         return cls(
             lead=lead,
             apparent=apparent,
             column=column,
-            drop=drop,
-            pulled=board.inverse_gain - lift * np.sign(board.drive) / column,
+            drop=np.maximum(drive / (column + least) - 1.0, _LEAST_DROP),
+            drop_most=np.maximum(drive / lowest - 1.0, _LEAST_DROP),
+            pulled=board.inverse_gain - np.minimum(above, below),
+            pulled_least=board.inverse_gain - np.maximum(above, below),
             first=first,
             largest=np.minimum(np.fmin(largest, 1.0 + lead * most.sum()), _MOST_MORE),
             reference=np.broadcast_to(board.reference, signal.shape[1:]),
             most=np.broadcast_to(most, signal.shape),
         )
 
-    def second_solutions(self) -> FloatArray | None:
-        """S (N, M) from each column to the others by way of a row that has a second solution; 0 in other rows.
-
-        None where no row has one.
-        """
+    def second_solutions(self) -> _Joined | None:
+        """By how much rows that have a second solution join columns; None where no row has one."""
         # Far below this share of a cell's drop, what the follower pulls changes hardly anything.
         share = np.maximum(2.0 / self.first - 1.0, _LEAST_PULLED)
         rows = np.flatnonzero(((self.pulled / self.drop).max(axis=1) * self.largest > share) & (self.lead > 0.0))
         if not rows.size:
             return None
-        lead, pulled = self.lead[rows, None], self.pulled[rows]
         more = np.minimum(self.first[rows] * _GROWTH[:, None], np.maximum(self.largest, self.first * _GROWTH[0])[rows])
-        falling = self.drop[rows] - (more - 1.0)[..., None] * pulled
-        current = more[..., None] / self.reference
-        root = np.sqrt(np.maximum(falling**2 + 4.0 * current * lead * pulled, 0.0))
-        with np.errstate(divide="ignore"):
-            cells = np.minimum(2.0 * current / np.maximum(falling + root, 0.0), self.most[rows])
-        total = cells.sum(axis=-1)
-        second = total * self.lead[rows] >= more - 1.0
+        second = self._second(rows, more)
+        second[0] = False  # ordinary cells
         doubtful = np.flatnonzero(second.any(axis=0))
         if not doubtful.size:
             return None
-        at = second.argmax(axis=0)[doubtful], doubtful
-        cells, beside = cells[at], total[at][:, None] - cells[at] + 1.0 / lead[doubtful]
-        through = np.zeros(self.drop.shape)
-        through[rows[doubtful]] = cells * beside / (cells + beside)
-        return through
+        rows, more, second = rows[doubtful], more[:, doubtful], second[:, doubtful]
+        each, end = np.arange(len(rows)), len(more) - 1
+        above = second.argmax(axis=0)
+        lowest, highest = more[above - 1, each], more[above, each]
+        for _ in range(_HALVINGS):
+            middle = np.sqrt(lowest * highest)
+            exceeds = self._second(rows, middle)
+            lowest, highest = np.where(exceeds, lowest, middle), np.where(exceeds, middle, highest)
+        last = more[np.minimum(end + 1 - second[::-1].argmax(axis=0), end), each]
+        least = self._cells(rows, lowest, self.drop_most[rows], self.pulled_least[rows])
+        most = self._cells(rows, last, self.drop[rows], self.pulled[rows])
+        joined = []
+        for cells in (least, most):
+            beside = cells.sum(axis=-1, keepdims=True) - cells + 1.0 / self.lead[rows, None]
+            through = np.zeros(self.drop.shape)
+            through[rows] = cells * beside / (cells + beside)
+            joined.append(through)
+        return _Joined(*joined)
 
-    def suspect(
-        self, board: Parts, signal: FloatArray, lift: FloatArray, least: float, through: FloatArray
-    ) -> BoolArray:
+    def _second(self, rows: IntArray, more: FloatArray) -> BoolArray:
+        """Whether the cells of rows (R,) may sum up to what ``more`` (..., R), 1 + z, follows from."""
+        total: FloatArray = self._cells(rows, more, self.drop[rows], self.pulled[rows]).sum(axis=-1)
+        second: BoolArray = total * self.lead[rows] >= more - 1.0
+        return second
+
+    def _cells(self, rows: IntArray, more: FloatArray, drop: FloatArray, pulled: FloatArray) -> FloatArray:
+        """S (..., R, M) of the cells of rows.
+
+        Args:
+            rows: (R,) their numbers.
+            more: (..., R) 1 + z.
+            drop: (R, M) a.
+            pulled: (R, M) e.
+
+        """
+        falling = drop - (more - 1.0)[..., None] * pulled
+        current = more[..., None] / self.reference
+        root = np.sqrt(np.maximum(falling**2 + 4.0 * current * self.lead[rows, None] * pulled, 0.0))
+        with np.errstate(divide="ignore"):
+            cells: FloatArray = np.minimum(2.0 * current / np.maximum(falling + root, 0.0), self.most[rows])
+        return cells
+
+    def suspect(self, board: Parts, signal: FloatArray, lift: FloatArray, least: float, through: _Joined) -> BoolArray:
         """(N, M) cells that join columns in whose other rows cells would still be ordinary ones.
 
         Args:
@@ -191,23 +230,26 @@ class _PulledRows(NamedTuple):
             signal: (N, M) V above the reference.
             lift: (M,) V of the follower above its column where that is at the reference.
             least: V of a signal that is none.
-            through: S (N, M) from each column to the others by way of a row.
+            through: how each row joins columns.
 
         """
-        if len(through) == 1:
-            return through > 0.0
-        rows = np.flatnonzero(through.any(axis=1))
-        joined = through[rows][:, None]  # one row at a time
+        if len(signal) == 1:
+            return through.most > 0.0
+        rows = np.flatnonzero(through.most.any(axis=1))
+        column = np.maximum(self.column - least, 0.0)
         # Balance of each cell's column, which the others drive through the row; of a reading that may be none, no cell.
-        taken = self.column * (1.0 / self.reference + joined * board.inverse_gain)
-        given = joined * lift * np.sign(board.drive)
-        others = np.maximum(taken - given, 0.0) / np.maximum(abs(board.drive) - self.column, _LEAST_DROP)
-        others[_ROUGHLY * given > taken] = inf
+        # What the cell conducts is linear in how well the row joins columns.
+        others = np.full((len(rows), *signal.shape), inf)
+        for joined in (each[rows][:, None] for each in through):  # one row at a time
+            taken = column * (1.0 / self.reference + joined * board.inverse_gain)
+            given = joined * lift * np.sign(board.drive)
+            cells = np.maximum(taken - given, 0.0) / np.maximum(abs(board.drive) - column, _LEAST_DROP)
+            cells[_ROUGHLY * given > self.column * (1.0 / self.reference + joined * board.inverse_gain)] = inf
+            np.minimum(others, cells, out=others)
         others[:, np.abs(signal) <= least] = 0.0
-        usual = np.zeros(through.shape)
+        usual = np.zeros(signal.shape)
         usual[rows] = _usual(others.transpose(1, 0, 2))
-        divided = 1.0 + through * self.reference * board.inverse_gain
-        suspect = _of_pairs((divided > _LEAST_DIVISION) & (usual <= _WELL_ABOVE / self.reference))
+        suspect = _of_pairs((through.most > 0.0) & (usual <= _WELL_ABOVE / self.reference))
         elsewhere = self.apparent[~suspect.any(axis=1)][:, ~suspect.any(axis=0)]
         elsewhere = elsewhere[elsewhere > 0.0]
         if elsewhere.size:
@@ -295,20 +337,26 @@ class VoltageFeedback(VoltageDivider):
             found = rows.second_solutions()
             if found is None:
                 return None
-            through = found
-            suspect = rows.suspect(board, signal, lift, least, through)
+            through = found.most
+            suspect = rows.suspect(board, signal, lift, least, found)
             if not suspect.any():
                 return None
             # Without the columns in which it would make other cells extraordinary, there may be no second solution.
             extraordinary = (through > 0.0) & ~suspect & (rows.most > ordinary)
             if not extraordinary.any():
                 break
-            rows = rows._replace(most=np.where(extraordinary, ordinary, rows.most))
-        # Other rows' cells in these columns conduct more than they seem to, and load their rows.
-        divided = 1.0 + through * board.reference * board.inverse_gain
-        more = rows.apparent * np.where(suspect, divided - 1.0, 0.0).max(axis=0)
-        loaded = rows.lead * more.sum(axis=1) > _LOADED
-        disturbed: BoolArray = suspect.any(axis=0) | (loaded | suspect.any(axis=1))[:, None]
+            rows = rows._replace(
+                most=np.where(extraordinary, ordinary, rows.most),
+                largest=np.where(through.any(axis=1), rows.largest, 0.0),
+            )
+        # Other rows' cells in these columns conduct more than they seem to, or less, and load their rows so.
+        joined = np.where(suspect, through, 0.0).max(axis=0) * board.reference
+        divided = 1.0 + joined * board.inverse_gain
+        shift = joined / divided * np.abs(rows.column * board.inverse_gain - lift * np.sign(board.drive))
+        unloaded = rows.lead * (rows.apparent * np.maximum(divided - 1.0, joined > 0.0)).sum(axis=1)
+        unnoticed = _UNNOTICED * least
+        loaded = unloaded[:, None] * np.abs(signal) > unnoticed
+        disturbed: BoolArray = (shift > unnoticed) | loaded | suspect.any(axis=1, keepdims=True)
         return disturbed
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
