@@ -73,8 +73,15 @@ def _version(name: str) -> str | None:
 def _machine_code() -> Finding:
     """Whether the driver works by machine code."""
     why_not = compiled.why_not()
-    if why_not is None:
+    if why_not is None and compiled.is_kept():
         return Finding(State.OK, "machine code", "the driver's loops are compiled")
+    if why_not is None:
+        found = (
+            "every program compiles the driver's loops anew, for about 10 s: no folder to keep them in can be written"
+        )
+        return Finding(
+            State.OPTIONAL, "machine code", found, "export NUMBA_CACHE_DIR=DIR, a folder that can be written"
+        )
     mend = f"unset {compiled.SWITCH}" if compiled.SWITCH in why_not else f"pip install '{PACKAGE}[fast]'"
     return Finding(State.OPTIONAL, "machine code", f"{why_not}; frames take the driver about twice as long", mend)
 

@@ -378,6 +378,15 @@ def linked_terminals(directory: Path) -> list[str]:
         return []
 
 
+def refuse_missing(name: str) -> None:
+    """Raise the LinkError of :func:`open_port` where there is no device of that name, without opening anything.
+
+    Addresses (``socket://...``) pass.
+    """
+    if "://" not in name and not os.path.exists(name):
+        raise LinkError(f"{name}: {_why_not_opened(name, FileNotFoundError(errno.ENOENT, 'no such port'))}")
+
+
 def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -> serial.SerialBase:
     _refuse_terminal(name)
     if name.startswith("ohmskin://") and _EMULATOR not in serial.protocol_handler_packages:

@@ -27,7 +27,7 @@ from ._discover import find_board
 from ._frame import Frame
 from ._opening import QUEUE, Delivery, Link, Opening
 from ._past import Past
-from ._port import Arrival, BytePort
+from ._port import Arrival, BytePort, refuse_missing
 from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
@@ -587,6 +587,7 @@ def _finder(port: str | None, board: str | Family, serial_number: str | None, ba
         if serial_number is None:
             raise InputError("neither a port nor a serial number; expected one of them")
         port = find_board(serial_number, board=board)
+    refuse_missing(port)  # before the compiler keeps anybody waiting
     await_free(port)
     return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
 

@@ -34,6 +34,10 @@ NORMAL = 1.4826
 CAUTION = 1.17
 """relative standard deviation of a deviation that was found by the median of n absolute deviations, times the root of n
 (normal distribution; its asymptotic efficiency is 37 %)"""
+HALF_STEP = math.sqrt(3.0)
+"""half an ADC step over the standard deviation of its error, which is uniformly distributed"""
+EXPLAINED = 0.95
+"""share of the cells that are within half an ADC step of the data sheet where no spread is to be told"""
 STEP = 5e-4
 """relative change of a resistance that the slope of the static curve is taken over"""
 RANGE, POINTS = math.log(300.0), 4001
@@ -98,7 +102,7 @@ class SystematicError:
         self._steps = _Steps.of(reading, self._steps)
         spread = 0.0
         if not rest_known and self._tabulated:
-            self._look(reading.resistance)
+            self._look(reading)
             spread = self.rest_spread or 0.0
         return partial(self._variance, self._steps, spread)
 
@@ -122,17 +126,26 @@ class SystematicError:
             variance += by_rest
         return variance
 
-    def _look(self, resistance_ohm: FloatArray) -> None:
+    def _look(self, reading: Reading) -> None:
         """Measure the spread of the cells every few frames, and keep the least: loads only add to it."""
         self._frames += 1
-        if (self._frames - 1) % LOOK_EVERY:
-            return
+        if (self._frames - 1) % LOOK_EVERY == 0:
+            share = reading.steps_std_share * HALF_STEP
+            # Beside much noise no part of it is left to steps, not even where it is infinite.
+            self._measure(reading.resistance, share * reading.uncertainty if share else np.zeros(reading.valid.shape))
+
+    def _measure(self, resistance_ohm: FloatArray, half_steps: FloatArray) -> None:
+        """Measure the spread in resistances, whose relative errors by half an ADC step are ``half_steps``."""
         deviation = np.log(resistance_ohm / self._rest_ohm)
         before, self._before = self._before, deviation
         present = _median_size(deviation)
         if present is None:
             return
         cells = np.count_nonzero(np.isfinite(deviation))
+        if np.count_nonzero(np.abs(deviation) <= half_steps) >= EXPLAINED * cells:
+            # Equal cells read so, too: ADC steps, which are counted by themselves, explain what they differ by.
+            self.rest_spread = 0.0
+            return
         variance = (NORMAL * present) ** 2
         change = None if before is None else _median_size(deviation - before)
         if change is not None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ohmskin import compiled
 from ohmskin.cli import run
 from ohmskin.doctor import (
     State,
@@ -125,6 +126,16 @@ def test_machine_code_is_in_use_unless_it_is_switched_off(monkeypatch: pytest.Mo
     monkeypatch.setenv("OHMSKIN_COMPILED", "0")
     off = _installation._machine_code()
     assert (off.state, off.mend) == (State.OPTIONAL, "unset OHMSKIN_COMPILED")
+
+
+def test_machine_code_that_no_folder_keeps_is_named_with_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert compiled.is_kept()
+    monkeypatch.setattr("numba.core.caching.CacheImpl._locator_classes", [])  # as Numba finds none in a read-only place
+    assert not compiled.is_kept()
+    anew = _installation._machine_code()
+    assert anew.state is State.OPTIONAL
+    assert "anew" in anew.found
+    assert "NUMBA_CACHE_DIR" in anew.mend
 
 
 def test_a_program_that_is_missing_or_broken_is_optional(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -102,6 +102,24 @@ def test_cells_that_are_alike_cost_nothing() -> None:
     assert (stds[0] < stds[1] + 0.01 * FULL_KPA).all()
 
 
+def test_cells_that_are_alike_do_not_differ_by_what_the_converter_rounds() -> None:
+    """8 bits give all of them the same code, which stands for a resistance beside theirs."""
+    with lossless(Wire(board(rest_percent=0.0, bits=8, noise=0.0, reference_resistance=4600.0))) as skin:
+        frame, *later = islice(skin, 65)
+        assert np.ptp(frame.counts) == 0
+        assert skin.stats().remark is None
+    assert 0.05 < np.median(np.abs(frame.pressure)) < 2 * np.median(later[-1].pressure_std) < 0.08 * FULL_KPA
+
+
+@pytest.mark.parametrize("percent", [2.0, 6.0])
+def test_a_spread_beyond_the_rounding_of_the_converter_is_stated(percent: float) -> None:
+    coarse = board(rest_percent=percent, bits=8, noise=0.0, reference_resistance=4600.0)
+    with lossless(Wire(coarse)) as skin:
+        frames = list(islice(skin, 65))
+        assert "without a tare" in (skin.stats().remark or "")
+    assert np.mean(np.abs(deviations(frames)) > 2) < 0.08
+
+
 def test_a_data_sheet_that_is_off_makes_no_contact_of_the_whole_skin() -> None:
     other = Cell.example().replace(rest_resistance_ohm=9000.0)
     with lossless(Wire(board(rest_percent=1.0)), cell=other) as skin:
@@ -242,7 +260,7 @@ def test_the_spread_of_few_cells_is_stated_with_what_so_few_leave_open() -> None
     for seed in range(60):
         off = 0.04 * np.random.default_rng(seed).standard_normal((3, 3))
         systematic = SystematicError(cell)
-        systematic._look(cell.rest_resistance_ohm * np.exp(off))
+        systematic._measure(cell.rest_resistance_ohm * np.exp(off), np.zeros((3, 3)))
         assert systematic.rest_spread is not None
         within.append(np.abs(off) < 2 * systematic.rest_spread)
     assert np.mean(within) > 0.95

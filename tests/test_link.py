@@ -304,6 +304,15 @@ def test_a_port_that_cannot_be_opened_says_why(port: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_a_port_that_is_not_there_is_named_before_anything_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A compiler that takes ten seconds must not keep whoever mistyped a name waiting."""
+    asked: list[object] = []
+    monkeypatch.setattr("ohmskin.compiled.load", lambda *loops: asked.append(loops))
+    with pytest.raises(LinkError, match="no such port"):
+        Skin.open("/dev/nothing-here")
+    assert not asked
+
+
 @pytest.mark.parametrize(
     ("mode", "reason"),
     [

@@ -65,6 +65,20 @@ def why_not() -> str | None:
     return None if hasattr(numba, "njit") else "numba is not the compiler of that name"
 
 
+def is_kept() -> bool:
+    """Whether machine code is kept on disk for the next program; where :func:`why_not` says None.
+
+    Otherwise no folder can be written to: neither ``__pycache__`` beside the modules nor one in the user's cache.
+    """
+    import numba
+
+    try:
+        numba.njit(cache=True)(_written)  # compiles nothing yet, but looks for the folder
+    except Exception:  # as in `Loop._compile`
+        return False
+    return True
+
+
 class Loop(Generic[P, R]):
     """A function of a module that works on arrays element by element, to be compiled; see :func:`loop`."""
 
