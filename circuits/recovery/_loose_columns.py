@@ -83,7 +83,10 @@ class LooseColumns:
         # A column at its share of the drive lifts the idle rows, whose cells feed all other columns.
         lifted = (ratio / ratio.sum(axis=0)) @ into.T
         np.fill_diagonal(lifted, 0.0)
-        # Readings of a row whose lead loses nearly everything tell next to nothing of its own cells.
-        told = (conductance + frame.error * self._per_volt) / np.maximum(1.0 - lost, _LEAST_LEFT)[:, None]
+        # Readings of a row whose lead loses nearly everything to the column tell next to nothing of its other cells.
+        follows = np.maximum(signal - frame.error, 0.0) / (signal + frame.error).sum(axis=0)  # the row, by the column
+        left = np.maximum(1.0 - into * (1.0 - follows), _LEAST_LEFT)
+        more = 1.0 + (1.0 / left - 1.0).sum(axis=1)
+        told = (conductance + frame.error * self._per_volt) * more[:, None]
         share: FloatArray = lost[:, None] + (lifted @ told) / np.maximum(conductance, np.finfo(np.float64).tiny)
         return share
