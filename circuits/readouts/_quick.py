@@ -8,13 +8,17 @@ All take the network between the ports of a grid (:class:`QuickNetwork`), as :mo
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from ...arrays import FloatArray
+from ...compiled import FixedRow, FixedRows, Rows, load, loop
 from .._parts import Parts
 from ._ends import Ends
+
+_MOST_COLUMNS = 32  # up to which loops are quicker than matrix products and LAPACK
 
 
 class QuickNetwork(NamedTuple):
@@ -26,6 +30,28 @@ class QuickNetwork(NamedTuple):
     """(M, M) S between columns, zero on the diagonal"""
     between: FloatArray | None
     """(N, N) S between row terminals, zero on the diagonal; None where nothing joins them"""
+    compiled: bool = False
+    """whether machine code is to invert the columns' nodal matrix"""
+
+    @classmethod
+    def of_ideal_lines(cls, conductance: FloatArray, row_lead: FloatArray, *, compiled: bool) -> QuickNetwork:
+        """The network of a grid (N, M) in S with ideal lines behind leads (N,) in ohm.
+
+        ``compiled`` is what :meth:`load_loops` said.
+        """
+        if compiled:
+            driven, across = np.empty(conductance.shape), np.empty(conductance.shape[1:] * 2)
+            network_behind_leads.code(np.ascontiguousarray(conductance), row_lead, driven, across)
+            return cls(driven, across, None, compiled=True)
+        driven = conductance / (1.0 + row_lead * conductance.sum(axis=1))[:, None]
+        across = conductance.T @ (driven * row_lead[:, None])
+        across.flat[:: len(across) + 1] = 0.0
+        return cls(driven, across, None)
+
+    @staticmethod
+    def load_loops(columns: int) -> bool:
+        """Whether there is machine code, and a board of so many columns is quicker by it."""
+        return columns <= _MOST_COLUMNS and load(columns_impedance, network_behind_leads)
 
 
 def terminated_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> FloatArray:
@@ -39,7 +65,7 @@ def terminated_outputs(board: Parts, network: QuickNetwork, ends: Ends) -> Float
         raised = (board.drive - by_sources[:rows]) / np.diagonal(impedance)[:rows]
         columns = by_sources[rows:] + impedance[:rows, rows:] * raised[:, None]
     else:
-        columns = (board.drive * driven + into_end * ends.source) @ np.linalg.inv(_grounded(network, into_end))
+        columns = (board.drive * driven + into_end * ends.source) @ _impedance(network, into_end)
     volts: FloatArray = ends.output + ends.slope * into_end * (columns - ends.source)
     return volts
 
@@ -58,7 +84,7 @@ def open_column_outputs(board: Parts, network: QuickNetwork) -> FloatArray:
         inside = own[:rows, None] + own[rows:] - 2.0 * impedance[:rows, rows:]
         source: FloatArray | float = board.drive
     else:
-        impedance = np.linalg.inv(_grounded(network, 0.0))
+        impedance = _impedance(network, 0.0)
         inside, source = np.diagonal(impedance), board.drive * (driven @ impedance)
     volts: FloatArray = board.level + source * load / (load + board.column_lead + inside)
     return volts
@@ -104,14 +130,14 @@ def terminated_fields(board: Parts, network: QuickNetwork, ends: Ends) -> QuickF
     one, none = np.ones((rows, columns)), np.zeros((rows, columns))
     no_columns = np.zeros((columns, ports))
     if not board.floating:
-        impedance = np.linalg.inv(_grounded(network, into_end))
+        impedance = _impedance(network, into_end)
         selected, adjoint = np.zeros((rows, ports)), np.zeros((columns, ports))
         selected[:, rows:] = (board.drive * driven + into_end * ends.source) @ impedance
         selected[:, :rows].flat[:: rows + 1] = board.drive
         adjoint[:, rows:] = per_volt[:, None] * impedance
         no_rows = np.zeros((rows, ports))
         return QuickFields(PortFields(selected, no_columns, one, none), PortFields(no_rows, adjoint, none, one))
-    impedance = np.linalg.inv(_floating(network, into_end))
+    impedance = np.asarray(np.linalg.inv(_floating(network, into_end)), dtype=np.float64)
     by_sources = impedance[:, rows:] @ (into_end * ends.source)
     by_columns = per_volt[:, None] * impedance[rows:]
     # Potentials with each row's terminal at 1 V, sources off.
@@ -128,7 +154,7 @@ def open_column_fields(board: Parts, network: QuickNetwork) -> QuickFields:
     (rows, columns), load = driven.shape, board.reference
     behind = load + board.column_lead
     if not board.floating:
-        impedance = np.linalg.inv(_grounded(network, 0.0))
+        impedance = _impedance(network, 0.0)
         share = 1.0 / (behind + np.diagonal(impedance))
         at_columns, selected = np.zeros((columns, rows + columns)), np.zeros((rows, rows + columns))
         at_columns[:, rows:] = impedance
@@ -158,7 +184,7 @@ def behind_leads(network: QuickNetwork, lead: FloatArray) -> tuple[FloatArray, F
     if not lead.any():
         return network.driven, network.across
     into_lead = 1.0 / np.maximum(lead, _LEAST_LEAD)
-    impedance = np.linalg.inv(_grounded(network, into_lead))
+    impedance = _impedance(network, into_lead)
     impedance *= into_lead
     across = into_lead[:, None] * impedance
     across.flat[:: len(across) + 1] = 0.0
@@ -168,9 +194,76 @@ def behind_leads(network: QuickNetwork, lead: FloatArray) -> tuple[FloatArray, F
 _LEAST_LEAD = 1e-5  # ohm: stands for an ideal lead beside others that are not
 
 
+def _impedance(network: QuickNetwork, to_ground: FloatArray | float) -> FloatArray:
+    """Inverse (M, M) in ohm of :func:`_grounded`.
+
+    Raises:
+        numpy.linalg.LinAlgError: columns are connected to nothing.
+
+    """
+    if not network.compiled:
+        return np.asarray(np.linalg.inv(_grounded(network, to_ground)), dtype=np.float64)
+    impedance = np.empty(network.across.shape)
+    ends = np.full(len(impedance), to_ground)
+    if not columns_impedance.code(network.driven, network.across, ends, impedance):
+        raise np.linalg.LinAlgError("columns are connected to nothing")
+    return impedance
+
+
+@loop
+def columns_impedance(driven: FixedRows, across: FixedRows, to_ground: FixedRow, impedance: Rows) -> bool:
+    """Invert :func:`_grounded` into ``impedance`` (M, M) by Gauss-Jordan elimination; whether there is an inverse.
+
+    The matrix is symmetric, and each diagonal entry at least the sum of the others in its row: no pivoting is needed.
+    """
+    rows, columns = driven.shape
+    for j in range(columns):
+        total = to_ground[j]
+        for k in range(columns):
+            total += across[k, j]
+            impedance[j, k] = -across[j, k]
+        for i in range(rows):
+            total += driven[i, j]
+        impedance[j, j] += total
+    for k in range(columns):
+        pivot = impedance[k, k]
+        if not 0.0 < pivot < math.inf:
+            return False
+        impedance[k, k] = 1.0
+        for j in range(columns):
+            impedance[k, j] /= pivot
+        for i in range(columns):
+            if i != k:
+                factor = impedance[i, k]
+                impedance[i, k] = 0.0
+                for j in range(columns):
+                    impedance[i, j] -= factor * impedance[k, j]
+    return True
+
+
+@loop
+def network_behind_leads(conductance: FixedRows, row_lead: FixedRow, driven: Rows, across: Rows) -> None:
+    """``driven`` (N, M) and ``across`` (M, M) of a grid (N, M) in S with ideal lines behind leads (N,) in ohm."""
+    rows, columns = conductance.shape
+    across[:] = 0.0
+    for i in range(rows):
+        total = 0.0
+        for j in range(columns):
+            total += conductance[i, j]
+        through = 1.0 + row_lead[i] * total
+        for j in range(columns):
+            driven[i, j] = conductance[i, j] / through
+        for j in range(columns):
+            passed = driven[i, j] * row_lead[i]
+            for k in range(columns):
+                across[k, j] += conductance[i, k] * passed
+    for j in range(columns):
+        across[j, j] = 0.0
+
+
 def _grounded(network: QuickNetwork, to_ground: FloatArray | float) -> FloatArray:
     """Nodal matrix (M, M) in S of the columns, row terminals at ground."""
-    driven, across, _ = network
+    driven, across = network.driven, network.across
     matrix = -across
     matrix.flat[:: len(matrix) + 1] += across.sum(axis=0) + driven.sum(axis=0) + to_ground
     return matrix
@@ -178,7 +271,7 @@ def _grounded(network: QuickNetwork, to_ground: FloatArray | float) -> FloatArra
 
 def _floating(network: QuickNetwork, to_ground: FloatArray) -> FloatArray:
     """Nodal matrix (N + M, N + M) in S of row terminals and columns."""
-    driven, across, between = network
+    driven, across, between = network.driven, network.across, network.between
     rows, columns = driven.shape
     matrix = np.zeros((rows + columns, rows + columns))
     matrix[:rows, rows:] = -driven

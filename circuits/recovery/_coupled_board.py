@@ -6,7 +6,7 @@ Cells are (N, M) in line coordinates. Unknowns are the logarithms of their condu
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf, sqrt
+from math import hypot, inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -134,7 +134,7 @@ class CoupledBoard:
 
     def frame(self, volts: FloatArray, signal: FloatArray, noise: float, ignored: BoolArray | None) -> Frame:
         """Put together what a :class:`Frame` says of readings (N, M) in V."""
-        bottom = volts.ravel() < self._lowest
+        bottom = None if self._lowest == -inf else volts.ravel() < self._lowest
         return Frame(
             volts=volts,
             signal=signal,
@@ -142,8 +142,8 @@ class CoupledBoard:
             noise=noise,
             half_step=self.half_step,
             error=self.half_step + SIGMAS * noise,
-            coarser=float(np.hypot(1.0, noise / self.noise)),
-            bottom=bottom if bottom.any() else None,
+            coarser=hypot(1.0, noise / self.noise),
+            bottom=bottom if bottom is not None and bottom.any() else None,
             ignored=ignored,
         )
 

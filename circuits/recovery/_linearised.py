@@ -14,10 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ... import compiled
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
+from . import _coupled_loops as loops
 from ._column_blocks import ColumnBlocks, beyond_linear
 from ._coupled_board import CoupledBoard, Known
+from ._coupled_loops import ColumnSteps
 from ._derivatives import derivatives
 from ._frame_budget import LARGE_EFFORT, NODE_EFFORT, USUAL_EFFORT, Effort
 from ._node_blocks import NodeBlocks
@@ -81,6 +84,10 @@ class Base:
     """by the matrix of all readings by all cells, not column by column"""
     coarse: bool
     """column by column where that is good for convergence, but makes cells less certain than they are"""
+    by_columns: ColumnSteps | None = None
+    """``step`` as machine code; None: there is none"""
+    compiled: bool = False
+    """whether loops are there as machine code"""
     _told: FloatArray = field(init=False)
     """(n,) ``log``, but for what lies below ``floor``"""
     _any_linear: bool = field(init=False)
@@ -92,6 +99,8 @@ class Base:
 
     def moved(self, log: FloatArray, scale: float) -> Moved:
         """Changes from here to logarithms (n,), with readings that are ``scale`` times as uncertain as by rounding."""
+        if self.compiled:
+            return Moved(*loops.moved.code(log, self.floor, self._told, self.std, _BY_NOISE * scale / _FAR))
         change = np.maximum(log, self.floor)
         change -= self._told
         np.abs(change, out=change)
@@ -129,6 +138,8 @@ class Base:
         A cell's own nonlinearity is known in closed form. Readings therefore count by what they would mean for a cell
         alone at present, ``steeper`` times what they meant when the derivatives were made.
         """
+        if self.by_columns is not None:
+            return self.by_columns.change(volts, steeper)
         change = self.step(volts * steeper)
         if max(change.max(), -change.min()) > _STRIDE:
             most = _STRIDE if self.linear is None else np.where(self.linear, _LINEAR_STRIDE, _STRIDE)
@@ -137,6 +148,10 @@ class Base:
 
     def steeper(self, slope: FloatArray) -> FloatArray:
         """Slopes (n,) in 1/V over those at the base, up to a factor of _STEEPER; 1 where there is none."""
+        if self.compiled:
+            found = np.empty(len(slope))
+            loops.steeper_each.code(slope, self.slope, _STEEPER, found)
+            return found
         both = (self.slope > 0) & (slope > 0)
         ratio = np.divide(slope, self.slope, out=np.ones(len(slope)), where=both)
         np.minimum(ratio, _STEEPER, out=ratio)
@@ -172,6 +187,7 @@ class Linearised:
         per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(parts.shape)))
         self._least = np.log(_LEAST_READING * parts.half_step * per_volt).ravel()  # of the logarithms
         self._series = (parts.leads + board.series_ohms).ravel()  # ohm of leads and faults, for each cell
+        self._compiled = compiled.load(*loops.ALL)
         self._base: Base | None = None
         self._renewal: Iterator[Base | None] | None = None
         self._stuck = 0
@@ -268,11 +284,24 @@ class Linearised:
         if self._nodes is not None:
             by_nodes = self._nodes.at(at.cells, prior)
             none, std = np.zeros(len(at.log)), by_nodes.std.ravel()
-            return Base(at.log, by_nodes.solve, std, slope, none, self._least, None, whole=False, coarse=False)
+            return Base(
+                *(at.log, by_nodes.solve, std, slope, none, self._least, None),
+                whole=False,
+                coarse=False,
+                compiled=self._compiled,
+            )
         step = self.columns.at(at.cells, prior, self._parts.hidden.reshape(shape))
         coarse = loss > _LIGHT and self._has_matrix
         std, others, floor = step.std.ravel(), step.others.ravel(), step.floor.ravel()
-        return Base(at.log, step.solve, std, slope, others, floor, at.log < floor, whole=False, coarse=coarse)
+        linear = at.log < floor
+        steps = ColumnSteps.of(step, linear, _STRIDE, _LINEAR_STRIDE) if self._compiled else None
+        return Base(
+            *(at.log, step.solve, std, slope, others, floor, linear),
+            whole=False,
+            coarse=coarse,
+            by_columns=steps,
+            compiled=self._compiled,
+        )
 
     def _by_matrix(self, at: Known) -> Iterator[Base | None]:
         """Derivatives and their regularised inverse there, in instalments; None until the last."""
@@ -307,4 +336,9 @@ class Linearised:
             return normal.step(volts / noise)
 
         slope = parts.slope(at.volts)
-        yield Base(at.log, step, std, slope, others, floor, at.log < floor, whole=True, coarse=False)
+        yield Base(
+            *(at.log, step, std, slope, others, floor, at.log < floor),
+            whole=True,
+            coarse=False,
+            compiled=self._compiled,
+        )

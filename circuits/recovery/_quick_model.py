@@ -35,7 +35,8 @@ class QuickModel:
         """For a sliced sheet, and the shared wire of its lines."""
         self._board, self._lines = board, lines
         lead = board.row_ohms[:, 0]
-        self._lead = lead
+        self._lead = np.ascontiguousarray(lead)
+        self._compiled = False
         finite = lines.finite and bool(np.isfinite(board.column_lead).all())
         self.is_quick = board.plain and finite and has_ideal_lines(board.lines)
         """whether the network is known in closed form"""
@@ -45,6 +46,7 @@ class QuickModel:
             some = np.full(board.shape, 1e-4)
             self.has_network = self._quick(some) is not None
         self.is_quick = self.is_quick and self.has_network
+        self._compiled = self.is_quick and QuickNetwork.load_loops(board.shape[1])
 
     def __call__(self, cells: FloatArray) -> FloatArray:
         """V (N, M) for ``cells`` (N, M) in ohm, in line coordinates.
@@ -101,10 +103,7 @@ class QuickModel:
 
     def _network(self, conductance: FloatArray) -> QuickNetwork:
         if self.is_quick:
-            driven = conductance / (1.0 + self._lead * conductance.sum(axis=1))[:, None]
-            across = conductance.T @ (driven * self._lead[:, None])
-            across.flat[:: len(across) + 1] = 0.0
-            return QuickNetwork(driven, across, None)
+            return QuickNetwork.of_ideal_lines(conductance, self._lead, compiled=self._compiled)
         rows = len(conductance)
         ports = port_conductances(conductance, self._board.lines).value
         return QuickNetwork(ports[:rows, rows:], ports[rows:, rows:], ports[:rows, :rows])
