@@ -340,9 +340,9 @@ class VoltageFeedback(VoltageDivider):
         and the follower then divides all other readings of such a column by F = 1 + C Rref / (1 + A), C being the
         conductance from the column to others by way of the row; its offset moves them by (1 + A) Vos (F - 1) / F.
         """
-        if not (board.inverse_gain.any() and row_lead.any()):
-            return None
         lift = board.loop_share * board.offset - board.inverse_gain * board.level
+        if not ((board.inverse_gain.any() or lift.any()) and row_lead.any()):
+            return None
         rows = _PulledRows.of(self, board, row_lead.max(axis=1), signal, lift, least)
         ordinary = np.maximum(_WELL_ABOVE / rows.reference, rows.apparent)
         for _ in range(_ROUNDS):
