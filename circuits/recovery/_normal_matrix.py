@@ -17,6 +17,7 @@ from ...arrays import FloatArray
 _LEAST = 2**23  # multiplications in one instalment, at least
 _PER_ENTRY = 32  # the same per entry of the matrix, where each step reads all of them anyway
 _BLOCK = 32  # unknowns that are swept together
+_ROUNDING = 1e-13  # relative, of a sum of products, per unknown
 
 
 class Meter:
@@ -52,7 +53,9 @@ class NormalMatrix:
         for block in _slices(size, _BLOCK):
             some = self._jacobian[block]
             yield from _add_product(matrix, some.T, some, meter)
-        matrix.flat[:: size + 1] += self._prior**-2.0
+        diagonal = matrix.flat[:: size + 1]
+        # Beside shorts, rounding may make the sum indefinite by more than the prior adds.
+        matrix.flat[:: size + 1] = diagonal * (1.0 + _ROUNDING * size) + self._prior**-2.0
         for block in _slices(size, _BLOCK):
             # One block of the sweep; after all blocks the matrix is minus its inverse.
             inner = np.linalg.inv(matrix[block, block])
