@@ -35,7 +35,8 @@ class Introduction:
         self.description: Description | None = None
         self._given = design, cell
         self._both_given = design is not None and cell is not None
-        self._frame_came = False
+        self.has_sent_frames = False
+        """the board has sent a frame, so that its size is known"""
         self.must_identify = False
         """the serial number is waited for, too, where the family has one: a calibration is that of one board"""
 
@@ -53,7 +54,7 @@ class Introduction:
             return True
         if self._both_given:
             # Nothing else is needed, but the board's first word tells whether the design is of its size.
-            return self.identity is not None or self._frame_came
+            return self.identity is not None or self.has_sent_frames
         return self.identity is not None and not self.identity.description_bytes
 
     def as_bytes(self) -> bytes:
@@ -75,7 +76,7 @@ class Introduction:
         """
         if isinstance(event, FramePacket):
             self._check_given(event.rows, event.columns)
-            self._frame_came = True
+            self.has_sent_frames = True
             return
         difference = self.difference(event)
         if difference:

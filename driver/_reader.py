@@ -197,6 +197,7 @@ class Reader:
         for event in self._protocol.feed(heard, 0.0):
             if isinstance(event, Identity | Description):
                 self.introduction.hear(event)
+        self.introduction.has_sent_frames = True  # to the skin that the recorder joined
         self._heard_since += heard
         self.stream.restore(stream)
 

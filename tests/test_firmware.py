@@ -310,7 +310,7 @@ def test_the_end_of_a_finite_run_is_an_end_and_no_pulled_cable(loss: float, tmp_
     truth = tmp_path / "truth.npz"
     with (
         PtyPort() as port,
-        running_firmware(scene(line={"packet_loss": loss}), port, clock="fast", duration_s=2.0, truth=truth),
+        running_firmware(scene(line={"packet_loss": loss}), port, clock="fast", duration_s=6.0, truth=truth),
         Skin.open(port.name, delivery="lossless", timeout=60.0) as skin,
     ):
         first, *others = skin  # a LinkError, if the end were not told
