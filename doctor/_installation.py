@@ -82,7 +82,8 @@ def _machine_code() -> Finding:
         return Finding(
             State.OPTIONAL, "machine code", found, "export NUMBA_CACHE_DIR=DIR, a folder that can be written"
         )
-    mend = f"unset {compiled.SWITCH}" if compiled.SWITCH in why_not else f"pip install '{PACKAGE}[fast]'"
+    switches = [name for name in (compiled.SWITCH, compiled.NUMBA_SWITCH) if name in why_not]
+    mend = f"unset {switches[0]}" if switches else f"pip install '{PACKAGE}[fast]'"
     return Finding(State.OPTIONAL, "machine code", f"{why_not}; frames take the driver about twice as long", mend)
 
 

@@ -187,6 +187,12 @@ def test_nothing_is_kept_where_no_folder_can_be_written_to(some_loops: Path) -> 
     assert _used(some_loops, HOME=nowhere, XDG_CACHE_HOME=nowhere, PYTHONDONTWRITEBYTECODE="1") == "8.0 None None\n"
 
 
+def test_where_numba_compiles_nothing_array_operations_do_the_work(some_loops: Path) -> None:
+    """It would hand out the loops as they are written, which take ten times as long as array operations."""
+    off = "switched off by NUMBA_DISABLE_JIT"
+    assert _used(some_loops, NUMBA_DISABLE_JIT="1") == f"None None {off}\n"
+
+
 def test_without_numba_there_is_no_machine_code(some_loops: Path) -> None:
     (some_loops / "numba.py").write_text("raise ModuleNotFoundError('no numba', name='numba')")
     assert _used(some_loops) == "None None numba is not installed\n"

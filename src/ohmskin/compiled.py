@@ -27,6 +27,8 @@ from .arrays import BoolArray, CodeArray, FloatArray, IntArray
 
 SWITCH = "OHMSKIN_COMPILED"
 """environment variable; 0, no, off or false: no machine code is used, though Numba is installed"""
+NUMBA_SWITCH = "NUMBA_DISABLE_JIT"
+"""Numba's own environment variable, by which programs that use Numba are debugged; 1: nothing is compiled"""
 
 # Types of a loop's arguments: arrays whose elements are contiguous in memory, row after row.
 Row = Annotated[FloatArray, "float64[::1]"]
@@ -62,7 +64,10 @@ def why_not() -> str | None:
         if isinstance(error, ModuleNotFoundError) and error.name == "numba":
             return "numba is not installed"
         return f"numba cannot be imported: {error}"
-    return None if hasattr(numba, "njit") else "numba is not the compiler of that name"
+    if not hasattr(numba, "njit"):
+        return "numba is not the compiler of that name"
+    # Numba would then give back the function itself, which is far slower than array operations.
+    return f"switched off by {NUMBA_SWITCH}" if getattr(numba, "config", None) and numba.config.DISABLE_JIT else None
 
 
 def is_kept() -> bool:
