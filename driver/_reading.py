@@ -236,7 +236,7 @@ class CountReader:
         """
         same = counts.tobytes()
         if self._reading is not None and same == self._counts and self._judged_with <= self._alike_noise:
-            self._scatter.still()
+            self._scatter.still(self._silent)
             return self._reading
         if counts.shape != self._shape:
             sent, expected = "{} x {}".format(*counts.shape), "{} x {}".format(*self._shape)

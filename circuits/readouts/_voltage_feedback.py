@@ -150,8 +150,8 @@ class _PulledRows(NamedTuple):
             with np.errstate(divide="ignore", invalid="ignore"):
                 usual = np.maximum(_usual(surely) - np.abs(lift) / board.inverse_gain, 0.0)
                 joined = _WELL_ABOVE * (drive / usual - 1.0) / board.reference / board.inverse_gain
-            # The best conductor of a row joins its column to others no better than they are joined to the row.
-            largest = 1.0 + lead * (joined.sum() + most.max())
+                # The best conductor of a row joins its column to others no better than they are joined to the row.
+                largest = 1.0 + lead * (joined.sum() + most.max())
         first = 1.0 / np.maximum(1.0 - lead * apparent.sum(axis=1), _LEAST_LEFT)
         return cls(
             lead=lead,
@@ -193,11 +193,23 @@ class _PulledRows(NamedTuple):
         most = self._cells(rows, last, self.drop[rows], self.pulled[rows])
         joined = []
         for cells in (least, most):
-            beside = cells.sum(axis=-1, keepdims=True) - cells + 1.0 / self.lead[rows, None]
             through = np.zeros(self.drop.shape)
-            through[rows] = cells * beside / (cells + beside)
+            through[rows] = self._through(cells, self.lead[rows, None])
             joined.append(through)
         return _Joined(*joined)
+
+    @property
+    def ordinary_through(self) -> FloatArray:
+        """S (N, M) from each column to the others by way of a row of ordinary cells."""
+        return self._through(self.apparent * self.first[:, None], self.lead[:, None])
+
+    @staticmethod
+    def _through(cells: FloatArray, lead: FloatArray) -> FloatArray:
+        """S (R, M) from each column to the others by way of a row of cells (R, M) in S, with leads (R, 1) in ohm."""
+        with np.errstate(divide="ignore"):
+            beside = cells.sum(axis=-1, keepdims=True) - cells + 1.0 / lead
+        through: FloatArray = cells / (1.0 + cells / beside)
+        return through
 
     def _second(self, rows: IntArray, more: FloatArray) -> BoolArray:
         """Whether the cells of rows (R,) may sum up to what ``more`` (..., R), 1 + z, follows from."""
@@ -375,7 +387,7 @@ class VoltageFeedback(VoltageDivider):
                 largest=np.where(through.any(axis=1), rows.largest, 0.0),
             )
         # Other rows' cells in these columns conduct more than they seem to, or less, and load their rows so.
-        joined = np.where(suspect, through, 0.0).max(axis=0) * board.reference
+        joined = np.where(suspect, through - rows.ordinary_through, 0.0).max(axis=0, initial=0.0) * board.reference
         divided = 1.0 + joined * board.inverse_gain
         shift = joined / divided * np.abs(rows.column * board.inverse_gain - lift * np.sign(board.drive))
         unloaded = rows.lead * (rows.apparent * np.maximum(divided - 1.0, joined > 0.0)).sum(axis=1)

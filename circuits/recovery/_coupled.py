@@ -249,7 +249,7 @@ class CoupledLive:
         if short is not None:  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
         if not self._convergence.astray:
-            disturbed = self._shorts.disturb(frame, fit.known, uncertainty, selection.lost)
+            disturbed = self._shorts.disturb(frame, fit.known, uncertainty, selection.lost, selection.lost_rows)
             if disturbed is not None:
                 beside = beside | disturbed
         return beside
