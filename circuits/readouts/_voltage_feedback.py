@@ -269,6 +269,28 @@ class _PulledRows(NamedTuple):
         return suspect
 
 
+def _pulls_anywhere(board: Parts, lead: float, signal: FloatArray, lift: FloatArray, least: float) -> bool:
+    """Whether :meth:`_PulledRows.second_solutions` can find a row, by upper bounds that take a fraction of the time.
+
+    Args:
+        board: parts of the readout.
+        lead: ohm, the largest between a row's driver and its cells.
+        signal: (N, M) V above the reference.
+        lift: (M,) V of the follower above its column where that is at the reference.
+        least: V of a signal that is none.
+
+    """
+    drive = abs(board.drive)
+    column = ((signal + board.level) / board.loop_share - board.level - board.offset) * np.sign(board.drive)
+    most = np.maximum(column, least) + least
+    lowest = np.minimum(np.maximum(column - least, _LEAST_DROP * drive), most)
+    drop = np.maximum(drive / most - 1.0, _LEAST_DROP)
+    pulled = board.inverse_gain + np.abs(lift) / lowest
+    shorts = np.broadcast_to(_CAPPED / (board.column_lead + _LEAST_SHORT), signal.shape[1:])
+    most_more = min(1.0 + lead * float(shorts.sum()), _MOST_MORE)
+    return float((pulled / drop).max()) * most_more > _LEAST_PULLED
+
+
 def _usual(cells: FloatArray) -> FloatArray:
     """The median of all but the largest cells of a column, along the first axis."""
     usual: FloatArray = np.sort(cells, axis=0)[max(len(cells) - 2, 0) // 2]
@@ -341,9 +363,10 @@ class VoltageFeedback(VoltageDivider):
         conductance from the column to others by way of the row; its offset moves them by (1 + A) Vos (F - 1) / F.
         """
         lift = board.loop_share * board.offset - board.inverse_gain * board.level
-        if not ((board.inverse_gain.any() or lift.any()) and row_lead.any()):
+        lead = row_lead.max(axis=1)
+        if not _pulls_anywhere(board, float(lead.max()), signal, lift, least):
             return None
-        rows = _PulledRows.of(self, board, row_lead.max(axis=1), signal, lift, least)
+        rows = _PulledRows.of(self, board, lead, signal, lift, least)
         ordinary = np.maximum(_WELL_ABOVE / rows.reference, rows.apparent)
         for _ in range(_ROUNDS):
             found = rows.second_solutions()
