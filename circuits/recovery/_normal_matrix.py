@@ -76,14 +76,12 @@ class NormalMatrix:
 def _inverse(matrix: FloatArray, rounding: FloatArray) -> FloatArray:
     """The inverse of a positive definite matrix; where ``rounding`` has made it another one, with that added to it."""
     try:
-        inverse: FloatArray = np.linalg.inv(matrix)
+        inverse = np.linalg.inv(matrix)
     except np.linalg.LinAlgError:
-        pass
+        definite = False
     else:
-        if (np.diagonal(inverse) > 0.0).all():
-            return inverse
-    inverse = np.linalg.inv(matrix + np.diag(rounding))
-    return inverse
+        definite = bool((np.diagonal(inverse) > 0.0).all())
+    return np.asarray(inverse if definite else np.linalg.inv(matrix + np.diag(rounding)), dtype=np.float64)
 
 
 def _add_product(matrix: FloatArray, left: FloatArray, right: FloatArray, meter: Meter) -> Iterator[None]:
