@@ -362,8 +362,6 @@ class VoltageFeedback(VoltageDivider):
         and the follower then divides all other readings of such a column by F = 1 + C Rref / (1 + A), C being the
         conductance from the column to others by way of the row; its offset moves them by (1 + A) Vos (F - 1) / F.
         """
-        if not (board.inverse_gain.any() and row_lead.any()):
-            return None
         lift = board.loop_share * board.offset - board.inverse_gain * board.level
         lead = row_lead.max(axis=1)
         if not _pulls_anywhere(board, float(lead.max()), signal, lift, least):
