@@ -84,6 +84,7 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("row events", 6120000231),  # a noise forgotten while all readings stood at a limit
         ("floating events", 6120000299),
         ("inverting", 91010000068),  # an output at its limit that noise of the first frame brings back
+        ("divider events", 91010000227),  # a column of shorts of unknown scale, beside bridged rows
         ("feedback", 3010000064),  # an open cell whose amplifier's offset lies below the converter's range
     ],
 )

@@ -84,7 +84,7 @@ class CoupledLive:
         self._limits = ReadingLimits(parts, nearly_independent=columns.applies, loses_rows=self._rows.applies)
         self._shorts = PossibleShorts(parts)
         self._uncertainty = FitUncertainty(parts)
-        is_divider = columns.applies and not board.circuit.has_amplifiers
+        is_divider = not (board.floating or board.circuit.has_amplifiers)
         self._loose = LooseColumns(parts) if is_divider else None
         self._below = BelowRange(parts)
         self._convergence = Convergence()
