@@ -289,7 +289,7 @@ def _pulls_anywhere(board: Parts, lead: float, signal: FloatArray, lift: FloatAr
     drop = np.maximum(drive / most - 1.0, _LEAST_DROP)
     shorts = signal.shape[1] * _CAPPED / (float(np.min(board.column_lead)) + _LEAST_SHORT)
     most_more = min(1.0 + lead * shorts, _MOST_MORE)
-    return float((pulled / drop).max()) * most_more > _LEAST_PULLED
+    return bool((pulled / drop).max() * most_more > _LEAST_PULLED)
 
 
 def _usual(cells: FloatArray) -> FloatArray:
