@@ -283,12 +283,13 @@ def _pulls_anywhere(board: Parts, lead: float, signal: FloatArray, lift: FloatAr
     drive = abs(board.drive)
     column = ((signal + board.level) / board.loop_share - board.level - board.offset) * np.sign(board.drive)
     most = np.maximum(column, least) + least
-    lowest = np.minimum(np.maximum(column - least, _LEAST_DROP * drive), most)
+    pulled = board.inverse_gain
+    if lift.any():
+        pulled = pulled + np.abs(lift) / np.minimum(np.maximum(column - least, _LEAST_DROP * drive), most)
     drop = np.maximum(drive / most - 1.0, _LEAST_DROP)
-    pulled = board.inverse_gain + np.abs(lift) / lowest
-    shorts = np.broadcast_to(_CAPPED / (board.column_lead + _LEAST_SHORT), signal.shape[1:])
-    most_more = min(1.0 + lead * float(shorts.sum()), _MOST_MORE)
-    return float((pulled / drop).max()) * most_more > _LEAST_PULLED
+    shorts = signal.shape[1] * _CAPPED / (float(np.min(board.column_lead)) + _LEAST_SHORT)
+    most_more = min(1.0 + lead * shorts, _MOST_MORE)
+    return bool((pulled / drop).max() * most_more > _LEAST_PULLED)
 
 
 def _usual(cells: FloatArray) -> FloatArray:
