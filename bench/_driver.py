@@ -17,6 +17,7 @@ one kind of board.
 from __future__ import annotations
 
 import contextlib
+import gc
 import itertools
 import warnings
 from collections.abc import Iterable, Iterator
@@ -185,7 +186,7 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
     found_ohm, valid = np.empty_like(cells), np.empty(cells.shape, dtype=np.bool_)
     found_kpa = np.empty_like(cells)
     port = PacedPort(packets, 1.0, board)
-    with _skin_at(port, board, cell, name) as skin:
+    with _skin_at(port, board, cell, name) as skin, _old_objects_kept():
         for number, packet in enumerate(packets):
             start = process_time()
             (event,) = decode.feed(packet, number / FRAME_RATE_HZ)
@@ -193,7 +194,9 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
             decoded = process_time()
             reading = read(event.counts)
             solved = process_time()
-            estimator.step(1.0 / FRAME_RATE_HZ if number else 0.0, reading.resistance)
+            if not estimator.resolved:
+                estimator.resolve(reading.step_std, reading.resistance)
+            estimator.step(1.0 / FRAME_RATE_HZ if number else 0.0, reading.for_estimation)
             estimated = process_time()
             port.work(1.0)  # the next frame comes, and perhaps others after it: the port's clock shows no real time
             taking = process_time()
@@ -261,6 +264,20 @@ def _times_as_fast(packets: list[bytes], board: Design, cell: Cell, name: str | 
                 _ = skin.read(0.0).pressure_std
                 took_s[one] += process_time() - start
     return float(took_s[0] / took_s[1])
+
+
+@contextlib.contextmanager
+def _old_objects_kept() -> Iterator[None]:
+    """Keep Python's garbage collector from what is there already, as ``docs/driver.md`` advises.
+
+    A look at all that Numba and SciPy have loaded takes as long as a thousand frames, and falls into one by chance.
+    """
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 @contextlib.contextmanager

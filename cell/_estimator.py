@@ -875,7 +875,9 @@ class Estimator(ABC):
 
     def _most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
         """(m,) kPa by which motion as large as the ``noise`` (m,) may at most let pressures seem to rise."""
-        most: FloatArray = self._seeming * noise * memory[GAIN] ** 2
+        gain = memory[GAIN]
+        most: FloatArray = noise * self._seeming
+        most *= gain * gain
         return most
 
     def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:  # noqa: B027 - without a memory nothing is missed

@@ -319,7 +319,8 @@ class TurningEstimator(Estimator):
         self._sure, self._less, self._again, self._either, self._far = (
             np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
         )
-        self._none, self._one = np.array(0.0), np.array(1.0)
+        self._none, self._one, self._two = np.array(0.0), np.array(1.0), np.array(2.0)
+        self._missed_by_bend = np.array(BETWEEN * self._bend)
         self._turn_kpa, self._flat_kpa, self._exact_kpa = (
             np.array(share * full_scale_kpa) for share in (TURN, FLAT, EXACTLY)
         )
@@ -557,10 +558,16 @@ class TurningEstimator(Estimator):
 
     def _within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """A load that bent may as well have turned within the frame: no reading tells of the turn yet."""
-        bend = np.abs(memory[PRESSURE] - 2.0 * memory[LAST] + memory[BEFORE_LAST])
-        bend = np.maximum(bend - SURE * noise_kpa, 0.0)
-        found: FloatArray = (BETWEEN * self._bend * bend * memory[GAIN]) ** 2
-        return found
+        bend: FloatArray = memory[LAST] * self._two
+        np.subtract(memory[PRESSURE], bend, out=bend)
+        bend += memory[BEFORE_LAST]
+        np.abs(bend, out=bend)
+        bend -= noise_kpa * self._sure
+        np.maximum(bend, self._none, out=bend)
+        bend *= self._missed_by_bend
+        bend *= memory[GAIN]
+        bend *= bend
+        return bend
 
     def _limit(self, of: _Rows, weights: TurnWeights) -> None:
         """Keep pressures within :data:`LOADS`, and what is remembered with them; changes the state.

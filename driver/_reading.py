@@ -14,6 +14,7 @@ from ..compiled import Row, Rows, loop
 from ..errors import InputError, ProtocolError, SolverError
 from ._scatter import Scatter
 
+_FIRST_GUARD = 12  # codes within which the same holds in the first frame, whose noise nobody knows
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
 _ALIKE = 1.5  # ratio of noises with which a reading is judged about alike
 _FAINT = 0.05  # ADC steps of noise that hardly count beside the half step
@@ -236,7 +237,7 @@ class CountReader:
         """
         same = counts.tobytes()
         if self._reading is not None and same == self._counts and self._judged_with <= self._alike_noise:
-            self._scatter.still()
+            self._scatter.still(self._silent)
             return self._reading
         if counts.shape != self._shape:
             sent, expected = "{} x {}".format(*counts.shape), "{} x {}".format(*self._shape)
@@ -252,6 +253,8 @@ class CountReader:
         self._scatter.update(volts, self._silent)
         noise = self._judged_with = self.noise_volts
         guard = math.ceil(_GUARD * noise / self._step)  # codes
+        if self._scatter.frames < 2 and not self._design_noise:
+            guard = max(guard, _FIRST_GUARD)
         lowest = max(self._first + (0 if self._rising else guard), 1)
         highest = min(self._last - (guard if self._rising else 0), self._codes - 1)
         limited = faint = None

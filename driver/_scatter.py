@@ -17,7 +17,7 @@ readings. Noise that seems to have grown has to be in three changes as well (:fu
 patterns of motion vanish. A noise that has begun is thus known in its third frame, in motion too.
 
 A noise is remembered for as long as it was seen, up to twenty frames: what has been mistaken for noise in one frame is
-soon forgotten.
+soon forgotten. While readings stand at their limits, they show no noise, and it is not forgotten.
 
 Few readings have no quietest sum that is not quiet by chance. Their measure is the alternating part of two successive
 changes: noise goes back and forth, and of three readings in a row the middle one is beyond both others twice in three
@@ -45,6 +45,8 @@ BARELY_SEEN = 1.5
 """frames that a noise counts as seen for in its first frame: 0.6 of it is assumed a frame later"""
 FEW = 6
 """readings up to which alternation is the measure"""
+TELLING = 8
+"""readings that can change from which on a noise that they no longer show is forgotten as quickly as it may be"""
 MOST_CHANGE = 1.5
 """standard deviations of a reading up to which its change counts"""
 MEAN_CHANGE, ALTERNATING = 0.918, 0.438
@@ -138,23 +140,27 @@ class Scatter:
                 self._confirmed = 0
             if shown > assumed:
                 self._confirmed += 1
-            if moving < FEW:
+            if 0 < self._free < FEW:
                 assumed = min(FORGET * self._seen, self._most_by(change, moving))
             self._seen = max(assumed, shown)
         self._change, self._older = change, self._change
         self._count()
 
-    def still(self) -> None:
-        """Take a frame whose readings are those of the last one."""
+    def still(self, silent: int) -> None:
+        """Take a frame whose readings are those of the last one, in which ``silent`` ones stood at a limit."""
+        assert self.before is not None
         self.frames += 1
+        self._free = self.before.size - silent
         self._change = self._older = None  # nothing goes back to before
         self._seen = self._assumed_next
         self._count()
 
     @property
     def _assumed_next(self) -> float:
-        """V, noise that is still assumed in the next frame."""
-        return self._seen * (1.0 - 1.0 / min(self._confirmed + BARELY_SEEN, _MEMORY))
+        """V, noise that is still assumed in the next frame; readings at their limits would not show it."""
+        assert self.before is not None
+        told = min(1.0, self._free / min(TELLING, self.before.size))
+        return self._seen * (1.0 - told / min(self._confirmed + BARELY_SEEN, _MEMORY))
 
     def _count(self) -> None:
         """Count the changes of one more frame. They are forgotten as the noise that they have shown is."""

@@ -78,6 +78,13 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("feedback", 70020000174),  # two shorts that join columns by a seventh of what would divide readings notably
         ("feedback", 8110000231),
         ("feedback events", 70020000107),
+        ("divider events", 6120000271),  # a row whose lead loses all to shorts, and feeds others by unknown cells
+        ("loaded events", 6130000060),  # a row behind a break, known so badly that its effect is no longer linear
+        ("loaded events", 70030000121),
+        ("row events", 6120000231),  # a noise forgotten while all readings stood at a limit
+        ("floating events", 6120000299),
+        ("inverting", 91010000068),  # an output at its limit that noise of the first frame brings back
+        ("divider events", 91010000227),  # a column of shorts of unknown scale, beside bridged rows
         ("feedback", 3010000064),  # an open cell whose amplifier's offset lies below the converter's range
     ],
 )

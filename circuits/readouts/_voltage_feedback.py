@@ -150,8 +150,8 @@ class _PulledRows(NamedTuple):
             with np.errstate(divide="ignore", invalid="ignore"):
                 usual = np.maximum(_usual(surely) - np.abs(lift) / board.inverse_gain, 0.0)
                 joined = _WELL_ABOVE * (drive / usual - 1.0) / board.reference / board.inverse_gain
-            # The best conductor of a row joins its column to others no better than they are joined to the row.
-            largest = 1.0 + lead * (joined.sum() + most.max())
+                # The best conductor of a row joins its column to others no better than they are joined to the row.
+                largest = 1.0 + lead * (joined.sum() + most.max())
         first = 1.0 / np.maximum(1.0 - lead * apparent.sum(axis=1), _LEAST_LEFT)
         return cls(
             lead=lead,
@@ -193,11 +193,23 @@ class _PulledRows(NamedTuple):
         most = self._cells(rows, last, self.drop[rows], self.pulled[rows])
         joined = []
         for cells in (least, most):
-            beside = cells.sum(axis=-1, keepdims=True) - cells + 1.0 / self.lead[rows, None]
             through = np.zeros(self.drop.shape)
-            through[rows] = cells * beside / (cells + beside)
+            through[rows] = self._through(cells, self.lead[rows, None])
             joined.append(through)
         return _Joined(*joined)
+
+    @property
+    def ordinary_through(self) -> FloatArray:
+        """S (N, M) from each column to the others by way of a row of ordinary cells."""
+        return self._through(self.apparent * self.first[:, None], self.lead[:, None])
+
+    @staticmethod
+    def _through(cells: FloatArray, lead: FloatArray) -> FloatArray:
+        """S (R, M) from each column to the others by way of a row of cells (R, M) in S, with leads (R, 1) in ohm."""
+        with np.errstate(divide="ignore"):
+            beside = cells.sum(axis=-1, keepdims=True) - cells + 1.0 / lead
+        through: FloatArray = cells / (1.0 + cells / beside)
+        return through
 
     def _second(self, rows: IntArray, more: FloatArray) -> BoolArray:
         """Whether the cells of rows (R,) may sum up to what ``more`` (..., R), 1 + z, follows from."""
@@ -255,6 +267,29 @@ class _PulledRows(NamedTuple):
         if elsewhere.size:
             suspect = _of_pairs(suspect & (usual <= _FAR_ABOVE * np.median(elsewhere)))
         return suspect
+
+
+def _pulls_anywhere(board: Parts, lead: float, signal: FloatArray, lift: FloatArray, least: float) -> bool:
+    """Whether :meth:`_PulledRows.second_solutions` can find a row, by upper bounds that take a fraction of the time.
+
+    Args:
+        board: parts of the readout.
+        lead: ohm, the largest between a row's driver and its cells.
+        signal: (N, M) V above the reference.
+        lift: (M,) V of the follower above its column where that is at the reference.
+        least: V of a signal that is none.
+
+    """
+    drive = abs(board.drive)
+    column = ((signal + board.level) / board.loop_share - board.level - board.offset) * np.sign(board.drive)
+    most = np.maximum(column, least) + least
+    pulled = board.inverse_gain
+    if lift.any():
+        pulled = pulled + np.abs(lift) / np.minimum(np.maximum(column - least, _LEAST_DROP * drive), most)
+    drop = np.maximum(drive / most - 1.0, _LEAST_DROP)
+    shorts = signal.shape[1] * _CAPPED / (float(np.min(board.column_lead)) + _LEAST_SHORT)
+    most_more = min(1.0 + lead * shorts, _MOST_MORE)
+    return bool((pulled / drop).max() * most_more > _LEAST_PULLED)
 
 
 def _usual(cells: FloatArray) -> FloatArray:
@@ -328,10 +363,11 @@ class VoltageFeedback(VoltageDivider):
         and the follower then divides all other readings of such a column by F = 1 + C Rref / (1 + A), C being the
         conductance from the column to others by way of the row; its offset moves them by (1 + A) Vos (F - 1) / F.
         """
-        if not (board.inverse_gain.any() and row_lead.any()):
-            return None
         lift = board.loop_share * board.offset - board.inverse_gain * board.level
-        rows = _PulledRows.of(self, board, row_lead.max(axis=1), signal, lift, least)
+        lead = row_lead.max(axis=1)
+        if not _pulls_anywhere(board, float(lead.max()), signal, lift, least):
+            return None
+        rows = _PulledRows.of(self, board, lead, signal, lift, least)
         ordinary = np.maximum(_WELL_ABOVE / rows.reference, rows.apparent)
         for _ in range(_ROUNDS):
             found = rows.second_solutions()
@@ -350,7 +386,7 @@ class VoltageFeedback(VoltageDivider):
                 largest=np.where(through.any(axis=1), rows.largest, 0.0),
             )
         # Other rows' cells in these columns conduct more than they seem to, or less, and load their rows so.
-        joined = np.where(suspect, through, 0.0).max(axis=0) * board.reference
+        joined = np.where(suspect, through - rows.ordinary_through, 0.0).max(axis=0, initial=0.0) * board.reference
         divided = 1.0 + joined * board.inverse_gain
         shift = joined / divided * np.abs(rows.column * board.inverse_gain - lift * np.sign(board.drive))
         unloaded = rows.lead * (rows.apparent * np.maximum(divided - 1.0, joined > 0.0)).sum(axis=1)

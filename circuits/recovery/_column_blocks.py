@@ -28,17 +28,18 @@ from ...arrays import BoolArray, FloatArray
 from .._board import Board
 
 _MOST_TAKEN = 0.8  # share of a voltage that a row's lead may take, in a first guess
-_KNOWN = 0.3  # standard deviation of a logarithm up to which the linear law is good enough
+_KNOWN = 0.2  # standard deviation of a logarithm up to which the linear law is good enough
+_DEVIATIONS = 1.5  # that a hardly known cell is off where its effect is taken
 
 
 def beyond_linear(std: FloatArray) -> FloatArray:
     """Further variance of a conductance that is known within ``std`` of its logarithm, over what a linear law gives.
 
-    A logarithm's standard deviation up multiplies a conductance by exp(std), not by 1 + std. What a cell that is hardly
-    known may add to the current of its lines is therefore more than the derivatives say. Errors of better known cells
-    have both signs, and their second order averages out.
+    Standard deviations of a logarithm up multiply a conductance by an exponential, not linearly. What a cell that is
+    hardly known may add to the current of its lines is therefore more than the derivatives say. Errors of better known
+    cells have both signs, and their second order averages out.
     """
-    std = np.clip(std - _KNOWN, 1e-3, 4.0)
+    std = np.clip(_DEVIATIONS * (std - _KNOWN), 1e-3, 4.0)
     more: FloatArray = (np.expm1(std) / std) ** 2 - 1.0
     return more
 

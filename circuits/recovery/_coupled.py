@@ -17,6 +17,7 @@ What does not change from frame to frame, and the circuit model, are in :mod:`._
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 from typing import NamedTuple
 
@@ -83,12 +84,16 @@ class CoupledLive:
         self._limits = ReadingLimits(parts, nearly_independent=columns.applies, loses_rows=self._rows.applies)
         self._shorts = PossibleShorts(parts)
         self._uncertainty = FitUncertainty(parts)
-        is_divider = columns.applies and not board.circuit.has_amplifiers
+        is_divider = not (board.floating or board.circuit.has_amplifiers)
         self._loose = LooseColumns(parts) if is_divider else None
         self._below = BelowRange(parts)
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
         self._known: Known | None = None  # where the last frame ended
+        self._any_gone = bool(parts.gone.any())
+        self._all_valid = np.ones(parts.shape, dtype=np.bool_), np.zeros(parts.shape, dtype=np.int8)
+        for shared in self._all_valid:
+            shared.flags.writeable = False
 
     def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
         """As :class:`.LiveRecovery`."""
@@ -244,7 +249,7 @@ class CoupledLive:
         if short is not None:  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
         if not self._convergence.astray:
-            disturbed = self._shorts.disturb(frame, fit.known, uncertainty, selection.lost)
+            disturbed = self._shorts.disturb(frame, fit.known, uncertainty, selection.lost, selection.lost_rows)
             if disturbed is not None:
                 beside = beside | disturbed
         return beside
@@ -261,8 +266,12 @@ class CoupledLive:
 
         """
         shape, gone, disturbed = self._parts.shape, self._parts.gone, beside.ravel()
-        open_cells = frame.signal.ravel() <= frame.error
+        open_cells, counted = frame.signal.ravel() <= frame.error, (self._uncertainty.covered(frame), ALIKE)
         uncertainty = left.all
+        if self._all_known(selection, beside) and not open_cells.any() and uncertainty.max() <= self._rule.limit:
+            return LiveReading(
+                fit.known.cells.copy(), *self._all_valid, partial(self._uncertainties, frame, uncertainty), *counted
+            )
         reason = np.full(len(uncertainty), UNCERTAIN, dtype=np.int8)
         reason[left.others > 0.5 * uncertainty] = DISTURBED
         reason[open_cells] = NO_CURRENT
@@ -284,10 +293,19 @@ class CoupledLive:
             resistance.reshape(shape),
             valid.reshape(shape),
             reason.reshape(shape),
-            lambda: (uncertainty.reshape(shape), self._uncertainty.of_own_reading(frame, uncertainty).reshape(shape)),
-            self._uncertainty.covered(frame),
-            ALIKE,
+            partial(self._uncertainties, frame, uncertainty),
+            *counted,
         )
+
+    def _all_known(self, selection: Selection, beside: BoolArray) -> bool:
+        """Whether nothing but its own uncertainty can keep a cell from being valid, as in nearly all frames."""
+        left_out = beside is not self._limits.nowhere or selection.at_limit is not self._limits.nowhere
+        return not (left_out or self._any_gone or self._convergence.astray)
+
+    def _uncertainties(self, frame: Frame, uncertainty: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Relative uncertainties (N, M) of a frame's cells, and the part by a cell's own reading."""
+        own = self._uncertainty.of_own_reading(frame, uncertainty)
+        return uncertainty.reshape(self._parts.shape), own.reshape(self._parts.shape)
 
     def _nothing(self, at_limit: BoolArray) -> LiveReading:
         """A frame that tells of no cell.

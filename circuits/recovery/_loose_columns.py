@@ -17,6 +17,7 @@ from ._linearised import Base
 
 _LINEAR = 0.5  # uncertainty of a logarithm up to which linear uncertainties suffice
 _MOST = 50.0  # the same that is as good as boundless
+_LEAST_LEFT = 1e-6  # share of the drive that a row's lead leaves
 
 
 class LooseColumns:
@@ -27,6 +28,7 @@ class LooseColumns:
         self._parts = parts
         to_driver = parts.lines.to_driver
         self._lead = np.where(np.isfinite(to_driver), to_driver, 0.0)  # (N, M) ohm
+        self._per_volt = np.abs(parts.board.circuit.conductance_slope(parts.board, np.zeros(parts.shape)))  # S/V
         self._loosest: tuple[Base | None, float] = None, 0.0  # largest deviation of a column's best conductor
 
     def disturb(self, frame: Frame, known: Known, base: Base, sigmas: float) -> FloatArray | None:
@@ -81,5 +83,10 @@ class LooseColumns:
         # A column at its share of the drive lifts the idle rows, whose cells feed all other columns.
         lifted = (ratio / ratio.sum(axis=0)) @ into.T
         np.fill_diagonal(lifted, 0.0)
-        share: FloatArray = lost[:, None] + (lifted @ conductance) / np.maximum(conductance, np.finfo(np.float64).tiny)
+        # Readings of a row whose lead loses nearly everything to the column tell next to nothing of its other cells.
+        follows = np.maximum(signal - frame.error, 0.0) / (signal + frame.error).sum(axis=0)  # the row, by the column
+        left = np.maximum(1.0 - into * (1.0 - follows), _LEAST_LEFT)
+        more = 1.0 + (1.0 / left - 1.0).sum(axis=1)
+        told = (conductance + frame.error * self._per_volt) * more[:, None]
+        share: FloatArray = lost[:, None] + (lifted @ told) / np.maximum(conductance, np.finfo(np.float64).tiny)
         return share

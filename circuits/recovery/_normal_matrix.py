@@ -17,6 +17,7 @@ from ...arrays import FloatArray
 _LEAST = 2**23  # multiplications in one instalment, at least
 _PER_ENTRY = 32  # the same per entry of the matrix, where each step reads all of them anyway
 _BLOCK = 32  # unknowns that are swept together
+_ROUNDING = 1e-13  # relative, of a sum of products, per unknown: beside shorts, more than the prior adds
 
 
 class Meter:
@@ -53,9 +54,10 @@ class NormalMatrix:
             some = self._jacobian[block]
             yield from _add_product(matrix, some.T, some, meter)
         matrix.flat[:: size + 1] += self._prior**-2.0
+        rounding = _ROUNDING * size * np.diagonal(matrix)
         for block in _slices(size, _BLOCK):
             # One block of the sweep; after all blocks the matrix is minus its inverse.
-            inner = np.linalg.inv(matrix[block, block])
+            inner = _inverse(matrix[block, block], rounding[block])
             inner = 0.5 * (inner + inner.T)
             across = matrix[block].copy()
             beside = across.T @ inner
@@ -69,6 +71,17 @@ class NormalMatrix:
         """Change (n,) of the unknowns for residuals (n,) in standard deviations."""
         change: FloatArray = self.inverse @ (residual @ self._jacobian)
         return change
+
+
+def _inverse(matrix: FloatArray, rounding: FloatArray) -> FloatArray:
+    """The inverse of a positive definite matrix; where ``rounding`` has made it another one, with that added to it."""
+    try:
+        inverse = np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        definite = False
+    else:
+        definite = bool((np.diagonal(inverse) > 0.0).all())
+    return np.asarray(inverse if definite else np.linalg.inv(matrix + np.diag(rounding)), dtype=np.float64)
 
 
 def _add_product(matrix: FloatArray, left: FloatArray, right: FloatArray, meter: Meter) -> Iterator[None]:

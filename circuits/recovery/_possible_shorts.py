@@ -34,7 +34,14 @@ class PossibleShorts:
         found: BoolArray = known.cells < self._short
         return found if found.any() else None
 
-    def disturb(self, frame: Frame, known: Known, uncertainty: FloatArray, lost: BoolArray | None) -> BoolArray | None:
+    def disturb(
+        self,
+        frame: Frame,
+        known: Known,
+        uncertainty: FloatArray,
+        lost: BoolArray | None,
+        lost_rows: BoolArray | None = None,
+    ) -> BoolArray | None:
         """Cells whose values would be wrong if cells that may be shorts were such.
 
         Args:
@@ -42,6 +49,7 @@ class PossibleShorts:
             known: the cells that have been found for them.
             uncertainty: (n,) of the conductances, but for what the lost columns do.
             lost: (M,) columns that are left out; None: there are none.
+            lost_rows: (N,) rows that are left out, whose effects have bounds of their own; None: there are none.
 
         Returns:
             (N, M); None where there are none.
@@ -53,7 +61,10 @@ class PossibleShorts:
         tied = self._tied(known, uncertainty, excess)
         least = self._least_signal + SIGMAS * frame.noise
         signal = frame.volts - self._board.level
-        imitated = self._board.circuit.imitated_by_shorts(self._board, self._row_lead, signal, least)
+        row_lead = self._row_lead
+        if lost_rows is not None:
+            row_lead = np.where(lost_rows[:, None], 0.0, row_lead)
+        imitated = self._board.circuit.imitated_by_shorts(self._board, row_lead, signal, least)
         if tied is None or imitated is None:
             return imitated if tied is None else tied
         return tied | imitated

@@ -74,7 +74,8 @@ class ReadingLimits:
         self._loses_columns = (
             nearly_independent and parts.quick.is_quick and not board.circuit.has_amplifiers and not board.faults
         )
-        self._nowhere = np.zeros(parts.shape, dtype=np.bool_)
+        self.nowhere = np.zeros(parts.shape, dtype=np.bool_)
+        """(N, M) what a usual frame's selection leaves out"""
         self._usual_below = -1.0, self._short_signal  # V: an error of readings, and what they do not reach as a rule
         self._along = 1 if loses_rows else 0  # axis along which lines are left out
         self._left_out = np.zeros(parts.shape[1 - self._along], dtype=np.bool_)  # columns or rows
@@ -95,12 +96,12 @@ class ReadingLimits:
             SolverError: no cells of this board give readings that large.
 
         """
-        reported = self._nowhere if limited is None else limited
+        reported = self.nowhere if limited is None else limited
         if self._parts.mixes and self._parts.any_hidden:
             return _nothing(reported)
         if limited is None and self._is_usual(signal, error, convergence):
             ignored = self._parts.hidden if self._parts.any_hidden else None
-            return Selection(True, self._nowhere, None, self._nowhere, lost_rows=None, ignored=ignored)
+            return Selection(True, self.nowhere, None, self.nowhere, lost_rows=None, ignored=ignored)
         at_limit = self._at_limit(signal, reported & ~self._gone, error)
         if self._loses_rows:
             return self._without_rows(signal, at_limit, convergence)
@@ -142,7 +143,7 @@ class ReadingLimits:
         if rows.all():
             return _nothing(at_limit)
         if not rows.any():
-            return Selection(True, at_limit, None, self._nowhere, lost_rows=None, ignored=None)
+            return Selection(True, at_limit, None, self.nowhere, lost_rows=None, ignored=None)
         beside = np.repeat(rows[:, None], at_limit.shape[1], axis=1)
         return Selection(True, at_limit, None, beside, lost_rows=rows, ignored=beside.ravel())
 
