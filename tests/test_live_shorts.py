@@ -148,6 +148,27 @@ def test_shorts_of_a_row_behind_a_follower_whose_columns_have_no_leads(shape: tu
             check(read(counts_of(design, cells)), cells)
 
 
+@pytest.mark.parametrize("shape", [(2, 9), (5, 4), (8, 8)])
+def test_shorts_of_several_rows_behind_a_follower_whose_columns_have_no_leads(shape: tuple[int, int]) -> None:
+    """Shorts at random places divide each other's readings, and those of all cells between."""
+    draw = np.random.default_rng(shape)
+    for number in range(300):
+        reference = float(draw.choice([1e3, 4.7e3, 10e3, 47e3]))
+        readout = {
+            "reference_resistance": reference,
+            "open_loop_gain": float(draw.choice([1e3, 1e4, 1e5])),
+        }
+        array = {"row_lead": float(draw.choice([1.0, 5.0, 25.0, 100.0]))}
+        design = board("feedback", shape, int(draw.choice([8, 10, 12])), array=array, readout=readout)
+        rest = reference * 10 ** (draw.uniform(-0.5, 1.5) + draw.uniform(-0.2, 0.2, shape))
+        shorted = rest.copy()
+        places = draw.permutation(rest.size)[: int(draw.integers(4, 8))]
+        shorted.flat[places] = 1e-3 if number % 3 else draw.choice(RESISTANCES[:5], len(places))
+        read = CountReader(design)
+        for cells in (rest, shorted, rest) if number % 2 else (shorted, shorted):
+            check(read(counts_of(design, cells)), cells)
+
+
 @pytest.mark.parametrize("gain", [1e4, 1e5])
 def test_a_finger_on_a_board_with_a_follower_and_no_column_leads_is_read(gain: float) -> None:
     """Its cells are ordinary ones, although shorts of its rows could read like them if readings elsewhere agreed."""

@@ -42,7 +42,8 @@ def test_rows_that_are_ruled_out_have_no_second_solution() -> None:
         lift = board.loop_share * board.offset - board.inverse_gain * board.level
         least = 10 ** random.uniform(-5, -2)
         rows = feedback._PulledRows.of(circuit, board, lead, signal, lift, least)
-        if rows.second_solutions() is not None:
+        together = feedback._rows_together(rows, board, signal, lift, least)
+        if rows.second_solutions() is not None or together is not None:
             pulled_at += 1
             assert feedback._pulls_anywhere(board, float(lead.max()), signal, lift, least)
         else:

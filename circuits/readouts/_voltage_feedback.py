@@ -33,6 +33,9 @@ _UNNOTICED = 0.1  # share of a reading's error by which other cells may shift it
 _LEAST_DROP = 1e-6  # share of the drive between a driver and the column
 _LEAST_LEFT = 0.01  # share of the drive that a row's lead leaves
 _LEAST_PULLED = 0.1  # share of a cell's drop that the follower takes in a second solution
+_HARDLY_ANY = 2.0  # times a signal that is none that shorts may leave of an ordinary cell's
+_LIFTED = 4.0  # times a follower's offset that ordinary cells beside shorts may read
+_LEAST_NONE = 0.1  # share of a board's readings that shorts in several rows leave nothing of
 _HALVINGS = 6  # of the interval that a second solution is in
 _ROUNDS = 8  # of leaving out columns that a second solution cannot be right in
 _MOST_MORE = 1e6  # times as conductive as they seem may all cells of a row be
@@ -292,6 +295,42 @@ def _pulls_anywhere(board: Parts, lead: float, signal: FloatArray, lift: FloatAr
     return bool((pulled / drop).max() * most_more > _LEAST_PULLED)
 
 
+def _rows_together(
+    rows: _PulledRows, board: Parts, signal: FloatArray, lift: FloatArray, least: float
+) -> BoolArray | None:
+    """(N, M) cells of a board with several rows that shorts may join; None where there are none such rows.
+
+    Shorts in one row join columns and so divide the readings of the other rows, those of their shorts included. No row
+    can then be judged by the other rows' readings. But the leads of such rows and the followers divide the readings of
+    ordinary cells beside the shorts, until only what the followers' offsets lift is left of them. Suspect is thus a
+    board of which a notable share reads no more, if two rows read something in a common column, and as much as
+    followers leave of a short. Cells that read nothing still load the rows, so that all cells are disturbed.
+
+    Args:
+        rows: the rows.
+        board: parts of the readout.
+        signal: (N, M) V above the reference.
+        lift: (M,) V of the follower above its column where that is at the reference.
+        least: V of a signal that is none.
+
+    """
+    none = np.abs(signal) <= _HARDLY_ANY * least + _LIFTED * np.abs(lift)
+    if lift.any():
+        # A column that shorts join to others reads the multiple of the follower's offset at which no current flows.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            alone = board.loop_share * (board.level + lift / board.inverse_gain + board.offset) - board.level
+        none |= np.abs(signal - alone) <= _HARDLY_ANY * least
+    if np.count_nonzero(none) < _LEAST_NONE * none.size:
+        return None
+    shorts = _CAPPED * signal.shape[1] / (float(np.min(board.column_lead)) + _LEAST_SHORT)
+    more = np.minimum(1.0 + rows.lead * shorts, _MOST_MORE)[:, None]
+    heavy = ~none & (rows.pulled / rows.drop * more > _LEAST_PULLED) & (rows.lead > 0.0)[:, None]
+    shared = heavy & (np.count_nonzero(heavy, axis=0) > 1)
+    if not shared.any():
+        return None
+    return np.ones(signal.shape, bool)
+
+
 def _usual(cells: FloatArray) -> FloatArray:
     """The median of all but the largest cells of a column, along the first axis."""
     usual: FloatArray = np.sort(cells, axis=0)[max(len(cells) - 2, 0) // 2]
@@ -362,12 +401,24 @@ class VoltageFeedback(VoltageDivider):
         of this world only if most other cells remain ordinary ones. The best conductors of the row join their columns,
         and the follower then divides all other readings of such a column by F = 1 + C Rref / (1 + A), C being the
         conductance from the column to others by way of the row; its offset moves them by (1 + A) Vos (F - 1) / F.
+        Rows that are shorted together have a rougher test of their own (:func:`_rows_together`).
         """
         lift = board.loop_share * board.offset - board.inverse_gain * board.level
         lead = row_lead.max(axis=1)
         if not _pulls_anywhere(board, float(lead.max()), signal, lift, least):
             return None
         rows = _PulledRows.of(self, board, lead, signal, lift, least)
+        together = _rows_together(rows, board, signal, lift, least)
+        alone = self._imitated_in_rows(rows, board, signal, lift, least)
+        if together is None or alone is None:
+            return alone if together is None else together
+        return together | alone
+
+    @staticmethod
+    def _imitated_in_rows(
+        rows: _PulledRows, board: Parts, signal: FloatArray, lift: FloatArray, least: float
+    ) -> BoolArray | None:
+        """:meth:`imitated_by_shorts` of each row by itself, with the readings of all others as they are."""
         ordinary = np.maximum(_WELL_ABOVE / rows.reference, rows.apparent)
         for _ in range(_ROUNDS):
             found = rows.second_solutions()
