@@ -157,6 +157,7 @@ def test_shorts_of_several_rows_behind_a_follower_whose_columns_have_no_leads(sh
         readout = {
             "reference_resistance": reference,
             "open_loop_gain": float(draw.choice([1e3, 1e4, 1e5])),
+            "offset_voltage": float(draw.choice([0.0, 0.0, 3e-4, 3e-3, -3e-3])),
         }
         array = {"row_lead": float(draw.choice([1.0, 5.0, 25.0, 100.0]))}
         design = board("feedback", shape, int(draw.choice([8, 10, 12])), array=array, readout=readout)

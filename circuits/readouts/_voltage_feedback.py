@@ -35,6 +35,7 @@ _LEAST_LEFT = 0.01  # share of the drive that a row's lead leaves
 _LEAST_PULLED = 0.1  # share of a cell's drop that the follower takes in a second solution
 _HARDLY_ANY = 2.0  # times a signal that is none that shorts may leave of an ordinary cell's
 _LIFTED = 4.0  # times a follower's offset that ordinary cells beside shorts may read
+_NEAR = 0.02  # of the drive: by how much joined columns may read more than what the offsets alone lift, if that is more
 _LEAST_NONE = 0.1  # share of a board's readings that shorts in several rows leave nothing of
 _HALVINGS = 6  # of the interval that a second solution is in
 _ROUNDS = 8  # of leaving out columns that a second solution cannot be right in
@@ -315,12 +316,15 @@ def _rows_together(
 
     """
     none = np.abs(signal) <= _HARDLY_ANY * least + _LIFTED * np.abs(lift)
+    no_more = none
     if lift.any():
-        # A column that shorts join to others reads the multiple of the follower's offset at which no current flows.
+        # A column that shorts join to others reads the multiple of the follower's offset at which no current flows, or
+        # a little more, and so do these shorts. Readings there are thus no more, and may be heavy nevertheless.
         with np.errstate(divide="ignore", invalid="ignore"):
             alone = board.loop_share * (board.level + lift / board.inverse_gain + board.offset) - board.level
-        none |= np.abs(signal - alone) <= _HARDLY_ANY * least
-    if np.count_nonzero(none) < _LEAST_NONE * none.size:
+        near = np.where(np.abs(alone) > _NEAR * abs(board.drive), _NEAR * abs(board.drive), 0.0)
+        no_more = none | (np.abs(signal - alone) <= _HARDLY_ANY * least + near)
+    if np.count_nonzero(no_more) < _LEAST_NONE * none.size:
         return None
     shorts = _CAPPED * signal.shape[1] / (float(np.min(board.column_lead)) + _LEAST_SHORT)
     more = np.minimum(1.0 + rows.lead * shorts, _MOST_MORE)[:, None]
