@@ -144,6 +144,14 @@ class CellsAtLimits:
         lifts = most @ np.where(more, board.to_amplifier, 0.0).T
         np.fill_diagonal(lifts, 0.0)
         yield lifts @ np.where(more, 0.0, conductance)
+        # The other columns that it lifts feed the short's row by their cells, and the short brings into its column
+        # what its row's driver does not take.
+        ordinary = np.where(more, 0.0, conductance)
+        fed = ordinary @ (ordinary * board.to_amplifier).T
+        np.fill_diagonal(fed, 0.0)
+        with np.errstate(invalid="ignore"):
+            share = np.minimum(np.nan_to_num(board.to_driver * shorts.conductance, nan=1.0), 1.0)
+        yield fed @ share
         # Two shorts on one row join their columns.
         yield shared_currents(board, more, conductance)
         # In its own step, the short lifts its column, and that the other rows, whose cells add to its row's readings.
