@@ -100,6 +100,11 @@ class Parts:
         return 1.0 / (1.0 + 1.0 / self.gain)
 
     @cached_property
+    def follower_lift(self) -> FloatArray:
+        """(M,) V by which a follower's output is above its input, where that is at the reference voltage."""
+        return self.loop_share * self.offset - self.inverse_gain * self.level
+
+    @cached_property
     def lift(self) -> FloatArray:
         """(M,) V that the bias current makes across the reference resistor."""
         return self.reference * self.bias

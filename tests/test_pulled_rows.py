@@ -43,7 +43,7 @@ def test_rows_that_are_ruled_out_have_no_second_solution() -> None:
         least = 10 ** random.uniform(-5, -2)
         rows = feedback._PulledRows.of(circuit, board, lead, signal, lift, least)
         together = feedback._rows_together(rows, board, signal, lift, least)
-        if rows.second_solutions() is not None or together is not None:
+        if rows.second_solutions() is not None or together:
             pulled_at += 1
             assert feedback._pulls_anywhere(board, float(lead.max()), signal, lift, least)
         else:

@@ -77,8 +77,7 @@ class _Balance(NamedTuple):
 
     def column(self, board: Parts) -> FloatArray:
         """V of the sensed column's end against the reference."""
-        lift = board.loop_share * board.offset - board.inverse_gain * board.level
-        current = self.driven * board.drive - board.bias + self.idle * lift
+        current = self.driven * board.drive - board.bias + self.idle * board.follower_lift
         volts: FloatArray = current / self.slope
         return volts
 
@@ -140,7 +139,7 @@ class _PulledRows(NamedTuple):
 
         """
         drive = abs(board.drive)
-        column = ((signal + board.level) / board.loop_share - board.level - board.offset) * np.sign(board.drive)
+        column = _column_potential(board, signal)
         surely = np.maximum(column - least, 0.0)
         column = np.maximum(column, least)
         lifted = lift * np.sign(board.drive)
@@ -285,27 +284,36 @@ def _pulls_anywhere(board: Parts, lead: float, signal: FloatArray, lift: FloatAr
 
     """
     drive = abs(board.drive)
-    column = ((signal + board.level) / board.loop_share - board.level - board.offset) * np.sign(board.drive)
+    column = _column_potential(board, signal)
     most = np.maximum(column, least) + least
     pulled = board.inverse_gain
     if lift.any():
         pulled = pulled + np.abs(lift) / np.minimum(np.maximum(column - least, _LEAST_DROP * drive), most)
     drop = np.maximum(drive / most - 1.0, _LEAST_DROP)
-    shorts = signal.shape[1] * _CAPPED / (float(np.min(board.column_lead)) + _LEAST_SHORT)
-    most_more = min(1.0 + lead * shorts, _MOST_MORE)
-    return bool((pulled / drop).max() * most_more > _LEAST_PULLED)
+    return bool((pulled / drop).max() * _most_more(board, lead, signal.shape[1]) > _LEAST_PULLED)
 
 
-def _rows_together(
-    rows: _PulledRows, board: Parts, signal: FloatArray, lift: FloatArray, least: float
-) -> BoolArray | None:
-    """(N, M) cells of a board with several rows that shorts may join; None where there are none such rows.
+def _column_potential(board: Parts, signal: FloatArray) -> FloatArray:
+    """V (N, M) of the sensed columns' ends, towards the drive, by signals (N, M) in V above the reference."""
+    above = (signal + board.level) / board.loop_share - board.level - board.offset
+    towards_drive: FloatArray = above * np.sign(board.drive)
+    return towards_drive
+
+
+def _most_more(board: Parts, lead: FloatArray | float, columns: int) -> FloatArray | float:
+    """1 + z, see :class:`_PulledRows`, of rows behind ``lead`` in ohm all of whose cells are shorts; or _MOST_MORE."""
+    shorts = _CAPPED * columns / (float(np.min(board.column_lead)) + _LEAST_SHORT)
+    return np.minimum(1.0 + lead * shorts, _MOST_MORE)
+
+
+def _rows_together(rows: _PulledRows, board: Parts, signal: FloatArray, lift: FloatArray, least: float) -> bool:
+    """Whether shorts may join several rows of a board.
 
     Shorts in one row join columns and so divide the readings of the other rows, those of their shorts included. No row
     can then be judged by the other rows' readings. But the leads of such rows and the followers divide the readings of
     ordinary cells beside the shorts, until only what the followers' offsets lift is left of them. Suspect is thus a
     board of which a notable share reads no more, if two rows read something in a common column, and as much as
-    followers leave of a short. Cells that read nothing still load the rows, so that all cells are disturbed.
+    followers leave of a short.
 
     Args:
         rows: the rows.
@@ -325,14 +333,10 @@ def _rows_together(
         near = np.where(np.abs(alone) > _NEAR * abs(board.drive), _NEAR * abs(board.drive), 0.0)
         no_more = none | (np.abs(signal - alone) <= _HARDLY_ANY * least + near)
     if np.count_nonzero(no_more) < _LEAST_NONE * none.size:
-        return None
-    shorts = _CAPPED * signal.shape[1] / (float(np.min(board.column_lead)) + _LEAST_SHORT)
-    more = np.minimum(1.0 + rows.lead * shorts, _MOST_MORE)[:, None]
+        return False
+    more = np.asarray(_most_more(board, rows.lead, signal.shape[1]))[:, None]
     heavy = ~none & (rows.pulled / rows.drop * more > _LEAST_PULLED) & (rows.lead > 0.0)[:, None]
-    shared = heavy & (np.count_nonzero(heavy, axis=0) > 1)
-    if not shared.any():
-        return None
-    return np.ones(signal.shape, bool)
+    return bool((np.count_nonzero(heavy, axis=0) > 1).any())
 
 
 def _usual(cells: FloatArray) -> FloatArray:
@@ -388,9 +392,8 @@ class VoltageFeedback(VoltageDivider):
         driven = driven * behind_lead
         balance = _Balance.between(board, driven, total * behind_lead - driven, 0.0)
         column = balance.column(board)
-        lift = board.loop_share * board.offset - board.inverse_gain * board.level
         per_siemens = board.loop_share * behind_lead / balance.slope
-        by_sum = per_siemens * (lift - board.inverse_gain * column)
+        by_sum = per_siemens * (board.follower_lift - board.inverse_gain * column)
         return per_siemens * (board.drive - column) - by_sum, by_sum
 
     def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
@@ -407,16 +410,13 @@ class VoltageFeedback(VoltageDivider):
         conductance from the column to others by way of the row; its offset moves them by (1 + A) Vos (F - 1) / F.
         Rows that are shorted together have a rougher test of their own (:func:`_rows_together`).
         """
-        lift = board.loop_share * board.offset - board.inverse_gain * board.level
-        lead = row_lead.max(axis=1)
+        lift, lead = board.follower_lift, row_lead.max(axis=1)
         if not _pulls_anywhere(board, float(lead.max()), signal, lift, least):
             return None
         rows = _PulledRows.of(self, board, lead, signal, lift, least)
-        together = _rows_together(rows, board, signal, lift, least)
-        alone = self._imitated_in_rows(rows, board, signal, lift, least)
-        if together is None or alone is None:
-            return alone if together is None else together
-        return together | alone
+        if _rows_together(rows, board, signal, lift, least):
+            return np.ones(signal.shape, dtype=np.bool_)  # cells that read nothing still load the rows
+        return self._imitated_in_rows(rows, board, signal, lift, least)
 
     @staticmethod
     def _imitated_in_rows(

@@ -222,9 +222,8 @@ class CoupledLive:
         sigmas = self._uncertainty.sigmas(frame, fit)
         by_loose = None if self._loose is None else self._loose.disturb(frame, fit.known, base, sigmas)
         by_columns = by_lost if by_loose is None else by_lost + by_loose
-        if self._loose is not None and isinstance(
-            by_columns, np.ndarray
-        ):  # of crosspoints; a cell's share of one is small beside heavy leads
+        if self._loose is not None and isinstance(by_columns, np.ndarray):
+            # That is a change of crosspoints, of which a cell is a small part beside heavy leads.
             leads = np.where(np.isfinite(self._parts.leads), self._parts.leads, 0.0)
             by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
         if frame.bottom is not None:

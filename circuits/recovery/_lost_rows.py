@@ -40,8 +40,9 @@ class LostRows:
         self._column_lead = np.broadcast_to(board.column_lead, parts.shape[1:])
         self._reference = np.broadcast_to(board.reference, parts.shape[1:])
         self._off_share = np.broadcast_to(board.inverse_gain, parts.shape[1:])  # of V, by which idle lines are off
-        lift = board.loop_share * board.offset - board.inverse_gain * board.level
-        self._off = np.abs(np.broadcast_to(lift, parts.shape[1:]))  # V, by which they are off whatever V is
+        self._off = np.abs(
+            np.broadcast_to(board.follower_lift, parts.shape[1:])
+        )  # V, by which they are off whatever V is
         divided = 1.0 + self._reference * self._off_share / (self._column_lead + _LEAST_SHORT)
         imitated = bool(self._lead.any()) and float(divided.max()) > _MOST_DIVISION
         plain = parts.quick.is_quick and not board.faults
