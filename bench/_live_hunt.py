@@ -100,8 +100,9 @@ def check(family: str, number: int, tally: LiveTally) -> None:
             found.setdefault("unsolved", f"frame {frame}")
         wrong = _wrong_cells(reading, read_from, frame, tally)
         seen = [_ASSUMED_NOISE, *read_from.noise_steps[: max(frame - 1, 0)]]
-        noise, step = read_from.noise_steps[frame], read_from.design.adc.step  # type: ignore[union-attr]
-        more = (0.5 + _SIGMAS * noise) / (0.5 + _SIGMAS * reader.noise_volts / step)
+        adc, noise = read_from.design.adc, read_from.noise_steps[frame]
+        assert adc is not None
+        more = (0.5 + _SIGMAS * noise) / (0.5 + _SIGMAS * reader.noise_volts / adc.step)
         if wrong and noise > max(seen) and not _wrong_cells(reading, read_from, frame, LiveTally(), max(more, 1.0)):
             tally.surprised += 1
         else:

@@ -60,7 +60,7 @@ def why_not() -> str | None:
         return f"switched off by {SWITCH}={os.environ[SWITCH]}"
     try:
         import numba
-    except Exception as error:
+    except Exception as error:  # one that does not fit this NumPy or Python raises whatever it likes
         if isinstance(error, ModuleNotFoundError) and error.name == "numba":
             return "numba is not installed"
         return f"numba cannot be imported: {error}"
