@@ -90,23 +90,6 @@ def interpolated(x: float, at: FixedRow, values: FixedRow) -> float:
 
 
 @loop
-def own_variance(
-    memory: Rows, i: int, std_kpa: float, numbers: FixedRow, rest_at_kpa: FixedRow, rest_variance: FixedRow
-) -> float:
-    """:meth:`._estimator.Estimator._own_variance` of cell ``i``, whose readings are known to ``std_kpa``."""
-    own = std_kpa * std_kpa
-    if numbers[WITHIN] != 0.0:
-        bend = abs(memory[PRESSURE, i] - 2.0 * memory[LAST, i] + memory[BEFORE_LAST, i])
-        bend = numbers[WITHIN] * max(bend - numbers[SURE] * math.sqrt(own), 0.0) * memory[GAIN, i]
-        own += bend * bend
-    own += memory[VARIANCE, i]
-    own += numbers[MODEL_VARIANCE]
-    if rest_at_kpa.size > 0:
-        own += interpolated(memory[PRESSURE, i], rest_at_kpa, rest_variance)
-    return float(own)
-
-
-@loop
 def show(
     memory: Rows,
     line: Rows,
@@ -146,7 +129,15 @@ def show(
         pressure[cells[i]] = shown
         doubt = (abs(taken[READING, i] - line[LEVEL, i]) + taken[NOISE, i] * numbers[HIDDEN]) * numbers[PER_SIGMAS]
         std = max(doubt, taken[STD, i]) * gain
-        own = own_variance(memory, i, std, numbers, rest_at_kpa, rest_variance)
+        own = std * std
+        if numbers[WITHIN] != 0.0:
+            bend = abs(found - 2.0 * memory[LAST, i] + memory[BEFORE_LAST, i])
+            bend = numbers[WITHIN] * max(bend - numbers[SURE] * math.sqrt(own), 0.0) * gain
+            own += bend * bend
+        own += memory[VARIANCE, i]
+        own += numbers[MODEL_VARIANCE]
+        if rest_at_kpa.size > 0:
+            own += interpolated(found, rest_at_kpa, rest_variance)
         variance[i] = own + added[i] if numbers[STATED] > 0.0 else math.nan
 
 
@@ -208,7 +199,15 @@ def watch_over(
         wake_at[cell] = ASLEEP_SIGMAS * noise + band
         per_reading[i] = gain / numbers[SIGMAS]
         hidden_kpa[i] = gain * numbers[HIDDEN_SHARE] * noise
-        own = own_variance(memory, cell, 0.0, numbers, rest_at_kpa, rest_variance)
+        own = 0.0
+        if numbers[WITHIN] != 0.0:
+            bend = abs(pressure - 2.0 * memory[LAST, cell] + memory[BEFORE_LAST, cell])
+            bend = numbers[WITHIN] * bend * gain
+            own += bend * bend
+        own += memory[VARIANCE, cell]
+        own += numbers[MODEL_VARIANCE]
+        if rest_at_kpa.size > 0:
+            own += interpolated(pressure, rest_at_kpa, rest_variance)
         variance[cell] = own + pressure * pressure if numbers[STATED] > 0.0 else math.nan
 
 

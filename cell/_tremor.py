@@ -169,26 +169,6 @@ class Tremor:
 
 
 @loop
-def share(ratio: float, low: float, high: float) -> float:
-    """:func:`_share` of one cell."""
-    return min(max((ratio - low) / (high - low), 0.0), 1.0)
-
-
-@loop
-def most_seeming(memory: Rows, taken: Rows, i: int, seeming: float) -> float:
-    """:meth:`._estimator.Estimator._most_seeming` of cell ``i``."""
-    gain = memory[GAIN, i]
-    return float(seeming * taken[NOISE, i] * (gain * gain))
-
-
-@loop
-def seeming_rise(pressure_kpa: float, risen_from: float, most_kpa: float) -> float:
-    """:meth:`Tremor._seeming_rise` of one cell, for motion as large as it is (``most_kpa``)."""
-    rise = max(pressure_kpa - risen_from, 0.0)
-    return rise if rise < most_kpa else 0.0
-
-
-@loop
 def look_each(
     cells: Places,
     memory: Rows,
@@ -204,7 +184,8 @@ def look_each(
         cell, pressure_kpa = cells[i], memory[PRESSURE, i]
         edge_kpa[cell] = max(edge_kpa[cell], pressure_kpa - looked_at[cell])
         looked_at[cell] = pressure_kpa
-        suspicion[cell] = max(suspicion[cell], share(beside[i], HIDES, SUSPECTS))
+        suspects = min(max((beside[i] - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
+        suspicion[cell] = max(suspicion[cell], suspects)
         amplitude[cell] = math.sqrt(min(max(beside[i] - 1.0, 1.0), CROSSED))
     suspicious = False
     for cell in range(suspicion.size):
@@ -226,10 +207,11 @@ def doubt_rises(
 ) -> None:
     """:meth:`Tremor.variance` as a loop over cells. ``seeming`` is the rise in a window, per noise and squared gain."""
     for i in range(cells.size):
-        cell = cells[i]
-        most_kpa = amplitude[cell] * most_seeming(memory, taken, i, seeming)
-        rise = seeming_rise(memory[PRESSURE, i], risen_from[cell], most_kpa)
-        std = (rise * suspicion[cell] + waiting_kpa[cell]) * SUSPICION
+        cell, gain = cells[i], memory[GAIN, i]
+        rise = max(memory[PRESSURE, i] - risen_from[cell], 0.0)
+        most_kpa = seeming * taken[NOISE, i] * (gain * gain)
+        std = rise * suspicion[cell] if rise < amplitude[cell] * most_kpa else 0.0
+        std = (std + waiting_kpa[cell]) * SUSPICION
         added[i] += std * std
 
 
@@ -256,17 +238,20 @@ def end_window_each(
     """
     found = False
     for i in range(cells.size):
-        cell, pressure, present = cells[i], memory[PRESSURE, i], beside[i]
+        cell, gain, pressure, present = cells[i], memory[GAIN, i], memory[PRESSURE, i], beside[i]
         unrest = min(present, beside_before[cell])
         if max(present, beside_before[cell]) > CROSSED:
             unrest = 0.0
         beside_before[cell] = present
-        most_kpa = most_seeming(memory, taken, i, seeming)
-        rise, waiting = seeming_rise(pressure, risen_from[cell], amplitude[cell] * most_kpa), waiting_kpa[cell]
+        most_kpa = seeming * taken[NOISE, i] * (gain * gain)
+        rise, waiting = max(pressure - risen_from[cell], 0.0), waiting_kpa[cell]
+        if not rise < amplitude[cell] * most_kpa:
+            rise = 0.0
         found |= unrest > HIDES
-        by_two = share(unrest, HIDES, SURELY_HIDES)
+        by_two = min(max((unrest - HIDES) / (SURELY_HIDES - HIDES), 0.0), 1.0)
         by_two *= rise if rise < most_kpa else 0.0
-        by_three = share(min(unrest, unrest_before[cell]), SUSPECTS, SURELY_SUSPECTS)
+        lesser = min(unrest, unrest_before[cell])
+        by_three = min(max((lesser - SUSPECTS) / (SURELY_SUSPECTS - SUSPECTS), 0.0), 1.0)
         spread = max(rise - edge_kpa[cell], 0.0)
         now = max(by_two, by_three * spread)
         missed[i] = now + by_three * waiting
@@ -274,7 +259,7 @@ def end_window_each(
         waiting *= 1.0 - by_three
         waiting_kpa[cell] = suspicion[cell] * (spread + FADES * waiting)
         edge_kpa[cell] = 0.0
-        suspicion[cell] = share(present, HIDES, SUSPECTS)
+        suspicion[cell] = min(max((present - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
         unrest_before[cell] = unrest
         risen_from[cell] = pressure
     return found
