@@ -110,7 +110,7 @@ def paused(page: Page) -> dict[str, Any]:
     """Stop the page at a frame, and return that frame as the page has it."""
     if page.get_attribute("#pause", "aria-pressed") != "true":
         page.click("#pause")
-    until(page, "ohmskin.paused && !ohmskin.painting && !ohmskin.hurry")
+    until(page, "ohmskin.paused && !ohmskin.painting && !ohmskin.hurry && !ohmskin.timer")
     return shown(page)
 
 
