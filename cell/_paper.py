@@ -17,13 +17,27 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..compiled import Loop
 from . import _lag as lag
+from . import _recovery as recovery
 from . import _turning_loops as loops
 from ._inversion import Inversion
 from ._models import PaperModel
 from ._noise import WINDOW
 from ._rows import GAIN, PRESSURE, SMOOTHED, STD, VARIANCE
 from ._smoothing import HIDDEN, SIGMAS
-from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
+from ._turning_loops import (
+    BEFORE_LAST,
+    DRIFT_KPA,
+    EXTREME,
+    FAR,
+    LAST,
+    LEFT,
+    PEAK,
+    REST_VARIANCE,
+    RESTED,
+    SIGN,
+    THIRD_LAST,
+    TURNED,
+)
 
 M = TypeVar("M")
 T = TypeVar("T")
@@ -41,6 +55,8 @@ TURN = 0.01
 EXACTLY, NEAR, ROUND = 1e-9, 1e-3, 2e-3
 """of full scale: rounding; a pressure that is as good as none; and an error of the pressure at a slow turn, which is
 noticed late"""
+FAST = 2.0
+"""turns by which the pressure changes in the frame of a turn, from which the turn is fast: then it is noticed at once"""
 EITHER = 0.5
 """standard deviation over the difference of the two hypotheses: either may be right until the pressure has turned"""
 SURE = 3.0
@@ -279,7 +295,9 @@ class TurningInversion(Inversion):
     rows = (
         *("pressure", "gain", "variance", "last", "before_last", "third_last"),
         *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
+        *("rest_variance", "rested", "drift", "drift_end"),
     )
+    recovers = True
 
     def __init__(self, model: PaperModel, full_scale_kpa: float, *, exact: bool) -> None:
         self.model = model
@@ -314,6 +332,8 @@ class TurningInversion(Inversion):
         )
         # What is below zero is an error that fades, and no turn.
         self._least_kpa = np.array(self._lowest if self.exact else 0.0)
+        self._fast_kpa = FAST * TURN * full_scale_kpa
+        self._most_rested_kpa2 = (recovery.MOST * full_scale_kpa) ** 2
         self._turns = self._numbers_of_turns()
 
     def begin(self, r: FloatArray) -> FloatArray:
@@ -439,6 +459,11 @@ class TurningInversion(Inversion):
             loops.MOST_LOST_KPA2: self._lost_at_most_kpa2,
             loops.HIDDEN: HIDDEN,
             loops.PER_SIGMAS: 1.0 / SIGMAS,
+            loops.FAST_KPA: self._fast_kpa,
+            loops.LIGHT: recovery.LIGHT,
+            loops.PART: recovery.PART,
+            loops.DRIFTS: recovery.DRIFTS,
+            loops.MOST_RESTED_KPA2: self._most_rested_kpa2,
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
@@ -493,7 +518,8 @@ class TurningInversion(Inversion):
         np.add(of.rising_share, of.recovery_share, of.pressure)
         np.multiply(std, of.gain, of.unsure)
         np.multiply(of.unsure, self._sure, of.threshold)
-        of.threshold += self._turn_kpa
+        np.add(of.drift, self._turn_kpa, of.ahead)
+        of.threshold += of.ahead
         np.maximum(of.pressure, self._least_kpa, out=of.ahead)
         of.ahead *= of.sign
 
@@ -521,10 +547,15 @@ class TurningInversion(Inversion):
         some[EXTREME] = now - LESS * unsure
         some[PEAK] = now - unsure
         # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
-        unseen = self._unseen(some, pressure, gain) + ROUND * self.full_scale_kpa
-        some[TURNED] = (np.sqrt(some[VARIANCE]) + unseen) ** 2
+        before = some[VARIANCE]
+        rested = np.minimum(before, some[REST_VARIANCE] + before * recovery.LIGHT)
+        before = np.where(some[RESTED] > 0, rested, before)
+        rounded = self._fast_kpa / np.maximum(np.abs(pressure - some[LAST]), self._fast_kpa)
+        unseen = self._unseen(some, pressure, gain) + rounded * (ROUND * self.full_scale_kpa)
+        some[TURNED] = (np.sqrt(before) + unseen) ** 2
         some[TURNED] += (weights.by_model[0, RECOVERY] * noise) ** 2
         some[TURNED] = np.minimum(some[TURNED], self._most_kpa**2)
+        recovery.begin(some, self._most_rested_kpa2)
         if np.count_nonzero(again):
             np.copyto(some[EXTREME], left, where=again)
             np.copyto(some[PEAK], left, where=again)
@@ -646,7 +677,7 @@ class _Rows:
         self.pressure, self.gain, self.variance, self.last = memory[: LAST + 1]
         self.before, self.until_before = memory[BEFORE_LAST : THIRD_LAST + 1], memory[LAST : BEFORE_LAST + 1]
         self.doubt, self.sign, self.extreme, self.peak, self.left = memory[TURNED : LEFT + 1]
-        self.in_force = memory[IN_FORCE]
+        self.in_force, self.drift = memory[IN_FORCE], memory[DRIFT_KPA]
         self.state = memory[STATE]
         self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]
         self.both = self.pressures.reshape(-1)

@@ -17,8 +17,11 @@ LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
 in recovery; the largest sign times pressure since the last turn, less some standard deviations of noise and less one;
 the extreme that was left at an unconfirmed turn, else :data:`FAR`"""
 RISING_IN_FORCE, RECOVERY_IN_FORCE = 11, 12
-RISING_KPA, RECOVERY_KPA, SETTLED, X2, RECOVERY_X3, STATE_END = 13, 14, 15, 16, 18, 20
+RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 14, 15, 16, 17, 18, 20
 """rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
+REST_VARIANCE, RESTED, DRIFT_KPA, DRIFT_END_KPA = range(20, 24)
+"""rows of :mod:`._recovery`: variance in kPa^2 of the memory of a cell that bears no load; 1 where a released cell has
+been taken for one at rest, else 0; by how much a fading error may let the pressure seem to rise, now and at last"""
 FAR = 1e12
 """kPa: no extreme"""
 
@@ -34,12 +37,12 @@ LOWEST, USUAL, SURE, TURN_KPA, LEAST_KPA, PULLED_KPA = range(6)
 FLAT_KPA, EXACT_KPA, AGAIN, LESS, EITHER, LEFT_OVER, CLEAR = range(6, 13)
 JUST_BEGUN, BETWEEN, BEND, ROUND_KPA, MOST_KPA2, CONFIRMED_RISE, CONFIRMED_FALL, HALF = range(13, 21)
 PULL, NEAR_KPA, SETTLED_PER_KPA, ETAU2_KPA, E1_KPA, LOST_SIGMAS, MOST_LOST_KPA2 = range(21, 28)
-HIDDEN, PER_SIGMAS = range(28, 30)
+HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2 = range(28, 35)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
-those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._paper.TurningInversion`"""
+those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._paper.TurningInversion`, and of :mod:`._recovery`"""
 UNCONFIRMED, PULLED = 1, 2
 
 
@@ -105,9 +108,18 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
     now = sign * max(pressure, 0.0)
     unsure = noise * gain
     # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
-    doubt = math.sqrt(memory[VARIANCE, i]) + (unseen_kpa(memory, i, pressure, gain, numbers) + numbers[ROUND_KPA])
+    before = memory[VARIANCE, i]
+    if memory[RESTED, i] > 0.0:
+        before = min(before, memory[REST_VARIANCE, i] + before * numbers[LIGHT])
+    rounded = numbers[FAST_KPA] / max(abs(pressure - memory[LAST, i]), numbers[FAST_KPA]) * numbers[ROUND_KPA]
+    doubt = math.sqrt(before) + (unseen_kpa(memory, i, pressure, gain, numbers) + rounded)
     late = by_model[0, 1] * noise
-    memory[TURNED, i] = min(doubt * doubt + late * late, numbers[MOST_KPA2])
+    turned = min(doubt * doubt + late * late, numbers[MOST_KPA2])
+    memory[TURNED, i] = turned
+    memory[RESTED, i], memory[DRIFT_KPA, i] = 0.0, 0.0
+    memory[REST_VARIANCE, i] = turned * numbers[PART] if turned < numbers[MOST_RESTED_KPA2] else 0.0
+    drift = math.sqrt(min(turned, numbers[MOST_RESTED_KPA2])) * numbers[DRIFTS]
+    memory[DRIFT_END_KPA, i] = drift if sign < 0.0 else 0.0
     memory[GAIN, i] = gain
     if left < FAR:
         memory[EXTREME, i], memory[PEAK, i], memory[LEFT, i] = left, left, FAR
@@ -127,7 +139,7 @@ def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
     noise = of[OTHER_GAIN, i] * std
     memory[PRESSURE, i] = pressure
     of[UNSURE, i], of[AHEAD, i], of[SPARE, i], of[NOISE, i] = unsure, ahead, back, noise
-    gone_back = memory[EXTREME, i] - ahead > unsure * numbers[SURE] + numbers[TURN_KPA]
+    gone_back = memory[EXTREME, i] - ahead > unsure * numbers[SURE] + (numbers[TURN_KPA] + memory[DRIFT_KPA, i])
     return bool(gone_back or back < noise)
 
 
