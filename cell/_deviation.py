@@ -20,7 +20,7 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from . import _loops as loops
 from ._conditions import Conditions
-from ._inversion import Inversion
+from ._inversion import NO_LOAD_SIGMAS, Inversion
 from ._loops import ASLEEP_SIGMAS
 from ._noise import NoiseMeter
 from ._remembered import Block, Remembered
@@ -28,8 +28,8 @@ from ._rows import GAIN, PRESSURE, SHARED, VARIANCE
 from ._sleep import AT_REST, Sleep
 from ._smoothing import HIDDEN, SIGMAS, Looked
 
-NO_LOAD_SIGMAS, TINY = 2.0, 1e-30
-"""standard deviations of the noise at which a load and none are as likely; keeps 0/0 from occurring"""
+TINY = 1e-30
+"""keeps 0/0 from occurring"""
 MODEL_ERROR = 0.005
 """of full scale: the least standard deviation without a calibration. It covers what an estimator passes over: loads
 that let a cell sleep, turns below a percent. It is no estimate of a model's error, for nobody compared the model with a
@@ -121,6 +121,9 @@ class Deviation:
             loops.STATED: float(self.stated),
             loops.SIGMAS: SIGMAS,
             loops.HIDDEN_SHARE: HIDDEN / SIGMAS,
+            loops.RISE_KPA: self._inversion.steepness_kpa[0],
+            loops.FALL_KPA: self._inversion.steepness_kpa[1],
+            loops.RESTS: self._inversion.rests,
         }
         return np.array([numbers[place] for place in range(len(numbers))])
 
@@ -143,7 +146,7 @@ class Deviation:
             added = total(added, np.maximum(pressure - self._full_kpa, 0.0) ** 2)
         noise_kpa = looked.std * memory[GAIN]
         if noise_kpa.item(noise_kpa.argmax()) > AT_REST * self._full_kpa:
-            likely = _likely(pressure, noise_kpa)
+            likely = _likely(pressure, self._inversion.hides_kpa2(memory, noise_kpa))
             added = total(added, (pressure - likely) ** 2)
             pressure = likely
         self._left_open = LeftOpen(block.cells, memory[:SHARED].copy(), looked, added)
@@ -225,18 +228,20 @@ class Deviation:
         """(m,) variance in kPa^2 of the cells that were followed in a frame."""
         if isinstance(left_open, Stated):
             return left_open.variance.copy()
-        doubt = _ZERO if left_open.looked is None else left_open.looked.doubt()
-        variance = self._own_variance(left_open.memory, doubt)
+        looked, memory = left_open.looked, left_open.memory
+        std_kpa = _ZERO
+        if looked is not None:
+            std_kpa = looked.doubt_kpa(memory[GAIN], self._inversion.steepness_kpa)
+        variance = self._own_variance(memory, std_kpa)
         if left_open.added is not None:
             variance += left_open.added
         return variance
 
-    def _own_variance(self, memory: FloatArray, std: FloatArray) -> FloatArray:
-        """(m,) variance in kPa^2 of cells whose readings are known to ``std`` (m,)."""
+    def _own_variance(self, memory: FloatArray, std_kpa: FloatArray) -> FloatArray:
+        """(m,) variance in kPa^2 of cells whose readings are known to ``std_kpa`` (m,) of pressure."""
         if not self.stated:
             return np.full(memory.shape[1], np.nan)
-        variance: FloatArray = std * memory[GAIN]
-        variance *= variance
+        variance: FloatArray = np.broadcast_to(std_kpa * std_kpa, memory.shape[1]).copy()
         variance += self._inversion.within_frame(memory, np.sqrt(variance))
         variance += memory[VARIANCE]
         variance += self._model_variance
@@ -258,15 +263,13 @@ def total(one: FloatArray | None, other: FloatArray) -> FloatArray:
     return other if one is None else one + other
 
 
-def _likely(pressure: FloatArray, noise_kpa: FloatArray) -> FloatArray:
+def _likely(pressure: FloatArray, hides_kpa2: FloatArray) -> FloatArray:
     """(m,) pressures with those that noise alone could give shown nearer to none.
 
-    Most cells carry no load: of a pressure below two standard deviations of the noise, no load is the likelier cause.
+    Most cells carry no load: of a pressure whose square is below ``hides_kpa2`` (m,), no load is the likelier cause.
     What is remembered stays as it is.
     """
     squared = pressure * pressure
     squared *= squared
-    hides = NO_LOAD_SIGMAS * noise_kpa
-    hides *= hides
-    likely: FloatArray = pressure * (squared / (squared + hides * hides + TINY))
+    likely: FloatArray = pressure * (squared / (squared + hides_kpa2 * hides_kpa2 + TINY))
     return likely

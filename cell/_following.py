@@ -13,15 +13,13 @@ from . import _loops as loops
 from . import _smoothing as smoothing
 from ._deviation import Deviation, total
 from ._inversion import Inversion
-from ._noise import WINDOW, NoiseMeter
+from ._noise import RECENT, WINDOW, NoiseMeter
 from ._remembered import Block
 from ._rows import PRESSURE
 from ._smoothing import LEAST_NOISE, Looked
 from ._sparks import Sparks
 from ._tremor import Tremor
 
-LOOKS = 3
-"""for tremor, in a window of readings"""
 _ZERO = np.zeros(1)
 
 
@@ -83,7 +81,10 @@ class Following:
         block.line_before = line.copy()
         looked = Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._inversion.advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
-        if frame % (WINDOW // LOOKS) == 0:
+        if frame % RECENT == 0:
+            if self._inversion.recovers:
+                count = block.line_before[smoothing.COUNT]
+                self._inversion.recover(memory, dt, self._noise.mean_of_recent(cells), noise, count)
             self._look_for_tremor(block, noise, ends_window=frame % WINDOW == 0)
         added = None
         if self._tremor.suspicious:
@@ -110,7 +111,9 @@ class Following:
             self._sparks.remember(block, block.begun, reading, noise)
         doubt = Looked(reading, noise, std, line).doubt
         memory = block.memory = self._inversion.advance_compiled(block.memory, taken, dt, doubt)
-        if frame % (WINDOW // LOOKS) == 0:
+        if frame % RECENT == 0:
+            if self._inversion.recovers:
+                self._inversion.recover_compiled(memory, taken, dt, line, *self._noise.window, cells)
             self._look_for_tremor_compiled(block, ends_window=frame % WINDOW == 0)
         added = np.zeros(cells.size)
         if self._tremor.suspicious:

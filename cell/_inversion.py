@@ -14,10 +14,20 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ..compiled import Loop
 from . import _loops as loops
 from ._rows import GAIN, SMOOTHED, STD
+
+LOADS = (-0.5, 3.0)
+"""times full scale beyond which no load is looked for"""
+USUAL, DOUBT = 1.1, 0.1
+"""times full scale: no larger pressure is believed while its standard deviation by the memory is above the second"""
+MEMORIES = 10.0
+"""times the fast answer to full scale that r may reach: presses in quick succession add up"""
+
+NO_LOAD_SIGMAS = 2.0
+"""standard deviations of the noise at which a load and none are as likely"""
 
 _NO_VARIANCE = np.zeros(1)
 _ONE = np.array(1.0)  # as array: NumPy makes an array of a float in every call
@@ -39,6 +49,13 @@ class Inversion(ABC):
     bends = 0.0, 0.0
     """standard deviation of r by a turn within the frame, per kPa by which the load bent, and by how many standard
     deviations of noise the load must have bent; 0: none. :meth:`within_frame` says the same to array operations"""
+    steepness_kpa = 0.0, 0.0
+    """kPa per r by which a fast rise of the load and a fast fall are answered; 0: by the memory's gain"""
+    recovers = False
+    """whether :meth:`recover` does anything"""
+    rests = 0.0
+    """squared standard deviations at which a load and none are as likely in cells that are taken for cells at rest; 0:
+    none are. :meth:`hides_kpa2` says the same to array operations"""
     seeming = 0.0
     """kPa by which motion as large as the noise may let a pressure seem to rise in a window of the noise meter, per
     standard deviation of a reading and per squared gain; 0: it does not"""
@@ -88,6 +105,25 @@ class Inversion(ABC):
         """(m,) whether the memory is that of a cell at rest, within ``band`` of r."""
         return np.ones(memory.shape[1], dtype=bool)
 
+    def recover(  # noqa: B027 - without a memory nothing is remembered wrong
+        self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray
+    ) -> None:
+        """Correct what released cells remember by their readings of late; changes ``memory`` (rows, m).
+
+        Args:
+            memory: of the cells, after :meth:`advance`.
+            dt_s: seconds between frames.
+            mean: (m,) of the last :data:`._noise.RECENT` readings.
+            noise: (m,) standard deviation of one of them.
+            count: (m,) readings since the smoothing last noticed a change.
+        """
+
+    def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
+        """(m,) squared kPa at which a load and none are as likely, for a standard deviation by noise (m,)."""
+        hides: FloatArray = noise_kpa * NO_LOAD_SIGMAS
+        hides *= hides
+        return hides
+
     def most_seeming(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
         """(m,) kPa by which motion as large as the ``noise`` (m,) may at most let pressures seem to rise."""
         gain = memory[GAIN]
@@ -120,6 +156,28 @@ class Inversion(ABC):
 
     # -- machine code ------------------------------------------------------------------------------------------------
 
+    def recover_compiled(  # noqa: B027
+        self,
+        memory: FloatArray,
+        taken: FloatArray,
+        dt_s: float,
+        line: FloatArray,
+        ring: FloatArray,
+        newest: int,
+        cells: IntArray,
+    ) -> None:
+        """:meth:`recover` by machine code.
+
+        Args:
+            memory: (rows, m) of the cells, changed.
+            taken: (4, m) readings of the frame, rows as in :mod:`._rows`.
+            dt_s: seconds between frames.
+            line: (ROWS, m) memory of the smoothing.
+            ring: (k, n) last readings of all cells.
+            newest: row of the last of them.
+            cells: (m,) indices.
+        """
+
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
         """All loops that :meth:`advance_compiled` calls."""
         return ()
@@ -132,3 +190,8 @@ class Inversion(ABC):
         ``taken`` (4, m) are the readings of the frame, rows as in :mod:`._rows`.
         """
         return self.advance(memory, dt_s, taken[SMOOTHED], taken[STD], doubt)
+
+
+def credible_readings(steepest: float) -> tuple[float, float]:
+    """r beyond which no load that is looked for is the cause, for a fast answer of ``steepest`` to full scale."""
+    return LOADS[0] * steepest, MEMORIES * steepest

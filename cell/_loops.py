@@ -58,7 +58,7 @@ def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, lea
 
 
 MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY = range(8)
-HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE = range(8, 13)
+HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE, RISE_KPA, FALL_KPA, RESTS = range(8, 16)
 """places of numbers that :func:`show` and :func:`watch_over` take: variance in kPa^2 by the model; r per kPa of bend
 that a turn within the frame may leave, 0: none, and standard deviations of noise that are no bend; full scale,
 pressure, and noise in kPa from which more is done; standard deviations at which a load and none are as likely; keeps
@@ -67,6 +67,8 @@ is to cover; 1 if a standard deviation is stated; standard deviations that an es
 reading that hide a load over them"""
 LAST, BEFORE_LAST = 3, 4
 """rows of the pressures of the last two frames, where a turn within the frame is reckoned with"""
+REST_VARIANCE, RESTED = 20, 21
+"""rows where released cells are taken for cells at rest: variance in kPa^2 of the memory then; 1 where that is so"""
 
 
 @loop
@@ -124,12 +126,17 @@ def show(
             squared *= squared
             hides = no_load * noise_kpa
             hides *= hides
+            if numbers[RESTS] != 0.0 and memory[RESTED, i] > 0.0:
+                hides = (noise_kpa * noise_kpa + memory[REST_VARIANCE, i]) * numbers[RESTS]
             shown *= squared / (squared + hides * hides + numbers[TINY])
             off = found - shown
             added[i] += off * off
         pressure[cells[i]] = shown
-        doubt = (abs(taken[READING, i] - line[LEVEL, i]) + taken[NOISE, i] * numbers[HIDDEN]) * numbers[PER_SIGMAS]
-        std = max(doubt, taken[STD, i]) * gain
+        off, slope = taken[READING, i] - line[LEVEL, i], gain
+        if numbers[FALL_KPA] != 0.0:
+            slope = numbers[FALL_KPA] if off < 0.0 else numbers[RISE_KPA]
+        doubt = (abs(off) * slope + taken[NOISE, i] * gain * numbers[HIDDEN]) * numbers[PER_SIGMAS]
+        std = max(doubt, noise_kpa)
         own = std * std
         if numbers[WITHIN] != 0.0:
             bend = abs(found - 2.0 * memory[LAST, i] + memory[BEFORE_LAST, i])

@@ -51,6 +51,8 @@ MEDIAN_OF_SQUARES = 0.4549
 """median of the square of a normal variable of variance 1"""
 WINDOW = 12
 """readings that are kept, and compared with a parabola through them"""
+RECENT = 4
+"""readings of which :meth:`NoiseMeter.mean_of_recent` is the mean; frames between two looks at the window"""
 CROSSED = 10.0
 """times the variance of noise: a window that has more is crossed by an edge, which smoothing notices"""
 
@@ -221,6 +223,20 @@ class NoiseMeter:
         if self._any_blind:
             present[self._blind[cells] > 0] = 0.0
         return present
+
+    @property
+    def window(self) -> tuple[FloatArray, int]:
+        """(WINDOW, n) the last readings, and which row is the newest."""
+        return self._ring, (self._seen - 1) % WINDOW
+
+    def mean_of_recent(self, cells: IntArray) -> FloatArray:
+        """(m,) mean of the last :data:`RECENT` readings of ``cells``."""
+        ring, newest = self.window
+        total: FloatArray = ring[newest].take(cells)
+        for age in range(1, RECENT):
+            total += ring[(newest - age) % WINDOW].take(cells)
+        total *= 1.0 / RECENT
+        return total
 
     def unrest(self, cells: IntArray, present: FloatArray) -> FloatArray:
         """(m,) the lesser of the last two windows' variances, since a single edge is in one of them only.

@@ -20,7 +20,10 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..compiled import FixedRow, Places, Rows, loop
+from ._loops import REST_VARIANCE, RESTED
 from ._models import PaperModel
+from ._noise import RECENT
+from ._paper_steps import step_weights
 from ._rows import NOISE, PRESSURE
 from ._smoothing import COUNT
 from ._turning_loops import (
@@ -32,8 +35,6 @@ from ._turning_loops import (
     PEAK,
     RECOVERY_KPA,
     RECOVERY_X3,
-    REST_VARIANCE,
-    RESTED,
     RISING_KPA,
     RISING_X3,
     SETTLED,
@@ -43,14 +44,15 @@ from ._turning_loops import (
     X2,
 )
 
-READINGS = 4
-"""of which the mean is taken; so many frames lie between two looks"""
 PART = 0.3
 """of the variance that is stated for the memory at a release: that of the usual error. The rest covers rare ones"""
 MOST = 0.2
 """of full scale: a memory that is known no better is lost, and rest is no better guess than a load"""
 REST_SIGMAS = 2.0
 """standard deviations by which the pressure of a cell at rest may differ from none"""
+RESTED_SIGMAS = 3.0
+"""standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a cell that has
+been taken for one at rest; less than in any cell (:data:`._inversion.NO_LOAD_SIGMAS`) is no sign of a new press"""
 LIGHT = 0.1
 """share of the variance of the memory that a rest leaves: the released cell may have borne a light load after all"""
 DRIFTS = 2.0
@@ -67,22 +69,17 @@ BOUND, E1_KPA, SETTLED_PER_KPA, ETAU2_KPA, LATELY = range(5, 10)
 """squared standard deviations of rest; of the model; how fast a peak goes down"""
 
 
-def constants(model: PaperModel, dt_s: float, gain_kpa: float, fade: float) -> FloatArray:
-    """What :func:`look` takes, for frames ``dt_s`` apart.
-
-    Args:
-        model: of the cell.
-        dt_s: seconds between frames.
-        gain_kpa: pressure per r in recovery.
-        fade: share of a variance of the memory that is left after a frame in recovery.
-    """
-    age_s = 0.5 * (READINGS - 1) * dt_s
+def constants(model: PaperModel, dt_s: float) -> FloatArray:
+    """What :func:`look` takes, for frames ``dt_s`` apart."""
+    weights = step_weights(model, dt_s)
+    gain_kpa, fade = float(weights.gain[-1]), float(weights.fade[-1])
+    age_s = 0.5 * (RECENT - 1) * dt_s
     numbers = {
         GAIN: gain_kpa,
-        FADES: fade**READINGS,
+        FADES: fade**RECENT,
         BACK_2: math.exp(min(age_s / model.t2_s, 50.0)),
         BACK_3: math.exp(min(age_s / model.t3_s, 50.0)),
-        DRIFT_SHARE: 1.0 - fade ** (READINGS / 2),  # errors fade as the root of their variance
+        DRIFT_SHARE: 1.0 - fade ** (RECENT / 2),  # errors fade as the root of their variance
         BOUND: REST_SIGMAS**2,
         E1_KPA: model.e1_kpa,
         SETTLED_PER_KPA: 1.0 + model.etau2_kpa / model.eu1_kpa,
@@ -93,7 +90,7 @@ def constants(model: PaperModel, dt_s: float, gain_kpa: float, fade: float) -> F
 
 
 def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, count: FloatArray, numbers: FloatArray) -> None:
-    """Take the last :data:`READINGS` readings of m cells; changes their ``memory`` (rows, m).
+    """Take the last :data:`._noise.RECENT` readings of m cells; changes their ``memory`` (rows, m).
 
     Args:
         memory: of the cells.
@@ -109,9 +106,9 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, count: FloatAr
     remembered = memory[X2] * numbers[BACK_2] + memory[RECOVERY_X3] * numbers[BACK_3]
     pressure = (mean - remembered) * numbers[GAIN]
     by_noise = noise * numbers[GAIN]
-    by_noise = by_noise * by_noise * (1.0 / READINGS)
+    by_noise = by_noise * by_noise * (1.0 / RECENT)
     bound = (variance + by_noise) * numbers[BOUND]
-    calm = (memory[SIGN] < 0.0) & (memory[LEFT] >= FAR) & (count >= READINGS - 1.0)
+    calm = (memory[SIGN] < 0.0) & (memory[LEFT] >= FAR) & (count >= RECENT - 1.0)
     calm &= (pressure * pressure < bound) & (shown * shown < bound)
     rests = np.flatnonzero(calm)
     if not rests.size:
@@ -164,14 +161,14 @@ def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, ce
         memory[PEAK, i] += (memory[EXTREME, i] - memory[PEAK, i]) * numbers[LATELY]
         memory[DRIFT_KPA, i] += (memory[DRIFT_END_KPA, i] - memory[DRIFT_KPA, i]) * numbers[DRIFT_SHARE]
         memory[REST_VARIANCE, i] *= numbers[FADES]
-        if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and line[COUNT, i] >= READINGS - 1.0):
+        if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and line[COUNT, i] >= RECENT - 1.0):
             continue
         cell, shown, x3 = cells[i], memory[PRESSURE, i], memory[RECOVERY_X3, i]
-        mean = (ring[newest, cell] + ring[second, cell] + ring[third, cell] + ring[fourth, cell]) * (1.0 / READINGS)
+        mean = (ring[newest, cell] + ring[second, cell] + ring[third, cell] + ring[fourth, cell]) * (1.0 / RECENT)
         remembered = memory[X2, i] * numbers[BACK_2] + x3 * numbers[BACK_3]
         pressure = (mean - remembered) * gain
         by_noise = taken[NOISE, i] * gain
-        by_noise = by_noise * by_noise * (1.0 / READINGS)
+        by_noise = by_noise * by_noise * (1.0 / RECENT)
         bound = (memory[REST_VARIANCE, i] + by_noise) * numbers[BOUND]
         if not (pressure * pressure < bound and shown * shown < bound):
             continue

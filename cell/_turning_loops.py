@@ -1,4 +1,4 @@
-"""The frame of :class:`._paper.TurningInversion` as loops over cells for :mod:`ohmskin.compiled`.
+"""The frame of :class:`._turning.TurningInversion` as loops over cells for :mod:`ohmskin.compiled`.
 
 The loops do what the array operations of its ``advance`` do, in the same order. Between them come two matrix products,
 which NumPy does, and the turns and limits of few cells, which stay array operations.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from ..compiled import FixedRow, FixedRows, FlagRows, Rows, loop
+from ._loops import REST_VARIANCE, RESTED
 from ._rows import GAIN, PRESSURE, READING, SMOOTHED, STD, VARIANCE
 from ._rows import NOISE as READING_NOISE
 
@@ -19,9 +20,9 @@ the extreme that was left at an unconfirmed turn, else :data:`FAR`"""
 RISING_IN_FORCE, RECOVERY_IN_FORCE = 11, 12
 RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 14, 15, 16, 17, 18, 20
 """rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
-REST_VARIANCE, RESTED, DRIFT_KPA, DRIFT_END_KPA = range(20, 24)
-"""rows of :mod:`._recovery`: variance in kPa^2 of the memory of a cell that bears no load; 1 where a released cell has
-been taken for one at rest, else 0; by how much a fading error may let the pressure seem to rise, now and at last"""
+DRIFT_KPA, DRIFT_END_KPA = 22, 23
+"""rows of :mod:`._recovery`, beside two of :mod:`._loops`: by how much a fading error may let the pressure seem to
+rise, now and at last"""
 FAR = 1e12
 """kPa: no extreme"""
 
@@ -42,7 +43,7 @@ HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2 = range(28, 
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
-those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._paper.TurningInversion`, and of :mod:`._recovery`"""
+those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, and of :mod:`._recovery`"""
 UNCONFIRMED, PULLED = 1, 2
 
 
