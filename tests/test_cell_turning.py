@@ -98,13 +98,22 @@ def test_the_matrices_do_what_one_cell_written_out_does(seed: int, dt: float, no
     forward._check_pull = lambda pressure: None  # type: ignore[method-assign]
     memory = inversion.begin(np.zeros(cells))
     one_by_one = [OneCell(MODEL, FULL, 0.0, exact=noise == 0.0) for _ in range(cells)]
-    for kpa in FULL * load.T:
+    readings: list[np.ndarray] = []
+    for number, kpa in enumerate(FULL * load.T):
         r = forward.step(dt, kpa) / rest - 1 + noise * rng.standard_normal(cells)
         std, doubt = np.full(cells, noise), np.full(cells, 1.5 * noise)
         memory = inversion.advance(memory, dt, r, std, lambda doubt=doubt: doubt)  # type: ignore[misc]
         expected = [one.step(dt, float(x), noise, 1.5 * noise) for one, x in zip(one_by_one, r, strict=True)]
         np.testing.assert_allclose(memory[0], expected, rtol=1e-8, atol=1e-8)
         np.testing.assert_allclose(memory[2], [one.variance for one in one_by_one], rtol=1e-6, atol=1e-8)
+        readings = [*readings[-3:], r]
+        if noise and number % 4 == 0 and len(readings) == 4:
+            count = rng.integers(0, 9, cells)
+            mean = np.mean(readings, axis=0)
+            inversion.recover(memory, dt, mean, np.full(cells, 2 * noise), count.astype(float))
+            for one, *taken in zip(one_by_one, mean.tolist(), count.tolist(), strict=True):
+                one.recover(dt, taken[0], 2 * noise, taken[1])
+            np.testing.assert_allclose(memory[0], [one.now.pressure for one in one_by_one], rtol=1e-8, atol=1e-8)
 
 
 def test_a_doubt_ends_at_full_scale() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ohmskin.cell import PaperModel
 from ohmskin.cell import _lag as lag
+from ohmskin.cell import _recovery as recovery
 from ohmskin.cell import _turning as paper
 
 
@@ -33,11 +34,13 @@ class OneCell:
         self.extreme = self.peak = p
         self.left: float | None = None
         self.doubt = self.variance = 0.0
+        self.rest_variance = self.drift = self.last_drift = 0.0
+        self.rested = False
         self.last = self.before_last = self.third_last = p
 
     def step(self, dt: float, r: float, std: float, doubt: float) -> float:
         """Take a reading, uncertain by ``std`` by noise and by ``doubt`` in all; the pressure."""
-        m = self.model
+        m, self.r = self.model, r
         self.third_last, self.before_last, self.last = self.before_last, self.last, self.now.pressure
         gains = {rising: self._solved(Hypothesis(0, 0, 0, 0), rising, dt, 1.0).pressure for rising in (True, False)}
         now, other = self._solved(self.now, self.rising, dt, r), self._solved(self.other, not self.rising, dt, r)
@@ -45,7 +48,7 @@ class OneCell:
             if now.pressure > paper.USUAL * self.full:
                 self.doubt = max(self.doubt, (paper.BEYOND * self.full) ** 2)
             now, other = self._believable(now, self.rising, r), self._believable(other, not self.rising, r)
-        threshold = paper.SURE * std * gains[self.rising] + paper.TURN * self.full
+        threshold = paper.SURE * std * gains[self.rising] + paper.TURN * self.full + self.drift
         turned = self.extreme - self._ahead(now) > threshold
         if self.left is not None:
             direction = 1.0 if self.rising else -1.0
@@ -63,9 +66,18 @@ class OneCell:
             there = max(sign * (self.third_last - self.before_last), sign * (self.before_last - self.last), 0.0)
             way = min(paper.JUST_BEGUN * there, max(abs(now.pressure - self.last), paper.HALF * there))
             bend = 1 / m.eu1_kpa + 1 / m.etau2_kpa - 1 / m.e1_kpa
-            unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full
-            self.doubt = (np.sqrt(self.variance) + unseen) ** 2 + (gains[False] * std) ** 2
+            fast = max(1.0, abs(now.pressure - self.last) / (paper.FAST * paper.TURN * self.full))
+            unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full / fast
+            before = self.variance
+            if self.rested:
+                before = min(before, self.rest_variance + recovery.LIGHT * before)
+            self.doubt = (np.sqrt(before) + unseen) ** 2 + (gains[False] * std) ** 2
             self.doubt = min(self.doubt, (0.5 * self.full) ** 2)
+            lost = self.doubt >= (recovery.MOST * self.full) ** 2
+            self.rest_variance = 0.0 if lost else recovery.PART * self.doubt
+            self.rested, self.drift = False, 0.0
+            error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
+            self.last_drift = 0.0 if self.rising else recovery.DRIFTS * error
         unsure = std * gains[self.rising]
         ahead = self._ahead(now)
         confirmed = False
@@ -103,6 +115,29 @@ class OneCell:
             self.doubt = min(self.doubt + lost + np.sqrt(self.doubt * lost), (paper.MOST_LOST * self.full) ** 2)
         self.variance = self.doubt + is_apart
         return now.pressure
+
+    def recover(self, dt: float, mean: float, noise: float, count: int) -> None:
+        """Take the ``mean`` of the last four readings, each uncertain by ``noise``: a released cell is at rest."""
+        m = self.model
+        gain = self._solved(Hypothesis(0, 0, 0, 0), False, dt, 1.0).pressure
+        fade = np.exp(-8 * dt * (1 + m.e1_kpa / m.e2_kpa) / m.t2_s)  # of a variance, in four frames
+        self.peak = self.peak + recovery.PEAK_FADES * (self.extreme - self.peak)
+        self.rest_variance *= fade
+        self.drift += (1 - np.sqrt(fade)) * (self.last_drift - self.drift)
+        if self.rising or self.left is not None or count < 3:
+            return
+        ago = 1.5 * dt
+        pressure = gain * (mean - self.now.x2 * np.exp(ago / m.t2_s) - self.now.x3 * np.exp(ago / m.t3_s))
+        by_noise = (gain * noise) ** 2 / 4
+        if max(pressure**2, self.now.pressure**2) >= recovery.REST_SIGMAS**2 * (self.rest_variance + by_noise):
+            return
+        kept = by_noise / (by_noise + self.rest_variance)
+        error = pressure * (1 - kept)
+        self.rest_variance *= kept
+        self.rested = True
+        self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
+        self.other = self._begun(self.now.pressure, self.r, self.now.x3)
+        self.extreme, self.peak = min(self.extreme + error, 0.0), min(self.peak + error, 0.0)
 
     def _ahead(self, hypothesis: Hypothesis) -> float:
         least = paper.LOADS[0] * self.full if self.exact else 0.0
