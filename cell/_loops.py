@@ -111,6 +111,10 @@ def show(
     """
     full, much, no_load = numbers[FULL], False, numbers[NO_LOAD]
     much_noise = False
+    # Read once: the compiler cannot know that no array written below is ``numbers``.
+    rise_kpa, fall_kpa, rests = numbers[RISE_KPA], numbers[FALL_KPA], numbers[RESTS]
+    hidden, per_sigmas, within, sure = numbers[HIDDEN], numbers[PER_SIGMAS], numbers[WITHIN], numbers[SURE]
+    model_variance, stated, tiny = numbers[MODEL_VARIANCE], numbers[STATED] > 0.0, numbers[TINY]
     for i in range(cells.size):
         much |= memory[PRESSURE, i] > numbers[MUCH]
         much_noise |= taken[STD, i] * memory[GAIN, i] > numbers[MUCH_NOISE]
@@ -126,27 +130,27 @@ def show(
             squared *= squared
             hides = no_load * noise_kpa
             hides *= hides
-            if numbers[RESTS] != 0.0 and memory[RESTED, i] > 0.0:
-                hides = (noise_kpa * noise_kpa + memory[REST_VARIANCE, i]) * numbers[RESTS]
-            shown *= squared / (squared + hides * hides + numbers[TINY])
+            if rests != 0.0 and memory[RESTED, i] > 0.0:
+                hides = (noise_kpa * noise_kpa + memory[REST_VARIANCE, i]) * rests
+            shown *= squared / (squared + hides * hides + tiny)
             off = found - shown
             added[i] += off * off
         pressure[cells[i]] = shown
         off, slope = taken[READING, i] - line[LEVEL, i], gain
-        if numbers[FALL_KPA] != 0.0:
-            slope = numbers[FALL_KPA] if off < 0.0 else numbers[RISE_KPA]
-        doubt = (abs(off) * slope + taken[NOISE, i] * gain * numbers[HIDDEN]) * numbers[PER_SIGMAS]
+        if fall_kpa != 0.0:
+            slope = fall_kpa if off < 0.0 else rise_kpa
+        doubt = (abs(off) * slope + taken[NOISE, i] * gain * hidden) * per_sigmas
         std = max(doubt, noise_kpa)
         own = std * std
-        if numbers[WITHIN] != 0.0:
+        if within != 0.0:
             bend = abs(found - 2.0 * memory[LAST, i] + memory[BEFORE_LAST, i])
-            bend = numbers[WITHIN] * max(bend - numbers[SURE] * math.sqrt(own), 0.0) * gain
+            bend = within * max(bend - sure * math.sqrt(own), 0.0) * gain
             own += bend * bend
         own += memory[VARIANCE, i]
-        own += numbers[MODEL_VARIANCE]
+        own += model_variance
         if rest_at_kpa.size > 0:
             own += interpolated(found, rest_at_kpa, rest_variance)
-        variance[i] = own + added[i] if numbers[STATED] > 0.0 else math.nan
+        variance[i] = own + added[i] if stated else math.nan
 
 
 @loop
