@@ -35,6 +35,7 @@ from . import _smoothing as smoothing
 from . import _tremor as tremor
 from ._forward import resistance_of
 from ._held import Held
+from ._jumps import TOGETHER_S, Jumps, Neighbours
 from ._loops import ASLEEP_SIGMAS, CALM_SIGMAS, LEVEL_BANDS
 from ._noise import WINDOW, NoiseMeter
 from ._rows import GAIN, PRESSURE, VARIANCE
@@ -188,7 +189,8 @@ class Estimator(ABC):
         self._block = self._no_block
         self._followed = np.zeros(cells, dtype=np.bool_)
         self._stale = True
-        self._sparks = _Sparks.none(self._memory, self._line)
+        self._jumps = Jumps.none(self._memory, self._line)
+        self._neighbours = Neighbours(shape)
 
     # -- machine code ------------------------------------------------------------------------------------------------
 
@@ -352,10 +354,11 @@ class Estimator(ABC):
     def _shown(self) -> FloatArray:
         """(shape) pressure in kPa. A jump beyond full scale is not shown before it has lasted longer than a spark."""
         pressure = self._pressure.copy()
-        if self._sparks.cells.size:
-            now = pressure[self._sparks.cells]
+        if self._jumps.cells.size:
+            now = pressure[self._jumps.cells]
             beyond = np.abs(now - self.full_scale_kpa / 2) > BEYOND * self.full_scale_kpa
-            pressure[self._sparks.cells[beyond]] = self._sparks.memory[PRESSURE, beyond]
+            beyond &= ~self._jumps.load
+            pressure[self._jumps.cells[beyond]] = self._jumps.memory[PRESSURE, beyond]
         shown: FloatArray = pressure.reshape(self.shape)
         return shown
 
@@ -489,15 +492,17 @@ class Estimator(ABC):
             self._memory[:, back] = self._hold(self._memory[:, back], self._gaps.unread_s[back])
 
     def _undo_jumps(self, lost: BoolArray) -> None:
-        """Put back what cells that are not read any more remembered before they jumped."""
-        gone = lost[self._sparks.cells]
+        """Put back what cells that are not read any more remembered before they jumped, unless it was a load."""
+        jumps = self._jumps
+        gone = lost[jumps.cells]
         if not np.count_nonzero(gone):
             return
-        cells = self._sparks.cells[gone]
-        self._memory[:, cells] = self._sparks.memory[:, gone]
-        self._line[:, cells] = self._sparks.line[:, gone]
-        self._pressure[cells] = self._sparks.memory[PRESSURE, gone]
-        self._sparks = self._sparks.where(~gone)
+        back = gone & ~jumps.load
+        cells = jumps.cells[back]
+        self._memory[:, cells] = jumps.memory[:, back]
+        self._line[:, cells] = jumps.line[:, back]
+        self._pressure[cells] = jumps.memory[PRESSURE, back]
+        self._jumps = jumps.where(~gone)
 
     def _interrupt(self, cells: IntArray) -> None:
         """Let the next reading of cells begin a new line, whatever it is."""
@@ -538,22 +543,26 @@ class Estimator(ABC):
         noise *= noise
         noise *= at_rest if every else at_rest.take(cells, mode="clip")
         noise += _LEAST_NOISE
-        if self._sparks.cells.size:
+        if self._jumps.cells.size:
             self._put_back(dt, reading, noise)
         if block.scratch is None:
             block.scratch = smoothing.Scratch(line)
         smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
         if smooth.begun is not None:
             self._remember(smooth.begun, reading, noise)
+        if self._jumps.cells.size:
+            self._recognise_loads(dt, r)
         block.line_before = line.copy()
         looked = Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
+        if self._jumps.load.any():
+            self._accept_loads(memory)
         if self._frames % (WINDOW // LOOKS) == 0:
             self._look_for_tremor(memory, self._most_seeming(memory, noise))
         pressure, added = memory[PRESSURE], None
         if self._tremor.suspicious:
             added = self._tremor.variance(cells, pressure, self._most_seeming(memory, noise))
-        if self._sparks.cells.size:
+        if self._jumps.cells.size:
             added = _sum(added, self._variance_of_jumps(memory))
         if pressure.item(pressure.argmax()) > USUAL * self.full_scale_kpa:
             # A pressure that the cell is not meant for may as well be an error of the memory.
@@ -575,18 +584,22 @@ class Estimator(ABC):
         cells, line, taken = block.cells, block.line, block.taken
         reading, noise, level, std = taken
         loops.take.code(r, self._noise.at_rest, cells, line, taken, LEAST_NOISE)
-        if self._sparks.cells.size:
+        if self._jumps.cells.size:
             self._put_back(dt, reading, noise)
         gains, large = self._gains(dt).rows, LARGE_JUMP * self._full_scale_r
         if smoothing.advance_each.code(line, block.line_before, dt, gains, taken, block.begun, large):
             self._remember(block.begun, reading, noise)
+        if self._jumps.cells.size:
+            self._recognise_loads(dt, r)
         memory = block.memory = self._advance_compiled(dt, level, std, Looked(reading, noise, std, line))
+        if self._jumps.load.any():
+            self._accept_loads(memory)
         if self._frames % (WINDOW // LOOKS) == 0:
             self._look_for_tremor_compiled(memory, taken)
         added = np.zeros(cells.size)
         if self._tremor.suspicious:
             self._tremor.add_variance(cells, memory, taken, self._seeming, added)
-        if self._sparks.cells.size:
+        if self._jumps.cells.size:
             added += self._variance_of_jumps(memory)
         variance = np.empty(cells.size)
         loops.show.code(
@@ -714,8 +727,8 @@ class Estimator(ABC):
         self._flush()
         self._memory[:, cells] = self._memory_at_rest
         self._pressure[cells] = 0.0  # a calibration curve may miss that by some percent
-        if self._sparks.cells.size:
-            self._sparks = self._sparks.where(~np.isin(self._sparks.cells, cells))
+        if self._jumps.cells.size:
+            self._jumps = self._jumps.where(~np.isin(self._jumps.cells, cells))
         self._awake[cells] = False
         self._tremor.forget(cells)
         self._all_awake = False
@@ -755,40 +768,62 @@ class Estimator(ABC):
         place = np.flatnonzero(begun & (size > least) & ~released)
         if not place.size:
             return
-        if self._sparks.cells.size:
-            place = place[~np.isin(block.cells[place], self._sparks.cells)]
+        if self._jumps.cells.size:
+            place = place[~np.isin(block.cells[place], self._jumps.cells)]
         place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
         if place.size:
-            self._sparks = self._sparks.with_more(
-                block.cells[place], block.memory[:, place], block.line_before[:, place], jump[place]
-            )
+            cells, before = block.cells[place], block.line_before[:, place]
+            around = self._neighbours.values(self._levels_before(), cells)
+            self._jumps = self._jumps.with_more(cells, block.memory[:, place], before, jump[place], around)
+
+    def _levels_before(self) -> FloatArray:
+        """(n,) smoothed readings before this frame, or before a jump that is under way."""
+        levels = self._mean.copy()
+        levels[self._block.cells] = self._block.line_before[smoothing.LEVEL]
+        levels[self._jumps.cells] = self._jumps.line[smoothing.LEVEL]
+        return levels
+
+    def _recognise_loads(self, dt: float, r: FloatArray) -> None:
+        """Find the jumps that are loads, by their neighbours in the readings (n,)."""
+        jumps = self._jumps
+        noise = (r + 1.0) ** 2 * self._noise.at_rest + LEAST_NOISE
+        off = r[jumps.cells] - jumps.line[smoothing.LEVEL]
+        self._neighbours.recognise_loads(jumps, dt, self._side, r, noise, off)
+
+    def _accept_loads(self, memory: FloatArray) -> None:
+        """Let jumps that are loads, in the block's ``memory``, be no motion within the noise."""
+        load = self._jumps.load & (self._jumps.age_s <= TOGETHER_S)
+        if np.count_nonzero(load):
+            cells = self._jumps.cells[load]
+            self._tremor.accept(cells, memory[PRESSURE, np.searchsorted(self._block.cells, cells)])
 
     def _put_back(self, dt: float, r: FloatArray, noise: FloatArray) -> None:
         """Put back the memory of cells whose reading has come back; changes the block."""
-        sparks, block = self._sparks, self._block
-        sparks.age_s += dt
-        sparks.memory = self._hold(sparks.memory, dt)
-        place = np.searchsorted(block.cells, sparks.cells)
-        off = r[place] - sparks.line[smoothing.LEVEL]
-        np.copyto(sparks.jump, off, where=np.abs(off) > np.abs(sparks.jump))
-        jump, moved = np.abs(sparks.jump), sparks.line[smoothing.SLOPE] * sparks.age_s
-        over = sparks.age_s > SPARK_S * (1 + 1e-9)
-        back = np.abs(off - moved) < BACK * jump + CLEAR * noise[place] + np.abs(moved)
-        back &= np.abs(block.line[smoothing.LEVEL, place] - r[place]) > SUDDENLY * jump
+        jumps, block = self._jumps, self._block
+        jumps.age_s += dt
+        jumps.memory = self._hold(jumps.memory, dt)
+        place = np.searchsorted(block.cells, jumps.cells)
+        off = r[place] - jumps.line[smoothing.LEVEL]
+        np.copyto(jumps.size, off, where=np.abs(off) > np.abs(jumps.size))
+        size, moved = np.abs(jumps.size), jumps.line[smoothing.SLOPE] * jumps.age_s
+        over = jumps.age_s > SPARK_S * (1 + 1e-9)
+        back = np.abs(off - moved) < BACK * size + CLEAR * noise[place] + np.abs(moved)
+        back &= np.abs(block.line[smoothing.LEVEL, place] - r[place]) > SUDDENLY * size
         back &= ~over
         over |= back
+        back &= ~jumps.load
         if back.any():
             some = place[back]
-            back[back] = self._was_spark(some, dt, sparks.where(back), r[some], noise[some])
+            back[back] = self._was_spark(some, dt, jumps.where(back), r[some], noise[some])
             block.memory = block.memory.copy()  # another array, as sign that it has changed
-            block.memory[:, place[back]] = sparks.memory[:, back]
-            block.line[:, place[back]] = sparks.line[:, back]
+            block.memory[:, place[back]] = jumps.memory[:, back]
+            block.line[:, place[back]] = jumps.line[:, back]
             block.line_before = block.line.copy()
         if over.any():
-            self._sparks = sparks.where(~over)
+            self._jumps = jumps.where(~over)
 
     def _was_spark(
-        self, place: IntArray, dt: float, sparks: _Sparks, reading: FloatArray, noise: FloatArray
+        self, place: IntArray, dt: float, jumps: Jumps, reading: FloatArray, noise: FloatArray
     ) -> BoolArray:
         """Whether jumps (m,) that were taken back were bad contacts rather than taps; ``place`` of them in the block.
 
@@ -796,23 +831,24 @@ class Estimator(ABC):
         and the reading is not; after a bad contact it is the other way round. Taps are the rule. Where both may be, the
         difference counts as standard deviation, until it has faded.
         """
-        before, top = sparks.memory[PRESSURE], self._block.memory[PRESSURE, place]
+        before, top = jumps.memory[PRESSURE], self._block.memory[PRESSURE, place]
         tapped = self._advance(self._block.memory[:, place], dt, reading, noise, lambda: noise)
-        off = np.abs(reading - sparks.line[smoothing.LEVEL]) - CLEAR * noise
+        off = np.abs(reading - jumps.line[smoothing.LEVEL]) - CLEAR * noise
         off_if_tapped = np.abs(tapped[PRESSURE] - before)
         moved = np.abs(top - before)
-        found: BoolArray = off * moved <= NEARER * off_if_tapped * np.abs(sparks.jump)
+        found: BoolArray = off * moved <= NEARER * off_if_tapped * np.abs(jumps.size)
         plausible = np.maximum(EITHER * moved, SMALL * self.full_scale_kpa)
         either = found & (off_if_tapped < plausible) & (tapped[PRESSURE] > -LARGE_JUMP * self.full_scale_kpa)
-        self._gaps.doubt(sparks.cells[either], off_if_tapped[either])
+        self._gaps.doubt(jumps.cells[either], off_if_tapped[either])
         return found
 
     def _variance_of_jumps(self, memory: FloatArray) -> FloatArray:
         """(m,) kPa^2: half of a jump counts as standard deviation as long as it may be a spark."""
-        place = np.searchsorted(self._block.cells, self._sparks.cells)
-        jump = memory[PRESSURE, place] - self._sparks.memory[PRESSURE]
+        jumps = self._jumps
+        place = np.searchsorted(self._block.cells, jumps.cells)
+        change = np.where(jumps.load, 0.0, memory[PRESSURE, place] - jumps.memory[PRESSURE])
         variance = np.zeros(memory.shape[1])
-        variance[place] = (0.5 * jump) ** 2
+        variance[place] = (0.5 * change) ** 2
         return variance
 
     # -- saving ------------------------------------------------------------------------------------------------------
@@ -847,7 +883,7 @@ class Estimator(ABC):
         self._tremor.restore(given)
         self._usual_s, frames, self._sum_s, summed = given["clock"].tolist()
         self._frames, self._summed = int(frames), int(summed)
-        self._sparks = _Sparks.none(self._memory, self._line)
+        self._jumps = Jumps.none(self._memory, self._line)
         self._begun = bool((self._readings >= (1 if self._exact else FIRST_READINGS)).all())
         cells = np.flatnonzero(self._followed)
         self._block = _Block(cells, self._memory.take(cells, axis=1), self._line.take(cells, axis=1))
@@ -1069,30 +1105,3 @@ class _Gaps:
     def restore(self, state: dict[str, FloatArray]) -> None:
         self.unread_s, self._left, self.variance = (state[n] for n in ("unread_s", "gap_variance", "gap_shown"))
         self._renew()
-
-
-@dataclass
-class _Sparks:
-    """Cells whose reading jumped a moment ago, with all that was remembered before it."""
-
-    cells: IntArray
-    age_s: FloatArray
-    memory: FloatArray
-    line: FloatArray
-    jump: FloatArray
-
-    @classmethod
-    def none(cls, memory: FloatArray, line: FloatArray) -> _Sparks:
-        return cls(np.zeros(0, dtype=np.intp), np.zeros(0), memory[:, :0], line[:, :0], np.zeros(0))
-
-    def with_more(self, cells: IntArray, memory: FloatArray, line: FloatArray, jump: FloatArray) -> _Sparks:
-        return _Sparks(
-            np.concatenate([self.cells, cells]),
-            np.concatenate([self.age_s, np.zeros(cells.size)]),
-            np.concatenate([self.memory, memory], axis=1),
-            np.concatenate([self.line, line], axis=1),
-            np.concatenate([self.jump, jump]),
-        )
-
-    def where(self, kept: BoolArray) -> _Sparks:
-        return _Sparks(self.cells[kept], self.age_s[kept], self.memory[:, kept], self.line[:, kept], self.jump[kept])
