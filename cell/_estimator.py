@@ -7,7 +7,8 @@ A frame passes these steps. Every estimator then adds its own map from smoothed 
 2. Noise is measured from the readings (:mod:`._noise`).
 3. Cells at rest sleep: only their mean is watched, until it leaves the noise. This makes large skins cheap.
 4. Readings of the other cells are smoothed as their noise demands (:mod:`._smoothing`).
-5. A reading that jumps and is back within :data:`SPARK_S` was a bad contact: the memory from before it is put back.
+5. A reading that jumps and is back within :data:`SPARK_S` was a bad contact: the memory from before it is put back,
+   unless the cells beside it tell that it was a tap (:mod:`._jumps`).
 6. The standard deviation sums the variances of noise, of the memory, of motion within the noise (:mod:`._tremor`), of
    gaps, of R0, of creep under loads longer than any in the calibration (:mod:`._held`), and of what calibration left
    unexplained.
@@ -190,6 +191,8 @@ class Estimator(ABC):
         self._followed = np.zeros(cells, dtype=np.bool_)
         self._stale = True
         self._jumps = Jumps.none(self._memory, self._line)
+        self._before_jumps = np.zeros(cells)
+        """(n,) smoothed readings before the jumps that may still turn out to be one tap"""
         self._neighbours = Neighbours(shape)
 
     # -- machine code ------------------------------------------------------------------------------------------------
@@ -555,7 +558,7 @@ class Estimator(ABC):
         block.line_before = line.copy()
         looked = Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
-        if self._jumps.load.any():
+        if self._jumps.cells.size:
             self._accept_loads(memory)
         if self._frames % (WINDOW // LOOKS) == 0:
             self._look_for_tremor(memory, self._most_seeming(memory, noise))
@@ -592,7 +595,7 @@ class Estimator(ABC):
         if self._jumps.cells.size:
             self._recognise_loads(dt, r)
         memory = block.memory = self._advance_compiled(dt, level, std, Looked(reading, noise, std, line))
-        if self._jumps.load.any():
+        if self._jumps.cells.size:
             self._accept_loads(memory)
         if self._frames % (WINDOW // LOOKS) == 0:
             self._look_for_tremor_compiled(memory, taken)
@@ -773,7 +776,10 @@ class Estimator(ABC):
         place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
         if place.size:
             cells, before = block.cells[place], block.line_before[:, place]
-            around = self._neighbours.values(self._levels_before(), cells)
+            levels = self._levels_before()
+            if not (self._jumps.age_s <= TOGETHER_S).any():
+                self._before_jumps = levels
+            around = self._neighbours.values(levels, cells)
             self._jumps = self._jumps.with_more(cells, block.memory[:, place], before, jump[place], around)
 
     def _levels_before(self) -> FloatArray:
@@ -785,10 +791,8 @@ class Estimator(ABC):
 
     def _recognise_loads(self, dt: float, r: FloatArray) -> None:
         """Find the jumps that are loads, by their neighbours in the readings (n,)."""
-        jumps = self._jumps
         noise = (r + 1.0) ** 2 * self._noise.at_rest + LEAST_NOISE
-        off = r[jumps.cells] - jumps.line[smoothing.LEVEL]
-        self._neighbours.recognise_loads(jumps, dt, self._side, r, noise, off)
+        self._neighbours.recognise_loads(self._jumps, dt, self._side, r, noise, self._before_jumps)
 
     def _accept_loads(self, memory: FloatArray) -> None:
         """Let jumps that are loads, in the block's ``memory``, be no motion within the noise."""

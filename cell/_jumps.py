@@ -9,8 +9,8 @@ them apart while the jump lasts. An array can:
   a disturbance of the converter moves readings that are converted one after another, in one frame.
 
 A jump is therefore a load where neighbours along both axes move with it; where a neighbour of it is one; or where a
-neighbour along one axis moves with it for two frames, and no jump of that line is at its end. Nothing is concluded
-of lines that have jumped as a whole, nor of jumps that no neighbour shares. Bad contacts add resistance: where loads
+neighbour along one axis moves with it for two frames, and the ends of that line have not moved as much. Nothing is
+concluded of lines that have moved as a whole, nor of jumps that no neighbour shares. Bad contacts add resistance: where loads
 lower it, a fall that lasts for two frames is a load as well.
 """
 
@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ._smoothing import LEVEL
 
 SHARED = 0.05
 """share of a jump by which a neighbour moves with it. Crosstalk by leads that nobody mentions is far less"""
@@ -32,8 +33,9 @@ IN_LINE_S = 0.005
 """the same of neighbours along one axis only. A frame more is always waited for"""
 FRAMES = 2
 """in which such a neighbour must have moved: a disturbance of the converter is over in the next one"""
-WHOLE = 0.85
-"""share of a line's cells that have jumped from which the line itself may be bad"""
+WHOLE, EVEN, SEEN = 0.85, 0.3, 3.0
+"""share of a line's cells that have moved from which the line itself may be bad; share of a jump, and standard
+deviations of its reading, by which a cell has then moved, since a bad line moves its cells alike"""
 LEAST_LINE = 4
 """cells of a line that may be called whole: a fingertip covers shorter ones"""
 _SOON = 1 + 1e-9
@@ -115,7 +117,7 @@ class Neighbours:
         return np.append(of_cells, np.nan)[self._of[:, cells]]
 
     def recognise_loads(
-        self, jumps: Jumps, dt_s: float, side: float, reading: FloatArray, noise: FloatArray, level: FloatArray
+        self, jumps: Jumps, dt_s: float, side: float, reading: FloatArray, noise: FloatArray, levels: FloatArray
     ) -> None:
         """Mark jumps that are known to be loads; changes ``jumps``.
 
@@ -125,41 +127,51 @@ class Neighbours:
             side: 1 where a load raises the resistance, -1 where it lowers it.
             reading: (n,) normalised resistances of this frame.
             noise: (n,) their standard deviations.
-            level: (m,) normalised resistances of the jumps' cells in this frame, over those before them.
+            levels: (n,) normalised resistances before the newest jumps.
 
         """
         young = ~jumps.load & (jumps.age_s <= max(TOGETHER_S, dt_s) * _SOON)
         if not np.count_nonzero(young):
             return
-        lasts = np.abs(level) > 0.5 * np.abs(jumps.size)
+        cells, size = jumps.cells, np.abs(jumps.size)
+        lasts = np.abs(reading[cells] - jumps.line[LEVEL]) > 0.5 * size
         young &= lasts & (jumps.size * side > 0)
-        moved = (self.values(reading, jumps.cells) - jumps.around) * side
-        least = np.maximum(SHARED * np.abs(jumps.size), CLEAR * self.values(noise, jumps.cells))
-        with_it = moved > least  # False where there is no neighbour
-        along_columns, along_rows = with_it[0] | with_it[1], with_it[2] | with_it[3]
+        moved = (self.values(reading, cells) - jumps.around) * side
+        with_it = moved > np.maximum(SHARED * size, CLEAR * self.values(noise, cells))  # False where there is none
+        along_column, along_row = with_it[0] | with_it[1], with_it[2] | with_it[3]
         soon = jumps.age_s <= max(IN_LINE_S, dt_s) * _SOON
-        told = along_columns | along_rows | (side < 0)
-        jumps.shared += lasts & soon & told
-        whole, at_end = self._lines(jumps, along_columns)
-        young &= ~whole
-        jumps.load |= young & along_columns & along_rows
+        jumps.shared += lasts & soon & (along_column | along_row | (side < 0))
+        if self._grid:
+            whole, ends_column, ends_row = self._lines(cells, size, (reading - levels) * side, noise)
+            young &= ~whole
+            at_end = np.where(along_column, ends_column, ends_row)
+        else:
+            at_end = np.zeros(cells.size, dtype=np.bool_)
+        jumps.load |= young & along_column & along_row
         jumps.load |= young & (jumps.shared >= FRAMES) & ~at_end
-        for _ in range(2):  # a fingertip is no wider; on the next frame come further cells
-            loads = np.zeros(self._of.shape[1])
-            loads[jumps.cells[jumps.load]] = 1.0
-            jumps.load |= young & ((self.values(loads, jumps.cells) > 0) & with_it).any(axis=0)
+        for _ in range(2):  # a fingertip is hardly wider; further cells follow in the next frame
+            loads = np.zeros(reading.size)
+            loads[cells[jumps.load]] = 1.0
+            jumps.load |= young & ((self.values(loads, cells) > 0) & with_it).any(axis=0)
 
-    def _lines(self, jumps: Jumps, along_columns: BoolArray) -> tuple[BoolArray, BoolArray]:
-        """(m,) jumps in a line that has jumped as a whole; and those in a line of whose jumps one is at its end.
+    def _lines(
+        self, cells: IntArray, size: FloatArray, moved: FloatArray, noise: FloatArray
+    ) -> tuple[BoolArray, BoolArray, BoolArray]:
+        """What the lines of ``cells`` (m,) have done, whose readings jumped by ``size`` (m,).
 
-        ``along_columns`` (m,) marks jumps whose neighbour in the column has moved: their column counts, else their row.
+        ``moved`` (n,) is how far the readings have moved as a load moves them, ``noise`` (n,) their standard deviation.
+
+        Returns:
+            (m,) cells whose row or column has moved as a whole; cells whose column has moved at an end; whose row has.
+
         """
         rows, columns = self._shape
-        row, column = np.divmod(jumps.cells, columns)
-        in_row, in_column = np.bincount(row, minlength=rows), np.bincount(column, minlength=columns)
-        whole = (in_row[row] >= WHOLE * columns) & (columns >= LEAST_LINE)
-        whole |= (in_column[column] >= WHOLE * rows) & (rows >= LEAST_LINE)
-        ends_row, ends_column = np.zeros(rows, dtype=np.bool_), np.zeros(columns, dtype=np.bool_)
-        ends_row[row[(column == 0) | (column == columns - 1)]] = True
-        ends_column[column[(row == 0) | (row == rows - 1)]] = True
-        return whole, np.where(along_columns, ends_column[column], ends_row[row])
+        row, column = np.divmod(cells, columns)
+        seen = np.where(moved > SEEN * noise, moved, 0.0).reshape(rows, columns)
+        least = EVEN * size[:, None]
+        in_row, in_column = seen[row] > least, seen.T[column] > least
+        whole = np.zeros(cells.size, dtype=np.bool_)
+        for line, length in ((in_row, columns), (in_column, rows)):
+            if length >= LEAST_LINE:
+                whole |= np.count_nonzero(line, axis=1) >= WHOLE * length
+        return whole, in_column[:, 0] | in_column[:, -1], in_row[:, 0] | in_row[:, -1]
