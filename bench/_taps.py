@@ -274,7 +274,5 @@ def table(rows: Iterable[Taps]) -> Iterator[str]:
             + "".join(f"{100 * share:>8.0f}" for share in row.found.values())
             + "".join(f"{100 * share:>6.0f}" for share in row.found_by_width.values())
             + f"{row.delay_ms:>11.0f}{row.beside:>11}"
-            + "".join(
-                f"{f'{n}/{row.faults[kind]}' if kind in row.faults else n:>10}" for kind, n in row.false.items()
-            )
+            + "".join(f"{f'{n}/{row.faults[kind]}' if kind in row.faults else n:>10}" for kind, n in row.false.items())
         )

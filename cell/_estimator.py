@@ -826,9 +826,7 @@ class Estimator(ABC):
         if over.any():
             self._jumps = jumps.where(~over)
 
-    def _was_spark(
-        self, place: IntArray, dt: float, jumps: Jumps, reading: FloatArray, noise: FloatArray
-    ) -> BoolArray:
+    def _was_spark(self, place: IntArray, dt: float, jumps: Jumps, reading: FloatArray, noise: FloatArray) -> BoolArray:
         """Whether jumps (m,) that were taken back were bad contacts rather than taps; ``place`` of them in the block.
 
         A cell remembers a tap. After one, the pressure that follows from the memory of the tap is the one from before,

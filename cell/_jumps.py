@@ -10,8 +10,8 @@ them apart while the jump lasts. An array can:
 
 A jump is therefore a load where neighbours along both axes move with it; where a neighbour of it is one; or where a
 neighbour along one axis moves with it for two frames, and the ends of that line have not moved as much. Nothing is
-concluded of lines that have moved as a whole, nor of jumps that no neighbour shares. Bad contacts add resistance: where loads
-lower it, a fall that lasts for two frames is a load as well.
+concluded of lines that have moved as a whole, nor of jumps that no neighbour shares. Bad contacts add resistance: where
+loads lower it, a fall that lasts for two frames is a load as well.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _SOON = 1 + 1e-9
 
 @dataclass
 class Jumps:
-    """Cells whose reading jumped a moment ago, with all that was remembered before it. Arrays (m,) unless it is said."""
+    """Cells whose reading jumped a moment ago, with all that was remembered before it. Arrays (m,) unless stated."""
 
     cells: IntArray
     age_s: FloatArray

@@ -58,7 +58,10 @@ class _ManyValues(click.Command):
     "--driver", "of_driver", is_flag=True, help="Measure the live path instead, bytes to kPa, at these sizes."
 )
 @click.option(
-    "--contacts", "of_contacts", is_flag=True, help="Measure short taps found and false contacts instead, at these sizes."
+    "--contacts",
+    "of_contacts",
+    is_flag=True,
+    help="Measure short taps found and false contacts instead.",
 )
 @click.option("--view", "of_page", is_flag=True, help="Measure the page of `ohmskin view` instead, in Chromium.")
 @arguments.as_json("the measurements")
