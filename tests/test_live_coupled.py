@@ -15,7 +15,6 @@ from ohmskin.circuits.recovery import _derivatives, _linearised, _normal_matrix,
 from ohmskin.circuits.recovery._column_blocks import ColumnBlocks, beyond_linear
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
 from ohmskin.circuits.recovery._frame_budget import ANEW_EFFORT, NODE_EFFORT, Budget
-from ohmskin.circuits.recovery._linearised import Linearised
 from ohmskin.circuits.recovery._lines import LineResistance
 from ohmskin.circuits.recovery._node_blocks import NodeBlocks
 from ohmskin.circuits.recovery._quick_model import QuickModel
