@@ -147,7 +147,7 @@ class GaussNewton:
             base = here.base
             waits = self._renew_if_due(here, before, stalled, budget)
             here.left = left if here.base is base else 0.0
-            if waits or (here.serves and (misfit <= _CONVERGED or here.is_near or not self._doubted)):
+            if waits or (here.serves and (misfit <= _CONVERGED or here.confirmed or not self._doubted)):
                 break
         return here.fit(stalled)
 
@@ -184,7 +184,7 @@ class GaussNewton:
         if self._convergence.fresh and stalled and here.misfit > NO_FIT:
             linearised.give_up_columns()
         # In noise and beside open cells, which never come to rest, derivatives from near by decide.
-        undecided = here.serves and self._doubted and here.misfit > _CONVERGED and not here.is_near
+        undecided = here.serves and self._doubted and here.misfit > _CONVERGED and not here.is_near and here.determines
         due = linearised.upgrade_due or moved.far or blamed or undecided
         if not (due or here.base.coarse or linearised.under_way):
             return False
@@ -207,7 +207,9 @@ class GaussNewton:
         length = np.abs(here.step)
         if self._convergence.fresh and length.max(where=self._tells, initial=0.0) > _AT_REST:
             return False
-        return bool((length <= self._least_change(here)).all())
+        least = self._least_change(here)
+        here.determines = bool((least < inf).any())
+        return bool((length <= least).all())
 
     def _least_change(self, here: _Place) -> FloatArray:
         """Change (n,) of each logarithm up to which it does not matter; inf where the readings do not tell."""
@@ -232,6 +234,8 @@ class _Place:
         """(n,) what is next"""
         self.serves = False
         """no further step is needed"""
+        self.determines = False
+        """the readings determine some cell, of which :attr:`serves` then speaks"""
         self.left = 0.0
         """share of the misfit that the last step has left; the further steps by these derivatives shrink likewise"""
         self.moved = Moved(inf, inf)
@@ -241,6 +245,11 @@ class _Place:
     def is_near(self) -> bool:
         """Whether derivatives made here would be no better."""
         return self.moved.counted <= _MOVED
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether derivatives made here say that no further step moves what the readings determine."""
+        return self.serves and self.determines and self.is_near
 
     def go(self, ahead: Compared) -> None:
         """Take a step."""
@@ -269,7 +278,7 @@ class _Place:
             self.step,
             self.misfit,
             stalled,
-            proven=settled or ((stalled or self.serves) and self.is_near),
+            proven=settled or self.confirmed or (stalled and self.is_near),
             lost=not self.serves and moved.counted > _TOO_FAR,
             stale=max(exp(moved.largest), 1.0 / (1.0 - min(self.left, _MOST_LEFT))),
             steeper=self._steeper,
