@@ -15,8 +15,10 @@ from . import _simulate as simulate
 from . import _training as training
 from ._cell import Calibrated, Cell, EstimatorName
 from ._estimator import Estimator
+from ._fitted import Fit
+from ._folds import Fold, folds
 from ._held import longest_s
-from ._identify import Fit, Fold, fits, folds
+from ._identify import fits
 from ._inverse import margin as inverse_margin
 from ._judged import Judged, Regimes, best_share, mixed
 from ._learned import DRIFT, Seen
