@@ -171,7 +171,9 @@ class CountReader:
         self._scatter = Scatter(adc.step, assumed=not self._design_noise)
         self._middle_of_codes = _middle_of_codes.machine_code()
         self._extremes = np.zeros(2)
-        self._silent = 0  # cells whose readings stood at a limit in the last frame
+        self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
+        self._limited: BoolArray | None = None  # cells that were taken for limited in the last frame
+        self._in_doubt = False  # some of them may have left the limit, which one more frame tells
         self._counts = b""
         self._reading: Reading | None = None
         self._judged_with = 0.0  # V, noise in the uncertainties of the last reading
@@ -244,9 +246,46 @@ class CountReader:
             raise ProtocolError(f"the board sends {sent} cells; its design has {expected}")
         reading = self._read(counts)
         # What is not settled yet, or judged without a measured noise, may be otherwise after another frame like this.
-        final = self._scatter.frames > 1 and (reading.all_valid or not (reading.reason == Reason.UNSETTLED).any())
+        settled = reading.all_valid or not (reading.reason == Reason.UNSETTLED).any()
+        final = self._scatter.frames > 1 and settled and not self._in_doubt
         self._counts, self._reading = same, reading if final else None
         return reading
+
+    def _within_limits(self, guard: int) -> tuple[float, float]:
+        """The first code that is no limit, and the first one beyond, with a guard of so many codes."""
+        lowest = max(self._first + (0 if self._rising else guard), 1)
+        return lowest, min(self._last - (guard if self._rising else 0), self._codes - 1)
+
+    def _limited_and_faint(
+        self, counts: NDArray[np.integer], volts: FloatArray, lowest: float, highest: float
+    ) -> tuple[BoolArray | None, BoolArray]:
+        """Readings at a limit, and those of them with hardly a current.
+
+        A reading that has just left a limit may have done so by noise that has begun, while the output still stands at
+        the limit. What one frame changes may all be noise. Within a guard for that the reading counts as limited.
+
+        Args:
+            counts: (rows, columns) of the frame.
+            volts: (rows, columns) V, the same.
+            lowest: first code that is no limit.
+            highest: first code beyond these.
+
+        Returns:
+            (rows, columns) each; None for no limited ones.
+
+        """
+        limited = _outside(counts, lowest, highest)
+        if self._limited is not None:
+            guard = math.ceil(_GUARD * self._scatter.possible / self._step)
+            returned = self._limited & _outside(counts, *self._within_limits(guard)) & ~limited
+            self._in_doubt = bool(returned.any())
+            limited |= returned
+        self._silent = int(np.count_nonzero(_outside(counts, *self._within_limits(0))))
+        # At the end of the range where hardly a current flows, not knowing a cell disturbs no other.
+        faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
+        limited &= ~faint
+        self._limited = limited if limited.any() else None
+        return self._limited, faint
 
     def _read(self, counts: NDArray[np.integer]) -> Reading:
         volts, least, most = self._volts_and_extremes(counts)
@@ -255,21 +294,14 @@ class CountReader:
         guard = math.ceil(_GUARD * noise / self._step)  # codes
         if self._scatter.frames < 2 and not self._design_noise:
             guard = max(guard, _FIRST_GUARD)
-        lowest = max(self._first + (0 if self._rising else guard), 1)
-        highest = min(self._last - (guard if self._rising else 0), self._codes - 1)
+        lowest, highest = self._within_limits(guard)
         limited = faint = None
-        self._silent = 0
-        if most >= highest or least < lowest:
+        self._silent, self._in_doubt = 0, False
+        if most >= highest or least < lowest or self._limited is not None:
             if most >= self._codes:
                 bits = self._codes.bit_length() - 1
                 raise ProtocolError(f"the board sends a count of {most:.0f}; its ADC has {bits} bits")
-            limited = (counts < lowest) | (counts >= highest)
-            self._silent = int(np.count_nonzero(limited))
-            # At the end of the range where hardly a current flows, not knowing a cell disturbs no other.
-            faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
-            limited &= ~faint
-            if not limited.any():
-                limited = None
+            limited, faint = self._limited_and_faint(counts, volts, lowest, highest)
         try:
             found = self._recover(volts, limited, noise)
         except SolverError:
@@ -307,6 +339,12 @@ def _middle_of_codes(codes: Rows, step: float, lowest: float, extremes: Row) -> 
             least, most = min(least, code), max(most, code)
             codes[i, j] = code * step + lowest
     extremes[0], extremes[1] = least, most
+
+
+def _outside(counts: NDArray[np.integer], lowest: float, highest: float) -> BoolArray:
+    """Counts below the first code of a range, or from the first one beyond it on."""
+    outside: BoolArray = (counts < lowest) | (counts >= highest)
+    return outside
 
 
 def _noise_of(design: Design) -> float:

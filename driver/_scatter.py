@@ -107,6 +107,13 @@ class Scatter:
         """V, with what few readings leave open."""
         return self._seen + self._open * max(self._seen, self._assumed)
 
+    @property
+    def possible(self) -> float:
+        """V, the noise if the readings' last change is all noise: one change does not tell noise from motion."""
+        if self._change is None:
+            return 0.0
+        return _median(np.abs(self._change), self._change.size - max(self._free, 1))
+
     def forget(self) -> None:
         """Take the next frame for the first one."""
         self.resume(self._assumed, None)
