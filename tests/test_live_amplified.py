@@ -219,6 +219,9 @@ def test_an_output_at_a_limit_is_never_a_measurement(bits: int, offset_steps: fl
         "inverting:3060000153",  # a known short in the column of a saturated cell
         "inverting events:3030000911",  # noise that takes an output at its limit back into the range
         "row events:3020000137",  # a line shorted in mid-stream
+        "inverting events:555000002",  # noise that begins, and takes an output at its limit back into the range
+        "row extremes:202010000038",  # the same with a converter of 6 bits: off by a factor of 60
+        "inverting extremes:202020000095",
     ],
 )
 def test_streams_that_were_once_misread(stream: str) -> None:
