@@ -113,6 +113,21 @@ class Scatter:
         return self._seen + self._open * max(self._seen, self._assumed)
 
     @property
+    def change(self) -> FloatArray:
+        """V (N, M), how the readings have changed since the last frame; nothing where none is known."""
+        if self._change is not None:
+            return self._change
+        return np.zeros(() if self.before is None else self.before.shape)
+
+    @property
+    def largest_change(self) -> float:
+        """V, of any reading since the last frame."""
+        change = self._change
+        if change is None:
+            return 0.0
+        return max(change.item(change.argmax()), -change.item(change.argmin()))
+
+    @property
     def possible(self) -> float:
         """V, the noise if the readings' last change is all noise: one change does not tell noise from motion."""
         if self._change is None:
