@@ -17,8 +17,9 @@ readings. Noise that seems to have grown has to be in three changes as well (:fu
 patterns of motion vanish. A noise that has begun is thus known in its third frame, in motion too.
 
 A noise is remembered for as long as it was seen, up to twenty frames: what has been mistaken for noise in one frame is
-soon forgotten. Frames whose readings move so little that the noise cannot be there shorten this memory one after
-another: a pause of five frames is bridged, and after twenty the noise is gone. While readings stand at their limits, they show no noise, and it is not forgotten.
+soon forgotten. Frames whose readings move so little that the noise cannot be there shorten this memory, one after
+another: a pause of five frames is bridged, and after twenty the noise is gone. While readings stand at their limits,
+they show no noise, and it is not forgotten.
 
 Few readings have no quietest sum that is not quiet by chance. Their measure is the alternating part of two successive
 changes: noise goes back and forth, and of three readings in a row the middle one is beyond both others twice in three
