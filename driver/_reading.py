@@ -262,7 +262,7 @@ class CountReader:
         room = self._last - most if self._rising else least - self._first  # codes
         if room >= 0.5 * self._codes:
             return False
-        return self._scatter.largest_change > max(room, _JUMP * self._codes) * self._step
+        return bool(self._scatter.largest_change > max(room, _JUMP * self._codes) * self._step)
 
     def _limited_and_faint(
         self, counts: NDArray[np.integer], volts: FloatArray, guard: int, *, jumped: bool
