@@ -218,9 +218,10 @@ def _extreme(draw: Draw, tables: Tables) -> Tables:
         if isinstance(readout.get(key), list):
             readout[key] = np.resize(readout[key], sensed).tolist()
     bits = int(draw.choice([6, 6, 8, 12, 20, 24]))
-    for key in ("offset_voltage", "gain_error"):  # of as many steps as before
+    coarser = max(1.0, 2.0 ** (adc["bits"] - bits))
+    for key in ("offset_voltage", "gain_error"):  # many steps of a finer converter, as many of a coarser one
         if key in adc:
-            adc[key] *= 2.0 ** (adc["bits"] - bits)
+            adc[key] *= coarser
     adc["bits"] = bits
     return tables
 

@@ -89,6 +89,8 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("feedback", 91020000131),  # a cell of 30 ohm, whose idle row takes current before the column's lead
         ("feedback extremes", 202010000032),  # the same through leads of 1 kohm: off by a factor of two
         ("feedback extremes", 202020000221),
+        ("divider extremes", 202020000179),  # a column whose scale a converter's offset of 1800 steps hides
+        ("row floating extremes", 202020000198),  # a cell behind six times its resistance, and such an offset
         ("feedback extremes", 202020000238),  # a lost row's cells seem to conduct less than they do, by such a lead
     ],
 )

@@ -231,10 +231,13 @@ class CoupledLive:
         """
         base = self._linearised.base
         own = self._uncertainty.by_own_reading(frame)
-        by_readings = self._uncertainty.by_readings(frame, fit, base, own)
+        by_shifts = self._uncertainty.by_shifts(frame, base)
+        by_readings = self._uncertainty.by_readings(frame, fit, base, own, by_shifts)
         others: FloatArray = base.others
         sigmas = self._uncertainty.sigmas(frame, fit)
-        by_loose = None if self._loose is None else self._loose.disturb(frame, fit.known, base, sigmas)
+        by_loose = None
+        if self._loose is not None:
+            by_loose = self._loose.disturb(frame, fit.known, base, sigmas, by_shifts)
         by_columns = by_lost if by_loose is None else by_lost + by_loose
         if self._loose is not None and isinstance(by_columns, np.ndarray):
             # That is a change of crosspoints, of which a cell is a small part beside heavy leads.
