@@ -15,6 +15,7 @@ import threading
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..arrays import BoolArray, FloatArray, IntArray
@@ -117,7 +118,7 @@ class ContactTracker:
         )
         return fingers.ravel(), self._measure(fingers.ravel(), labels.ravel(), pressure_kpa)
 
-    def _drop_disturbances(self, found: IntArray, kept: BoolArray) -> None:
+    def _drop_disturbances(self, found: NDArray[np.signedinteger], kept: BoolArray) -> None:
         """Drop patches within one row or column that were not there in the last frame.
 
         Args:
