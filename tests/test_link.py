@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import DESIGN, scene
+from boards import DESIGN, scene, until
 
 from ohmskin.circuits import Design, adc_codes
 from ohmskin.cli import run
@@ -82,7 +82,7 @@ def test_the_frames_are_the_truth_and_the_estimate_is_near_it(scene_file: Path, 
     where = ["--link", tmp_path / "skin"] if end == "pty" else ["--tcp", ":0"]
     with command(scene_file, *where, "--clock", "fast", "--duration", "10", "--truth", truth) as (process, port):
         frames = collect(port)
-        assert process.wait(10) == 0
+        assert process.wait(60) == 0
     assert not (tmp_path / "skin").is_symlink()
 
     design = Scene.load(scene_file).skin.design
@@ -142,10 +142,14 @@ def test_what_a_host_that_does_not_read_loses_is_counted(tmp_path: Path) -> None
     big = scene(skin={"design": DESIGN | {"array": {"rows": 16, "columns": 16}}}, board={"frame_rate": 200.0})
     with running(big, port, truth=truth), Skin.open(port.name, delivery="lossless", queue=1) as skin:
         first = next(skin)
-        time.sleep(1.0)
-        frames = [next(skin) for _ in range(120)]
-    assert sum(frame.lost_before for frame in frames) > 50
-    assert sum(frame.lost_before for frame in frames) + 120 == frames[-1].sequence - first.sequence
+        frames, lost = [], 0
+        while lost <= 50:
+            time.sleep(0.02)
+            frames.append(next(skin))
+            lost += frames[-1].lost_before
+        frames += [next(skin) for _ in range(30)]
+    lost = sum(frame.lost_before for frame in frames)
+    assert lost + len(frames) == frames[-1].sequence - first.sequence
     assert any(frame.overrun for frame in frames)
     with np.load(truth) as arrays:
         np.testing.assert_array_equal(arrays["sequence"], np.arange(len(arrays["sequence"])))
@@ -155,10 +159,11 @@ def test_what_a_host_that_does_not_read_loses_is_counted(tmp_path: Path) -> None
 def test_a_slow_host_gets_the_frame_of_now_and_nothing_is_lost(end: str) -> None:
     """The thread drains the port meanwhile: what the host was too slow for is skipped, not lost, and not late."""
     port = PtyPort() if end == "pty" else TcpPort.at(":0")
-    with running(scene(board={"frame_rate": 500.0}), port), Skin.open(port.name) as skin:
+    with running(scene(board={"frame_rate": 200.0}), port), Skin.open(port.name) as skin:
         frames = [next(skin)]
         for _ in range(4):
-            time.sleep(0.25)
+            enough = skin.stats().frames + 30
+            until(lambda enough=enough: skin.stats().frames > enough)  # type: ignore[misc]
             frames.append(next(skin))
     for before, after in itertools.pairwise(frames):
         assert after.sequence - before.sequence == 1 + after.skipped_before
@@ -217,7 +222,7 @@ def test_a_signal_ends_the_run_with_the_truth_written(
         with Skin.open(port) as skin:
             seen = [next(skin).sequence for _ in range(10)]
         process.send_signal(number)
-        assert process.wait(10) == code
+        assert process.wait(60) == code
         _, errors = process.communicate()
     assert errors == ""
     assert np.load(truth)["sequence"][seen[-1]] == seen[-1]
@@ -234,7 +239,7 @@ def test_a_board_killed_in_mid_stream_is_missed_at_once(scene_file: Path, tmp_pa
         began = time.monotonic()
         with pytest.raises(LinkError, match="the board has gone away"):
             list(skin)
-    assert time.monotonic() - began < 5
+    assert time.monotonic() - began < 25  # and not when the wait for a frame is over
 
 
 def test_a_stale_link_is_replaced_and_a_file_is_not(tmp_path: Path) -> None:

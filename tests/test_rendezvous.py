@@ -30,6 +30,11 @@ LINKS: dict[str, Callable[[], Port]] = {
 }
 
 
+@pytest.fixture(autouse=True)
+def _no_real_ports(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.driver._discover.serial_ports", list)
+
+
 def files() -> list[Path]:
     return list(Path(os.environ["OHMSKIN_RUNTIME_DIR"]).glob("*"))
 
@@ -148,10 +153,6 @@ class TestEnds:
 
 
 class TestBoards:
-    @pytest.fixture(autouse=True)
-    def _no_real_ports(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("ohmskin.driver._discover.serial_ports", list)
-
     def test_emulated_boards_are_found_and_opened_by_serial_number(self, tmp_path: Path) -> None:
         left, right = PtyPort(tmp_path / "arm"), TcpPort.at(":0")
         with (
