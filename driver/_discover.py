@@ -11,6 +11,9 @@ from ..errors import LinkError, OhmskinError
 from ..wire import Family, FramePacket, Identity, Order, board_family, host_protocol
 from ._port import emulated_ports, open_port, serial_ports, usb_serial_number
 
+LONGEST_SEARCH_S = 5.0
+"""for which a board that is opened by its serial number may leave the question who it is unanswered"""
+
 
 @dataclass(frozen=True, slots=True)
 class FoundBoard:
@@ -55,14 +58,20 @@ def discover(
     return sorted(found, key=lambda entry: (entry.serial_number, entry.port))
 
 
-def find_board(serial_number: str, ports: Iterable[str] | None = None, *, board: str | Family = "ohmskin") -> str:
-    """The port of the board with this serial number, of its own or of its USB device.
+def find_board(
+    serial_number: str,
+    ports: Iterable[str] | None = None,
+    *,
+    board: str | Family = "ohmskin",
+    timeout: float = LONGEST_SEARCH_S,
+) -> str:
+    """The port of the board with this serial number, of its own or of its USB device; others as :func:`discover`.
 
     Raises:
         LinkError: there is none, or more than one; the message lists those that are there.
 
     """
-    found = discover(ports, board=board)
+    found = discover(ports, board=board, timeout=timeout)
     matching = [entry.port for entry in found if serial_number in (entry.serial_number, entry.usb_serial_number)]
     if len(matching) > 1:
         raise LinkError(

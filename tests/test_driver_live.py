@@ -182,13 +182,13 @@ class TestDelivery:
             assert asyncio.run(both(skin)) == 0
 
     def test_async_iteration_times_out(self) -> None:
-        async def follow(skin: Skin) -> None:
-            async for _ in skin:
-                pass
+        async def follow(skin: Skin) -> list[Frame]:
+            return [one async for one in skin]
 
-        with Skin(described()) as skin, pytest.raises(LinkTimeout, match=r"no frame within 0\.3 s"):
+        with Skin(described()) as skin:
             skin._timeout = 0.3
-            asyncio.run(follow(skin))
+            with pytest.raises(LinkTimeout, match=r"no frame within 0\.3 s"):
+                asyncio.run(follow(skin))
 
     def test_a_callback_that_fails_ends_alone(self, monkeypatch: pytest.MonkeyPatch) -> None:
         failures: list[threading.ExceptHookArgs] = []

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boards import MemoryPort, lossless
+from boards import MemoryPort, lossless, until
 from needs import need
 
 from ohmskin.cell import Cell
@@ -199,11 +199,11 @@ def test_too_short_a_dwell_shows_as_the_error_that_settling_predicts() -> None:
 def test_the_driver_reads_pressures_off_the_program() -> None:
     press = {"cells": [[2, 1]], "load_kpa": [[0.0, 0.0], [0.3, 0.0], [0.4, 12.0]]}
     truth: list[Sample] = []
-    with (
-        FirmwareBoard(scene(contact=[press]), record=truth.append) as board,
-        lossless(FirmwareWire(board)) as skin,
-    ):
-        frames = [next(skin) for _ in range(45)]
+    with FirmwareBoard(scene(contact=[press]), record=truth.append) as board:
+        wire = FirmwareWire(board)
+        with lossless(wire) as skin:
+            frames = [next(skin) for _ in range(45)]
+        until(lambda: wire.closed)  # by its reader, which may wait for the emulated processor
     by_number = {sample.sequence: sample.pressure_kpa for sample in truth}
     applied = np.array([by_number[frame.sequence] for frame in frames])
     estimated = np.array([frame.pressure for frame in frames])

@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -309,13 +310,42 @@ def test_a_port_that_cannot_be_opened_says_why(port: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_port_that_is_not_there_is_named_before_anything_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"port": "/dev/nothing-here"}, "no such port"),
+        ({"port": "ohmskin://nowhere.toml?clock=fast"}, "no such scene"),
+        ({"port": "/dev/nothing-here", "design": "no-such.toml"}, "no-such.toml: cannot be read"),
+        ({"cell": "no-such.toml"}, "no-such.toml: cannot be read"),
+        ({"calibration": "no-such.toml"}, "no-such.toml: cannot be read"),
+        ({"record": "nowhere/press.mcap"}, "nowhere/press.mcap: cannot be written: No such file or directory"),
+        ({"record": "."}, "cannot be written: Is a directory"),
+        ({"record": __file__}, "is there already"),
+        ({"estimator": "kalman"}, "no estimator 'kalman'; expected one of static, "),
+        ({"accuracy": 1.5}, "accuracy is 1.5; expected"),
+        ({"board": "teletype"}, "teletype"),
+        ({"baudrate": 0}, "baudrate is 0 bit/s"),
+        ({"timeout": -1.0}, "timeout is -1.0 s"),
+        ({"delivery": "some"}, "delivery 'some'"),
+        ({"queue": 0}, "a queue of 0 frames"),
+    ],
+)
+def test_what_is_wrong_with_an_opening_is_told_before_anything_is_compiled(
+    options: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A compiler that takes ten seconds must not keep whoever mistyped a name waiting."""
     asked: list[object] = []
     monkeypatch.setattr("ohmskin.compiled.load", lambda *loops: asked.append(loops))
-    with pytest.raises(LinkError, match="no such port"):
-        Skin.open("/dev/nothing-here")
+    with PtyPort() as port, pytest.raises((LinkError, InputError), match=re.escape(message)) as caught:
+        Skin.open(**{"port": port.name, **options})
+    assert "\n" not in str(caught.value)
     assert not asked
+
+
+def test_looking_whether_a_recording_can_begin_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(LinkError, match="no such port"):
+        Skin.open("/dev/nothing-here", record=tmp_path / "press.mcap")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -326,8 +356,9 @@ def test_a_port_that_is_not_there_is_named_before_anything_is_compiled(monkeypat
         (0o000, "and its mode ---------- keeps this user out; `ohmskin doctor "),
     ],
 )
+@pytest.mark.parametrize("at_a_glance", [False, True])
 def test_a_port_without_permission_names_the_group(
-    mode: int, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    mode: int, reason: str, at_a_glance: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The operating system's refusal itself: the superuser, who may run this, would not get it."""
     device = tmp_path / "tty"
@@ -339,6 +370,8 @@ def test_a_port_without_permission_names_the_group(
     def refuse(*_: object) -> int:
         raise PermissionError(errno.EACCES, "Permission denied")
 
+    if at_a_glance:
+        monkeypatch.setattr("ohmskin.driver._port.os.access", lambda *_: False)
     monkeypatch.setattr("serial.serialposix.os.open", refuse)
     with pytest.raises(LinkError, match="permission denied; the port belongs to group .*" + re.escape(reason)):
         Skin.open(str(device))
@@ -401,9 +434,9 @@ def test_a_pty_knows_whether_the_host_has_read_everything() -> None:
         host = os.open(port.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             for size in [1, 64, 1000, 4000] * 50:
-                assert port.write(bytes(size)) == size
-                assert 0 < port.unread() <= size  # the kernel may have moved a part of them on
-                left = size
+                left = port.write(bytes(size))  # of which the kernel may have room for a part only
+                assert 0 < left <= size
+                assert 0 < port.unread() <= left  # the kernel may have moved a part of them on
                 while left:
                     left -= len(os.read(host, left))
                 assert port.unread() == 0
