@@ -18,10 +18,11 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..compiled import Loop
 from . import _lag as lag
 from . import _turning_loops as loops
-from ._estimator import HIDDEN, SIGMAS, Conditions, Estimator, Looked
+from ._inversion import Inversion
 from ._models import PaperModel
 from ._noise import WINDOW
-from ._rows import GAIN, PRESSURE, VARIANCE
+from ._rows import GAIN, PRESSURE, SMOOTHED, STD, VARIANCE
+from ._smoothing import HIDDEN, SIGMAS
 from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
 
 M = TypeVar("M")
@@ -108,7 +109,7 @@ def step_weights(model: PaperModel, dt_s: float) -> StepWeights:
 
 
 class SwitchWeights(NamedTuple):
-    """What one time step does to the memory of :class:`PaperEstimator`; row ``r`` holds the reading after it."""
+    """What one time step does to the memory of :class:`SwitchedInversion`; row ``r`` holds the reading after it."""
 
     step: FloatArray
     """(5, 9) memory -> pressure in the rising and the recovery model; settled, x2, x3 if the pressure drops to 0"""
@@ -129,7 +130,7 @@ def switch_weights(model: PaperModel, dt_s: float) -> SwitchWeights:
 
 
 STATE_ROWS, R_ROW = [PRESSURE, 5, 6, 7], 3
-"""rows of the memory of :class:`PaperEstimator`: pressure, settled, x2, x3; and the reading"""
+"""rows of the memory of :class:`SwitchedInversion`: pressure, settled, x2, x3; and the reading"""
 
 
 class ByStep(Generic[M, T]):
@@ -144,7 +145,7 @@ class ByStep(Generic[M, T]):
         return type(self), self._made_from
 
 
-class PaperEstimator(Estimator):
+class SwitchedInversion(Inversion):
     """The paper's estimator (P8): invert the rising or the recovery model, as dr/dt and two thresholds say.
 
     It is the baseline, and no default: wrong choices of the model add up. The paper leaves open how dr/dt is taken and
@@ -153,32 +154,24 @@ class PaperEstimator(Estimator):
     """
 
     rows = ("pressure", "gain", "variance", "r", "rising", "settled", "x2", "x3", "lagged_r")
-    filters = False
     knows_errors = False
 
-    def __init__(
-        self,
-        model: PaperModel,
-        full_scale_kpa: float,
-        shape: tuple[int, ...],
-        rest_resistance_ohm: FloatArray,
-        conditions: Conditions,
-    ) -> None:
+    def __init__(self, model: PaperModel, full_scale_kpa: float) -> None:
         self.model = model
         self._weights = ByStep(switch_weights, model)
         self._thresholds_per_s = model.thresholds_per_s(full_scale_kpa)
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, MEMORIES * steepest)
         full_r = model.gain_per_kpa * full_scale_kpa
-        super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
+        super().__init__(full_scale_kpa, full_r, credible=credible, exact=True)
 
-    def _begin(self, r: FloatArray) -> FloatArray:
+    def begin(self, r: FloatArray) -> FloatArray:
         m = self.model
         p = r / m.gain_per_kpa
         none = np.zeros_like(r)
         return np.stack([p, none + 1 / m.gain_per_kpa, none, r, none + 1, p, p / m.e2_kpa, p / m.e3_kpa, r])
 
-    def _advance(
+    def advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         weights = self._weights.of(dt_s)
@@ -206,7 +199,7 @@ class PaperEstimator(Estimator):
         np.copyto(memory[5], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=starts)
         np.copyto(memory[6], r - p / m.e1_kpa - memory[7], where=ends)
 
-    def _hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
+    def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
         m = self.model
         held = memory.copy()
         p, rising = memory[PRESSURE], memory[4] > 0
@@ -267,7 +260,7 @@ def taken_over(model: PaperModel) -> FloatArray:
     return anew
 
 
-class TurningEstimator(Estimator):
+class TurningInversion(Inversion):
     """The exact inverse of the paper's cell, changed from one model to the other where the *pressure* turns.
 
     The sign of dr/dt, by which the paper goes, misreads slow ramps and quick presses: the resistance also falls while a
@@ -288,14 +281,7 @@ class TurningEstimator(Estimator):
         *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
     )
 
-    def __init__(
-        self,
-        model: PaperModel,
-        full_scale_kpa: float,
-        shape: tuple[int, ...],
-        rest_resistance_ohm: FloatArray,
-        conditions: Conditions,
-    ) -> None:
+    def __init__(self, model: PaperModel, full_scale_kpa: float, *, exact: bool) -> None:
         self.model = model
         steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
         credible = (LOADS[0] * steepest, MEMORIES * steepest)
@@ -308,13 +294,15 @@ class TurningEstimator(Estimator):
         self._clear_kpa2 = self._left * (NEAR * full_scale_kpa) ** 2
         self._lost_at_most_kpa2 = (MOST_LOST * full_scale_kpa) ** 2
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
+        self._most_kpa = full_scale_kpa / 2
+        """standard deviation of a load of which nothing is known"""
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
         self._of = _Rows(np.zeros((len(self.rows), 0)), TURN * full_scale_kpa)
         self._beside = _Beside(self._of.memory)
-        super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
-        self._bends = BETWEEN * self._bend, SURE
-        self._seeming = WINDOW * UNSEEN * self._bend
+        super().__init__(full_scale_kpa, full_r, credible=credible, exact=exact)
+        self.bends = BETWEEN * self._bend, SURE
+        self.seeming = WINDOW * UNSEEN * self._bend
         # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
         self._sure, self._less, self._again, self._either, self._far = (
             np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
@@ -325,10 +313,10 @@ class TurningEstimator(Estimator):
             np.array(share * full_scale_kpa) for share in (TURN, FLAT, EXACTLY)
         )
         # What is below zero is an error that fades, and no turn.
-        self._least_kpa = np.array(self._lowest if self._exact else 0.0)
+        self._least_kpa = np.array(self._lowest if self.exact else 0.0)
         self._turns = self._numbers_of_turns()
 
-    def _begin(self, r: FloatArray) -> FloatArray:
+    def begin(self, r: FloatArray) -> FloatArray:
         m = self.model
         p = r / m.gain_per_kpa
         memory = np.zeros((len(self.rows), *r.shape))
@@ -338,7 +326,7 @@ class TurningEstimator(Estimator):
         memory[STATE] = [p, p, p, p / m.e2_kpa, p / m.e3_kpa, p / m.e3_kpa, r]
         return memory
 
-    def _advance(
+    def advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         w = self._weights.of(dt_s)
@@ -376,7 +364,7 @@ class TurningEstimator(Estimator):
             confirmed = np.greater_equal(back, noise, of.confirmed)
             confirmed &= of.left < self._far
             np.copyto(of.left, self._far, where=confirmed)
-        if not self._exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
+        if not self.exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
             self._correct(of, doubt(), w)
 
         # The other hypothesis begins anew as long as the pressure is near its extreme.
@@ -415,8 +403,8 @@ class TurningEstimator(Estimator):
         np.add(apart, of.doubt, of.variance)
         return memory
 
-    def _loops(self) -> tuple[Loop[..., Any], ...]:
-        return *super()._loops(), *loops.ALL
+    def loops_used(self) -> tuple[Loop[..., Any], ...]:
+        return loops.ALL
 
     def _numbers_of_turns(self) -> FloatArray:
         """What the loops take."""
@@ -454,8 +442,11 @@ class TurningEstimator(Estimator):
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
-    def _advance_compiled(self, dt: float, r: FloatArray, std: FloatArray, looked: Looked) -> FloatArray:
-        w, memory, of, numbers = self._weights.of(dt), self._block.memory, self._beside, self._turns
+    def advance_compiled(
+        self, memory: FloatArray, taken: FloatArray, dt_s: float, doubt: Callable[[], FloatArray]
+    ) -> FloatArray:
+        w, of, numbers = self._weights.of(dt_s), self._beside, self._turns
+        r, std = taken[SMOOTHED], taken[STD]
         if memory is not of.memory:
             of = self._beside = _Beside(memory)
         loops.take.code(memory, r)
@@ -467,7 +458,7 @@ class TurningEstimator(Estimator):
             of.weights = w
         found = loops.take_turns.code(memory, std, w.by_model, of.rows, of.flags, numbers)
         if found & loops.PULLED:
-            loops.correct.code(memory, self._block.taken, w.by_model, numbers)
+            loops.correct.code(memory, taken, w.by_model, numbers)
         self._taken_over.dot(of.state, of.change)
         unconfirmed = found & loops.UNCONFIRMED > 0
         loops.begin_anew.code(memory, of.change, of.rows, of.flags, unconfirmed, numbers)
@@ -487,7 +478,7 @@ class TurningEstimator(Estimator):
         of.doubt += lost + np.sqrt(of.doubt * lost)
         np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
 
-    def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
+    def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """A load to and fro within the noise seems to rise: r goes up by one model, and would go down by the other."""
         before = memory[TURNED]
         after = np.minimum((np.sqrt(before) + rise_kpa) ** 2, self._lost_at_most_kpa2)
@@ -556,7 +547,7 @@ class TurningEstimator(Estimator):
         noise_free: FloatArray = BETWEEN * way * self._bend * gain
         return noise_free
 
-    def _within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
+    def within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """A load that bent may as well have turned within the frame: no reading tells of the turn yet."""
         bend: FloatArray = memory[LAST] * self._two
         np.subtract(memory[PRESSURE], bend, out=bend)
@@ -603,7 +594,7 @@ class TurningEstimator(Estimator):
         state[2, pulled[rising]] = (p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r)[rising]
         state[3, pulled[~rising]] = (r - p / m.e1_kpa - state[5, pulled])[~rising]
 
-    def _hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
+    def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
         m = self.model
         gone, _ = lag.weights(dt_s, np.array([[m.tu_s], [m.t2_s], [m.t3_s], [m.t3_s]]))
         held = memory.copy()
@@ -619,7 +610,7 @@ class TurningEstimator(Estimator):
         state[:6] += (self._taken_over @ state) * np.tile(share, (3, 1))
         return held
 
-    def _settled(self, memory: FloatArray, band: float) -> BoolArray:
+    def settled(self, memory: FloatArray, band: float) -> BoolArray:
         m = self.model
         kpa = 2 * band / m.gain_per_kpa
         off = np.abs(memory[PRESSURE]) < kpa

@@ -143,7 +143,7 @@ def test_a_skin_at_rest_sleeps_and_wakes() -> None:
     estimator = EXAMPLE.estimator((30,))
     for _ in range(300):
         estimator.step(0.01, 1e4 * (1 + 1e-3 * rng.standard_normal(30)))
-    assert not estimator._awake.any()
+    assert not estimator._sleep.awake.any()
     pressed = 1e4 * (1 + 1e-3 * rng.standard_normal(30))
     pressed[4] *= 1.3
     found = estimator.step(0.01, pressed)

@@ -1,4 +1,4 @@
-"""The two hypotheses about the paper's cell written out for one cell, slowly: the reference of TurningEstimator."""
+"""The two hypotheses about the paper's cell written out for one cell, slowly: the reference of TurningInversion."""
 
 from __future__ import annotations
 
