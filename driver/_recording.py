@@ -92,10 +92,9 @@ class Recording:
         file = Path(path)
         _keep(file, overwrite)
         try:
-            if file.exists():
-                if file.is_file():
-                    file.open("ab").close()
-            else:
+            if file.is_file() or file.is_dir():
+                file.open("ab").close()
+            elif not file.exists():  # nor a device such as /dev/null
                 file.open("xb").close()
                 file.unlink()
         except OSError as error:
