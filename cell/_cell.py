@@ -21,8 +21,9 @@ from ._inverse import AsymmetricInversion, margin
 from ._inversion import Inversion
 from ._learned import DRIFT, UNKNOWN_DRIFT, Learned, LearnedInversion, Numbers, Seen, StaticCurve
 from ._models import AsymmetricModel, M10Model, Model, PaperModel
-from ._paper import SwitchedInversion, TurningInversion
 from ._static import EquilibriumInversion, StaticCurveInversion, equilibrium_gain, rest_slope
+from ._switched import SwitchedInversion
+from ._turning import TurningInversion
 
 EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)

@@ -19,10 +19,10 @@ from ..errors import InputError
 from . import _inverse_loops as loops
 from . import _lag as lag
 from ._forward import as_m10
-from ._inversion import Inversion
+from ._inversion import DOUBT, LOADS, USUAL, Inversion, credible_readings
+from ._lag import ByStep
 from ._models import AsymmetricModel, M10Model
 from ._noise import WINDOW
-from ._paper import DOUBT, LOADS, MEMORIES, USUAL, ByStep
 from ._rows import GAIN, PRESSURE, VARIANCE
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP = (
@@ -135,7 +135,7 @@ class AsymmetricInversion(Inversion):
         self._alpha = np.array([[m.alpha1], [m.alpha2]])
         self._rise_s, self._fall_s = np.array([[m.rise1_s], [m.rise2_s]]), np.array([[m.fall1_s], [m.fall2_s]])
         steepest = m.a + 2 * max(m.b, 0.0) * LOADS[1] + m.alpha1 + m.alpha2 + m.k
-        credible = (LOADS[0] * steepest, MEMORIES * steepest)
+        credible = credible_readings(steepest)
         self._constants_s = np.concatenate([self._rise_s, self._fall_s, [[m.tau_s]]])
         full_r = m.a + m.b + m.alpha1 + m.alpha2
         # With b < 0 the answer grows ever steeper towards the load where a fast step has no slope left.

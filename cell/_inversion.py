@@ -19,6 +19,13 @@ from ..compiled import Loop
 from . import _loops as loops
 from ._rows import GAIN, SMOOTHED, STD
 
+LOADS = (-0.5, 3.0)
+"""times full scale beyond which no load is looked for"""
+USUAL, DOUBT = 1.1, 0.1
+"""times full scale: no larger pressure is believed while its standard deviation by the memory is above the second"""
+MEMORIES = 10.0
+"""times the fast answer to full scale that r may reach: presses in quick succession add up"""
+
 _NO_VARIANCE = np.zeros(1)
 _ONE = np.array(1.0)  # as array: NumPy makes an array of a float in every call
 
@@ -132,3 +139,8 @@ class Inversion(ABC):
         ``taken`` (4, m) are the readings of the frame, rows as in :mod:`._rows`.
         """
         return self.advance(memory, dt_s, taken[SMOOTHED], taken[STD], doubt)
+
+
+def credible_readings(steepest: float) -> tuple[float, float]:
+    """r beyond which no load that is looked for is the cause, for a fast answer of ``steepest`` to full scale."""
+    return LOADS[0] * steepest, MEMORIES * steepest

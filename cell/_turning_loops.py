@@ -1,4 +1,4 @@
-"""The frame of :class:`._paper.TurningInversion` as loops over cells for :mod:`ohmskin.compiled`.
+"""The frame of :class:`._turning.TurningInversion` as loops over cells for :mod:`ohmskin.compiled`.
 
 The loops do what the array operations of its ``advance`` do, in the same order. Between them come two matrix products,
 which NumPy does, and the turns and limits of few cells, which stay array operations.
@@ -39,7 +39,7 @@ HIDDEN, PER_SIGMAS = range(28, 30)
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
-those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._paper.TurningInversion`"""
+those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`"""
 UNCONFIRMED, PULLED = 1, 2
 
 

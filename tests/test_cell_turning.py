@@ -12,7 +12,9 @@ from ohmskin.cell import PaperModel
 from ohmskin.cell._conditions import Conditions
 from ohmskin.cell._estimator import Estimator
 from ohmskin.cell._inversion import Inversion
-from ohmskin.cell._paper import SwitchedInversion, TurningInversion, _Rows
+from ohmskin.cell._switched import SwitchedInversion
+from ohmskin.cell._turning import TurningInversion
+from ohmskin.cell._turning_rows import Rows
 
 MODEL = EXAMPLE.model
 assert isinstance(MODEL, PaperModel)
@@ -108,7 +110,7 @@ def test_the_matrices_do_what_one_cell_written_out_does(seed: int, dt: float, no
 def test_a_doubt_ends_at_full_scale() -> None:
     """Steps of a coarse converter look like turns, at rest too: their doubts must not add up without end."""
     inversion = TurningInversion(MODEL, FULL, exact=False)
-    rows = _Rows(inversion.begin(np.zeros(1)), turn_kpa=0.1)
+    rows = Rows(inversion.begin(np.zeros(1)), turn_kpa=0.1)
     for _ in range(50):
         rows.variance[:] = FULL**2
         inversion._keep(rows, np.zeros(1), np.array([True]))

@@ -8,7 +8,7 @@ import numpy as np
 
 from ohmskin.cell import PaperModel
 from ohmskin.cell import _lag as lag
-from ohmskin.cell import _paper as paper
+from ohmskin.cell import _turning as paper
 
 
 @dataclass
