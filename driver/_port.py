@@ -178,6 +178,8 @@ class DescriptorPort(_RealTimePort):
         self._readable.register(descriptor, selectors.EVENT_READ)
         self._closed = False
         self._closing = threading.Lock()
+        self._failure: OSError | None = None
+        """how the port broke. The operating system tells this once, and then that the other end hung up"""
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until bytes have come or the port is gone; False after ``timeout_s`` or after :meth:`interrupt`."""
@@ -195,12 +197,13 @@ class DescriptorPort(_RealTimePort):
             if not data and self._readable.select(0):
                 data = os.read(self._descriptor, _CHUNK)
                 if not data:
-                    raise self._hung_up()
+                    raise self._hung_up() if self._failure is None else self._gone(self._failure)
         except OSError as error:
             if isinstance(error, LinkError):
                 raise
             if error.errno in _NOT_NOW:
                 return self._arrived(b"")
+            self._failure = error
             raise self._gone(error) from error
         return self._arrived(data, more=len(data) >= _SHORT)
 
@@ -217,6 +220,8 @@ class DescriptorPort(_RealTimePort):
                 rest = rest[os.write(self._descriptor, rest) :]
             except OSError as error:
                 if error.errno in _HUNG_UP:
+                    if error.errno != errno.EPIPE:  # which tells of a break that was told before, or of no break
+                        self._failure = error
                     raise self._gone(error) from error
                 if error.errno not in _NOT_NOW:
                     raise LinkError(f"{self.name}: the board takes no commands ({_reason(error)})") from error

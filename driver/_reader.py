@@ -291,10 +291,14 @@ class Reader:
                 ask_at = now + (ASK_AGAIN_S if known else ASK_WHO_S)
 
     def _ask(self) -> None:
-        for order in (Order.IDENTIFY, Order.DESCRIBE):
-            self.send(order)
-        if self.introduction.complete and not self._proofs:
-            self._start_frames()
+        try:
+            for order in (Order.IDENTIFY, Order.DESCRIBE):
+                self.send(order)
+            if self.introduction.complete and not self._proofs:
+                self._start_frames()
+        except LinkError:
+            self._read()  # what came before the other end went, and how it went
+            raise
 
     def _start_frames(self) -> None:
         """Order frames, once the board is known: one that waits for orders then sends none that cannot be used."""
