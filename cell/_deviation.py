@@ -250,7 +250,7 @@ class Deviation:
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a saved :meth:`state`."""
-        self._variance = state["variance"]
+        self._variance, self._left_open, self._asleep = state["variance"], None, None
 
 
 def total(one: FloatArray | None, other: FloatArray) -> FloatArray:

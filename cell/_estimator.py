@@ -284,6 +284,10 @@ class Estimator:
                 calm &= self.inversion.settled(block.memory, self._sleep.band)
                 calm &= self._readings[block.cells] >= FIRST_READINGS
                 self._put_to_sleep(block.cells[calm])
+        self._watch_over()
+
+    def _watch_over(self) -> None:
+        """Renew the limits at which sleeping cells wake, and their variances."""
         asleep = np.flatnonzero(~self._sleep.awake & (self._readings > 0))
         if asleep.size:
             self._deviation.watch_over(asleep, self._remembered, self._sleep, self._noise)
@@ -340,3 +344,4 @@ class Estimator:
             part.restore(given)
         self._sparks.forget_all()
         self._begun = bool((self._readings >= (1 if self.inversion.exact else FIRST_READINGS)).all())
+        self._watch_over()

@@ -129,4 +129,5 @@ class Sleep:
     def restore(self, state: dict[str, FloatArray], clock: list[float]) -> None:
         """Continue from a saved :meth:`state` and :attr:`clock`."""
         self.mean, self._sum, self.awake = state["mean"], state["sum"], state["awake"] > 0
+        self.wake_at, self.all_awake = np.full(self.awake.size, np.inf), False
         self._sum_s, self._summed = clock[0], int(clock[1])
