@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import itertools
 import os
 import pty
@@ -28,6 +29,7 @@ from ohmskin.circuits import Design
 from ohmskin.config import parse
 from ohmskin.driver import Arrival, BytePort, Delivery, Frame, Skin, discover
 from ohmskin.driver._convert import Converter, Measurement
+from ohmskin.driver._discover import FoundBoard, find_board
 from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._port import DescriptorPort, UrlPort
 from ohmskin.driver._reader import Reader
@@ -848,10 +850,48 @@ class TestBoards:
                 assert (left.serial_number, right.serial_number) == ("left", "right")
                 assert next(left).sequence is not None
                 assert next(right).sequence is not None
-            with pytest.raises(LinkError, match="no board with serial number middle; boards present: left at "):
+            with pytest.raises(
+                LinkError, match="no board with serial number middle at a port that is free; boards present: left at "
+            ):
                 Skin.open(serial_number="middle")
             with pytest.raises(LinkError, match="board left is there; expected right"):
                 Skin.open(names[1], serial_number="right")
+
+    def test_a_board_that_starts_anew_whenever_its_port_is_opened_is_waited_for(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """As boards of the Arduino family do, for longer than a silent port is asked."""
+        waits: list[float] = []
+
+        def answers(ports: object, *, board: object, timeout: float) -> list[FoundBoard]:
+            waits.append(timeout)
+            return [FoundBoard("/dev/x", "slow", "", 3, 2, None)] if timeout > 2.0 else []
+
+        monkeypatch.setattr("ohmskin.driver._discover.discover", answers)
+        assert find_board("slow", timeout=3.0) == "/dev/x"
+        assert waits == [1.5, 3.0]
+        with pytest.raises(LinkError, match="no board with serial number slow"):
+            find_board("slow", timeout=1.0)
+
+    def test_taking_frames_leaves_nothing_to_the_garbage_collector(self) -> None:
+        """So it never runs because of the driver, however long a program does (docs/driver.md)."""
+        port, numbers = described(), itertools.count()
+        with lossless(port) as skin:
+
+            def take(count: int) -> None:
+                port.say(*(frame(next(numbers), level=2000 + k % 7) for k in range(count)))
+                for one in islice(skin, count):
+                    assert one.pressure_std.shape == (3, 2)
+                    assert one.contacts is not None
+
+            take(100)  # what is made once
+            gc.collect()
+            gc.disable()
+            try:
+                take(100)
+                assert gc.collect() == 0
+            finally:
+                gc.enable()
 
     def test_of_two_boards_with_one_serial_number_neither_is_guessed(self, monkeypatch: pytest.MonkeyPatch) -> None:
         ports = [PtyPort() for _ in range(2)]

@@ -306,6 +306,19 @@ def test_faults_of_the_line_are_counted_and_survived(tmp_path: Path) -> None:
         np.testing.assert_array_equal(frame.counts, codes[place[frame.sequence]])
 
 
+def test_a_stall_ends_though_more_waits_than_the_converter_holds(tmp_path: Path) -> None:
+    """At the fast clock, where board time otherwise stands still until the host has read."""
+    stalled = scene(link_fault=[{"kind": "stall", "at_s": 0.5, "duration_s": 2.0}])
+    with (
+        PtyPort() as port,
+        running_firmware(stalled, port, clock="fast", duration_s=3.0),
+        Skin.open(port.name, delivery="lossless") as skin,
+    ):
+        frames = list(skin)
+    assert frames[-1].device_time > 2.5
+    assert sum(frame.lost_before for frame in frames) > 0
+
+
 @pytest.mark.parametrize("loss", [0.0, 0.3])
 def test_the_end_of_a_finite_run_is_an_end_and_no_pulled_cable(loss: float, tmp_path: Path) -> None:
     """No firmware says that it is over; the emulator does in its place, on a lossy line again and again."""
