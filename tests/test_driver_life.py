@@ -374,8 +374,9 @@ class TestReaders:
 
     def test_a_reader_that_stopped_is_named_to_the_one_that_waits_for_it(self) -> None:
         port = described(*(frame(k) for k in range(30)))
-        with Skin(port, delivery="lossless", queue=10, timeout=0.2) as skin:
+        with Skin(port, delivery="lossless", queue=10) as skin:
             next(skin)  # from now on frames are kept for this place
+            skin._timeout = 0.2
             with pytest.raises(LinkTimeout, match="queue is full of frames for another reader of this skin"):
                 list(skin.frames())
 
