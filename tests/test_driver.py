@@ -248,7 +248,7 @@ def test_a_skin_without_a_valid_cell_says_once_why_and_what_would_help() -> None
 def test_one_valid_cell_among_the_first_frames_silences_the_remark() -> None:
     narrow = design(adc={"bits": 12, "range": [0.0, 3.3]})
     silent, heard = np.full((3, 2), 4095), np.full((3, 2), 2000)
-    counts = [heard if n == 30 else silent for n in range(120)]
+    counts = [heard if n in (30, 31) else silent for n in range(120)]  # the second frame confirms the first
     sent = [encode(FramePacket.of(each, sequence=n, time_us=1000 * n)) for n, each in enumerate(counts)]
     with lossless(Script(*sent), design=narrow, cell=Cell.example()) as skin:
         frames = list(islice(skin, 120))
