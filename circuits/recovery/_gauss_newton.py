@@ -208,7 +208,7 @@ class GaussNewton:
         if self._convergence.fresh and length.max(where=self._tells, initial=0.0) > _AT_REST:
             return False
         least, here.determines = self._least_change(here)
-        return np.count_nonzero(length <= least) == len(length)
+        return bool(np.count_nonzero(length <= least) == len(length))
 
     def _least_change(self, here: _Place) -> tuple[FloatArray, bool]:
         """Change (n,) of each logarithm up to which it does not matter, and whether the readings tell of any cell.
