@@ -9,7 +9,8 @@ A frame passes these steps.
 4. The others are followed (:mod:`._following`): their readings are smoothed as their noise demands
    (:mod:`._smoothing`), and an :class:`._inversion.Inversion` turns them into pressures. Their memory lies side by side
    in a block meanwhile (:mod:`._remembered`).
-5. A reading that jumps and is back at once was a bad contact: the memory from before it is put back (:mod:`._sparks`).
+5. A reading that jumps and is back at once was a bad contact: the memory from before it is put back (:mod:`._sparks`),
+   unless the cells beside it tell that it is a tap (:mod:`._taps`).
 6. The standard deviation sums the variances of noise, of the memory, of motion within the noise (:mod:`._tremor`), of
    gaps, of R0, of creep under loads longer than any in the calibration (:mod:`._held`), and of what calibration left
    unexplained (:mod:`._deviation`).
@@ -71,7 +72,7 @@ class Estimator:
         self._remembered = Remembered(inversion, cells)
         self._sleep = Sleep(cells, inversion.full_scale_r)
         self._gaps = Gaps(cells, full_kpa, conditions)
-        self._sparks = Sparks(inversion, self._noise, self._gaps)
+        self._sparks = Sparks(inversion, self._noise, self._gaps, shape)
         self._tremor = Tremor(cells)
         self._deviation = Deviation(inversion, conditions, cells)
         self._following = Following(inversion, self._noise, self._sparks, self._deviation, self._tremor)

@@ -80,9 +80,13 @@ class Following:
         smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
         if smooth.begun is not None:
             self._sparks.remember(block, smooth.begun, reading, noise)
+        if self._sparks.cells.size:
+            self._sparks.recognise_taps(dt, r)
         block.line_before = line.copy()
         looked = Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._inversion.advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
+        if self._sparks.cells.size:
+            self._accept_taps(block)
         if frame % (WINDOW // LOOKS) == 0:
             self._look_for_tremor(block, noise, ends_window=frame % WINDOW == 0)
         added = None
@@ -108,8 +112,12 @@ class Following:
         gains = self._gains(dt).rows
         if smoothing.advance_each.code(line, block.line_before, dt, gains, taken, block.begun, self._sparks.large_r):
             self._sparks.remember(block, block.begun, reading, noise)
+        if self._sparks.cells.size:
+            self._sparks.recognise_taps(dt, r)
         doubt = Looked(reading, noise, std, line).doubt
         memory = block.memory = self._inversion.advance_compiled(block.memory, taken, dt, doubt)
+        if self._sparks.cells.size:
+            self._accept_taps(block)
         if frame % (WINDOW // LOOKS) == 0:
             self._look_for_tremor_compiled(block, ends_window=frame % WINDOW == 0)
         added = np.zeros(cells.size)
@@ -118,6 +126,12 @@ class Following:
         if self._sparks.cells.size:
             added += self._sparks.variance(block, memory)
         self._deviation.show_compiled(block, added, pressure)
+
+    def _accept_taps(self, block: Block) -> None:
+        """Let taps be no motion within the noise."""
+        cells = self._sparks.taps()
+        if cells.size:
+            self._tremor.accept(cells, block.memory[PRESSURE, np.searchsorted(block.cells, cells)])
 
     def _look_for_tremor(self, block: Block, noise: FloatArray, *, ends_window: bool) -> None:
         """Doubt the rise of cells whose load goes to and fro within the ``noise`` (m,); changes their memory."""

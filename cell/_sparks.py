@@ -1,7 +1,8 @@
 """Bad contacts ("sparks"): a reading that jumps and is back within :data:`SPARK_S` was no load.
 
 What a cell remembered before a large jump is kept for that time. If the reading comes back, the memory from before the
-jump is put back, unless the jump was a tap: a cell remembers a tap, but not a bad contact.
+jump is put back, unless the jump was a tap: a cell remembers a tap, but not a bad contact. Often the cells beside it
+tell at once that it is a tap (:mod:`._taps`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from ._inversion import Inversion
 from ._noise import NoiseMeter
 from ._remembered import Block, Remembered
 from ._rows import PRESSURE
+from ._taps import TOGETHER_S, Taps
 
 SPARK_S = 0.1
 """a jump that is taken back sooner is no load"""
@@ -41,8 +43,9 @@ IN_DOUBT = 0.5
 class Sparks:
     """Cells whose reading jumped a moment ago, with all that was remembered of them before."""
 
-    def __init__(self, inversion: Inversion, noise: NoiseMeter, gaps: Gaps) -> None:
-        """``gaps`` is told of jumps that may have been either, a spark or a tap."""
+    def __init__(self, inversion: Inversion, noise: NoiseMeter, gaps: Gaps, shape: tuple[int, ...]) -> None:
+        """``gaps`` is told of jumps that may have been either, a spark or a tap; ``shape`` is that of the array."""
+        self._taps = Taps(shape)
         self._inversion, self._noise, self._gaps = inversion, noise, gaps
         self.large_r = LARGE_JUMP * inversion.full_scale_r
         """r from which a jump may be a spark"""
@@ -53,6 +56,7 @@ class Sparks:
         self.cells = np.zeros(0, dtype=np.intp)
         """(k,) indices"""
         self._age_s, self._jump = np.zeros((2, 0))
+        self._taps.forget_all()
         self._memory = self._inversion.begin(np.zeros(1))[:, :0]
         self._line = smoothing.begin(np.zeros(0))
 
@@ -104,12 +108,23 @@ class Sparks:
         back &= np.abs(block.line[smoothing.LEVEL, place] - reading[place]) > SUDDENLY * jump
         back &= ~over
         over |= back
+        back &= ~self._taps.known
         if back.any():
             some = np.flatnonzero(back)
             back[some] = self._were_sparks(block, some, place[some], dt, reading, noise)
             block.take_back(place[back], self._memory[:, back], self._line[:, back])
         if over.any():
             self._keep(~over)
+
+    def recognise_taps(self, dt: float, r: FloatArray) -> None:
+        """Look for jumps that are loads, by the readings ``r`` (n,) of all cells ``dt`` after the last ones."""
+        noise = smoothing.noise_of(r[np.newaxis], self._noise.at_rest)  # of lines that end in the readings
+        off = r[self.cells] - self._line[smoothing.LEVEL]
+        self._taps.look(self.cells, self._age_s, self._jump, off, dt, self._inversion.side, r, noise)
+
+    def taps(self) -> IntArray:
+        """Indices of cells that have jumped just now, under a load."""
+        return self.cells[self._taps.known & (self._age_s <= TOGETHER_S)]
 
     def _were_sparks(
         self, block: Block, some: IntArray, place: IntArray, dt: float, reading: FloatArray, noise: FloatArray
@@ -145,28 +160,35 @@ class Sparks:
         place = np.searchsorted(block.cells, self.cells)
         jump = memory[PRESSURE, place] - self._memory[PRESSURE]
         variance = np.zeros(memory.shape[1])
-        variance[place] = (IN_DOUBT * jump) ** 2
+        variance[place] = np.where(self._taps.known, 0.0, (IN_DOUBT * jump) ** 2)
         return variance
 
     def undo(self, lost: BoolArray, remembered: Remembered, pressure: FloatArray) -> None:
-        """Put back what cells remembered before they jumped that are ``lost`` (n,): they are not read any more."""
+        """Put back what cells remembered before they jumped that are ``lost`` (n,): they are not read any more.
+
+        Cells that were tapped keep what they remember.
+        """
         gone = lost[self.cells]
         if not np.count_nonzero(gone):
             return
-        cells = self.cells[gone]
-        remembered.memory[:, cells] = self._memory[:, gone]
-        remembered.line[:, cells] = self._line[:, gone]
-        pressure[cells] = self._memory[PRESSURE, gone]
+        back = gone & ~self._taps.known
+        cells = self.cells[back]
+        remembered.memory[:, cells] = self._memory[:, back]
+        remembered.line[:, cells] = self._line[:, back]
+        pressure[cells] = self._memory[PRESSURE, back]
         self._keep(~gone)
 
     def hide(self, pressure: FloatArray) -> None:
         """Show no jump beyond full scale before it has lasted longer than a spark; changes ``pressure`` (n,)."""
         full_kpa, now = self._inversion.full_scale_kpa, pressure[self.cells]
-        beyond = np.abs(now - full_kpa / 2) > BEYOND * full_kpa
+        beyond = ~self._taps.known & (np.abs(now - full_kpa / 2) > BEYOND * full_kpa)
         pressure[self.cells[beyond]] = self._memory[PRESSURE, beyond]
 
     def _add(self, block: Block, place: IntArray, jump: FloatArray) -> None:
         """Keep what is remembered of the cells at ``place`` (k,) in the block, from before their ``jump`` (k,)."""
+        before = self._noise.last_but_one()
+        before[self.cells] = self._line[smoothing.LEVEL]
+        self._taps.add(block.cells[place], before, anew=not (self._age_s <= TOGETHER_S).any())
         self.cells = np.concatenate([self.cells, block.cells[place]])
         self._age_s = np.concatenate([self._age_s, np.zeros(place.size)])
         self._memory = np.concatenate([self._memory, block.memory[:, place]], axis=1)
@@ -176,3 +198,4 @@ class Sparks:
     def _keep(self, kept: BoolArray) -> None:
         self.cells, self._age_s, self._jump = self.cells[kept], self._age_s[kept], self._jump[kept]
         self._memory, self._line = self._memory[:, kept], self._line[:, kept]
+        self._taps.keep(kept)
