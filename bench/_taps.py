@@ -33,8 +33,9 @@ CASES: tuple[tuple[str, str, int, float], ...] = (
     ("inverting-amplifier", "ground", 8, 1.0),
     ("voltage-divider", "ground", 12, 1.0),
     ("voltage-divider", "ground", 8, 1.0),
+    ("voltage-divider", "ground", 8, 4.0),
     ("voltage-divider", "float", 12, 1.0),
-    ("voltage-divider", "float", 8, 1.0),
+    ("voltage-divider", "float", 8, 4.0),
 )
 """circuit, idle rows, ADC bits, mV of noise"""
 SIZES = (8, 16)

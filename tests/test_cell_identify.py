@@ -23,8 +23,10 @@ from ohmskin.cell import (
 )
 from ohmskin.cell import _protocol as protocol
 from ohmskin.cell import _simulate as simulate
-from ohmskin.cell._identify import fits, folds, recovery_branches
+from ohmskin.cell._folds import folds
+from ohmskin.cell._identify import fits
 from ohmskin.cell._inverse import margin
+from ohmskin.cell._recovery_curve import recovery_branches
 from ohmskin.errors import InputError
 
 
