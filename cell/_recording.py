@@ -19,6 +19,8 @@ SPARK, SPARK_SIGMAS = 0.08, 8.0
 """jump of a single reading, over the range of the readings and in standard deviations of noise, that no load made"""
 LONGEST_PRESS_S = 3600.0
 """median length of a press beyond which time is hardly in seconds"""
+LONGEST_STEP_S = 30.0
+"""median time between readings beyond which time is hardly in seconds: no press would show its shape"""
 PRESSURES_KPA, RESISTANCES_OHM = (0.01, 1e4), (0.1, 1e10)
 """between which a largest pressure and a median resistance of a cell are hardly in another unit"""
 
@@ -84,9 +86,9 @@ def check_times(time_s: FloatArray, name: str) -> None:
     follows = np.isfinite(time_s) & (np.diff(time_s, prepend=-np.inf) > 0)
     if not follows.all():
         at = int(np.argmin(follows))
-        after = f" after {time_s[at - 1]:.17g} s" if at else ""
+        after = f" after {float(time_s[at - 1])} s" if at else ""
         raise InputError(
-            f"{name}: time_s must increase and be finite, but sample {at + 1} is at {time_s[at]:.17g} s{after}"
+            f"{name}: time_s must increase and be finite, but sample {at + 1} is at {float(time_s[at])} s{after}"
         )
 
 
@@ -160,6 +162,10 @@ def _check_units(recording: Recording, highest_kpa: float) -> None:
     press_s = float(np.median(time[edges[1::2]] - time[edges[::2]]))
     doubts = (
         (press_s > LONGEST_PRESS_S, f"time_s: a press lasts {press_s:.3g} s; is it in milliseconds or microseconds?"),
+        (
+            recording.step_s > LONGEST_STEP_S,
+            f"time_s: readings are {recording.step_s:.3g} s apart; is it in milliseconds or microseconds?",
+        ),
         (highest_kpa < PRESSURES_KPA[0], f"pressure_kpa reaches {highest_kpa:.3g}; is it in MPa or bar?"),
         (highest_kpa > PRESSURES_KPA[1], f"pressure_kpa reaches {highest_kpa:.3g}; is it in Pa?"),
         (median_ohm < RESISTANCES_OHM[0], f"resistance_ohm is about {median_ohm:.3g}; is it in kohm or Mohm?"),

@@ -21,7 +21,7 @@ CLEARLY = 0.3
 """least correlation of the two signals' changes for a lead to be believed"""
 AT_LIMIT = 0.02
 """share of the readings under load with the same extreme value, from which they look clipped"""
-USUAL_KPA, USUAL_OHM = (0.1, 1000.0), (30.0, 1e9)
+USUAL_KPA, USUAL_OHM = (0.5, 1000.0), (30.0, 1e9)
 """between which full scales and median resistances of robot skins lie: what lies outside is perhaps in another unit"""
 FALLS, RISES = 0.03, 0.08
 """least drift of R0 that is remarked upon, relative. Creep under load alone can look like a rise by 0.06 (specimens of

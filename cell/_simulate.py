@@ -177,7 +177,7 @@ def varied_loads(
     loads = np.empty((samples, cells))
     shortest = min(len(recorded), max(2, round(20 / recorded_dt_s)))
     for cell in range(cells):
-        pieces: list[FloatArray] = [np.zeros(round(rng.uniform(1, 20) / dt_s))]
+        pieces: list[FloatArray] = [np.zeros(max(1, round(rng.uniform(1, 20) / dt_s)))]
         while sum(map(len, pieces)) < samples:
             length = rng.integers(shortest, len(recorded) + 1)
             start = rng.integers(0, len(recorded) - length + 1)
