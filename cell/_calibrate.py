@@ -23,17 +23,14 @@ from ._learned import DRIFT, Seen
 from ._models import AsymmetricModel, ContactModel, M10Model
 from ._recording import Recording
 from ._remarks import remarks
+from ._teaching import chains_break, find_teacher
 
 MOST = 6000
 """samples that are learned from; a longer recording is thinned"""
 FOLD_CELLS = 32
 """simulated for learning before each fold; a third of those for the final estimators"""
-TEACHES_WORSE = 0.7
-"""share of the richer kind's error below which a simpler one teaches"""
 MISSES = 3.0
 """times its held-out error, that an inverse may miss of a drift that goes on after the recording"""
-BREAKS = 0.5
-"""share of the error of m10 without chains that break, below which a cell with such chains is believed to have them"""
 WORTH_COMPILING = 1000
 """samples from which on machine code is loaded before a recording is estimated, which takes about half a second"""
 STEPS = 7
@@ -106,14 +103,14 @@ def calibrate(
         return CalibrationResult(contact, recording, found, folds(thin, full), inverse, said)
 
     parts = folds(thin, full)
-    teacher, breaks = _teacher(found), _breaks(found)
+    teacher, breaks = find_teacher(found), chains_break(found)
     whole = training.NormalisedRecording(
         time_s=thin.time_s,
         r=thin.resistance_ohm / rest - 1,
         load=thin.pressure_kpa / full,
         rest_resistance_ohm=rest,
         simulation=teacher.simulate,
-        unexplained=teacher.error * float(np.ptp(thin.resistance_ohm)) / rest,
+        unexplained=teacher.leading.error * float(np.ptp(thin.resistance_ohm)) / rest,
     )
     seen, samples = _seen(thin, full), Regimes.of(thin, full)
     judged: dict[EstimatorName, list[Judged]] = {}
@@ -127,7 +124,7 @@ def calibrate(
     final = _learned(whole, full, cells=training.CELLS, breaks=breaks).replace(seen=seen)
     noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
     unexplained = float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0)))
-    taught = float(np.sqrt(max(teacher.held_out_error**2 - noise**2, 0.0)))
+    taught = float(np.sqrt(max(teacher.leading.held_out_error**2 - noise**2, 0.0)))
     for name in ("play", "distilled"):
         share = best_share(judged[name], judged["static"])
         judged[name] = mixed(judged[name], judged["static"], share)
@@ -196,28 +193,6 @@ def estimate_recording(
         pressure[n] = estimator.step(float(elapsed), resistance_ohm[n])
         std[n] = estimator.std_kpa
     return pressure, std if estimator.states_std else None
-
-
-def _teacher(found: tuple[Fit, ...]) -> Fit:
-    """The fit that is varied for learning: the richest with one set of states, unless it explains clearly less.
-
-    Which of two kinds predicts better is a close call on a short recording, and the poorer one, taught, misleads
-    more than the richer one's spare parameters do. But what leaves much more of its worst fold unexplained than another
-    kind does teaches its own mistakes. The paper's two models hand over at every change of direction, which a learned
-    map of memories follows badly: it teaches only where it is far better.
-    """
-    smooth = next(fit for fit in found if isinstance(fit.model, M10Model))
-    plain = next(fit for fit in found if isinstance(fit.model, AsymmetricModel))
-    if plain.held_out_error < TEACHES_WORSE * smooth.held_out_error:
-        smooth = plain
-    best = min(found, key=lambda fit: fit.held_out_error)
-    return best if best.held_out_error < 0.5 * smooth.held_out_error else smooth
-
-
-def _breaks(found: tuple[Fit, ...]) -> bool:
-    """Whether motion breaks conductive chains: without them, m10 leaves far more of the recording."""
-    errors = {fit.label: fit.error for fit in found}  # an m10 whose k is 0 has the label of the one without chains
-    return errors.get("m10", np.inf) < BREAKS * errors.get("m10, k = 0", 0.0)
 
 
 def _learned(

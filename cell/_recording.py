@@ -19,7 +19,7 @@ SPARK, SPARK_SIGMAS = 0.08, 8.0
 """jump of a single reading, over the range of the readings and in standard deviations of noise, that no load made"""
 LONGEST_PRESS_S = 3600.0
 """median length of a press beyond which time is hardly in seconds"""
-LONGEST_STEP_S = 30.0
+LONGEST_STEP_S = 90.0
 """median time between readings beyond which time is hardly in seconds: no press would show its shape"""
 PRESSURES_KPA, RESISTANCES_OHM = (0.01, 1e4), (0.1, 1e10)
 """between which a largest pressure and a median resistance of a cell are hardly in another unit"""

@@ -25,7 +25,7 @@ from ohmskin.cell import (
     estimate_recording,
 )
 from ohmskin.cell import _training as training
-from ohmskin.cell._calibrate import _breaks, _judge, _seen
+from ohmskin.cell._calibrate import _judge, _seen
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell._choice import Evidence, choose
 from ohmskin.cell._features import Bank
@@ -33,6 +33,7 @@ from ohmskin.cell._identify import Drift, Fold, fits
 from ohmskin.cell._judged import MOVING, Judged, Regimes, best_share, mixed, standard_errors_better
 from ohmskin.cell._learned import DRIFT, Learned
 from ohmskin.cell._remarks import believed, remarks
+from ohmskin.cell._teaching import chains_break
 from ohmskin.errors import InputError
 
 
@@ -204,7 +205,7 @@ def test_paths_are_learned_from_where_chains_that_break_explain_the_recording() 
     whole, m10 = (next(fit for fit in fitted.fits if fit.label == label) for label in ("m10, k = 0", "m10"))
     for error, expected in ((0.4, True), (0.6, False)):
         found = (whole, replace(m10, error=error * whole.error))
-        assert _breaks(found) == expected
+        assert chains_break(found) == expected
 
 
 @settings(deadline=None, max_examples=30)
@@ -396,6 +397,39 @@ def test_a_load_cell_that_is_late_and_a_converter_that_clips_are_noticed() -> No
     assert "changes 1 s before the pressure" in said(np.interp(time - 1.0, time, load), read)
     assert "does the converter clip" in said(load, np.minimum(read, np.quantile(read, 0.8)))
     assert "beyond it the deviation grows" in said(load, read, 2 * panel.FULL_SCALE_KPA)
+
+
+def test_a_gap_and_a_full_scale_that_is_hardly_reached_are_remarked_upon() -> None:
+    of = _waves()
+    kept = (of.time_s < 20) | (of.time_s > 30)
+    gap = Recording(of.time_s[kept], of.pressure_kpa[kept], of.resistance_ohm[kept])
+    assert not list(remarks(of, 10.0, 10.0, varied=True))
+    assert "nothing was read for 10.2 s of 59.9 s" in " ".join(remarks(gap, 10.0, 10.0, varied=True))
+    assert "the largest load is 10 kPa, full scale 8 kPa" in " ".join(remarks(of, 8.0, 10.0, varied=True))
+
+
+def test_readings_minutes_apart_are_asked_about_and_can_be_trusted() -> None:
+    """Time in milliseconds with presses shorter than 3.6 s. The cell is then as slow as the file says."""
+    of = panel.scene("random", "asymmetric", 3)
+    head = of.time_s < 60
+    columns = 1e3 * of.time_s[head], of.pressure_kpa[head], of.resistance_ohm[head]
+    with pytest.raises(InputError, match="milliseconds"):
+        checked_recording(*columns)
+    recording = checked_recording(*columns, trust_units=True)
+    found = training.variations(_normalised(recording), np.random.default_rng(0), 4)
+    assert np.isfinite(found[1]).all()
+
+
+def _normalised(recording: Recording) -> training.NormalisedRecording:
+    rest = float(recording.resistance_ohm[0])
+    return training.NormalisedRecording(
+        time_s=recording.time_s,
+        r=recording.resistance_ohm / rest - 1,
+        load=recording.pressure_kpa / recording.pressure_kpa.max(),
+        rest_resistance_ohm=rest,
+        simulation=lambda rng, load, dt: rest * (1 + load),
+        unexplained=0.01,
+    )
 
 
 @pytest.mark.parametrize(
