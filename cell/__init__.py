@@ -4,7 +4,7 @@ from ._calibrate import CalibrationResult, calibrate, estimate_recording
 from ._cell import ESTIMATORS, Cell
 from ._estimator import Estimator
 from ._forward import Forward
-from ._identify import recovery_branches
+from ._graphical import recovery_branches
 from ._material import drifted_rest_resistance, sensitivity
 from ._models import AsymmetricModel, ContactModel, M10Model, PaperModel
 from ._percolation import Percolation

@@ -15,8 +15,10 @@ from . import _simulate as simulate
 from . import _training as training
 from ._cell import Calibrated, Cell, EstimatorName
 from ._estimator import Estimator
+from ._fitted import Fit
+from ._folds import Fold, folds
 from ._held import longest_s
-from ._identify import Fit, Fold, fits, folds
+from ._identify import fits
 from ._inverse import margin as inverse_margin
 from ._judged import Judged, Regimes, best_share, mixed
 from ._learned import DRIFT, Seen
@@ -110,7 +112,7 @@ def calibrate(
         load=thin.pressure_kpa / full,
         rest_resistance_ohm=rest,
         simulation=teacher.simulate,
-        unexplained=teacher.leading.error * float(np.ptp(thin.resistance_ohm)) / rest,
+        unexplained=teacher.error * float(np.ptp(thin.resistance_ohm)) / rest,
     )
     seen, samples = _seen(thin, full), Regimes.of(thin, full)
     judged: dict[EstimatorName, list[Judged]] = {}
@@ -124,7 +126,7 @@ def calibrate(
     final = _learned(whole, full, cells=training.CELLS, breaks=breaks).replace(seen=seen)
     noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
     unexplained = float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0)))
-    taught = float(np.sqrt(max(teacher.leading.held_out_error**2 - noise**2, 0.0)))
+    taught = float(np.sqrt(max(teacher.held_out_error**2 - noise**2, 0.0)))
     for name in ("play", "distilled"):
         share = best_share(judged[name], judged["static"])
         judged[name] = mixed(judged[name], judged["static"], share)

@@ -17,7 +17,7 @@ import numpy as np
 
 from . import _simulate as simulate
 from ._cell import Cell, EstimatorName
-from ._identify import Fit
+from ._fitted import Fit
 from ._judged import Judged, standard_errors_better
 from ._teaching import explaining
 from ._training import NormalisedRecording, disturbed

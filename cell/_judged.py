@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
-from ._identify import Fold, pressing
+from ._folds import Fold, pressing
 from ._recording import Recording
 
 REST, HELD, MOVING = range(3)

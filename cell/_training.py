@@ -16,7 +16,7 @@ import numpy as np
 from ..arrays import FloatArray
 from . import _simulate as simulate
 from ._features import Bank
-from ._identify import Simulation
+from ._fitted import Simulation
 from ._judged import Judged
 from ._learned import BEYOND, DRIFT, UNKNOWN_DRIFT, Learned, Limits, Reached, StaticCurve, Terms
 

@@ -8,6 +8,8 @@ import cells
 import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL, Unknown, protocol_recording, sense
+from ohmskin.cell._folds import folds
+from ohmskin.cell._graphical import recovery_branches
 from scipy.signal import lfilter
 
 from ohmskin.cell import (
@@ -23,7 +25,7 @@ from ohmskin.cell import (
 )
 from ohmskin.cell import _protocol as protocol
 from ohmskin.cell import _simulate as simulate
-from ohmskin.cell._identify import fits, folds, recovery_branches
+from ohmskin.cell._identify import fits
 from ohmskin.cell._inverse import margin
 from ohmskin.errors import InputError
 

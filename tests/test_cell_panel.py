@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from ohmskin.cell._drift import Drift
+from ohmskin.cell._folds import Fold
 
 from ohmskin.bench import panel
 from ohmskin.bench._materials import LOADS, MATERIALS
@@ -29,7 +31,7 @@ from ohmskin.cell._calibrate import _judge, _seen
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell._choice import Evidence, choose
 from ohmskin.cell._features import Bank
-from ohmskin.cell._identify import Drift, Fold, fits
+from ohmskin.cell._identify import fits
 from ohmskin.cell._judged import MOVING, Judged, Regimes, best_share, mixed, standard_errors_better
 from ohmskin.cell._learned import DRIFT, Learned
 from ohmskin.cell._remarks import believed, remarks
