@@ -14,13 +14,16 @@ from pydantic import Field
 from ..arrays import FloatArray
 from ..config import NotNegative, Positive, Section, load, write_toml
 from ..errors import InputError
-from ._estimator import Conditions, Estimator
-from ._forward import Forward, make_forward
-from ._inverse import InverseEstimator, margin
-from ._learned import DRIFT, UNKNOWN_DRIFT, Learned, LearnedEstimator, Numbers, Seen, StaticCurve
+from ._conditions import Conditions
+from ._estimator import Estimator
+from ._forward import Forward, make_forward, resistance_of
+from ._inverse import AsymmetricInversion, margin
+from ._inversion import Inversion
+from ._learned import DRIFT, UNKNOWN_DRIFT, Learned, LearnedInversion, Numbers, Seen, StaticCurve
 from ._models import AsymmetricModel, M10Model, Model, PaperModel
-from ._paper import PaperEstimator, TurningEstimator
-from ._static import EquilibriumEstimator, StaticCurveEstimator, equilibrium_gain, rest_slope
+from ._static import EquilibriumInversion, StaticCurveInversion, equilibrium_gain, rest_slope
+from ._switched import SwitchedInversion
+from ._turning import TurningInversion
 
 EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)
@@ -126,43 +129,49 @@ class Cell(Section):
         name = name or self.default_estimator
         if name not in ESTIMATORS:
             raise InputError(f"no estimator '{name}'; expected one of {', '.join(ESTIMATORS)}")
-        rest, full, learned = self._rest(rest_resistance_ohm), self.full_scale_kpa, self.estimators
-        model = self.model
+        learned = self.estimators
         if rest_error is None:
             rest_error = 0.0 if learned is None or rest_resistance_ohm is None else REST_ERROR
         if not 0 <= rest_error <= 1:
             raise InputError(f"the relative error of R0 is {rest_error}; expected a number from 0 to 1")
         conditions = self._conditions(name, noise)
         if rest_error:
-            slope = rest_slope(model, full, self.rest_resistance_ohm)
+            slope = rest_slope(self.model, self.full_scale_kpa, self.rest_resistance_ohm)
             conditions = replace(conditions, rest_std_kpa=rest_error * slope)
+        rest = resistance_of(shape, self._rest(rest_resistance_ohm)).ravel()
+        inversion = self._inversion(name, rest, exact=conditions.noise == 0.0)
+        return Estimator(inversion, shape, rest, conditions)
+
+    def _inversion(self, name: str, rest_resistance_ohm: FloatArray, *, exact: bool) -> Inversion:
+        """The inversion of that name, for cells of which each has its ``rest_resistance_ohm`` (n,)."""
+        model, full, learned = self.model, self.full_scale_kpa, self.estimators
         full_r = equilibrium_gain(model, full, self.rest_resistance_ohm)
         match name:
             case "static":
                 if learned is None:
-                    return EquilibriumEstimator(model, full, shape, rest, conditions)
-                return StaticCurveEstimator(learned.static, full, full_r, shape, rest, conditions)
+                    return EquilibriumInversion(model, full, rest_resistance_ohm, exact=exact)
+                return StaticCurveInversion(learned.static, full, full_r, exact=exact)
             case "paper":
                 if not isinstance(model, PaperModel):
                     raise self._other_kind(name, "paper")
-                return PaperEstimator(model, full, shape, rest, conditions)
+                return SwitchedInversion(model, full)
             case "inverse":
                 if isinstance(model, PaperModel):
-                    return TurningEstimator(model, full, shape, rest, conditions)
+                    return TurningInversion(model, full, exact=exact)
                 if not isinstance(model, AsymmetricModel | M10Model):
                     raise self._other_kind(name, "paper', 'asymmetric' or 'm10")
-                return InverseEstimator(model, full, shape, rest, conditions)
+                return AsymmetricInversion(model, full, exact=exact)
             case "play":
                 found = None if learned is None else learned.play
             case "distilled":
                 found = None if learned is None else learned.distilled
             case _:
-                raise InputError(f"the estimator '{name}' has no case in Cell.estimator")
+                raise InputError(f"the estimator '{name}' has no case in Cell._inversion")
         if learned is None or found is None:
             raise InputError(
                 f"the estimator '{name}' is learned from a recording, and this cell has none: run ohmskin fit"
             )
-        return LearnedEstimator(found, learned.static, full, full_r, shape, rest, conditions)
+        return LearnedInversion(found, learned.static, full, full_r, exact=exact)
 
     def _other_kind(self, name: str, kind: str) -> InputError:
         return InputError(f"the estimator '{name}' inverts a cell of kind '{kind}'; this one is '{self.model.kind}'")

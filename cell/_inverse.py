@@ -18,11 +18,11 @@ from ..compiled import Loop
 from ..errors import InputError
 from . import _inverse_loops as loops
 from . import _lag as lag
-from ._estimator import Conditions, Estimator, Looked
 from ._forward import as_m10
+from ._inversion import DOUBT, LOADS, USUAL, Inversion, credible_readings
+from ._lag import ByStep
 from ._models import AsymmetricModel, M10Model
 from ._noise import WINDOW
-from ._paper import DOUBT, LOADS, MEMORIES, USUAL, ByStep
 from ._rows import GAIN, PRESSURE, VARIANCE
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP = (
@@ -104,7 +104,7 @@ class _ChangeOver:
         return ends, np.where(turns, rates, self.follows)
 
 
-class InverseEstimator(Estimator):
+class AsymmetricInversion(Inversion):
     """Solves each step of :class:`~.forward.M10Forward` for its load.
 
     As long as no branch changes between charging and discharging within the step, that is a quadratic equation. A
@@ -122,9 +122,8 @@ class InverseEstimator(Estimator):
         self,
         model: AsymmetricModel | M10Model,
         full_scale_kpa: float,
-        shape: tuple[int, ...],
-        rest_resistance_ohm: FloatArray,
-        conditions: Conditions,
+        *,
+        exact: bool,
     ) -> None:
         found = margin(model, full_scale_kpa)
         if not found > 0:
@@ -136,19 +135,21 @@ class InverseEstimator(Estimator):
         self._alpha = np.array([[m.alpha1], [m.alpha2]])
         self._rise_s, self._fall_s = np.array([[m.rise1_s], [m.rise2_s]]), np.array([[m.fall1_s], [m.fall2_s]])
         steepest = m.a + 2 * max(m.b, 0.0) * LOADS[1] + m.alpha1 + m.alpha2 + m.k
-        credible = (LOADS[0] * steepest, MEMORIES * steepest)
+        credible = credible_readings(steepest)
         self._constants_s = np.concatenate([self._rise_s, self._fall_s, [[m.tau_s]]])
         full_r = m.a + m.b + m.alpha1 + m.alpha2
         # With b < 0 the answer grows ever steeper towards the load where a fast step has no slope left.
         self._highest = min(LOADS[1], max(1.0, 0.4 * (m.a - m.k) / -m.b)) if m.b < 0 else LOADS[1]
-        super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
+        super().__init__(full_scale_kpa, full_r, credible=credible, exact=exact)
+        self._most_kpa = full_scale_kpa / 2
+        """standard deviation of a load of which nothing is known: no larger one is stated"""
         self._reach = self._loads_within_reach()
         self._weights = ByStep(_weights, self.model)
         self._model_numbers = self._numbers_of_inverse()
         self._of, self._crossed = np.empty((loops.ROWS, 0)), np.empty(0, dtype=np.intp)
-        self._seeming = WINDOW * self.model.k / full_scale_kpa
+        self.seeming = WINDOW * self.model.k / full_scale_kpa
 
-    def _begin(self, r: FloatArray) -> FloatArray:
+    def begin(self, r: FloatArray) -> FloatArray:
         m = self.model
         slope = np.full_like(r, m.a + m.alpha1 + m.alpha2)
         s = _root(m.b, slope, r)
@@ -157,7 +158,7 @@ class InverseEstimator(Estimator):
         memory[GAIN], memory[ANCHOR], memory[WENT_UP] = self.full_scale_kpa / slope, s, 1.0
         return memory
 
-    def _advance(
+    def advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         m, alpha, s0, x, broken = self.model, self._alpha, memory[LOAD], memory[BRANCHES], memory[BROKEN]
@@ -175,7 +176,7 @@ class InverseEstimator(Estimator):
         charging = ahead | ((lead == 0) & up)
         follows = np.where(charging, alpha * ramp[:2], alpha * ramp[2:4])
         width = STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
-        if not self._exact and m.k:
+        if not self.exact and m.k:
             still = slope + follows[0] + follows[1]
             moves = np.abs(s0 + change / np.maximum(still, 1e-9) - memory[ANCHOR]) > width
             breaking = np.where(moves, breaking, 0.0)
@@ -209,19 +210,19 @@ class InverseEstimator(Estimator):
             )
         new = memory.copy()
         new[LOAD], new[BRANCHES], new[BROKEN] = s0 + step, branches, free + breaking * np.abs(step)
-        if not self._exact:
+        if not self.exact:
             self._limit(new, r, std)
-        if not self._exact and m.k:
+        if not self.exact and m.k:
             new[WENT_UP] = went_up
         new[PRESSURE] = new[LOAD] * self.full_scale_kpa
         new[ANCHOR] = np.maximum(np.minimum(memory[ANCHOR], new[LOAD] + width), new[LOAD] - width)
-        new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self._full_scale_r)
-        if not self._exact:
+        new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self.full_scale_r)
+        if not self.exact:
             self._err(new, forgets, gone[4], follows, step, std)
         return new
 
-    def _loops(self) -> tuple[Loop[..., Any], ...]:
-        return *super()._loops(), *loops.ALL
+    def loops_used(self) -> tuple[Loop[..., Any], ...]:
+        return loops.ALL
 
     def _numbers_of_inverse(self) -> FloatArray:
         """What the loops take."""
@@ -231,7 +232,7 @@ class InverseEstimator(Estimator):
             **{loops.RISE_S: m.rise1_s, loops.RISE_S + 1: m.rise2_s},
             **{loops.FALL_S: m.fall1_s, loops.FALL_S + 1: m.fall2_s},
             loops.FULL_KPA: full,
-            loops.FULL_R: self._full_scale_r,
+            loops.FULL_R: self.full_scale_r,
             loops.HIGHEST: self._highest,
             loops.IN_DOUBT: min(USUAL, self._highest),
             loops.DOUBT_KPA2: (DOUBT * full) ** 2,
@@ -247,15 +248,16 @@ class InverseEstimator(Estimator):
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
-    def _advance_compiled(self, dt: float, r: FloatArray, std: FloatArray, looked: Looked) -> FloatArray:
-        block, numbers = self._block, self._model_numbers
-        memory, taken, cells = block.memory, block.taken, block.cells.size
+    def advance_compiled(
+        self, memory: FloatArray, taken: FloatArray, dt_s: float, doubt: Callable[[], FloatArray]
+    ) -> FloatArray:
+        numbers, cells = self._model_numbers, memory.shape[1]
         if self._crossed.size != cells:
             self._of, self._crossed = np.empty((loops.ROWS, cells)), np.empty(cells, dtype=np.intp)
-        of, crossed, (gone, ramp) = self._of, self._crossed, self._weights.of(dt)
+        of, crossed, (gone, ramp) = self._of, self._crossed, self._weights.of(dt_s)
         count = loops.solve.code(memory, taken, gone, ramp, numbers, of, crossed)
         if count:
-            loops.solve_crossed.code(memory, crossed, count, dt, numbers, of)
+            loops.solve_crossed.code(memory, crossed, count, dt_s, numbers, of)
         loops.finish.code(memory, taken, float(gone[4]), numbers, of)
         return memory
 
@@ -290,7 +292,7 @@ class InverseEstimator(Estimator):
         variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2
         memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)
 
-    def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
+    def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """Motion within the noise breaks chains, which seems to be a load that rises."""
         memory[MISSED] += rise_kpa / memory[GAIN]
 
@@ -300,7 +302,7 @@ class InverseEstimator(Estimator):
         Where the model needs a pull, it remembers less; where it needs too large a load, it has missed broken chains.
         While the memory is in doubt, less is too large.
         """
-        allowed = -(3 * std / self._full_scale_r + 0.01)
+        allowed = -(3 * std / self.full_scale_r + 0.01)
         load = memory[LOAD]
         in_doubt = min(USUAL, self._highest)
         highest = np.where(memory[VARIANCE] > (DOUBT * self.full_scale_kpa) ** 2, in_doubt, self._highest)
@@ -320,14 +322,14 @@ class InverseEstimator(Estimator):
             if self.model.k > 0:
                 memory[BROKEN, beyond] += np.maximum(left, 0.0)
 
-    def _hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
+    def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
         held = memory.copy()
         s = memory[LOAD]
         held[BRANCHES] = self._branches(memory, dt_s, s)
         held[BROKEN] *= np.exp(-dt_s / self.model.tau_s)
         return held
 
-    def _settled(self, memory: FloatArray, band: float) -> BoolArray:
+    def settled(self, memory: FloatArray, band: float) -> BoolArray:
         found: BoolArray = np.abs(memory[4:7]).sum(axis=0) < band
         return found
 
@@ -383,10 +385,10 @@ class InverseEstimator(Estimator):
         Beyond the top or the bottom of a curve with b is no load. A step is finite anyway: readings are credible.
         """
         m = self.model
-        widest = self._credible[1] / max(m.a - m.k, 1e-9)
+        widest = self.credible[1] / max(m.a - m.k, 1e-9)
         bottom = -(m.a - m.k) / (2 * m.b) if m.b > 0 else -widest
         top = (m.a - m.k) / (-2 * m.b) if m.b < 0 else widest
-        if self._exact:
+        if self.exact:
             return bottom, top
         return max(bottom, LOADS[0]), min(top, self._highest)
 

@@ -1,6 +1,6 @@
-"""The frame of :class:`._inverse.InverseEstimator` as loops over cells for :mod:`ohmskin.compiled`.
+"""The frame of :class:`._inverse.AsymmetricInversion` as loops over cells for :mod:`ohmskin.compiled`.
 
-The loops do what the array operations of its ``_advance`` do, in the same order. A step has three parts: the quadratic
+The loops do what the array operations of its ``advance`` do, in the same order. A step has three parts: the quadratic
 equation of every cell, Newton's method for all cells together of which a branch changes over, and the new memory.
 """
 
@@ -123,7 +123,7 @@ def change_over(
 
 @loop
 def solve_crossed(memory: Rows, crossed: Places, count: int, dt_s: float, numbers: FixedRow, of: Rows) -> None:
-    """:meth:`._inverse.InverseEstimator._solved`, for the first ``count`` of the cells ``crossed``."""
+    """:meth:`._inverse.AsymmetricInversion._solved`, for the first ``count`` of the cells ``crossed``."""
     b, accuracy = numbers[B], numbers[ACCURACY]
     bend = 0.0
     for j in range(2):
@@ -188,7 +188,7 @@ def solve_crossed(memory: Rows, crossed: Places, count: int, dt_s: float, number
 
 @loop
 def finish(memory: Rows, taken: Rows, heals: float, numbers: FixedRow, of: Rows) -> None:
-    """The memory after the steps, its limits and its errors: the rest of ``_advance``, ``_limit`` and ``_err``."""
+    """The memory after the steps, its limits and its errors: the rest of ``advance``, ``_limit`` and ``_err``."""
     a, b, k, full_kpa = numbers[A], numbers[B], numbers[K], numbers[FULL_KPA]
     for i in range(memory.shape[1]):
         r, std, step, width = taken[SMOOTHED, i], taken[STD, i], of[STEP, i], of[WIDTH, i]

@@ -6,10 +6,29 @@ time step, and a load that is piecewise linear gives the same answer however fin
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Generic, TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..arrays import FloatArray
+
+M = TypeVar("M")
+T = TypeVar("T")
+
+
+class ByStep(Generic[M, T]):
+    """What one time step does, for each length of step: computed once."""
+
+    def __init__(self, computed: Callable[[M, float], T], model: M) -> None:
+        self._made_from = computed, model
+        self.of = lru_cache(maxsize=1024)(partial(computed, model))
+
+    def __reduce__(self) -> tuple[type[ByStep[M, T]], tuple[Callable[[M, float], T], M]]:
+        """For pickle and copy: without what was computed."""
+        return type(self), self._made_from
 
 
 def weights(dt_s: ArrayLike, time_constant_s: ArrayLike) -> tuple[FloatArray, FloatArray]:

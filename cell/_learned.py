@@ -15,8 +15,8 @@ from scipy.special import ndtri
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..config import Finite, NotNegative, Positive, Section
-from ._estimator import Conditions, Estimator
 from ._features import Bank
+from ._inversion import Inversion
 from ._rows import GAIN, PRESSURE, VARIANCE
 
 Numbers = Annotated[tuple[Finite, ...], Field(strict=False, min_length=1, max_length=4000)]
@@ -252,7 +252,7 @@ def credible_range(reached: Reached | None) -> tuple[float, float]:
     return max(low - span, -1.0), high + span
 
 
-class LearnedEstimator(Estimator):
+class LearnedInversion(Inversion):
     """Runs a :class:`Learned` map beside the static curve; a cell that has not moved keeps its last answer."""
 
     def __init__(
@@ -261,9 +261,8 @@ class LearnedEstimator(Estimator):
         curve: StaticCurve,
         full_scale_kpa: float,
         full_scale_r: float,
-        shape: tuple[int, ...],
-        rest_resistance_ohm: FloatArray,
-        conditions: Conditions,
+        *,
+        exact: bool,
     ) -> None:
         self.learned, self._curve = learned, curve
         self._bank = learned.bank
@@ -276,9 +275,9 @@ class LearnedEstimator(Estimator):
         """normalised load per r, at equilibrium"""
         self._steepest = full_scale_kpa * abs(self._slope)
         credible = credible_range(learned.reached)
-        super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions, credible=credible)
+        super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)
 
-    def _begin(self, r: FloatArray) -> FloatArray:
+    def begin(self, r: FloatArray) -> FloatArray:
         memory = np.zeros((self._seen.stop, *r.shape))
         memory[3 : self._seen.start] = self._bank.begin(r)
         memory[self._seen] = self._terms.standardised(self._bank.features(memory[3 : self._seen.start]))
@@ -286,7 +285,7 @@ class LearnedEstimator(Estimator):
         self._answer(memory, slice(None))
         return memory
 
-    def _advance(
+    def advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         bank = memory[3 : self._seen.start]
@@ -308,7 +307,7 @@ class LearnedEstimator(Estimator):
         memory[PRESSURE, cells] = load * self.full_scale_kpa
         memory[VARIANCE, cells] = (std * self.full_scale_kpa) ** 2
 
-    def _settled(self, memory: FloatArray, band: float) -> BoolArray:
+    def settled(self, memory: FloatArray, band: float) -> BoolArray:
         bank = memory[3 : self._seen.start]
         memories = np.concatenate([np.abs(self._bank.lags(bank)), self._bank.paths(bank)])
         found: BoolArray = memories.max(axis=0) < 2 * band

@@ -1,7 +1,8 @@
 """The work of a frame that every estimator shares, as loops over cells for :mod:`ohmskin.compiled`.
 
-Each loop does what the array operations of :mod:`._estimator` do, operation for operation and in the same order, so
-that the results agree to the last bit. What happens in few frames (cells that wake, gaps, sparks) has no loop.
+Each loop does what array operations of :mod:`._inversion`, :mod:`._sleep`, :mod:`._smoothing` or :mod:`._deviation` do,
+operation for operation and in the same order, so that the results agree to the last bit. What happens in few frames
+(cells that wake, gaps, sparks) has no loop.
 """
 
 from __future__ import annotations

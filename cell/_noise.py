@@ -246,6 +246,10 @@ class NoiseMeter:
         before, last = self._ring[(self._seen - 3) % WINDOW], self._ring[(self._seen - 2) % WINDOW]
         return np.asarray(last[cells] - before[cells])
 
+    def last_but_one(self) -> FloatArray:
+        """(n,) readings of the frame before this one; the array is the caller's."""
+        return np.asarray(self._ring[(self._seen - 2) % WINDOW].copy())
+
     def state(self) -> dict[str, FloatArray]:
         """All that is remembered."""
         return {

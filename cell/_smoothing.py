@@ -35,9 +35,15 @@ LEVEL, SLOPE, COUNT, UP, DOWN, SUMS = *range(5), slice(3, 5)
 """rows of the memory: the line now, its slope per second, readings since it began; sums of departures upwards and
 downwards"""
 ROWS = 5
+HIDDEN, SIGMAS = 3.3, 3.0
+"""standard deviations of the noise by which a load may be off its reading; and of the estimate, which are to cover what
+a change could be that the smoothing has not noticed yet"""
+LEAST_NOISE = 1e-9
+"""of r: keeps a division by the noise finite"""
 FAR_SHARE = 1.0 - NEAR
 _ALLOWED, _SUM, _FAR, _FAR_SHARE = (np.array(x) for x in (ALLOWED, SUM, FAR, FAR_SHARE))
 _ZERO, _ONE = np.array(0.0), np.array(1.0)
+_LEAST_NOISE, _HIDDEN, _PER_SIGMAS = (np.array(x) for x in (LEAST_NOISE, HIDDEN, 1.0 / SIGMAS))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
@@ -49,6 +55,30 @@ class Smoothed(NamedTuple):
     """standard deviation of the level"""
     begun: BoolArray | None
     """where the reading begins a new line; None: nowhere"""
+
+
+class Looked(NamedTuple):
+    """The readings of one frame as the smoothing took them. Arrays (m,), which never change again."""
+
+    reading: FloatArray
+    noise: FloatArray
+    """standard deviation of a reading"""
+    std: FloatArray
+    """standard deviation of the smoothed readings by the noise"""
+    line: FloatArray
+    """(ROWS, m) memory of the smoothing after the reading"""
+
+    def doubt(self) -> FloatArray:
+        """(m,) standard deviation of the smoothed readings.
+
+        A change of the load that the line has not taken up is anything between the line and a little beyond the
+        reading, since noise may hide as much: errors up to there are to stay within :data:`SIGMAS` deviations.
+        """
+        doubt: FloatArray = self.reading - self.line[LEVEL]
+        np.abs(doubt, out=doubt)
+        doubt += self.noise * _HIDDEN
+        doubt *= _PER_SIGMAS
+        return np.maximum(doubt, self.std, out=doubt)
 
 
 class Scratch:
@@ -116,6 +146,18 @@ def begin(level: FloatArray, readings: float = 0.0) -> FloatArray:
     line = np.zeros((ROWS, *level.shape))
     line[LEVEL], line[COUNT] = level, readings
     return line
+
+
+def noise_of(line: FloatArray, noise_at_rest: FloatArray) -> FloatArray:
+    """(m,) standard deviation of readings near ``line`` (ROWS, m), for cells whose noise at rest is given (m,).
+
+    Boards measure currents: their noise is constant in conductance, and proportional to (1 + r)^2 in r.
+    """
+    noise: FloatArray = line[LEVEL] + _ONE
+    noise *= noise
+    noise *= noise_at_rest
+    noise += _LEAST_NOISE
+    return noise
 
 
 def interrupt(line: FloatArray) -> None:

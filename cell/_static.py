@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ..arrays import FloatArray
-from ._estimator import Conditions, Estimator
+from ._inversion import Inversion
 from ._learned import BEYOND, STEEPER, StaticCurve, credible_range
 from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
 from ._rows import GAIN, PRESSURE, VARIANCE
@@ -74,7 +74,7 @@ def memory_share(model: Model) -> float:
             return CONTACT_SHARE
 
 
-class EquilibriumEstimator(Estimator):
+class EquilibriumInversion(Inversion):
     """The equilibrium of the model inverted, without memory: what a calibration curve gives.
 
     All cells share one curve of r. A contact under load conducts beside the cell's rest resistance, so its r depends on
@@ -85,10 +85,11 @@ class EquilibriumEstimator(Estimator):
         self,
         model: Model,
         full_scale_kpa: float,
-        shape: tuple[int, ...],
         rest_resistance_ohm: FloatArray,
-        conditions: Conditions,
+        *,
+        exact: bool,
     ) -> None:
+        """``rest_resistance_ohm`` (n,) is that of each cell."""
         self.model, self._share = model, memory_share(model)
         self.remembers = not isinstance(model, ContactModel)
         rest = float(np.median(rest_resistance_ohm))
@@ -107,13 +108,13 @@ class EquilibriumEstimator(Estimator):
             steepest[np.argmin(np.abs(slope)) :] = np.inf
         self._slope = np.minimum(np.abs(slope), steepest)
         self._rest_of_curve = rest
-        super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions)
-        self._shift = 1 / rest - self._per_ohm
+        super().__init__(full_scale_kpa, full_r, exact=exact)
+        self._shift = 1 / rest - 1 / rest_resistance_ohm
         """S, to the conductance of a contact whose rest resistance is that of the curve"""
 
-    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> bool:
+    def normalise(self, resistance_ohm: FloatArray, per_ohm: FloatArray, r: FloatArray, *, compiled: bool) -> bool:
         if not isinstance(self.model, ContactModel):
-            return super()._normalise(resistance_ohm, r)
+            return super().normalise(resistance_ohm, per_ohm, r, compiled=compiled)
         with np.errstate(divide="ignore"):
             np.divide(1.0, resistance_ohm, out=r)
             r += self._shift
@@ -123,7 +124,7 @@ class EquilibriumEstimator(Estimator):
         r -= 1.0
         return False
 
-    def _begin(self, r: FloatArray) -> FloatArray:
+    def begin(self, r: FloatArray) -> FloatArray:
         x = self._sign * r
         memory = np.empty((3, *r.shape))
         load = np.interp(x, self._curve, self._load)
@@ -132,17 +133,17 @@ class EquilibriumEstimator(Estimator):
         memory[VARIANCE] = (self._share * memory[PRESSURE]) ** 2
         return memory
 
-    def _advance(
+    def advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
-        return self._begin(r)
+        return self.begin(r)
 
 
 STEEPEST = 20.0
 """times the mean slope that the inverse of a curve may have; a contact's is infinite at rest"""
 
 
-class StaticCurveEstimator(Estimator):
+class StaticCurveInversion(Inversion):
     """The calibrated cubic, without memory."""
 
     def __init__(
@@ -150,17 +151,16 @@ class StaticCurveEstimator(Estimator):
         curve: StaticCurve,
         full_scale_kpa: float,
         full_scale_r: float,
-        shape: tuple[int, ...],
-        rest_resistance_ohm: FloatArray,
-        conditions: Conditions,
+        *,
+        exact: bool,
     ) -> None:
         self.curve = curve
         self.remembers = not curve.logarithmic  # as the curve of a contact is
         credible = credible_range(None if curve.logarithmic else curve.reached)  # a contact may be open at rest
-        super().__init__(full_scale_kpa, full_scale_r, shape, rest_resistance_ohm, conditions, credible=credible)
+        super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)
 
-    def _begin(self, r: FloatArray) -> FloatArray:
-        curve, small = self.curve, 1e-3 * self._full_scale_r
+    def begin(self, r: FloatArray) -> FloatArray:
+        curve, small = self.curve, 1e-3 * self.full_scale_r
         load, beyond = curve.load(r), curve.load(r + small)
         memory = np.empty((3, *r.shape))
         memory[PRESSURE] = np.clip(load, curve.limits.lowest, curve.limits.highest) * self.full_scale_kpa
@@ -172,7 +172,7 @@ class StaticCurveEstimator(Estimator):
             memory[VARIANCE] += (STEEPER * over * self.full_scale_kpa) ** 2
         return memory
 
-    def _advance(
+    def advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
-        return self._begin(r)
+        return self.begin(r)

@@ -106,6 +106,11 @@ class Tremor:
         self._risen_from[cells] = pressure_kpa
         return missed
 
+    def accept(self, cells: IntArray, pressure_kpa: FloatArray) -> None:
+        """Take the pressures (m,) of cells for those of a load: nothing of their rise until now is in doubt."""
+        self._risen_from[cells] = self._looked_at[cells] = pressure_kpa
+        self._waiting_kpa[cells] = self._edge_kpa[cells] = 0.0
+
     def variance(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
         """(m,) kPa^2 of what is in doubt for the time being."""
         std = self._seeming_rise(cells, pressure_kpa, most_kpa)

@@ -1,6 +1,6 @@
-"""The frame of :class:`._paper.TurningEstimator` as loops over cells for :mod:`ohmskin.compiled`.
+"""The frame of :class:`._turning.TurningInversion` as loops over cells for :mod:`ohmskin.compiled`.
 
-The loops do what the array operations of its ``_advance`` do, in the same order. Between them come two matrix products,
+The loops do what the array operations of its ``advance`` do, in the same order. Between them come two matrix products,
 which NumPy does, and the turns and limits of few cells, which stay array operations.
 """
 
@@ -39,7 +39,7 @@ HIDDEN, PER_SIGMAS = range(28, 30)
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
-those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._paper.TurningEstimator`"""
+those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`"""
 UNCONFIRMED, PULLED = 1, 2
 
 
@@ -67,16 +67,22 @@ def step(memory: Rows, after: Rows, numbers: FixedRow) -> bool:
 
 
 @loop
+def take_gains_of(memory: Rows, i: int, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+    """Write into ``of`` (ROWS, m), for cell ``i``, what depends on its hypothesis in force and on the time step."""
+    rising, recovery = memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i]
+    memory[GAIN, i] = by_model[0, 0] * rising + by_model[0, 1] * recovery
+    of[OTHER_GAIN, i] = by_model[1, 0] * rising + by_model[1, 1] * recovery
+    of[FADE, i] = by_model[2, 0] * rising + by_model[2, 1] * recovery
+    of[NOT_RISING, i], of[NOT_RECOVERY, i] = recovery, rising
+    turns = numbers[CONFIRMED_RISE] if memory[SIGN, i] > 0.0 else numbers[CONFIRMED_FALL]
+    of[CONFIRMING_SIGMAS, i], of[CONFIRMING_KPA, i] = turns * numbers[SURE], turns * numbers[TURN_KPA]
+
+
+@loop
 def take_gains(memory: Rows, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
-    """Write into ``of`` (ROWS, m) what depends on the hypothesis in force, and on the time between frames."""
+    """:func:`take_gains_of` all cells."""
     for i in range(memory.shape[1]):
-        rising, recovery = memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i]
-        memory[GAIN, i] = by_model[0, 0] * rising + by_model[0, 1] * recovery
-        of[OTHER_GAIN, i] = by_model[1, 0] * rising + by_model[1, 1] * recovery
-        of[FADE, i] = by_model[2, 0] * rising + by_model[2, 1] * recovery
-        of[NOT_RISING, i], of[NOT_RECOVERY, i] = recovery, rising
-        turns = numbers[CONFIRMED_RISE] if memory[SIGN, i] > 0.0 else numbers[CONFIRMED_FALL]
-        of[CONFIRMING_SIGMAS, i], of[CONFIRMING_KPA, i] = turns * numbers[SURE], turns * numbers[TURN_KPA]
+        take_gains_of(memory, i, by_model, of, numbers)
 
 
 @loop
@@ -95,12 +101,8 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
     sign = -memory[SIGN, i]
     rising, recovery = memory[RECOVERY_IN_FORCE, i], memory[RISING_IN_FORCE, i]
     memory[SIGN, i], memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i] = sign, rising, recovery
-    of[NOT_RISING, i], of[NOT_RECOVERY, i] = recovery, rising
-    model = 0 if rising > 0.0 else 1
-    gain = by_model[0, model]
-    of[OTHER_GAIN, i], of[FADE, i] = by_model[1, model], by_model[2, model]
-    turns = numbers[CONFIRMED_RISE] if sign > 0.0 else numbers[CONFIRMED_FALL]
-    of[CONFIRMING_SIGMAS, i], of[CONFIRMING_KPA, i] = turns * numbers[SURE], turns * numbers[TURN_KPA]
+    take_gains_of(memory, i, by_model, of, numbers)
+    gain = memory[GAIN, i]
     pressure = memory[RISING_KPA, i] * rising + memory[RECOVERY_KPA, i] * recovery
     now = sign * max(pressure, 0.0)
     unsure = noise * gain
@@ -108,7 +110,6 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
     doubt = math.sqrt(memory[VARIANCE, i]) + (unseen_kpa(memory, i, pressure, gain, numbers) + numbers[ROUND_KPA])
     late = by_model[0, 1] * noise
     memory[TURNED, i] = min(doubt * doubt + late * late, numbers[MOST_KPA2])
-    memory[GAIN, i] = gain
     if left < FAR:
         memory[EXTREME, i], memory[PEAK, i], memory[LEFT, i] = left, left, FAR
     else:

@@ -23,6 +23,9 @@ from ..arrays import FloatArray
 from ._sections import Fault, Sheet
 from .solvers import Lines, siemens
 
+LEAST_SHORT_OHM = 1e-3
+"""resistance of a shorted cell with its contacts, at least: for bounds on what a short may do to other readings"""
+
 T = TypeVar("T", bound=np.generic)
 
 

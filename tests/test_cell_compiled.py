@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from ohmskin.arrays import FloatArray
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, Estimator, M10Model
-from ohmskin.cell._inverse import InverseEstimator
+from ohmskin.cell._inverse import AsymmetricInversion
 from ohmskin.compiled import SWITCH
 
 DT_S = 0.005
@@ -55,8 +55,8 @@ def compare(estimator: Estimator, times_s: FloatArray, frames: FloatArray) -> Es
         reference = copy.deepcopy(estimator)
         reference._use(machine_code=False)
         changed: dict[str, int] = {}
-        if isinstance(reference, InverseEstimator):
-            _count(reference, "_solved", "changes", changed)
+        if isinstance(reference.inversion, AsymmetricInversion):
+            _count(reference, "inversion._solved", "changes", changed)
         expected = reference.step(float(dt), ohm)
         nearly = NEARLY if sum(changed.values()) else 0.0
         equal(estimator.step(float(dt), ohm), expected, f"pressures of frame {number}", nearly)
@@ -130,7 +130,7 @@ def test_a_large_skin_that_mostly_sleeps() -> None:
         kpa[10:14, 20:24] = 8.0 * np.sin(frame / 15.0) ** 2 if frame > 70 else 0.0
         ohms.append(forward.step(DT_S, kpa) * (1 + 1e-4 * random.standard_normal(shape)))
     estimator = compare(EXAMPLE.estimator(shape, rest_error=0.01), np.full(110, DT_S), np.array(ohms))
-    asleep = np.count_nonzero(~estimator._awake)
+    asleep = np.count_nonzero(~estimator._sleep.awake)
     assert 3000 < asleep <= 4096 - 16
 
 
@@ -139,15 +139,15 @@ def test_rare_events_do_happen_in_these_streams() -> None:
     seen: dict[str, int] = {}
     for kind, methods in {
         "paper": (
-            "_limit",
-            "_remember",
-            "_put_back",
+            "inversion._limit",
+            "_sparks._add",
+            "_sparks.put_back",
             "_put_to_sleep",
             "_part",
-            "_look_for_tremor_compiled",
+            "_following._look_for_tremor_compiled",
         ),
-        "m10": ("_remember", "_put_back", "_put_to_sleep"),
-        "asymmetric": ("_remember",),
+        "m10": ("_sparks._add", "_sparks.put_back", "_put_to_sleep"),
+        "asymmetric": ("_sparks._add",),
     }.items():
         estimator = CELLS[kind].estimator((30,))
         for name in methods:
@@ -155,7 +155,7 @@ def test_rare_events_do_happen_in_these_streams() -> None:
         assert estimator.compile()
         by_arrays = CELLS[kind].estimator((30,))
         if kind == "paper":
-            for name in ("_correct", "_keep"):  # parts of loops
+            for name in ("inversion._correct", "inversion._keep"):  # parts of loops
                 _count(by_arrays, name, f"{kind} {name}", seen)
         for ohm in readings(CELLS[kind], (30,), 200, 1e-3, 0, sparks=0.01, opens=0.002):
             estimator.step(DT_S, ohm)
@@ -164,13 +164,18 @@ def test_rare_events_do_happen_in_these_streams() -> None:
 
 
 def _count(estimator: Estimator, method: str, name: str, counts: dict[str, int]) -> None:
-    original, counts[name] = getattr(estimator, method), 0
+    """Count the calls of a method of the estimator, or of one of its parts."""
+    *path, method = method.split(".")
+    owner: object = estimator
+    for part in path:
+        owner = getattr(owner, part)
+    original, counts[name] = getattr(owner, method), 0
 
-    def counted(*given: Any) -> Any:
+    def counted(*given: Any, **options: Any) -> Any:
         counts[name] += 1
-        return original(*given)
+        return original(*given, **options)
 
-    setattr(estimator, method, counted)
+    setattr(owner, method, counted)
 
 
 def _calls(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:

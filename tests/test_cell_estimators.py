@@ -9,9 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
-from ohmskin.cell._estimator import Conditions
+from ohmskin.cell._conditions import Conditions
+from ohmskin.cell._estimator import Estimator
 from ohmskin.cell._learned import Limits, StaticCurve
-from ohmskin.cell._static import StaticCurveEstimator
+from ohmskin.cell._static import StaticCurveInversion
 from ohmskin.errors import InputError
 
 EXAMPLE = Cell.example()
@@ -188,7 +189,7 @@ def test_a_contact_pressed_hard_is_neither_full_scale_nor_surer_than_its_noise(s
     rng = np.random.default_rng(2)
     ohm = VELOSTAT.forward(()).step(0.01, load) / (1 + relative * rng.standard_normal(4000))
     r = ohm / VELOSTAT.rest_resistance_ohm - 1
-    memory = VELOSTAT.estimator((), "static", noise=0.0)._begin(r)
+    memory = VELOSTAT.estimator((), "static", noise=0.0).inversion.begin(r)
     assert np.median(memory[0]) == pytest.approx(load, rel=0.01)
     stated = relative * (1 + np.median(r)) * np.median(memory[1])
     assert stated == pytest.approx(memory[0].std(), rel=0.1 if share > 0.1 else 0.5)
@@ -196,7 +197,8 @@ def test_a_contact_pressed_hard_is_neither_full_scale_nor_surer_than_its_noise(s
 
 def test_a_static_curve_states_its_deviation() -> None:
     curve = StaticCurve(coefficients=(0.0, 1.0), limits=Limits(lowest=0.0, highest=1.0), std_kpa=0.5)
-    estimator = StaticCurveEstimator(curve, 10.0, 1.0, (), np.array(1e3), Conditions(model_std_kpa=1e-9, noise=0.0))
+    inversion = StaticCurveInversion(curve, 10.0, 1.0, exact=True)
+    estimator = Estimator(inversion, (), np.array([1e3]), Conditions(model_std_kpa=1e-9, noise=0.0))
     for resistance in (1.1e3, 1.2e3):
         estimator.step(0.1, resistance)
         assert estimator.std_kpa == pytest.approx(0.5)

@@ -143,11 +143,27 @@ def test_a_skin_at_rest_sleeps_and_wakes() -> None:
     estimator = EXAMPLE.estimator((30,))
     for _ in range(300):
         estimator.step(0.01, 1e4 * (1 + 1e-3 * rng.standard_normal(30)))
-    assert not estimator._awake.any()
+    assert not estimator._sleep.awake.any()
     pressed = 1e4 * (1 + 1e-3 * rng.standard_normal(30))
     pressed[4] *= 1.3
     found = estimator.step(0.01, pressed)
     assert np.flatnonzero(found > 1.0).tolist() == [4]
+
+
+@pytest.mark.parametrize("frames", [300, 319])  # just after, and long after, the last look at cells that sleep
+def test_a_cell_whose_sleep_was_saved_wakes_at_the_first_press(frames: int) -> None:
+    rng = np.random.default_rng(2)
+    sleeping, restored = (EXAMPLE.estimator((30,)) for _ in range(2))
+    for _ in range(frames):
+        sleeping.step(0.01, 1e4 * (1 + 1e-3 * rng.standard_normal(30)))
+    assert not sleeping._sleep.awake.any()
+    restored.restore(sleeping.state())
+    pressed = 1e4 * (1 + 1e-3 * rng.standard_normal(30))
+    pressed[4] *= 1.3
+    expected = sleeping.step(0.01, pressed)
+    assert expected[4] > 1.0
+    np.testing.assert_allclose(restored.step(0.01, pressed), expected, rtol=1e-9)
+    np.testing.assert_allclose(restored.std_kpa[4], sleeping.std_kpa[4], rtol=1e-9)
 
 
 @CELLS

@@ -9,16 +9,21 @@ from turning import OneCell
 
 from ohmskin.bench._independent import presses
 from ohmskin.cell import PaperModel
-from ohmskin.cell._estimator import Conditions, Estimator
-from ohmskin.cell._paper import PaperEstimator, TurningEstimator, _Rows
+from ohmskin.cell._conditions import Conditions
+from ohmskin.cell._estimator import Estimator
+from ohmskin.cell._inversion import Inversion
+from ohmskin.cell._switched import SwitchedInversion
+from ohmskin.cell._turning import TurningInversion
+from ohmskin.cell._turning_rows import Rows
 
 MODEL = EXAMPLE.model
 assert isinstance(MODEL, PaperModel)
-REST = np.array(EXAMPLE.rest_resistance_ohm)
+REST = np.array([EXAMPLE.rest_resistance_ohm])
 NOISE = 0.005
 
 
-def rmse(estimator: Estimator, read: np.ndarray, load: np.ndarray, dt: float) -> float:
+def rmse(inversion: Inversion, noise: float | None, read: np.ndarray, load: np.ndarray, dt: float) -> float:
+    estimator = Estimator(inversion, (), REST, Conditions(noise=noise))
     found = np.array([float(estimator.step(dt, r)) for r in read])
     return float(np.sqrt(np.mean((found / FULL - load) ** 2)))
 
@@ -39,9 +44,8 @@ def loads(kind: str, rng: np.random.Generator, dt: float) -> np.ndarray:
 def test_any_load_is_found(kind: str, seed: int, dt: float) -> None:
     """Without noise to 1.5 % of full scale, most of it until a turn is noticed; steps exactly."""
     load = loads(kind, np.random.default_rng(seed), dt)
-    assert rmse(TurningEstimator(MODEL, FULL, (), REST, Conditions(noise=0.0)), sense(EXAMPLE, load, dt), load, dt) < (
-        1e-9 if kind == "steps" else 0.015
-    )
+    found = rmse(TurningInversion(MODEL, FULL, exact=True), 0.0, sense(EXAMPLE, load, dt), load, dt)
+    assert found < (1e-9 if kind == "steps" else 0.015)
 
 
 @pytest.mark.parametrize("kind", ["steps", "presses", "slow ramps"])
@@ -53,9 +57,9 @@ def test_noise_costs_less_than_the_noise_inverted(kind: str, dt: float) -> None:
     rng = np.random.default_rng(5)
     load = loads(kind, rng, dt)
     read = sense(EXAMPLE, load, dt) * (1 + NOISE * rng.standard_normal(len(load)))
-    found = rmse(TurningEstimator(MODEL, FULL, (), REST, Conditions(noise=NOISE)), read, load, dt)
+    found = rmse(TurningInversion(MODEL, FULL, exact=False), NOISE, read, load, dt)
     assert found < 0.015
-    assert found < 0.5 * rmse(PaperEstimator(MODEL, FULL, (), REST, Conditions()), read, load, dt)
+    assert found < 0.5 * rmse(SwitchedInversion(MODEL, FULL), None, read, load, dt)
 
 
 @pytest.mark.parametrize("kind", ["steps", "presses", "slow ramps"])
@@ -70,7 +74,7 @@ def test_wrong_time_constants_stay_bearable(kind: str, factor: float) -> None:
     rng = np.random.default_rng(6)
     load = loads(kind, rng, 0.1)
     read = sense(EXAMPLE, load) * (1 + NOISE * rng.standard_normal(len(load)))
-    assert rmse(TurningEstimator(wrong, FULL, (), REST, Conditions(noise=NOISE)), read, load, 0.1) < 0.06
+    assert rmse(TurningInversion(wrong, FULL, exact=False), NOISE, read, load, 0.1) < 0.06
 
 
 @settings(max_examples=12)
@@ -89,15 +93,15 @@ def test_the_matrices_do_what_one_cell_written_out_does(seed: int, dt: float, no
     )
     load[:, 100:103] += jump
     rest = np.full(cells, EXAMPLE.rest_resistance_ohm)
-    estimator = TurningEstimator(MODEL, FULL, (cells,), rest, Conditions(noise=noise))
+    inversion = TurningInversion(MODEL, FULL, exact=noise == 0.0)
     forward = EXAMPLE.forward((cells,))
     forward._check_pull = lambda pressure: None  # type: ignore[method-assign]
-    memory = estimator._begin(np.zeros(cells))
+    memory = inversion.begin(np.zeros(cells))
     one_by_one = [OneCell(MODEL, FULL, 0.0, exact=noise == 0.0) for _ in range(cells)]
     for kpa in FULL * load.T:
         r = forward.step(dt, kpa) / rest - 1 + noise * rng.standard_normal(cells)
         std, doubt = np.full(cells, noise), np.full(cells, 1.5 * noise)
-        memory = estimator._advance(memory, dt, r, std, lambda doubt=doubt: doubt)  # type: ignore[misc]
+        memory = inversion.advance(memory, dt, r, std, lambda doubt=doubt: doubt)  # type: ignore[misc]
         expected = [one.step(dt, float(x), noise, 1.5 * noise) for one, x in zip(one_by_one, r, strict=True)]
         np.testing.assert_allclose(memory[0], expected, rtol=1e-8, atol=1e-8)
         np.testing.assert_allclose(memory[2], [one.variance for one in one_by_one], rtol=1e-6, atol=1e-8)
@@ -105,9 +109,9 @@ def test_the_matrices_do_what_one_cell_written_out_does(seed: int, dt: float, no
 
 def test_a_doubt_ends_at_full_scale() -> None:
     """Steps of a coarse converter look like turns, at rest too: their doubts must not add up without end."""
-    estimator = TurningEstimator(MODEL, FULL, (), REST, Conditions(noise=NOISE))
-    rows = _Rows(estimator._begin(np.zeros(1)), turn_kpa=0.1)
+    inversion = TurningInversion(MODEL, FULL, exact=False)
+    rows = Rows(inversion.begin(np.zeros(1)), turn_kpa=0.1)
     for _ in range(50):
         rows.variance[:] = FULL**2
-        estimator._keep(rows, np.zeros(1), np.array([True]))
+        inversion._keep(rows, np.zeros(1), np.array([True]))
     assert np.sqrt(rows.doubt) == pytest.approx(FULL)

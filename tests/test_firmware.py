@@ -10,6 +10,8 @@ import os
 import shutil
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 from itertools import islice, pairwise
 from pathlib import Path
 from typing import Any
@@ -481,6 +483,24 @@ def test_a_processor_that_dies_is_a_link_error() -> None:
         chip._process.wait()
         with pytest.raises(LinkError, match="the emulated processor has ended"):
             chip.run(chip.cycle + CLOCK_HZ / 100)
+
+
+def test_a_processor_that_is_closed_while_another_thread_runs_it_is_a_link_error() -> None:
+    runs = threading.Event()
+
+    class Told(Nothing):
+        def port_written(self, cycle: float, port: str, output: int, direction: int) -> None:
+            runs.set()
+
+    chip = Processor(AVR8JS, SMALL.hex_file, b"", Told())
+    with ThreadPoolExecutor(1) as pool:
+        an_hour = pool.submit(chip.run, 3600.0 * CLOCK_HZ)
+        assert runs.wait(60.0)
+        chip.close()
+        with pytest.raises(LinkError, match="the emulated processor has ended"):
+            an_hour.result()
+    with pytest.raises(LinkError, match="was closed"):
+        chip.run(3600.0 * CLOCK_HZ)
 
 
 def test_the_command_runs_the_firmware_and_writes_the_truth(tmp_path: Path) -> None:

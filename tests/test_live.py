@@ -222,7 +222,7 @@ def test_a_frame_of_a_coupled_board_has_a_bounded_number_of_evaluations(
 
     count(CoupledBoard, "at")
     count(Linearised, "renew")
-    count(Linearised, "_at_once")
+    count(Linearised, "_first")
     read = CountReader(design)
     for number, frame in enumerate(pressed((6, 6), np.random.default_rng(0), 12, 500.0)):
         counted.clear()
@@ -230,7 +230,7 @@ def test_a_frame_of_a_coupled_board_has_a_bounded_number_of_evaluations(
         if number:
             assert counted.get("at", 0) <= USUAL_EFFORT.evaluations
             assert counted.get("renew", 0) <= USUAL_EFFORT.instalments
-            assert "_at_once" not in counted
+            assert "_first" not in counted
 
 
 @pytest.mark.parametrize("sigma_steps", [0.5, 3.0])

@@ -18,6 +18,7 @@ from ohmskin.circuits.recovery._amplified import AmplifiedLive
 from ohmskin.circuits.recovery._amplified_loops import UsualFrames
 from ohmskin.circuits.recovery._coupled import CoupledLive
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
+from ohmskin.circuits.recovery._frame_budget import FIRST_EFFORT, Budget
 from ohmskin.circuits.recovery._linearised import Linearised
 from ohmskin.driver import CountReader
 from ohmskin.driver._reading import Reading
@@ -175,7 +176,7 @@ def test_a_step_column_by_column_is_that_of_array_operations(far: float) -> None
     random = np.random.default_rng(0)
     log = np.log(random.uniform(1e-5, 1e-4, 49))
     log[random.integers(49, size=9)] = -40.0
-    linearised.begin(parts.at(log))
+    assert linearised.begin(parts.at(log), Budget(FIRST_EFFORT))
     base = linearised.base
     assert base.by_columns is not None
     volts, slope = far * 1e-3 * random.standard_normal(49), base.slope * random.uniform(0.1, 6.0, 49)

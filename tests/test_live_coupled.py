@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
 import pytest
 
 from ohmskin.arrays import FloatArray
+from ohmskin.bench import _live_hunt
 from ohmskin.circuits import Design, Reason, adc_codes, scan, sensitivity
 from ohmskin.circuits.recovery import _derivatives, _linearised, _normal_matrix, _sheet_model
 from ohmskin.circuits.recovery._column_blocks import ColumnBlocks, beyond_linear
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
-from ohmskin.circuits.recovery._frame_budget import NODE_EFFORT, USUAL_EFFORT
-from ohmskin.circuits.recovery._linearised import Linearised
+from ohmskin.circuits.recovery._frame_budget import ANEW_EFFORT, NODE_EFFORT, Budget
 from ohmskin.circuits.recovery._lines import LineResistance
 from ohmskin.circuits.recovery._node_blocks import NodeBlocks
 from ohmskin.circuits.recovery._quick_model import QuickModel
@@ -197,25 +198,31 @@ def test_the_normal_matrix_is_inverted_in_instalments_of_bounded_work(
         assert instalments > 20
 
 
+def counted(monkeypatch: pytest.MonkeyPatch, *methods: tuple[type, str]) -> Counter[str]:
+    """Counts calls of methods, by name, but for those that return False: instalments that could not be paid."""
+    done: Counter[str] = Counter()
+
+    def count(where: type, name: str) -> None:
+        real = getattr(where, name)
+
+        def counting(*given: Any) -> Any:
+            result = real(*given)
+            done[name] += result is not False
+            return result
+
+        monkeypatch.setattr(where, name, counting)
+
+    for where, name in methods:
+        count(where, name)
+    return done
+
+
 @pytest.mark.parametrize(("kind", "small"), [*((kind, 100) for kind in KINDS), *((kind, 20) for kind in FLOATING)])
 def test_no_event_takes_more_than_a_frame_s_work(kind: str, small: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """A hard press of all cells at once, cells at a limit, a dead row, and back: counted per frame."""
     monkeypatch.setattr(_linearised, "_SMALL", small)
-    effort = USUAL_EFFORT if small == 100 else NODE_EFFORT
-    done: dict[str, int] = {}
-
-    def count(where: Any, name: str) -> None:
-        real = getattr(where, name)
-
-        def counting(*given: Any, **named: Any) -> Any:
-            done[name] = done.get(name, 0) + 1
-            return real(*given, **named)
-
-        monkeypatch.setattr(where, name, counting)
-
-    count(CoupledBoard, "at")
-    count(Linearised, "renew")
-    count(Linearised, "_at_once")
+    effort = ANEW_EFFORT if small == 100 else NODE_EFFORT
+    done = counted(monkeypatch, (CoupledBoard, "at"), (Budget, "renew"))
     design = board(kind, 7, 8)
     rest = 1e4 * 10 ** np.random.default_rng(0).uniform(-0.05, 0.05, (7, 8))
     pressed, limited, dead = 0.1 * rest, rest.copy(), rest.copy()
@@ -228,9 +235,8 @@ def test_no_event_takes_more_than_a_frame_s_work(kind: str, small: int, monkeypa
             done.clear()
             reading = read(counts)
             if number or again:
-                assert done.get("at", 0) <= effort.evaluations + 1
-                assert done.get("renew", 0) <= effort.instalments
-                assert "_at_once" not in done
+                assert done["at"] <= effort.starts + effort.evaluations
+                assert done["renew"] <= effort.instalments
             if reading.valid.any():
                 off = np.abs(reading.resistance / cells - 1.0)[reading.valid]
                 assert (off <= reading.uncertainty[reading.valid]).all()
@@ -446,3 +452,34 @@ def test_a_bridged_board_that_is_too_large_is_one_line(monkeypatch: pytest.Monke
         CountReader(board("floating", 11, 11, fault=[bridge]))
     CountReader(board("floating", 11, 11))
     CountReader(board("divider", 11, 11))
+
+
+@pytest.mark.parametrize("kind", sorted(set(KINDS) - {"grounded"}))
+def test_the_first_frame_that_tells_of_cells_has_a_usual_budget(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A skin that is opened under a load which brings all readings to a limit, and is then let go."""
+    done = counted(monkeypatch, (CoupledBoard, "at"), (Budget, "renew"))
+    design, most = board(kind, 7, 8), ANEW_EFFORT
+    rest = 1e4 * 10 ** np.random.default_rng(0).uniform(-0.05, 0.05, (7, 8))
+    read = CountReader(design)
+    assert not read(adc_codes(design, scan(design, np.full((7, 8), 1e-2)).volts)).valid.any()
+    counts = adc_codes(design, scan(design, rest).volts)
+    evaluations = 0
+    for _ in range(12):
+        done.clear()
+        reading = read(counts)
+        evaluations += done["at"]
+        assert done["at"] <= most.starts + most.evaluations
+        assert done["renew"] <= most.instalments
+    assert evaluations > 0
+    assert reading.valid.all()
+    assert (np.abs(reading.resistance / rest - 1.0) <= reading.uncertainty).all()
+
+
+@pytest.mark.parametrize(("family", "number"), [("feedback events", 91010000156), ("floating events", 91020000084)])
+def test_a_skin_that_comes_off_a_limit_takes_no_slow_frame(family: str, number: int) -> None:
+    """Executed lines of two streams of the hunt, in which the first frame to tell of a cell is a late one."""
+    tally = _live_hunt.LiveTally()
+    _live_hunt.check(family, number, tally)
+    assert tally.slow == []
+    assert tally.findings == []
+    assert tally.valid > 0

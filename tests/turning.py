@@ -1,4 +1,4 @@
-"""The two hypotheses about the paper's cell written out for one cell, slowly: the reference of TurningEstimator."""
+"""The two hypotheses about the paper's cell written out for one cell, slowly: the reference of TurningInversion."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from ohmskin.cell import PaperModel
 from ohmskin.cell import _lag as lag
-from ohmskin.cell import _paper as paper
+from ohmskin.cell import _turning as paper
 
 
 @dataclass

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
-from .._parts import Parts
+from .._parts import LEAST_SHORT_OHM, Parts
 from ..solvers import ULP, siemens
 from ._adjoint import SensitivityGroup, TiedPorts
 from ._cards import CardWriter
@@ -24,7 +24,6 @@ from ._quick import QuickFields, QuickNetwork, behind_leads
 from ._rounding import conductance_into_rows
 from ._voltage_divider import VoltageDivider
 
-_LEAST_SHORT = 1e-3  # ohm that a short has at least, with its contacts
 _CAPPED = 2.0  # times the conductance of a short that a cell may seem to have, by rounding of the readings
 _FAR_ABOVE = 3.0  # times the usual conductance above which a cell is no ordinary one
 _WELL_ABOVE = 10.0  # the same over that of Rref
@@ -146,7 +145,7 @@ class _PulledRows(NamedTuple):
         lowest = np.maximum(surely, _LEAST_DROP * drive)
         above, below = lifted / (column + least), lifted / lowest
         apparent = circuit.apparent_conductance(board, signal)
-        most = np.broadcast_to(_CAPPED / (board.column_lead + _LEAST_SHORT), signal.shape[1:])
+        most = np.broadcast_to(_CAPPED / (board.column_lead + LEAST_SHORT_OHM), signal.shape[1:])
         largest = np.full(len(signal), inf)
         if len(signal) > 1:
             # Followers divide the readings of the other rows' cells by so much at most.
@@ -302,7 +301,7 @@ def _column_potential(board: Parts, signal: FloatArray) -> FloatArray:
 
 def _most_more(board: Parts, lead: FloatArray | float, columns: int) -> FloatArray | float:
     """1 + z, see :class:`_PulledRows`, of rows behind ``lead`` in ohm all of whose cells are shorts; or _MOST_MORE."""
-    shorts = _CAPPED * columns / (float(np.min(board.column_lead)) + _LEAST_SHORT)
+    shorts = _CAPPED * columns / (float(np.min(board.column_lead)) + LEAST_SHORT_OHM)
     return np.minimum(1.0 + lead * shorts, _MOST_MORE)
 
 

@@ -30,7 +30,7 @@ from ._below_range import BelowRange
 from ._closed_start import ClosedStart
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
 from ._fit_uncertainty import ALIKE, FitUncertainty
-from ._frame_budget import FIRST_EFFORT, Effort
+from ._frame_budget import FIRST_EFFORT, Budget
 from ._gauss_newton import Convergence, Fit, GaussNewton
 from ._linearised import Linearised
 from ._live_reading import (
@@ -90,6 +90,7 @@ class CoupledLive:
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
         self._known: Known | None = None  # where the last frame ended
+        self._has_begun = False  # there has been a frame
         self._any_gone = bool(parts.gone.any())
         self._all_valid = np.ones(parts.shape, dtype=np.bool_), np.zeros(parts.shape, dtype=np.int8)
         for shared in self._all_valid:
@@ -110,14 +111,17 @@ class CoupledLive:
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
         """One frame in line coordinates."""
+        budget = self._budget_of_frame()
         signal, error = np.abs(volts - self._parts.board.level), self._parts.half_step + SIGMAS * noise
         selection = self._limits.select(signal, limited, error, self._convergence)
         if not selection.tells:
             return self._nothing(selection.at_limit)
         frame = self._parts.frame(volts, signal, noise, selection.ignored)
-        known, by_lost = self._usual_start(frame, selection)
-        start, effort = self._nearer_start(frame, known)
-        fit, doubt = self._fit(frame, start, effort)
+        known, by_lost = self._usual_start(frame, selection, budget)
+        start = self._nearer_start(frame, known, budget)
+        if not self._linearised.begin(start.known, budget):
+            return self._nothing(selection.at_limit, UNSETTLED)
+        fit, doubt = self._fit(frame, start, budget)
         short = self._shorts.as_good_as_short(fit.known)
         self._judge_misfit(fit, short)
         if fit.none and short is not None:  # readings hardly tell such a cell from a short
@@ -130,7 +134,20 @@ class CoupledLive:
         beside = self._disturbed(frame, fit, selection, left.fitted, short)
         return self._reading(frame, fit, selection, left, beside)
 
-    def _usual_start(self, frame: Frame, selection: Selection) -> tuple[Known, FloatArray | float]:
+    def _budget_of_frame(self) -> Budget:
+        """The budget of a new frame. What the first one of all has left is lost, also where it tells of no cell."""
+        if self._has_begun:
+            return Budget(self._linearised.usual_effort(anew=self._known is None or self._convergence.fresh))
+        self._has_begun = True
+        return Budget(FIRST_EFFORT)
+
+    def _at(self, log: FloatArray, budget: Budget) -> Known:
+        """Evaluate the model for the logarithms (n,) of conductances that a frame starts from."""
+        paid = budget.start()
+        assert paid, "a start costs no more than its budget"
+        return self._parts.at(log)
+
+    def _usual_start(self, frame: Frame, selection: Selection, budget: Budget) -> tuple[Known, FloatArray | float]:
         """The last frame's cells, or closed formulas; cells of which the frame does not tell are usual ones.
 
         Returns:
@@ -139,14 +156,14 @@ class CoupledLive:
         """
         start = self._known
         if start is None:
-            start = self._parts.at(self._start(frame.volts))
+            start = self._at(self._start(frame.volts), budget)
             self._steps.begin_anew()
-            self._linearised.begin_anew(start)
+            self._linearised.begin_anew(start, budget)
         beside = selection.beside.ravel()
         if selection.lost is not None or selection.lost_rows is not None:
             usual = np.where(beside, np.median(start.log[~beside]), start.log)
             if np.abs(usual - start.log).max() > 0.0:
-                start = self._parts.at(usual)
+                start = self._at(usual, budget)
             if selection.lost is None:
                 return start, 0.0
             conductance = np.exp(usual).reshape(self._parts.shape)
@@ -154,33 +171,30 @@ class CoupledLive:
         if beside.any():
             apparent = np.where(beside, self._start(frame.volts), start.log)
             if np.abs(apparent - start.log).max() > _ROUGHLY:
-                start = self._parts.at(apparent)
+                start = self._at(apparent, budget)
         return start, 0.0
 
-    def _nearer_start(self, frame: Frame, known: Known) -> tuple[Compared, Effort]:
-        """The start or, after a jump of the readings, closed formulas where these are nearer; and the budget."""
-        effort = self._linearised.usual_effort if self._convergence.begun else FIRST_EFFORT
+    def _nearer_start(self, frame: Frame, known: Known, budget: Budget) -> Compared:
+        """The start or, after a jump of the readings, closed formulas where these are nearer."""
         start = frame.compared(known)
         goes_on = self._linearised.columns.applies and known is self._known
-        if goes_on and start.half_steps > _JUMP * frame.coarser:
+        if goes_on and start.half_steps > _JUMP * frame.coarser and budget.evaluate():
             anew = frame.compared(self._parts.at(self._start(frame.volts)))
-            effort = effort._replace(evaluations=effort.evaluations - 1)
             if anew.half_steps < start.half_steps:
                 start = anew
-                self._linearised.rebase(start.known)
-        self._linearised.begin(start.known)
-        return start, effort
+                self._linearised.rebase(start.known, budget)
+        return start
 
-    def _fit(self, frame: Frame, start: Compared, effort: Effort) -> tuple[Fit, float]:
+    def _fit(self, frame: Frame, start: Compared, budget: Budget) -> tuple[Fit, float]:
         """Cells that give the readings, and what a continuous sheet leaves open about them, relative."""
-        fit, sheet = self._steps.fit(frame, start, effort), self._parts.sheet
+        fit, sheet = self._steps.fit(frame, start, budget), self._parts.sheet
         if sheet is None:
             return fit, 0.0
-        for _ in range(effort.solutions):
-            if sheet.serves(fit.known.log, SIGMAS * frame.coarser * self._linearised.base.std):
+        while not sheet.serves(fit.known.log, SIGMAS * frame.coarser * self._linearised.base.std):
+            if not budget.solve():
                 break
             sheet.solve(fit.known.log)
-            fit = self._steps.fit(frame, frame.compared(self._parts.at(fit.known.log)), effort)
+            fit = self._steps.fit(frame, frame.compared(self._parts.at(fit.known.log)), budget)
         return fit, sheet.doubt(fit.known.log)
 
     def _judge_misfit(self, fit: Fit, short: BoolArray | None) -> None:
@@ -306,15 +320,16 @@ class CoupledLive:
         own = self._uncertainty.of_own_reading(frame, uncertainty)
         return uncertainty.reshape(self._parts.shape), own.reshape(self._parts.shape)
 
-    def _nothing(self, at_limit: BoolArray) -> LiveReading:
+    def _nothing(self, at_limit: BoolArray, why: int = DISTURBED) -> LiveReading:
         """A frame that tells of no cell.
 
         Args:
             at_limit: (N, M) readings at a limit.
+            why: the reason at the other cells.
 
         """
         shape = self._parts.shape
-        reason = np.full(shape, DISTURBED, dtype=np.int8)
+        reason = np.full(shape, why, dtype=np.int8)
         reason[at_limit] = SATURATED
         reason[self._parts.gone.reshape(shape)] = HIDDEN
         unknown, nowhere = np.full(shape, inf), np.zeros(shape, dtype=np.bool_)

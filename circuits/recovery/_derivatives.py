@@ -18,8 +18,6 @@ from .._sensitivity import basis_drops
 from ._normal_matrix import Meter
 from ._quick_model import QuickModel
 
-_LEAST_GROUPS = 8  # groups of readings per instalment, at least
-_INSTALMENTS = 16  # of groups, at most
 _PER_ENTRY = 256  # multiplications of a matrix product that take as long as one entry of the derivatives
 
 
@@ -44,7 +42,7 @@ def derivatives(board: Board, cells: FloatArray, model: QuickModel, meter: Meter
         except np.linalg.LinAlgError:  # parts of the grid that nothing is connected to
             by_row = None
     if by_row is None:
-        yield from _exact_derivatives(board, cells, out)
+        yield from _exact_derivatives(board, cells, meter, out)
 
 
 def _quick_derivatives(by_row: Iterator[FloatArray], meter: Meter, out: FloatArray) -> Iterator[None]:
@@ -56,17 +54,16 @@ def _quick_derivatives(by_row: Iterator[FloatArray], meter: Meter, out: FloatArr
         written += len(some)
 
 
-def _exact_derivatives(board: Board, cells: FloatArray, out: FloatArray) -> Iterator[None]:
+def _exact_derivatives(board: Board, cells: FloatArray, meter: Meter, out: FloatArray) -> Iterator[None]:
     ports = exact_ports(board, cells).value
     reading = board.circuit.read(board, ports)
     yield
     drops = basis_drops(board, cells)
     rows, columns = board.shape
     result = out.reshape(rows, columns, rows, columns)
-    count = (rows if board.floating else 1) * (columns if board.circuit.columns_one_by_one(board) else 1)
-    together = max(_LEAST_GROUPS, -(-count // _INSTALMENTS))
-    for number, group in enumerate(board.circuit.sensitivity_groups(board, ports, reading)):
-        if number % together == 0:
+    yield
+    for group in board.circuit.sensitivity_groups(board, ports, reading):
+        if meter.is_full(_PER_ENTRY * group.forward[..., 0].size * cells.size):
             yield
         forward = np.tensordot(group.forward, drops, axes=1)
         adjoint = np.tensordot(group.adjoint, drops, axes=1)

@@ -1,4 +1,7 @@
-"""Budget of one frame of a coupled board: evaluations of the circuit model, and instalments of new derivatives."""
+"""Budget of one frame of a coupled board: every stage pays from it, and begins nothing that it cannot pay for.
+
+What a frame has no budget for, the next frames do. Until then cells that are not settled are not valid.
+"""
 
 from __future__ import annotations
 
@@ -8,18 +11,60 @@ from typing import NamedTuple
 class Effort(NamedTuple):
     """What a frame may cost."""
 
+    starts: int
+    """evaluations of the circuit model, and derivatives in closed form, at cells that a frame starts from"""
     evaluations: int
-    """of the circuit model"""
+    """of the circuit model, in steps from there"""
     instalments: int
     """of the renewal of the derivatives, each about as much as one to five evaluations"""
     solutions: int
     """of a continuous sheet"""
 
 
-USUAL_EFFORT = Effort(evaluations=4, instalments=1, solutions=1)
-LARGE_EFFORT = Effort(evaluations=4, instalments=4, solutions=1)
+USUAL_EFFORT = Effort(starts=3, evaluations=4, instalments=1, solutions=0)
+ANEW_EFFORT = USUAL_EFFORT._replace(instalments=3)
+"""on the way from closed formulas to a fit: on strongly coupled boards derivatives serve for one step only"""
+LARGE_EFFORT = Effort(starts=3, evaluations=4, instalments=4, solutions=0)
 """of boards on which a step by the matrix of all readings by all cells is most of a usual frame"""
-NODE_EFFORT = Effort(evaluations=6, instalments=3, solutions=1)
+NODE_EFFORT = Effort(starts=3, evaluations=6, instalments=3, solutions=0)
 """of boards with floating rows and many cells, where a renewal is one inversion of a matrix with a row per line"""
-FIRST_EFFORT = Effort(evaluations=40, instalments=700, solutions=4)
+FIRST_EFFORT = Effort(starts=3, evaluations=40, instalments=700, solutions=4)
 """in the first frame of all, before which nothing is known"""
+SHEET_EVALUATIONS = 9
+"""in a usual frame of a continuous sheet, one of whose solutions costs a hundred times as much"""
+
+
+class Budget:
+    """What one frame has left of its effort. Each method pays for one piece of work; False: nothing is left for it."""
+
+    def __init__(self, effort: Effort) -> None:
+        self._starts, self._evaluations, self._instalments, self._solutions = effort
+
+    def start(self) -> bool:
+        """An evaluation of the model where the frame starts from, or derivatives there in closed form."""
+        paid = self._starts > 0
+        self._starts -= paid
+        return paid
+
+    def evaluate(self) -> bool:
+        """An evaluation of the model."""
+        paid = self._evaluations > 0
+        self._evaluations -= paid
+        return paid
+
+    def renew(self) -> bool:
+        """An instalment of new derivatives."""
+        paid = self._instalments > 0
+        self._instalments -= paid
+        return paid
+
+    def solve(self) -> bool:
+        """A solution of the sheet, and the evaluation that its cells are compared by."""
+        paid = self._solutions > 0 and self._evaluations > 0
+        self._solutions -= paid
+        self._evaluations -= paid
+        return paid
+
+    def keep_instalments(self, most: int) -> None:
+        """Leave the frame no more instalments than that."""
+        self._instalments = min(self._instalments, most)

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
-from ._frame_budget import Effort
+from ._frame_budget import Budget
 from ._linearised import Base, Linearised, Moved
 
 NO_FIT = 3.0
@@ -63,8 +63,6 @@ class Fit(NamedTuple):
 class Convergence:
     """How frame after frame has come to a fit."""
 
-    begun: bool = False
-    """there has been a frame"""
     fresh: bool = False
     """a frame has started from closed formulas, and none has come to a fit since"""
     failures: int = 0
@@ -86,7 +84,6 @@ class Convergence:
 
     def count(self, fit: Fit) -> None:
         """Count a frame's fit, or that there is none."""
-        self.begun = True
         self.without_fit = 0 if fit.misfit <= NO_FIT else self.without_fit + 1
 
     def settle(self, fit: Fit) -> None:
@@ -129,19 +126,18 @@ class GaussNewton:
         if not self._convergence.astray:
             self._damping = 1.0
 
-    def fit(self, frame: Frame, start: Compared, effort: Effort) -> Fit:
-        """Fit the cells to a frame, from ``start`` on."""
+    def fit(self, frame: Frame, start: Compared, budget: Budget) -> Fit:
+        """Fit the cells to a frame, from ``start`` on, as far as the frame's budget goes."""
         here = _Place(self._linearised.base, frame, start)
-        allowed = effort.instalments
         # Over strong nonlinearities whole steps are quick as a rule, but may lead too far, back, and so on for ever.
         damped = self._convergence.astray_for >= _PATIENCE
         stalled = False
-        for _ in range(effort.evaluations):
+        while budget.evaluate():
             ahead = frame.compared(self._parts.at(here.base.advanced(here.known.log, self._damping * here.step)))
             misfit, apart = ahead.half_steps / frame.coarser, ahead.apart
             stalled = abs(misfit - here.misfit) <= _SAME * misfit
             if damped and misfit > FITS and not stalled and apart @ apart > here.apart @ here.apart:
-                allowed = self._step_back(here, allowed)
+                self._step_back(here, budget)
                 continue
             self._damping = min(self._damping / _SHORTER, 1.0)
             before = here.step
@@ -149,9 +145,9 @@ class GaussNewton:
             here.go(ahead)
             here.serves = self._serves(here)
             base = here.base
-            allowed = self._renew_if_due(here, before, stalled, allowed)
+            waits = self._renew_if_due(here, before, stalled, budget)
             here.left = left if here.base is base else 0.0
-            if here.serves and (misfit <= _CONVERGED or not self._doubted):
+            if waits or (here.serves and (misfit <= _CONVERGED or here.confirmed or not self._doubted)):
                 break
         return here.fit(stalled)
 
@@ -160,54 +156,46 @@ class GaussNewton:
         """Whether steps go on to their end, see :attr:`Fit.proven`."""
         return self._convergence.astray or self._convergence.fresh
 
-    def _step_back(self, here: _Place, allowed: int) -> int:
-        """After a step that led away from the readings: new derivatives, or a shorter step.
-
-        Args:
-            here: where the step began.
-            allowed: instalments of derivatives that the frame may still make.
-
-        Returns:
-            The instalments that remain.
-
-        """
+    def _step_back(self, here: _Place, budget: Budget) -> None:
+        """After a step that led away from the readings, which began ``here``: new derivatives, or a shorter step."""
         here.measure()
-        if allowed and here.moved.counted > _MOVED and not self._linearised.under_way:
-            allowed -= 1
-            if self._linearised.renew(here.known):
-                here.rebase(self._linearised.base)
-                return allowed
-        self._damping *= _SHORTER
-        return allowed
+        blamed = not here.is_near and not self._linearised.under_way
+        if blamed and budget.renew() and self._linearised.renew(here.known):
+            here.rebase(self._linearised.base)
+        else:
+            self._damping *= _SHORTER
 
-    def _renew_if_due(self, here: _Place, before: FloatArray, stalled: bool, allowed: int) -> int:
+    def _renew_if_due(self, here: _Place, before: FloatArray, stalled: bool, budget: Budget) -> bool:
         """Make new derivatives where those in use are from too far away, or to blame for slow convergence.
 
         Args:
             here: the cells, and the step that would be next.
             before: (n,) the last step.
             stalled: it has hardly changed the misfit.
-            allowed: instalments of derivatives that the frame may still make.
+            budget: of the frame.
 
         Returns:
-            The instalments that remain.
+            Whether the next step waits for derivatives of the next frame: after a fresh start steps by old ones may
+            lead away, from where no later frame comes back.
 
         """
         moved, linearised = here.moved, self._linearised
-        blamed = not here.serves and moved.counted > _MOVED and np.abs(here.step).max() > _SLOW * np.abs(before).max()
+        blamed = not (here.serves or here.is_near) and np.abs(here.step).max() > _SLOW * np.abs(before).max()
         if self._convergence.fresh and stalled and here.misfit > NO_FIT:
             linearised.give_up_columns()
-        if not (linearised.upgrade_due or moved.far or blamed or here.base.coarse or linearised.under_way):
-            return allowed
+        # In noise and beside open cells, which never come to rest, derivatives from near by decide.
+        undecided = here.serves and self._doubted and here.misfit > _CONVERGED and not here.is_near and here.determines
+        due = linearised.upgrade_due or moved.far or blamed or undecided
+        if not (due or here.base.coarse or linearised.under_way):
+            return False
         if here.serves and not self._convergence.astray:
-            allowed = min(allowed, 1)  # no need to hurry
-        while allowed:
-            allowed -= 1
+            budget.keep_instalments(1)  # no need to hurry
+        while budget.renew():
             if linearised.renew(here.known):
                 here.rebase(linearised.base)
                 here.serves = self._serves(here)
-                break
-        return allowed
+                return False
+        return self._convergence.fresh and not linearised.under_way
 
     def _serves(self, here: _Place) -> bool:
         """Whether a further step would move no cell that the readings determine by more than its own uncertainty.
@@ -219,7 +207,9 @@ class GaussNewton:
         length = np.abs(here.step)
         if self._convergence.fresh and length.max(where=self._tells, initial=0.0) > _AT_REST:
             return False
-        return bool((length <= self._least_change(here)).all())
+        least = self._least_change(here)
+        here.determines = bool((least < inf).any())
+        return bool((length <= least).all())
 
     def _least_change(self, here: _Place) -> FloatArray:
         """Change (n,) of each logarithm up to which it does not matter; inf where the readings do not tell."""
@@ -244,10 +234,22 @@ class _Place:
         """(n,) what is next"""
         self.serves = False
         """no further step is needed"""
+        self.determines = False
+        """the readings determine some cell, of which :attr:`serves` then speaks"""
         self.left = 0.0
         """share of the misfit that the last step has left; the further steps by these derivatives shrink likewise"""
         self.moved = Moved(inf, inf)
         """since the derivatives were made"""
+
+    @property
+    def is_near(self) -> bool:
+        """Whether derivatives made here would be no better."""
+        return self.moved.counted <= _MOVED
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether derivatives made here say that no further step moves what the readings determine."""
+        return self.serves and self.determines and self.is_near
 
     def go(self, ahead: Compared) -> None:
         """Take a step."""
@@ -276,7 +278,7 @@ class _Place:
             self.step,
             self.misfit,
             stalled,
-            proven=settled or (stalled and moved.counted <= _MOVED),
+            proven=settled or self.confirmed or (stalled and self.is_near),
             lost=not self.serves and moved.counted > _TOO_FAR,
             stale=max(exp(moved.largest), 1.0 / (1.0 - min(self.left, _MOST_LEFT))),
             steeper=self._steeper,

@@ -22,7 +22,7 @@ from ._column_blocks import ColumnBlocks, beyond_linear
 from ._coupled_board import CoupledBoard, Known
 from ._coupled_loops import ColumnSteps
 from ._derivatives import derivatives
-from ._frame_budget import LARGE_EFFORT, NODE_EFFORT, USUAL_EFFORT, Effort
+from ._frame_budget import ANEW_EFFORT, LARGE_EFFORT, NODE_EFFORT, SHEET_EVALUATIONS, USUAL_EFFORT, Budget, Effort
 from ._node_blocks import NodeBlocks
 from ._normal_matrix import Meter, NormalMatrix
 
@@ -192,13 +192,18 @@ class Linearised:
         self._renewal: Iterator[Base | None] | None = None
         self._stuck = 0
 
-    @property
-    def usual_effort(self) -> Effort:
-        """What a frame after the first may cost."""
-        if self._nodes is not None:
-            return NODE_EFFORT
+    def usual_effort(self, *, anew: bool) -> Effort:
+        """What a frame after the first may cost; ``anew``: it began with closed formulas, without a fit since."""
         bridged = not self.columns.applies and len(self._prior) > _SMALL
-        return LARGE_EFFORT if bridged else USUAL_EFFORT
+        if self._nodes is not None:
+            effort = NODE_EFFORT
+        elif bridged:
+            effort = LARGE_EFFORT
+        else:
+            effort = ANEW_EFFORT if anew else USUAL_EFFORT
+        if self._parts.sheet is None:
+            return effort
+        return effort._replace(evaluations=SHEET_EVALUATIONS, solutions=1)
 
     @property
     def base(self) -> Base:
@@ -225,21 +230,29 @@ class Linearised:
         """Count the frames until steps column by column are tried again."""
         self._stuck = max(self._stuck - 1, 0)
 
-    def begin(self, at: Known) -> None:
-        """Make the first base there, at once."""
-        if self._base is None:
-            self._base = self._at_once(at)
+    def begin(self, at: Known, budget: Budget) -> bool:
+        """Make the first base there, or further instalments of it. False as long as there is none."""
+        if self._base is None and self._renewal is None:
+            self._renewal = self._first(at)
+        while self._base is None and self._renewal is not None and budget.renew():
+            self._base = next(self._renewal)
+            if self._base is not None:
+                self._renewal = None
+        return self._base is not None
 
-    def begin_anew(self, at: Known) -> None:
-        """Drop the instalments that have been made, and go on from cells of closed formulas."""
-        self._renewal = None
-        self.rebase(at)
+    def begin_anew(self, at: Known, budget: Budget) -> None:
+        """Drop what was made elsewhere, and go on from cells of closed formulas."""
+        if self._base is not None and not self.rebase(at, budget):
+            # By derivatives from elsewhere the first step may lead away, in this frame as in all that begin anew.
+            self._base = self._renewal = None
 
-    def rebase(self, at: Known) -> None:
-        """Take derivatives from there at once, where columns give them in closed form."""
+    def rebase(self, at: Known, budget: Budget) -> bool:
+        """Take derivatives from there at once, where columns give them in closed form. False where they do not."""
         loss = self._loss(at)
-        if self._base is not None and self.columns.applies and loss <= _HEAVY:
-            self._base, self._renewal = self._by_lines(at, loss), None
+        if not (self.columns.applies and loss <= _HEAVY and budget.start()):
+            return False
+        self._base, self._renewal = self._by_lines(at, loss), None
+        return True
 
     def renew(self, at: Known) -> bool:
         """Derivatives at these cells, or a further instalment of them. True if the base has just become new."""
@@ -270,12 +283,13 @@ class Linearised:
             return inf
         return self.columns.loss(self._parts.board.cell_conductance(at.cells))
 
-    def _at_once(self, at: Known) -> Base:
-        """Derivatives and their regularised inverse there, however long they take."""
+    def _first(self, at: Known) -> Iterator[Base | None]:
+        """Derivatives and their regularised inverse there, in instalments; None until the last."""
         loss = self._loss(at)
         if loss <= _HEAVY or not self._has_matrix:
-            return self._by_lines(at, loss)
-        return next(base for base in self._by_matrix(at) if base is not None)
+            yield self._by_lines(at, loss)
+        else:
+            yield from self._by_matrix(at)
 
     def _by_lines(self, at: Known, loss: float) -> Base:
         """Derivatives there by what is special about cells of one line: no matrix of all readings by all cells."""

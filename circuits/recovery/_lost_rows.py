@@ -22,9 +22,9 @@ from math import inf
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
+from .._parts import LEAST_SHORT_OHM
 from ._coupled_board import CoupledBoard, Frame
 
-_LEAST_SHORT = 1e-3  # ohm that a short has at least, with its contacts
 _MOST_DIVISION = 1.1  # of a column's readings by shorts of a row: further divided, shorts read like ordinary cells
 _MARGIN = 1.5  # for what the first-order bounds leave out
 
@@ -43,7 +43,7 @@ class LostRows:
         self._off = np.abs(
             np.broadcast_to(board.follower_lift, parts.shape[1:])
         )  # V, by which they are off whatever V is
-        divided = 1.0 + self._reference * self._off_share / (self._column_lead + _LEAST_SHORT)
+        divided = 1.0 + self._reference * self._off_share / (self._column_lead + LEAST_SHORT_OHM)
         imitated = bool(self._lead.any()) and float(divided.max()) > _MOST_DIVISION
         plain = parts.quick.is_quick and not board.faults
         self.applies = board.circuit.drives_idle_lines and plain and not imitated
@@ -79,13 +79,13 @@ class LostRows:
         # What its follower's error may have kept out of the reading.
         off = self._off_share * signal + self._off
         seen = np.where(limited, 0.0, seen + idle * off / np.maximum(abs(board.drive) - signal, frame.error))
-        to_shorts = np.where(limited, 1.0 / (self._column_lead + _LEAST_SHORT), 0.0).sum(axis=1, keepdims=True)
+        to_shorts = np.where(limited, 1.0 / (self._column_lead + LEAST_SHORT_OHM), 0.0).sum(axis=1, keepdims=True)
         total = seen.sum(axis=1, keepdims=True)
         load = (to_shorts + total) / np.maximum(1.0 - lead * total, 0.0)
         inner = seen * (1.0 + lead * load)
         most: FloatArray = inner / np.maximum(1.0 - self._column_lead * inner, 0.0)
         most[np.isnan(most)] = inf
-        most = np.where(limited, 1.0 / _LEAST_SHORT, np.minimum(most, 1.0 / _LEAST_SHORT))
+        most = np.where(limited, 1.0 / LEAST_SHORT_OHM, np.minimum(most, 1.0 / LEAST_SHORT_OHM))
         return np.maximum(most, conductance[rows])
 
     def _through(self, most: FloatArray, rows: BoolArray) -> FloatArray:

@@ -7,6 +7,7 @@ import select
 import struct
 import subprocess
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
@@ -64,6 +65,7 @@ class Processor:
         self._surroundings = surroundings
         self._complaints = tempfile.TemporaryFile()  # noqa: SIM115 - closed by close()
         self._pending = b""
+        self._in_use = threading.RLock()  # while the program runs or is ended
         try:
             self._process = subprocess.Popen(
                 [*engine.command, str(hex_file), eeprom.hex()],
@@ -85,9 +87,17 @@ class Processor:
             clear_to_send: level of the handshake line: whether the other end takes more bytes.
 
         Raises:
-            LinkError: the process has ended or hangs, or the program uses a peripheral that is not modelled.
+            LinkError: the process has ended, hangs or was closed meanwhile, or the program uses a peripheral that is
+                not modelled.
 
         """
+        with self._in_use:
+            return self._run(until, received, clear_to_send)
+
+    def _run(self, until: float, received: bytes, clear_to_send: bool) -> bytes:
+        assert self._process.stdin is not None
+        if self._process.stdin.closed:
+            raise LinkError(f"{self._name}: the emulated processor was closed")
         self._tell(_GO.pack(ord("G"), until, clear_to_send, len(received)) + received)
         sent = bytearray()
         handlers: dict[int, Callable[[float, int, int, int], None]] = {
@@ -108,7 +118,16 @@ class Processor:
                 handlers[kind](cycle, a, b, c)
 
     def close(self) -> None:
-        """End the process."""
+        """End the process, also while another thread lets it run."""
+        if not self._in_use.acquire(blocking=False):
+            self._process.kill()  # the other thread's wait ends with the process
+            self._in_use.acquire()
+        try:
+            self._end()
+        finally:
+            self._in_use.release()
+
+    def _end(self) -> None:
         for pipe in (self._process.stdin, self._process.stdout):
             if pipe is not None:
                 pipe.close()

@@ -14,8 +14,9 @@ from ..bench import _driver as of_drivers
 from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
 from ..bench import _freshness as of_skins
-from ..bench import _hard_cases as of_taps
+from ..bench import _hard_cases as of_hard_cases
 from ..bench import _honesty as of_deviations
+from ..bench import _taps as of_taps
 from ..bench import _view as of_pages
 from ..bench import _worst_frames as of_events
 from . import arguments
@@ -56,6 +57,12 @@ class _ManyValues(click.Command):
 @click.option(
     "--driver", "of_driver", is_flag=True, help="Measure the live path instead, bytes to kPa, at these sizes."
 )
+@click.option(
+    "--contacts",
+    "of_contacts",
+    is_flag=True,
+    help="Measure short taps found and false contacts instead.",
+)
 @click.option("--view", "of_page", is_flag=True, help="Measure the page of `ohmskin view` instead, in Chromium.")
 @arguments.as_json("the measurements")
 def command(
@@ -68,6 +75,7 @@ def command(
     estimators: bool,
     of_emulator: bool,
     of_driver: bool,
+    of_contacts: bool,
     of_page: bool,
     as_json: bool,
 ) -> None:
@@ -78,7 +86,7 @@ def command(
         judged = of_cells.estimators()
         click.echo(json.dumps([asdict(row) for row in judged], indent=1) if as_json else of_cells.table(judged))
         if not as_json:
-            click.echo("\n" + of_taps.hard_table(of_taps.hard_cases()))
+            click.echo("\n" + of_hard_cases.hard_table(of_hard_cases.hard_cases()))
             click.echo("\n" + of_deviations.table(of_deviations.honesty()))
             click.echo("\n" + of_deviations.summary(of_deviations.elsewhere()))
         return
@@ -88,6 +96,14 @@ def command(
         return
     if of_driver:
         _live_path(sizes, as_json, picture)
+        return
+    if of_contacts:
+        tapped = of_taps.taps_and_faults(sizes)
+        if as_json:
+            click.echo(json.dumps([asdict(row) for row in tapped], indent=1))
+        else:
+            for line in of_taps.table(tapped):
+                click.echo(line)
         return
     if of_page:
         shown = list(of_pages.view(sizes))

@@ -1,16 +1,13 @@
-"""The paper's cell inverted: its switched estimator (P8), and one that follows two hypotheses about the last turn.
+"""The paper's cell inverted by two hypotheses about when the pressure last turned (multiple-model estimation).
 
 The paper's cell has two linear models and changes from one to the other where the pressure turns. Inverting either is
-algebra: each lag is discretised exactly for a pressure that is linear over the step, and the equation that remains is
-linear in the new pressure. Both inverses are stable (their zeros lie in the left half plane), so that errors fade in
-the material's own time. What is hard is to know which model holds.
+algebra (:mod:`._paper_steps`). What is hard is to know which model holds.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import lru_cache, partial
-from typing import Any, Generic, NamedTuple, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -18,23 +15,29 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..compiled import Loop
 from . import _lag as lag
 from . import _turning_loops as loops
-from ._estimator import HIDDEN, SIGMAS, Conditions, Estimator, Looked
+from ._inversion import DOUBT, LOADS, USUAL, Inversion, credible_readings
+from ._lag import ByStep
 from ._models import PaperModel
 from ._noise import WINDOW
-from ._rows import GAIN, PRESSURE, VARIANCE
+from ._paper_steps import TurnWeights, step_weights, taken_over, turn_weights
+from ._rows import GAIN, PRESSURE, SMOOTHED, STD, VARIANCE
+from ._smoothing import HIDDEN, SIGMAS
 from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
+from ._turning_rows import (
+    CONFIRMED_FALL,
+    CONFIRMED_RISE,
+    HYPOTHESES,
+    IN_FORCE,
+    RECOVERY,
+    RISING,
+    STATE,
+    SURE,
+    Beside,
+    Rows,
+)
 
-M = TypeVar("M")
-T = TypeVar("T")
-
-LOADS = (-0.5, 3.0)
-"""times full scale beyond which no load is looked for"""
-USUAL, DOUBT = 1.1, 0.1
-"""times full scale: no larger pressure is believed while its standard deviation by the memory is above the second"""
 BEYOND = 0.6
 """of full scale: standard deviation of a pressure that was found to be too large to be believed"""
-MEMORIES = 10.0
-"""times the fast answer to full scale that r may reach: presses in quick succession add up"""
 TURN = 0.01
 """of full scale by which the pressure must have gone back for a turn"""
 EXACTLY, NEAR, ROUND = 1e-9, 1e-3, 2e-3
@@ -42,11 +45,6 @@ EXACTLY, NEAR, ROUND = 1e-9, 1e-3, 2e-3
 noticed late"""
 EITHER = 0.5
 """standard deviation over the difference of the two hypotheses: either may be right until the pressure has turned"""
-SURE = 3.0
-"""standard deviations of the smoothed noise by which it must have, too"""
-CONFIRMED_RISE, CONFIRMED_FALL = 2.0, 1.0
-"""turns by which the model that was left must have gone back by its own account, too; until then the turn may yet be
-found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
 BETWEEN = 0.3
 """of the way of a load in a frame: how far beyond the frames it turned. Between none and half; the root mean square"""
 HALF = 0.5
@@ -75,199 +73,7 @@ Beginning at every extreme would take noise for part of the press, beginning lat
 and half, the two errors about cancel"""
 
 
-class StepWeights(NamedTuple):
-    """What one time step does: the state is [pressure, settled, x2, x3] before it, r the reading after it."""
-
-    free: FloatArray
-    """(3, 4) the state -> what settled, x2, x3 become if the pressure drops to zero over the step"""
-    ramp: FloatArray
-    """(3, 1) by which they rise per kPa of pressure after the step"""
-    answer: FloatArray
-    """(2, 4) settled, x2, x3 as if free, and r -> pressure after the step in the rising and in the recovery model"""
-    gain: FloatArray
-    """(2,) pressure per r of the two"""
-    fade: FloatArray
-    """(2,) share of a variance of the memory that is left after the step"""
-
-
-def step_weights(model: PaperModel, dt_s: float) -> StepWeights:
-    """The weights for steps of ``dt_s``."""
-    m = model
-    gone, ramp = lag.weights(dt_s, np.array([m.tu_s, m.t2_s, m.t3_s]))
-    gains = np.array([1.0, 1 / m.e2_kpa, 1 / m.e3_kpa])
-    free = np.zeros((3, 4))
-    free[:, 0] = gains * (gone - ramp)
-    free[[0, 1, 2], [1, 2, 3]] = 1 - gone
-    ramps = gains * ramp
-    rising = 1 / (1 / m.eu1_kpa + (1 - ramp[0]) / m.etau2_kpa)
-    falling = 1 / (1 / m.e1_kpa + ramps[1] + ramps[2])
-    answer = np.array([[rising / m.etau2_kpa, 0, 0, rising], [0, -falling, -falling, falling]])
-    # An error of the memory fades as the inverse's zeros say; the slow branch holds a few percent of it only.
-    zeros = np.array([1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1), 1 + m.e1_kpa / m.e2_kpa]) / np.array([m.tu_s, m.t2_s])
-    return StepWeights(free, ramps[:, None], answer, np.array([rising, falling]), np.exp(-2 * dt_s * zeros))
-
-
-class SwitchWeights(NamedTuple):
-    """What one time step does to the memory of :class:`PaperEstimator`; row ``r`` holds the reading after it."""
-
-    step: FloatArray
-    """(5, 9) memory -> pressure in the rising and the recovery model; settled, x2, x3 if the pressure drops to 0"""
-    ramp: FloatArray
-    """(3, 1) by which settled, x2 and x3 rise per kPa of pressure after the step"""
-    smoothing: float
-    """share by which the lag behind the derivative follows the reading"""
-
-
-def switch_weights(model: PaperModel, dt_s: float) -> SwitchWeights:
-    """The weights for steps of ``dt_s``: :func:`step_weights`, for the rows of the memory."""
-    w = step_weights(model, dt_s)
-    step = np.zeros((5, 9))
-    step[2:, STATE_ROWS] = w.free
-    step[:2] = w.answer[:, :3] @ step[2:]
-    step[:2, R_ROW] = w.answer[:, 3]
-    return SwitchWeights(step, w.ramp, float(-np.expm1(-dt_s / max(model.derivative_s, 1e-9))))
-
-
-STATE_ROWS, R_ROW = [PRESSURE, 5, 6, 7], 3
-"""rows of the memory of :class:`PaperEstimator`: pressure, settled, x2, x3; and the reading"""
-
-
-class ByStep(Generic[M, T]):
-    """What one time step does, for each length of step: computed once."""
-
-    def __init__(self, computed: Callable[[M, float], T], model: M) -> None:
-        self._made_from = computed, model
-        self.of = lru_cache(maxsize=1024)(partial(computed, model))
-
-    def __reduce__(self) -> tuple[type[ByStep[M, T]], tuple[Callable[[M, float], T], M]]:
-        """For pickle and copy: without what was computed."""
-        return type(self), self._made_from
-
-
-class PaperEstimator(Estimator):
-    """The paper's estimator (P8): invert the rising or the recovery model, as dr/dt and two thresholds say.
-
-    It is the baseline, and no default: wrong choices of the model add up. The paper leaves open how dr/dt is taken and
-    what happens at a change of models. Here dr/dt is (r - l)/T, with l the reading behind a lag T = ``derivative_s``;
-    between the thresholds the last model stays; pressure and resistance are continuous at a change.
-    """
-
-    rows = ("pressure", "gain", "variance", "r", "rising", "settled", "x2", "x3", "lagged_r")
-    filters = False
-    knows_errors = False
-
-    def __init__(
-        self,
-        model: PaperModel,
-        full_scale_kpa: float,
-        shape: tuple[int, ...],
-        rest_resistance_ohm: FloatArray,
-        conditions: Conditions,
-    ) -> None:
-        self.model = model
-        self._weights = ByStep(switch_weights, model)
-        self._thresholds_per_s = model.thresholds_per_s(full_scale_kpa)
-        steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
-        credible = (LOADS[0] * steepest, MEMORIES * steepest)
-        full_r = model.gain_per_kpa * full_scale_kpa
-        super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
-
-    def _begin(self, r: FloatArray) -> FloatArray:
-        m = self.model
-        p = r / m.gain_per_kpa
-        none = np.zeros_like(r)
-        return np.stack([p, none + 1 / m.gain_per_kpa, none, r, none + 1, p, p / m.e2_kpa, p / m.e3_kpa, r])
-
-    def _advance(
-        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
-    ) -> FloatArray:
-        weights = self._weights.of(dt_s)
-        rises, falls = self._thresholds_per_s
-        was_rising = memory[4] > 0
-        followed = (r - memory[8]) * weights.smoothing
-        slope = followed / dt_s
-        rising = (slope > rises) | (was_rising & (slope >= falls))
-        changed = rising != was_rising
-        if np.count_nonzero(changed):
-            self._hand_over(memory, changed & rising, changed & was_rising)
-        memory[R_ROW] = r
-        after = weights.step @ memory
-        p = np.where(rising, after[0], after[1])
-        memory[PRESSURE], memory[4] = p, rising
-        np.multiply(weights.ramp, p, out=memory[5:8])
-        memory[5:8] += after[2:]
-        memory[8] += followed
-        return memory
-
-    def _hand_over(self, memory: FloatArray, starts: BoolArray, ends: BoolArray) -> None:
-        """Let cells (m,) change to the rising or to the recovery model; changes ``memory``."""
-        m = self.model
-        p, r = memory[PRESSURE], memory[R_ROW]
-        np.copyto(memory[5], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=starts)
-        np.copyto(memory[6], r - p / m.e1_kpa - memory[7], where=ends)
-
-    def _hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
-        m = self.model
-        held = memory.copy()
-        p, rising = memory[PRESSURE], memory[4] > 0
-        gone, _ = lag.weights(dt_s, np.array([[m.tu_s], [m.t2_s], [m.t3_s]]))
-        held[5:8] += (np.stack([p, p / m.e2_kpa, p / m.e3_kpa]) - memory[5:8]) * gone
-        settled, x2, x3 = held[5:8]
-        held[3] = np.where(rising, p / m.eu1_kpa + (p - settled) / m.etau2_kpa, p / m.e1_kpa + x2 + x3)
-        held[8] += (held[3] - held[8]) * -np.expm1(-dt_s / max(m.derivative_s, 1e-9))
-        return held
-
-
-IN_FORCE, STATE = slice(11, 13), slice(13, 20)
-"""1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
-RISING, RECOVERY = 0, 1
-HYPOTHESES = ("rising_pressure", "recovery_pressure", "settled", "x2", "rising_x3", "recovery_x3", "r")
-"""pressure, own state, and slow branch of the rising and of the recovery model in turn; the reading of both"""
-
-
-class TurnWeights(NamedTuple):
-    """What one time step does to both hypotheses; rows and columns as :data:`HYPOTHESES`."""
-
-    step: FloatArray
-    """(6, 7) hypotheses before the step, with the reading after it -> hypotheses after it"""
-    ramp: FloatArray
-    """(6,) by which they rise per kPa of their own pressure after the step"""
-    by_model: FloatArray
-    """(3, 2) in the rising and in the recovery model: pressure per r, the same of the other model, and the share of a
-    variance of the memory that is left after the step"""
-
-
-def turn_weights(model: PaperModel, dt_s: float) -> TurnWeights:
-    """The weights for steps of ``dt_s``: :func:`step_weights`, with the pressure after the step put in."""
-    w = step_weights(model, dt_s)
-    step, ramp = np.zeros((6, 7)), np.zeros(6)
-    states = np.array([[0, 2, -1, 4], [1, -1, 3, 5]])  # where the state [pressure, settled, x2, x3] is; -1: nowhere
-    for one, state in enumerate(states):
-        present = np.flatnonzero(state >= 0)
-        free = np.zeros((3, 7))
-        free[:, state[present]] = w.free[:, present]
-        pressure = w.answer[one, :3] @ free
-        pressure[6] = w.answer[one, 3]
-        after = free + w.ramp * pressure
-        step[one], ramp[one] = pressure, 1.0
-        for row in present[1:]:
-            step[state[row]], ramp[state[row]] = after[row - 1], w.ramp[row - 1, 0]
-    return TurnWeights(step, ramp, np.array([w.gain, w.gain[::-1], w.fade]))
-
-
-def taken_over(model: PaperModel) -> FloatArray:
-    """(6, 7) by which hypotheses must change to begin where the other one is, resistance and pressure continuous."""
-    m = model
-    anew = np.zeros((6, 7))
-    anew[0, 1] = anew[1, 0] = 1.0
-    anew[2, 1], anew[2, 6] = 1 + m.etau2_kpa / m.eu1_kpa, -m.etau2_kpa
-    anew[3, 0], anew[3, 4], anew[3, 6] = -1 / m.e1_kpa, -1.0, 1.0
-    anew[4, 5] = anew[5, 4] = 1.0
-    anew[:, :6] -= np.eye(6)
-    return anew
-
-
-class TurningEstimator(Estimator):
+class TurningInversion(Inversion):
     """The exact inverse of the paper's cell, changed from one model to the other where the *pressure* turns.
 
     The sign of dr/dt, by which the paper goes, misreads slow ramps and quick presses: the resistance also falls while a
@@ -288,17 +94,9 @@ class TurningEstimator(Estimator):
         *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
     )
 
-    def __init__(
-        self,
-        model: PaperModel,
-        full_scale_kpa: float,
-        shape: tuple[int, ...],
-        rest_resistance_ohm: FloatArray,
-        conditions: Conditions,
-    ) -> None:
+    def __init__(self, model: PaperModel, full_scale_kpa: float, *, exact: bool) -> None:
         self.model = model
-        steepest = full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa)
-        credible = (LOADS[0] * steepest, MEMORIES * steepest)
+        credible = credible_readings(full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa))
         full_r = model.gain_per_kpa * full_scale_kpa
         self._weights = ByStep(turn_weights, model)
         self._taken_over = taken_over(model)
@@ -308,13 +106,15 @@ class TurningEstimator(Estimator):
         self._clear_kpa2 = self._left * (NEAR * full_scale_kpa) ** 2
         self._lost_at_most_kpa2 = (MOST_LOST * full_scale_kpa) ** 2
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
+        self._most_kpa = full_scale_kpa / 2
+        """standard deviation of a load of which nothing is known"""
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
-        self._of = _Rows(np.zeros((len(self.rows), 0)), TURN * full_scale_kpa)
-        self._beside = _Beside(self._of.memory)
-        super().__init__(full_scale_kpa, full_r, shape, rest_resistance_ohm, conditions, credible=credible)
-        self._bends = BETWEEN * self._bend, SURE
-        self._seeming = WINDOW * UNSEEN * self._bend
+        self._of = Rows(np.zeros((len(self.rows), 0)), TURN * full_scale_kpa)
+        self._beside = Beside(self._of.memory)
+        super().__init__(full_scale_kpa, full_r, credible=credible, exact=exact)
+        self.bends = BETWEEN * self._bend, SURE
+        self.seeming = WINDOW * UNSEEN * self._bend
         # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
         self._sure, self._less, self._again, self._either, self._far = (
             np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
@@ -325,10 +125,10 @@ class TurningEstimator(Estimator):
             np.array(share * full_scale_kpa) for share in (TURN, FLAT, EXACTLY)
         )
         # What is below zero is an error that fades, and no turn.
-        self._least_kpa = np.array(self._lowest if self._exact else 0.0)
+        self._least_kpa = np.array(self._lowest if self.exact else 0.0)
         self._turns = self._numbers_of_turns()
 
-    def _begin(self, r: FloatArray) -> FloatArray:
+    def begin(self, r: FloatArray) -> FloatArray:
         m = self.model
         p = r / m.gain_per_kpa
         memory = np.zeros((len(self.rows), *r.shape))
@@ -338,34 +138,50 @@ class TurningEstimator(Estimator):
         memory[STATE] = [p, p, p, p / m.e2_kpa, p / m.e3_kpa, p / m.e3_kpa, r]
         return memory
 
-    def _advance(
+    def advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
         w = self._weights.of(dt_s)
         of = self._of
         if memory is not of.memory:
-            of = self._of = _Rows(memory, TURN * self.full_scale_kpa)
+            of = self._of = Rows(memory, TURN * self.full_scale_kpa)
+        self._predict(of, r, w)
+        unconfirmed = self._take_turns(of, std, w)
+        if not self.exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
+            self._correct(of, doubt(), w)
+        self._begin_anew(of, unconfirmed=unconfirmed)
+        self._renew_variance(of, unconfirmed=unconfirmed)
+        return memory
+
+    def _predict(self, of: Rows, r: FloatArray, weights: TurnWeights) -> None:
+        """Take both hypotheses to the readings ``r`` (m,)."""
         of.before[...] = of.until_before
         of.last[...] = of.pressure
         of.r[...] = r
-        w.step.dot(of.state, of.change)
+        weights.step.dot(of.state, of.change)
         of.hypotheses[...] = of.change
         both = of.both
         if both.item(both.argmin()) < self._lowest or both.item(both.argmax()) > self._usual:
-            self._limit(of, w)
+            self._limit(of, weights)
 
-        of.take_gains(w)
+    def _take_turns(self, of: Rows, std: FloatArray, weights: TurnWeights) -> bool:
+        """Take over the other hypothesis where the pressure has turned, and confirm earlier turns.
+
+        Returns:
+            Whether a turn was unconfirmed before. Then ``of.confirmed`` marks those that no longer are.
+        """
+        of.take_gains(weights)
         self._look(of, std)
         gone_back = np.subtract(of.extreme, of.ahead, of.spare)
         turned = np.greater(gone_back, of.threshold, of.where)
-        unconfirmed = of.left.item(of.left.argmin()) < FAR
+        unconfirmed = bool(of.left.item(of.left.argmin()) < FAR)
         if unconfirmed:
             # Back at the extreme that was left: the turn was noise.
             back, noise = self._gone_back(of, std)
             turned |= np.less(back, noise, of.near)
         if np.count_nonzero(turned):
-            self._turn(memory, turned.nonzero()[0], std, w)
-            of.take_gains(w, anew=True)
+            self._turn(of.memory, turned.nonzero()[0], std, weights)
+            of.take_gains(weights, anew=True)
             self._look(of, std)
             unconfirmed = True
             back, noise = self._gone_back(of, std)
@@ -376,10 +192,10 @@ class TurningEstimator(Estimator):
             confirmed = np.greater_equal(back, noise, of.confirmed)
             confirmed &= of.left < self._far
             np.copyto(of.left, self._far, where=confirmed)
-        if not self._exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
-            self._correct(of, doubt(), w)
+        return unconfirmed
 
-        # The other hypothesis begins anew as long as the pressure is near its extreme.
+    def _begin_anew(self, of: Rows, *, unconfirmed: bool) -> None:
+        """Begin the other hypothesis where the one in force is, as long as the pressure is near its extreme."""
         below_peak = np.subtract(of.peak, of.ahead, of.spare)
         np.maximum(of.unsure, self._flat_kpa, out=of.nearby)
         again = np.less(below_peak, of.nearby, of.where).astype(np.float64)
@@ -393,12 +209,14 @@ class TurningEstimator(Estimator):
         for pair in of.changes_by_model:
             np.multiply(pair, of.share, pair)
         of.hypotheses += of.change
-
         np.subtract(of.ahead, of.unsure, of.spare)
         np.maximum(of.peak, of.spare, out=of.peak)
         of.unsure *= self._less
         of.ahead -= of.unsure
         np.maximum(of.extreme, of.ahead, out=of.extreme)
+
+    def _renew_variance(self, of: Rows, *, unconfirmed: bool) -> None:
+        """Either hypothesis may be right until the pressure has turned: their distance counts as deviation."""
         of.variance -= of.doubt  # by which the hypotheses were apart in the last frame
         of.doubt *= of.fade
         apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
@@ -413,10 +231,9 @@ class TurningEstimator(Estimator):
         if np.count_nonzero(begun):
             self._keep(of, apart, begun)
         np.add(apart, of.doubt, of.variance)
-        return memory
 
-    def _loops(self) -> tuple[Loop[..., Any], ...]:
-        return *super()._loops(), *loops.ALL
+    def loops_used(self) -> tuple[Loop[..., Any], ...]:
+        return loops.ALL
 
     def _numbers_of_turns(self) -> FloatArray:
         """What the loops take."""
@@ -454,26 +271,29 @@ class TurningEstimator(Estimator):
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
-    def _advance_compiled(self, dt: float, r: FloatArray, std: FloatArray, looked: Looked) -> FloatArray:
-        w, memory, of, numbers = self._weights.of(dt), self._block.memory, self._beside, self._turns
+    def advance_compiled(
+        self, memory: FloatArray, taken: FloatArray, dt_s: float, doubt: Callable[[], FloatArray]
+    ) -> FloatArray:
+        w, of, numbers = self._weights.of(dt_s), self._beside, self._turns
+        r, std = taken[SMOOTHED], taken[STD]
         if memory is not of.memory:
-            of = self._beside = _Beside(memory)
+            of = self._beside = Beside(memory)
         loops.take.code(memory, r)
         w.step.dot(of.state, of.change)
         if loops.step.code(memory, of.change, numbers):
-            self._limit(_Rows(memory, TURN * self.full_scale_kpa), w)
+            self._limit(Rows(memory, TURN * self.full_scale_kpa), w)
         if w is not of.weights:
             loops.take_gains.code(memory, w.by_model, of.rows, numbers)
             of.weights = w
         found = loops.take_turns.code(memory, std, w.by_model, of.rows, of.flags, numbers)
         if found & loops.PULLED:
-            loops.correct.code(memory, self._block.taken, w.by_model, numbers)
+            loops.correct.code(memory, taken, w.by_model, numbers)
         self._taken_over.dot(of.state, of.change)
         unconfirmed = found & loops.UNCONFIRMED > 0
         loops.begin_anew.code(memory, of.change, of.rows, of.flags, unconfirmed, numbers)
         return memory
 
-    def _keep(self, of: _Rows, apart: FloatArray, begun: BoolArray) -> None:
+    def _keep(self, of: Rows, apart: FloatArray, begun: BoolArray) -> None:
         """Where the other hypothesis has ``begun`` anew though it was apart by more than noise, the doubt stays.
 
         The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``. On a
@@ -487,14 +307,14 @@ class TurningEstimator(Estimator):
         of.doubt += lost + np.sqrt(of.doubt * lost)
         np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
 
-    def _miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
+    def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """A load to and fro within the noise seems to rise: r goes up by one model, and would go down by the other."""
         before = memory[TURNED]
         after = np.minimum((np.sqrt(before) + rise_kpa) ** 2, self._lost_at_most_kpa2)
         memory[VARIANCE] += after - before
         memory[TURNED] = after
 
-    def _look(self, of: _Rows, std: FloatArray) -> None:
+    def _look(self, of: Rows, std: FloatArray) -> None:
         """Of the hypothesis in force: pressure, its standard deviation by noise, how far it is ahead in its direction,
         and how far it must go back for a turn.
         """
@@ -506,7 +326,7 @@ class TurningEstimator(Estimator):
         np.maximum(of.pressure, self._least_kpa, out=of.ahead)
         of.ahead *= of.sign
 
-    def _gone_back(self, of: _Rows, std: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _gone_back(self, of: Rows, std: FloatArray) -> tuple[FloatArray, FloatArray]:
         """How far the other hypothesis is behind the extreme that was left, and its standard deviation by noise."""
         np.multiply(of.pressures, of.not_in_force, of.share)
         back = np.add(of.rising_share, of.recovery_share, of.spare)
@@ -556,7 +376,7 @@ class TurningEstimator(Estimator):
         noise_free: FloatArray = BETWEEN * way * self._bend * gain
         return noise_free
 
-    def _within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
+    def within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """A load that bent may as well have turned within the frame: no reading tells of the turn yet."""
         bend: FloatArray = memory[LAST] * self._two
         np.subtract(memory[PRESSURE], bend, out=bend)
@@ -569,7 +389,7 @@ class TurningEstimator(Estimator):
         bend *= bend
         return bend
 
-    def _limit(self, of: _Rows, weights: TurnWeights) -> None:
+    def _limit(self, of: Rows, weights: TurnWeights) -> None:
         """Keep pressures within :data:`LOADS`, and what is remembered with them; changes the state.
 
         Where the memory is in doubt, a pressure beyond full scale is an error of the memory rather than a load.
@@ -588,7 +408,7 @@ class TurningEstimator(Estimator):
         np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])
         np.copyto(state[3], r - p / m.e1_kpa - state[5], where=beyond[RECOVERY])
 
-    def _correct(self, of: _Rows, doubt: FloatArray, weights: TurnWeights) -> None:
+    def _correct(self, of: Rows, doubt: FloatArray, weights: TurnWeights) -> None:
         """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure."""
         m = self.model
         allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * doubt - NEAR * self.full_scale_kpa
@@ -603,7 +423,7 @@ class TurningEstimator(Estimator):
         state[2, pulled[rising]] = (p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r)[rising]
         state[3, pulled[~rising]] = (r - p / m.e1_kpa - state[5, pulled])[~rising]
 
-    def _hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
+    def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
         m = self.model
         gone, _ = lag.weights(dt_s, np.array([[m.tu_s], [m.t2_s], [m.t3_s], [m.t3_s]]))
         held = memory.copy()
@@ -619,7 +439,7 @@ class TurningEstimator(Estimator):
         state[:6] += (self._taken_over @ state) * np.tile(share, (3, 1))
         return held
 
-    def _settled(self, memory: FloatArray, band: float) -> BoolArray:
+    def settled(self, memory: FloatArray, band: float) -> BoolArray:
         m = self.model
         kpa = 2 * band / m.gain_per_kpa
         off = np.abs(memory[PRESSURE]) < kpa
@@ -627,68 +447,3 @@ class TurningEstimator(Estimator):
         unsettled = np.where(memory[SIGN] > 0, np.abs(settled) / m.etau2_kpa, np.abs(x2) + np.abs(x3))
         found: BoolArray = off & (unsettled < band)
         return found
-
-
-class _Beside:
-    """What the loops write beside one ``memory`` (rows, m)."""
-
-    def __init__(self, memory: FloatArray) -> None:
-        cells = memory.shape[1]
-        self.memory, self.state = memory, memory[STATE]
-        self.change = np.empty((6, cells))
-        self.rows, self.flags = np.empty((loops.ROWS, cells)), np.empty((loops.FLAGS, cells), dtype=np.bool_)
-        self.weights: TurnWeights | None = None
-        """that ``rows`` were made with; None: with none"""
-
-    def __reduce__(self) -> tuple[type[_Beside], tuple[FloatArray]]:
-        """For pickle and copy: the state is a part of the memory, which would become an array of its own."""
-        return type(self), (self.memory,)
-
-
-class _Rows:
-    """The rows of one ``memory`` (rows, m) by name, and arrays for intermediate results."""
-
-    def __init__(self, memory: FloatArray, turn_kpa: float) -> None:
-        """``turn_kpa`` is by how much a pressure that is known exactly must go back for a turn."""
-        self.memory, self._turn_kpa = memory, turn_kpa
-        cells = memory.shape[1]
-        self.pressure, self.gain, self.variance, self.last = memory[: LAST + 1]
-        self.before, self.until_before = memory[BEFORE_LAST : THIRD_LAST + 1], memory[LAST : BEFORE_LAST + 1]
-        self.doubt, self.sign, self.extreme, self.peak, self.left = memory[TURNED : LEFT + 1]
-        self.in_force = memory[IN_FORCE]
-        self.state = memory[STATE]
-        self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]
-        self.both = self.pressures.reshape(-1)
-        self.change = np.empty((6, cells))
-        self.changes_by_model = self.change[:2], self.change[2:4], self.change[4:]
-        self.share = np.empty((2, cells))
-        self.rising_share, self.recovery_share = self.share
-        self.rising_kpa, self.recovery_kpa = self.pressures
-        self.beside = np.empty((loops.ROWS, cells))
-        """what follows from the memory, rows as in :mod:`._turning_loops`"""
-        self.unsure, self.threshold, self.spare, self.noise, self.ahead, self.nearby = self.beside[:6]
-        self.not_in_force, self.of_model = self.beside[6:8], self.beside[10:]
-        self.not_rising, self.not_recovery = self.not_in_force
-        self.confirming_sigmas, self.confirming_kpa = self.beside[8:10]
-        """how far the model that was left must have gone back for a turn to be certain: standard deviations, and kPa"""
-        self._gain, self.other_gain, self.fade = self.of_model
-        self.flags = np.empty((loops.FLAGS, cells), dtype=np.bool_)
-        self.where, self.near, self.confirmed = self.flags
-        self._weights: TurnWeights | None = None
-
-    def __reduce__(self) -> tuple[type[_Rows], tuple[FloatArray, float]]:
-        """For pickle and copy: rows of the memory are parts of it, which would become arrays of their own."""
-        return type(self), (self.memory, self._turn_kpa)
-
-    def take_gains(self, weights: TurnWeights, *, anew: bool = False) -> None:
-        """What depends on the hypothesis in force; ``anew``: another one may be in force than in the last frame."""
-        if weights is self._weights and not anew:
-            return
-        weights.by_model.dot(self.in_force, self.of_model)
-        self.gain[...] = self._gain
-        if anew or self._weights is None:
-            self.not_in_force[...] = self.in_force[::-1]
-            turns = np.where(self.sign > 0, CONFIRMED_RISE, CONFIRMED_FALL)
-            np.multiply(turns, SURE, self.confirming_sigmas)
-            np.multiply(turns, self._turn_kpa, self.confirming_kpa)
-        self._weights = weights

@@ -1,0 +1,198 @@
+"""Short taps make contacts, contact sparks and other electrical faults make none."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ohmskin import compiled
+from ohmskin.arrays import FloatArray
+from ohmskin.bench import _taps as bench
+from ohmskin.bench._driver import design
+from ohmskin.cell import Cell, ContactModel
+from ohmskin.cell._taps import SHARED
+from ohmskin.driver import ContactTracker
+
+EXAMPLE = Cell.example()
+FALLING = Cell(
+    rest_resistance_ohm=3300.0, full_scale_kpa=20.0, model=ContactModel(exponent=1.1, full_scale_resistance_ohm=900.0)
+)
+SHAPE = (8, 8)
+DT_S = 0.01
+QUIET = 40
+"""frames at rest, in which the noise becomes known"""
+
+
+def contacts_of(ohm: FloatArray, cell: Cell = EXAMPLE, dt_s: float = DT_S, noise: float = 1e-3) -> list[int]:
+    """Number of contacts in each frame (frames, rows, columns), read with relative noise."""
+    shape = (ohm.shape[1], ohm.shape[2])
+    estimator, tracker = cell.estimator(shape), ContactTracker(shape, 0.004, cell.full_scale_kpa)
+    random = np.random.default_rng(0)
+    numbers = []
+    for n, frame in enumerate(ohm * (1.0 + noise * random.standard_normal(ohm.shape))):
+        pressure = estimator.step(dt_s, frame)
+        numbers.append(len(tracker.update(n * dt_s, pressure, estimator.std_kpa)))
+    return numbers
+
+
+def at_rest(frames: int, cell: Cell = EXAMPLE, shape: tuple[int, int] = SHAPE) -> FloatArray:
+    return np.full((frames, *shape), cell.rest_resistance_ohm)
+
+
+def tapped(tap: bench.Tap, rate_hz: float = 100.0) -> FloatArray:
+    """Ohm of the example cell, from rest to 0.3 s after the tap."""
+    return bench.resistances([tap], SHAPE, rate_hz, tap.start_s + tap.duration_s + 0.3)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    row=st.floats(0.0, 7.0),
+    column=st.floats(0.0, 7.0),
+    width=st.floats(0.5, 1.0),
+    share=st.floats(0.25, 0.9),
+    duration_s=st.sampled_from([0.03, 0.05, 0.08]),
+)
+def test_a_short_tap_is_one_contact_at_once(
+    row: float, column: float, width: float, share: float, duration_s: float
+) -> None:
+    """From its second frame on at the latest, and hardly longer than it lasts."""
+    start_s = 0.4 + 1e-3
+    tap = bench.Tap(start_s, duration_s, row, column, width, share * EXAMPLE.full_scale_kpa)
+    seen = contacts_of(tapped(tap))
+    first, last = round(start_s / DT_S), round((start_s + duration_s) / DT_S)
+    assert not any(seen[: first - 1])
+    assert 1 in seen[first : first + 3]
+    assert all(number >= 1 for number in seen[first + 2 : last - 1])
+    assert not any(seen[last + 4 :])
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    cells=st.lists(st.tuples(st.integers(0, 7), st.integers(0, 7)), min_size=1, max_size=6, unique=True),
+    factor=st.floats(1.1, 4.0),
+    frames=st.integers(1, 9),
+    rate_hz=st.sampled_from([100.0, 400.0]),
+)
+def test_sparks_of_cells_that_are_no_neighbours_make_no_contact(
+    cells: list[tuple[int, int]], factor: float, frames: int, rate_hz: float
+) -> None:
+    """Up to 90 ms at 100 frames per second; several at once."""
+    apart = [cells[0]]
+    for cell in cells[1:]:
+        if all(abs(cell[0] - other[0]) + abs(cell[1] - other[1]) > 1 for other in apart):
+            apart.append(cell)
+    ohm = at_rest(QUIET + 30)
+    for row, column in apart:
+        ohm[QUIET : QUIET + frames, row, column] *= factor
+    assert not any(contacts_of(ohm, dt_s=1.0 / rate_hz))
+
+
+@pytest.mark.parametrize("factor", [1.15, 1.6, 3.0])
+@pytest.mark.parametrize("where", ["row", "column", "two rows", "all", "end of a row", "part of a column", "impulse"])
+def test_faults_with_the_shape_of_the_wiring_make_no_contact(where: str, factor: float) -> None:
+    """Bad lines and connectors, a crack that cuts the end of a line, and three readings disturbed in one frame."""
+    places: dict[str, tuple[slice, slice]] = {
+        "row": (slice(3, 4), slice(None)),
+        "column": (slice(None), slice(0, 1)),
+        "two rows": (slice(2, 4), slice(None)),
+        "all": (slice(None), slice(None)),
+        "end of a row": (slice(5, 6), slice(6, None)),
+        "part of a column": (slice(0, 4), slice(5, 6)),
+        "impulse": (slice(4, 5), slice(2, 5)),
+    }
+    frames = 1 if where == "impulse" else 8
+    ohm = at_rest(QUIET + 30)
+    ohm[(slice(QUIET, QUIET + frames), *places[where])] *= factor
+    assert not any(contacts_of(ohm))
+
+
+def test_a_tap_on_two_cells_of_one_line_is_a_contact_in_its_second_frame() -> None:
+    """A narrow stylus between two cells; a disturbance of the converter would be over by then."""
+    ohm = at_rest(QUIET + 30)
+    ohm[QUIET : QUIET + 5, 3, 4:6] *= 1.3
+    seen = contacts_of(ohm)
+    assert seen[QUIET - 1 : QUIET + 6] == [0, 0, 1, 1, 1, 1, 0]
+
+
+@pytest.mark.parametrize(("factor", "number"), [(0.5, 1), (2.0, 0)])
+def test_a_bad_contact_adds_resistance_and_a_press_on_electrodes_that_touch_takes_it_away(
+    factor: float, number: int
+) -> None:
+    ohm = at_rest(QUIET + 30, FALLING)
+    ohm[QUIET : QUIET + 5, 3, 4] *= factor
+    assert max(contacts_of(ohm, FALLING)) == number
+
+
+def test_a_crosstalk_below_the_least_share_does_not_make_a_spark_a_tap() -> None:
+    """Leads that the design does not mention carry a little of a spark to its row and column."""
+    ohm = at_rest(QUIET + 30)
+    spark = 0.3
+    ohm[QUIET : QUIET + 5, 3, :] *= 1.0 + 0.8 * SHARED * spark
+    ohm[QUIET : QUIET + 5, :, 4] *= 1.0 + 0.8 * SHARED * spark
+    ohm[QUIET : QUIET + 5, 3, 4] *= 1.0 + spark
+    assert not any(contacts_of(ohm))
+
+
+def test_a_spark_leaves_a_cell_of_an_array_as_it_leaves_one_without_neighbours() -> None:
+    """To the last bit: neighbours at rest change nothing."""
+    ohm = at_rest(QUIET + 60)
+    ohm *= 1.0 + 1e-3 * np.random.default_rng(3).standard_normal(ohm.shape)
+    ohm[QUIET : QUIET + 6, 2, 2] *= 2.5
+    ohm[QUIET + 30 : QUIET + 33, 6, 1] *= 1.4
+    array, alone = EXAMPLE.estimator(SHAPE), EXAMPLE.estimator((64,))
+    for frame in ohm:
+        np.testing.assert_array_equal(array.step(DT_S, frame).ravel(), alone.step(DT_S, frame.ravel()))
+        np.testing.assert_array_equal(array.std_kpa.ravel(), alone.std_kpa)
+
+
+@pytest.mark.skipif(bool(compiled.why_not()), reason="needs the extra fast")
+@pytest.mark.parametrize("duration_s", [0.03, 0.08])
+def test_taps_are_the_same_by_machine_code(duration_s: float) -> None:
+    taps = [bench.Tap(0.4 + 0.3 * k, duration_s, 2.0 + k, 3.4, 0.7, 4.0 + 3.0 * k) for k in range(3)]
+    ohm = bench.resistances(taps, SHAPE, 100.0, 1.5)
+    ohm *= 1.0 + 1e-3 * np.random.default_rng(4).standard_normal(ohm.shape)
+    plain, quick = EXAMPLE.estimator(SHAPE), EXAMPLE.estimator(SHAPE)
+    assert quick.compile()
+    for frame in ohm:
+        np.testing.assert_allclose(quick.step(DT_S, frame), plain.step(DT_S, frame), rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(quick.std_kpa, plain.std_kpa, rtol=1e-9, atol=1e-9)
+
+
+def test_a_tap_leaves_rest_behind_and_its_deviation_is_honest() -> None:
+    """Errors within three deviations nearly always: those of taps on a whole array were stated as half of the jump."""
+    taps = [bench.Tap(0.4 + 0.4 * k, 0.05, 1.0 + k, 6.0 - k, 0.7, 10.0) for k in range(5)]
+    ohm = bench.resistances(taps, SHAPE, 100.0, 2.6)
+    truth = np.sum([tap.kpa(DT_S * np.arange(1.0, len(ohm) + 1), SHAPE) for tap in taps], axis=0)
+    estimator = EXAMPLE.estimator(SHAPE)
+    noisy = ohm * (1.0 + 1e-3 * np.random.default_rng(5).standard_normal(ohm.shape))
+    found = np.array([(estimator.step(DT_S, frame), estimator.std_kpa) for frame in noisy])
+    error, std = np.abs(found[:, 0] - truth), found[:, 1]
+    pressed = truth > 2.0
+    assert np.mean(error[pressed] < 2 * std[pressed]) > 0.9
+    assert np.median(std[pressed]) < 0.1 * np.median(truth[pressed])
+    assert np.abs(found[-10:, 0]).max() < 0.5
+
+
+def test_the_bench_finds_taps_and_counts_false_alarms() -> None:
+    """On one board; and what is not there is not found."""
+    board = design(8, "inverting-amplifier", "ground", 12)
+    random = np.random.default_rng(0)
+    taps = bench.random_taps(8, SHAPE, random)
+    seconds = bench.REST_S + bench.EVERY_S * 9
+    seen = list(bench.contacts_of(board, bench.resistances(taps, SHAPE, 100.0, seconds), 1.0, 100.0, random))
+    pitch_mm = 1e3 * bench._pitch_m(board)
+    first_s, beside = bench.match(taps, seen, pitch_mm, 0.01)
+    assert max(first - tap.start_s for tap, first in zip(taps, first_s, strict=True)) <= 0.02
+    assert beside == 0
+    elsewhere = [bench.Tap(tap.start_s, tap.duration_s, 7.0 - tap.row, tap.column + 9.0, 0.6, 5.0) for tap in taps]
+    assert not np.isfinite(bench.match(elsewhere, seen, pitch_mm, 0.01)[0]).any()
+    contacts = {c.id for _, found in seen for c in found}
+    for one, other in pairwise(taps):
+        assert one.start_s + one.duration_s < other.start_s
+    false = bench.false_alarms([("cell", 0.0)], seen)
+    assert sum(false.values()) == len(contacts)
+    assert false["cell"] == len(contacts)
