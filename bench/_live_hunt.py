@@ -9,11 +9,11 @@ the driver's :class:`.CountReader` takes the counts. Findings:
 * an *unsolved* frame: right readings for which no cells are found;
 * an *unsettled* stream: cells are still called unsettled in the last of eight equal frames.
 
-Nobody can know of a noise before it is in the readings, and of two frames nobody can say whether noise or a press has
-changed them. Cells that are off in the first two frames of a noise larger than the reader assumes or has seen are
-counted as *surprised* and are no findings, as long as their uncertainties would do had the reader known the noise.
-For the same reason noise may carry a cell beyond a factor of two within
-five standard deviations: of the readings of a cell whose uncertainty just suffices, 3 in 1000 are beyond three.
+Nobody can know of a noise before it is in four readings that are not at a limit, and of two frames nobody can say
+whether noise or a press has changed them. Cells that are off in the first two frames of a noise larger than the reader
+assumes or has seen are counted as *surprised* and are no findings, as long as their uncertainties would do had the
+reader known the noise. For the same reason noise may carry a cell beyond a factor of two within five standard
+deviations: of the readings of a cell whose uncertainty just suffices, 3 in 1000 are beyond three.
 
 A *slow* stream has a frame with the work of more than ten usual ones, from counts to ohms. A usual frame is the median
 of the stream's frames after the first in which readings change and any cell is valid; a stream with less than three of
@@ -36,6 +36,7 @@ from typing import Any
 import click
 import numpy as np
 
+from ..arrays import FloatArray
 from ..circuits import Reason
 from ..driver import CountReader, Reading
 from ._live_streams import FAMILIES, MOVING, LiveStream, stream
@@ -44,6 +45,7 @@ KINDS = ("wrong cell", "factor of two", "unsolved", "unsettled")
 _MOST_USUAL_FRAMES = 10.0
 _LEAST_USUAL = 3  # frames
 _SIGMAS = 3.0  # standard deviations of the noise that an uncertainty covers, beside half a step
+_LEAST_SHOWN = 4  # readings that have shown a noise before a reader can know of it
 _ASSUMED_NOISE = 0.5  # ADC steps that the reader assumes in the first frame
 
 
@@ -86,6 +88,7 @@ def check(family: str, number: int, tally: LiveTally) -> None:
     reader = CountReader(read_from.design)
     times: list[float] = []
     usual: list[int] = []
+    free: list[int] = []
     reading, before = None, read_from.counts[0]
     for frame, counts in enumerate(read_from.counts):
         start = process_time()
@@ -99,11 +102,12 @@ def check(family: str, number: int, tally: LiveTally) -> None:
         if not reading.solved:
             found.setdefault("unsolved", f"frame {frame}")
         wrong = _wrong_cells(reading, read_from, frame, tally)
-        seen = [_ASSUMED_NOISE, *read_from.noise_steps[: max(frame - 1, 0)]]
+        free.append(int((reading.reason != Reason.SATURATED).sum()))
+        known = _known_noise(read_from.noise_steps[: max(frame - 1, 0)], free)
         adc, noise = read_from.design.adc, read_from.noise_steps[frame]
         assert adc is not None
         more = (0.5 + _SIGMAS * noise) / (0.5 + _SIGMAS * reader.noise_volts / adc.step)
-        if wrong and noise > max(seen) and not _wrong_cells(reading, read_from, frame, LiveTally(), max(more, 1.0)):
+        if wrong and noise > known and not _wrong_cells(reading, read_from, frame, LiveTally(), max(more, 1.0)):
             tally.surprised += 1
         else:
             found |= wrong
@@ -134,6 +138,21 @@ def _wrong_cells(
         if share.min() < 0.5 or share.max() > 2.0:
             found["factor of two"] = f"frame {frame}"
     return found
+
+
+def _known_noise(noise_steps: FloatArray, free: list[int]) -> float:
+    """ADC steps, the largest noise that a reader can know after some frames.
+
+    Args:
+        noise_steps: (frames,) of these frames.
+        free: readings of each frame that are not at a limit, where they would not show a noise.
+
+    """
+    known = _ASSUMED_NOISE
+    for noise in noise_steps:
+        if sum(count for count, each in zip(free, noise_steps, strict=False) if each >= noise) >= _LEAST_SHOWN:
+            known = max(known, float(noise))
+    return known
 
 
 def _work(read_from: LiveStream) -> list[int]:

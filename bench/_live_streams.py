@@ -1,10 +1,13 @@
 """Random streams of counts of random boards, each made from a family's name and a number.
 
-Two generators share their drawing:
+Three generators share their drawing:
 
 * *plain* families: boards of up to 8 x 8 cells with two fingers that move over the skin;
 * *eventful* families: the same boards with other sizes, lines, parts, converters and faults (:func:`_varied`), and
-  skins on which something happens in mid-stream (:class:`_Story`).
+  skins on which something happens in mid-stream (:class:`_Story`);
+* *extreme* families: boards at the ends of what is allowed (:func:`_extreme`). Converters have 6 to 24 bits, arrays
+  often have a single row or column, lines often have 1 kohm, and cells of 10 ohm and 10 Mohm are neighbours. Noise of
+  0.1 to 50 steps begins and ends in mid-stream.
 
 A finding is named by family and number. So what an existing family draws must not change: new kinds of boards or events
 belong into a new family.
@@ -33,6 +36,7 @@ class Family(NamedTuple):
     idle_rows: str
     idle_columns: str
     eventful: bool = False
+    extreme: bool = False
 
 
 _PLAIN = {
@@ -48,9 +52,12 @@ _ONLY_EVENTFUL = {
     "row floating": Family("row-amplifier", "float", "float"),
     "open loaded": Family("voltage-divider", "float", "load"),
 }
-FAMILIES = _PLAIN | {
-    f"{name} events": family._replace(eventful=True) for name, family in (_PLAIN | _ONLY_EVENTFUL).items()
-}
+_ALL = _PLAIN | _ONLY_EVENTFUL
+FAMILIES = (
+    _PLAIN
+    | {f"{name} events": family._replace(eventful=True) for name, family in _ALL.items()}
+    | {f"{name} extremes": family._replace(eventful=True, extreme=True) for name, family in _ALL.items()}
+)
 
 Draw = np.random.Generator
 Tables = dict[str, Any]
@@ -78,11 +85,9 @@ def stream(family: str, number: int) -> LiveStream | None:
     """The stream of one number of a family; None where the board cannot be read at all."""
     kind, draw = FAMILIES[family], np.random.default_rng([number, *family.encode()])
     design = draw_design(draw, kind)
-    cells = _pressed(draw, design, _varied_skin if kind.eventful else _plain_skin)
+    cells = _pressed(draw, design, _skin_of(kind))
     assert design.adc is not None
-    noise_steps = np.full(len(cells), float(draw.choice([0.0, 0.0, 0.3, 0.5, 2.0])))
-    if kind.eventful and draw.random() < 0.2:
-        noise_steps[int(draw.integers(1, MOVING)) :] = float(draw.choice([0.0, 0.7, 3.0, 20.0]))
+    noise_steps = _passing_noise(draw, len(cells)) if kind.extreme else _noise(draw, len(cells), kind)
     counts = []
     for frame, noise in zip(cells, noise_steps, strict=True):
         try:
@@ -97,7 +102,28 @@ def stream(family: str, number: int) -> LiveStream | None:
 def draw_design(draw: Draw, family: Family) -> Design:
     """A board of a family."""
     tables = _tables(draw, family)
-    return Design.model_validate(_varied(draw, tables) if family.eventful else tables)
+    if family.eventful:
+        tables = _varied(draw, tables)
+    if family.extreme:
+        tables = _extreme(draw, tables)
+    return Design.model_validate(tables)
+
+
+def _noise(draw: Draw, frames: int, family: Family) -> FloatArray:
+    """(frames,) ADC steps: the same in all frames, or another one from some frame on."""
+    noise = np.full(frames, float(draw.choice([0.0, 0.0, 0.3, 0.5, 2.0])))
+    if family.eventful and draw.random() < 0.2:
+        noise[int(draw.integers(1, MOVING)) :] = float(draw.choice([0.0, 0.7, 3.0, 20.0]))
+    return noise
+
+
+def _passing_noise(draw: Draw, frames: int) -> FloatArray:
+    """(frames,) ADC steps: a noise that begins and ends, in half of the streams."""
+    noise = np.full(frames, float(draw.choice([0.0, 0.0, 0.1])))
+    if draw.random() < 0.5:
+        begin = int(draw.integers(0, MOVING))
+        noise[begin : begin + int(draw.integers(1, MOVING))] = float(draw.choice([0.1, 1.0, 5.0, 50.0]))
+    return noise
 
 
 def _tables(draw: Draw, family: Family) -> Tables:
@@ -174,6 +200,32 @@ def _varied(draw: Draw, tables: Tables) -> Tables:
     return tables
 
 
+def _extreme(draw: Draw, tables: Tables) -> Tables:
+    """The tables of a varied board whose lines, size and converter are unusual."""
+    array, readout, adc = (tables[name] for name in ("array", "readout", "adc"))
+    if draw.random() < 0.4:
+        long = int(draw.integers(1, 13))
+        array["rows"], array["columns"] = (1, long) if draw.random() < 0.5 else (long, 1)
+        tables["fault"] = []
+    for key, count in (("row_lead", array["rows"]), ("column_lead", array["columns"])):
+        array[key] = _first(array[key])
+        if draw.random() < 0.3:
+            array[key] = (1e3 * draw.uniform(0.9, 1.1, count)).tolist()
+        elif draw.random() < 0.3:
+            array[key] = 0.0
+    sensed = array["rows"] if readout["circuit"] == "row-amplifier" else array["columns"]
+    for key in ("reference_resistance", "offset_voltage"):
+        if isinstance(readout.get(key), list):
+            readout[key] = np.resize(readout[key], sensed).tolist()
+    bits = int(draw.choice([6, 6, 8, 12, 20, 24]))
+    coarser = max(1.0, 2.0 ** (adc["bits"] - bits))
+    for key in ("offset_voltage", "gain_error"):  # many steps of a finer converter, as many of a coarser one
+        if key in adc:
+            adc[key] *= coarser
+    adc["bits"] = bits
+    return tables
+
+
 def _shape(draw: Draw) -> tuple[int, int]:
     kind = draw.random()
     if kind < 0.15:
@@ -243,6 +295,21 @@ def _varied_skin(draw: Draw, cells: FloatArray, rest: FloatArray) -> FloatArray:
         events = story.cells_change, story.line_changes, story.all_pressed, story.released
         events[draw.integers(len(events))]()
     return cells
+
+
+def _extreme_skin(draw: Draw, cells: FloatArray, rest: FloatArray) -> FloatArray:
+    """With cells from 10 ohm to 10 Mohm side by side in half of the streams, and events."""
+    cells = _varied_skin(draw, cells, rest)
+    if draw.random() < 0.5:
+        some = draw.random(rest.shape) < draw.choice([0.1, 0.5, 1.0])
+        cells[:, some] = 10 ** draw.uniform(1.0, 7.0, int(some.sum()))
+    return cells
+
+
+def _skin_of(family: Family) -> Skin:
+    if family.extreme:
+        return _extreme_skin
+    return _varied_skin if family.eventful else _plain_skin
 
 
 class _Story:

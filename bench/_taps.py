@@ -11,6 +11,7 @@ Two streams of frames are made of each board, and read through a whole :class:`o
 from __future__ import annotations
 
 import contextlib
+import math
 import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -33,8 +34,9 @@ CASES: tuple[tuple[str, str, int, float], ...] = (
     ("inverting-amplifier", "ground", 8, 1.0),
     ("voltage-divider", "ground", 12, 1.0),
     ("voltage-divider", "ground", 8, 1.0),
+    ("voltage-divider", "ground", 8, 4.0),
     ("voltage-divider", "float", 12, 1.0),
-    ("voltage-divider", "float", 8, 1.0),
+    ("voltage-divider", "float", 8, 4.0),
 )
 """circuit, idle rows, ADC bits, mV of noise"""
 SIZES = (8, 16)
@@ -96,6 +98,10 @@ class Taps:
     """the same by the width of the bell in cells"""
     delay_ms: float
     """median time from the beginning of a tap to the first frame with its contact"""
+    force_share: float
+    """median force of a contact over that of its tap, while the tap is held"""
+    off_cells: float
+    """median distance of a contact from its tap's centre of pressure"""
     beside: int
     """contacts at other places or times in the stream of taps"""
     false: dict[str, int]
@@ -198,6 +204,7 @@ def taps_and_faults(
         quiet = resistances([], shape, rate_hz, seconds)
         faults = add_faults(quiet, rate_hz, rng)
         false = false_alarms(faults, contacts_of(board, quiet, noise_mv, rate_hz, rng))
+        force_share, off_cells = accuracy(taps, seen, shape, 1e3 * _pitch_m(board))
         delays = [first - tap.start_s for tap, first in zip(taps, first_s, strict=True) if first < np.inf]
         yield Taps(
             size=size,
@@ -209,6 +216,8 @@ def taps_and_faults(
             found={one: _share(first_s, [tap.duration_s == one for tap in taps]) for one in DURATIONS_S},
             found_by_width={one: _share(first_s, [tap.width_cells == one for tap in taps]) for one in WIDTHS_CELLS},
             delay_ms=1e3 * float(np.median(delays)) if delays else np.nan,
+            force_share=force_share,
+            off_cells=off_cells,
             beside=beside,
             false=false,
             faults={kind: sum(kind == one for one, _ in faults) for kind in FAULTS},
@@ -220,7 +229,8 @@ def _pitch_m(board: Design) -> float:
 
 
 def _share(first_s: list[float], which: list[bool]) -> float:
-    return float(np.mean([first < np.inf for first, one in zip(first_s, which, strict=True) if one]))
+    found = [first < np.inf for first, one in zip(first_s, which, strict=True) if one]
+    return float(np.mean(found)) if found else np.nan
 
 
 def match(
@@ -242,6 +252,27 @@ def match(
     return first_s, len(others - own)
 
 
+def accuracy(
+    taps: list[Tap], seen: list[tuple[float, tuple[Contact, ...]]], shape: tuple[int, int], pitch_mm: float
+) -> tuple[float, float]:
+    """Median force over that of the tap, and median distance from its centre of pressure in cells; NaN without any."""
+    row, column = np.indices(shape)
+    force_shares, off_cells = [], []
+    for time_s, contacts in seen:
+        for tap in taps:
+            if not tap.start_s + RISE_S <= time_s <= tap.start_s + tap.duration_s - RISE_S:
+                continue
+            (kpa,) = tap.kpa(np.array([time_s]), shape)
+            total = float(kpa.sum())
+            centre = float((row * kpa).sum()) / total, float((column * kpa).sum()) / total
+            off = [math.dist(centre, (one.y_mm / pitch_mm, one.x_mm / pitch_mm)) for one in contacts]
+            if off and min(off) < NEAR_CELLS:
+                force_n = contacts[int(np.argmin(off))].force_n
+                force_shares.append(force_n / (1e3 * total * (1e-3 * pitch_mm) ** 2))
+                off_cells.append(min(off))
+    return (float(np.median(force_shares)), float(np.median(off_cells))) if off_cells else (np.nan, np.nan)
+
+
 def false_alarms(faults: list[tuple[str, float]], seen: Iterable[tuple[float, tuple[Contact, ...]]]) -> dict[str, int]:
     """Number of contacts by the kind of the last fault before they began; "none": before any."""
     found, known = dict.fromkeys(("none", *FAULTS), 0), set[int]()
@@ -257,14 +288,15 @@ def false_alarms(faults: list[tuple[str, float]], seen: Iterable[tuple[float, tu
 def table(rows: Iterable[Taps]) -> Iterator[str]:
     """The rows as lines of text."""
     yield (
-        "contacts of taps, % found by duration and by width of the bell in cells; contacts elsewhere; contacts that "
-        "faults made without any touch, of so many faults"
+        "contacts of taps, % found by duration and by width of the bell in cells; median force over the tap's, and "
+        "median distance from its centre of pressure; contacts elsewhere; contacts that faults made without any touch, "
+        "of so many faults"
     )
     yield (
         f"    cells  {'circuit':<20} {'idle':<7}bits  noise, mV  frames/s"
         + "".join(f"{1e3 * one:>5.0f} ms" for one in DURATIONS_S)
         + "".join(f"{one:>6.2g}" for one in WIDTHS_CELLS)
-        + f"{'delay, ms':>11}{'elsewhere':>11}"
+        + f"{'delay, ms':>11}{'force':>7}{'off, cells':>12}{'elsewhere':>11}"
         + "".join(f"{kind:>10}" for kind in ("none", *FAULTS))
     )
     for row in rows:
@@ -273,6 +305,6 @@ def table(rows: Iterable[Taps]) -> Iterator[str]:
             f"{row.rate_hz:>10.0f}"
             + "".join(f"{100 * share:>8.0f}" for share in row.found.values())
             + "".join(f"{100 * share:>6.0f}" for share in row.found_by_width.values())
-            + f"{row.delay_ms:>11.0f}{row.beside:>11}"
+            + f"{row.delay_ms:>11.0f}{row.force_share:>7.2f}{row.off_cells:>12.2f}{row.beside:>11}"
             + "".join(f"{f'{n}/{row.faults[kind]}' if kind in row.faults else n:>10}" for kind, n in row.false.items())
         )

@@ -25,14 +25,17 @@ from ._learned import DRIFT, Seen
 from ._models import AsymmetricModel, ContactModel, M10Model
 from ._recording import Recording
 from ._remarks import remarks
-from ._teaching import chains_break, find_teacher
 
 MOST = 6000
 """samples that are learned from; a longer recording is thinned"""
 FOLD_CELLS = 32
 """simulated for learning before each fold; a third of those for the final estimators"""
+TEACHES_WORSE = 0.7
+"""share of the richer kind's error below which a simpler one teaches"""
 MISSES = 3.0
 """times its held-out error, that an inverse may miss of a drift that goes on after the recording"""
+BREAKS = 0.5
+"""share of the error of m10 without chains that break, below which a cell with such chains is believed to have them"""
 WORTH_COMPILING = 1000
 """samples from which on machine code is loaded before a recording is estimated, which takes about half a second"""
 STEPS = 7
@@ -83,9 +86,7 @@ def calibrate(
     Raises:
         InputError: the resistance does not follow the pressure, or no model of any kind fits.
     """
-    clean = recording.without_sparks
-    every = -(-len(clean.time_s) // MOST)
-    thin = Recording(clean.time_s[::every], clean.pressure_kpa[::every], clean.resistance_ohm[::every], clean.name)
+    thin = _thinned(recording.without_sparks)
     full = float(np.quantile(thin.pressure_kpa, 0.999)) if full_scale_kpa is None else full_scale_kpa
     if not 0 < full < np.inf:
         raise InputError(f"full scale is {full} kPa; expected more than 0")
@@ -95,26 +96,17 @@ def calibrate(
         progress(next(steps), STEPS, what)
 
     found = tuple(fits(thin, full, tell))
-    model = found[0].model
-    rest = found[0].rest_resistance_ohm
+    model, rest = found[0].model, found[0].rest_resistance_ohm
     cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
-    inverse = inverse_margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
+    samples, seen, parts = Regimes.of(thin, full), _seen(thin, full), folds(thin, full)
+    presses = float(samples.pressing[-1]) / 2
     if isinstance(model, ContactModel):
-        contact = _calibrated_contact(cell, thin)
-        said = (FALLING, *remarks(recording, full, float(Regimes.of(thin, full).pressing[-1]) / 2, varied=True))
-        return CalibrationResult(contact, recording, found, folds(thin, full), inverse, said)
+        said = (FALLING, *remarks(recording, full, presses, varied=True))
+        return CalibrationResult(_calibrated_contact(cell, thin), recording, found, parts, None, said)
 
-    parts = folds(thin, full)
-    teacher, breaks = find_teacher(found), chains_break(found)
-    whole = training.NormalisedRecording(
-        time_s=thin.time_s,
-        r=thin.resistance_ohm / rest - 1,
-        load=thin.pressure_kpa / full,
-        rest_resistance_ohm=rest,
-        simulation=teacher.simulate,
-        unexplained=teacher.error * float(np.ptp(thin.resistance_ohm)) / rest,
-    )
-    seen, samples = _seen(thin, full), Regimes.of(thin, full)
+    inverse = inverse_margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
+    teacher, breaks = _teacher(found), _breaks(found)
+    whole = _normalised(thin, cell, teacher)
     judged: dict[EstimatorName, list[Judged]] = {}
     for fold, simulation in zip(parts, teacher.simulate_folds, strict=True):
         first = replace(whole, simulation=simulation).until(fold.start_s)
@@ -123,56 +115,23 @@ def calibrate(
             judged.setdefault(name, []).append(_judge(trial, name, thin, samples, fold))
         tell("learned before a fold, and judged on it")
     judged |= _judge_models(cell.replace(estimators=None), found[0], thin, samples, parts)
-    final = _learned(whole, full, cells=training.CELLS, breaks=breaks).replace(seen=seen)
     noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
-    unexplained = float(np.sqrt(max(found[0].held_out_error ** 2 - noise**2, 0.0)))
-    taught = float(np.sqrt(max(teacher.held_out_error**2 - noise**2, 0.0)))
-    for name in ("play", "distilled"):
-        share = best_share(judged[name], judged["static"])
-        judged[name] = mixed(judged[name], judged["static"], share)
-        learned = getattr(final, name).replace(static_share=1 - share, beyond_recorded=taught < choice.EXACT)
-        final = final.replace(**{name: learned})
+    final = _learned(whole, full, cells=training.CELLS, breaks=breaks).replace(seen=seen)
+    final = _mixed(final, judged, beyond_recorded=_beyond_noise(teacher, noise) < choice.EXACT)
     tried = (*LEARNED, *(name for name in judged if name == "inverse"))
     elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, tried, whole)
     tell("learned from all")
     evidence = choice.Evidence(
         judged=judged,
         elsewhere=elsewhere,
-        presses=float(samples.pressing[-1]) / 2,
-        unexplained=unexplained,
+        presses=presses,
+        unexplained=_beyond_noise(found[0], noise),
         least_slope=1.0 if inverse is None else inverse,
     )
-    default, reason = choice.choose(evidence)
-    pressed = {name: 100 * max(part.pressed_rms for part in of) for name, of in judged.items()}
-    pressed_drift = max(abs(float(np.mean(part.pressed))) for part in judged["static"])
-    calibrated = {
-        name: training.calibrated(
-            getattr(final, name),
-            judged[name],
-            drift=pressed_drift,
-            elsewhere=0.0 if evidence.varied else elsewhere[name],
-            most=pressed["static"] / 100,
-        )
-        for name in ("play", "distilled")
-    }
-    other_loads = training.error_on_other_loads(whole, final.static)
-    static_std = full * max(DRIFT * pressed["static"] / 100, other_loads)
-    static = final.static.replace(std_kpa=max(final.static.std_kpa, static_std))
-    estimators = Calibrated(
-        default=default,
-        reason=reason,
-        held_out_percent={name: evidence.worst(name) for name in judged},
-        fold_percent={name: tuple(evidence.percent(name)) for name in judged},
-        pressed_percent=pressed,
-        # An inverse follows the drift that its model explains, which shows in its errors on the folds.
-        drift_percent=min(100 * pressed_drift, MISSES * pressed.get("inverse", np.inf)),
-        seen=seen,
-        static=static,
-        **calibrated,
-    )
+    cell = cell.replace(estimators=_with_errors(final, evidence, whole, full))
     drift = next(fit.drift for fit in found if fit.drift is not None)
-    said = tuple(remarks(recording, full, evidence.presses, varied=evidence.varied, drift=drift))
-    return CalibrationResult(cell.replace(estimators=estimators), recording, found, parts, inverse, said)
+    said = tuple(remarks(recording, full, presses, varied=evidence.varied, drift=drift))
+    return CalibrationResult(cell, recording, found, parts, inverse, said)
 
 
 def estimate_recording(
@@ -197,6 +156,28 @@ def estimate_recording(
     return pressure, std if estimator.states_std else None
 
 
+def _teacher(found: tuple[Fit, ...]) -> Fit:
+    """The fit that is varied for learning: the richest with one set of states, unless it explains clearly less.
+
+    Which of two kinds predicts better is a close call on a short recording, and the poorer one, taught, misleads
+    more than the richer one's spare parameters do. But what leaves much more of its worst fold unexplained than another
+    kind does teaches its own mistakes. The paper's two models hand over at every change of direction, which a learned
+    map of memories follows badly: it teaches only where it is far better.
+    """
+    smooth = next(fit for fit in found if isinstance(fit.model, M10Model))
+    plain = next(fit for fit in found if isinstance(fit.model, AsymmetricModel))
+    if plain.held_out_error < TEACHES_WORSE * smooth.held_out_error:
+        smooth = plain
+    best = min(found, key=lambda fit: fit.held_out_error)
+    return best if best.held_out_error < 0.5 * smooth.held_out_error else smooth
+
+
+def _breaks(found: tuple[Fit, ...]) -> bool:
+    """Whether motion breaks conductive chains: without them, m10 leaves far more of the recording."""
+    errors = {fit.label: fit.error for fit in found}  # an m10 whose k is 0 has the label of the one without chains
+    return errors.get("m10", np.inf) < BREAKS * errors.get("m10, k = 0", 0.0)
+
+
 def _learned(
     calibration: training.NormalisedRecording, full_scale_kpa: float, *, cells: int, breaks: bool
 ) -> Calibrated:
@@ -209,6 +190,75 @@ def _learned(
         static=training.static_curve(calibration, full_scale_kpa),
         play=training.play(calibration, simulated),
         distilled=training.distilled(calibration, simulated, paths_s=training.PATHS_S if breaks else ()),
+    )
+
+
+def _thinned(recording: Recording) -> Recording:
+    """At most :data:`MOST` samples."""
+    every = -(-len(recording.time_s) // MOST)
+    time_s, pressure, resistance = recording.time_s, recording.pressure_kpa, recording.resistance_ohm
+    return Recording(time_s[::every], pressure[::every], resistance[::every], recording.name)
+
+
+def _normalised(recording: Recording, cell: Cell, teacher: Fit) -> training.NormalisedRecording:
+    """What estimators are learned from: the recording, and cells like the teacher."""
+    rest = cell.rest_resistance_ohm
+    return training.NormalisedRecording(
+        time_s=recording.time_s,
+        r=recording.resistance_ohm / rest - 1,
+        load=recording.pressure_kpa / cell.full_scale_kpa,
+        rest_resistance_ohm=rest,
+        simulation=teacher.simulate,
+        unexplained=teacher.error * float(np.ptp(recording.resistance_ohm)) / rest,
+    )
+
+
+def _beyond_noise(fit: Fit, noise: float) -> float:
+    """Held-out error of a fit beyond the noise of the readings, both over the range of the resistance."""
+    return float(np.sqrt(max(fit.held_out_error**2 - noise**2, 0.0)))
+
+
+def _mixed(learned: Calibrated, judged: dict[EstimatorName, list[Judged]], *, beyond_recorded: bool) -> Calibrated:
+    """Learned maps mixed with the static curve as the folds ask for; changes ``judged`` accordingly."""
+    for name in ("play", "distilled"):
+        share = best_share(judged[name], judged["static"])
+        judged[name] = mixed(judged[name], judged["static"], share)
+        one = getattr(learned, name).replace(static_share=1 - share, beyond_recorded=beyond_recorded)
+        learned = learned.replace(**{name: one})
+    return learned
+
+
+def _with_errors(
+    final: Calibrated, evidence: choice.Evidence, whole: training.NormalisedRecording, full_scale_kpa: float
+) -> Calibrated:
+    """The choice of the default, and all estimators with the errors that they state."""
+    judged = evidence.judged
+    default, reason = choice.choose(evidence)
+    pressed = {name: 100 * max(part.pressed_rms for part in of) for name, of in judged.items()}
+    pressed_drift = max(abs(float(np.mean(part.pressed))) for part in judged["static"])
+    calibrated = {
+        name: training.calibrated(
+            getattr(final, name),
+            judged[name],
+            drift=pressed_drift,
+            elsewhere=0.0 if evidence.varied else evidence.elsewhere[name],
+            most=pressed["static"] / 100,
+        )
+        for name in ("play", "distilled")
+    }
+    other_loads = training.error_on_other_loads(whole, final.static)
+    static_std = full_scale_kpa * max(DRIFT * pressed["static"] / 100, other_loads)
+    return Calibrated(
+        default=default,
+        reason=reason,
+        held_out_percent={name: evidence.worst(name) for name in judged},
+        fold_percent={name: tuple(evidence.percent(name)) for name in judged},
+        pressed_percent=pressed,
+        # An inverse follows the drift that its model explains, which shows in its errors on the folds.
+        drift_percent=min(100 * pressed_drift, MISSES * pressed.get("inverse", np.inf)),
+        seen=final.seen,
+        static=final.static.replace(std_kpa=max(final.static.std_kpa, static_std)),
+        **calibrated,
     )
 
 

@@ -19,7 +19,6 @@ from . import _simulate as simulate
 from ._cell import Cell, EstimatorName
 from ._fitted import Fit
 from ._judged import Judged, standard_errors_better
-from ._teaching import explaining
 from ._training import NormalisedRecording, disturbed
 
 EXACT = 0.005
@@ -39,6 +38,8 @@ MANY_PRESSES = 3.0
 """full presses from which the folds of a recording are taken to differ from each other"""
 ALIKE = 0.25
 """scatter of the static curve's error from one part of a fold to the next, over its mean, of presses that are alike"""
+EXPLAINS_TOO = 2.0
+"""times the least error of a fit, up to which another kind explains the recording as well"""
 ELSEWHERE_CELLS, ELSEWHERE_STEP_S, ELSEWHERE_STEPS = 12, 0.25, 640
 """of the simulated cells: how many of each kind, time step, and steps"""
 
@@ -142,7 +143,8 @@ def errors_elsewhere(
         calibration: the recording, which says how large the noise is and what models leave unexplained.
     """
     load = simulate.random_loads(np.random.default_rng(0), ELSEWHERE_STEPS, ELSEWHERE_CELLS, ELSEWHERE_STEP_S)
-    kinds = explaining(fits)
+    least = min(fit.error for fit in fits)
+    kinds = [fit for fit in fits if fit.error <= EXPLAINS_TOO * least]
     rms = np.empty((len(kinds), len(names)))
     for row, fit in enumerate(kinds):
         rng = np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""What identification finds: parameters with their standard errors, and how well a kind of cell predicts."""
+"""What identification finds: a model of one kind, its parameters with standard errors, and how well it predicts."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import FloatArray
-from ._drift import Drift
 from ._models import M10Model, Model
 
 Simulation = Callable[[np.random.Generator, FloatArray, float], FloatArray]
@@ -59,3 +58,15 @@ class Fit:
     def held_out_error(self) -> float:
         """That of the worst of the folds that tell."""
         return max(self.fold_errors[self.first_telling :])
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A steady change of R0 from the begin of a recording to its end, fitted with all the rest of a model."""
+
+    share: float
+    """of R0 at the begin"""
+    std_error: float
+    unexplained: float
+    """squared error beyond noise that the model with the drift leaves, over that of the model without; 1 where the
+    latter leaves hardly more than noise"""

@@ -1,4 +1,4 @@
-"""Rolling-origin folds, cut by how much was pressed: what comes before a fold is fitted, and the fold judges."""
+"""Rolling-origin evaluation: the folds of a recording, each fitted on what comes before it and judged on itself."""
 
 from __future__ import annotations
 

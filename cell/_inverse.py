@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -62,6 +62,36 @@ def margin(model: AsymmetricModel | M10Model, full_scale_kpa: float) -> float:
     m = as_m10(model, full_scale_kpa) if isinstance(model, AsymmetricModel) else model
     settled = max(m.a + m.b + m.alpha1 + m.alpha2, 1e-9)
     return (m.a + min(0.0, 2 * m.b) - m.k) / settled
+
+
+class _Equation(NamedTuple):
+    """The equation for the step of n loads, as long as no branch changes over: slope step + b step^2 = change.
+
+    ``slope`` is without the branches, which follow by ``follows`` per step.
+    """
+
+    target: FloatArray
+    """(2, n) what the branches follow at first"""
+    lead: FloatArray
+    """(2, n) by which they are behind it"""
+    free: FloatArray
+    """(n,) r of the chains broken before that have not healed"""
+    breaking: FloatArray | float
+    """(n,) r of the chains that a unit of load breaks"""
+    forgets: FloatArray
+    """(2, n) share of the lead that a branch makes up for in the step"""
+    kept: FloatArray
+    """(2, n) where the branches end if the load stays"""
+    follows: FloatArray
+    """(2, n) and how much further per step of load"""
+    slope: FloatArray
+    """(n,) dr/ds of the static response and the breaking chains"""
+    change: FloatArray
+    """(n,) r that the step has to explain"""
+    width: FloatArray
+    """(n,) half width of the play in which a load counts as still"""
+    went_up: BoolArray
+    """(n,) whether the load left its play upwards the last time"""
 
 
 @dataclass(frozen=True)
@@ -161,21 +191,44 @@ class AsymmetricInversion(Inversion):
     def advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
-        m, alpha, s0, x, broken = self.model, self._alpha, memory[LOAD], memory[BRANCHES], memory[BROKEN]
         gone, ramp = lag.weights(dt_s, self._constants_s)  # (5, 1) or (5, n)
+        of = self._equation(memory, r, std, gone, ramp)
+        step, branches = self._step_of_load(memory, dt_s, of)
+        m, new = self.model, memory.copy()
+        new[LOAD], new[BRANCHES], new[BROKEN] = memory[LOAD] + step, branches, of.free + of.breaking * np.abs(step)
+        if not self.exact:
+            self._limit(new, r, std)
+        if not self.exact and m.k:
+            new[WENT_UP] = of.went_up
+        new[PRESSURE] = new[LOAD] * self.full_scale_kpa
+        new[ANCHOR] = np.maximum(np.minimum(memory[ANCHOR], new[LOAD] + of.width), new[LOAD] - of.width)
+        new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self.full_scale_r)
+        if not self.exact:
+            self._err(new, of.forgets, gone[4], of.follows, step, std)
+        return new
+
+    def _equation(
+        self, memory: FloatArray, r: FloatArray, std: FloatArray, gone: FloatArray, ramp: FloatArray
+    ) -> _Equation:
+        """The equation for the step of the load at readings ``r`` (n,) known to ``std`` (n,).
+
+        ``gone`` and ``ramp`` (5, 1 or n) are the weights of the rising and falling branches and of the broken chains.
+        """
+        m, alpha, s0 = self.model, self._alpha, memory[LOAD]
         target = alpha * s0
-        lead = target - x
-        free = broken * (1 - gone[4])
-        breaking = m.k * (1 - ramp[4])
+        lead = target - memory[BRANCHES]
+        free = memory[BROKEN] * (1 - gone[4])
+        breaking: FloatArray | float = m.k * (1 - ramp[4])
         ahead = lead > 0
         forgets = np.where(ahead, gone[:2], gone[2:4])
-        kept = x + lead * forgets
+        kept = memory[BRANCHES] + lead * forgets
         slope = m.a + 2 * m.b * s0
         change = r - (m.a + m.b * s0) * s0 - free - kept[0] - kept[1]
         up = change > 0  # r rises with the load, so that this is also the sign of the step
         charging = ahead | ((lead == 0) & up)
         follows = np.where(charging, alpha * ramp[:2], alpha * ramp[2:4])
         width = STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
+        went_up = up
         if not self.exact and m.k:
             still = slope + follows[0] + follows[1]
             moves = np.abs(s0 + change / np.maximum(still, 1e-9) - memory[ANCHOR]) > width
@@ -189,37 +242,31 @@ class AsymmetricInversion(Inversion):
             change -= crossed_play
             went_up = np.where(moves, up, went_up)
         slope = slope + np.where(up, breaking, -breaking)
-        step = _root(m.b, slope + follows[0] + follows[1], change)
-        branches = kept + follows * step
-        crossed = np.flatnonzero(((target + alpha * step - branches) * lead < 0).any(axis=0))
+        return _Equation(target, lead, free, breaking, forgets, kept, follows, slope, change, width, went_up)
+
+    def _step_of_load(self, memory: FloatArray, dt_s: float, of: _Equation) -> tuple[FloatArray, FloatArray]:
+        """Steps (n,) of the load that solve the equation, and the branches (2, n) after them."""
+        alpha, slope = self._alpha, of.slope
+        step = _root(self.model.b, slope + of.follows[0] + of.follows[1], of.change)
+        branches = of.kept + of.follows * step
+        crossed = np.flatnonzero(((of.target + alpha * step - branches) * of.lead < 0).any(axis=0))
         if crossed.size:
-            discharging = lead[:, crossed] < 0
+            discharging = of.lead[:, crossed] < 0
             change_over = _ChangeOver(
-                lead=lead[:, crossed],
-                target=target[:, crossed],
+                lead=of.lead[:, crossed],
+                target=of.target[:, crossed],
                 alpha=alpha,
                 first_s=np.where(discharging, self._fall_s, self._rise_s),
                 second_s=np.where(discharging, self._rise_s, self._fall_s),
                 dt_s=dt_s,
-                kept=kept[:, crossed],
-                follows=follows[:, crossed],
+                kept=of.kept[:, crossed],
+                follows=of.follows[:, crossed],
             )
             bend = (alpha * dt_s * np.abs(1 / self._rise_s - 1 / self._fall_s)).sum(axis=0)
             step[crossed], branches[:, crossed] = self._solved(
-                change_over, bend, slope[crossed], change[crossed], step[crossed], s0[crossed]
+                change_over, bend, slope[crossed], of.change[crossed], step[crossed], memory[LOAD, crossed]
             )
-        new = memory.copy()
-        new[LOAD], new[BRANCHES], new[BROKEN] = s0 + step, branches, free + breaking * np.abs(step)
-        if not self.exact:
-            self._limit(new, r, std)
-        if not self.exact and m.k:
-            new[WENT_UP] = went_up
-        new[PRESSURE] = new[LOAD] * self.full_scale_kpa
-        new[ANCHOR] = np.maximum(np.minimum(memory[ANCHOR], new[LOAD] + width), new[LOAD] - width)
-        new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self.full_scale_r)
-        if not self.exact:
-            self._err(new, forgets, gone[4], follows, step, std)
-        return new
+        return step, branches
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
         return loops.ALL

@@ -1,9 +1,14 @@
-"""Kinds of cells as least squares sees them: free parameters, bounds, starting values, and their simulation."""
+"""The kinds of model that are fitted: free parameters, bounds, usual values, and how each kind answers a load.
+
+Each kind contains a simpler one: asymmetric branches, then a curved static response and slow charging ("whole"), then
+conductive chains that break ("m10"). Their solutions can therefore be handed on from one to the next. The paper's cell
+stands beside them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import ValidationError
@@ -16,6 +21,8 @@ from ._models import AsymmetricModel, M10Model, Model, PaperModel
 
 INSTANT_S, RISE2_S = 0.05, 1.0
 """time constant of a branch that is charged at once, and the usual one of the slow branch"""
+DRIFTS = 1.0
+"""share of R0 up to which a drift over the recording is looked for, either way"""
 
 
 @dataclass(frozen=True)
@@ -36,6 +43,10 @@ class Kind:
     """how many parameters, after those with names, are what branches and chains remember as the recording begins"""
     felt: Callable[[FloatArray], FloatArray] = lambda load: load
     """the load (n, m) or (n,) as this kind takes it: worked out once, for any number of parameters"""
+
+
+Richer = Callable[[tuple[float, ...]], tuple[float, ...]]
+"""a solution as one of the richer kind that is fitted next"""
 
 
 def asymmetric_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
@@ -153,6 +164,34 @@ def whole_as_m10(solution: tuple[float, ...], size: float) -> tuple[float, ...]:
     count = len(simulate.M10_PARAMETERS) - 2
     *branches, offset = solution[count:]
     return *solution[:count], 1e-3 * size, 30.0, *branches, *[0.0] * (len(branches) // 2), offset
+
+
+def drifting(kind: Kind) -> Kind:
+    """The same kind of cells with a drift of R0 as one more parameter, after those with names."""
+    count = len(kind.names)
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        r = kind.run(np.delete(parameters, count, axis=0), load, dt)
+        return _drifted(parameters[count], r)
+
+    return replace(
+        kind,
+        names=(*kind.names, "drift"),
+        low=(*kind.low, -DRIFTS),
+        high=(*kind.high, DRIFTS),
+        starts=tuple((*start, 0.0) for start in kind.starts),
+        run=run,
+    )
+
+
+def with_drift(solution: tuple[float, ...], count: int, share: float) -> tuple[float, ...]:
+    """A solution with a drift after its ``count`` parameters with names."""
+    return *solution[:count], share, *solution[count:]
+
+
+def _drifted(drift: FloatArray, r: FloatArray) -> FloatArray:
+    """r (n, m), relative to R0 at the begin, of cells whose R0 changes steadily by a share ``drift`` (m,) of it."""
+    return np.asarray((1 + r) * (1 + np.linspace(0, 1, len(r))[:, None] * drift) - 1)
 
 
 def model_of(kind: str, found: FloatArray, full_scale_kpa: float) -> Model:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from ..arrays import FloatArray
-from ._drift import Drift
+from ._fitted import Drift
 from ._recording import Recording
 
 LONGEST_LEAD_S = 5.0

@@ -4,6 +4,9 @@ A pixel-wise threshold flickers with noise. As in Canny's edge detector, cells a
 if one of them is above a high threshold, or if the contact was there a moment ago. Each cell has a hysteresis, too: the
 cell between two fingers neither joins nor parts them from frame to frame. Fingers that touch are parted along the
 valley between them (:mod:`._watershed`). :mod:`._tracks` gives the contacts their ids.
+
+A disturbance of the converter moves readings that are converted one after another, for one frame. So a new patch within
+one row or column is a contact in its second frame only; a new patch over several rows and columns is one at once.
 """
 
 from __future__ import annotations
@@ -12,9 +15,10 @@ import threading
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import BoolArray, FloatArray, IntArray
 from ._later import Later
 from ._tracks import Named, Patch, Tracks
 from ._watershed import part
@@ -62,6 +66,8 @@ class ContactTracker:
         self.pitch_m = pitch_m
         self.full_scale_kpa = full_scale_kpa
         self._labels: IntArray = np.zeros(shape, dtype=int)
+        self._pressed: BoolArray = np.zeros(shape, dtype=np.bool_)
+        """(rows, columns) cells of the last frame that showed enough pressure for a contact, however uncertain"""
         self._were_parted = False
         self._tracks = Tracks(1e3 * pitch_m)
         self._places: IntArray = np.indices(shape).reshape(2, -1).T.copy()
@@ -77,6 +83,7 @@ class ContactTracker:
 
         """
         labels, patches = self._find(pressure_kpa, std_kpa)
+        self._pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
         names = self._tracks.follow(time_s, patches, labels)
         self._labels = labels.reshape(self.shape)
         self._were_parted = not all(patch.alone for patch in patches)
@@ -102,9 +109,31 @@ class ContactTracker:
         kept = np.zeros(count + 1, dtype=bool)
         kept[found[begins | (touched & candidates)]] = True
         kept[0] = False
+        self._drop_disturbances(found, kept)
+        if not kept.any():
+            return np.zeros(pressure_kpa.size, dtype=int), []
         labels = np.where(kept, np.cumsum(kept), 0)[found]
-        fingers = part(labels, pressure_kpa, std_kpa, begins, self._labels, were_parted=self._were_parted)
+        fingers = part(
+            labels, pressure_kpa, std_kpa, begins & (labels > 0), self._labels, were_parted=self._were_parted
+        )
         return fingers.ravel(), self._measure(fingers.ravel(), labels.ravel(), pressure_kpa)
+
+    def _drop_disturbances(self, found: NDArray[np.signedinteger], kept: BoolArray) -> None:
+        """Drop patches within one row or column that were not there in the last frame.
+
+        Args:
+            found: (rows, columns) labels of patches, from 1.
+            kept: (labels,) patches that make contacts, changed.
+
+        """
+        fresh = kept.copy()
+        fresh[found[self._pressed | (self._labels > 0)]] = False
+        if not fresh.any():
+            return
+        boxes = ndimage.find_objects(found)
+        for label in np.flatnonzero(fresh).tolist():
+            rows, columns = boxes[label - 1]
+            kept[label] = rows.stop - rows.start > 1 and columns.stop - columns.start > 1
 
     def _measure(self, labels: IntArray, connected: IntArray, pressure_kpa: FloatArray) -> list[Patch]:
         """Centre, force, peak and spread of each labelled patch, in one pass over the touched cells.

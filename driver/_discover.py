@@ -11,6 +11,11 @@ from ..errors import LinkError, OhmskinError
 from ..wire import Family, FramePacket, Identity, Order, board_family, host_protocol
 from ._port import emulated_ports, open_port, serial_ports, usb_serial_number
 
+SEARCH_S = 1.5
+"""for which a silent port is asked who is there"""
+LONGEST_SEARCH_S = 5.0
+"""for which a board that is opened by its serial number may leave the question who it is unanswered"""
+
 
 @dataclass(frozen=True, slots=True)
 class FoundBoard:
@@ -28,7 +33,7 @@ class FoundBoard:
 
 
 def discover(
-    ports: Iterable[str] | None = None, *, board: str | Family = "ohmskin", timeout: float = 1.5
+    ports: Iterable[str] | None = None, *, board: str | Family = "ohmskin", timeout: float = SEARCH_S
 ) -> list[FoundBoard]:
     """The boards that answer, by serial number.
 
@@ -55,15 +60,28 @@ def discover(
     return sorted(found, key=lambda entry: (entry.serial_number, entry.port))
 
 
-def find_board(serial_number: str, ports: Iterable[str] | None = None, *, board: str | Family = "ohmskin") -> str:
+def find_board(
+    serial_number: str,
+    ports: Iterable[str] | None = None,
+    *,
+    board: str | Family = "ohmskin",
+    timeout: float = LONGEST_SEARCH_S,
+) -> str:
     """The port of the board with this serial number, of its own or of its USB device.
+
+    Ports are asked for :data:`SEARCH_S`, and again for ``timeout`` where the board is not among those that answered:
+    one that starts anew whenever its port is opened takes longer.
 
     Raises:
         LinkError: there is none, or more than one; the message lists those that are there.
 
     """
-    found = discover(ports, board=board)
-    matching = [entry.port for entry in found if serial_number in (entry.serial_number, entry.usb_serial_number)]
+    matching: list[str] = []
+    for limit_s in (min(SEARCH_S, timeout), timeout):
+        found = discover(ports, board=board, timeout=limit_s)
+        matching = [entry.port for entry in found if serial_number in (entry.serial_number, entry.usb_serial_number)]
+        if matching or limit_s == timeout:
+            break
     if len(matching) > 1:
         raise LinkError(
             f"{len(matching)} boards with serial number {serial_number}: at {', '.join(matching)}; give a port"
@@ -71,7 +89,7 @@ def find_board(serial_number: str, ports: Iterable[str] | None = None, *, board:
     if matching:
         return matching[0]
     present = ", ".join(f"{entry.serial_number or '?'} at {entry.port}" for entry in found) or "none"
-    raise LinkError(f"no board with serial number {serial_number}; boards present: {present}")
+    raise LinkError(f"no board with serial number {serial_number} at a port that is free; boards present: {present}")
 
 
 def _ask(name: str, board: str | Family, timeout_s: float) -> FoundBoard | None:

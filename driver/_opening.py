@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from ..cell import Cell
-from ..circuits import Design
+from ..cell import ESTIMATORS, Cell
+from ..circuits import Design, ValidityRule
 from ..compiled import is_compiling
 from ..errors import InputError, OhmskinError, ProtocolError
 from ..wire import Family, HostProtocol, board_family, host_protocol
@@ -83,6 +83,9 @@ class Opening:
             raise InputError(f"reconnect is {reconnect} s; expected at least 0")
         if pitch is not None and not 0 < pitch < math.inf:
             raise InputError(f"pitch is {pitch} m; expected more than 0")
+        if estimator is not None and estimator not in ESTIMATORS:
+            raise InputError(f"no estimator '{estimator}'; expected one of {', '.join(ESTIMATORS)}")
+        ValidityRule.of(accuracy)
         family = board_family(board)
         settings = RecordedSettings(
             family.name,

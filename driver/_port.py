@@ -16,7 +16,7 @@ import time
 from abc import abstractmethod
 from pathlib import Path
 from typing import NamedTuple, Protocol
-from urllib.parse import urlsplit
+from urllib.parse import unquote, urlsplit
 
 import serial
 from serial.tools import list_ports
@@ -36,10 +36,20 @@ UNHEARD_S = 3.0
 _CHUNK = 65536
 _SHORT = 1024
 """bytes below which one system call has brought all that there was: terminals give up to 4095 at once, sockets more"""
+EMULATED_HERE = "ohmskin://"
+"""scheme of the address of a board that is emulated in this process"""
 _EMULATOR = "ohmskin.emulator"
 """package in which pyserial finds the handler of ohmskin:// addresses; imported only for such an address"""
 _NOT_NOW = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 _HUNG_UP = (errno.EPIPE, errno.ECONNRESET, errno.EIO, errno.ENXIO, errno.ENODEV)
+
+
+class OrderlyClose(LinkError):
+    """The other end has closed a TCP connection in good order (FIN): it has sent all that it wanted to send.
+
+    A broken connection ends otherwise, by a reset (RST) or by silence. But the operating system closes the connections
+    of most programs that are killed in good order, too.
+    """
 
 
 class Arrival(NamedTuple):
@@ -168,6 +178,8 @@ class DescriptorPort(_RealTimePort):
         self._readable.register(descriptor, selectors.EVENT_READ)
         self._closed = False
         self._closing = threading.Lock()
+        self._failure: OSError | None = None
+        """how the port broke. The operating system tells this once, and then that the other end hung up"""
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until bytes have come or the port is gone; False after ``timeout_s`` or after :meth:`interrupt`."""
@@ -185,14 +197,19 @@ class DescriptorPort(_RealTimePort):
             if not data and self._readable.select(0):
                 data = os.read(self._descriptor, _CHUNK)
                 if not data:
-                    raise self._gone("the other end hung up")
+                    raise self._hung_up() if self._failure is None else self._gone(self._failure)
         except OSError as error:
             if isinstance(error, LinkError):
                 raise
             if error.errno in _NOT_NOW:
                 return self._arrived(b"")
+            self._failure = error
             raise self._gone(error) from error
         return self._arrived(data, more=len(data) >= _SHORT)
+
+    def _hung_up(self) -> LinkError:
+        """The error for a port that reads nothing, since nobody is at its other end any more."""
+        return self._gone("the other end hung up")
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``; LinkError when that fails."""
@@ -203,6 +220,8 @@ class DescriptorPort(_RealTimePort):
                 rest = rest[os.write(self._descriptor, rest) :]
             except OSError as error:
                 if error.errno in _HUNG_UP:
+                    if error.errno != errno.EPIPE:  # which tells of a break that was told before, or of no break
+                        self._failure = error
                     raise self._gone(error) from error
                 if error.errno not in _NOT_NOW:
                     raise LinkError(f"{self.name}: the board takes no commands ({_reason(error)})") from error
@@ -273,6 +292,10 @@ class SocketPort(DescriptorPort):
         except OSError as error:  # too many open files
             self._socket.close()
             raise LinkError(f"{name}: cannot be opened: {_reason(error)}") from error
+
+    def _hung_up(self) -> LinkError:
+        error = super()._hung_up()
+        return error if isinstance(error, LinkEnded) else OrderlyClose(str(error))
 
     def _release(self) -> None:
         self._socket.close()
@@ -379,17 +402,25 @@ def linked_terminals(directory: Path) -> list[str]:
 
 
 def refuse_missing(name: str) -> None:
-    """Raise the LinkError of :func:`open_port` where there is no device of that name, without opening anything.
+    """Raise the LinkError of :func:`open_port` where a look at ``name`` shows it, without opening anything.
 
-    Addresses (``socket://...``) pass.
+    So no device is there, or this user may not read and write it, or the scene of an ``ohmskin://`` address is no file.
+    Other addresses (``socket://...``) pass.
     """
-    if "://" not in name and not os.path.exists(name):
-        raise LinkError(f"{name}: {_why_not_opened(name, FileNotFoundError(errno.ENOENT, 'no such port'))}")
+    if name.startswith(EMULATED_HERE):
+        parts = urlsplit(name)
+        if not os.path.isfile(unquote(parts.netloc + parts.path)):
+            raise LinkError(f"{name}: no such scene")
+    elif "://" not in name:
+        if not os.path.exists(name):
+            raise LinkError(f"{name}: {_why_not_opened(name, FileNotFoundError(errno.ENOENT, 'no such port'))}")
+        if not os.access(name, os.R_OK | os.W_OK):
+            raise LinkError(f"{name}: {_why_not_opened(name, PermissionError(errno.EACCES, 'permission denied'))}")
 
 
 def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -> serial.SerialBase:
     _refuse_terminal(name)
-    if name.startswith("ohmskin://") and _EMULATOR not in serial.protocol_handler_packages:
+    if name.startswith(EMULATED_HERE) and _EMULATOR not in serial.protocol_handler_packages:
         serial.protocol_handler_packages.append(_EMULATOR)
     # pyserial's RFC 2217 client refuses a limit for writing, and each change of a limit is a talk with the server.
     write_timeout_s = None if name.startswith("rfc2217://") else WRITE_TIMEOUT_S

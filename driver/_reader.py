@@ -16,7 +16,7 @@ from ..wire import Corrupt, Description, Event, Family, Flag, FramePacket, HostP
 from ._introduce import Introduction
 from ._mailbox import Mailbox
 from ._past import StreamPast
-from ._port import Arrival, BytePort
+from ._port import Arrival, BytePort, OrderlyClose
 from ._reconnect import attempts
 from ._statistics import Counters
 from ._stream import FrameStream
@@ -99,7 +99,7 @@ class Reader:
         self._unproven: deque[tuple[FramePacket, Arrival]] = deque(maxlen=MOST_UNPROVEN)
         """frames that came meanwhile"""
         self._away_since: float | None = None
-        self._away_because = ""
+        self._away_because: LinkError | None = None
         self._received, self._reason = 0, "no end of a packet"
         """bytes since the last frame, and why the last of them were no packet"""
         self._forgotten = False
@@ -291,10 +291,14 @@ class Reader:
                 ask_at = now + (ASK_AGAIN_S if known else ASK_WHO_S)
 
     def _ask(self) -> None:
-        for order in (Order.IDENTIFY, Order.DESCRIBE):
-            self.send(order)
-        if self.introduction.complete and not self._proofs:
-            self._start_frames()
+        try:
+            for order in (Order.IDENTIFY, Order.DESCRIBE):
+                self.send(order)
+            if self.introduction.complete and not self._proofs:
+                self._start_frames()
+        except LinkError:
+            self._read()  # what came before the other end went, and how it went
+            raise
 
     def _start_frames(self) -> None:
         """Order frames, once the board is known: one that waits for orders then sends none that cannot be used."""
@@ -448,7 +452,7 @@ class Reader:
         """Open the port again; raises LinkError when it has not come back in time."""
         assert self._reopen is not None
         if self._away_since is None:
-            self._away_since, self._away_because = time.monotonic(), str(error)
+            self._away_since, self._away_because = time.monotonic(), error
             self._mailbox.set_away(str(error))
         left_s = self._reconnect_s - (time.monotonic() - self._away_since)
         failure: LinkError | None = None
@@ -469,10 +473,31 @@ class Reader:
                 self._proofs = {type(packet) for packet in known if packet is not None}
                 self._proof_until = time.monotonic() + PROOF_S
             return
+        if self._is_end(error, failure):
+            raise LinkEnded(
+                f"{self.port_name}: the other end has closed the connection in good order, and nobody listens there "
+                f"since ({self._reconnect_s:g} s)"
+            )
         # A board that was found and refused says more than a port that is not there.
-        found = failure if str(error) == self._away_because else error
+        found = failure if str(error) == str(self._away_because) else error
         because = "" if found is None else f" ({found})"
         raise LinkError(f"{self._away_because}; it has not come back within {self._reconnect_s:g} s{because}")
+
+    def _is_end(self, last: LinkError, failure: LinkError | None) -> bool:
+        """Whether a board that has not come back has come to its end.
+
+        Boards with a packet for their end have sent it. Of the others, over TCP, an end is told by a connection that
+        was closed in good order, at an address where nobody listens any more. A bridge from TCP to a serial port whose
+        cable was pulled closes the connection likewise, but goes on listening.
+
+        Args:
+            last: why the port was given up last.
+            failure: why the last attempt to open the port failed; None: there was none.
+
+        """
+        refused = failure is not None and isinstance(failure.__cause__, ConnectionRefusedError)
+        orderly = isinstance(last, OrderlyClose) and last is self._away_because
+        return orderly and refused and not self._family.has_description
 
     def _release(self) -> None:
         with self._reading:

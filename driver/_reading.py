@@ -16,6 +16,7 @@ from ._scatter import Scatter
 
 _FIRST_GUARD = 12  # codes within which the same holds in the first frame, whose noise nobody knows
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
+_JUMP = 1.0 / 16.0  # of the converter's codes, by which a reading has moved notably from one frame to the next
 _ALIKE = 1.5  # ratio of noises with which a reading is judged about alike
 _FAINT = 0.05  # ADC steps of noise that hardly count beside the half step
 _MOST_NOISE = 0.95  # relative uncertainty, three standard deviations of noise, of a reading that an average can use
@@ -171,7 +172,9 @@ class CountReader:
         self._scatter = Scatter(adc.step, assumed=not self._design_noise)
         self._middle_of_codes = _middle_of_codes.machine_code()
         self._extremes = np.zeros(2)
-        self._silent = 0  # cells whose readings stood at a limit in the last frame
+        self._silent = 0  # cells whose readings stood at a limit in the last frame, and could not change
+        self._limited: BoolArray | None = None  # cells that were taken for limited in the last frame
+        self._in_doubt = False  # some of them may have left the limit, which one more frame tells
         self._counts = b""
         self._reading: Reading | None = None
         self._judged_with = 0.0  # V, noise in the uncertainties of the last reading
@@ -244,9 +247,64 @@ class CountReader:
             raise ProtocolError(f"the board sends {sent} cells; its design has {expected}")
         reading = self._read(counts)
         # What is not settled yet, or judged without a measured noise, may be otherwise after another frame like this.
-        final = self._scatter.frames > 1 and (reading.all_valid or not (reading.reason == Reason.UNSETTLED).any())
+        settled = reading.all_valid or not (reading.reason == Reason.UNSETTLED).any()
+        final = self._scatter.frames > 1 and settled and not self._in_doubt
         self._counts, self._reading = same, reading if final else None
         return reading
+
+    def _within_limits(self, guard: int) -> tuple[float, float]:
+        """The first code that is no limit, and the first one beyond, with a guard of so many codes."""
+        lowest = max(self._first + (0 if self._rising else guard), 1)
+        return lowest, min(self._last - (guard if self._rising else 0), self._codes - 1)
+
+    def _jumped_to_limit(self, least: float, most: float) -> bool:
+        """Whether a reading may have moved notably, and by more than what it is away from a limit of the swing."""
+        room = self._last - most if self._rising else least - self._first  # codes
+        if room >= 0.5 * self._codes:
+            return False
+        return bool(self._scatter.largest_change > max(room, _JUMP * self._codes) * self._step)
+
+    def _limited_and_faint(
+        self, counts: NDArray[np.integer], volts: FloatArray, guard: int, *, jumped: bool
+    ) -> tuple[BoolArray | None, BoolArray]:
+        """Readings at a limit, and those of them with hardly a current.
+
+        Args:
+            counts: (rows, columns) of the frame.
+            volts: (rows, columns) V, the same.
+            guard: codes by which noise may keep a reading from a limit.
+            jumped: whether a reading may have jumped to a limit.
+
+        Returns:
+            (rows, columns) each; None for no limited ones.
+
+        """
+        limited = _outside(counts, *self._within_limits(guard))
+        # A reading at a limit does not change with the noise, one within a wide guard beside it does.
+        at_limit = limited if guard <= _FIRST_GUARD else _outside(counts, *self._within_limits(0))
+        self._silent = int(np.count_nonzero(at_limit))
+        if jumped or (self._limited is not None and (self._limited > limited).any()):
+            doubtful = self._beside_limit(counts) & ~limited
+            self._in_doubt = bool(doubtful.any())
+            limited |= doubtful
+        # At the end of the range where hardly a current flows, not knowing a cell disturbs no other.
+        faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
+        limited &= ~faint
+        self._limited = limited if limited.any() else None
+        return self._limited, faint
+
+    def _beside_limit(self, counts: NDArray[np.integer]) -> BoolArray:
+        """Readings (rows, columns) that noise may keep from a limit at which their outputs stand.
+
+        Of one frame's change nobody can say whether it is noise that has begun. Beside a limit, within a guard for
+        such a noise, a reading is believed only if it was there before. One that has just left the limit, or jumped
+        there by more than such a noise, counts as limited until the next frame.
+        """
+        guard = math.ceil(_GUARD * self._scatter.possible / self._step)
+        came: BoolArray = np.abs(self._scatter.change) > guard * self._step
+        if self._limited is not None:
+            came = came | self._limited
+        return came & _outside(counts, *self._within_limits(guard))
 
     def _read(self, counts: NDArray[np.integer]) -> Reading:
         volts, least, most = self._volts_and_extremes(counts)
@@ -255,21 +313,14 @@ class CountReader:
         guard = math.ceil(_GUARD * noise / self._step)  # codes
         if self._scatter.frames < 2 and not self._design_noise:
             guard = max(guard, _FIRST_GUARD)
-        lowest = max(self._first + (0 if self._rising else guard), 1)
-        highest = min(self._last - (guard if self._rising else 0), self._codes - 1)
+        lowest, highest = self._within_limits(guard)
         limited = faint = None
-        self._silent = 0
-        if most >= highest or least < lowest:
+        self._silent, self._in_doubt, jumped = 0, False, self._jumped_to_limit(least, most)
+        if jumped or most >= highest or least < lowest or self._limited is not None:
             if most >= self._codes:
                 bits = self._codes.bit_length() - 1
                 raise ProtocolError(f"the board sends a count of {most:.0f}; its ADC has {bits} bits")
-            limited = (counts < lowest) | (counts >= highest)
-            self._silent = int(np.count_nonzero(limited))
-            # At the end of the range where hardly a current flows, not knowing a cell disturbs no other.
-            faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
-            limited &= ~faint
-            if not limited.any():
-                limited = None
+            limited, faint = self._limited_and_faint(counts, volts, guard, jumped=jumped)
         try:
             found = self._recover(volts, limited, noise)
         except SolverError:
@@ -307,6 +358,12 @@ def _middle_of_codes(codes: Rows, step: float, lowest: float, extremes: Row) -> 
             least, most = min(least, code), max(most, code)
             codes[i, j] = code * step + lowest
     extremes[0], extremes[1] = least, most
+
+
+def _outside(counts: NDArray[np.integer], lowest: float, highest: float) -> BoolArray:
+    """Counts below the first code of a range, or from the first one beyond it on."""
+    outside: BoolArray = (counts < lowest) | (counts >= highest)
+    return outside
 
 
 def _noise_of(design: Design) -> float:

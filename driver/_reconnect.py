@@ -9,7 +9,9 @@ from pathlib import Path
 from ..errors import LinkError
 from ..rendezvous import AnnouncedPort, announced
 from ._port import (
+    EMULATED_HERE,
     BytePort,
+    emulated_ports,
     is_linked_terminal,
     is_numbered_terminal,
     linked_terminals,
@@ -32,7 +34,9 @@ class PortFinder:
     must then ask the board for it. Ports that were there all the time belong to others and are not touched.
 
     The number of a pseudo-terminal that was closed goes to the next program that opens one. So under such numbers only
-    emulated boards are looked for, where they say that they are now (:mod:`ohmskin.rendezvous`).
+    emulated boards are looked for, where they say that they are now (:mod:`ohmskin.rendezvous`). An emulator that was
+    stopped and started again may be at any number or TCP port: where the board was emulated on this machine, ports that
+    have appeared since include those of emulated boards.
     """
 
     def __init__(self, name: str, *, baudrate: int, dtr: bool | None = None, rts: bool | None = None) -> None:
@@ -42,6 +46,7 @@ class PortFinder:
         self.board_is_numbered = False
         """the board says a serial number of its own"""
         self._directory = Path(name).parent if is_linked_terminal(name) else None
+        self._is_emulated = announced(name) is not None
         self._always_there = self._present()
         """ports that have been there whenever this finder looked"""
         self._last: str | None = None
@@ -63,7 +68,7 @@ class PortFinder:
 
         """
         emulated = self._announced
-        if self.name.startswith("ohmskin://"):
+        if self.name.startswith(EMULATED_HERE):
             raise over(self.name)
         if emulated is not None and emulated.is_over:
             emulated.close()
@@ -96,7 +101,7 @@ class PortFinder:
 
     def _present(self) -> set[str]:
         linked = [] if self._directory is None else linked_terminals(self._directory)
-        return {*serial_ports(), *linked}
+        return {*serial_ports(), *linked, *(emulated_ports() if self._is_emulated else [])}
 
     def _open(self, name: str) -> BytePort:
         emulated = announced(name)

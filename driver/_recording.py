@@ -58,13 +58,9 @@ class Recording:
             MissingExtra: mcap is not installed.
 
         """
-        try:
-            from mcap.writer import Writer
-        except ImportError as error:
-            raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
+        writer = _mcap_writer()
         self.path = Path(path)
-        if not overwrite and self.path.is_file() and self.path.stat().st_size:
-            raise InputError(f"{path}: is there already; choose another name, or ask to overwrite it")
+        _keep(self.path, overwrite)
         self.error: InputError | None = None
         """why the recording ended before it was closed"""
         self.frames = 0
@@ -72,9 +68,9 @@ class Recording:
         try:
             self._file: BinaryIO = self.path.open("wb")
         except OSError as error:
-            raise self._failure(error) from error
+            raise _not_written(self.path, error) from error
         self._lock = threading.Lock()
-        self._writer: Writer | None = Writer(self._file, chunk_size=CHUNK_BYTES)
+        self._writer: Writer | None = writer(self._file, chunk_size=CHUNK_BYTES)
         self._flush_at = time.monotonic() + FLUSH_S
         self._writer.start(profile="", library=f"ohmskin {__version__}")
         self._writer.add_metadata(METADATA, {"format": FORMAT, **settings})
@@ -88,6 +84,21 @@ class Recording:
         self._waiting: queue.Queue[Frame | None] = queue.Queue(MOST_WAITING)
         self._thread = threading.Thread(target=self._write_frames, name=f"ohmskin recorder {path}", daemon=True)
         self._thread.start()
+
+    @classmethod
+    def check(cls, path: str | Path, *, overwrite: bool = False) -> None:
+        """Find out beforehand whether a recording can begin at ``path``; raises what ``__init__`` raises."""
+        _mcap_writer()
+        file = Path(path)
+        _keep(file, overwrite)
+        try:
+            if file.is_file() or file.is_dir():
+                file.open("ab").close()
+            elif not file.exists():  # nor a device such as /dev/null
+                file.open("xb").close()
+                file.unlink()
+        except OSError as error:
+            raise _not_written(file, error) from error
 
     def joined(self, past: Past) -> None:
         """Note what an open skin remembers, before its next bytes."""
@@ -160,11 +171,27 @@ class Recording:
         try:
             write()
         except OSError as error:
-            self.error = self.error or self._failure(error)
-
-    def _failure(self, error: OSError) -> InputError:
-        return InputError(f"{self.path}: cannot be written: {error.strerror or error}")
+            self.error = self.error or _not_written(self.path, error)
 
     def _schema(self, schema: Mapping[str, Any]) -> int:
         assert self._writer is not None
         return int(self._writer.register_schema(schema["title"], "jsonschema", json.dumps(schema).encode()))
+
+
+def _mcap_writer() -> type[Writer]:
+    """The class that writes MCAP files; MissingExtra where it is not installed."""
+    try:
+        from mcap.writer import Writer
+    except ImportError as error:
+        raise MissingExtra("recordings need mcap: pip install 'ohmskin[record]'") from error
+    return Writer
+
+
+def _keep(path: Path, overwrite: bool) -> None:
+    """Raise InputError where there is a file with content that shall not be replaced."""
+    if not overwrite and path.is_file() and path.stat().st_size:
+        raise InputError(f"{path}: is there already; choose another name, or ask to overwrite it")
+
+
+def _not_written(path: Path, error: OSError) -> InputError:
+    return InputError(f"{path}: cannot be written: {error.strerror or error}")

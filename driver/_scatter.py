@@ -17,7 +17,9 @@ readings. Noise that seems to have grown has to be in three changes as well (:fu
 patterns of motion vanish. A noise that has begun is thus known in its third frame, in motion too.
 
 A noise is remembered for as long as it was seen, up to twenty frames: what has been mistaken for noise in one frame is
-soon forgotten. While readings stand at their limits, they show no noise, and it is not forgotten.
+soon forgotten. Frames whose readings move so little that the noise cannot be there shorten this memory, one after
+another: a pause of five frames is bridged, and after twenty the noise is gone. While readings stand at their limits,
+they show no noise, and it is not forgotten.
 
 Few readings have no quietest sum that is not quiet by chance. Their measure is the alternating part of two successive
 changes: noise goes back and forth, and of three readings in a row the middle one is beyond both others twice in three
@@ -45,6 +47,10 @@ BARELY_SEEN = 1.5
 """frames that a noise counts as seen for in its first frame: 0.6 of it is assumed a frame later"""
 FEW = 6
 """readings up to which alternation is the measure"""
+FADING = 0.8
+"""share of the frames in which a noise was seen that still counts after a frame which contradicts the noise"""
+CONTRADICTED = 0.5
+"""of a noise that is assumed, from which on it is worth while to ask whether a frame contradicts it"""
 TELLING = 8
 """readings that can change from which on a noise that they no longer show is forgotten as quickly as it may be"""
 MOST_CHANGE = 1.5
@@ -107,6 +113,28 @@ class Scatter:
         """V, with what few readings leave open."""
         return self._seen + self._open * max(self._seen, self._assumed)
 
+    @property
+    def change(self) -> FloatArray:
+        """V (N, M), how the readings have changed since the last frame; nothing where none is known."""
+        if self._change is not None:
+            return self._change
+        return np.zeros(() if self.before is None else self.before.shape)
+
+    @property
+    def largest_change(self) -> float:
+        """V, of any reading since the last frame."""
+        change = self._change
+        if change is None:
+            return 0.0
+        return max(change.item(change.argmax()), -change.item(change.argmin()))
+
+    @property
+    def possible(self) -> float:
+        """V, the noise if the readings' last change is all noise: one change does not tell noise from motion."""
+        if self._change is None:
+            return 0.0
+        return _median(np.abs(self._change), self._change.size - max(self._free, 1))
+
     def forget(self) -> None:
         """Take the next frame for the first one."""
         self.resume(self._assumed, None)
@@ -140,6 +168,8 @@ class Scatter:
                 self._confirmed = 0
             if shown > assumed:
                 self._confirmed += 1
+            elif shown < CONTRADICTED * assumed and self._most_by(change, moving) < assumed:
+                self._confirmed *= FADING
             if 0 < self._free < FEW:
                 assumed = min(FORGET * self._seen, self._most_by(change, moving))
             self._seen = max(assumed, shown)
@@ -152,6 +182,8 @@ class Scatter:
         self.frames += 1
         self._free = self.before.size - silent
         self._change = self._older = None  # nothing goes back to before
+        if self._free and _most_of(0.0, self._free, self._step) < self._seen:
+            self._confirmed *= FADING
         self._seen = self._assumed_next
         self._count()
 
@@ -229,8 +261,7 @@ class Scatter:
     def _most_by(self, change: FloatArray, moving: int) -> float:
         """V, a noise with which changes (N, M) as small as these would be rare: they end what a jump has shown."""
         each = change.ravel()
-        square = float(each.dot(each)) + moving * self._step**2
-        return math.sqrt(square / (2.0 * _rarely_less(moving)))
+        return _most_of(float(each.dot(each)), moving, self._step)
 
     def _alternating(self, change: FloatArray, expected: float, moving: int) -> float:
         """V, the most that the alternating part of this change (N, M) in V and the one before lets the noise be.
@@ -338,6 +369,11 @@ def _left_open(changes: int) -> float:
     over n. It is below the quantile of :data:`DOUBT` with this probability.
     """
     return math.sqrt(changes / float(chdtri(changes, 1.0 - DOUBT))) - 1.0
+
+
+def _most_of(square: float, moving: int, step: float) -> float:
+    """A noise with which a sum of squares of changes as small as this one would be rare; in units of ``step``."""
+    return math.sqrt((square + moving * step**2) / (2.0 * _rarely_less(moving)))
 
 
 @cache

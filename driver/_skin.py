@@ -20,10 +20,10 @@ from .. import compiled
 from ..cell import Cell
 from ..circuits import Design
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
-from ..wire import Description, Family, Identity, Order, board_family
+from ..wire import Description, Family, Identity, Order
 from ._calibration import Calibration
 from ._convert import Measurement
-from ._discover import find_board
+from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._opening import QUEUE, Delivery, Link, Opening
 from ._past import Past
@@ -203,30 +203,47 @@ class Skin:
         finder: PortFinder | None = None
         opened: BytePort
         reopen: Callable[[], BytePort]
-        if port is not None and str(port).endswith(".mcap"):
-            opened = played = ReplayPort(port, speed)
-            reopen, recorded = played.reopen, played.settings
-            board, delivery = recorded.board, delivery or "lossless"
-        else:
-            finder = _finder(port, board, serial_number, baudrate)
-            compiled.load()  # while no frames come
-            opened, reopen, recorded = finder.open(), finder.open_again, NOTHING_RECORDED
-        skin = cls(
-            opened,
-            board=board,
+        played = ReplayPort(port, speed) if port is not None and str(port).endswith(".mcap") else None
+        recorded = NOTHING_RECORDED if played is None else played.settings
+        # All that can be wrong with what is asked is told before anybody waits for a board or for the compiler.
+        asked = Opening.of(
+            board=board if played is None else recorded.board,
             design=design or recorded.design,
             cell=cell or recorded.cell,
             estimator=estimator or recorded.estimator,
+            pitch=recorded.pitch if pitch is None else pitch,
+            accuracy=recorded.accuracy if accuracy is None else accuracy,
+            calibration=recorded.calibration if calibration is None else calibration,
             timeout=timeout,
-            delivery=delivery or "newest",
+            delivery=delivery or ("newest" if played is None else "lossless"),
+            queue=queue,
+            reconnect=reconnect,
+        )
+        if record is not None:
+            Recording.check(record, overwrite=overwrite)
+        if played is None:
+            finder = _finder(port, asked, serial_number, baudrate)
+            compiled.load()  # while no frames come
+            opened, reopen = finder.open(), finder.open_again
+        else:
+            opened, reopen = played, played.reopen
+        settings = asked.settings
+        skin = cls(
+            opened,
+            board=asked.family,
+            design=settings.design,
+            cell=settings.cell,
+            estimator=settings.estimator,
+            timeout=timeout,
+            delivery=asked.delivery,
             queue=queue,
             reconnect=reconnect,
             reopen=reopen,
-            pitch=recorded.pitch if pitch is None else pitch,
-            accuracy=recorded.accuracy if accuracy is None else accuracy,
+            pitch=settings.pitch,
+            accuracy=settings.accuracy,
             record=record,
             overwrite=overwrite,
-            calibration=recorded.calibration if calibration is None else calibration,
+            calibration=settings.calibration,
         )
         if finder is not None:
             finder.board_is_numbered = bool(skin.serial_number)
@@ -578,15 +595,15 @@ class Skin:
         )
 
 
-def _finder(port: str | None, board: str | Family, serial_number: str | None, baudrate: int | None) -> PortFinder:
+def _finder(port: str | None, asked: Opening, serial_number: str | None, baudrate: int | None) -> PortFinder:
     """What opens the port of a board, named or looked for by its serial number; errors as :meth:`Skin.open`."""
-    family = board_family(board)
+    family = asked.family
     if baudrate is not None and not baudrate > 0:
         raise InputError(f"baudrate is {baudrate} bit/s; expected more than 0")
     if port is None:
         if serial_number is None:
             raise InputError("neither a port nor a serial number; expected one of them")
-        port = find_board(serial_number, board=board)
+        port = find_board(serial_number, board=family, timeout=min(asked.timeout_s, LONGEST_SEARCH_S))
     refuse_missing(port)  # before the compiler keeps anybody waiting
     await_free(port)
     return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)

@@ -67,9 +67,11 @@ class Tare:
         try:
             with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
                 values = {key: file[key] for key in (*_KEYS, "remarks")}
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            reason = (error.strerror or str(error)) if isinstance(error, OSError) else str(error)
-            raise InputError(f"{path}: is no saved tare: {reason}") from error
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+        except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            # NumPy's own message advises to load pickled objects, which would run the code of whoever wrote the file.
+            raise InputError(f"{path}: is no saved tare; expected a file that Tare.save() has written") from error
         rest = np.asarray(values["rest_resistance_ohm"], dtype=np.float64)
         if rest.ndim != 2 or not (np.isfinite(rest) & (rest > 0)).all():
             raise InputError(f"{path}: is no saved tare: rest resistances must be positive, (rows, columns)")

@@ -27,6 +27,8 @@ READ_AT_ONCE = 4096
 """bytes read of a host before the board goes on living: a flood of commands cannot hold it up"""
 DEAF_S = 5.0
 """how long a TCP host may leave waiting bytes unread before another one that knocks takes its place"""
+_RESET, _IN_GOOD_ORDER = struct.pack("ii", 1, 0), struct.pack("ii", 0, 0)
+"""whether to linger, and for how many s: how closing a TCP connection ends it (struct linger)"""
 LONGEST_SUBOPTION = 1024
 """bytes of a Telnet suboption; a host that sends a longer one is hung up on"""
 
@@ -234,6 +236,10 @@ class TcpPort(Port):
 
     A second host is hung up on, unless the first one has left bytes unread for :data:`DEAF_S`.
 
+    A host on another machine can tell the regular end of the board from a cable that was pulled and from a program that
+    was killed: only the regular end closes the connection in good order (FIN). Everything else resets it (RST), by a
+    linger time of 0 (SO_LINGER), which the kernel keeps to also when the program is killed.
+
     Raises:
         LinkError: nothing can listen there.
 
@@ -283,6 +289,7 @@ class TcpPort(Port):
         if self._host is None:
             arrived.setblocking(False)
             arrived.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            arrived.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
             self._took_at = time.monotonic()
             self._host = arrived
             self.hosts += 1
@@ -327,15 +334,21 @@ class TcpPort(Port):
         (unacknowledged,) = struct.unpack("i", fcntl.ioctl(self._host, termios.TIOCOUTQ, struct.pack("i", 0)))
         return int(unacknowledged)
 
+    def end(self) -> None:
+        super().end()
+        if self._host is not None:
+            self._host.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _IN_GOOD_ORDER)
+
     def plug_in(self, name: str | None) -> None:
         host, port = self._address
         self._listen(host, port if name is None else _host_and_port(f":{name}")[1])
 
     def _close(self) -> None:
-        self._hang_up()
+        # In this order a host that is hung up on, and knocks again, finds nobody.
         if self._listener is not None:
             self._listener.close()
             self._listener = None
+        self._hang_up()
 
     def _hang_up(self) -> None:
         if self._host is not None:

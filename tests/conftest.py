@@ -8,14 +8,16 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import settings
 
-import ohmskin.driver  # noqa: F401  # offers the loops that are compiled
 from ohmskin import compiled
+from ohmskin.driver import Skin, discover
 
 pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point is older than the source
 
 # A busy machine is no failure, and a failure must come again.
 settings.register_profile("ohmskin", deadline=None, derandomize=True)
 settings.load_profile("ohmskin")
+PATIENCE_S = 60.0
+"""for which the driver waits in tests that do not say for how long: a process may be kept from running for seconds"""
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # A shell starts jobs in the background so, and programs that the tests interrupt would inherit it and never end.
@@ -31,4 +33,13 @@ def _boards_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterato
     compiled.load()
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OHMSKIN_RUNTIME_DIR", str(tmp_path_factory.mktemp("boards")))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _patient_driver() -> Iterator[None]:
+    """The driver's usual three seconds of silence are no verdict on a busy machine."""
+    with pytest.MonkeyPatch.context() as patch:
+        for waiting in (Skin.__init__, Skin.open.__func__, discover):  # type: ignore[attr-defined]
+            patch.setitem(waiting.__kwdefaults__, "timeout", PATIENCE_S)
         yield

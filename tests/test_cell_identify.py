@@ -8,8 +8,6 @@ import cells
 import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL, Unknown, protocol_recording, sense
-from ohmskin.cell._folds import folds
-from ohmskin.cell._graphical import recovery_branches
 from scipy.signal import lfilter
 
 from ohmskin.cell import (
@@ -25,8 +23,10 @@ from ohmskin.cell import (
 )
 from ohmskin.cell import _protocol as protocol
 from ohmskin.cell import _simulate as simulate
+from ohmskin.cell._folds import folds
 from ohmskin.cell._identify import fits
 from ohmskin.cell._inverse import margin
+from ohmskin.cell._recovery_curve import recovery_branches
 from ohmskin.errors import InputError
 
 

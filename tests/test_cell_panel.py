@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from ohmskin.cell._drift import Drift
-from ohmskin.cell._folds import Fold
 
 from ohmskin.bench import panel
 from ohmskin.bench._materials import LOADS, MATERIALS
@@ -27,15 +25,16 @@ from ohmskin.cell import (
     estimate_recording,
 )
 from ohmskin.cell import _training as training
-from ohmskin.cell._calibrate import _judge, _seen
+from ohmskin.cell._calibrate import _breaks, _judge, _seen
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell._choice import Evidence, choose
 from ohmskin.cell._features import Bank
+from ohmskin.cell._fitted import Drift
+from ohmskin.cell._folds import Fold
 from ohmskin.cell._identify import fits
 from ohmskin.cell._judged import MOVING, Judged, Regimes, best_share, mixed, standard_errors_better
 from ohmskin.cell._learned import DRIFT, Learned
 from ohmskin.cell._remarks import believed, remarks
-from ohmskin.cell._teaching import chains_break
 from ohmskin.errors import InputError
 
 
@@ -207,7 +206,7 @@ def test_paths_are_learned_from_where_chains_that_break_explain_the_recording() 
     whole, m10 = (next(fit for fit in fitted.fits if fit.label == label) for label in ("m10, k = 0", "m10"))
     for error, expected in ((0.4, True), (0.6, False)):
         found = (whole, replace(m10, error=error * whole.error))
-        assert chains_break(found) == expected
+        assert _breaks(found) == expected
 
 
 @settings(deadline=None, max_examples=30)

@@ -201,7 +201,7 @@ def test_a_port_that_sends_something_else_is_described() -> None:
 
         thread = threading.Thread(target=chatter)
         thread.start()
-        (finding,) = examine_traffic(port.name, listen_s=0.2)
+        (finding,) = examine_traffic(port.name, listen_s=1.0)
         stop.set()
         thread.join()
     assert finding.state is State.PROBLEM

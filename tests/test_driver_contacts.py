@@ -209,6 +209,15 @@ def test_noise_makes_no_contacts_and_a_weak_press_does_not_flicker() -> None:
     assert started == [()]  # too weak to begin with
 
 
+@pytest.mark.parametrize("cells", [(slice(7, 8), slice(3, 6)), (slice(2, 5), slice(9, 10)), (slice(0, 1), slice(0, 1))])
+def test_cells_of_one_line_are_no_contact_for_a_single_frame(cells: tuple[slice, slice]) -> None:
+    """An impulse of a motor disturbs readings that are converted one after another, and none in the next frame."""
+    press, nothing = np.zeros((16, 16)), np.zeros((16, 16))
+    press[cells] = 8.0
+    assert not any(track([nothing, press, nothing, nothing, press, nothing]))
+    assert [len(contacts) for contacts in track([nothing, press, press, press, nothing])] == [0, 0, 1, 1, 0]
+
+
 @pytest.mark.parametrize("share", [watershed.PART_SHARE, watershed.STAY_SHARE])
 def test_a_cell_between_two_fingers_does_not_part_and_join_them_in_turns(share: float) -> None:
     """The valley between the fingers goes up and down by a twentieth about one of the depths that part them."""
@@ -218,7 +227,8 @@ def test_a_cell_between_two_fingers_does_not_part_and_join_them_in_turns(share: 
         pressure[2, [1, 2, 4, 5]] = 10.0
         pressure[2, 3] = (1 - share) * 10.0 * (1.05 if k % 2 else 0.95)
         frames.append(pressure)
-    counts = [len(contacts) for contacts in track(frames)]
+    counts = [len(contacts) for contacts in track(frames)[1:]]
+    assert min(counts) >= 1
     assert np.count_nonzero(np.diff(counts)) <= 1
 
 
@@ -231,7 +241,7 @@ def test_a_cell_at_the_rim_does_not_come_and_go_in_turns(share: float) -> None:
         pressure[2, [1, 2]] = 10.0
         pressure[2, 3] = share * FULL_KPA * (1.1 if k % 2 else 0.9)
         frames.append(pressure)
-    counts = [len(contact.cells) for (contact,) in track(frames)]
+    counts = [len(contact.cells) for (contact,) in track(frames)[1:]]
     assert np.count_nonzero(np.diff(counts)) <= 1
 
 
@@ -286,8 +296,9 @@ def test_one_press_is_never_parted_by_noise(
 def test_cells_without_a_pressure_or_with_no_idea_of_it_are_untouched() -> None:
     pressure, std = np.full((4, 4), 10.0), np.zeros((4, 4))
     pressure[:, 1], std[:, 2] = np.nan, np.inf
-    contacts = tracker((4, 4)).update(0.0, pressure, std)
-    assert sorted(len(contact.cells) for contact in contacts) == [4, 4]
+    one = tracker((4, 4))
+    assert one.update(0.0, pressure, std) == ()  # each is within one column, and may be a disturbance
+    assert sorted(len(contact.cells) for contact in one.update(0.01, pressure, std)) == [4, 4]
     assert tracker((4, 4)).update(0.0, np.full((4, 4), np.nan), std) == ()
 
 

@@ -13,6 +13,7 @@ import os
 import pickle
 import re
 import socket
+import struct
 import threading
 import weakref
 from collections.abc import AsyncIterator
@@ -27,7 +28,7 @@ from boards import EXAMPLES, Script, Wire, described, frame, gone, identity, los
 from ohmskin.driver import Arrival, Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
 from ohmskin.driver._mailbox import Mailbox
-from ohmskin.driver._port import DescriptorPort
+from ohmskin.driver._port import DescriptorPort, OrderlyClose
 from ohmskin.driver._statistics import Counters
 from ohmskin.driver._stream import FrameStream
 from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
@@ -373,8 +374,9 @@ class TestReaders:
 
     def test_a_reader_that_stopped_is_named_to_the_one_that_waits_for_it(self) -> None:
         port = described(*(frame(k) for k in range(30)))
-        with Skin(port, delivery="lossless", queue=10, timeout=0.2) as skin:
+        with Skin(port, delivery="lossless", queue=10) as skin:
             next(skin)  # from now on frames are kept for this place
+            skin._timeout = 0.2
             with pytest.raises(LinkTimeout, match="queue is full of frames for another reader of this skin"):
                 list(skin.frames())
 
@@ -547,6 +549,32 @@ class TestPorts:
             port = SocketPort("socket://{}:{}".format(*server.getsockname()))
             assert port._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 3000
             port.close()
+
+    @pytest.mark.parametrize("how", ["read", "write"])
+    @pytest.mark.parametrize("orderly", [False, True])
+    def test_how_a_connection_ended_is_told_again_and_again(self, how: str, orderly: bool) -> None:
+        """The kernel tells of a reset once, to whoever reads or writes first, and then of an end in good order."""
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            port = SocketPort("socket://{}:{}".format(*server.getsockname()))
+            board, _ = server.accept()
+            board.sendall(b"last words")
+            linger = struct.pack("ii", not orderly, 0)
+            board.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+            board.close()
+            assert port.wait(60.0)
+            if how == "write":
+                with contextlib.suppress(LinkError):
+                    for _ in range(100):  # the first one may be on its way when the answer comes
+                        port.write(b"who are you?")
+            heard, errors = b"", list[LinkError]()
+            while len(errors) < 3:
+                try:
+                    heard += port.read().data
+                except LinkError as error:
+                    errors.append(error)
+            port.close()
+        assert heard == b"last words"
+        assert {isinstance(error, OrderlyClose) for error in errors} == {orderly}
 
     def test_too_many_open_files_are_one_message_and_leave_nothing_open(self, monkeypatch: pytest.MonkeyPatch) -> None:
         def fail() -> None:

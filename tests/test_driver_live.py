@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import gc
 import itertools
 import os
 import pty
@@ -28,10 +29,12 @@ from ohmskin.circuits import Design
 from ohmskin.config import parse
 from ohmskin.driver import Arrival, BytePort, Delivery, Frame, Skin, discover
 from ohmskin.driver._convert import Converter, Measurement
+from ohmskin.driver._discover import FoundBoard, find_board
 from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._port import DescriptorPort, UrlPort
 from ohmskin.driver._reader import Reader
 from ohmskin.driver._reading import Reading
+from ohmskin.driver._reconnect import attempts
 from ohmskin.driver._stream import RawFrame
 from ohmskin.emulator import Board, PtyPort, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
@@ -152,9 +155,9 @@ class TestDelivery:
         port = described()
 
         async def follow(skin: Skin) -> list[Frame]:
-            frames = []
+            frames, following = [], aiter(skin)  # from now on
             threading.Timer(0.05, lambda: port.say(*(frame(k) for k in range(20)))).start()
-            async for one in skin:
+            async for one in following:
                 frames.append(one)
                 if one.sequence == 19:
                     threading.Timer(0.05, skin.close).start()
@@ -163,25 +166,31 @@ class TestDelivery:
         with Skin(port, delivery="every") as skin:
             assert sequences(asyncio.run(follow(skin))) == list(range(20))
 
-    def test_async_iteration_lets_other_tasks_run_and_times_out(self) -> None:
-        async def both(skin: Skin) -> int:
-            ticks = 0
-
+    def test_async_iteration_lets_other_tasks_run(self) -> None:
+        async def both(skin: Skin) -> int | None:
             async def tick() -> None:
-                nonlocal ticks
-                while True:
-                    ticks += 1
+                for _ in range(10):
                     await asyncio.sleep(0.01)
+                port.say(frame(0))
 
             ticking = asyncio.create_task(tick())
-            with pytest.raises(LinkTimeout, match=r"no frame within 0\.3 s"):
-                async for _ in skin:
-                    pass
-            ticking.cancel()
-            return ticks
+            following = aiter(skin)
+            one = await anext(following)
+            await ticking
+            return one.sequence
 
-        with Skin(described(), timeout=0.3) as skin:
-            assert asyncio.run(both(skin)) > 5
+        port = described()
+        with Skin(port) as skin:
+            assert asyncio.run(both(skin)) == 0
+
+    def test_async_iteration_times_out(self) -> None:
+        async def follow(skin: Skin) -> list[Frame]:
+            return [one async for one in skin]
+
+        with Skin(described()) as skin:
+            skin._timeout = 0.3
+            with pytest.raises(LinkTimeout, match=r"no frame within 0\.3 s"):
+                asyncio.run(follow(skin))
 
     def test_a_callback_that_fails_ends_alone(self, monkeypatch: pytest.MonkeyPatch) -> None:
         failures: list[threading.ExceptHookArgs] = []
@@ -201,14 +210,14 @@ class TestFreshness:
     def test_a_stale_frame_is_refused(self) -> None:
         port = described(frame(0))
         with Skin(port) as skin:
-            assert skin.latest(5.0, timeout=5.0).sequence == 0
-            time.sleep(0.2)
-            with pytest.raises(LinkTimeout, match=r"no frame younger than 0\.1 s: the newest frame is 0\.\d+ s old"):
+            assert skin.latest(60.0, timeout=60.0).sequence == 0
+            port.later_s = 100.0
+            with pytest.raises(LinkTimeout, match=r"no frame younger than 0\.1 s: the newest frame is 1\d\d s old"):
                 skin.latest(0.1)
-            again = skin.latest(60.0)
+            again = skin.latest(300.0)
             assert (again.sequence, again.repeated) == (0, True)
-            assert again.age > 0.2
-            assert skin.latest(60.0) is again
+            assert again.age > 100.0
+            assert skin.latest(300.0) is again
 
     @pytest.mark.parametrize("deaf", [False, True], ids=["thread reads", "thread never runs"])
     @pytest.mark.parametrize("how", ["latest", "read", "iteration", "frames", "async"])
@@ -266,26 +275,26 @@ class TestFreshness:
             slow = skin._converter.measure
 
             def measure(raw: RawFrame, mailbox: Mailbox) -> Measurement | None:
-                time.sleep(0.3)
+                port.later_s = 100.0
                 return slow(raw, mailbox)
 
             skin._converter.measure = measure  # type: ignore[method-assign]
             port.say(frame(3))
-            with pytest.raises(LinkTimeout, match=r"the newest frame is 0\.\d+ s old"):
-                skin.latest(0.25)
+            with pytest.raises(LinkTimeout, match=r"the newest frame is 1\d\d s old"):
+                skin.latest(60.0)
             assert len(skin._counters.ages_s) == 1, "a frame that nobody got has no age at which it was taken"
             skin._converter.measure = slow  # type: ignore[method-assign]
-            port.say(frame(4))
+            port.say(frame(100_000))
             after = skin.latest(60.0)
-        assert (after.sequence, after.lost_before, after.skipped_before) == (4, 2, 1)
+        assert (after.sequence, after.lost_before, after.skipped_before) == (100_000, 99_998, 1)
 
     def test_the_wait_for_a_young_frame_ends_with_it(self) -> None:
         port = described(frame(0))
         with Skin(port) as skin:
             next(skin)
-            time.sleep(0.6)
-            threading.Timer(0.2, lambda: port.say(frame(60_000))).start()
-            assert skin.latest(0.5, timeout=20.0).sequence == 60_000
+            port.later_s = 100.0
+            threading.Timer(0.2, lambda: port.say(frame(100_000))).start()
+            assert skin.latest(60.0, timeout=60.0).sequence == 100_000
 
     def test_before_the_first_frame_there_is_none(self) -> None:
         with Skin(described()) as skin, pytest.raises(LinkTimeout, match="none came"):
@@ -340,7 +349,7 @@ class TestEnds:
             threading.Timer(0.1, skin.close).start()
             began = time.monotonic()
             assert list(skin) == []
-            assert time.monotonic() - began < 2.5
+            assert time.monotonic() - began < 30  # and not when the wait for a frame is over
             assert next(skin, None) is None
             assert list(skin.frames()) == []
             for ask in (skin.read, lambda: skin.latest(60.0), lambda: skin.tare(1)):
@@ -639,22 +648,36 @@ class TestReconnection:
 
     def test_a_board_that_stays_away_is_an_error_after_the_time_given(self) -> None:
         bench = Bench()
-        with Skin(described(frame(0), last=gone), reopen=bench.reopen, reconnect=0.5, timeout=30.0) as skin:
+        with Skin(described(frame(0), last=gone), reopen=bench.reopen, reconnect=0.5) as skin:
             next(skin)
-            with pytest.raises(LinkTimeout, match="trying to open the port again"):
-                skin.latest(0.001)
             began = time.monotonic()
             with pytest.raises(LinkError, match=r"gone; it has not come back within 0\.5 s"):
                 next(skin)
-            assert time.monotonic() - began < 20
-        assert 2 <= bench.tries <= 5  # back-off: 0.1, 0.2, ... s
+            assert time.monotonic() - began < 50
+        assert 1 <= bench.tries <= 5
+
+    def test_attempts_are_made_at_growing_distances_until_the_time_is_over(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        now_s = 50.0
+
+        def wait(seconds: float) -> bool:
+            nonlocal now_s
+            now_s += seconds
+            return False
+
+        monkeypatch.setattr("ohmskin.driver._reconnect.time.monotonic", lambda: now_s)
+        np.testing.assert_allclose(list(attempts(4.0, wait)), [0.1, 0.3, 0.7, 1.5, 2.5, 3.5, 4.0])
+        assert list(attempts(1000.0, lambda seconds: True)) == []
 
     def test_a_skin_can_be_closed_while_the_board_is_away(self) -> None:
         with Skin(described(frame(0), last=gone), reopen=Bench().reopen, reconnect=1000.0) as skin:
             next(skin)
             until(lambda: skin._mailbox.away is not None)
+            with pytest.raises(LinkTimeout, match="trying to open the port again"):
+                skin.latest(0.001)
             began = time.monotonic()
-        assert time.monotonic() - began < 5
+        assert time.monotonic() - began < 60
 
     def test_after_a_long_gap_the_estimator_starts_anew_and_the_frame_says_so(self) -> None:
         port = described(frame(0), frame(1))
@@ -669,10 +692,10 @@ class TestReconnection:
 
     def test_a_killed_emulator_that_starts_again_is_found_again(self, tmp_path: Path) -> None:
         link = tmp_path / "skin"
-        with running(scene(board={"frame_rate": 500.0}), PtyPort(link)):
-            skin = Skin.open(str(link), reconnect=60.0, timeout=30.0)
+        with running(scene(board={"frame_rate": 100.0}), PtyPort(link)):
+            skin = Skin.open(str(link), reconnect=60.0)
             assert next(skin).sequence is not None
-        with skin, running(scene(board={"frame_rate": 500.0}), PtyPort(link)):
+        with skin, running(scene(board={"frame_rate": 100.0}), PtyPort(link)):
             back = next(frame for frame in skin if frame.reconnected)
             assert back.rebooted
             assert next(skin).lost_before == 0
@@ -811,25 +834,64 @@ class TestPorts:
 class TestBoards:
     def test_boards_are_listed_by_serial_number_and_opened_by_it(self, monkeypatch: pytest.MonkeyPatch) -> None:
         ports = [PtyPort() for _ in range(2)]
-        silent = PtyPort()
+        silent = PtyPort(listed=False)
         names = [port.name for port in ports]
-        monkeypatch.setattr("ohmskin.driver._discover.serial_ports", lambda: [*names, silent.name, "/dev/nowhere"])
+        monkeypatch.setattr("ohmskin.driver._discover.serial_ports", lambda: [*names, "/dev/nowhere"])
         with (
             running(scene(board={"serial_number": "right"}), ports[0]),
             running(scene(board={"serial_number": "left"}), ports[1]),
             silent,
         ):
-            found = discover()
+            assert discover([silent.name], timeout=0.2) == []
+            found = discover([*names, "/dev/nowhere"])
             assert [(board.serial_number, board.port) for board in found] == [("left", names[1]), ("right", names[0])]
             assert (found[0].rows, found[0].columns) == (3, 2)
             with Skin.open(serial_number="left") as left, Skin.open(serial_number="right") as right:
                 assert (left.serial_number, right.serial_number) == ("left", "right")
                 assert next(left).sequence is not None
                 assert next(right).sequence is not None
-            with pytest.raises(LinkError, match="no board with serial number middle; boards present: left at "):
+            with pytest.raises(
+                LinkError, match="no board with serial number middle at a port that is free; boards present: left at "
+            ):
                 Skin.open(serial_number="middle")
             with pytest.raises(LinkError, match="board left is there; expected right"):
                 Skin.open(names[1], serial_number="right")
+
+    def test_a_board_that_starts_anew_whenever_its_port_is_opened_is_waited_for(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """As boards of the Arduino family do, for longer than a silent port is asked."""
+        waits: list[float] = []
+
+        def answers(ports: object, *, board: object, timeout: float) -> list[FoundBoard]:
+            waits.append(timeout)
+            return [FoundBoard("/dev/x", "slow", "", 3, 2, None)] if timeout > 2.0 else []
+
+        monkeypatch.setattr("ohmskin.driver._discover.discover", answers)
+        assert find_board("slow", timeout=3.0) == "/dev/x"
+        assert waits == [1.5, 3.0]
+        with pytest.raises(LinkError, match="no board with serial number slow"):
+            find_board("slow", timeout=1.0)
+
+    def test_taking_frames_leaves_nothing_to_the_garbage_collector(self) -> None:
+        """So it never runs because of the driver, however long a program does (docs/driver.md)."""
+        port, numbers = described(), itertools.count()
+        with lossless(port) as skin:
+
+            def take(count: int) -> None:
+                port.say(*(frame(next(numbers), level=2000 + k % 7) for k in range(count)))
+                for one in islice(skin, count):
+                    assert one.pressure_std.shape == (3, 2)
+                    assert one.contacts is not None
+
+            take(100)  # what is made once
+            gc.collect()
+            gc.disable()
+            try:
+                take(100)
+                assert gc.collect() == 0
+            finally:
+                gc.enable()
 
     def test_of_two_boards_with_one_serial_number_neither_is_guessed(self, monkeypatch: pytest.MonkeyPatch) -> None:
         ports = [PtyPort() for _ in range(2)]
@@ -880,15 +942,15 @@ class TestBoards:
         over = threading.Event()
 
         def slow(converter: Converter) -> None:
-            over.wait(2.0)
+            over.wait(4.0 if compiling else 60.0)
             try_out(converter)
 
         monkeypatch.setattr(Converter, "try_out", slow)
         monkeypatch.setattr("ohmskin.driver._opening.is_compiling", lambda: compiling)
         with contextlib.ExitStack() as life:
             if not compiling:
-                life.enter_context(pytest.raises(ProtocolError, match=r"was not set up within 0\.7 s"))
-            Skin(described(), timeout=0.7).close()
+                life.enter_context(pytest.raises(ProtocolError, match="was not set up within 2 s"))
+            Skin(described(), timeout=2.0).close()
         over.set()
 
     def test_a_board_without_a_known_readout_asks_for_it(self) -> None:
@@ -951,8 +1013,8 @@ class TestDescriptions:
     def test_absurd_values_are_protocol_errors(self, changes: dict[str, object]) -> None:
         began = time.monotonic()
         with pytest.raises(ProtocolError, match="script: the board describes"):
-            Skin(Script(identity(), absurd(**changes), frame(0)), timeout=60.0)
-        assert time.monotonic() - began < 50
+            Skin(Script(identity(), absurd(**changes), frame(0)), timeout=100.0)
+        assert time.monotonic() - began < 90
 
     @pytest.mark.parametrize("error", [IndexError, ZeroDivisionError, OverflowError, ValueError, MemoryError])
     def test_what_nothing_can_be_computed_from_is_a_protocol_error(
@@ -975,9 +1037,9 @@ class TestDescriptions:
         port = described(frame(0))
         began = time.monotonic()
         try:
-            with pytest.raises(ProtocolError, match=r"was not set up within 0\.5 s"):
-                Skin(port, timeout=0.5)
-            assert time.monotonic() - began < 20
+            with pytest.raises(ProtocolError, match="was not set up within 2 s"):
+                Skin(port, timeout=2.0)
+            assert time.monotonic() - began < 50
             assert port.closed
         finally:
             released.set()

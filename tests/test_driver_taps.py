@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +16,7 @@ from ohmskin.bench import _taps as bench
 from ohmskin.bench._driver import design
 from ohmskin.cell import Cell, ContactModel
 from ohmskin.cell._taps import SHARED
+from ohmskin.cli import run
 from ohmskin.driver import ContactTracker
 
 EXAMPLE = Cell.example()
@@ -188,6 +190,9 @@ def test_the_bench_finds_taps_and_counts_false_alarms() -> None:
     first_s, beside = bench.match(taps, seen, pitch_mm, 0.01)
     assert max(first - tap.start_s for tap, first in zip(taps, first_s, strict=True)) <= 0.02
     assert beside == 0
+    force_share, off_cells = bench.accuracy(taps, seen, SHAPE, pitch_mm)
+    assert 0.9 < force_share < 1.05
+    assert off_cells < 0.1
     elsewhere = [bench.Tap(tap.start_s, tap.duration_s, 7.0 - tap.row, tap.column + 9.0, 0.6, 5.0) for tap in taps]
     assert not np.isfinite(bench.match(elsewhere, seen, pitch_mm, 0.01)[0]).any()
     contacts = {c.id for _, found in seen for c in found}
@@ -196,3 +201,15 @@ def test_the_bench_finds_taps_and_counts_false_alarms() -> None:
     false = bench.false_alarms([("cell", 0.0)], seen)
     assert sum(false.values()) == len(contacts)
     assert false["cell"] == len(contacts)
+
+
+def test_the_command_prints_what_was_found(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """A board of 4 x 4 cells; the rows as text and as JSON."""
+    measure = bench.taps_and_faults
+    monkeypatch.setattr(bench, "CASES", bench.CASES[:1])
+    monkeypatch.setattr(bench, "taps_and_faults", lambda sizes: measure(sizes, [100.0], number=12))
+    assert run(["bench", "--contacts", "--size", "4"]) == 0
+    assert "4 x 4" in capsys.readouterr().out
+    assert run(["bench", "--contacts", "--size", "4", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert (row["size"], row["faults"]) == (4, {"cell": 6, "line": 3, "impulse": 3})

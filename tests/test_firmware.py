@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from boards import MemoryPort, lossless
+from boards import MemoryPort, lossless, until
 from needs import need
 
 from ohmskin.cell import Cell
@@ -201,11 +201,11 @@ def test_too_short_a_dwell_shows_as_the_error_that_settling_predicts() -> None:
 def test_the_driver_reads_pressures_off_the_program() -> None:
     press = {"cells": [[2, 1]], "load_kpa": [[0.0, 0.0], [0.3, 0.0], [0.4, 12.0]]}
     truth: list[Sample] = []
-    with (
-        FirmwareBoard(scene(contact=[press]), record=truth.append) as board,
-        lossless(FirmwareWire(board)) as skin,
-    ):
-        frames = [next(skin) for _ in range(45)]
+    with FirmwareBoard(scene(contact=[press]), record=truth.append) as board:
+        wire = FirmwareWire(board)
+        with lossless(wire) as skin:
+            frames = [next(skin) for _ in range(45)]
+        until(lambda: wire.closed)  # by its reader, which may wait for the emulated processor
     by_number = {sample.sequence: sample.pressure_kpa for sample in truth}
     applied = np.array([by_number[frame.sequence] for frame in frames])
     estimated = np.array([frame.pressure for frame in frames])
@@ -304,6 +304,19 @@ def test_faults_of_the_line_are_counted_and_survived(tmp_path: Path) -> None:
     assert 4 <= sum(frame.lost_before or 0 for frame in frames) <= 8
     for frame in frames:
         np.testing.assert_array_equal(frame.counts, codes[place[frame.sequence]])
+
+
+def test_a_stall_ends_though_more_waits_than_the_converter_holds(tmp_path: Path) -> None:
+    """At the fast clock, where board time otherwise stands still until the host has read."""
+    stalled = scene(link_fault=[{"kind": "stall", "at_s": 0.5, "duration_s": 2.0}])
+    with (
+        PtyPort() as port,
+        running_firmware(stalled, port, clock="fast", duration_s=3.0),
+        Skin.open(port.name, delivery="lossless") as skin,
+    ):
+        frames = list(skin)
+    assert frames[-1].device_time > 2.5
+    assert sum(frame.lost_before for frame in frames) > 0
 
 
 @pytest.mark.parametrize("loss", [0.0, 0.3])

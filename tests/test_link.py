@@ -15,10 +15,11 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from boards import DESIGN, scene
+from boards import DESIGN, scene, until
 
 from ohmskin.circuits import Design, adc_codes
 from ohmskin.cli import run
@@ -82,7 +83,7 @@ def test_the_frames_are_the_truth_and_the_estimate_is_near_it(scene_file: Path, 
     where = ["--link", tmp_path / "skin"] if end == "pty" else ["--tcp", ":0"]
     with command(scene_file, *where, "--clock", "fast", "--duration", "10", "--truth", truth) as (process, port):
         frames = collect(port)
-        assert process.wait(10) == 0
+        assert process.wait(60) == 0
     assert not (tmp_path / "skin").is_symlink()
 
     design = Scene.load(scene_file).skin.design
@@ -142,10 +143,14 @@ def test_what_a_host_that_does_not_read_loses_is_counted(tmp_path: Path) -> None
     big = scene(skin={"design": DESIGN | {"array": {"rows": 16, "columns": 16}}}, board={"frame_rate": 200.0})
     with running(big, port, truth=truth), Skin.open(port.name, delivery="lossless", queue=1) as skin:
         first = next(skin)
-        time.sleep(1.0)
-        frames = [next(skin) for _ in range(120)]
-    assert sum(frame.lost_before for frame in frames) > 50
-    assert sum(frame.lost_before for frame in frames) + 120 == frames[-1].sequence - first.sequence
+        frames, lost = [], 0
+        while lost <= 50:
+            time.sleep(0.02)
+            frames.append(next(skin))
+            lost += frames[-1].lost_before
+        frames += [next(skin) for _ in range(30)]
+    lost = sum(frame.lost_before for frame in frames)
+    assert lost + len(frames) == frames[-1].sequence - first.sequence
     assert any(frame.overrun for frame in frames)
     with np.load(truth) as arrays:
         np.testing.assert_array_equal(arrays["sequence"], np.arange(len(arrays["sequence"])))
@@ -155,10 +160,11 @@ def test_what_a_host_that_does_not_read_loses_is_counted(tmp_path: Path) -> None
 def test_a_slow_host_gets_the_frame_of_now_and_nothing_is_lost(end: str) -> None:
     """The thread drains the port meanwhile: what the host was too slow for is skipped, not lost, and not late."""
     port = PtyPort() if end == "pty" else TcpPort.at(":0")
-    with running(scene(board={"frame_rate": 500.0}), port), Skin.open(port.name) as skin:
+    with running(scene(board={"frame_rate": 200.0}), port), Skin.open(port.name) as skin:
         frames = [next(skin)]
         for _ in range(4):
-            time.sleep(0.25)
+            enough = skin.stats().frames + 30
+            until(lambda enough=enough: skin.stats().frames > enough)  # type: ignore[misc]
             frames.append(next(skin))
     for before, after in itertools.pairwise(frames):
         assert after.sequence - before.sequence == 1 + after.skipped_before
@@ -217,7 +223,7 @@ def test_a_signal_ends_the_run_with_the_truth_written(
         with Skin.open(port) as skin:
             seen = [next(skin).sequence for _ in range(10)]
         process.send_signal(number)
-        assert process.wait(10) == code
+        assert process.wait(60) == code
         _, errors = process.communicate()
     assert errors == ""
     assert np.load(truth)["sequence"][seen[-1]] == seen[-1]
@@ -234,7 +240,7 @@ def test_a_board_killed_in_mid_stream_is_missed_at_once(scene_file: Path, tmp_pa
         began = time.monotonic()
         with pytest.raises(LinkError, match="the board has gone away"):
             list(skin)
-    assert time.monotonic() - began < 5
+    assert time.monotonic() - began < 25  # and not when the wait for a frame is over
 
 
 def test_a_stale_link_is_replaced_and_a_file_is_not(tmp_path: Path) -> None:
@@ -273,9 +279,9 @@ def test_a_port_that_sends_noise_is_named_within_the_timeout() -> None:
     noise = np.random.default_rng(2).bytes(400)
     with (
         chatter(noise) as name,
-        pytest.raises(ProtocolError, match=f"{name}: no description within 0.5 s: .* bytes came"),
+        pytest.raises(ProtocolError, match=f"{name}: no description within 2 s: .* bytes came"),
     ):
-        Skin.open(name, timeout=0.5)
+        Skin.open(name, timeout=2.0)
 
 
 def test_a_silent_port_is_a_timeout() -> None:
@@ -304,13 +310,42 @@ def test_a_port_that_cannot_be_opened_says_why(port: str, message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_a_port_that_is_not_there_is_named_before_anything_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"port": "/dev/nothing-here"}, "no such port"),
+        ({"port": "ohmskin://nowhere.toml?clock=fast"}, "no such scene"),
+        ({"port": "/dev/nothing-here", "design": "no-such.toml"}, "no-such.toml: cannot be read"),
+        ({"cell": "no-such.toml"}, "no-such.toml: cannot be read"),
+        ({"calibration": "no-such.toml"}, "no-such.toml: cannot be read"),
+        ({"record": "nowhere/press.mcap"}, "nowhere/press.mcap: cannot be written: No such file or directory"),
+        ({"record": "."}, "cannot be written: Is a directory"),
+        ({"record": __file__}, "is there already"),
+        ({"estimator": "kalman"}, "no estimator 'kalman'; expected one of static, "),
+        ({"accuracy": 1.5}, "accuracy is 1.5; expected"),
+        ({"board": "teletype"}, "teletype"),
+        ({"baudrate": 0}, "baudrate is 0 bit/s"),
+        ({"timeout": -1.0}, "timeout is -1.0 s"),
+        ({"delivery": "some"}, "delivery 'some'"),
+        ({"queue": 0}, "a queue of 0 frames"),
+    ],
+)
+def test_what_is_wrong_with_an_opening_is_told_before_anything_is_compiled(
+    options: dict[str, Any], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A compiler that takes ten seconds must not keep whoever mistyped a name waiting."""
     asked: list[object] = []
     monkeypatch.setattr("ohmskin.compiled.load", lambda *loops: asked.append(loops))
-    with pytest.raises(LinkError, match="no such port"):
-        Skin.open("/dev/nothing-here")
+    with PtyPort() as port, pytest.raises((LinkError, InputError), match=re.escape(message)) as caught:
+        Skin.open(**{"port": port.name, **options})
+    assert "\n" not in str(caught.value)
     assert not asked
+
+
+def test_looking_whether_a_recording_can_begin_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(LinkError, match="no such port"):
+        Skin.open("/dev/nothing-here", record=tmp_path / "press.mcap")
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(
@@ -321,8 +356,9 @@ def test_a_port_that_is_not_there_is_named_before_anything_is_compiled(monkeypat
         (0o000, "and its mode ---------- keeps this user out; `ohmskin doctor "),
     ],
 )
+@pytest.mark.parametrize("at_a_glance", [False, True])
 def test_a_port_without_permission_names_the_group(
-    mode: int, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    mode: int, reason: str, at_a_glance: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The operating system's refusal itself: the superuser, who may run this, would not get it."""
     device = tmp_path / "tty"
@@ -334,6 +370,8 @@ def test_a_port_without_permission_names_the_group(
     def refuse(*_: object) -> int:
         raise PermissionError(errno.EACCES, "Permission denied")
 
+    if at_a_glance:
+        monkeypatch.setattr("ohmskin.driver._port.os.access", lambda *_: False)
     monkeypatch.setattr("serial.serialposix.os.open", refuse)
     with pytest.raises(LinkError, match="permission denied; the port belongs to group .*" + re.escape(reason)):
         Skin.open(str(device))
@@ -396,9 +434,9 @@ def test_a_pty_knows_whether_the_host_has_read_everything() -> None:
         host = os.open(port.name, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             for size in [1, 64, 1000, 4000] * 50:
-                assert port.write(bytes(size)) == size
-                assert 0 < port.unread() <= size  # the kernel may have moved a part of them on
-                left = size
+                left = port.write(bytes(size))  # of which the kernel may have room for a part only
+                assert 0 < left <= size
+                assert 0 < port.unread() <= left  # the kernel may have moved a part of them on
                 while left:
                     left -= len(os.read(host, left))
                 assert port.unread() == 0

@@ -23,7 +23,7 @@ from ohmskin.emulator import _ports as ports
 from ohmskin.wire import Command, Corrupt, Event, FramePacket, Identity, Order, encode, host_protocol
 
 
-def read_until(line: serial.SerialBase | socket.socket, wanted: type, count: int = 1, timeout_s: float = 20.0) -> list:  # type: ignore[type-arg]
+def read_until(line: serial.SerialBase | socket.socket, wanted: type, count: int = 1, timeout_s: float = 60.0) -> list:  # type: ignore[type-arg]
     """Events of one kind from a serial port or a socket."""
     host, found, deadline = host_protocol("ohmskin"), [], time.monotonic() + timeout_s
     while len(found) < count:
@@ -201,17 +201,18 @@ def test_a_flood_over_tcp_leaves_board_time_right() -> None:
     flood = encode(Command(Order.DESCRIBE)) * 500
     with running(scene(), port), connect(port) as host:
         host.setblocking(False)
-        began, sent = time.monotonic(), 0
-        while time.monotonic() < began + 1.5:
+        sent, passed, before = 0, 0.0, time.monotonic()
+        while passed < 1.5 or sent < 100_000:
             try:
                 sent += host.send(flood)
             except BlockingIOError:
                 time.sleep(0.001)
-        passed = time.monotonic() - began
+            now = time.monotonic()
+            # A board that is kept from running for long lets its time go.
+            passed, before = passed + min(now - before, 0.1), now
         host.close()
         with connect(port) as after:
             frame = read_until(after, FramePacket)[0]
-    assert sent > 100_000
     assert frame.time_us / 1e6 > 0.5 * passed  # the board lived on meanwhile, however slow this machine is
 
 
@@ -246,7 +247,7 @@ def test_a_soak_that_finds_something_says_so(scene_file: Path) -> None:
 
 def test_unplugging_hangs_up_on_the_host_and_plugging_in_serves_it_again() -> None:
     what = scene(
-        link_fault=[{"kind": "unplug", "at_s": 2.0, "duration_s": 0.3}],
+        link_fault=[{"kind": "unplug", "at_s": 4.0, "duration_s": 0.3}],
         board={"frame_rate": 100.0, "serial_number": "U7"},
     )
     port = TcpPort.at(":0")
@@ -254,9 +255,10 @@ def test_unplugging_hangs_up_on_the_host_and_plugging_in_serves_it_again() -> No
         with connect(port) as first:
             first.sendall(host_protocol("ohmskin").request(Order.IDENTIFY))
             boot = read_until(first, Identity)[0].boot_id
-            while first.recv(4096):
-                pass
-        deadline = time.monotonic() + 20
+            with suppress(ConnectionResetError):
+                while first.recv(4096):
+                    pass
+        deadline = time.monotonic() + 60
         while True:
             assert time.monotonic() < deadline
             try:

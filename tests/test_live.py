@@ -163,6 +163,20 @@ def test_what_a_frame_did_not_settle_the_next_ones_do() -> None:
         assert (relative_error(reading.resistance, frame) <= 1.5 * reading.uncertainty).all()
 
 
+@pytest.mark.parametrize("bits", [6, 12])
+def test_outputs_that_come_back_from_a_limit_are_read_where_the_next_frame_confirms_them(bits: int) -> None:
+    """All cells at once, to half of the range: after one frame nobody can say whether noise has begun."""
+    design = board("inverting-amplifier", 3, 3, bits).replace(adc={"range": (-0.1, 3.3)})
+    pressed_hard, released = np.full((3, 3), 10.0), np.full((3, 3), 600.0)
+    read = CountReader(design)
+    for cells in (*[released] * 6, *[pressed_hard] * 6):
+        reading = read(adc_codes(design, scan(design, cells).volts))
+    assert (reading.reason == Reason.SATURATED).all()
+    counts = adc_codes(design, scan(design, released).volts)
+    assert (read(counts).reason == Reason.SATURATED).all()
+    assert read(counts).valid.all()
+
+
 def test_a_design_without_a_converter_is_refused() -> None:
     with pytest.raises(InputError, match=r"no \[adc\] section"):
         live_recovery(board("inverting-amplifier", 2, 2, 12).replace(adc=None))

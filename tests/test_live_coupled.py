@@ -75,6 +75,20 @@ def test_derivatives_are_those_of_the_adjoint_method(kind: str, segment: float) 
     np.testing.assert_allclose(found, exact.reshape(20, 20), rtol=2e-3, atol=1e-4 * np.abs(exact).max())
 
 
+@pytest.mark.parametrize("column_lead", [0.0, 50.0, 1e3])
+@pytest.mark.parametrize("kind", BY_COLUMN)
+def test_slopes_by_a_column_s_sum_are_exact_over_ideal_rows(kind: str, column_lead: float) -> None:
+    """Against the adjoint method: what a column's other cells do to a reading, by way of the column's lead as well."""
+    design = board(kind, 5, 2, row_lead=0.0, column_lead=column_lead)
+    cells = 10 ** np.random.default_rng(1).uniform(2.5, 3.5, (5, 2))
+    slopes = design.board.circuit.column_slopes(design.board, 1.0 / cells, (1.0 / cells).sum(axis=0))
+    assert slopes is not None
+    exact = sensitivity(design, cells).cell_conductance
+    for j in range(2):
+        found = np.diag(slopes[0][:, j]) + slopes[1][:, j, None]
+        np.testing.assert_allclose(found, exact[:, j, :, j], rtol=1e-9)
+
+
 @pytest.mark.parametrize("bits", [8, 12])
 @pytest.mark.parametrize("kind", BY_COLUMN)
 def test_steps_in_closed_form_are_those_of_the_whole_matrix(kind: str, bits: int) -> None:

@@ -86,6 +86,12 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("inverting", 91010000068),  # an output at its limit that noise of the first frame brings back
         ("divider events", 91010000227),  # a column of shorts of unknown scale, beside bridged rows
         ("feedback", 3010000064),  # an open cell whose amplifier's offset lies below the converter's range
+        ("feedback", 91020000131),  # a cell of 30 ohm, whose idle row takes current before the column's lead
+        ("feedback extremes", 202010000032),  # the same through leads of 1 kohm: off by a factor of two
+        ("feedback extremes", 202020000221),
+        ("divider extremes", 202020000179),  # a column whose scale a converter's offset of 1800 steps hides
+        ("row floating extremes", 202020000198),  # a cell behind six times its resistance, and such an offset
+        ("feedback extremes", 202020000238),  # a lost row's cells seem to conduct less than they do, by such a lead
     ],
 )
 def test_streams_that_were_read_wrong(family: str, number: int) -> None:
@@ -146,6 +152,26 @@ def test_shorts_of_a_row_behind_a_follower_whose_columns_have_no_leads(shape: tu
         read = CountReader(design)
         for cells in (rest, shorted, shorted, rest) if number % 2 else (shorted, shorted):
             check(read(counts_of(design, cells)), cells)
+
+
+def test_shorts_of_a_line_leave_no_error_beyond_the_leads_of_a_follower_s_columns() -> None:
+    """Column leads up to those of the rows; the column's other cells take current before its lead."""
+    draw, valid = np.random.default_rng(502), []
+    for number in range(40):
+        reference, lead = float(draw.choice([1e3, 4.7e3, 10e3])), float(draw.choice([1.0, 5.0, 100.0]))
+        array = {"row_lead": lead, "column_lead": lead * float(draw.choice([0.1, 1.0, 1.0]))}
+        readout = {"reference_resistance": reference, "open_loop_gain": float(draw.choice([1e5, np.inf]))}
+        design = board("feedback", (8, 8), int(draw.choice([12, 16])), array=array, readout=readout)
+        rest = 4.0 * reference * 10 ** draw.uniform(-0.2, 0.2, (8, 8))
+        shorted, line = rest.copy(), places(draw, (8, 8), "column" if number % 2 else "row")
+        for place in line[: int(draw.integers(1, 4))]:
+            shorted[place] = draw.choice([1e-3, 1.0, 30.0])
+        read = CountReader(design)
+        for cells in (rest, shorted, shorted):
+            reading = read(counts_of(design, cells))
+            check(reading, cells)
+        valid.append(reading.valid.mean())
+    assert np.mean(valid) > 0.2
 
 
 @pytest.mark.parametrize("shape", [(2, 9), (5, 4), (8, 8)])

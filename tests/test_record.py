@@ -179,7 +179,7 @@ def test_a_recorder_joins_while_the_board_is_away(tmp_path: Path) -> None:
     back = threading.Event()
 
     def reopen() -> Script:
-        if not back.wait(10):
+        if not back.wait(60):
             raise AssertionError
         return Script(*pieces(range(7, 12), last=True))
 
@@ -289,7 +289,7 @@ def test_a_replay_at_a_speed_takes_its_time(tmp_path: Path) -> None:
     began = time.monotonic()
     with Skin.open(str(path), speed=2.0) as skin:
         frames = [next(skin), next(skin)]
-        assert 0 <= frames[-1].age < 5  # on the recording's clock
+        assert 0 <= frames[-1].age < 60  # on the recording's clock
     assert time.monotonic() - began > 0.25
     with pytest.raises(InputError, match=r"speed 0\.0; expected a positive number"):
         ReplayPort(path, 0.0)

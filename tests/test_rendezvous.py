@@ -2,25 +2,30 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
+import socket
 import subprocess
 import sys
 import termios
 import threading
+import time
 import tty
 from collections.abc import Callable
 from itertools import chain, islice
 from pathlib import Path
 
+import numpy as np
 import pytest
-from boards import EXAMPLES, scene, until
+from boards import EXAMPLES, frame, identity, scene, sheet, until
 
 from ohmskin.circuits import Design
 from ohmskin.driver import Skin, discover
 from ohmskin.emulator import Port, PtyPort, Rfc2217Port, Scene, TcpPort, running
 from ohmskin.errors import LinkEnded, LinkError, ProtocolError
 from ohmskin.rendezvous import Announcement, announced, announced_ports
+from ohmskin.wire import FramePacket, board_protocol
 
 FINGERS, PROTOTYPE = EXAMPLES / "fingers.toml", EXAMPLES / "prototype.toml"
 LINKS: dict[str, Callable[[], Port]] = {
@@ -28,6 +33,11 @@ LINKS: dict[str, Callable[[], Port]] = {
     "tcp": lambda: TcpPort.at(":0"),
     "rfc2217": lambda: Rfc2217Port.at(":0"),
 }
+
+
+@pytest.fixture(autouse=True)
+def _no_real_ports(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ohmskin.driver._discover.serial_ports", list)
 
 
 def files() -> list[Path]:
@@ -120,6 +130,25 @@ class TestEnds:
                 for end in chain.from_iterable(others):
                     os.close(end)
 
+    @pytest.mark.parametrize("link", ["pty", "tcp"])
+    def test_an_emulator_that_was_started_again_is_found_at_its_new_port(self, link: str) -> None:
+        """Its number, or TCP port, is another one; boards with other serial numbers appear beside it."""
+        mine, other = (scene(board={"serial_number": name, "frame_rate": 100.0}) for name in ("A1", "B2"))
+        old = LINKS[link]()
+        with contextlib.ExitStack() as boards:
+            boards.enter_context(running(other, LINKS[link]()))  # there all the time
+            with running(mine, old):
+                skin = boards.enter_context(Skin.open(old.name, reconnect=200.0))
+                rest = skin.tare(5, force=True)
+                next(skin)
+                boards.enter_context(running(other, LINKS[link]()))
+                new = LINKS[link]()  # while the old one has its number
+            assert new.name != old.name
+            boards.enter_context(running(mine, new))
+            back = next(frame for frame in skin if frame.reconnected)
+            assert (back.rebooted, skin.serial_number, skin.tared) == (True, "A1", rest)
+            assert skin.stats().reconnects == 1
+
     def test_the_end_of_a_recording_without_an_end_packet_is_an_end(self, tmp_path: Path) -> None:
         path, link = tmp_path / "cut.mcap", tmp_path / "skin"
         port = PtyPort()
@@ -147,11 +176,129 @@ class TestEnds:
             player.communicate()
 
 
-class TestBoards:
-    @pytest.fixture(autouse=True)
-    def _no_real_ports(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr("ohmskin.driver._discover.serial_ports", list)
+class TestOtherMachines:
+    """Boards without a note on this machine, over plain TCP: what the connection itself tells."""
 
+    @pytest.fixture
+    def elsewhere(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[], None]:
+        """Boards that have announced themselves until this is called are not known here."""
+        return lambda: monkeypatch.setenv("OHMSKIN_RUNTIME_DIR", str(tmp_path / "here"))
+
+    def test_the_regular_end_is_an_end(self, elsewhere: Callable[[], None]) -> None:
+        port = TcpPort.at(":0")
+        elsewhere()
+        with silent_board(port), host_of(port, reconnect=0.5) as skin:
+            assert len(list(skin)) == 50
+            said = r"the other end has closed the connection in good order, and nobody listens there since \(0\.5 s\)"
+            with pytest.raises(LinkEnded, match=said):
+                skin.read()
+
+    def test_without_time_to_look_whether_anybody_listens_it_is_gone(self, elsewhere: Callable[[], None]) -> None:
+        port = TcpPort.at(":0")
+        elsewhere()
+        with silent_board(port), host_of(port, reconnect=0.0) as skin:
+            with pytest.raises(LinkError, match="the other end hung up") as caught:
+                list(skin)
+            assert not isinstance(caught.value, LinkEnded)
+
+    @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+    def test_a_program_that_is_stopped_or_killed_is_gone(self, number: int, tmp_path: Path) -> None:
+        words = ["emulate", str(FINGERS), "--board", "fsr-array", "--tcp", ":0"]
+        emulator = subprocess.Popen(
+            [sys.executable, "-m", "ohmskin", *words],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"OHMSKIN_RUNTIME_DIR": str(tmp_path)},
+        )
+        try:
+            assert emulator.stdout is not None
+            name = emulator.stdout.readline().strip()
+            with Skin.open(name, board="fsr-array", design=PROTOTYPE, reconnect=0.5) as skin:
+                next(skin)
+                emulator.send_signal(number)
+                with pytest.raises(LinkError, match=r"Connection reset by peer\); it has not come back") as caught:
+                    list(skin)
+                assert not isinstance(caught.value, LinkEnded)
+        finally:
+            emulator.kill()
+            emulator.communicate()
+
+    @pytest.mark.parametrize(
+        ("family", "goes_on"), [("fsr-array", True), ("ohmskin", True), ("ohmskin", False), ("fsr-array", False)]
+    )
+    def test_a_bridge_that_hangs_up_is_an_end_only_if_it_goes_away_and_the_board_could_not_say_more(
+        self, family: str, goes_on: bool
+    ) -> None:
+        """As a bridge from TCP to a serial port does when the cable behind it is pulled: it goes on listening."""
+        some = FramePacket.of(np.full((4, 4), 900), sequence=0, time_us=0)
+        first = {
+            "fsr-array": 3 * board_protocol("fsr-array", shape=(4, 4), adc_bits=12).frame(some),
+            "ohmskin": identity() + sheet() + frame(0),
+        }[family]
+        design = PROTOTYPE if family == "fsr-array" else None
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            taken = threading.Event()
+
+            def serve() -> None:
+                said = first
+                with contextlib.suppress(OSError):
+                    while True:
+                        host, _ = server.accept()
+                        with host:
+                            host.sendall(said)
+                            taken.wait(60)
+                            if not goes_on:
+                                server.close()
+                            host.shutdown(socket.SHUT_WR)
+                            while host.recv(4096):
+                                pass
+                        said = b""
+
+            serving = threading.Thread(target=serve, daemon=True)
+            serving.start()
+            name = "socket://{}:{}".format(*server.getsockname())
+            with Skin.open(name, board=family, design=design, delivery="lossless", reconnect=1.0) as skin:
+                next(skin)
+                taken.set()
+                if family == "fsr-array" and not goes_on:
+                    assert len(list(skin)) == 2
+                else:
+                    with pytest.raises(LinkError, match="the other end hung up"):
+                        list(skin)
+            if goes_on:
+                server.shutdown(socket.SHUT_RDWR)
+            serving.join(60)
+
+    def test_nobody_listens_any_more_when_a_host_learns_of_the_end(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """A host that knocks between the two would believe that the board is back."""
+        port = TcpPort.at(":0")
+        address = ("127.0.0.1", int(port.name.rpartition(":")[2]))
+        host = socket.create_connection(address)
+        assert port.host_present()
+        hang_up = port._hang_up
+
+        def late() -> None:
+            with pytest.raises(ConnectionRefusedError):
+                socket.create_connection(address)
+            hang_up()
+
+        monkeypatch.setattr(port, "_hang_up", late)
+        port.end()
+        port.close()
+        assert host.recv(1) == b""
+        host.close()
+
+    def test_a_host_that_does_not_read_gets_the_end_too(self, elsewhere: Callable[[], None]) -> None:
+        """What had been sent before the end is read before it."""
+        port = TcpPort.at(":0")
+        elsewhere()
+        with silent_board(port), host_of(port, reconnect=0.5) as skin:
+            first = next(skin)
+            time.sleep(0.3)
+            assert len([first, *skin]) == 50
+
+
+class TestBoards:
     def test_emulated_boards_are_found_and_opened_by_serial_number(self, tmp_path: Path) -> None:
         left, right = PtyPort(tmp_path / "arm"), TcpPort.at(":0")
         with (

@@ -139,6 +139,33 @@ def test_noise_that_was_seen_for_long_is_not_forgotten_in_a_few_quiet_frames() -
     assert seen[45] > 6.0
 
 
+def test_a_noise_that_quiet_frames_contradict_is_gone_after_twenty_of_them() -> None:
+    """Nobody can tell motion of many patterns from noise; once all is at rest, readings show that there is none."""
+    rng = np.random.default_rng(11)
+    scale = np.repeat([1000.0, 0.3], [40, 30])[:, None, None]
+    seen = measured(scale * STEP * rng.normal(size=(70, 4, 6)))
+    assert seen[45] > 500.0
+    assert seen[62] < 10.0
+
+
+def test_noise_on_a_few_readings_of_which_most_come_and_go_at_a_limit_is_not_multiplied() -> None:
+    """Readings near a limit count as limited, but move and show the noise as any others do."""
+    design = Design.model_validate(
+        {
+            "array": {"rows": 4, "columns": 1},
+            "drive": {"voltage": -1.0},
+            "readout": {"circuit": "inverting-amplifier", "reference_resistance": 1e3, "supply": [-0.1, 3.4]},
+            "adc": {"bits": 8, "range": [-0.1, 3.3]},
+        }
+    )
+    read, rng = CountReader(design), np.random.default_rng(12)
+    volts = scan(design, np.array([[200.0], [400.0], [800.0], [500.0]])).volts
+    step = 3.4 / 256
+    for _ in range(40):
+        read(adc_codes(design, volts + rng.normal(scale=20.0 * step, size=(4, 1))))
+    assert 10.0 < read.noise_volts / step < 80.0
+
+
 def test_noise_is_known_where_most_readings_stand_at_their_limits() -> None:
     scatter, rng = Scatter(STEP, assumed=True), np.random.default_rng(10)
     for frame in range(23):

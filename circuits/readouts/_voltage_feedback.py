@@ -388,12 +388,15 @@ class VoltageFeedback(VoltageDivider):
         self, board: Parts, driven: FloatArray, total: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
         behind_lead = 1.0 / (1.0 + board.column_lead * total)
-        driven = driven * behind_lead
-        balance = _Balance.between(board, driven, total * behind_lead - driven, 0.0)
+        into_end = driven * behind_lead
+        balance = _Balance.between(board, into_end, total * behind_lead - into_end, 0.0)
         column = balance.column(board)
         per_siemens = board.loop_share * behind_lead / balance.slope
-        by_sum = per_siemens * (board.follower_lift - board.inverse_gain * column)
-        return per_siemens * (board.drive - column) - by_sum, by_sum
+        from_row, from_idle = board.drive - column, board.follower_lift - board.inverse_gain * column
+        # Idle lines take a part of the current before the lead, the more the larger the sum is.
+        by_lead = per_siemens * board.column_lead * into_end * (from_row - from_idle)
+        by_sum = per_siemens * behind_lead * from_idle - by_lead
+        return per_siemens * (from_row - from_idle), by_sum
 
     def column_conductance(self, board: Parts, signal: FloatArray, least: float) -> FloatArray | None:
         return None  # the follower keeps the column's other cells out of a reading

@@ -29,6 +29,7 @@ from .._board import Board
 
 _MOST_TAKEN = 0.8  # share of a voltage that a row's lead may take, in a first guess
 _KNOWN = 0.2  # standard deviation of a logarithm up to which the linear law is good enough
+_LARGEST_SIEMENS = 1e100  # so that no product with a wire of 0 ohm is undefined
 _DEVIATIONS = 1.5  # that a hardly known cell is off where its effect is taken
 
 
@@ -126,6 +127,7 @@ class ColumnBlocks:
 
     def loss(self, conductance: FloatArray) -> float:
         """Largest share of a voltage that is lost where the form does not hold, at crosspoints (N, M) in S."""
+        conductance = np.minimum(conductance, _LARGEST_SIEMENS)  # that of a cell that ran away is infinite
         along = (self._to_driver * conductance).sum(axis=1).max(initial=0.0)
         return float(along + (self._to_end * conductance).sum(axis=0).max(initial=0.0))
 

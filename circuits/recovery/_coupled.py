@@ -214,7 +214,7 @@ class CoupledLive:
         self._linearised.end_frame()
         if convergence.stuck:
             self._linearised.give_up_columns()
-        if fit.none and short is None:
+        if fit.none and short is None and not self._shorts.joins_lines(fit.known):
             convergence.failures += 1
             if convergence.fresh and convergence.failures > _MOST_FAILURES:
                 raise SolverError("no cell resistances give these readings; check that the design is that of the board")
@@ -231,15 +231,19 @@ class CoupledLive:
         """
         base = self._linearised.base
         own = self._uncertainty.by_own_reading(frame)
-        by_readings = self._uncertainty.by_readings(frame, fit, base, own)
+        by_shifts = self._uncertainty.by_shifts(frame, base)
+        by_readings = self._uncertainty.by_readings(frame, fit, base, own, by_shifts)
         others: FloatArray = base.others
         sigmas = self._uncertainty.sigmas(frame, fit)
-        by_loose = None if self._loose is None else self._loose.disturb(frame, fit.known, base, sigmas)
+        by_loose = None
+        if self._loose is not None:
+            by_loose = self._loose.disturb(frame, fit.known, base, sigmas, by_shifts)
         by_columns = by_lost if by_loose is None else by_lost + by_loose
         if self._loose is not None and isinstance(by_columns, np.ndarray):
             # That is a change of crosspoints, of which a cell is a small part beside heavy leads.
             leads = np.where(np.isfinite(self._parts.leads), self._parts.leads, 0.0)
-            by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
+            with np.errstate(over="ignore"):  # what is boundless stays so
+                by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base)
         fitted = by_readings + others + doubt

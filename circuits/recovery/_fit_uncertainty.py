@@ -28,6 +28,7 @@ class FitUncertainty:
         """For a board."""
         adc = parts.board.adc
         self._noise = parts.noise  # V
+        self._leads = np.where(np.isfinite(parts.leads), parts.leads, 0.0).ravel()  # (n,) ohm
         self._random = 1.0  # share of the converter's error that differs from reading to reading
         self._shifts: tuple[float, float, float] | None = None  # V and relative, errors of all readings; V of code 0
         if adc is not None and (adc.offset_voltage or adc.gain_error):
@@ -59,17 +60,35 @@ class FitUncertainty:
         by_noise = _NOISE_SIGMAS * frame.noise / self._noise
         return max(hypot(_SIGMAS * self._random, by_noise), fit.misfit * hypot(_SIGMAS, by_noise))
 
-    def by_readings(self, frame: Frame, fit: Fit, base: Base, own: FloatArray) -> FloatArray:
-        """What all readings leave open (n,), at least ``own`` (n,)."""
+    def by_readings(
+        self, frame: Frame, fit: Fit, base: Base, own: FloatArray, by_shifts: FloatArray | None
+    ) -> FloatArray:
+        """What all readings leave open (n,), at least ``own`` (n,), with :meth:`by_shifts`."""
         spread = base.std * np.maximum(fit.steeper, 1.0)
         beyond: FloatArray = np.maximum(self.sigmas(frame, fit) * spread - own, 0.0)
         beyond += np.abs(fit.step) * (_STALLED if fit.stalled and fit.misfit > FITS else fit.stale)
-        if self._shifts is not None:
-            # Offset and gain error move all readings together.
-            offset, gain, lowest = self._shifts
-            by_gain = np.abs(base.step(gain * (frame.measured - lowest)))
-            by_gain += np.abs(base.step(np.full(len(own), offset)))
-            beyond += by_gain
+        if by_shifts is not None:
+            beyond += by_shifts
         # A reading is nearly proportional to its own cell. What is beyond that is of the logarithm: it multiplies.
         uncertainty: FloatArray = own + np.expm1(np.minimum(beyond, _MOST))
+        if by_shifts is not None:
+            # Such errors are at their bound in every frame. Behind leads R a conductance is G = D / (1 - R D).
+            change = own + beyond
+            by_lead = self._leads / (self._leads + fit.known.cells.ravel())
+            behind_leads = change / np.maximum(1.0 - by_lead * change, 1.0 / _MOST)
+            np.maximum(uncertainty, behind_leads, out=uncertainty)
         return uncertainty
+
+    def by_shifts(self, frame: Frame, base: Base) -> FloatArray | None:
+        """Change (n,) of the logarithms by the converter's offset and gain error, which move all readings together.
+
+        Returns:
+            None for a converter without these.
+
+        """
+        if self._shifts is None:
+            return None
+        offset, gain, lowest = self._shifts
+        by_gain: FloatArray = np.abs(base.step(gain * (frame.measured - lowest)))
+        by_gain += np.abs(base.step(np.full(len(base.log), offset)))
+        return by_gain

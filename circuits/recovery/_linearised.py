@@ -35,6 +35,7 @@ _STEEPER = 3.0  # most ratio of slopes by which derivatives are adapted
 _STRIDE = 1.5  # most change of the logarithm of a conductance in one step
 _LINEAR_STRIDE = 1e3  # most change of a conductance that counts linearly, in multiples of what its reading can tell
 _LARGEST = 50.0  # logarithm that is as good as infinite
+_LEAST_CELL = 1e-9  # ohm per ohm of leads that derivatives are made for: below, rounding hides the leads
 _NEXT_TO_NONE = 0.01  # share of the least conductance that a reading tells, below which a cell may as well be open
 _LEAST_READING = 0.03  # half steps that the least conductance would read alone: from below, nothing would lead back
 _LIGHT = 0.3  # share of a voltage in the lines up to which derivatives in closed form are as good as any
@@ -323,7 +324,7 @@ class Linearised:
         jacobian, cells, noise = np.empty((size, size)), at.cells.ravel(), parts.noise
         meter = Meter(size, beside=self.columns.applies)
         # A cell that ran away is as good as a short, and the derivatives are not made for shorts.
-        no_shorts = np.maximum(at.cells, np.exp(-_LARGEST))
+        no_shorts = np.maximum(at.cells, np.maximum(_LEAST_CELL * parts.leads, np.exp(-_LARGEST)))
         for _ in derivatives(parts.board, no_shorts, parts.quick, meter, out=jacobian):
             yield None
         in_series = 1.0 / (cells + parts.board.series_ohms.ravel())  # S of the cell and an open-cell fault

@@ -31,7 +31,9 @@ class LooseColumns:
         self._per_volt = np.abs(parts.board.circuit.conductance_slope(parts.board, np.zeros(parts.shape)))  # S/V
         self._loosest: tuple[Base | None, float] = None, 0.0  # largest deviation of a column's best conductor
 
-    def disturb(self, frame: Frame, known: Known, base: Base, sigmas: float) -> FloatArray | None:
+    def disturb(
+        self, frame: Frame, known: Known, base: Base, sigmas: float, by_shifts: FloatArray | None
+    ) -> FloatArray | None:
         """Relative change (n,) of cells by columns whose conductances may be many times as large as they seem.
 
         Args:
@@ -39,6 +41,7 @@ class LooseColumns:
             known: the cells that have been found for them.
             base: the linear model about these.
             sigmas: standard deviations that an uncertainty covers.
+            by_shifts: (n,) change of the logarithms by errors that all readings share; None: by nothing.
 
         Returns:
             None where there are no such columns.
@@ -48,10 +51,13 @@ class LooseColumns:
             log = base.log.reshape(self._parts.shape)
             best = log.argmax(axis=0), np.arange(log.shape[1])
             self._loosest = base, float(base.std.reshape(log.shape)[best].max())
-        if sigmas * self._loosest[1] <= _LINEAR:
+        if by_shifts is None and sigmas * self._loosest[1] <= _LINEAR:
             return None
         best = frame.signal.argmax(axis=0), np.arange(frame.signal.shape[1])
-        spread = np.minimum(sigmas * base.std.reshape(self._parts.shape)[best], _MOST)
+        spread = sigmas * base.std.reshape(self._parts.shape)[best]
+        if by_shifts is not None:
+            spread = spread + by_shifts.reshape(self._parts.shape)[best]
+        spread = np.minimum(spread, _MOST)
         loose = np.flatnonzero(spread > _LINEAR)
         if not loose.size:
             return None

@@ -83,6 +83,8 @@ class LostRows:
         total = seen.sum(axis=1, keepdims=True)
         load = (to_shorts + total) / np.maximum(1.0 - lead * total, 0.0)
         inner = seen * (1.0 + lead * load)
+        # The column's other cells take a part of the current before the column's lead.
+        inner = inner * (1.0 + self._column_lead * idle)
         most: FloatArray = inner / np.maximum(1.0 - self._column_lead * inner, 0.0)
         most[np.isnan(most)] = inf
         most = np.where(limited, 1.0 / LEAST_SHORT_OHM, np.minimum(most, 1.0 / LEAST_SHORT_OHM))

@@ -34,6 +34,10 @@ class PossibleShorts:
         found: BoolArray = known.cells < self._short
         return found if found.any() else None
 
+    def joins_lines(self, known: Known) -> bool:
+        """Whether a cell is below its leads: other cells, far from these, may then give the readings as well."""
+        return bool((known.cells.ravel() < self._tie).any())
+
     def disturb(
         self,
         frame: Frame,

@@ -24,6 +24,7 @@ _ONE_OF_SOME = 0.2  # the same where two frames did not, since cells of a few oh
 _LEFT_OUT = 300  # frames until a line that has been left out is tried again
 _SUDDEN = 2  # frames after which a noise that has begun is known
 _LEAST_SIEMENS = 1e-200  # of a cell that conducts nothing, so that no ratio overflows
+_MOST_SHARE = 1e100  # so that no multiple of it overflows
 _BY_LEADS = 1.5  # times the share of a voltage that leads lose, what they may change
 
 
@@ -236,7 +237,7 @@ class ReadingLimits:
             if not board.circuit.columns_one_by_one(board):
                 fed[place] += most / (board.reference[column] + board.column_lead[column])
             share[place] += fed.sum() + fed @ conductance / np.maximum(conductance[place], _LEAST_SIEMENS)
-        changed: FloatArray = _BY_LEADS * share
+        changed: FloatArray = _BY_LEADS * np.minimum(share, _MOST_SHARE)
         return changed.ravel()
 
 

@@ -166,9 +166,14 @@ class _Converter:
 
     @property
     def hungry(self) -> bool:
-        """Whether a host is there, is ready, and has taken nearly all that was sent."""
+        """Whether a host is there, is ready, and has taken nearly all that was sent, unless the line is stalled."""
         ready = self._present and time.monotonic() >= self._ready_at
-        return ready and len(self._buffer) < CONVERTER_BYTES // 2
+        # A stall ends when board time has passed, whatever waits meanwhile.
+        return ready and (self._stalled or len(self._buffer) < CONVERTER_BYTES // 2)
+
+    @property
+    def _stalled(self) -> bool:
+        return not self._over and self._schedule.active("stall", self._board.time_s) is not None
 
     def exchange(self) -> None:
         """Bytes from the port to the board, and from the buffer to the port."""
@@ -186,8 +191,7 @@ class _Converter:
             elif data:
                 self._board.send(data)
                 self._ready_at = 0.0
-        stalled = not self._over and self._schedule.active("stall", self._board.time_s) is not None
-        if self._present and self._buffer and not stalled:
+        if self._present and self._buffer and not self._stalled:
             del self._buffer[: self._port.write(bytes(self._buffer))]
         self._board.clear_to_send = len(self._buffer) < CONVERTER_BYTES
 

@@ -38,7 +38,7 @@ class Host:
         self.serial = serial.serial_for_url(port, 1_000_000, timeout=0.02)
         self.protocol = host_protocol("ohmskin")
 
-    def listen(self, until: Callable[[list[Event]], bool], timeout_s: float = 10.0) -> list[Event]:
+    def listen(self, until: Callable[[list[Event]], bool], timeout_s: float = 60.0) -> list[Event]:
         """The events up to those that make ``until`` true."""
         events: list[Event] = []
         deadline = time.monotonic() + timeout_s
@@ -47,7 +47,7 @@ class Host:
             events += self.protocol.feed(self.serial.read(1024), time.monotonic())
         return events
 
-    def hear(self, kind: type[E], count: int = 1, timeout_s: float = 10.0) -> list[E]:
+    def hear(self, kind: type[E], count: int = 1, timeout_s: float = 60.0) -> list[E]:
         """The next ``count`` events of one kind."""
         found = self.listen(lambda events: len(of(kind, events)) >= count, timeout_s)
         return of(kind, found)
@@ -87,7 +87,12 @@ def of(kind: type[E], events: list[Event]) -> list[E]:
 def test_it_streams_to_whoever_listens_and_says_once_a_second_who_it_is(host: Host) -> None:
     events = host.listen(lambda events: len(of(Identity, events)) == 2)
     first, second = of(Identity, events)
-    assert second.time_us - first.time_us == pytest.approx(1e6, abs=1e5)
+    seen = of(FramePacket, events)
+    # A host that was kept from reading has lost packets, and is told so.
+    overrun = any(Flag.OVERRUN in frame.flags for frame in seen)
+    seconds = round((second.time_us - first.time_us) / 1e6)
+    assert second.time_us - first.time_us == pytest.approx(1e6 * seconds, abs=1e5)
+    assert seconds == 1 or overrun
     assert (first.serial_number, first.firmware, first.boot_id) == (
         second.serial_number,
         second.firmware,
@@ -95,10 +100,9 @@ def test_it_streams_to_whoever_listens_and_says_once_a_second_who_it_is(host: Ho
     )
     # A host that joins in the middle may see the end of a packet first, and nothing wrong after that.
     assert not of(Corrupt, events[1:])
-    seen = of(FramePacket, events)
     assert len(seen) > 10
     for before, after in pairwise(seen):
-        assert after.sequence == (before.sequence + 1) % 2**32
+        assert after.sequence == (before.sequence + 1) % 2**32 or Flag.OVERRUN in after.flags
         assert after.time_us > before.time_us
     assert {(frame.rows, frame.columns) for frame in seen} == {(first.rows, first.columns)}
     assert {frame.boot_id for frame in seen} == {first.boot_id}

@@ -1,4 +1,4 @@
-"""Identification of a contact cell: the power law of its conductance."""
+"""The power law of a contact fitted to a recording (P2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The paper's graphical identification (P6, equation 9): elastic part and two decays read from a recovery curve."""
+"""The paper's graphical identification (P6, equation 9): gains and time constants read off a recovery curve."""
 
 from __future__ import annotations
 
@@ -53,19 +53,3 @@ def longest_recovery(recording: Recording, full_scale_kpa: float) -> slice | Non
         return None
     start, stop = max(runs, key=lambda run: recording.time_s[run[1] - 1] - recording.time_s[run[0]])
     return slice(int(start) - 1, int(stop))
-
-
-def start_values(recording: Recording, full_scale_kpa: float, rest: float) -> tuple[float, ...]:
-    """Gains of the three parts at full scale and two times: graphically if there is a recovery to read (P6)."""
-    gain = float(np.percentile(recording.resistance_ohm, 98) / rest - 1)
-    place = longest_recovery(recording, full_scale_kpa)
-    if place is not None:
-        r = recording.resistance_ohm[place] / rest - 1
-        before = slice(max(0, place.start - 20), place.start + 1)
-        released = float(np.max(recording.pressure_kpa[before]))
-        try:
-            e1, e2, e3, t2, t3 = recovery_branches(recording.time_s[place], r - min(0.0, float(r.min())), released)
-            return full_scale_kpa / e1, full_scale_kpa / e2, full_scale_kpa / e3, t2, t3
-        except InputError:
-            pass  # not the shape that can be read graphically; least squares starts from plain values instead
-    return 0.5 * gain, 0.4 * gain, 0.1 * gain, 5.0, 100.0
