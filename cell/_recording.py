@@ -19,8 +19,6 @@ SPARK, SPARK_SIGMAS = 0.08, 8.0
 """jump of a single reading, over the range of the readings and in standard deviations of noise, that no load made"""
 LONGEST_PRESS_S = 3600.0
 """median length of a press beyond which time is hardly in seconds"""
-LONGEST_STEP_S = 90.0
-"""median time between readings beyond which time is hardly in seconds: no press would show its shape"""
 PRESSURES_KPA, RESISTANCES_OHM = (0.01, 1e4), (0.1, 1e10)
 """between which a largest pressure and a median resistance of a cell are hardly in another unit"""
 
@@ -162,10 +160,6 @@ def _check_units(recording: Recording, highest_kpa: float) -> None:
     press_s = float(np.median(time[edges[1::2]] - time[edges[::2]]))
     doubts = (
         (press_s > LONGEST_PRESS_S, f"time_s: a press lasts {press_s:.3g} s; is it in milliseconds or microseconds?"),
-        (
-            recording.step_s > LONGEST_STEP_S,
-            f"time_s: readings are {recording.step_s:.3g} s apart; is it in milliseconds or microseconds?",
-        ),
         (highest_kpa < PRESSURES_KPA[0], f"pressure_kpa reaches {highest_kpa:.3g}; is it in MPa or bar?"),
         (highest_kpa > PRESSURES_KPA[1], f"pressure_kpa reaches {highest_kpa:.3g}; is it in Pa?"),
         (median_ohm < RESISTANCES_OHM[0], f"resistance_ohm is about {median_ohm:.3g}; is it in kohm or Mohm?"),

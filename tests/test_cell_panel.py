@@ -409,14 +409,14 @@ def test_a_gap_and_a_full_scale_that_is_hardly_reached_are_remarked_upon() -> No
     assert "the largest load is 10 kPa, full scale 8 kPa" in " ".join(remarks(of, 8.0, 10.0, varied=True))
 
 
-def test_readings_minutes_apart_are_asked_about_and_can_be_trusted() -> None:
+def test_readings_minutes_apart_are_remarked_upon_and_can_be_learned_from() -> None:
     """Time in milliseconds with presses shorter than 3.6 s. The cell is then as slow as the file says."""
     of = panel.scene("random", "asymmetric", 3)
     head = of.time_s < 60
-    columns = 1e3 * of.time_s[head], of.pressure_kpa[head], of.resistance_ohm[head]
-    with pytest.raises(InputError, match="milliseconds"):
-        checked_recording(*columns)
-    recording = checked_recording(*columns, trust_units=True)
+    recording = checked_recording(
+        1e3 * of.time_s[head], of.pressure_kpa[head], of.resistance_ohm[head], trust_units=True
+    )
+    assert "is time_s in milliseconds?" in " ".join(remarks(recording, panel.FULL_SCALE_KPA, 10.0, varied=True))
     found = training.variations(_normalised(recording), np.random.default_rng(0), 4)
     assert np.isfinite(found[1]).all()
 
