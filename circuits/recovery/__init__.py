@@ -28,9 +28,11 @@
 ===========================  =============================================================================
 """
 
+from ._conditioning import Conditioning, conditioning
 from ._live import live_recovery
 from ._live_reading import LiveReading, LiveRecovery, Reason, ValidityRule
-from ._recover import Conditioning, Recoverer, Recovery, Status, conditioning, recover
+from ._recover import Recoverer, recover
+from ._recovered import Recovery, Status
 
 __all__ = [
     "Conditioning",
