@@ -344,10 +344,11 @@ class TcpPort(Port):
         self._listen(host, port if name is None else _host_and_port(f":{name}")[1])
 
     def _close(self) -> None:
-        self._hang_up()
+        # In this order a host that is hung up on, and knocks again, finds nobody.
         if self._listener is not None:
             self._listener.close()
             self._listener = None
+        self._hang_up()
 
     def _hang_up(self) -> None:
         if self._host is not None:

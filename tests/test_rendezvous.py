@@ -269,6 +269,25 @@ class TestOtherMachines:
                 server.shutdown(socket.SHUT_RDWR)
             serving.join(60)
 
+    def test_nobody_listens_any_more_when_a_host_learns_of_the_end(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """A host that knocks between the two would believe that the board is back."""
+        port = TcpPort.at(":0")
+        address = ("127.0.0.1", int(port.name.rpartition(":")[2]))
+        host = socket.create_connection(address)
+        assert port.host_present()
+        hang_up = port._hang_up
+
+        def late() -> None:
+            with pytest.raises(ConnectionRefusedError):
+                socket.create_connection(address)
+            hang_up()
+
+        monkeypatch.setattr(port, "_hang_up", late)
+        port.end()
+        port.close()
+        assert host.recv(1) == b""
+        host.close()
+
     def test_a_host_that_does_not_read_gets_the_end_too(self, elsewhere: Callable[[], None]) -> None:
         """What had been sent before the end is read before it."""
         port = TcpPort.at(":0")

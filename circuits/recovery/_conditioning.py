@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from ...arrays import FloatArray
 from ...errors import InputError
 from .._design import Design
-from ._inversion import Factor, Model
+from ._frame_model import Model
+from ._jacobian import Factor
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,8 @@ from math import inf
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ._inversion import Found, Held, Inverter, Model
+from ._frame_model import Model
+from ._inversion import Found, Held, Inverter
 from ._unknown import Unknown
 
 MARGIN = 2.0  # safety factor on the interval of a known cell if other cells are unknown

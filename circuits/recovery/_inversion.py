@@ -23,10 +23,7 @@ Error bounds
 ------------
 The error of the cells is the error of the readings times an amplification.
 
-With a factored Jacobian J, the amplification of a cell is the norm of its row of the inverse of J. We estimate this
-norm from solutions whose right-hand sides are random vectors of +1 and -1, as in Hutchinson's trace estimator (1990).
-The mean square of a cell's solutions has the square of the norm as its expectation. 16 vectors give the norm to about
-a quarter.
+With a factored Jacobian J, the amplification of a cell is the norm of its row of the inverse of J (:mod:`._jacobian`).
 
 Without a Jacobian, let rho be the ratio of successive corrections. The remaining corrections then sum to at most
 1 / (1 - rho) times the present one (geometric series).
@@ -37,21 +34,18 @@ derivatives are available, we estimate the rate of the slow mode by power iterat
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgWarning, lu_factor, lu_solve
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
-from .._board import Board
-from .._design import Design
-from .._exact import read_exactly
-from .._sensitivity import LARGEST, board_sensitivity
+from .._sensitivity import LARGEST
 from ..solvers import ULP
+from ._frame_model import Model
+from ._jacobian import Factor
 
 # Each entry: largest number of cells, slowest accepted ratio of successive errors, largest number of iterations. Slower
 # convergence leads to a new Jacobian. The ratio grows with the array, because a factorisation costs as much as 5 model
@@ -66,7 +60,6 @@ _LEAST_CONDUCTANCE = 1e-300  # S: avoids a division by zero
 _LEAST_CHANGE = 1e-6  # relative size below which a correction is not halved again
 _PROBES = 6  # power iterations for the slowest mode
 _PROBE = 1e-4  # relative change of the cells in a power iteration
-_SIGNS = 16  # random sign vectors for the amplification
 _DOUBT = 1e-3  # relative error assigned to cells of unreliable solutions; too large for the status READ
 _LINEAR_RANGE = 0.1  # relative error above which the linearisation is not trusted
 _SURELY_LINEAR = 1e-6  # relative error below which the linearisation is always trusted
@@ -88,134 +81,6 @@ class Found(NamedTuple):
     residual: float
     iterations: int
     factored: int
-
-
-class Model:
-    """Forward model: readings as a function of conductances.
-
-    A reading is the sum of a signal, which is proportional to the drive, and a rest from the reference and the offsets.
-    """
-
-    def __init__(self, design: Design) -> None:
-        """Prepare the model of ``design``. Only :meth:`limited` applies its supply limits."""
-        self.limited_board = design.board
-        unlimited = design.replace(readout={"supply": (-inf, inf)})
-        self.board = board = unlimited.board
-        self.circuit = board.circuit
-        self.has_derivatives = not board.continuous and board.shape[0] * board.shape[1] <= LARGEST
-        self.couples = board.circuit.mixes_cells or board.floating or not board.plain or bool(board.shorts)
-        """whether crosstalk may be large even if the line resistances are small"""
-        self.level, self.drive = board.level, board.drive
-        ends = None if board.floating else board.circuit.ends(board)
-        self._ends = ends if ends is not None and np.ptp(ends.source) == 0 else None
-        self._turned_drive = unlimited.replace(drive={"voltage": -self.drive}).board
-        self._has_rest = board.circuit.has_amplifiers and bool(
-            board.offset.any() or board.bias.any() or (self.level and np.isfinite(board.gain).any())
-        )
-
-    def split(self, conductance: FloatArray) -> tuple[FloatArray, FloatArray | float]:
-        """Signal (N, M) in V, and rest (N, M) or a number in V, without supply limits."""
-        with np.errstate(divide="ignore"):
-            cells = 1.0 / conductance
-        volts = read_exactly(self.board, cells)[0].volts
-        if not self._has_rest:
-            return volts - self.level, self.level
-        if self._ends is None:
-            other = read_exactly(self._turned_drive, cells)[0].volts
-            return (volts - other) / 2, (volts + other) / 2
-        # Superposition: a cell is driven in the step of its own row only, while the sources of its column act in every
-        # step. The sum over the rows gives the part of these sources.
-        above, source = volts - self._ends.output, float(self._ends.source[0])
-        signal = above + source * (above.sum(axis=0) / (self.drive - len(volts) * source))
-        return signal, volts - signal
-
-    def limited(self, conductance: FloatArray, volts: FloatArray) -> FloatArray:
-        """Output volts (N, M) with supply limits, given the ``volts`` (N, M) without limits."""
-        low, high = self.limited_board.supply
-        if (volts >= low).all() and (volts <= high).all():
-            return volts
-        with np.errstate(divide="ignore"):
-            return read_exactly(self.limited_board, 1.0 / conductance)[0].volts
-
-    def apparent(self, signal: FloatArray) -> FloatArray:
-        """Conductances in S (N, M) with which an ideal circuit has this signal (N, M) in V; 0 where the signal is 0."""
-        return self.circuit.apparent_conductance(self.board, signal)
-
-    def slope(self, signal: FloatArray) -> FloatArray:
-        """d(apparent conductance)/d(signal), S/V."""
-        return self.circuit.conductance_slope(self.board, signal)
-
-    def log_slope(self, signal: FloatArray) -> FloatArray:
-        """d(log apparent conductance)/d(signal), 1/V; 0 where there is no signal."""
-        return self.circuit.log_conductance_slope(self.board, signal)
-
-
-class Factor:
-    """LU factorisation of the Jacobian of all readings by all cells, in scaled units. Cells may be left out."""
-
-    def __init__(
-        self, board: Board, conductance: FloatArray, unit: FloatArray, per_volt: FloatArray, live: BoolArray
-    ) -> None:
-        """Compute the Jacobian and factor it. All arrays are (N, M).
-
-        Args:
-            board: the board, without supply limits or with outputs at them.
-            conductance: S, where the derivatives are taken.
-            unit: S, the unit of each cell's change.
-            per_volt: units of each reading per volt.
-            live: True for the cells of the Jacobian.
-
-        """
-        with np.errstate(divide="ignore"):
-            found = board_sensitivity(board, 1.0 / conductance)
-        used = live.ravel()
-        self.shape = live.shape
-        jacobian = (found.cell_conductance * unit * per_volt[..., None, None]).reshape(used.size, used.size)
-        jacobian[~used] = 0.0
-        jacobian[:, ~used] = 0.0
-        jacobian[~used, ~used] = 1.0
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", LinAlgWarning)  # solve() recognises a singular matrix
-            self._lu = lu_factor(jacobian, overwrite_a=True, check_finite=False)
-
-    def solve(self, off: FloatArray, live: BoolArray) -> FloatArray:
-        """Changes (N, M) of the live cells for the differences ``off`` (N, M) of the readings.
-
-        Raises:
-            SolverError: the Jacobian is singular.
-
-        """
-        step = self._back_substitute(off.ravel()).reshape(off.shape)
-        if not np.isfinite(step).all():
-            raise SolverError("the readings do not determine the cells: other resistances would give the same ones")
-        return np.where(live, step, 0.0)
-
-    def inverse(self) -> FloatArray:
-        """Inverse Jacobian (NM, NM); inf where the matrix is singular."""
-        inverse = self._back_substitute(np.eye(len(self._lu[0])))
-        return np.where(np.isfinite(inverse), inverse, inf)
-
-    def spread(self, errors: FloatArray) -> FloatArray:
-        """Estimate the standard deviations of the cells for independent errors of the readings.
-
-        The estimate uses random sign vectors, see the module docstring.
-
-        Args:
-            errors: (K, N, M), standard deviations of the readings for each of K kinds of error.
-
-        Returns:
-            (K, N, M); inf where the Jacobian is singular.
-
-        """
-        signs = np.random.default_rng(0).choice([-1.0, 1.0], (len(errors), _SIGNS, len(self._lu[0])))
-        right = (signs * errors.reshape(len(errors), 1, -1)).reshape(-1, len(self._lu[0])).T
-        size: FloatArray = np.sqrt((self._back_substitute(right).reshape(-1, len(errors), _SIGNS) ** 2).mean(axis=-1))
-        return np.where(np.isfinite(size), size, inf).T.reshape(errors.shape)
-
-    def _back_substitute(self, right: FloatArray) -> FloatArray:
-        with np.errstate(all="ignore"):
-            answers: FloatArray = lu_solve(self._lu, right, check_finite=False)
-        return answers
 
 
 class Held(NamedTuple):

@@ -44,8 +44,9 @@ from .._design import Design
 from ..solvers import siemens
 from ._determined import TYPICAL_CONDUCTANCE, insensitive, is_singular
 from ._envelope import MARGIN, Envelope
+from ._frame_model import Model
 from ._independent_columns import Columns, columns_are_independent
-from ._inversion import Found, Inverter, Model
+from ._inversion import Found, Inverter
 from ._recovered import Recovery, Status
 from ._unknown import Unknown
 
