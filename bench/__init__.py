@@ -16,7 +16,8 @@ The emulator: :mod:`._emulator`. The page: :mod:`._view`.
 
 Searches for faults, each a program: ``python -m ohmskin.bench.hunt`` holds readings against exact rational arithmetic
 (:mod:`._reference`), with ``--live`` streams against the cells behind them (:mod:`._live_hunt`);
-``python -m ohmskin.bench.boards`` counts the valid cells of boards that people build.
+``python -m ohmskin.bench.boards`` counts the valid cells of boards that people build, and ``python -m
+ohmskin.bench.knowable`` states how well one frame can tell them at all.
 """
 
 from ._driver import live_estimators, live_picture

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from time import process_time
 
 from ..circuits import Design
@@ -18,9 +19,13 @@ class PacedPort:
 
     name = "memory"
 
-    def __init__(self, packets: list[bytes], period_s: float, board: Design) -> None:
+    def __init__(
+        self, packets: list[bytes], period_s: float, board: Design, *, clock: Callable[[], float] = process_time
+    ) -> None:
+        """``clock``: of the time that passes besides :meth:`work`, in s; processor time unless said otherwise."""
         self._packets, self._period_s = packets, period_s
-        self._began, self._worked_s = process_time(), 0.0
+        self._clock = clock
+        self._began, self._worked_s = clock(), 0.0
         self._sent = 0
         self._introduction = _introduction(board)
         self._interrupted = threading.Event()
@@ -30,7 +35,7 @@ class PacedPort:
         self._worked_s += seconds
 
     def now(self) -> float:
-        return process_time() - self._began + self._worked_s
+        return self._clock() - self._began + self._worked_s
 
     def wait(self, timeout_s: float) -> bool:
         if not self._introduction:

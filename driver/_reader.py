@@ -366,10 +366,10 @@ class Reader:
     def _hear(self, packet: FramePacket, arrival: Arrival) -> None:
         if not self.introduction.complete:
             self._learn(packet)
-        if not self.introduction.complete:
-            following = None if packet.sequence is None else (packet.sequence + 1) % 2**32
-            self.stream.announce(following, packet.boot_id)
-            return
+            if not self.introduction.complete:
+                following = None if packet.sequence is None else (packet.sequence + 1) % 2**32
+                self.stream.announce(following, packet.boot_id)
+                return
         if self._proof_until < inf:
             if self._proofs:
                 self._unproven.append((packet, arrival))

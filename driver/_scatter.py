@@ -39,7 +39,7 @@ from scipy.linalg.lapack import dsyev
 from scipy.special import chdtri
 
 from ..arrays import FloatArray, median
-from ..compiled import FixedRows, Rows, loop
+from ..compiled import FixedRows, Row, Rows, loop
 
 FORGET = 0.95
 """share of a noise that is still assumed a frame later, once it has been seen for long"""
@@ -99,7 +99,9 @@ class Scatter:
         self._step = step
         self._assumed = ASSUMED * step if assumed else 0.0
         self._cut_sum = _cut_sum.machine_code() or cut_sum
-        self._turned = _turned.machine_code()
+        self._changes_of = _changes_of.machine_code()
+        self._sums = np.zeros(2)
+        """V, what the loop has found of the last frame: cut sums of its change, and of the quietest sum of two"""
         self.before: FloatArray | None = None
         """V, the last frame's readings"""
         self.frames = 0
@@ -156,13 +158,18 @@ class Scatter:
         self._free = volts.size - silent
         if before is None:
             return
-        change = volts - before
         moving = max(self._free, 1)
+        quietest = None
+        if self._changes_of is None or self._change is None:
+            change = volts - before
+        else:
+            change, quietest = np.empty(volts.shape), np.empty(volts.shape)
+            self._changes_of(volts, before, self._change, self._most(self._seen), change, quietest, self._sums)
         if self.frames == 2:
             expected = max(self._seen, min(_median(np.abs(change)), AT_FIRST * self._step))
             self._seen, self._confirmed = self._by_mean(change, expected, moving), 1
         else:
-            shown, assumed = self._shown_by(change, moving), self._assumed_next
+            shown, assumed = self._shown_by(change, quietest, moving), self._assumed_next
             if shown > GROWING * self._seen:
                 self._changes = 0.0  # what was seen before was another noise
                 self._confirmed = 0
@@ -201,39 +208,42 @@ class Scatter:
         self._changes = FORGET * min(self._changes, most) + self._free
         self._open = _left_open(max(round(self._changes), 1))
 
-    def _shown_by(self, change: FloatArray, moving: int) -> float:
-        """V, by this change (N, M) in V and those before; ``moving`` readings can change."""
-        mean = self._by_mean(change, self._seen, moving)
+    def _shown_by(self, change: FloatArray, quietest: FloatArray | None, moving: int) -> float:
+        """V, by this change (N, M) in V and those before.
+
+        Args:
+            change: V, since the last frame.
+            quietest: V, the quietest sum of that and the change before, where a loop has found it and :attr:`_sums`.
+            moving: readings that can change.
+
+        """
+        by_loop = quietest is not None
+        mean = self._sums.item(0) / (moving * MEAN_CHANGE) if by_loop else self._by_mean(change, self._seen, moving)
         if mean <= ROUNDED * self._seen:  # whatever moves
             return mean
         if self._change is None:
             return 0.0
         if moving < FEW:
             return self._shown_by_few(change, mean)
-        shown = self._by_quietest(self._quietest_of_two(change, self._change), QUIET_OF_TWO, moving)
+        if quietest is None:
+            quietest = _quietest_of_two(change, self._change)
+        shown = self._by_quietest(quietest, QUIET_OF_TWO, moving, self._sums.item(1) if by_loop else None)
         if shown > ABOVE * self._seen and self._older is not None:
             of_three = _quietest(np.concatenate((change, self._change, self._older)).reshape(3, -1))[None]
             shown = min(shown, self._by_quietest(of_three, QUIET_OF_THREE, moving))
         return shown
 
-    def _quietest_of_two(self, change: FloatArray, before: FloatArray) -> FloatArray:
-        """As :func:`_quietest_of_two`."""
-        if self._turned is None:
-            return _quietest_of_two(change, before)
-        quietest = np.empty(change.shape)
-        self._turned(change, before, quietest)
-        return quietest
-
-    def _by_quietest(self, quietest: FloatArray, quiet: float, moving: int) -> float:
+    def _by_quietest(self, quietest: FloatArray, quiet: float, moving: int, cut: float | None = None) -> float:
         """V, by the scatter over the readings of the quietest sum of some changes.
 
         Args:
             quietest: (N, M) or (1, N M) V, the sum, with the variance of one change by noise.
             quiet: :data:`QUIET_OF_TWO` or :data:`QUIET_OF_THREE`.
             moving: readings that can change.
+            cut: V, its cut sum with the noise so far, where that is known.
 
         """
-        mean = self._by_mean(quietest, self._seen, moving)
+        mean = self._by_mean(quietest, self._seen, moving) if cut is None else cut / (moving * MEAN_CHANGE)
         if mean > GROWING * self._seen:  # noise so far cuts off too much of a larger one
             expected = _median(np.abs(quietest), quietest.size - moving)
             mean = self._by_mean(quietest, max(self._seen, expected), moving)
@@ -289,8 +299,11 @@ class Scatter:
             moving: readings that can change.
 
         """
-        most = max(self._step, MOST_CHANGE * expected)
-        return self._cut_sum(change, most) / (moving * MEAN_CHANGE)
+        return self._cut_sum(change, self._most(expected)) / (moving * MEAN_CHANGE)
+
+    def _most(self, expected: float) -> float:
+        """V, the largest change that counts where a standard deviation in V is expected."""
+        return max(self._step, MOST_CHANGE * expected)
 
 
 def cut_sum(change: FloatArray, most: float) -> float:
@@ -335,22 +348,33 @@ def _quietest_of_two(change: FloatArray, before: FloatArray) -> FloatArray:
 
 
 @loop
-def _turned(change: FixedRows, before: FixedRows, quietest: Rows) -> None:
-    """As :func:`_quietest_of_two`, into ``quietest`` (N, M)."""
-    rows, columns = change.shape
-    newer = mixed = older = 0.0
+def _changes_of(
+    volts: FixedRows, last: FixedRows, before: FixedRows, most: float, change: Rows, quietest: Rows, sums: Row
+) -> None:
+    """Write the change (N, M) of the readings, its quietest sum with the one ``before``, and their cut sums.
+
+    As array operations, :func:`_quietest_of_two` and :func:`cut_sum`.
+    """
+    rows, columns = volts.shape
+    newer = mixed = older = cut = 0.0
     for i in range(rows):
         for j in range(columns):
+            change[i, j] = volts[i, j] - last[i, j]
             newer += change[i, j] * change[i, j]
             mixed += change[i, j] * before[i, j]
             older += before[i, j] * before[i, j]
+            cut += min(abs(change[i, j]), most)
+    sums[0] = cut
     second = (newer - 2.0 * mixed + older) / 3.0
     across = newer + 2.0 * mixed + older
     angle = 0.5 * math.atan2(2.0 * (newer - older) / _ROOT_3, second - across)
     sine, cosine = math.sin(angle) / _ROOT_3, math.cos(angle)
+    cut = 0.0
     for i in range(rows):
         for j in range(columns):
             quietest[i, j] = change[i, j] * (cosine - sine) + before[i, j] * (cosine + sine)
+            cut += min(abs(quietest[i, j]), most)
+    sums[1] = cut
 
 
 def _quietest(changes: FloatArray) -> FloatArray:

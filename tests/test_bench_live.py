@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 
 from ohmskin import bench
+from ohmskin.bench import knowable
 from ohmskin.bench._driver import CASES, design, packets_of, pressed
 from ohmskin.bench._paced_port import PacedPort
 from ohmskin.cell import Cell
+from ohmskin.circuits import adc_codes, scan
 from ohmskin.cli import run
 from ohmskin.driver import CountReader, Skin
 from ohmskin.verification import _speed as speed
@@ -112,3 +114,29 @@ def test_frames_that_wait_in_a_queue_are_those_of_a_reader_who_is_in_time() -> N
         for one, same in zip(shown[0], other, strict=True):
             for value, expected in zip(same, one, strict=True):
                 np.testing.assert_array_equal(value, expected)
+
+
+@pytest.mark.parametrize(("circuit", "idle_rows"), [("voltage-divider", "float"), ("inverting-amplifier", "ground")])
+def test_the_least_deviation_of_a_frame_is_that_of_the_linear_law(circuit: str, idle_rows: str) -> None:
+    """Beside the inverse of the information matrix by differences of the circuit model; and no fit is better."""
+    board = design(4, circuit, idle_rows, 12)
+    cells = 3e4 * 10 ** np.random.default_rng(0).uniform(-0.2, 0.2, (4, 4))
+    assert board.adc is not None
+    slopes = np.empty((16, 16))
+    for place in range(16):
+        more, less = cells.copy(), cells.copy()
+        more.flat[place] *= 1.001
+        less.flat[place] /= 1.001
+        slopes[:, place] = (scan(board, more).volts - scan(board, less).volts).ravel() / (2 * np.log(1.001))
+    noise = board.adc.step * np.sqrt(0.25 + 1 / 12)
+    expected = noise * np.sqrt(np.diagonal(np.linalg.inv(slopes.T @ slopes)))
+    least = knowable.bound(board, cells)
+    np.testing.assert_allclose(least.ravel(), expected, rtol=1e-4)
+    random, read, found = np.random.default_rng(1), CountReader(board), []
+    volts = scan(board, cells).volts
+    for _ in range(300):
+        noisy = volts + random.normal(scale=0.5 * board.adc.step, size=volts.shape)
+        found.append(np.log(read(adc_codes(board, noisy).astype(np.uint16)).resistance / cells))
+    spread = np.std(found[20:], axis=0)
+    assert (spread > 0.8 * least).all()  # of 280 frames: 4.7 standard deviations of a standard deviation
+    assert (spread < 1.5 * least).all()

@@ -168,7 +168,7 @@ class CoupledLive:
                 return start, 0.0
             conductance = np.exp(usual).reshape(self._parts.shape)
             return start, self._limits.by_lost_columns(frame, selection.lost, conductance)
-        if beside.any():
+        if np.count_nonzero(beside):
             apparent = np.where(beside, self._start(frame.volts), start.log)
             if np.abs(apparent - start.log).max() > _ROUGHLY:
                 start = self._at(apparent, budget)
@@ -285,7 +285,8 @@ class CoupledLive:
         shape, gone, disturbed = self._parts.shape, self._parts.gone, beside.ravel()
         open_cells, counted = frame.signal.ravel() <= frame.error, (self._uncertainty.covered(frame), ALIKE)
         uncertainty = left.all
-        if self._all_known(selection, beside) and not open_cells.any() and uncertainty.max() <= self._rule.limit:
+        most = uncertainty.item(uncertainty.argmax())
+        if self._all_known(selection, beside) and not np.count_nonzero(open_cells) and most <= self._rule.limit:
             return LiveReading(
                 fit.known.cells.copy(), *self._all_valid, partial(self._uncertainties, frame, uncertainty), *counted
             )

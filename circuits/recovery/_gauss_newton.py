@@ -114,7 +114,7 @@ class GaussNewton:
         self._tells = ~parts.gone
         self._damping = 1.0  # share of a step that is taken
         # A base and a noise stay the same for many frames: both, and what follows from them.
-        self._least: tuple[Base | None, float, FloatArray] = None, 0.0, np.empty(0)
+        self._least: tuple[Base | None, float, FloatArray, bool] = None, 0.0, np.empty(0), False
 
     def begin_anew(self) -> None:
         """Note that the next frame starts from closed formulas."""
@@ -207,18 +207,21 @@ class GaussNewton:
         length = np.abs(here.step)
         if self._convergence.fresh and length.max(where=self._tells, initial=0.0) > _AT_REST:
             return False
-        least = self._least_change(here)
-        here.determines = bool((least < inf).any())
-        return bool((length <= least).all())
+        least, here.determines = self._least_change(here)
+        return bool(np.count_nonzero(length <= least) == len(length))
 
-    def _least_change(self, here: _Place) -> FloatArray:
-        """Change (n,) of each logarithm up to which it does not matter; inf where the readings do not tell."""
+    def _least_change(self, here: _Place) -> tuple[FloatArray, bool]:
+        """Change (n,) of each logarithm up to which it does not matter, and whether the readings tell of any cell.
+
+        The change is inf where they do not tell.
+        """
         base, scale = here.base, here.frame.coarser
         if self._least[:2] != (base, scale):
             std = scale * base.std
             determined = (std <= _LOOSE) & (base.others <= _LOOSE)
-            self._least = base, scale, np.where(determined, np.maximum(_SETTLED * std, _LEAST_CHANGE), inf)
-        return self._least[2]
+            least = np.where(determined, np.maximum(_SETTLED * std, _LEAST_CHANGE), inf)
+            self._least = base, scale, least, bool(determined.any())
+        return self._least[2:]
 
 
 class _Place:

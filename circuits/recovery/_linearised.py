@@ -142,7 +142,7 @@ class Base:
         if self.by_columns is not None:
             return self.by_columns.change(volts, steeper)
         change = self.step(volts * steeper)
-        if max(change.max(), -change.min()) > _STRIDE:
+        if max(change.item(change.argmax()), -change.item(change.argmin())) > _STRIDE:
             most = _STRIDE if self.linear is None else np.where(self.linear, _LINEAR_STRIDE, _STRIDE)
             np.clip(change, -_STRIDE, most, out=change)
         return change

@@ -32,7 +32,7 @@ class PossibleShorts:
     def as_good_as_short(self, known: Known) -> BoolArray | None:
         """(N, M) cells far below their leads that no fault explains; None where there are none."""
         found: BoolArray = known.cells < self._short
-        return found if found.any() else None
+        return found if np.count_nonzero(found) else None
 
     def joins_lines(self, known: Known) -> bool:
         """Whether a cell is below its leads: other cells, far from these, may then give the readings as well."""

@@ -150,12 +150,12 @@ class ReadingLimits:
 
     def _is_usual(self, signal: FloatArray, error: float, convergence: Convergence) -> bool:
         """Whether no reading is near a limit, and no column is left out: quickly, as it is so in nearly all frames."""
-        if (self._loses_columns or self._loses_rows) and (convergence.astray or self._left_out.any()):
+        if (self._loses_columns or self._loses_rows) and (convergence.astray or np.count_nonzero(self._left_out)):
             return False
         if self._usual_below[0] != error:
             below = np.minimum(self._as_a_short(error), self._most_signal + _SHORT * error)
             self._usual_below = error, np.where(self._gone, np.inf, below)
-        return not (signal >= self._usual_below[1]).any()
+        return not np.count_nonzero(signal >= self._usual_below[1])  # several times as fast as any()
 
     def _at_limit(self, signal: FloatArray, limited: BoolArray, error: float) -> BoolArray:
         """(N, M) readings that are limited, or as large as that of a short."""

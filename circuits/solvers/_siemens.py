@@ -11,6 +11,9 @@ _WIRE = 1e60  # S
 
 def siemens(ohms: FloatArray | float) -> FloatArray:
     """Conductances in S; what is below 1e-60 ohm is a wire, since products of larger conductances would overflow."""
+    if isinstance(ohms, np.ndarray) and ohms.size and ohms.item(ohms.argmin()) >= 1.0 / _WIRE:  # nearly always
+        ordinary: FloatArray = np.reciprocal(ohms)
+        return ordinary
     with np.errstate(divide="ignore", over="ignore"):
         conductance = np.divide(1.0, ohms)
     return conductance if conductance.max(initial=0.0) <= _WIRE else np.where(conductance > _WIRE, np.inf, conductance)
