@@ -36,6 +36,8 @@ MISSES = 3.0
 """times its held-out error, that an inverse may miss of a drift that goes on after the recording"""
 BREAKS = 0.5
 """share of the error of m10 without chains that break, below which a cell with such chains is believed to have them"""
+WORTH_COMPILING = 1000
+"""samples from which on machine code is loaded before a recording is estimated, which takes about half a second"""
 STEPS = 7
 """of a calibration, for progress: three kinds of model, three folds, and learning from all"""
 
@@ -145,6 +147,8 @@ def estimate_recording(
     Returns:
         Pressure, and its standard deviation or None if the estimator states none.
     """
+    if len(time_s) >= WORTH_COMPILING:
+        estimator.compile()
     pressure, std = np.empty((2, len(time_s)))
     for n, elapsed in enumerate(np.diff(time_s, prepend=time_s[0])):
         pressure[n] = estimator.step(float(elapsed), resistance_ohm[n])

@@ -79,8 +79,13 @@ class Reached(Section):
 
     def excess(self, features: FloatArray) -> FloatArray:
         """(m,) by how much the features (count, m) leave their ranges, of the feature that does so most."""
-        low, high = np.array(self.lowest)[:, None], np.array(self.highest)[:, None]
+        low, high = self.columns
         return np.asarray(np.maximum(np.maximum(low - features, features - high).max(axis=0), 0.0))
+
+    @property
+    def columns(self) -> tuple[FloatArray, FloatArray]:
+        """The lowest and highest features as arrays (count, 1) that nobody may write to."""
+        return _column(self.lowest), _column(self.highest)
 
 
 class StaticCurve(Section):
@@ -96,9 +101,9 @@ class StaticCurve(Section):
 
     def load(self, r: FloatArray) -> FloatArray:
         """The normalised load for a normalised resistance, not limited; a straight line beyond what was recorded."""
-        x, cubic = self.reading(r), np.polynomial.Polynomial(self.coefficients)
+        x = self.reading(r)
         if self.reached is None:
-            return np.asarray(cubic(x))
+            return np.asarray(np.polynomial.Polynomial(self.coefficients)(x))
         # A cubic may turn back, above all beyond the readings that it was fitted to: an overload would read as none.
         low, high = self.reached.lowest[0], self.reached.highest[0]
         reading, load = _monotone(self.coefficients, low, high)
@@ -112,11 +117,9 @@ class StaticCurve(Section):
         """
         if self.reached is None:
             return np.zeros_like(r)
-        x, cubic = self.reading(r), np.polynomial.Polynomial(self.coefficients)
-        low, high = self.reached.lowest[0], self.reached.highest[0]
-        mean = (cubic(high) - cubic(low)) / max(high - low, 1e-12)
+        x, low, high = self.reading(r), self.reached.lowest[0], self.reached.highest[0]
+        mean, slope = _end_slopes(self.coefficients, low, high)
         more, less = (x - high, low - x) if mean > 0 else (low - x, x - high)
-        slope = np.clip(abs(cubic.deriv()(high if mean > 0 else low)), abs(mean), SATURATED * abs(mean))
         return np.asarray(STEEPER * (slope * np.maximum(more, 0.0) + abs(mean) * np.maximum(less, 0.0)))
 
     def reading(self, r: FloatArray) -> FloatArray:
@@ -133,6 +136,23 @@ def _monotone(coefficients: tuple[float, ...], low: float, high: float) -> tuple
     cubic, reading = np.polynomial.Polynomial(coefficients), np.linspace(low, high, POINTS)
     load = cubic(reading)
     return reading, isotonic_regression(load, increasing=bool(load[-1] >= load[0])).x
+
+
+@lru_cache(maxsize=256)
+def _end_slopes(coefficients: tuple[float, ...], low: float, high: float) -> tuple[float, float]:
+    """Mean slope of a cubic from ``low`` to ``high``, and the size of its slope at the end with more load, limited."""
+    cubic = np.polynomial.Polynomial(coefficients)
+    mean = (cubic(high) - cubic(low)) / max(high - low, 1e-12)
+    slope = np.clip(abs(cubic.deriv()(high if mean > 0 else low)), abs(mean), SATURATED * abs(mean))
+    return float(mean), float(slope)
+
+
+@lru_cache(maxsize=256)
+def _column(values: tuple[float, ...]) -> FloatArray:
+    """Numbers of a table as an array (count, 1) that nobody may write to."""
+    column = np.array(values)[:, None]
+    column.flags.writeable = False
+    return column
 
 
 class Learned(Section):
@@ -301,7 +321,7 @@ class LearnedInversion(Inversion):
         if learned.reached is not None:
             # The map knows little beyond the readings of the recording, and nothing beyond the other features learned
             # from: there it goes on with the slope at equilibrium.
-            low, high = np.array(learned.reached.lowest)[:, None], np.array(learned.reached.highest)[:, None]
+            low, high = (limit.copy() for limit in learned.reached.columns)
             if curve.reached is not None and not learned.beyond_recorded:
                 low[0], high[0] = max(low[0], curve.reached.lowest[0]), min(high[0], curve.reached.highest[0])
             inside = self._terms.standardised(np.clip(features, low, high))

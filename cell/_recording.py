@@ -84,9 +84,9 @@ def check_times(time_s: FloatArray, name: str) -> None:
     follows = np.isfinite(time_s) & (np.diff(time_s, prepend=-np.inf) > 0)
     if not follows.all():
         at = int(np.argmin(follows))
-        after = f" after {time_s[at - 1]:.17g} s" if at else ""
+        after = f" after {float(time_s[at - 1])} s" if at else ""
         raise InputError(
-            f"{name}: time_s must increase and be finite, but sample {at + 1} is at {time_s[at]:.17g} s{after}"
+            f"{name}: time_s must increase and be finite, but sample {at + 1} is at {float(time_s[at])} s{after}"
         )
 
 

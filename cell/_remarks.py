@@ -21,14 +21,18 @@ CLEARLY = 0.3
 """least correlation of the two signals' changes for a lead to be believed"""
 AT_LIMIT = 0.02
 """share of the readings under load with the same extreme value, from which they look clipped"""
-USUAL_KPA, USUAL_OHM = (0.1, 1000.0), (30.0, 1e9)
+USUAL_KPA, USUAL_OHM = (0.5, 1000.0), (30.0, 1e9)
 """between which full scales and median resistances of robot skins lie: what lies outside is perhaps in another unit"""
+USUAL_STEP_S = 2.0
+"""between readings, up to which a press of a few seconds still has a shape"""
 FALLS, RISES = 0.03, 0.08
 """least drift of R0 that is remarked upon, relative. Creep under load alone can look like a rise by 0.06 (specimens of
 relays with fractional creep, `bench/_materials.py`), but hardly like a fall"""
 DRIFT_ERRORS, DRIFT_LEAVES = 4.0, 0.3
 """least size of a drift that is believed, in standard errors, and most of the squared error beyond noise that the model
 with the drift may leave of what it leaves without"""
+GAP_SHARE, GAP_STEPS = 0.05, 20.0
+"""least gap that is remarked upon, over the length of the recording and in its steps"""
 LOADED, DIFFERENT = 0.3, 0.2
 """of full scale: from which a cell counts as loaded here, and a difference that readings of clipped loads have"""
 
@@ -64,7 +68,18 @@ def remarks(
             "Loads beyond it cannot be told apart"
         )
     yield from _unusual(recording, full_scale_kpa)
+    gap_s, length_s = float(np.diff(recording.time_s).max()), float(np.ptp(recording.time_s))
+    if gap_s > max(GAP_SHARE * length_s, GAP_STEPS * recording.step_s):
+        yield (
+            f"nothing was read for {gap_s:.3g} s of {length_s:.3g} s: the load is taken to have gone straight from the "
+            "reading before to the one after, and what the cell remembers of that time is wrong if it did not"
+        )
     highest = float(recording.pressure_kpa.max())
+    if highest > 1.2 * full_scale_kpa:
+        yield (
+            f"the largest load is {highest:.3g} kPa, full scale {full_scale_kpa:.3g} kPa: was it hardly ever reached? "
+            "--full-scale sets it"
+        )
     if highest < 0.8 * full_scale_kpa:
         yield f"the largest load is {highest:.3g} of {full_scale_kpa:.3g} kPa: beyond it the deviation grows fast"
     if presses < 3:
@@ -75,6 +90,8 @@ def remarks(
 
 def _unusual(recording: Recording, full_scale_kpa: float) -> Iterator[str]:
     """What is perhaps in another unit; :mod:`._recording` refuses what surely is."""
+    if recording.step_s > USUAL_STEP_S:
+        yield f"readings {recording.step_s:.3g} s apart hardly show how a press begins: is time_s in milliseconds?"
     low, high = USUAL_KPA
     if not low <= full_scale_kpa <= high:
         unit = "MPa or bar" if full_scale_kpa < low else "Pa or mbar"

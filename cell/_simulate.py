@@ -10,10 +10,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from ..arrays import BoolArray, FloatArray
+from ..compiled import Rows, loop
 from . import _lag as lag
 
 FEW_CELLS = 8
-"""up to which stepping the cells one by one is faster than stepping them together"""
+"""up to which stepping the cells one by one is faster than stepping them together, without machine code"""
 
 M10_PARAMETERS = ("a", "b", "alpha1", "rise1_s", "fall1_s", "alpha2", "rise2_s", "fall2_s", "k", "tau_s")
 
@@ -40,7 +41,17 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float, begun: FloatArray
     branches = np.empty((samples, 2, cells))
     begun = np.zeros((3, cells)) if begun is None else begun
     branches[0] = target[0] + begun[:2]
-    if cells <= FEW_CELLS:
+    compiled = _step_branches.machine_code()
+    if compiled is not None:
+        of_all = 2 * cells
+        compiled(
+            np.ascontiguousarray(target.reshape(samples, of_all)),
+            np.ascontiguousarray(into[:, 0].reshape(samples - 1, of_all)),
+            np.ascontiguousarray(into[:, 1].reshape(samples - 1, of_all)),
+            stay.reshape(2, of_all),
+            branches.reshape(samples, of_all),
+        )
+    elif cells <= FEW_CELLS:
         for branch, cell in np.ndindex(2, cells):
             charging, discharging = into[:, :, branch, cell].T
             branches[:, branch, cell] = _one_branch(
@@ -60,6 +71,18 @@ def m10(parameters: FloatArray, load: FloatArray, dt_s: float, begun: FloatArray
         broken[:, cell] = _recursion(moved[:, cell], 1 - gone[cell])
     r: FloatArray = a * load + b * load**2 + branches.sum(axis=1) + broken
     return r
+
+
+@loop
+def _step_branches(target: Rows, charging: Rows, discharging: Rows, stay: Rows, branches: Rows) -> None:
+    """:func:`_all_branches` with the branches of all cells side by side; writes ``branches`` from its second row on."""
+    for n in range(1, branches.shape[0]):
+        for branch in range(branches.shape[1]):
+            x = branches[n - 1, branch]
+            if target[n, branch] > x:
+                branches[n, branch] = x * stay[0, branch] + charging[n - 1, branch]
+            else:
+                branches[n, branch] = x * stay[1, branch] + discharging[n - 1, branch]
 
 
 def _all_branches(target: FloatArray, into: FloatArray, stay: FloatArray, branches: FloatArray) -> None:
@@ -138,11 +161,27 @@ def paper(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
     driven = stay * np.where(starts, start, np.where(ends, end, 0.0)) + np.where(risen, into_u, into2)
     state = np.empty((samples, cells))
     state[0] = load[0]
+    _follow(keep, driven, state)
+    r: FloatArray = np.where(rising, total * load + jump * (load - state), gain1 * load + state + x3)
+    return r
+
+
+def _follow(keep: FloatArray, driven: FloatArray, state: FloatArray) -> None:
+    """state[n] = keep[n-1] state[n-1] + driven[n-1], each (n, m); writes ``state`` from its second row on."""
+    compiled = _follow_cells.machine_code()
+    if compiled is not None:
+        compiled(keep, driven, state)
+        return
     for factor, add, last, to in zip(keep, driven, state[:-1], state[1:], strict=True):
         np.multiply(factor, last, out=to)
         np.add(to, add, out=to)
-    r: FloatArray = np.where(rising, total * load + jump * (load - state), gain1 * load + state + x3)
-    return r
+
+
+@loop
+def _follow_cells(keep: Rows, driven: Rows, state: Rows) -> None:
+    for n in range(1, state.shape[0]):
+        for cell in range(state.shape[1]):
+            state[n, cell] = keep[n - 1, cell] * state[n - 1, cell] + driven[n - 1, cell]
 
 
 def random_loads(rng: np.random.Generator, samples: int, cells: int, dt_s: float) -> FloatArray:
@@ -177,7 +216,7 @@ def varied_loads(
     loads = np.empty((samples, cells))
     shortest = min(len(recorded), max(2, round(20 / recorded_dt_s)))
     for cell in range(cells):
-        pieces: list[FloatArray] = [np.zeros(round(rng.uniform(1, 20) / dt_s))]
+        pieces: list[FloatArray] = [np.zeros(max(1, round(rng.uniform(1, 20) / dt_s)))]
         while sum(map(len, pieces)) < samples:
             length = rng.integers(shortest, len(recorded) + 1)
             start = rng.integers(0, len(recorded) - length + 1)

@@ -8,7 +8,7 @@ but is not asked to believe the model to the last digit.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -218,23 +218,23 @@ def learn(
     penalty[0, 0] = 0.0
     sets = (data.simulated, data.simulated_load), (data.real, data.real_load)
     normal = penalty + AT_REST * rest.T @ rest
-    for features, _ in sets:
-        part = np.zeros_like(normal)
-        for _, block in _blocks(terms, features):
-            part += block.T @ block
-        normal += part / len(features)
+    moments = np.zeros(len(normal))
+    for features, load in sets:
+        squares, products = np.zeros_like(normal), np.zeros_like(moments)
+        for place, block in _blocks(terms, features):
+            squares += block.T @ block
+            products += block.T @ load[place]
+        normal += squares / len(features)
+        moments += products / len(features)
+    weights = np.linalg.solve(normal, moments)
 
-    def solve(answers: Callable[[FloatArray, FloatArray], FloatArray]) -> FloatArray:
-        moments = np.zeros(len(normal))
-        for features, load in sets:
-            part = np.zeros_like(moments)
-            for place, block in _blocks(terms, features):
-                part += block.T @ answers(block, load[place])
-            moments += part / len(features)
-        return np.asarray(np.linalg.solve(normal, moments), dtype=np.float64)
-
-    weights = solve(lambda block, load: load)
-    errors = solve(lambda block, load: np.abs(block @ weights - load))
+    error_moments = np.zeros_like(moments)
+    for features, load in sets:
+        products = np.zeros_like(moments)
+        for place, block in _blocks(terms, features):
+            products += block.T @ np.abs(block @ weights - load[place])
+        error_moments += products / len(features)
+    errors = np.linalg.solve(normal, error_moments)
     return Learned(
         smoothing_s=SMOOTHING_S,
         smoothed=False,

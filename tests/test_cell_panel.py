@@ -400,6 +400,39 @@ def test_a_load_cell_that_is_late_and_a_converter_that_clips_are_noticed() -> No
     assert "beyond it the deviation grows" in said(load, read, 2 * panel.FULL_SCALE_KPA)
 
 
+def test_a_gap_and_a_full_scale_that_is_hardly_reached_are_remarked_upon() -> None:
+    of = _waves()
+    kept = (of.time_s < 20) | (of.time_s > 30)
+    gap = Recording(of.time_s[kept], of.pressure_kpa[kept], of.resistance_ohm[kept])
+    assert not list(remarks(of, 10.0, 10.0, varied=True))
+    assert "nothing was read for 10.2 s of 59.9 s" in " ".join(remarks(gap, 10.0, 10.0, varied=True))
+    assert "the largest load is 10 kPa, full scale 8 kPa" in " ".join(remarks(of, 8.0, 10.0, varied=True))
+
+
+def test_readings_minutes_apart_are_remarked_upon_and_can_be_learned_from() -> None:
+    """Time in milliseconds with presses shorter than 3.6 s. The cell is then as slow as the file says."""
+    of = panel.scene("random", "asymmetric", 3)
+    head = of.time_s < 60
+    recording = checked_recording(
+        1e3 * of.time_s[head], of.pressure_kpa[head], of.resistance_ohm[head], trust_units=True
+    )
+    assert "is time_s in milliseconds?" in " ".join(remarks(recording, panel.FULL_SCALE_KPA, 10.0, varied=True))
+    found = training.variations(_normalised(recording), np.random.default_rng(0), 4)
+    assert np.isfinite(found[1]).all()
+
+
+def _normalised(recording: Recording) -> training.NormalisedRecording:
+    rest = float(recording.resistance_ohm[0])
+    return training.NormalisedRecording(
+        time_s=recording.time_s,
+        r=recording.resistance_ohm / rest - 1,
+        load=recording.pressure_kpa / recording.pressure_kpa.max(),
+        rest_resistance_ohm=rest,
+        simulation=lambda rng, load, dt: rest * (1 + load),
+        unexplained=0.01,
+    )
+
+
 @pytest.mark.parametrize(
     ("kpa", "ohm", "expected"),
     [(1.0, 1.0, ""), (100.0, 1.0, "Pa or mbar"), (0.004, 1.0, "MPa or bar"), (1.0, 1e-3, "kohm"), (1.0, 3e5, "mohm")],
