@@ -63,7 +63,8 @@ def levels(time_s: FloatArray, taps_hz: float) -> FloatArray:
 
 def taps(time_s: FloatArray, taps_hz: float) -> FloatArray:
     """(n,) loads in kPa."""
-    return TAP_KPA * levels(time_s, taps_hz)[:, 1::2].sum(axis=1)
+    pressed: FloatArray = levels(time_s, taps_hz)[:, 1::2].sum(axis=1)
+    return TAP_KPA * pressed
 
 
 def bound_kpa(cell: Cell, rate_hz: float, taps_hz: float, noise_mv: float) -> float:
