@@ -126,7 +126,7 @@ def live_estimators(sizes: Iterable[int], *, learned: bool = True, frames: int =
 
     Args:
         sizes: of the N x N arrays.
-        learned: calibrate the example cell first by the 280 s protocol with noise, for the estimators that learn. This
+        learned: calibrate the example cell first by the 272 s protocol with noise, for the estimators that learn. This
             takes about 15 s. False: those that follow from the data sheet.
         frames: that are measured.
 

@@ -46,7 +46,7 @@ def estimators(
 ) -> list[Row]:
     """Every estimator that applies, on an independent material and on the shipped example cell.
 
-    Both are calibrated by the 280 s protocol alone and judged on random presses; reproducible but for the times.
+    Both are calibrated by the 272 s protocol alone and judged on random presses; reproducible but for the times.
     """
     full = 15.5
     rng = np.random.default_rng(seed)

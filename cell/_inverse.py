@@ -25,7 +25,7 @@ from ._models import AsymmetricModel, M10Model
 from ._noise import WINDOW
 from ._rows import GAIN, PRESSURE, VARIANCE
 
-LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP = (
+LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST = (
     3,
     slice(4, 6),
     6,
@@ -35,10 +35,11 @@ LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP = (
     slice(10, 13),
     13,
     14,
+    15,
 )
 """rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last two steps of the
 load, variances in r of what is remembered of the branches and of the broken chains, the r of chains that may have
-broken unseen, and 1 if the load left its play upwards, else 0"""
+broken unseen, 1 if the load left its play upwards, else 0, and the load up to which chains have broken then"""
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
 """the first, of a bend of the load (its change of change between frames), makes the standard deviation of a lag over
 ramp (1 - ramp), as the load may go straight or by a step. The others, of its way in the frame after a turn, make the
@@ -46,6 +47,8 @@ standard deviation of the way to and fro between two frames, and what is to be e
 same side, so this part adds up. Taken from vibrations and slips, whose drops are faster than a frame"""
 STILL_SIGMAS = 3.0
 """half width of that play, in standard deviations: noise within it breaks no chains"""
+OVERSHOOT = 0.5
+"""of that half width: by how much noise takes the furthest load of a press beyond where the load turned"""
 
 ACCURACY = 1e-11
 """of full scale, to which a step with a change-over is solved"""
@@ -145,7 +148,7 @@ class AsymmetricInversion(Inversion):
 
     rows = (
         *("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor", "moved", "moved_before"),
-        *("error1", "error2", "broken_error", "missed", "went_up"),
+        *("error1", "error2", "broken_error", "missed", "went_up", "furthest"),
     )
 
     def __init__(
@@ -185,7 +188,7 @@ class AsymmetricInversion(Inversion):
         s = _root(m.b, slope, r)
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[LOAD], memory[BRANCHES] = s * self.full_scale_kpa, s, self._alpha * s
-        memory[GAIN], memory[ANCHOR], memory[WENT_UP] = self.full_scale_kpa / slope, s, 1.0
+        memory[GAIN], memory[ANCHOR], memory[WENT_UP], memory[FURTHEST] = self.full_scale_kpa / slope, s, 1.0, s
         return memory
 
     def advance(
@@ -200,6 +203,7 @@ class AsymmetricInversion(Inversion):
             self._limit(new, r, std)
         if not self.exact and m.k:
             new[WENT_UP] = of.went_up
+            new[FURTHEST] = np.where(of.breaking != 0.0, new[LOAD], memory[FURTHEST])
         new[PRESSURE] = new[LOAD] * self.full_scale_kpa
         new[ANCHOR] = np.maximum(np.minimum(memory[ANCHOR], new[LOAD] + of.width), new[LOAD] - of.width)
         new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self.full_scale_r)
@@ -233,11 +237,13 @@ class AsymmetricInversion(Inversion):
             still = slope + follows[0] + follows[1]
             moves = np.abs(s0 + change / np.maximum(still, 1e-9) - memory[ANCHOR]) > width
             breaking = np.where(moves, breaking, 0.0)
-            # A load that has turned has crossed its play, and broken chains there.
+            # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
+            # back has broken them before, up to where it was.
             went_up = memory[WENT_UP] > 0
-            gone_back = (memory[ANCHOR] - s0) * np.where(went_up, 1.0, -1.0)
+            gone_back = (memory[FURTHEST] - s0) * np.where(went_up, 1.0, -1.0) - OVERSHOOT * width
             gone_back = np.clip(gone_back, 0.0, 2.0 * width)
-            crossed_play = np.where(moves & (up != went_up), m.k * gone_back, 0.0)
+            again = np.maximum((memory[FURTHEST] - s0) * np.where(up, 1.0, -1.0), 0.0)
+            crossed_play = np.where(moves, np.where(up != went_up, m.k * gone_back, -(m.k * again)), 0.0)
             free += crossed_play
             change -= crossed_play
             went_up = np.where(moves, up, went_up)
@@ -287,6 +293,7 @@ class AsymmetricInversion(Inversion):
             loops.LOWEST_END: self._reach[0],
             loops.HIGHEST_END: self._reach[1],
             loops.STILL: STILL_SIGMAS,
+            loops.OVERSHOOT: OVERSHOOT,
             loops.BETWEEN: BETWEEN,
             loops.BY_TURNS: AROUND * m.k,
             loops.TO_AND_FRO: TO_AND_FRO * m.k,

@@ -11,12 +11,12 @@ import math
 from ..compiled import FixedRow, Places, Rows, loop
 from ._rows import GAIN, PRESSURE, SMOOTHED, STD, VARIANCE
 
-LOAD, BRANCH, BROKEN, ANCHOR, MOVED, BEFORE, ERROR, MISSED, WENT_UP = 3, 4, 6, 7, 8, 9, 10, 13, 14
+LOAD, BRANCH, BROKEN, ANCHOR, MOVED, BEFORE, ERROR, MISSED, WENT_UP, FURTHEST = 3, 4, 6, 7, 8, 9, 10, 13, 14, 15
 """rows of the memory, see :mod:`._inverse`; two branches, and three variances"""
 
 A, B, K, ALPHA, RISE_S, FALL_S = 0, 1, 2, 3, 5, 7
 FULL_KPA, FULL_R, HIGHEST, IN_DOUBT, DOUBT_KPA2, MOST_KPA2, LOWEST_END, HIGHEST_END = range(9, 17)
-STILL, BETWEEN, BY_TURNS, TO_AND_FRO, ACCURACY, EVALUATIONS = range(17, 23)
+STILL, BETWEEN, BY_TURNS, TO_AND_FRO, ACCURACY, EVALUATIONS, OVERSHOOT = range(17, 24)
 """places of the estimator's numbers: of its model, with two branches; full scale; the largest loads that are believed,
 in general and while the memory is in doubt, which it is beyond a variance in kPa^2; the largest variance; the loads
 within reach; and the constants of :mod:`._inverse`, those of turns times ``k``"""
@@ -69,14 +69,19 @@ def solve(
         if k != 0.0:
             still = slope + of[FOLLOWS, i] + of[FOLLOWS + 1, i]
             moves = abs(s0 + change / max(still, 1e-9) - anchor) > width
-            # A load that has turned has crossed its play, and broken chains there.
+            # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
+            # back has broken them before, up to where it was.
             went_up = memory[WENT_UP, i] > 0.0
             if moves:
                 if up != went_up:
-                    gone_back = (anchor - s0) * (1.0 if went_up else -1.0)
+                    gone_back = (memory[FURTHEST, i] - s0) * (1.0 if went_up else -1.0) - numbers[OVERSHOOT] * width
                     crossed_play = k * min(max(gone_back, 0.0), 2.0 * width)
                     free += crossed_play
                     change -= crossed_play
+                else:
+                    again = k * max((memory[FURTHEST, i] - s0) * (1.0 if up else -1.0), 0.0)
+                    free -= again
+                    change += again
                 went_up = up
             else:
                 breaking = 0.0
@@ -209,6 +214,8 @@ def finish(memory: Rows, taken: Rows, heals: float, numbers: FixedRow, of: Rows)
                 broken += max(left, 0.0)
         if k != 0.0:
             memory[WENT_UP, i] = of[UP, i]
+            if of[BREAKING, i] != 0.0:
+                memory[FURTHEST, i] = load
         gain = full_kpa / max(a + 2.0 * b * load - k, 0.05 * numbers[FULL_R])
         memory[LOAD, i], memory[BRANCH, i], memory[BRANCH + 1, i], memory[BROKEN, i] = load, one, other, broken
         memory[PRESSURE, i], memory[GAIN, i] = load * full_kpa, gain

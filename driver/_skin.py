@@ -98,10 +98,6 @@ class Skin:
                 recording cannot be written or is there already, or the calibration is another board's.
 
         """
-        self._timeout, self._delivery = timeout, delivery
-        self._recorder: Recording | None = None
-        self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
-        """recordings under way -> what tells them of converted frames"""
         try:
             opening = Opening.of(
                 board=board,
@@ -116,6 +112,26 @@ class Skin:
                 queue=queue,
                 reconnect=reconnect,
             )
+        except BaseException:
+            port.close()
+            raise
+        self._begin(port, opening, reopen, record, overwrite=overwrite)
+
+    def _begin(
+        self,
+        port: BytePort,
+        opening: Opening,
+        reopen: Callable[[], BytePort] | None,
+        record: str | Path | None,
+        *,
+        overwrite: bool,
+    ) -> None:
+        """Introduce the board as asked; a port whose board cannot be introduced is closed."""
+        self._timeout, self._delivery = opening.timeout_s, opening.delivery
+        self._recorder: Recording | None = None
+        self._followers: dict[Recording, Callable[[RawFrame, Measurement], None]] = {}
+        """recordings under way -> what tells them of converted frames"""
+        try:
             link = Link(port, opening, reopen)
             if record is not None:
                 self._recorder = link.record(record, overwrite=overwrite)
@@ -227,24 +243,8 @@ class Skin:
             opened, reopen = finder.open(), finder.open_again
         else:
             opened, reopen = played, played.reopen
-        settings = asked.settings
-        skin = cls(
-            opened,
-            board=asked.family,
-            design=settings.design,
-            cell=settings.cell,
-            estimator=settings.estimator,
-            timeout=timeout,
-            delivery=asked.delivery,
-            queue=queue,
-            reconnect=reconnect,
-            reopen=reopen,
-            pitch=settings.pitch,
-            accuracy=settings.accuracy,
-            record=record,
-            overwrite=overwrite,
-            calibration=settings.calibration,
-        )
+        skin = cls.__new__(cls)
+        skin._begin(opened, asked, reopen, record, overwrite=overwrite)
         if finder is not None:
             finder.board_is_numbered = bool(skin.serial_number)
             skin._must_be(serial_number)

@@ -147,7 +147,6 @@ def test_importing_the_package_does_not_import_the_compiler() -> None:
 
 
 USE = """
-    from pathlib import Path
     from ohmskin import compiled
     from some_loops import doubled
     code = doubled.machine_code()
@@ -179,6 +178,23 @@ def test_machine_code_is_kept_for_the_next_process_and_renewed_when_damaged(some
     for file in kept:
         file.write_bytes(b"damaged")
     assert _used(some_loops) == "8.0 None None\n"
+
+
+def test_a_wait_for_the_compiler_is_logged_once_and_no_wait_for_the_disk(some_loops: Path) -> None:
+    text = (some_loops / "some_loops.py").read_text()
+    (some_loops / "some_loops.py").write_text(text + "@loop\ndef tripled(x: float) -> float:\n    return 3.0 * x\n")
+    program = f"""
+        import logging, sys
+        logging.basicConfig(level=logging.INFO, stream=sys.stdout, format="%(name)s: %(message)s")
+        sys.path.insert(0, {str(some_loops)!r})
+        from ohmskin import compiled
+        import some_loops
+        print(compiled.load())
+    """
+    told, done = _run(program).splitlines()
+    assert told.startswith("ohmskin: compiling for this machine")
+    assert done == "True"
+    assert _run(program) == "True\n", "from disk"
 
 
 def test_nothing_is_kept_where_no_folder_can_be_written_to(some_loops: Path) -> None:

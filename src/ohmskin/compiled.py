@@ -9,17 +9,20 @@ A loop rounds as the array operations do: sums, products, quotients and square r
 which they are written, and dividing by zero gives an infinity or NaN.
 
 Compiling takes seconds, importing Numba a quarter of one. So nothing happens until somebody asks for the machine code
-(:meth:`Loop.machine_code`), which is kept on disk for the next process, in ``__pycache__`` or in the user's cache.
+(:meth:`Loop.machine_code`), which is kept on disk for the next process, in ``__pycache__`` or in the user's cache. The
+logger ``ohmskin`` is told (level INFO) where a process has to compile.
 """
 
 from __future__ import annotations
 
 import builtins
 import hashlib
+import logging
 import os
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Annotated, Any, Generic, ParamSpec, TypeVar, cast, get_args, get_origin, get_type_hints
 
@@ -45,6 +48,7 @@ FixedCodes = Annotated[CodeArray, "Array(uint32, 1, 'C', readonly=True)"]
 
 _SCALARS = {float: "float64", int: "intp", bool: "boolean", type(None): "void"}
 _OFF = ("0", "no", "off", "false")
+_log = logging.getLogger("ohmskin")
 _lock = threading.RLock()
 _offered: list[Loop[..., Any]] = []
 _waiting: list[Loop[..., Any]] = []
@@ -133,6 +137,8 @@ class Loop(Generic[P, R]):
                 self._compiled = self._compiled_by_numba(keep=True)
             except Exception:  # no folder to write to, a full disk, a damaged file
                 self._compiled = self._compiled_by_numba(keep=False)
+            if not self._compiled.stats.cache_hits:
+                _tell_of_the_wait()
         return self._compiled
 
     def _compiled_by_numba(self, *, keep: bool) -> Any:
@@ -189,6 +195,12 @@ class Loop(Generic[P, R]):
                 raise TypeError(f"{function.__qualname__} uses {name}, which is neither a number nor a loop")
             found[name] = value
         return found
+
+
+@cache
+def _tell_of_the_wait() -> None:
+    """Say once in a process why it waits: after the first loop that was not on disk, with some forty to come."""
+    _log.info("compiling for this machine: some 10 s, the first time that a skin is opened")
 
 
 def loop(function: Callable[P, R]) -> Loop[P, R]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import difflib
 import errno
 import importlib
+import logging
 import os
 import signal
 import sys
@@ -113,9 +114,20 @@ def main(args: Sequence[str] | None = None) -> None:
     _signals.leave_at_once()
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout = _standard_output(sys.stdout)
+    if sys.stderr.isatty():
+        _show_log()
     code = run(args)
     _signals.leave_from_now_on(code)
     sys.exit(code)
+
+
+def _show_log() -> None:
+    """Show on standard error what the package logs, such as why it waits: for whoever watches."""
+    handler = logging.StreamHandler()
+    handler.setFormatter(logging.Formatter("ohmskin: %(message)s"))
+    log = logging.getLogger("ohmskin")
+    log.setLevel(logging.INFO)
+    log.addHandler(handler)
 
 
 def run(args: Sequence[str] | None = None) -> int:

@@ -16,6 +16,7 @@ from ..bench import _estimators as of_cells
 from ..bench import _freshness as of_skins
 from ..bench import _hard_cases as of_hard_cases
 from ..bench import _honesty as of_deviations
+from ..bench import _rest as of_rests
 from ..bench import _taps as of_taps
 from ..bench import _view as of_pages
 from ..bench import _worst_frames as of_events
@@ -87,6 +88,7 @@ def command(
         click.echo(json.dumps([asdict(row) for row in judged], indent=1) if as_json else of_cells.table(judged))
         if not as_json:
             click.echo("\n" + of_hard_cases.hard_table(of_hard_cases.hard_cases()))
+            click.echo("\n" + of_rests.table(of_rests.rests()))
             click.echo("\n" + of_deviations.table(of_deviations.honesty()))
             click.echo("\n" + of_deviations.summary(of_deviations.elsewhere()))
         return

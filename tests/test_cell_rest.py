@@ -1,0 +1,40 @@
+"""Released cells come back to rest in noise, and a light load after taps neither fades for good nor runs away."""
+
+import numpy as np
+import pytest
+
+from ohmskin.bench import _rest as rest
+from ohmskin.bench._honesty import estimated, readings
+from ohmskin.cell import Cell
+
+EXAMPLE = Cell.example()
+
+
+def test_a_released_cell_shows_less_than_half_a_kilopascal_in_noise() -> None:
+    """Twelve taps of 9 kPa at 10 mV: the median of four seeds, and never four times the best that knows every turn."""
+    (found,) = rest.rests([(50.0, 1.0, 10.0)], seeds=4)
+    assert found.median_kpa < 0.5
+    assert found.largest_kpa < 4.0 * found.bound_kpa
+    assert found.worst < 4.0
+
+
+def test_the_bound_falls_with_more_readings_and_less_noise() -> None:
+    bound = rest.bound_kpa(EXAMPLE, 50.0, 1.0, 10.0)
+    assert rest.bound_kpa(EXAMPLE, 200.0, 1.0, 10.0) == pytest.approx(bound / 2.0, rel=0.05)
+    assert rest.bound_kpa(EXAMPLE, 50.0, 1.0, 1.0) == pytest.approx(bound / 10.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("noise_mv", [1.0, 10.0])
+@pytest.mark.parametrize("light_kpa", [0.6, 2.5])
+def test_a_light_load_after_taps_is_held_within_the_deviation(light_kpa: float, noise_mv: float) -> None:
+    """Eight taps of 9 kPa, the last of which leaves a light load: ten seconds later the estimate still has it."""
+    dt_s, frames = 0.01, 2000
+    fine_s = dt_s / rest.SUBSTEPS * np.arange(1.0, frames * rest.SUBSTEPS + 1)
+    load = np.where(fine_s < 8.5, rest.taps(fine_s, 1.0), np.interp(fine_s, [8.5, 8.53], [9.0, light_kpa]))
+    share = np.repeat(load[:, None], 8, axis=1) / EXAMPLE.full_scale_kpa
+    read = readings(EXAMPLE, share, dt_s, noise_mv, np.random.default_rng(8), substeps=rest.SUBSTEPS)
+    pressure, std = estimated(EXAMPLE, read, np.ones(frames, dtype=np.bool_), dt_s, bits=12)
+    error = np.abs(pressure - EXAMPLE.full_scale_kpa * share[rest.SUBSTEPS - 1 :: rest.SUBSTEPS])
+    held = np.arange(frames) * dt_s > 9.0
+    assert np.mean(error[held] < 2.0 * std[held]) > 0.95
+    assert np.median(error[-200:]) < 0.5
