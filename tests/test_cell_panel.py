@@ -163,7 +163,7 @@ def test_presses_vary_that_differ_in_height_and_in_duration() -> None:
 
 
 def test_strokes_go_from_turn_to_turn() -> None:
-    """Each stroke is shorter by what the play swallows at a turn: a tenth of full scale, half of which at the first one."""
+    """A play swallows a tenth of full scale at each turn, and half of that at the first one."""
     heights, durations = np.array([0.8, 0.5, 1.0]), np.array([6.0, 8.0, 4.0])
     found = strokes(_press_by_press(heights, durations), 10.0)
     assert found.height == pytest.approx(np.repeat(heights, 2) - np.array([0.05, *[0.1] * 5]), abs=0.06)
