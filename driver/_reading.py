@@ -287,7 +287,7 @@ class CountReader:
             doubtful = self._beside_limit(counts) & ~limited
             self._in_doubt = bool(doubtful.any())
             limited |= doubtful
-        # At the end of the range where hardly a current flows, not knowing a cell disturbs no other.
+        # Where hardly a current flows a cell may be open. It is no short, which would disturb many others.
         faint = limited & (np.abs(volts - self._level) < 1.5 * self._step)
         limited &= ~faint
         self._limited = limited if limited.any() else None
@@ -322,7 +322,7 @@ class CountReader:
                 raise ProtocolError(f"the board sends a count of {most:.0f}; its ADC has {bits} bits")
             limited, faint = self._limited_and_faint(counts, volts, guard, jumped=jumped)
         try:
-            found = self._recover(volts, limited, noise)
+            found = self._recover(volts, limited, noise, faint=faint)
         except SolverError:
             nothing = np.full(counts.shape, np.nan)
             reason = np.full(counts.shape, Reason.UNSOLVED, dtype=np.int8)

@@ -174,6 +174,19 @@ def test_a_cell_below_the_range_draws_its_columns_source() -> None:
     assert (off <= reading.uncertainty[reading.valid]).all()
 
 
+def test_what_an_offset_pushes_below_the_range_may_conduct_up_to_the_range() -> None:
+    """Outputs below 0 V read as hardly a current, but their cells load a column with a heavy lead."""
+    design = board(6, 1, 0.4, bits=20, open_loop_gain=300.0, offset_voltage=-9e-5).replace(array={"column_lead": 1e3})
+    pressed = np.array([[1e6], [44.0], [150.0], [2.5e5], [110.0], [7.8e3]])
+    for least in (1e6, np.inf):
+        cells = np.where(pressed < 1e5, pressed, least)
+        reading = CountReader(design)(adc_codes(design, scan(design, cells).volts))
+        off = np.abs(reading.resistance / cells - 1.0)[reading.valid]
+        assert reading.valid.ravel().tolist() == [False, True, True, False, True, True]
+        assert (reading.reason[~reading.valid] == Reason.NO_CURRENT).all()
+        assert (off <= reading.uncertainty[reading.valid]).all()
+
+
 @pytest.mark.parametrize("bits", [12, 16, 18, 24])
 @pytest.mark.parametrize("offset_steps", [0.0, -2.5, 2.5])
 def test_an_output_at_a_limit_is_never_a_measurement(bits: int, offset_steps: float) -> None:
@@ -221,6 +234,7 @@ def test_an_output_at_a_limit_is_never_a_measurement(bits: int, offset_steps: fl
         "row extremes:202010000038",  # the same with a converter of 6 bits: off by a factor of 60
         "inverting extremes:202020000095",
         "inverting extremes:201010000046",  # cells shorted in the frame in which a noise begins
+        "inverting extremes:201050000042",  # open cells whose outputs an offset pushes far below the range
     ],
 )
 def test_streams_that_were_once_misread(stream: str) -> None:

@@ -75,14 +75,20 @@ class AmplifiedLive:
         for shared in (self._all, self._no_reason, self._turned_all, self._turned_no_reason):
             shared.flags.writeable = False
 
-    def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
+    def __call__(
+        self,
+        volts: FloatArray,
+        limited: BoolArray | None = None,
+        noise: float = 0.0,
+        *,
+        faint: BoolArray | None = None,
+    ) -> LiveReading:
         """As :class:`.LiveRecovery`."""
         if not self._turned:
-            return self._read(volts, limited, noise)
+            return self._read(volts, limited, faint, noise)
         turn = self._turn
-        found = self._read(
-            np.ascontiguousarray(turn(volts)), None if limited is None else np.ascontiguousarray(turn(limited)), noise
-        )
+        limited, faint = (None if cells is None else np.ascontiguousarray(turn(cells)) for cells in (limited, faint))
+        found = self._read(np.ascontiguousarray(turn(volts)), limited, faint, noise)
         every = found.valid is self._all
         return LiveReading(
             np.ascontiguousarray(turn(found.resistance)),  # what follows is faster in the usual order
@@ -91,23 +97,24 @@ class AmplifiedLive:
             lambda: (turn(found.uncertainty), turn(found.own)),
         )
 
-    def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
+    def _read(self, volts: FloatArray, limited: BoolArray | None, faint: BoolArray | None, noise: float) -> LiveReading:
         """A frame's way, in line coordinates: cells, uncertainties, cells at limits, and reasons for the rest."""
-        if limited is None and self._loops.compiled and not self._faults.any:
+        if limited is None and faint is None and self._loops.compiled and not self._faults.any:
             usual = self._usual(volts, noise)
             if usual is not None:
                 return usual
         transfer, conductance, gain, off = self._cells(volts)
         levels = self._errors(gain, noise, self._base)
-        if limited is None and off is None and not self._faults.any:
+        unknown = limited if faint is None else _with_faint(limited, faint, transfer, levels)
+        if unknown is None and off is None and not self._faults.any:
             valid = transfer >= levels.least
             if np.count_nonzero(valid) == valid.size:
                 return LiveReading(
                     np.reciprocal(conductance), self._all, self._no_reason, partial(levels.uncertainties, transfer)
                 )
         disturbance = None
-        if limited is not None:
-            disturbance = self._at_limits(conductance, volts, limited, levels.noise, self._base)
+        if unknown is not None:
+            disturbance = self._at_limits(conductance, volts, unknown, levels.noise, self._base)
         return self._examined(transfer, conductance, levels, off, limited, disturbance)
 
     def _usual(self, volts: FloatArray, noise: float) -> LiveReading | None:
@@ -257,6 +264,24 @@ class AmplifiedLive:
         resistance = np.divide(1.0, conductance, out=np.full_like(conductance, inf), where=conductance > 0)
         resistance[np.isinf(uncertainty)] = np.nan
         return LiveReading(resistance, valid, reason, lambda: (uncertainty, own))
+
+
+def _with_faint(limited: BoolArray | None, faint: BoolArray, transfer: FloatArray, levels: Levels) -> BoolArray | None:
+    """Cells at limits and those faint ones that may conduct more than what a reading's error covers; None for none.
+
+    An offset may push the outputs of open cells thousands of steps below the range. Arrays are (N, M).
+
+    Args:
+        limited: where a reading is at a limit; None: nowhere.
+        faint: where it is at the limit of no current.
+        transfer: S, the cells' own transfer conductances.
+        levels: how well readings are known.
+
+    """
+    open_cells = faint & (transfer > levels.own)
+    if not open_cells.any():
+        return limited
+    return open_cells if limited is None else limited | open_cells
 
 
 class _Faults:

@@ -96,8 +96,16 @@ class CoupledLive:
         for shared in self._all_valid:
             shared.flags.writeable = False
 
-    def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
-        """As :class:`.LiveRecovery`."""
+    def __call__(
+        self,
+        volts: FloatArray,
+        limited: BoolArray | None = None,
+        noise: float = 0.0,
+        *,
+        faint: BoolArray | None = None,
+    ) -> LiveReading:
+        """As :class:`.LiveRecovery`. Faint readings are fitted; :class:`.BelowRange` finds those below the range."""
+        del faint
         turn = self._parts.board.turn
         found = self._read(turn(volts), None if limited is None else turn(limited), noise)
         return LiveReading(

@@ -144,13 +144,22 @@ class LiveReading:
 class LiveRecovery(Protocol):
     """Frame after frame of one board."""
 
-    def __call__(self, volts: FloatArray, limited: BoolArray | None = None, noise: float = 0.0) -> LiveReading:
+    def __call__(
+        self,
+        volts: FloatArray,
+        limited: BoolArray | None = None,
+        noise: float = 0.0,
+        *,
+        faint: BoolArray | None = None,
+    ) -> LiveReading:
         """The cells behind one frame of readings.
 
         Args:
             volts: (rows, columns) V, the middle of each code.
             limited: (rows, columns) where a reading is at a limit; None: nowhere.
             noise: V, standard deviation of the readings' noise before the converter.
+            faint: (rows, columns) where a reading is at a limit which is also that of a cell without a current: the
+                output may lie anywhere beyond, and the cell conducts no more than the reading says; None: nowhere.
 
         Raises:
             SolverError: no cells give these readings.
