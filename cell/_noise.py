@@ -53,6 +53,9 @@ WINDOW = 12
 """readings that are kept, and compared with a parabola through them"""
 RECENT = 4
 """readings of which :meth:`NoiseMeter.mean_of_recent` is the mean; frames between two looks at the window"""
+HALF_STEP = math.sqrt(3.0)
+"""half a step of an ADC over the standard deviation of an evenly distributed error, the resolution: no more is the
+standard deviation of readings that flip between two codes, and such readings show no motion"""
 CROSSED = 10.0
 """times the variance of noise: a window that has more is crossed by an edge, which smoothing notices"""
 
@@ -216,7 +219,7 @@ class NoiseMeter:
             return present
         scale = ring[(self._seen - 1) % WINDOW] + 1.0
         scale *= scale
-        scale *= np.maximum(self.quiet, self.resolution[cells])
+        scale *= np.maximum(self.quiet, HALF_STEP * self.resolution[cells])
         beside /= scale
         beside *= beside
         present = np.add.accumulate(beside)[-1] / len(beside)
@@ -333,7 +336,7 @@ def beside_each(
     rows = beside.shape[0]
     for i in range(cells.size):
         scale = ring[last, i] + 1.0
-        scale = scale * scale * max(quiet, resolution[cells[i]])
+        scale = scale * scale * max(quiet, HALF_STEP * resolution[cells[i]])
         total = 0.0
         for row in range(rows):
             part = beside[row, i] / scale

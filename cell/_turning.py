@@ -404,7 +404,7 @@ class TurningInversion(Inversion):
         rested = np.minimum(before, some[REST_VARIANCE] + before * recovery.LIGHT)
         before = np.where(some[RESTED] > 0, rested, before)
         rounded = self._fast_kpa / np.maximum(np.abs(pressure - some[LAST]), self._fast_kpa)
-        unseen = self._unseen(some, pressure, gain) + rounded * (ROUND * self.full_scale_kpa)
+        unseen = self._unseen(some, pressure, gain, unsure) + rounded * (ROUND * self.full_scale_kpa)
         some[TURNED] = (np.sqrt(before) + unseen) ** 2
         some[TURNED] += (weights.by_model[0, RECOVERY] * noise) ** 2
         some[TURNED] = np.minimum(some[TURNED], self._most_kpa**2)
@@ -417,20 +417,21 @@ class TurningInversion(Inversion):
         some[LEFT] = extreme
         memory[:, turned] = some
 
-    def _unseen(self, memory: FloatArray, pressure: FloatArray, gain: FloatArray) -> FloatArray:
-        """(m,) standard deviation in kPa that turns between two frames leave in ``pressure`` (m,).
+    def _unseen(self, memory: FloatArray, pressure: FloatArray, gain: FloatArray, unsure: FloatArray) -> FloatArray:
+        """(m,) standard deviation in kPa that turns between two frames leave in ``pressure`` (m,), known to ``unsure``.
 
         The extreme itself falls between two frames. How far it was beyond them is up to half of the way that the load
         went in a frame before or after, whichever is less; in the frame of the turn itself it may have gone to and
         fro. On that way r goes up by one model and down by the other. All turns err to the same side, so these errors
-        add up like amounts rather than like variances.
+        add up like amounts rather than like variances. A way that noise, or a converter that flips between two codes,
+        would go as well is no way of the load.
         """
         last, before, third = memory[LAST : THIRD_LAST + 1]
         there = np.maximum(memory[SIGN] * (third - before), memory[SIGN] * (before - last))
         there = np.maximum(there, 0.0)
         way = np.minimum(JUST_BEGUN * there, np.maximum(np.abs(pressure - last), HALF * there))
-        noise_free: FloatArray = BETWEEN * way * self._bend * gain
-        return noise_free
+        by_load: FloatArray = np.maximum(way - SURE * unsure, 0.0)
+        return BETWEEN * by_load * self._bend * gain
 
     def within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """A load that bent may as well have turned within the frame: no reading tells of the turn yet."""

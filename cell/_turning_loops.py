@@ -90,12 +90,13 @@ def take_gains(memory: Rows, by_model: FixedRows, of: Rows, numbers: FixedRow) -
 
 
 @loop
-def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, numbers: FixedRow) -> float:
+def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, unsure: float, numbers: FixedRow) -> float:
     """Standard deviation that turns between two frames leave in the ``pressure`` of cell ``i``."""
     last, before, third, sign = memory[LAST, i], memory[BEFORE_LAST, i], memory[THIRD_LAST, i], memory[SIGN, i]
     there = max(sign * (third - before), sign * (before - last), 0.0)
     way = min(numbers[JUST_BEGUN] * there, max(abs(pressure - last), numbers[HALF] * there))
-    return float(numbers[BETWEEN] * way * numbers[BEND] * gain)
+    by_load = max(way - numbers[SURE] * unsure, 0.0)
+    return float(numbers[BETWEEN] * by_load * numbers[BEND] * gain)
 
 
 @loop
@@ -115,7 +116,7 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
     if memory[RESTED, i] > 0.0:
         before = min(before, memory[REST_VARIANCE, i] + before * numbers[LIGHT])
     rounded = numbers[FAST_KPA] / max(abs(pressure - memory[LAST, i]), numbers[FAST_KPA]) * numbers[ROUND_KPA]
-    doubt = math.sqrt(before) + (unseen_kpa(memory, i, pressure, gain, numbers) + rounded)
+    doubt = math.sqrt(before) + (unseen_kpa(memory, i, pressure, gain, unsure, numbers) + rounded)
     late = by_model[0, 1] * noise
     turned = min(doubt * doubt + late * late, numbers[MOST_KPA2])
     memory[TURNED, i] = turned

@@ -106,6 +106,23 @@ def test_the_step_of_a_coarse_converter_is_in_the_deviation(load: honesty.Load) 
     assert np.sqrt(np.mean(error[60:] ** 2)) < 0.02 * EXAMPLE.full_scale_kpa
 
 
+@pytest.mark.parametrize("step", [0.035, 0.07])
+def test_flips_between_two_codes_are_no_load_and_leave_little_doubt(step: float) -> None:
+    """Cells at rest whose readings are one of two neighbouring codes, from frame to frame by chance."""
+    cells, rest_ohm = 64, EXAMPLE.rest_resistance_ohm
+    draw = np.random.default_rng(0)
+    flips = draw.random((800, cells)) < draw.uniform(0.02, 0.5, cells)
+    estimator = EXAMPLE.estimator((cells,))
+    estimator.resolve(np.full(cells, step / np.sqrt(12)), np.full(cells, rest_ohm))
+    largest = 0.0
+    for frame in flips:
+        estimator.step(1 / honesty.RATE_HZ, rest_ohm * (1.0 + step * frame))
+        largest = max(largest, float(estimator.std_kpa.max()))
+    assert isinstance(EXAMPLE.model, PaperModel)
+    kpa_of_step = step * EXAMPLE.model.e1_kpa
+    assert largest < 1.5 * kpa_of_step
+
+
 @pytest.mark.parametrize("factor", [0.97, 1.03])
 def test_a_calibrated_cell_is_judged_with_what_calibration_left_unexplained(factor: float) -> None:
     """A calibration that is off by 3 % and says that it was off by 1.5 % of full scale on readings it had not seen."""

@@ -67,6 +67,7 @@ class OneCell:
             way = min(paper.JUST_BEGUN * there, max(abs(now.pressure - self.last), paper.HALF * there))
             bend = 1 / m.eu1_kpa + 1 / m.etau2_kpa - 1 / m.e1_kpa
             fast = max(1.0, abs(now.pressure - self.last) / (paper.FAST * paper.TURN * self.full))
+            way = max(way - paper.SURE * unsure, 0.0)
             unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full / fast
             before = self.variance
             if self.rested:
