@@ -1,0 +1,180 @@
+"""Second solutions of loaded dividers: a column of good conductors that also feeds a row through that row's lead.
+
+The readings of a divider's column c are to each other as the conductances D_kc between the rows' drivers and the column
+are; the column's load tells their scale. A row i with a resistance r_i between driver and crosspoints hangs on the
+column the more, the better its cell in the column conducts. If the columns' loads take so much from row i that the row
+lies below the column while all rows are driven, the column's deficit d_c from the drive has two parts: what its load
+takes, and what it gives to the row. The first falls with the scale and the second rises, so two scales F may give the
+same readings, to the last digit.
+
+For a scale F, all other readings stay what they are with
+
+    y_k = (1 - b_k) G_kj + w_k sum_i b_i G_ij,    b_k = F r_k D_kc,    w_k = D_kc / sum D,
+
+y being kept. Then Kirchhoff's current law at column c, all rows driven, is left as one equation for F, whose left side
+is concave in F:
+
+    F d_c sum D - sum_j (d_j - d_c) sum_i b_i G_ij(F) - current of the load = 0.
+
+It has the root F = 1, the cells that have been found, and at most one more. Loads of other columns on a row, beside
+that of column c, count to first order.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from ...arrays import FloatArray
+from ._coupled_board import CoupledBoard, Frame, Known
+from ._linearised import Base
+
+_NEAR = 4.0  # margin of the quick condition, so that it serves while a base does
+_LEAST_SCALE = 1e-6
+_NEXT_TO = 0.02  # relative distance of a scale from the present one that linear uncertainties cover
+_TO_SHORT = 1e-9  # relative distance from the largest scale, that of a short
+_BELOW_ZERO = 0.1  # of what a reading tells of its row, by which the first order may put a cell below zero
+_MARGIN = 1.5  # for what the first order leaves out
+
+
+class SecondScales:
+    """Columns of one board that have two scales; dividers whose idle rows are driven and whose idle columns are loaded.
+
+    Columns that float while they are not read take nothing from the rows, so that no row lies below a column.
+    """
+
+    def __init__(self, parts: CoupledBoard) -> None:
+        """For a board."""
+        board = parts.board
+        to_driver = parts.lines.to_driver
+        self._parts = parts
+        self._lead = np.where(np.isfinite(to_driver), to_driver, 0.0)  # (N, M) ohm
+        behind = board.reference + board.column_lead
+        self._per_reading = np.broadcast_to(behind / board.reference / abs(board.drive), parts.shape[1:])  # 1/V
+        per_volt = np.abs(board.circuit.conductance_slope(board, np.zeros(parts.shape)))
+        self._per_volt = np.broadcast_to(per_volt, parts.shape)  # S/V
+        divides = not (board.floating or board.circuit.has_amplifiers)
+        self.applies = divides and board.idle_columns == "load" and bool(self._lead.any())
+        """whether there may be second scales"""
+        self._candidates: tuple[Base | None, list[int]] = None, []
+
+    def disturb(self, frame: Frame, known: Known, base: Base) -> FloatArray | None:
+        """Relative change (n,) of the cells from the set that has been found to others that give the same readings.
+
+        Args:
+            frame: the readings.
+            known: the cells that have been found for them.
+            base: the linear model that served for this.
+
+        Returns:
+            None where there are no other sets, as in nearly all frames.
+
+        """
+        if self._candidates[0] is not base:
+            self._candidates = base, self._columns_above_rows(known)
+        changed: FloatArray | None = None
+        for column in self._candidates[1]:
+            found = _Column.at(
+                self._parts.board.cell_conductance(known.cells), self._deficits(known), self._lead, column
+            )
+            # V by which the deficit may be off, and S by which cells may be
+            error = float(np.sqrt(len(self._lead)) * frame.error * self._per_reading[column])
+            scale = found.second_scale(error)
+            other = None if scale is None else found.change(scale, frame.error * self._per_volt)
+            if other is not None:
+                changed = other if changed is None else np.maximum(changed, other)
+        return None if changed is None else _MARGIN * changed.ravel()
+
+    def _deficits(self, known: Known) -> FloatArray:
+        """(M,) by which the columns lie below the drive while all rows are driven, in shares of the drive."""
+        signal = np.abs(known.volts.reshape(self._parts.shape) - self._parts.board.level)
+        deficits: FloatArray = 1.0 - self._per_reading * signal.sum(axis=0)
+        return deficits
+
+    def _columns_above_rows(self, known: Known) -> list[int]:
+        """Numbers of the columns below which rows may lie while all rows are driven: a second scale takes that."""
+        deficits = self._deficits(known)
+        rows = (self._lead / known.cells) @ np.maximum(deficits, 0.0)  # (N,) lost by the rows' leads
+        return np.flatnonzero(deficits < _NEAR * rows.sum()).tolist()
+
+
+class _Column(NamedTuple):
+    """One column, c, and what rows that hang on it bring into the others. Arrays over its N rows or M - 1 others."""
+
+    number: int
+    own: FloatArray
+    """(N,) S, the column's cells"""
+    others: FloatArray
+    """(N, M - 1) S, the cells of the other columns"""
+    total: float
+    """S between the rows' drivers and the column"""
+    follows: FloatArray
+    """(N,) share of each row's driver in the column's potential, w"""
+    hangs: FloatArray
+    """(N,) share of the column in each row's potential at the column, b at the present scale"""
+    hang: FloatArray
+    """(N, M - 1) the same at the other columns, which share a part of the row's wire with this one"""
+    told: FloatArray
+    """(N, M - 1) S, what readings tell of the other columns' rows, y"""
+    deficit: float
+    """of the column"""
+    rise: FloatArray
+    """(M - 1,) from the others' deficits to that of the column"""
+
+    @classmethod
+    def at(cls, conductance: FloatArray, deficits: FloatArray, lead: FloatArray, number: int) -> _Column:
+        """The column of cells (N, M) in S, given the deficits (M,) and the ohm (N, M) to the rows' drivers."""
+        own, others = conductance[:, number], np.delete(conductance, number, axis=1)
+        driven = own / (1.0 + lead[:, number] * own)
+        total = max(float(driven.sum()), np.finfo(np.float64).tiny)
+        shared = np.minimum(lead[:, number, None], np.delete(lead, number, axis=1))
+        follows, hangs, hang = driven / total, lead[:, number] * driven, shared * driven[:, None]
+        told = (1.0 - hang) * others + follows[:, None] * (hang * others).sum(axis=0)
+        deficit = float(deficits[number])
+        rise = np.delete(deficits, number) - deficit
+        return cls(number, own, others, total, follows, hangs, hang, told, deficit, rise)
+
+    def _brought(self, scale: float) -> FloatArray:
+        """S (M - 1,), sum of b_i G_ij over the rows at a scale at which the readings are the same."""
+        hang = scale * self.hang
+        per_own = hang / (1.0 - hang)
+        brought: FloatArray = (per_own * self.told).sum(axis=0) / (1.0 + self.follows @ per_own)
+        return brought
+
+    def _excess(self, scale: float) -> float:
+        """S: current into the column, by its deficit, beyond that into its load and the rows; 0 at a solution."""
+        given = float((self._brought(scale) - self._brought(1.0)) @ self.rise)
+        return (scale - 1.0) * self.deficit * self.total - given
+
+    def second_scale(self, error: float) -> float | None:
+        """Another scale with the same readings, where the deficit may be off by ``error``; None if there is none."""
+        most = float(self.hangs.max())
+        if most <= 0.0:
+            return None
+        largest, above, below = (1.0 - _TO_SHORT) / most, 1.0 + _NEXT_TO, 1.0 - _NEXT_TO
+        if largest > above and self._excess(above) > 0.0:
+            if self._excess(largest) >= 0.0:
+                return largest if self._excess(largest) <= largest * self.total * error else None
+            return float(brentq(self._excess, above, largest))
+        if self._excess(below) > 0.0 > self._excess(_LEAST_SCALE):
+            return float(brentq(self._excess, _LEAST_SCALE, below))
+        return None
+
+    def change(self, scale: float, error: FloatArray) -> FloatArray | None:
+        """Relative change (N, M) of the cells at another scale; None if cells would have to be less than none.
+
+        Args:
+            scale: the other scale.
+            error: (N, M) S by which cells may be off.
+
+        """
+        others = (self.told - self.follows[:, None] * self._brought(scale)) / (1.0 - scale * self.hang)
+        allowed = _BELOW_ZERO * self.told + np.delete(error, self.number, axis=1)
+        if (others < -allowed).any():
+            return None
+        least = np.finfo(np.float64).tiny
+        beside = np.abs(others / np.maximum(self.others, least) - 1.0)
+        own = scale * (1.0 - self.hangs) / (1.0 - scale * self.hangs)
+        return np.insert(beside, self.number, np.abs(own - 1.0), axis=1)
