@@ -22,20 +22,22 @@ that of column c, count to first order.
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import brentq
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, IntArray
 from ._coupled_board import CoupledBoard, Frame, Known
 from ._linearised import Base
 
-_NEAR = 4.0  # margin of the quick condition, so that it serves while a base does
+_NEAR = 1.5  # margin of the quick condition, which is of first order
+_WHILE_KEPT = 4.0  # the same for all cells for which a base serves
 _LEAST_SCALE = 1e-6
 _NEXT_TO = 0.02  # relative distance of a scale from the present one that linear uncertainties cover
 _TO_SHORT = 1e-9  # relative distance from the largest scale, that of a short
-_BELOW_ZERO = 0.1  # of what a reading tells of its row, by which the first order may put a cell below zero
+_FIRST_ORDER = 1.25  # of what a reading tells, by which the first order may put a cell below zero
 _MARGIN = 1.5  # for what the first order leaves out
 
 
@@ -58,7 +60,7 @@ class SecondScales:
         divides = not (board.floating or board.circuit.has_amplifiers)
         self.applies = divides and board.idle_columns == "load" and bool(self._lead.any())
         """whether there may be second scales"""
-        self._candidates: tuple[Base | None, list[int]] = None, []
+        self._kept: tuple[Base | None, bool] = None, False  # whether there may be second scales while a base serves
 
     def disturb(self, frame: Frame, known: Known, base: Base) -> FloatArray | None:
         """Relative change (n,) of the cells from the set that has been found to others that give the same readings.
@@ -72,32 +74,48 @@ class SecondScales:
             None where there are no other sets, as in nearly all frames.
 
         """
-        if self._candidates[0] is not base:
-            self._candidates = base, self._columns_above_rows(known)
+        if self._kept[0] is not base:
+            self._kept = base, bool(self._columns_above_rows(known, _WHILE_KEPT).size)
+        if not self._kept[1]:
+            return None
         changed: FloatArray | None = None
-        for column in self._candidates[1]:
-            found = _Column.at(
-                self._parts.board.cell_conductance(known.cells), self._deficits(known), self._lead, column
-            )
-            # V by which the deficit may be off, and S by which cells may be
-            error = float(np.sqrt(len(self._lead)) * frame.error * self._per_reading[column])
-            scale = found.second_scale(error)
-            other = None if scale is None else found.change(scale, frame.error * self._per_volt)
+        for column in self._columns_above_rows(known, _NEAR).tolist():
+            other = self._other_sets(frame, known, column)
             if other is not None:
                 changed = other if changed is None else np.maximum(changed, other)
         return None if changed is None else _MARGIN * changed.ravel()
 
+    def _other_sets(self, frame: Frame, known: Known, number: int) -> FloatArray | None:
+        """Relative change (N, M) of the cells to those that a second scale of a column gives; None: there is none."""
+        conductance = self._parts.board.cell_conductance(known.cells)
+        column = _Column.at(conductance, self._deficits(known), self._lead, number)
+        # The errors of a column's readings add up as independent ones do.
+        scales = column.second_scales(sqrt(len(conductance)) * frame.error * float(self._per_reading[number]))
+        if scales is None:
+            return None
+        # A row that hangs on the column follows it, and no longer the other columns that lift it through its cells.
+        shares = np.delete(self._per_reading * self._signal(known), number, axis=1)
+        fed = (self._lead[:, number, None] * column.told) @ shares.T
+        np.fill_diagonal(fed, 0.0)
+        if not column.allows(scales[0], fed, np.delete(frame.error * self._per_volt, number, axis=1)):
+            return None
+        return np.maximum(*(column.change(scale, fed) for scale in scales))
+
+    def _signal(self, known: Known) -> FloatArray:
+        """(N, M) V, distance of the readings that the model gives for cells from the reference voltage."""
+        signal: FloatArray = np.abs(known.volts.reshape(self._parts.shape) - self._parts.board.level)
+        return signal
+
     def _deficits(self, known: Known) -> FloatArray:
         """(M,) by which the columns lie below the drive while all rows are driven, in shares of the drive."""
-        signal = np.abs(known.volts.reshape(self._parts.shape) - self._parts.board.level)
-        deficits: FloatArray = 1.0 - self._per_reading * signal.sum(axis=0)
+        deficits: FloatArray = 1.0 - self._per_reading * self._signal(known).sum(axis=0)
         return deficits
 
-    def _columns_above_rows(self, known: Known) -> list[int]:
+    def _columns_above_rows(self, known: Known, margin: float) -> IntArray:
         """Numbers of the columns below which rows may lie while all rows are driven: a second scale takes that."""
         deficits = self._deficits(known)
-        rows = (self._lead / known.cells) @ np.maximum(deficits, 0.0)  # (N,) lost by the rows' leads
-        return np.flatnonzero(deficits < _NEAR * rows.sum()).tolist()
+        lost = (self._lead / known.cells) @ np.maximum(deficits, 0.0)  # (N,) by the rows' leads, of the drive
+        return np.flatnonzero(deficits < margin * lost.sum())
 
 
 class _Column(NamedTuple):
@@ -136,45 +154,76 @@ class _Column(NamedTuple):
         rise = np.delete(deficits, number) - deficit
         return cls(number, own, others, total, follows, hangs, hang, told, deficit, rise)
 
-    def _brought(self, scale: float) -> FloatArray:
-        """S (M - 1,), sum of b_i G_ij over the rows at a scale at which the readings are the same."""
+    def _brought(self, scale: float, told: FloatArray | None = None) -> FloatArray:
+        """S (M - 1,), sum of b_i G_ij over the rows at a scale, for what readings tell (N, M - 1) in S; None: these."""
+        told = self.told if told is None else told
         hang = scale * self.hang
         per_own = hang / (1.0 - hang)
-        brought: FloatArray = (per_own * self.told).sum(axis=0) / (1.0 + self.follows @ per_own)
+        brought: FloatArray = (per_own * told).sum(axis=0) / (1.0 + self.follows @ per_own)
         return brought
 
-    def _excess(self, scale: float) -> float:
-        """S: current into the column, by its deficit, beyond that into its load and the rows; 0 at a solution."""
+    def _excess(self, scale: float, error: float = 0.0) -> float:
+        """S: current into the column, by its deficit less an error, beyond that out of it; 0 at a solution."""
         given = float((self._brought(scale) - self._brought(1.0)) @ self.rise)
-        return (scale - 1.0) * self.deficit * self.total - given
+        return ((scale - 1.0) * self.deficit - scale * error) * self.total - given
 
-    def second_scale(self, error: float) -> float | None:
-        """Another scale with the same readings, where the deficit may be off by ``error``; None if there is none."""
+    def second_scales(self, error: float) -> tuple[float, float] | None:
+        """The nearest and the likeliest other scale with the same readings, where the deficit may be off by ``error``.
+
+        Returns:
+            None if there is none up to that of a short.
+
+        """
         most = float(self.hangs.max())
         if most <= 0.0:
             return None
         largest, above, below = (1.0 - _TO_SHORT) / most, 1.0 + _NEXT_TO, 1.0 - _NEXT_TO
         if largest > above and self._excess(above) > 0.0:
-            if self._excess(largest) >= 0.0:
-                return largest if self._excess(largest) <= largest * self.total * error else None
-            return float(brentq(self._excess, above, largest))
+            if self._excess(largest, error) > 0.0:
+                return None
+            return self._root(above, largest, error), self._root(above, largest)
         if self._excess(below) > 0.0 > self._excess(_LEAST_SCALE):
-            return float(brentq(self._excess, _LEAST_SCALE, below))
+            return self._root(below, _LEAST_SCALE, error), self._root(below, _LEAST_SCALE)
         return None
 
-    def change(self, scale: float, error: FloatArray) -> FloatArray | None:
-        """Relative change (N, M) of the cells at another scale; None if cells would have to be less than none.
+    def _root(self, near: float, far: float, error: float = 0.0) -> float:
+        """The scale between two at which the excess is no more than an error of the deficit makes, or the end there."""
+        if self._excess(near, error) <= 0.0:
+            return near
+        if self._excess(far, error) >= 0.0:
+            return far
+        return float(brentq(self._excess, near, far, args=(error,)))
+
+    def allows(self, scale: float, fed: FloatArray, error: FloatArray) -> bool:
+        """Whether no cell would have to conduct less than nothing.
 
         Args:
             scale: the other scale.
-            error: (N, M) S by which cells may be off.
+            fed: as for :meth:`change`.
+            error: (N, M - 1) S by which readings may be off.
 
         """
-        others = (self.told - self.follows[:, None] * self._brought(scale)) / (1.0 - scale * self.hang)
-        allowed = _BELOW_ZERO * self.told + np.delete(error, self.number, axis=1)
-        if (others < -allowed).any():
-            return None
-        least = np.finfo(np.float64).tiny
-        beside = np.abs(others / np.maximum(self.others, least) - 1.0)
+        brought, by_error = self._brought(scale), self._brought(scale, error)
+        by_columns = fed.T @ (self._others(scale) + self.others)
+        allowed = _FIRST_ORDER * self.told + error + self.follows[:, None] * by_error + by_columns
+        return bool((self.follows[:, None] * brought <= allowed).all())
+
+    def change(self, scale: float, fed: FloatArray) -> FloatArray:
+        """Relative change (N, M) of the cells at another scale.
+
+        Args:
+            scale: the other scale.
+            fed: (N, N) potential of each row, over that of the drive, to which columns lift it while another is driven.
+
+        """
+        others = self._others(scale)
+        changed = np.abs(others - self.others) + fed.T @ (others + self.others)
+        beside = changed / np.maximum(self.others, np.finfo(np.float64).tiny)
         own = scale * (1.0 - self.hangs) / (1.0 - scale * self.hangs)
         return np.insert(beside, self.number, np.abs(own - 1.0), axis=1)
+
+    def _others(self, scale: float) -> FloatArray:
+        """S (N, M - 1), cells of the other columns at a scale."""
+        own_part = self.told - self.follows[:, None] * self._brought(scale)
+        others: FloatArray = np.maximum(own_part, 0.0) / (1.0 - scale * self.hang)
+        return others
