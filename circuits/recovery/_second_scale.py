@@ -32,8 +32,7 @@ from ...arrays import FloatArray, IntArray
 from ._coupled_board import CoupledBoard, Frame, Known
 from ._linearised import Base
 
-_NEAR = 1.5  # margin of the quick condition, which is of first order
-_WHILE_KEPT = 4.0  # the same for all cells for which a base serves
+_NEAR = 4.0  # margin of the quick condition, so that it holds for all cells for which a base serves
 _LEAST_SCALE = 1e-6
 _NEXT_TO = 0.02  # relative distance of a scale from the present one that linear uncertainties cover
 _TO_SHORT = 1e-9  # relative distance from the largest scale, that of a short
@@ -75,11 +74,11 @@ class SecondScales:
 
         """
         if self._kept[0] is not base:
-            self._kept = base, bool(self._columns_above_rows(known, _WHILE_KEPT).size)
+            self._kept = base, self._may_lie_below(known)
         if not self._kept[1]:
             return None
         changed: FloatArray | None = None
-        for column in self._columns_above_rows(known, _NEAR).tolist():
+        for column in self._doubtful(frame, known).tolist():
             other = self._other_sets(frame, known, column)
             if other is not None:
                 changed = other if changed is None else np.maximum(changed, other)
@@ -89,8 +88,7 @@ class SecondScales:
         """Relative change (N, M) of the cells to those that a second scale of a column gives; None: there is none."""
         conductance = self._parts.board.cell_conductance(known.cells)
         column = _Column.at(conductance, self._deficits(known), self._lead, number)
-        # The errors of a column's readings add up as independent ones do.
-        scales = column.second_scales(sqrt(len(conductance)) * frame.error * float(self._per_reading[number]))
+        scales = column.second_scales(float(self._errors(frame)[number]))
         if scales is None:
             return None
         # A row that hangs on the column follows it, and no longer the other columns that lift it through its cells.
@@ -111,11 +109,35 @@ class SecondScales:
         deficits: FloatArray = 1.0 - self._per_reading * self._signal(known).sum(axis=0)
         return deficits
 
-    def _columns_above_rows(self, known: Known, margin: float) -> IntArray:
-        """Numbers of the columns below which rows may lie while all rows are driven: a second scale takes that."""
+    def _may_lie_below(self, known: Known) -> bool:
+        """Whether rows may lie below a column while all rows are driven, for cells about these: a quick condition."""
         deficits = self._deficits(known)
         lost = (self._lead / known.cells) @ np.maximum(deficits, 0.0)  # (N,) by the rows' leads, of the drive
-        return np.flatnonzero(deficits < margin * lost.sum())
+        return bool((deficits < _NEAR * lost.sum()).any())
+
+    def _errors(self, frame: Frame) -> FloatArray:
+        """(M,) by which the deficits may be off. The errors of a column's readings add up as independent ones do."""
+        errors: FloatArray = sqrt(len(self._lead)) * frame.error * self._per_reading
+        return errors
+
+    def _doubtful(self, frame: Frame, known: Known) -> IntArray:
+        """Numbers of the columns that a short in place of their best conductor would leave with too little current.
+
+        This is :meth:`_Column._excess` at the largest scale, for all columns at once, as if rows had no segments. All
+        other columns have one scale, since the excess is concave.
+        """
+        conductance = self._parts.board.cell_conductance(known.cells)
+        driven = conductance / (1.0 + self._lead * conductance)
+        total, hangs = driven.sum(axis=0), (self._lead * driven).T
+        scale = (1.0 - _TO_SHORT) / np.maximum(hangs.max(axis=1), _TO_SHORT)
+        per_own = scale[:, None] * hangs / (1.0 - scale[:, None] * hangs)
+        follows = (per_own * driven.T).sum(axis=1) / total
+        now = hangs @ conductance  # (M, M) S, what rows that hang on one column bring into the others
+        then = ((per_own * (1.0 - hangs)) @ conductance + follows[:, None] * now) / (1.0 + follows)[:, None]
+        deficits = self._deficits(known)
+        given = ((then - now) * (deficits - deficits[:, None])).sum(axis=1)
+        left = ((scale - 1.0) * deficits - scale * self._errors(frame)) * total
+        return np.flatnonzero(left < given)
 
 
 class _Column(NamedTuple):
