@@ -16,7 +16,7 @@ from . import _training as training
 from ._cell import Calibrated, Cell, EstimatorName
 from ._estimator import Estimator
 from ._fitted import Fit
-from ._folds import Fold, folds
+from ._folds import Fold, folds, strokes
 from ._held import longest_s
 from ._identify import fits
 from ._inverse import margin as inverse_margin
@@ -125,6 +125,7 @@ def calibrate(
         judged=judged,
         elsewhere=elsewhere,
         presses=presses,
+        loads_vary=strokes(thin, full).vary,
         unexplained=_beyond_noise(found[0], noise),
         least_slope=1.0 if inverse is None else inverse,
     )
@@ -197,7 +198,9 @@ def _thinned(recording: Recording) -> Recording:
     """At most :data:`MOST` samples."""
     every = -(-len(recording.time_s) // MOST)
     time_s, pressure, resistance = recording.time_s, recording.pressure_kpa, recording.resistance_ohm
-    return Recording(time_s[::every], pressure[::every], resistance[::every], recording.name)
+    return replace(
+        recording, time_s=time_s[::every], pressure_kpa=pressure[::every], resistance_ohm=resistance[::every]
+    )
 
 
 def _normalised(recording: Recording, cell: Cell, teacher: Fit) -> training.NormalisedRecording:
@@ -263,7 +266,8 @@ def _with_errors(
 
 
 def _seen(recording: Recording, full_scale_kpa: float) -> Seen:
-    time, load = recording.time_s, recording.quiet.pressure_kpa
+    loads = recording.quiet.loads
+    time, load = loads.time_s, loads.pressure_kpa
     later = np.interp(time + 1.0, time, load)
     log_ohm = np.log(recording.resistance_ohm)
     return Seen(

@@ -54,6 +54,8 @@ class Evidence:
     """rms error on simulated cells under random loads, of the kind of cell where that is largest, normalised load"""
     presses: float
     """to full scale, that the path of the recorded load amounts to"""
+    loads_vary: bool
+    """whether its presses differ in height and in duration"""
     unexplained: float
     """error of the model on its worst fold beyond noise, over the range of r"""
     least_slope: float
@@ -61,10 +63,16 @@ class Evidence:
 
     @property
     def varied(self) -> bool:
-        """Whether the recording has many presses, which are not all alike: then its folds speak for other presses."""
+        """Whether the recording has many presses, which are not all alike: then its folds speak for other presses.
+
+        The loads may say so themselves. Otherwise presses differ where the static curve's errors do. These errors may
+        also be the same under loads that differ, as on a cell with little memory.
+        """
+        if self.presses < MANY_PRESSES or self.loads_vary:
+            return self.presses >= MANY_PRESSES
         blocks = np.concatenate([part.blocks() for part in self.judged["static"]])
         blocks = blocks[np.isfinite(blocks)]
-        return self.presses >= MANY_PRESSES and float(np.std(blocks)) > ALIKE * float(np.mean(blocks))
+        return float(np.std(blocks)) > ALIKE * float(np.mean(blocks))
 
     def percent(self, name: EstimatorName) -> list[float]:
         """Rms error on each fold, % of full scale."""

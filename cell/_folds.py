@@ -15,6 +15,9 @@ ORIGINS = (0.45, 0.65, 0.825)
 """shares of all pressing after which the folds begin: what comes before is fitted, the fold judges"""
 PRESSED = 0.05
 """of full scale: half width of the play whose movement counts as pressing"""
+HEIGHTS_DIFFER, DURATIONS_DIFFER = 0.2, 0.35
+"""interquartile ranges from which strokes differ: of their heights, over the median, and of the logarithm of their
+durations. One stroke that is cut off does not count"""
 FEWEST = 30
 """readings before a fold that are enough to fit"""
 
@@ -25,6 +28,39 @@ class Fold:
 
     start_s: float
     end_s: float
+
+
+@dataclass(frozen=True)
+class Strokes:
+    """Strokes of a recorded load, each from one of its turns to the next. Arrays are (n,)."""
+
+    height: FloatArray
+    """change of the normalised load; falls, too, count as positive"""
+    seconds: FloatArray
+
+    @property
+    def vary(self) -> bool:
+        """Whether strokes differ clearly, both in height and in duration."""
+        if not self.height.size:
+            return False
+        heights = _interquartile(self.height) > HEIGHTS_DIFFER * float(np.median(self.height))
+        return heights and _interquartile(np.log(self.seconds)) > DURATIONS_DIFFER
+
+
+def _interquartile(values: FloatArray) -> float:
+    low, high = np.percentile(values, [25, 75])
+    return float(high - low)
+
+
+def strokes(recording: Recording, full_scale_kpa: float) -> Strokes:
+    """The strokes of a recorded load. Turns within a play (Prandtl's) of :data:`PRESSED` are noise."""
+    loads = recording.quiet.loads
+    followed = play_follow(loads.pressure_kpa[:, None] / full_scale_kpa, PRESSED)[:, 0]
+    moves = np.flatnonzero(np.diff(followed))
+    ways = np.sign(np.diff(followed))[moves]
+    turns = moves[np.flatnonzero(np.diff(ways)) + 1]  # the samples from which on the load goes the other way
+    ends = np.concatenate([moves[:1], turns, moves[-1:] + 1])
+    return Strokes(np.abs(np.diff(followed[ends])), np.diff(loads.time_s[ends]))
 
 
 def pressing(recording: Recording, full_scale_kpa: float) -> FloatArray:

@@ -43,6 +43,8 @@ SEEN_AT_REST, NEVER_AT_REST = 0.15, 0.7
 """share by which the true R0 may be below what was read before the first press, or below the least reading"""
 BEGINS_LOADED = 0.05
 """load at which a recording begins, over full scale, from which on what the cell remembers there is fitted too"""
+NEAR_STEPS = 2.0
+"""steps of the recording from its nearest reading, within which the resistance counts as read"""
 NOISY = 0.1
 """of the variance of noise: squared error beyond noise that is too little for a drift to explain"""
 
@@ -128,9 +130,11 @@ class _Task:
         dt = max(recording.step_s, (last - time[0]) / points)
         at = np.arange(time[0], last + 1e-9 * dt, dt)
         quiet = recording.quiet
-        load, r = quiet.pressure_kpa / self.full_scale_kpa, quiet.resistance_ohm / self.rest_ohm - 1
+        load = np.interp(at, quiet.loads.time_s, quiet.loads.pressure_kpa) / self.full_scale_kpa
+        r = np.interp(at, time, quiet.resistance_ohm) / self.rest_ohm - 1
+        read = quiet.near_reading(at, max(dt, NEAR_STEPS * recording.step_s))
         fitted = int(np.searchsorted(at, until_s))
-        return Grid(dt, np.interp(at, time, load), np.interp(at, time, r), max(2, min(fitted, len(at))))
+        return Grid(dt, load, r, read, max(2, min(fitted, len(at))))
 
 
 def _fit(kind: Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit, list[tuple[float, ...]]]:
@@ -153,12 +157,12 @@ def _fit(kind: Kind, task: _Task, nested: list[tuple[float, ...]]) -> tuple[Fit,
         starts = [*kind.starts, *map(tuple, solutions[-1:]), *nested[number : number + 1]]
         solution, _ = solve(kind, grid, starts, task.lower)
         solutions.append(solution)
-        left = (predict(kind, solution, grid) - grid.r)[grid.fitted :]
+        left = grid.left(predict(kind, solution, grid), grid.fitted)
         errors.append(float(np.sqrt(np.mean(left**2)) / spread) if left.size else np.inf)
 
     whole = task.grid(np.inf, np.inf)
     found, covariance = solve(kind, whole, [kind.starts[0], tuple(solutions[-1]), *nested[-1:]], task.lower)
-    error = float(np.sqrt(np.mean((predict(kind, found, whole) - whole.r) ** 2)) / spread)
+    error = float(np.sqrt(np.mean(whole.left(predict(kind, found, whole)) ** 2)) / spread)
     offset = float(found[-1])
     model = model_of(kind.kind, found, task.full_scale_kpa)
     duration = recording.time_s[-1] - recording.time_s[0]
@@ -204,9 +208,9 @@ def _find_drift(models: Sequence[tuple[Kind, tuple[float, ...], Richer]], task: 
         drifting_kind = drifting(kind)
         starts = [drifting_kind.starts[0], with_drift(found, count, 0.0), *nested]
         fitted, covariance = solve(drifting_kind, grid, starts, task.lower)
-        noise = simulate.white_noise(grid.r) ** 2
-        without = float(np.mean((predict(kind, np.array(found), grid) - grid.r) ** 2)) - noise
-        left = float(np.mean((predict(drifting_kind, fitted, grid) - grid.r) ** 2)) - noise
+        noise = simulate.white_noise(grid.r[grid.read]) ** 2
+        without = float(np.mean(grid.left(predict(kind, np.array(found), grid)) ** 2)) - noise
+        left = float(np.mean(grid.left(predict(drifting_kind, fitted, grid)) ** 2)) - noise
         unexplained = max(left, 0.0) / without if without > NOISY * noise else 1.0
         drift = Drift(float(fitted[count]), float(np.sqrt(covariance[count, count])), unexplained)
         plain = richer(tuple(np.delete(fitted, count).tolist()))

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ._kinds import Kind
 
 STARTS = 3
@@ -30,13 +30,19 @@ FLATTEST = 0.1
 
 @dataclass(frozen=True)
 class Grid:
-    """A recording on a uniform, thinned time grid, normalised."""
+    """A recording on a uniform, thinned time grid, normalised. Arrays are (n,)."""
 
     dt_s: float
     load: FloatArray
     r: FloatArray
+    read: BoolArray
+    """where the resistance was read; elsewhere ``r`` is a straight line between readings, which says nothing"""
     fitted: int
-    """samples that count in the fit; the ones after it are predicted"""
+    """samples that may count in the fit; the ones after it are predicted"""
+
+    def left(self, predicted: FloatArray, start: int = 0) -> FloatArray:
+        """What a prediction (n,) of ``r`` leaves of the readings from a sample on."""
+        return np.asarray((predicted - self.r)[start:][self.read[start:]])
 
 
 def solve(kind: Kind, grid: Grid, starts: list[tuple[float, ...]], lower: float) -> tuple[FloatArray, FloatArray]:
@@ -60,7 +66,7 @@ def solve(kind: Kind, grid: Grid, starts: list[tuple[float, ...]], lower: float)
         )
         if best is None or found.cost < best.cost:
             best = found
-    left = best.fun[: grid.fitted]
+    left = best.fun[: np.count_nonzero(grid.read[: grid.fitted])]
     scale = np.mean(left**2) * _correlation_length(left)
     covariance = np.linalg.pinv(best.jac.T @ best.jac) * scale
     value = problem.natural(best.x)
@@ -77,9 +83,10 @@ class _Problem:
 
     def __init__(self, kind: Kind, grid: Grid, lower: float) -> None:
         """``lower`` is as in :func:`solve`."""
-        self._kind, self._dt_s, self._fitted = kind, grid.dt_s, grid.fitted
+        self._kind, self._dt_s = kind, grid.dt_s
         fitted = slice(0, grid.fitted)
-        self._load, r = kind.felt(grid.load[fitted]), grid.r[fitted]
+        self._read = np.flatnonzero(grid.read[fitted])
+        self._load, r = kind.felt(grid.load[fitted]), grid.r[self._read]
         remembered = np.full(kind.begun, BEGUN * kind.size)
         self._low, self._high = np.array([*kind.low, *-remembered, -lower]), np.array([*kind.high, *remembered, 0.15])
         self.positive = self._low > 0
@@ -116,9 +123,9 @@ class _Problem:
     def _responses(self, q: FloatArray) -> FloatArray:
         """What is compared with the target, for free parameters (p, m)."""
         p = self.natural(q)
-        fit = self._kind.run(p[:-1], self._load, self._dt_s) + p[-1]
+        fit = self._kind.run(p[:-1], self._load, self._dt_s)[self._read] + p[-1]
         unusual = PRIOR * self._spread * (q - self._usual[:, None]) / self._width[:, None]
-        falling = _falling(self._kind, p) * np.sqrt(self._fitted) * FALLING_WEIGHT
+        falling = _falling(self._kind, p) * np.sqrt(len(self._read)) * FALLING_WEIGHT
         return np.concatenate([fit, falling, unusual])
 
     def _free(self, p: FloatArray) -> FloatArray:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import median_filter
 
-from ..arrays import FloatArray
+from ..arrays import BoolArray, FloatArray
 from ..errors import InputError
 from ..tables import read_columns
 from ._simulate import smoothed, smoothing_s, white_noise
@@ -24,6 +24,19 @@ PRESSURES_KPA, RESISTANCES_OHM = (0.01, 1e4), (0.1, 1e10)
 
 
 @dataclass(frozen=True)
+class Applied:
+    """The load of every row of a recording (m,), also of the rows without a reading of the resistance."""
+
+    time_s: FloatArray
+    pressure_kpa: FloatArray
+
+    @property
+    def step_s(self) -> float:
+        """The usual time between rows."""
+        return float(np.median(np.diff(self.time_s)))
+
+
+@dataclass(frozen=True)
 class Recording:
     """Columns of equal length (n,), time increasing, every value finite, resistance positive."""
 
@@ -31,10 +44,12 @@ class Recording:
     pressure_kpa: FloatArray
     resistance_ohm: FloatArray
     name: str = "recording"
+    applied: Applied | None = None
+    """the load where the resistance is missing, too; None: it is known at ``time_s`` only"""
 
     @classmethod
     def load(cls, path: str | Path, *, trust_units: bool = False) -> Recording:
-        """Read ``time_s,pressure_kpa,resistance_ohm``; rows without a reading (NaN, open) are passed over.
+        """Read ``time_s,pressure_kpa,resistance_ohm``; rows without a reading (NaN, open) only tell the load.
 
         Raises:
             InputError: the file cannot be read, or what :func:`checked_recording` refuses.
@@ -48,14 +63,29 @@ class Recording:
         return float(np.median(np.diff(self.time_s)))
 
     @property
+    def loads(self) -> Applied:
+        """All that is known of the load."""
+        return self.applied or Applied(self.time_s, self.pressure_kpa)
+
+    @property
     def quiet(self) -> Recording:
         """Itself if its pressure is free of noise; else both signals smoothed alike, which a model hardly sees."""
         seconds = smoothing_s(self.pressure_kpa, self.step_s)
+        applied = self.applied
+        if applied is not None:
+            applied = replace(applied, pressure_kpa=smoothed(applied.pressure_kpa, applied.step_s, seconds))
         return replace(
             self,
             pressure_kpa=smoothed(self.pressure_kpa, self.step_s, seconds),
             resistance_ohm=smoothed(self.resistance_ohm, self.step_s, seconds),
+            applied=applied,
         )
+
+    def near_reading(self, time_s: FloatArray, within_s: float) -> BoolArray:
+        """(m,) whether the resistance was read at most ``within_s`` from each time (m,)."""
+        after = np.searchsorted(self.time_s, time_s).clip(1, len(self.time_s) - 1)
+        nearest = np.minimum(np.abs(self.time_s[after] - time_s), np.abs(time_s - self.time_s[after - 1]))
+        return np.asarray(nearest <= within_s)
 
     @property
     def without_sparks(self) -> Recording:
@@ -103,7 +133,7 @@ def checked_recording(
     Args:
         time_s: (n,) seconds.
         pressure_kpa: (n,) applied.
-        resistance_ohm: (n,); entries that are NaN or infinite are passed over.
+        resistance_ohm: (n,); where it is NaN or infinite, only the load counts.
         name: of the recording, for messages.
         trust_units: take the numbers even if they look as if they were in other units.
 
@@ -123,7 +153,8 @@ def checked_recording(
             "are the columns exchanged?"
         )
     read = np.isfinite(resistance_ohm)
-    found = Recording(time_s[read], pressure_kpa[read], resistance_ohm[read], name)
+    applied = None if read.all() else Applied(time_s, pressure_kpa)
+    found = Recording(time_s[read], pressure_kpa[read], resistance_ohm[read], name, applied)
     length = found.time_s[-1] - found.time_s[0] if read.any() else 0.0
     if len(found.time_s) < FEWEST or length < SHORTEST_S:
         raise InputError(

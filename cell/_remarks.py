@@ -69,10 +69,17 @@ def remarks(
         )
     yield from _unusual(recording, full_scale_kpa)
     gap_s, length_s = float(np.diff(recording.time_s).max()), float(np.ptp(recording.time_s))
-    if gap_s > max(GAP_SHARE * length_s, GAP_STEPS * recording.step_s):
+    unknown_s = float(np.diff(recording.loads.time_s).max())
+    clear_s = max(GAP_SHARE * length_s, GAP_STEPS * recording.step_s)
+    if unknown_s > clear_s:
         yield (
-            f"nothing was read for {gap_s:.3g} s of {length_s:.3g} s: the load is taken to have gone straight from the "
-            "reading before to the one after, and what the cell remembers of that time is wrong if it did not"
+            f"nothing was read for {unknown_s:.3g} s of {length_s:.3g} s: the load is taken to have gone straight from "
+            "the reading before to the one after, and what the cell remembers of that time is wrong if it did not"
+        )
+    elif gap_s > clear_s:
+        yield (
+            f"the resistance was not read for {gap_s:.3g} s of {length_s:.3g} s: models of the cell follow the load of "
+            "that time, but play and distilled learn nothing from it"
         )
     highest = float(recording.pressure_kpa.max())
     if highest > 1.2 * full_scale_kpa:

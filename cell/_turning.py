@@ -408,6 +408,7 @@ class TurningInversion(Inversion):
         some[TURNED] = (np.sqrt(before) + unseen) ** 2
         some[TURNED] += (weights.by_model[0, RECOVERY] * noise) ** 2
         some[TURNED] = np.minimum(some[TURNED], self._most_kpa**2)
+        some[VARIANCE] = some[TURNED]  # the distance of the hypotheses is in it
         recovery.begin(some, self._most_rested_kpa2)
         if np.count_nonzero(again):
             np.copyto(some[EXTREME], left, where=again)

@@ -119,6 +119,7 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
     late = by_model[0, 1] * noise
     turned = min(doubt * doubt + late * late, numbers[MOST_KPA2])
     memory[TURNED, i] = turned
+    memory[VARIANCE, i] = turned  # the distance of the hypotheses is in it
     memory[RESTED, i], memory[DRIFT_KPA, i] = 0.0, 0.0
     memory[REST_VARIANCE, i] = turned * numbers[PART] if turned < numbers[MOST_RESTED_KPA2] else 0.0
     drift = math.sqrt(min(turned, numbers[MOST_RESTED_KPA2])) * numbers[DRIFTS]

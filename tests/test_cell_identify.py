@@ -16,6 +16,7 @@ from ohmskin.cell import (
     ContactModel,
     M10Model,
     PaperModel,
+    Recording,
     calibrate,
     calibration_text,
     checked_recording,
@@ -245,6 +246,28 @@ READ = 1e4 + 300 * PRESS
 def test_nonsense_is_refused(time: np.ndarray, pressure: np.ndarray, resistance: np.ndarray, message: str) -> None:
     with pytest.raises(InputError, match=message):
         checked_recording(time, pressure, resistance)
+
+
+def test_loads_known_while_the_resistance_is_missing_are_felt_by_the_models() -> None:
+    """Two minutes without readings hold a press that the cell remembers. Its parameters are found all the same."""
+    time = np.arange(0, 400, 0.1)
+    load = np.interp(time % 100, [0, 10, 12, 30, 33, 60, 65, 70, 74, 100], [0, 0, 0.6, 0.6, 0, 0, 1, 1, 0, 0])
+    read = sense(EXAMPLE, load)
+    missing = (time > 105) & (time < 130) | (time > 160) & (time < 255)
+    with_gaps = checked_recording(time, FULL * load, np.where(missing, np.nan, read))
+    assert np.isfinite(with_gaps.resistance_ohm).all()
+    best = fits(with_gaps, FULL)[0]
+    without = fits(checked_recording(time[~missing], FULL * load[~missing], read[~missing]), FULL)[0]
+    assert best.error < 0.002, "of the range of the resistance"
+    assert without.error > 2 * best.error
+
+
+def test_a_gap_is_no_reading() -> None:
+    time = np.concatenate([np.arange(0, 50, 0.1), np.arange(80, 130, 0.1)])
+    recording = Recording(time, 0 * time, 1e4 + 0 * time)
+    assert recording.near_reading(np.array([-1.0, 0.0, 49.95, 50.5, 65.0, 79.9, 80.0, 129.9, 131.0]), 0.2).tolist() == [
+        False, True, True, False, False, True, True, True, False
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize("jump", [1, 10, 999])

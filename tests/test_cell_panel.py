@@ -30,7 +30,7 @@ from ohmskin.cell._cell import Calibrated
 from ohmskin.cell._choice import Evidence, choose
 from ohmskin.cell._features import Bank
 from ohmskin.cell._fitted import Drift
-from ohmskin.cell._folds import Fold
+from ohmskin.cell._folds import Fold, strokes
 from ohmskin.cell._identify import fits
 from ohmskin.cell._judged import MOVING, Judged, Regimes, best_share, mixed, standard_errors_better
 from ohmskin.cell._learned import DRIFT, Learned
@@ -130,7 +130,7 @@ def test_the_choice_is_by_the_worst_fold_with_the_static_curve_as_the_floor(
         for name, part in zip(names, np.reshape(sizes, (3, 3)).tolist(), strict=True)
     }
     ratios = {"static": 0.1, "play": 0.1 * elsewhere, "distilled": 0.1 * elsewhere}
-    chosen, reason = choose(Evidence(judged, ratios, presses, unexplained, 1.0))  # type: ignore[arg-type]
+    chosen, reason = choose(Evidence(judged, ratios, presses, False, unexplained, 1.0))  # type: ignore[arg-type]
     worst = {name: max(100 * part.rms for part in folds) for name, folds in judged.items()}
     passed = [name for name in names[1:] if standard_errors_better(judged[name], judged["static"]) >= 1.28]
     if presses < 3 and elsewhere >= 0.9:
@@ -138,6 +138,44 @@ def test_the_choice_is_by_the_worst_fold_with_the_static_curve_as_the_floor(
     assert chosen in (passed or ["static"])
     assert len(passed) < 2 or worst[chosen] <= 1.1 * min(worst["play"], worst["distilled"])
     assert f"{worst[chosen]:.1f} % of full scale on the worst of 3 folds, number" in reason
+
+
+def _press_by_press(heights: np.ndarray, seconds: np.ndarray, noise: float = 0.0) -> Recording:
+    """Triangular presses one after the other, of a cell without memory."""
+    turns = np.concatenate([[0.0, 5.0], 5.0 + np.cumsum(np.repeat(seconds / 2, 2))])
+    levels = np.concatenate([[0.0, 0.0], np.column_stack([heights, 0 * heights]).ravel()])
+    time = np.arange(0, turns[-1], 0.1)
+    load = np.interp(time, turns, levels)
+    gauge = 10.0 * load + noise * np.random.default_rng(0).standard_normal(len(time))
+    return Recording(time, gauge, 1e4 * (1 + 0.5 * load))
+
+
+def test_presses_vary_that_differ_in_height_and_in_duration() -> None:
+    even, heights = np.ones(12), np.linspace(0.3, 1.0, 12)
+    durations = np.geomspace(2, 20, 12)[::-1]
+    assert strokes(_press_by_press(heights, durations), 10.0).vary
+    assert strokes(_press_by_press(heights, durations, noise=0.1), 10.0).vary
+    assert not strokes(_press_by_press(even, 5 * even), 10.0).vary
+    assert not strokes(_press_by_press(even, 5 * even, noise=0.1), 10.0).vary
+    assert not strokes(_press_by_press(even, durations), 10.0).vary, "nothing is known of lower presses"
+    cut_off = np.append(even[:-1], 0.3)
+    assert not strokes(_press_by_press(cut_off, 5 * cut_off), 10.0).vary, "the last press alone says little"
+
+
+def test_strokes_go_from_turn_to_turn() -> None:
+    """A play swallows a tenth of full scale at each turn, and half of that at the first one."""
+    heights, durations = np.array([0.8, 0.5, 1.0]), np.array([6.0, 8.0, 4.0])
+    found = strokes(_press_by_press(heights, durations), 10.0)
+    assert found.height == pytest.approx(np.repeat(heights, 2) - np.array([0.05, *[0.1] * 5]), abs=0.06)
+    assert found.seconds[1:-1] == pytest.approx(np.repeat(durations / 2, 2)[1:-1], abs=0.8)
+
+
+def test_loads_that_vary_are_not_alike_though_the_static_error_hardly_scatters() -> None:
+    """As on a cell with little memory, whose static curve errs by the same everywhere."""
+    static = folds_of([0.02 * np.sin(np.arange(400.0)) for _ in range(3)])
+    for presses, loads_vary, expected in ((30.0, True, True), (30.0, False, False), (2.0, True, False)):
+        evidence = Evidence({"static": static}, {"static": 0.1}, presses, loads_vary, 0.1, 1.0)
+        assert evidence.varied == expected
 
 
 @given(gain=st.floats(0.3, 3), seed=st.integers(0, 100))
@@ -406,6 +444,8 @@ def test_a_gap_and_a_full_scale_that_is_hardly_reached_are_remarked_upon() -> No
     gap = Recording(of.time_s[kept], of.pressure_kpa[kept], of.resistance_ohm[kept])
     assert not list(remarks(of, 10.0, 10.0, varied=True))
     assert "nothing was read for 10.2 s of 59.9 s" in " ".join(remarks(gap, 10.0, 10.0, varied=True))
+    gap = checked_recording(of.time_s, of.pressure_kpa, np.where(kept, of.resistance_ohm, np.nan))
+    assert "the resistance was not read for 10.2 s of 59.9 s" in " ".join(remarks(gap, 10.0, 10.0, varied=True))
     assert "the largest load is 10 kPa, full scale 8 kPa" in " ".join(remarks(of, 8.0, 10.0, varied=True))
 
 
