@@ -14,16 +14,33 @@ from pydantic import Field
 from ..arrays import FloatArray
 from ..config import NotNegative, Positive, Section, load, write_toml
 from ..errors import InputError
-from ._conditions import Conditions
-from ._estimator import Estimator
-from ._forward import Forward, make_forward, resistance_of
-from ._inverse import AsymmetricInversion, margin
-from ._inversion import Inversion
-from ._learned import DRIFT, UNKNOWN_DRIFT, Learned, LearnedInversion, Numbers, Seen, StaticCurve
-from ._models import AsymmetricModel, M10Model, Model, PaperModel
-from ._static import EquilibriumInversion, StaticCurveInversion, equilibrium_gain, rest_slope
-from ._switched import SwitchedInversion
-from ._turning import TurningInversion
+from .estimation import Conditions, Estimator, Inversion
+from .inversions import (
+    DRIFT,
+    UNKNOWN_DRIFT,
+    AsymmetricInversion,
+    EquilibriumInversion,
+    Learned,
+    LearnedInversion,
+    Numbers,
+    Seen,
+    StaticCurve,
+    StaticCurveInversion,
+    SwitchedInversion,
+    TurningInversion,
+    margin,
+    rest_slope,
+)
+from .materials import (
+    AsymmetricModel,
+    Forward,
+    M10Model,
+    Model,
+    PaperModel,
+    equilibrium_gain,
+    make_forward,
+    resistance_of,
+)
 
 EstimatorName = Literal["static", "paper", "inverse", "play", "distilled"]
 ESTIMATORS: tuple[EstimatorName, ...] = get_args(EstimatorName)

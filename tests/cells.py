@@ -10,7 +10,7 @@ import numpy as np
 from ohmskin.bench import _independent as independent
 from ohmskin.bench._materials import MATERIALS
 from ohmskin.cell import CalibrationResult, Cell, Recording, calibrate, checked_recording
-from ohmskin.cell import _protocol as protocol
+from ohmskin.cell.identification import _protocol as protocol
 
 EXAMPLE = Cell.example()
 DT = 0.1

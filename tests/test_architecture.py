@@ -30,6 +30,15 @@ MAY_IMPORT = {
     "verification": SHARED | {"circuits", "cell", "wire", "emulator", "driver", "bench"},
 }
 
+CELL_MAY_IMPORT = {
+    "materials": set(),
+    "estimation": set(),
+    "inversions": {"materials", "estimation"},
+    "_cell": {"materials", "estimation", "inversions"},
+    "identification": {"materials", "estimation", "inversions", "_cell"},
+}
+"""The parts of the room cell: three sub-packages, CELL.toml, and the sub-package above it."""
+
 
 def _place(file: Path) -> tuple[str, ...]:
     """Folders and name of a module below the package, whose root is src/ohmskin and the rooms beside it."""
@@ -72,6 +81,37 @@ def test_solvers_know_conductances_and_lines_only() -> None:
         inner = {name for name in _imports(file) if name.startswith("ohmskin.")}
         allowed = ("ohmskin.arrays", "ohmskin.errors", "ohmskin.circuits.solvers")
         assert all(name.startswith(allowed) for name in inner), f"{file.name} imports {inner}"
+
+
+@pytest.mark.parametrize("part", CELL_MAY_IMPORT)
+def test_a_part_of_the_cell_imports_only_what_is_below_it(part: str) -> None:
+    files = sorted((ROOT / "cell" / part).glob("*.py")) if part != "_cell" else [ROOT / "cell/_cell.py"]
+    assert files
+    for file in files:
+        inner = {name.split(".")[2] for name in _imports(file) if name.startswith("ohmskin.cell.")}
+        forbidden = inner - CELL_MAY_IMPORT[part] - {part}
+        assert not forbidden, f"{file.relative_to(ROOT)} imports {forbidden}"
+
+
+def test_every_module_of_the_cell_is_in_a_part_and_on_its_page() -> None:
+    page = (ROOT / "docs/cell.md").read_text()
+    files = [file for file in (ROOT / "cell").rglob("*.py") if file.name != "__init__.py"]
+    assert {_place(file)[1].removesuffix(".py") for file in files} == CELL_MAY_IMPORT.keys()
+    for file in files:
+        assert f"`{file.name}`" in page, f"docs/cell.md does not name {file.relative_to(ROOT)}"
+
+
+def test_modules_import_the_faces_of_sub_packages() -> None:
+    faces = 0
+    for room in MAY_IMPORT:
+        folders = {face.parent for face in (ROOT / room).glob("*/__init__.py")}
+        for file in (ROOT / room).rglob("*.py"):
+            for folder in folders - {file.parent}:
+                stem = ".".join(["ohmskin", *_place(folder), "_"])
+                hidden = {name for name in _imports(file) if name.startswith(stem)}
+                assert not hidden, f"{file.relative_to(ROOT)} imports {hidden}"
+        faces += len(folders)
+    assert faces > 9
 
 
 def test_only_one_module_imports_pyspice() -> None:
@@ -155,6 +195,6 @@ def test_other_rooms_import_from_the_face_only(room: str) -> None:
 @pytest.mark.parametrize("room", MAY_IMPORT)
 def test_no_public_name_hides_a_module(room: str) -> None:
     face = importlib.import_module(f"ohmskin.{room}")
-    modules = {file.stem for file in (ROOT / room).glob("*.py")}
+    modules = {file.stem for file in (ROOT / room).iterdir() if file.suffix in ("", ".py")}
     hidden = modules & set(getattr(face, "__all__", ()))
     assert not hidden, f"ohmskin.{room}: {hidden} are modules and names"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ohmskin.cell import Cell, ContactModel
-from ohmskin.cell import _protocol as protocol
+from ohmskin.cell.identification import _protocol as protocol
 from ohmskin.cli import run
 from ohmskin.tables import read_columns, write_columns
 

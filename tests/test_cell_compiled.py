@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 
 from ohmskin.arrays import FloatArray
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, Estimator, M10Model
-from ohmskin.cell._inverse import AsymmetricInversion
+from ohmskin.cell.inversions._inverse import AsymmetricInversion
 from ohmskin.compiled import SWITCH
 
 DT_S = 0.005

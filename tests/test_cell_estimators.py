@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
-from ohmskin.cell._conditions import Conditions
-from ohmskin.cell._estimator import Estimator
-from ohmskin.cell._learned import Limits, StaticCurve
-from ohmskin.cell._static import StaticCurveInversion
+from ohmskin.cell.estimation._conditions import Conditions
+from ohmskin.cell.estimation._estimator import Estimator
+from ohmskin.cell.inversions._learned import Limits, StaticCurve
+from ohmskin.cell.inversions._static import StaticCurveInversion
 from ohmskin.errors import InputError
 
 EXAMPLE = Cell.example()

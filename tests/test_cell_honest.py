@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from ohmskin.bench import _honesty as honesty
 from ohmskin.cell import AsymmetricModel, Cell, PaperModel
 from ohmskin.cell._cell import Calibrated
-from ohmskin.cell._learned import Limits, Seen, StaticCurve
+from ohmskin.cell.inversions._learned import Limits, Seen, StaticCurve
 
 LOADS = st.sampled_from(["hold", "edge", "press", "slow ramp", "fast ramp", "sine", "taps", "finger"])
 NOISES = st.sampled_from([0.1, 1.0, 10.0])

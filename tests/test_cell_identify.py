@@ -22,12 +22,12 @@ from ohmskin.cell import (
     checked_recording,
     estimate_recording,
 )
-from ohmskin.cell import _protocol as protocol
-from ohmskin.cell import _simulate as simulate
-from ohmskin.cell._folds import folds
-from ohmskin.cell._identify import fits
-from ohmskin.cell._inverse import margin
-from ohmskin.cell._recovery_curve import recovery_branches
+from ohmskin.cell.identification import _protocol as protocol
+from ohmskin.cell.identification._folds import folds
+from ohmskin.cell.identification._identify import fits
+from ohmskin.cell.identification._recovery_curve import recovery_branches
+from ohmskin.cell.inversions._inverse import margin
+from ohmskin.cell.materials import _simulate as simulate
 from ohmskin.errors import InputError
 
 

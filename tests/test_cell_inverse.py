@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, M10Model, PaperModel
-from ohmskin.cell import _inverse as inverse
-from ohmskin.cell import _lag as lag
+from ohmskin.cell.inversions import _inverse as inverse
+from ohmskin.cell.materials import _lag as lag
 from ohmskin.errors import InputError
 
 EXAMPLE = Cell.example()

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from ohmskin.cell import _lag as lag
+from ohmskin.cell.materials import _lag as lag
 
 seconds = st.floats(1e-4, 1e4)
 values = st.floats(-10, 10)

@@ -11,7 +11,7 @@ from cells import DT, EXAMPLE, FULL
 
 from ohmskin.cell import AsymmetricModel, Cell, ContactModel, estimate_recording
 from ohmskin.cell._cell import Calibrated
-from ohmskin.cell._learned import Limits, Seen, StaticCurve
+from ohmskin.cell.inversions._learned import Limits, Seen, StaticCurve
 
 
 def _unknown() -> Cell:

@@ -3,7 +3,7 @@
 import pytest
 
 from ohmskin.cell import Cell, ContactModel
-from ohmskin.cell import _material as material
+from ohmskin.cell.materials import _material as material
 
 
 def test_sensitivity_of_a_cell_is_what_its_forward_model_settles_to() -> None:

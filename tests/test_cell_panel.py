@@ -24,17 +24,17 @@ from ohmskin.cell import (
     checked_recording,
     estimate_recording,
 )
-from ohmskin.cell import _training as training
-from ohmskin.cell._calibrate import _breaks, _judge, _seen
 from ohmskin.cell._cell import Calibrated
-from ohmskin.cell._choice import Evidence, choose
-from ohmskin.cell._features import Bank
-from ohmskin.cell._fitted import Drift
-from ohmskin.cell._folds import Fold, strokes
-from ohmskin.cell._identify import fits
-from ohmskin.cell._judged import MOVING, Judged, Regimes, best_share, mixed, standard_errors_better
-from ohmskin.cell._learned import DRIFT, Learned
-from ohmskin.cell._remarks import believed, remarks
+from ohmskin.cell.identification import _training as training
+from ohmskin.cell.identification._calibrate import _breaks, _judge, _seen
+from ohmskin.cell.identification._choice import Evidence, choose
+from ohmskin.cell.identification._fitted import Drift
+from ohmskin.cell.identification._folds import Fold, strokes
+from ohmskin.cell.identification._identify import fits
+from ohmskin.cell.identification._judged import MOVING, Judged, Regimes, best_share, mixed, standard_errors_better
+from ohmskin.cell.identification._remarks import believed, remarks
+from ohmskin.cell.inversions._features import Bank
+from ohmskin.cell.inversions._learned import DRIFT, Learned
 from ohmskin.errors import InputError
 
 

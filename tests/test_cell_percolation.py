@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ohmskin.cell._percolation import Percolation
+from ohmskin.cell.materials._percolation import Percolation
 from ohmskin.errors import InputError
 
 LAW = Percolation(fraction=0.015, rest_resistance_ohm=10e3, sensitivity=0.775)

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin import compiled
-from ohmskin.cell import _simulate as simulate
+from ohmskin.cell.materials import _simulate as simulate
 
 
 @settings(deadline=None)  # the first example waits for the compiler

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ohmskin.cell import _smoothing as smoothing
-from ohmskin.cell._noise import NoiseMeter
-from ohmskin.cell._simulate import step_noise, white_noise
+from ohmskin.cell.estimation import _smoothing as smoothing
+from ohmskin.cell.estimation._noise import NoiseMeter
+from ohmskin.cell.materials._simulate import step_noise, white_noise
 
 NOISE = 0.005
 

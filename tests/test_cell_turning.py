@@ -9,12 +9,12 @@ from turning import OneCell
 
 from ohmskin.bench._independent import presses
 from ohmskin.cell import PaperModel
-from ohmskin.cell._conditions import Conditions
-from ohmskin.cell._estimator import Estimator
-from ohmskin.cell._inversion import Inversion
-from ohmskin.cell._switched import SwitchedInversion
-from ohmskin.cell._turning import TurningInversion
-from ohmskin.cell._turning_rows import Rows
+from ohmskin.cell.estimation._conditions import Conditions
+from ohmskin.cell.estimation._estimator import Estimator
+from ohmskin.cell.estimation._inversion import Inversion
+from ohmskin.cell.inversions._switched import SwitchedInversion
+from ohmskin.cell.inversions._turning import TurningInversion
+from ohmskin.cell.inversions._turning_rows import Rows
 
 MODEL = EXAMPLE.model
 assert isinstance(MODEL, PaperModel)

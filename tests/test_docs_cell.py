@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import get_args
 
 from ohmskin.cell import Cell
-from ohmskin.cell._models import AsymmetricModel, ContactModel, M10Model, PaperModel
+from ohmskin.cell.materials._models import AsymmetricModel, ContactModel, M10Model, PaperModel
 
 PAGE = (Path(__file__).parents[1] / "docs" / "cell.md").read_text(encoding="utf-8")
 

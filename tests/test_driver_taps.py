@@ -15,7 +15,7 @@ from ohmskin.arrays import FloatArray
 from ohmskin.bench import _taps as bench
 from ohmskin.bench._driver import design
 from ohmskin.cell import Cell, ContactModel
-from ohmskin.cell._taps import SHARED
+from ohmskin.cell.estimation._taps import SHARED
 from ohmskin.cli import run
 from ohmskin.driver import ContactTracker
 

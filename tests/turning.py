@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ohmskin.cell import PaperModel
-from ohmskin.cell import _lag as lag
-from ohmskin.cell import _recovery as recovery
-from ohmskin.cell import _turning as paper
+from ohmskin.cell.inversions import _recovery as recovery
+from ohmskin.cell.inversions import _turning as paper
+from ohmskin.cell.materials import _lag as lag
 
 
 @dataclass

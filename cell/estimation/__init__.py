@@ -1,0 +1,41 @@
+"""A frame of an estimator, the same for every material: noise, rest, smoothing, bad contacts, gaps, deviations.
+
+:mod:`._estimator` has the order in which a frame passes the other modules. They know no model of a cell:
+:class:`Inversion` is the interface behind which a material turns readings into pressures. The subclasses are in
+:mod:`..inversions`. :mod:`._rows` names the rows of the arrays that are handed to them.
+The constants below are thresholds that an inversion shares with the rest of its frame.
+"""
+
+from ._conditions import Conditions
+from ._estimator import Estimator
+from ._held import longest_s
+from ._inversion import DOUBT, LOADS, USUAL, Inversion, credible_readings
+from ._loops import REST_VARIANCE, RESTED
+from ._noise import RECENT, WINDOW
+from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD, VARIANCE
+from ._smoothing import COUNT, HIDDEN, SIGMAS
+
+__all__ = [
+    "COUNT",
+    "DOUBT",
+    "GAIN",
+    "HIDDEN",
+    "LOADS",
+    "NOISE",
+    "PRESSURE",
+    "READING",
+    "RECENT",
+    "RESTED",
+    "REST_VARIANCE",
+    "SIGMAS",
+    "SMOOTHED",
+    "STD",
+    "USUAL",
+    "VARIANCE",
+    "WINDOW",
+    "Conditions",
+    "Estimator",
+    "Inversion",
+    "credible_readings",
+    "longest_s",
+]

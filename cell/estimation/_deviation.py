@@ -1,0 +1,275 @@
+"""Standard deviation of the estimated pressures, as a sum of variances; and what pressure is shown.
+
+The variance of a cell that is followed sums those of noise and of what the smoothing may not have noticed, of the
+inversion's memory, of motion within the frame, of the model, of R0, and of what :mod:`._following` adds: bad contacts
+and motion within the noise. A cell that sleeps may bear any load that its reading does not exclude.
+
+A program that does not ask for the deviation of a frame is not to pay for it. A frame therefore leaves what the
+variances follow from (:class:`LeftOpen`), in arrays that never change again, and the sum is made when it is asked for,
+or when other cells are followed. Machine code makes the sum at once, since that costs it less than copies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from . import _loops as loops
+from ._conditions import Conditions
+from ._inversion import NO_LOAD_SIGMAS, Inversion
+from ._loops import ASLEEP_SIGMAS
+from ._noise import NoiseMeter
+from ._remembered import Block, Remembered
+from ._rows import GAIN, PRESSURE, SHARED, VARIANCE
+from ._sleep import AT_REST, Sleep
+from ._smoothing import HIDDEN, SIGMAS, Looked
+
+TINY = 1e-30
+"""keeps 0/0 from occurring"""
+MODEL_ERROR = 0.005
+"""of full scale: the least standard deviation without a calibration. It covers what an estimator passes over: loads
+that let a cell sleep, turns below a percent. It is no estimate of a model's error, for nobody compared the model with a
+recording"""
+USUAL = 1.1
+"""times full scale beyond which the excess over full scale counts as standard deviation"""
+
+_ZERO = np.zeros(1)
+
+
+class LeftOpen(NamedTuple):
+    """All that the variances of one frame follow from. Arrays never change again."""
+
+    cells: IntArray
+    """(m,) that were followed"""
+    memory: FloatArray
+    """(SHARED, m) first rows of their memory after the frame"""
+    looked: Looked | None
+    """None: readings are exact"""
+    added: FloatArray | None
+    """(m,) kPa^2 beside that of noise and memory"""
+
+
+class Stated(NamedTuple):
+    """The variances of one frame, worked out. Arrays never change again."""
+
+    cells: IntArray
+    """(m,) that were followed"""
+    variance: FloatArray
+    """(m,) kPa^2; gaps are not counted"""
+
+
+class Asleep(NamedTuple):
+    """What the readings of sleeping cells leave open. Arrays never change again."""
+
+    cells: IntArray
+    """(m,) that sleep, or have done so a few frames ago"""
+    per_reading: FloatArray
+    """(m,) kPa of standard deviation per r: the load may be the reading's, though none is shown"""
+    hidden_kpa: FloatArray
+    """(m,) what the noise may hide beyond, as standard deviation"""
+
+    def add_to(self, variance: FloatArray, reading: FloatArray, *, compiled: bool) -> None:
+        """Add what the present readings (n,) leave open to variances (n,) in kPa^2."""
+        if compiled:
+            loops.add_asleep.code(variance, reading, self.cells, self.per_reading, self.hidden_kpa)
+            return
+        std = np.abs(reading.take(self.cells))
+        std *= self.per_reading
+        std += self.hidden_kpa
+        std *= std
+        variance[self.cells] += std
+
+
+class Deviation:
+    """The variances of n cells in kPa^2, and what they follow from. Gaps and creep are added when one asks."""
+
+    def __init__(self, inversion: Inversion, conditions: Conditions, cells: int) -> None:
+        self._inversion, self._full_kpa = inversion, inversion.full_scale_kpa
+        self.stated = inversion.knows_errors or conditions.model_std_kpa > 0
+        """whether a standard deviation is stated; else all are NaN"""
+        self._model_variance = (conditions.model_std_kpa or MODEL_ERROR * self._full_kpa) ** 2
+        rest_std_kpa = np.zeros(0) if conditions.rest_std_kpa is None else conditions.rest_std_kpa
+        self._rest_variance = rest_std_kpa**2
+        self._rest_at_kpa = np.linspace(0, self._full_kpa, rest_std_kpa.size)
+        self._variance = np.full(cells, np.nan)
+        """(n,) kPa^2 without the cells of ``_left_open``; replaced, never changed"""
+        self._left_open: LeftOpen | Stated | None = None
+        self._asleep: Asleep | None = None
+        self._numbers = self._numbers_of_loops()
+        self.compiled = False
+        """whether the loops are there as machine code"""
+
+    def _numbers_of_loops(self) -> FloatArray:
+        """What :func:`._loops.show` takes."""
+        full = self._full_kpa
+        within, sure = self._inversion.bends
+        numbers = {
+            loops.MODEL_VARIANCE: self._model_variance,
+            loops.WITHIN: within,
+            loops.SURE: sure,
+            loops.FULL: full,
+            loops.MUCH: USUAL * full,
+            loops.MUCH_NOISE: AT_REST * full,
+            loops.NO_LOAD: NO_LOAD_SIGMAS,
+            loops.TINY: TINY,
+            loops.HIDDEN: HIDDEN,
+            loops.PER_SIGMAS: 1.0 / SIGMAS,
+            loops.STATED: float(self.stated),
+            loops.SIGMAS: SIGMAS,
+            loops.HIDDEN_SHARE: HIDDEN / SIGMAS,
+            loops.RISE_KPA: self._inversion.steepness_kpa[0],
+            loops.FALL_KPA: self._inversion.steepness_kpa[1],
+            loops.RESTS: self._inversion.rests,
+        }
+        return np.array([numbers[place] for place in range(len(numbers))])
+
+    # -- cells that are followed -------------------------------------------------------------------------------------
+
+    def take_exact(self, block: Block) -> None:
+        """Take the memory of a frame whose readings are exact."""
+        self._left_open = LeftOpen(block.cells, block.memory[:SHARED].copy(), None, None)
+
+    def show(self, block: Block, looked: Looked, added: FloatArray | None) -> FloatArray:
+        """Take a frame; ``added`` (m,) are variances in kPa^2 by what the inversion does not know of, None: none.
+
+        Returns:
+            (m,) pressures to show in kPa.
+        """
+        memory = block.memory
+        pressure: FloatArray = memory[PRESSURE]
+        if pressure.item(pressure.argmax()) > USUAL * self._full_kpa:
+            # A pressure that the cell is not meant for may as well be an error of the memory.
+            added = total(added, np.maximum(pressure - self._full_kpa, 0.0) ** 2)
+        noise_kpa = looked.std * memory[GAIN]
+        if noise_kpa.item(noise_kpa.argmax()) > AT_REST * self._full_kpa:
+            likely = _likely(pressure, self._inversion.hides_kpa2(memory, noise_kpa))
+            added = total(added, (pressure - likely) ** 2)
+            pressure = likely
+        self._left_open = LeftOpen(block.cells, memory[:SHARED].copy(), looked, added)
+        return pressure
+
+    def show_compiled(self, block: Block, added: FloatArray, pressure: FloatArray) -> None:
+        """:meth:`show` by machine code, which writes the pressures into those of all cells (n,)."""
+        variance = np.empty(block.cells.size)
+        loops.show.code(
+            *(block.memory, block.line, block.taken, added, self._numbers, self._rest_at_kpa, self._rest_variance),
+            *(block.cells, pressure, variance),
+        )
+        self._left_open = Stated(block.cells, variance)
+
+    def flush(self) -> None:
+        """Store the variances of the last frame, since other cells are to be followed."""
+        if self._left_open is not None:
+            self._variance = self._variance.copy()
+            self._variance[self._left_open.cells] = self._variance_of(self._left_open)
+            self._left_open = None
+
+    # -- cells that sleep --------------------------------------------------------------------------------------------
+
+    def watch_over(self, asleep: IntArray, remembered: Remembered, sleep: Sleep, noise: NoiseMeter) -> None:
+        """Renew the variances of cells (m,) that are ``asleep``, and the limits at which they wake, for the noise."""
+        self._variance = self._variance.copy()
+        if self.compiled:
+            per_reading, hidden_kpa = np.empty((2, asleep.size))
+            loops.watch_over.code(
+                *(asleep, remembered.memory, sleep.mean, noise.at_rest, sleep.band, self._numbers),
+                *(self._rest_at_kpa, self._rest_variance, sleep.wake_at, per_reading, hidden_kpa, self._variance),
+            )
+            self._asleep = Asleep(asleep, per_reading, hidden_kpa)
+            return
+        memory = remembered.memory[:, asleep]
+        std = noise.std(sleep.mean[asleep], asleep)
+        sleep.wake_at[asleep] = ASLEEP_SIGMAS * std + sleep.band
+        self._variance[asleep] = self._own_variance(memory, _ZERO) + memory[PRESSURE] ** 2
+        self._asleep = Asleep(asleep, memory[GAIN] / SIGMAS, memory[GAIN] * (HIDDEN / SIGMAS) * std)
+
+    # -- what is stated ----------------------------------------------------------------------------------------------
+
+    def of_last_step(
+        self, shape: tuple[int, ...], reading: FloatArray, *more: FloatArray | None
+    ) -> Callable[[], FloatArray]:
+        """A function that gives the variances (shape) in kPa^2 of the last frame, whenever and in whatever thread.
+
+        Args:
+            shape: of a frame.
+            reading: (n,) r of the frame, which never change again.
+            more: (n,) variances in kPa^2 to be added, which never change again; None: none.
+        """
+        return partial(self._after, shape, self._variance, self._asleep, reading, self._left_open, more)
+
+    def _after(
+        self,
+        shape: tuple[int, ...],
+        before: FloatArray,
+        asleep: Asleep | None,
+        reading: FloatArray,
+        left_open: LeftOpen | Stated | None,
+        added: tuple[FloatArray | None, ...],
+    ) -> FloatArray:
+        """(shape) kPa^2, from variances (n,) in kPa^2: before the step, asleep, of the step, and others."""
+        if left_open is not None and left_open.cells.size == before.size:
+            variance = self._variance_of(left_open)
+        else:
+            variance = before.copy()
+            if asleep is not None:
+                asleep.add_to(variance, reading, compiled=self.compiled)
+            if left_open is not None:
+                variance[left_open.cells] = self._variance_of(left_open)
+        for more in added:
+            if more is not None:
+                variance += more
+        return variance.reshape(shape)
+
+    def _variance_of(self, left_open: LeftOpen | Stated) -> FloatArray:
+        """(m,) variance in kPa^2 of the cells that were followed in a frame."""
+        if isinstance(left_open, Stated):
+            return left_open.variance.copy()
+        looked, memory = left_open.looked, left_open.memory
+        std_kpa = _ZERO
+        if looked is not None:
+            std_kpa = looked.doubt_kpa(memory[GAIN], self._inversion.steepness_kpa)
+        variance = self._own_variance(memory, std_kpa)
+        if left_open.added is not None:
+            variance += left_open.added
+        return variance
+
+    def _own_variance(self, memory: FloatArray, std_kpa: FloatArray) -> FloatArray:
+        """(m,) variance in kPa^2 of cells whose readings are known to ``std_kpa`` (m,) of pressure."""
+        if not self.stated:
+            return np.full(memory.shape[1], np.nan)
+        variance: FloatArray = np.broadcast_to(std_kpa * std_kpa, memory.shape[1]).copy()
+        variance += self._inversion.within_frame(memory, np.sqrt(variance))
+        variance += memory[VARIANCE]
+        variance += self._model_variance
+        if self._rest_variance.size:
+            variance += np.interp(memory[PRESSURE], self._rest_at_kpa, self._rest_variance)
+        return variance
+
+    def state(self) -> dict[str, FloatArray]:
+        """What is remembered, by name. To be called after :meth:`flush`."""
+        return {"variance": self._variance}
+
+    def restore(self, state: dict[str, FloatArray]) -> None:
+        """Continue from a saved :meth:`state`."""
+        self._variance, self._left_open, self._asleep = state["variance"], None, None
+
+
+def total(one: FloatArray | None, other: FloatArray) -> FloatArray:
+    """The sum of variances (m,), of which the first may be None."""
+    return other if one is None else one + other
+
+
+def _likely(pressure: FloatArray, hides_kpa2: FloatArray) -> FloatArray:
+    """(m,) pressures with those that noise alone could give shown nearer to none.
+
+    Most cells carry no load: of a pressure whose square is below ``hides_kpa2`` (m,), no load is the likelier cause.
+    What is remembered stays as it is.
+    """
+    squared = pressure * pressure
+    squared *= squared
+    likely: FloatArray = pressure * (squared / (squared + hides_kpa2 * hides_kpa2 + TINY))
+    return likely

@@ -1,0 +1,348 @@
+"""Causal estimation of pressure from resistance, frame by frame: the same for every material.
+
+A frame passes these steps.
+
+1. Readings become normalised resistances r = R/R0 - 1. NaN, open and shorted readings, and those that no credible load
+   can give, are missing: the cell keeps its pressure, and the standard deviation grows (:mod:`._gaps`).
+2. Noise is measured from the readings (:mod:`._noise`).
+3. Cells at rest sleep: only their mean is watched, until it leaves the noise (:mod:`._sleep`).
+4. The others are followed (:mod:`._following`): their readings are smoothed as their noise demands
+   (:mod:`._smoothing`), and an :class:`._inversion.Inversion` turns them into pressures. Their memory lies side by side
+   in a block meanwhile (:mod:`._remembered`).
+5. A reading that jumps and is back at once was a bad contact: the memory from before it is put back (:mod:`._sparks`),
+   unless the cells beside it tell that it is a tap (:mod:`._taps`).
+6. The standard deviation sums the variances of noise, of the memory, of motion within the noise (:mod:`._tremor`), of
+   gaps, of R0, of creep under loads longer than any in the calibration (:mod:`._held`), and of what calibration left
+   unexplained (:mod:`._deviation`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ... import compiled
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...compiled import Loop
+from ...errors import InputError
+from . import _loops as loops
+from . import _noise as noise_meter
+from . import _smoothing as smoothing
+from . import _tremor as tremor
+from ._conditions import Conditions
+from ._deviation import Deviation
+from ._following import Following
+from ._gaps import Gaps
+from ._held import Held
+from ._inversion import Inversion
+from ._noise import NoiseMeter
+from ._remembered import Remembered
+from ._rows import PRESSURE
+from ._sleep import Sleep
+from ._sparks import Sparks
+from ._tremor import Tremor
+
+SETTLE_EVERY = 32
+"""frames between two looks for cells that may go to sleep"""
+FIRST_READINGS = 4
+"""averaged before the first estimate of a cell is final"""
+UNKNOWN_PAST = 0.25
+"""of the first pressure of a cell: its standard deviation, since a load that began just now shows as much more than one
+that has been there for long; it falls as the doubt about a gap does"""
+
+
+class Estimator:
+    """Pressure of an array of cells; made by :meth:`ohmskin.cell.Cell.estimator`.
+
+    Call :meth:`step` for every frame. The first reading of a cell is taken as one at rest or long held, and the
+    standard deviation tells of the doubt (:data:`UNKNOWN_PAST`).
+    """
+
+    def __init__(
+        self, inversion: Inversion, shape: tuple[int, ...], rest_resistance_ohm: FloatArray, conditions: Conditions
+    ) -> None:
+        """``rest_resistance_ohm`` (n,) is that of each cell of ``shape``."""
+        self.shape, self.inversion = shape, inversion
+        self._per_ohm = 1 / rest_resistance_ohm
+        cells, full_kpa = self._per_ohm.size, inversion.full_scale_kpa
+        self._noise = NoiseMeter(cells, conditions.noise or 0.0)
+        self._remembered = Remembered(inversion, cells)
+        self._sleep = Sleep(cells, inversion.full_scale_r)
+        self._gaps = Gaps(cells, full_kpa, conditions)
+        self._sparks = Sparks(inversion, self._noise, self._gaps, shape)
+        self._tremor = Tremor(cells)
+        self._deviation = Deviation(inversion, conditions, cells)
+        self._following = Following(inversion, self._noise, self._sparks, self._deviation, self._tremor)
+        self._held = Held(cells, full_kpa, conditions.longest_load_s)
+        self._pressure = np.full(cells, np.nan)
+        self._reading = np.zeros(cells)
+        """(n,) r of the last frame; never changes again"""
+        self._readings = np.zeros(cells)
+        """(n,) how many have been taken for first ones"""
+        self._begun = False
+        """whether all cells have been read often enough"""
+        self._frames = 0
+        self._usual_s = 0.0
+        self._compiled = False
+
+    # -- machine code ------------------------------------------------------------------------------------------------
+
+    def compile(self) -> bool:
+        """Do the work of frames by machine code from now on, where the extra ``fast`` is installed.
+
+        Loading takes half a second in the first call of a process, and compiling ten where no earlier process has done
+        so. An estimator of exact readings (``noise=0``) has no machine code.
+
+        Returns:
+            Whether machine code does the work. Pressures and standard deviations are the same either way.
+        """
+        self._use(machine_code=not self.inversion.exact and compiled.load(*self._loops()))
+        return self._compiled
+
+    def _use(self, *, machine_code: bool) -> None:
+        """Do the work of frames by machine code, or by array operations."""
+        self._compiled = machine_code
+        for part in (self._noise, self._tremor, self._sleep, self._deviation, self._following):
+            part.compiled = machine_code
+        block = self._remembered.block
+        block.line_before = block.line.copy()  # machine code has that from before the last step
+
+    def _loops(self) -> tuple[Loop[..., Any], ...]:
+        """All that a frame calls."""
+        return *loops.ALL, *smoothing.LOOPS, *noise_meter.LOOPS, *tremor.LOOPS, *self.inversion.loops_used()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Continue from a pickle, perhaps in a process without machine code."""
+        self.__dict__.update(state)
+        if self._compiled:
+            self.compile()
+
+    # -- the frame ---------------------------------------------------------------------------------------------------
+
+    def step(self, elapsed_s: float, resistance_ohm: ArrayLike) -> FloatArray:
+        """Take the frame read ``elapsed_s`` after the last one (any number for the first frame).
+
+        Args:
+            elapsed_s: seconds since the last frame.
+            resistance_ohm: (shape) in ohm; NaN, infinite and not positive entries are missing.
+
+        Returns:
+            (shape) pressure in kPa. A cell whose reading is missing keeps its last value; NaN before its first reading.
+
+        Raises:
+            InputError: another shape, or a time step that is not a positive number of seconds.
+        """
+        resistance = np.asarray(resistance_ohm, dtype=np.float64)
+        if resistance.shape != self.shape:
+            raise InputError(f"resistance has shape {resistance.shape}, expected {self.shape}")
+        if self._frames and not 0 < elapsed_s < np.inf:
+            raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
+        dt, exact = float(elapsed_s) if self._frames else 1.0, self.inversion.exact
+        r = self._reading = np.empty(resistance.size)
+        known = self._normalise(resistance.ravel(), r)
+        before = self._pressure.copy() if self._gaps.concern(dt, self._usual_s or dt, known) else None
+        if not exact:
+            self._noise.update(r, known)
+        if not self._begun:
+            self._start(r, known)
+        if not exact:
+            woken = self._sleep.watch(dt, r)
+            if woken is not None:
+                self._remembered.wake(woken)
+        if self._remembered.stale or known is not None or self._gaps.open:
+            self._choose(known)
+        block = self._remembered.block
+        if block.cells.size:
+            self._following.advance(block, dt, r, self._frames, self._pressure)
+        if before is None:
+            self._gaps.pass_by(dt)
+        else:
+            self._end_gaps(dt, known, before)
+        self._held.advance(dt, self._pressure)
+        self._usual_s += (dt - self._usual_s) * (0.1 if self._frames > 1 else 1.0)
+        self._frames += 1
+        if self._frames % SETTLE_EVERY == 0 and not exact:
+            self._rest()
+        return self._shown()
+
+    @property
+    def resolved(self) -> bool:
+        """Whether :meth:`resolve` has been called."""
+        return self._noise.typical_resolution > 0.0
+
+    def resolve(self, step_std: ArrayLike, resistance_ohm: ArrayLike) -> None:
+        """Take the resolution of the readings, which the readings themselves do not show where noise is small.
+
+        Args:
+            step_std: (shape) relative standard deviation of a conductance by the steps of the ADC.
+            resistance_ohm: (shape) the readings in ohm for which that holds. Where one of them is not finite the median
+                of the others is taken; if all are not, nothing happens.
+        """
+        step = np.asarray(step_std, dtype=np.float64).ravel()
+        resistance = np.asarray(resistance_ohm, dtype=np.float64).ravel()
+        # A step of current is one of conductance: that of r is proportional to (1 + r)^2, as noise is.
+        at_rest = np.divide(step, resistance * self._per_ohm, out=np.full(step.size, np.nan), where=resistance > 0)
+        found = np.isfinite(at_rest) & (at_rest > 0)
+        if found.any():
+            self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])))
+
+    @property
+    def std_kpa(self) -> FloatArray:
+        """(shape) standard deviation of the estimate of the last step, in kPa; NaN where none can be stated."""
+        return np.asarray(np.sqrt(self.variance_of_last_step()()))
+
+    def variance_of_last_step(self) -> Callable[[], FloatArray]:
+        """A function that gives the square of :attr:`std_kpa` of the last step, whenever and in whatever thread.
+
+        The function holds what it needs, so that a step whose standard deviation nobody asks for hardly pays for it.
+        """
+        by_gaps = self._gaps.variance if self._gaps.doubtful else None
+        return self._deviation.of_last_step(self.shape, self._reading, by_gaps, self._held.variance)
+
+    @property
+    def states_std(self) -> bool:
+        """Whether a standard deviation is stated."""
+        return self._deviation.stated
+
+    # -- steps of a frame, in their order ----------------------------------------------------------------------------
+
+    def _normalise(self, resistance_ohm: FloatArray, r: FloatArray) -> BoolArray | None:
+        """Write the normalised resistances (n,) into ``r``. Those that are missing become the mean of their cell.
+
+        Returns:
+            (n,) which readings are credible; None: all.
+        """
+        if self.inversion.normalise(resistance_ohm, self._per_ohm, r, compiled=self._compiled):
+            return None
+        low, high = self.inversion.credible
+        if low < r.item(r.argmin()) and r.item(r.argmax()) < high:  # false if one of them is NaN
+            return None
+        known: BoolArray = r > low
+        known &= r < high
+        np.copyto(r, self._sleep.mean, where=~known)
+        return known
+
+    def _start(self, r: FloatArray, known: BoolArray | None) -> None:
+        """Take the first readings of cells as those of a load held for ever."""
+        enough = 1 if self.inversion.exact else FIRST_READINGS
+        early = self._readings < enough
+        new = np.flatnonzero(early if known is None else early & known)
+        if new.size:
+            self._flush()
+            self._readings[new] += 1
+            mean = self._sleep.mean
+            mean[new] += (r[new] - mean[new]) / self._readings[new]
+            self._remembered.begin(new, mean[new])
+            if len(self.inversion.rows) > len(Inversion.rows):  # what the cell bore before counts
+                first = new[self._readings[new] == 1]
+                self._gaps.doubt(first, UNKNOWN_PAST * np.abs(self._remembered.memory[PRESSURE, first]))
+            self._sleep.awake[new] = True
+        self._begun = bool((self._readings >= enough).all())
+
+    def _choose(self, known: BoolArray | None) -> None:
+        """Gather the cells to follow: those that are awake and have been read.
+
+        A cell that is not read keeps its pressure: that from before, if its reading had jumped just then. Its memory
+        is brought up when it is read again, as if the load had been held.
+        """
+        awake, remembered = self._sleep.awake, self._remembered
+        wanted = awake if known is None else awake & known
+        if not remembered.stale and np.array_equal(wanted, remembered.followed):
+            return
+        self._flush()
+        if known is not None or self._gaps.open:
+            self._part(wanted)
+        self._sleep.follow(remembered.follow(wanted))
+
+    def _part(self, wanted: BoolArray) -> None:
+        """Bring up the memory of cells that are read again, and of those that are not read any more."""
+        lost = self._remembered.followed & ~wanted
+        if np.count_nonzero(lost):
+            self._sparks.undo(lost, self._remembered, self._pressure)
+            self._remembered.interrupt(np.flatnonzero(lost))
+        unread_s = self._gaps.unread_s
+        back = np.flatnonzero(wanted & (unread_s > 0))
+        if back.size:
+            self._remembered.hold(back, unread_s[back])
+
+    def _end_gaps(self, dt: float, known: BoolArray | None, before: FloatArray) -> None:
+        """Take the time that cells were not read for; ``before`` (n,) are the pressures in kPa of the last frame."""
+        ended = self._gaps.advance(dt, self._usual_s or dt, known)
+        if self.inversion.remembers and ended.any():
+            whole = np.abs(self._reading) * (self.inversion.full_scale_kpa / self.inversion.full_scale_r)
+            change = np.abs(np.nan_to_num(self._pressure - before))  # NaN before the first reading
+            self._gaps.doubt_memory(ended, whole, change)
+
+    def _rest(self) -> None:
+        """Let cells sleep that read as at rest and remember no load."""
+        block = self._remembered.block
+        if block.cells.size:
+            calm = self._sleep.calm(block, self._noise)
+            if np.count_nonzero(calm):
+                calm &= self.inversion.settled(block.memory, self._sleep.band)
+                calm &= self._readings[block.cells] >= FIRST_READINGS
+                self._put_to_sleep(block.cells[calm])
+        self._watch_over()
+
+    def _watch_over(self) -> None:
+        """Renew the limits at which sleeping cells wake, and their variances."""
+        asleep = np.flatnonzero(~self._sleep.awake & (self._readings > 0))
+        if asleep.size:
+            self._deviation.watch_over(asleep, self._remembered, self._sleep, self._noise)
+
+    def _put_to_sleep(self, cells: IntArray) -> None:
+        if not cells.size:
+            return
+        self._flush()
+        self._remembered.rest(cells)
+        self._pressure[cells] = 0.0  # a calibration curve may miss that by some percent
+        self._sparks.forget(cells)
+        self._sleep.begin(cells)
+        self._tremor.forget(cells)
+
+    def _flush(self) -> None:
+        """Store what is known of the cells that are followed; none is until they are chosen anew."""
+        self._deviation.flush()
+        self._remembered.flush()
+
+    def _shown(self) -> FloatArray:
+        """(shape) pressure in kPa."""
+        pressure = self._pressure.copy()
+        if self._sparks.cells.size:
+            self._sparks.hide(pressure)
+        shown: FloatArray = pressure.reshape(self.shape)
+        return shown
+
+    # -- saving ------------------------------------------------------------------------------------------------------
+
+    def state(self) -> dict[str, FloatArray]:
+        """Everything remembered, as a copy: arrays of float64 by name, which :meth:`restore` takes."""
+        self._flush()
+        own = {"pressure": self._pressure, "readings": self._readings}
+        own["clock"] = np.array([self._usual_s, self._frames, *self._sleep.clock], dtype=np.float64)
+        for part in (self._remembered, self._sleep, self._deviation, self._noise, self._gaps, self._held, self._tremor):
+            own |= part.state()
+        return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
+
+    def restore(self, state: Mapping[str, ArrayLike]) -> None:
+        """Continue from a saved :meth:`state` (arrays, or lists as JSON has them).
+
+        Raises:
+            InputError: the state is not one of this estimator for cells of this shape.
+        """
+        expected = self.state()
+        given = {name: np.array(value, dtype=np.float64) for name, value in state.items()}
+        if {name: value.shape for name, value in expected.items()} != {n: v.shape for n, v in given.items()}:
+            raise InputError(f"not a saved state of this estimator for cells of shape {self.shape}")
+        self._pressure, self._readings = given["pressure"], given["readings"]
+        self._usual_s, frames, *clock = given["clock"].tolist()
+        self._frames = int(frames)
+        self._sleep.restore(given, clock)
+        for part in (self._remembered, self._deviation, self._noise, self._gaps, self._held, self._tremor):
+            part.restore(given)
+        self._sparks.forget_all()
+        self._begun = bool((self._readings >= (1 if self.inversion.exact else FIRST_READINGS)).all())
+        self._watch_over()

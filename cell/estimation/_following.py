@@ -1,0 +1,167 @@
+"""One frame of the cells that are followed: readings are smoothed, the inversion advances, doubts are added up.
+
+There are three forms of the work. Exact readings are not smoothed, and go to the inversion as they are. Noisy ones take
+array operations, or machine code, which does the same operation for operation.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import FloatArray
+from . import _loops as loops
+from . import _smoothing as smoothing
+from ._deviation import Deviation, total
+from ._inversion import Inversion
+from ._noise import RECENT, WINDOW, NoiseMeter
+from ._remembered import Block
+from ._rows import PRESSURE
+from ._smoothing import LEAST_NOISE, Looked
+from ._sparks import Sparks
+from ._tremor import Tremor
+
+_ZERO = np.zeros(1)
+
+
+def _no_doubt() -> FloatArray:
+    return _ZERO
+
+
+class Following:
+    """Takes a block of cells from one frame to the next."""
+
+    def __init__(
+        self, inversion: Inversion, noise: NoiseMeter, sparks: Sparks, deviation: Deviation, tremor: Tremor
+    ) -> None:
+        self._inversion, self._noise, self._tremor = inversion, noise, tremor
+        self._sparks, self._deviation = sparks, deviation
+        self._smoothed_for = (-1.0, -1.0)
+        self._smoothed_by = smoothing.gains_for(1.0, 1.0)
+        self.compiled = False
+        """whether the loops are there as machine code"""
+
+    def advance(self, block: Block, dt: float, r: FloatArray, frame: int, pressure: FloatArray) -> None:
+        """Take the readings ``r`` (n,) of a frame.
+
+        Args:
+            block: the cells that are followed, changed.
+            dt: seconds since the last frame.
+            r: (n,) normalised resistances.
+            frame: its number.
+            pressure: (n,) kPa to show, changed for the cells that are followed.
+        """
+        if self.compiled:
+            self._advance_by_machine_code(block, dt, r, frame, pressure)
+        elif self._inversion.exact:
+            self._advance_exactly(block, dt, r, pressure)
+        else:
+            self._advance_by_array_operations(block, dt, r, frame, pressure)
+
+    def _advance_exactly(self, block: Block, dt: float, r: FloatArray, pressure: FloatArray) -> None:
+        reading = r if block.cells.size == r.size else r.take(block.cells, mode="clip")
+        block.memory = self._inversion.advance(block.memory, dt, reading, _ZERO, _no_doubt)
+        self._deviation.take_exact(block)
+        pressure[block.cells] = block.memory[PRESSURE]
+
+    def _advance_by_array_operations(
+        self, block: Block, dt: float, r: FloatArray, frame: int, pressure: FloatArray
+    ) -> None:
+        cells, line, every = block.cells, block.line, block.cells.size == r.size
+        reading, at_rest = r, self._noise.at_rest
+        if not every:
+            reading, at_rest = r.take(cells, mode="clip"), at_rest.take(cells, mode="clip")
+        noise = smoothing.noise_of(line, at_rest)
+        if self._sparks.cells.size:
+            self._sparks.put_back(block, dt, reading, noise)
+        if block.scratch is None:
+            block.scratch = smoothing.Scratch(line)
+        smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
+        if smooth.begun is not None:
+            self._sparks.remember(block, smooth.begun, reading, noise)
+        if self._sparks.cells.size:
+            self._sparks.recognise_taps(dt, r)
+        block.line_before = line.copy()
+        looked = Looked(reading, noise, smooth.std, block.line_before)
+        memory = block.memory = self._inversion.advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
+        if self._sparks.cells.size:
+            self._accept_taps(block)
+        if frame % RECENT == 0:
+            if self._inversion.recovers:
+                count = block.line_before[smoothing.COUNT]
+                self._inversion.recover(memory, dt, self._noise.mean_of_recent(cells), noise, count)
+            self._look_for_tremor(block, noise, ends_window=frame % WINDOW == 0)
+        added = None
+        if self._tremor.suspicious:
+            most_kpa = self._inversion.most_seeming(memory, noise)
+            added = self._tremor.variance(cells, memory[PRESSURE], most_kpa)
+        if self._sparks.cells.size:
+            added = total(added, self._sparks.variance(block, memory))
+        shown = self._deviation.show(block, looked, added)
+        if every:
+            pressure[...] = shown
+        else:
+            pressure[cells] = shown
+
+    def _advance_by_machine_code(
+        self, block: Block, dt: float, r: FloatArray, frame: int, pressure: FloatArray
+    ) -> None:
+        cells, line, taken = block.cells, block.line, block.taken
+        reading, noise, _, std = taken
+        loops.take.code(r, self._noise.at_rest, cells, line, taken, LEAST_NOISE)
+        if self._sparks.cells.size:
+            self._sparks.put_back(block, dt, reading, noise)
+        gains = self._gains(dt).rows
+        if smoothing.advance_each.code(line, block.line_before, dt, gains, taken, block.begun, self._sparks.large_r):
+            self._sparks.remember(block, block.begun, reading, noise)
+        if self._sparks.cells.size:
+            self._sparks.recognise_taps(dt, r)
+        doubt = Looked(reading, noise, std, line).doubt
+        memory = block.memory = self._inversion.advance_compiled(block.memory, taken, dt, doubt)
+        if self._sparks.cells.size:
+            self._accept_taps(block)
+        if frame % RECENT == 0:
+            if self._inversion.recovers:
+                self._inversion.recover_compiled(memory, taken, dt, line, *self._noise.window, cells)
+            self._look_for_tremor_compiled(block, ends_window=frame % WINDOW == 0)
+        added = np.zeros(cells.size)
+        if self._tremor.suspicious:
+            self._tremor.add_variance(cells, memory, taken, self._inversion.seeming, added)
+        if self._sparks.cells.size:
+            added += self._sparks.variance(block, memory)
+        self._deviation.show_compiled(block, added, pressure)
+
+    def _accept_taps(self, block: Block) -> None:
+        """Let taps be no motion within the noise."""
+        cells = self._sparks.taps()
+        if cells.size:
+            self._tremor.accept(cells, block.memory[PRESSURE, np.searchsorted(block.cells, cells)])
+
+    def _look_for_tremor(self, block: Block, noise: FloatArray, *, ends_window: bool) -> None:
+        """Doubt the rise of cells whose load goes to and fro within the ``noise`` (m,); changes their memory."""
+        cells, memory = block.cells, block.memory
+        beside = self._noise.beside_parabola(cells)
+        self._tremor.look(cells, memory, beside)
+        if ends_window:
+            most_kpa, unrest = self._inversion.most_seeming(memory, noise), self._noise.unrest(cells, beside)
+            missed = self._tremor.end_window(cells, memory[PRESSURE], most_kpa, beside, unrest)
+            if missed is not None:
+                self._inversion.miss(memory, missed)
+
+    def _look_for_tremor_compiled(self, block: Block, *, ends_window: bool) -> None:
+        """The same by machine code, for the readings that the block has taken."""
+        cells, memory = block.cells, block.memory
+        beside = self._noise.beside_parabola(cells)
+        self._tremor.look(cells, memory, beside)
+        if ends_window:
+            seeming, before = self._inversion.seeming, self._noise.beside
+            missed = self._tremor.end_window_compiled(cells, memory, block.taken, seeming, beside, before)
+            if missed is not None:
+                self._inversion.miss(memory, missed)
+
+    def _gains(self, dt: float) -> smoothing.Gains:
+        """Of the smoothing, which the noise and the time between frames ask for."""
+        if (self._noise.typical, dt) != self._smoothed_for:
+            self._smoothed_for = self._noise.typical, dt
+            window_s = smoothing.window_s(self._noise.typical / self._inversion.full_scale_r, dt)
+            self._smoothed_by = smoothing.gains_for(window_s, dt)
+        return self._smoothed_by

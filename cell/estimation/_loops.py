@@ -1,0 +1,226 @@
+"""The work of a frame that every estimator shares, as loops over cells for :mod:`ohmskin.compiled`.
+
+Each loop does what array operations of :mod:`._inversion`, :mod:`._sleep`, :mod:`._smoothing` or :mod:`._deviation` do,
+operation for operation and in the same order, so that the results agree to the last bit. What happens in few frames
+(cells that wake, gaps, sparks) has no loop.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ...compiled import FixedRow, Flags, Places, Row, Rows, loop
+from ._rows import GAIN, NOISE, PRESSURE, READING, STD, VARIANCE
+from ._smoothing import LEVEL
+
+
+@loop
+def read(resistance: FixedRow, per_ohm: FixedRow, r: Row, low: float, high: float) -> bool:
+    """Normalise resistances (n,) to ``r`` (n,); whether all are within ``low`` and ``high``."""
+    for i in range(r.size):
+        r[i] = resistance[i] * per_ohm[i] - 1.0
+    outside = 0
+    for i in range(r.size):
+        outside += not (low < r[i] < high)  # NaN is outside, too
+    return outside == 0
+
+
+@loop
+def watch(r: Row, total: Row, wake_at: Row) -> bool:
+    """Add readings (n,) to their sum; whether one of them wakes its cell."""
+    woken = False
+    for i in range(r.size):
+        total[i] += r[i]
+        woken |= abs(r[i]) > wake_at[i]
+    return woken
+
+
+@loop
+def renew_means(total: Row, summed: int, mean: Row, share: float, wake_at: Row, band: float, averaged: float) -> bool:
+    """Take sums (n,) of readings into their means, and begin new sums; whether one of the means wakes its cell."""
+    woken = False
+    for i in range(mean.size):
+        mean[i] += (total[i] / summed - mean[i]) * share
+        total[i] = 0.0
+        woken |= abs(mean[i]) > band + averaged * (wake_at[i] - band)
+    return woken
+
+
+@loop
+def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, least: float) -> None:
+    """Gather the readings of ``cells`` (m,) and their noise into ``taken`` (4, m)."""
+    every = cells.size == r.size
+    for i in range(cells.size):
+        cell = i if every else cells[i]
+        scale = line[LEVEL, i] + 1.0
+        taken[READING, i] = r[cell]
+        taken[NOISE, i] = scale * scale * noise_at_rest[cell] + least
+
+
+MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY = range(8)
+HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE, RISE_KPA, FALL_KPA, RESTS = range(8, 16)
+"""places of numbers that :func:`show` and :func:`watch_over` take: variance in kPa^2 by the model; r per kPa of bend
+that a turn within the frame may leave, 0: none, and standard deviations of noise that are no bend; full scale,
+pressure, and noise in kPa from which more is done; standard deviations at which a load and none are as likely; keeps
+0/0 from occurring; standard deviations of a reading that hide a load, and the inverse number of those that an estimate
+is to cover; 1 if a standard deviation is stated; standard deviations that an estimate is to cover, and those of a
+reading that hide a load over them"""
+LAST, BEFORE_LAST = 3, 4
+"""rows of the pressures of the last two frames, where a turn within the frame is reckoned with"""
+REST_VARIANCE, RESTED = 20, 21
+"""rows where released cells are taken for cells at rest: variance in kPa^2 of the memory then; 1 where that is so"""
+
+
+@loop
+def interpolated(x: float, at: FixedRow, values: FixedRow) -> float:
+    """:func:`numpy.interp` of one number."""
+    last = at.size - 1
+    if x >= at[last]:
+        return float(values[last])
+    if x < at[0]:
+        return float(values[0])
+    low, high = 0, last
+    while high - low > 1:
+        middle = (low + high) // 2
+        if x >= at[middle]:
+            low = middle
+        else:
+            high = middle
+    if at[low] == x:
+        return float(values[low])
+    slope = (values[low + 1] - values[low]) / (at[low + 1] - at[low])
+    return float(slope * (x - at[low]) + values[low])
+
+
+@loop
+def show(
+    memory: Rows,
+    line: Rows,
+    taken: Rows,
+    added: Row,
+    numbers: FixedRow,
+    rest_at_kpa: FixedRow,
+    rest_variance: FixedRow,
+    cells: Places,
+    pressure: Row,
+    variance: Row,
+) -> None:
+    """Pressures to show of ``cells`` (m,), into ``pressure`` (n,), and variances (m,) in kPa^2 of them.
+
+    ``added`` (m,) holds the variance by jumps, and is changed.
+    """
+    full, much, no_load = numbers[FULL], False, numbers[NO_LOAD]
+    much_noise = False
+    # Read once: the compiler cannot know that no array written below is ``numbers``.
+    rise_kpa, fall_kpa, rests = numbers[RISE_KPA], numbers[FALL_KPA], numbers[RESTS]
+    hidden, per_sigmas, within, sure = numbers[HIDDEN], numbers[PER_SIGMAS], numbers[WITHIN], numbers[SURE]
+    model_variance, stated, tiny = numbers[MODEL_VARIANCE], numbers[STATED] > 0.0, numbers[TINY]
+    for i in range(cells.size):
+        much |= memory[PRESSURE, i] > numbers[MUCH]
+        much_noise |= taken[STD, i] * memory[GAIN, i] > numbers[MUCH_NOISE]
+    for i in range(cells.size):
+        shown, gain = memory[PRESSURE, i], memory[GAIN, i]
+        found = shown
+        noise_kpa = taken[STD, i] * gain
+        if much:
+            excess = max(shown - full, 0.0)
+            added[i] += excess * excess
+        if much_noise:
+            squared = shown * shown
+            squared *= squared
+            hides = no_load * noise_kpa
+            hides *= hides
+            if rests != 0.0 and memory[RESTED, i] > 0.0:
+                hides = (noise_kpa * noise_kpa + memory[REST_VARIANCE, i]) * rests
+            shown *= squared / (squared + hides * hides + tiny)
+            off = found - shown
+            added[i] += off * off
+        pressure[cells[i]] = shown
+        off, slope = taken[READING, i] - line[LEVEL, i], gain
+        if fall_kpa != 0.0:
+            slope = fall_kpa if off < 0.0 else rise_kpa
+        doubt = (abs(off) * slope + taken[NOISE, i] * gain * hidden) * per_sigmas
+        std = max(doubt, noise_kpa)
+        own = std * std
+        if within != 0.0:
+            bend = abs(found - 2.0 * memory[LAST, i] + memory[BEFORE_LAST, i])
+            bend = within * max(bend - sure * math.sqrt(own), 0.0) * gain
+            own += bend * bend
+        own += memory[VARIANCE, i]
+        own += model_variance
+        if rest_at_kpa.size > 0:
+            own += interpolated(found, rest_at_kpa, rest_variance)
+        variance[i] = own + added[i] if stated else math.nan
+
+
+@loop
+def add_asleep(variance: Row, reading: Row, cells: Places, per_reading: Row, hidden_kpa: Row) -> None:
+    """Add to variances (n,) in kPa^2 what the readings (n,) of sleeping ``cells`` (m,) leave open."""
+    for i in range(cells.size):
+        std = abs(reading[cells[i]]) * per_reading[i] + hidden_kpa[i]
+        variance[cells[i]] += std * std
+
+
+ASLEEP_SIGMAS = 5.0
+"""standard deviations by which a single reading wakes a cell, and its mean"""
+CALM_SIGMAS, LEVEL_BANDS = 0.4, 3.0
+"""standard deviations by which the mean of a cell may leave the band in which it counts as at rest; times that band, in
+which the smoothed reading must be"""
+
+
+@loop
+def noise_std(mean: float, at_rest: float) -> float:
+    """:meth:`._noise.NoiseMeter.std` of one cell."""
+    scale = max(mean, -0.9) + 1.0
+    return scale * scale * at_rest
+
+
+@loop
+def find_calm(cells: Places, mean: Row, noise_at_rest: Row, line: Rows, band: float, calm: Flags) -> None:
+    """Mark those of ``cells`` (m,) in ``calm`` (m,) that read as at rest, within ``band`` of r and the noise."""
+    for i in range(cells.size):
+        cell = cells[i]
+        quiet = band + CALM_SIGMAS * noise_std(mean[cell], noise_at_rest[cell])
+        calm[i] = abs(mean[cell]) < quiet and abs(line[LEVEL, i]) < LEVEL_BANDS * quiet
+
+
+@loop
+def watch_over(
+    asleep: Places,
+    memory: Rows,
+    mean: Row,
+    noise_at_rest: Row,
+    band: float,
+    numbers: FixedRow,
+    rest_at_kpa: FixedRow,
+    rest_variance: FixedRow,
+    wake_at: Row,
+    per_reading: Row,
+    hidden_kpa: Row,
+    variance: Row,
+) -> None:
+    """Limits of r (n,) at which sleeping cells wake, and what is left open about the cells ``asleep`` (m,).
+
+    Arrays of all cells (n,) are changed at those that sleep. ``per_reading`` and ``hidden_kpa`` (m,) are those that
+    :func:`add_asleep` takes, ``variance`` (n,) in kPa^2 is that of a reading at rest.
+    """
+    for i in range(asleep.size):
+        cell = asleep[i]
+        pressure, gain = memory[PRESSURE, cell], memory[GAIN, cell]
+        noise = noise_std(mean[cell], noise_at_rest[cell])
+        wake_at[cell] = ASLEEP_SIGMAS * noise + band
+        per_reading[i] = gain / numbers[SIGMAS]
+        hidden_kpa[i] = gain * numbers[HIDDEN_SHARE] * noise
+        own = 0.0
+        if numbers[WITHIN] != 0.0:
+            bend = abs(pressure - 2.0 * memory[LAST, cell] + memory[BEFORE_LAST, cell])
+            bend = numbers[WITHIN] * bend * gain
+            own += bend * bend
+        own += memory[VARIANCE, cell]
+        own += numbers[MODEL_VARIANCE]
+        if rest_at_kpa.size > 0:
+            own += interpolated(pressure, rest_at_kpa, rest_variance)
+        variance[cell] = own + pressure * pressure if numbers[STATED] > 0.0 else math.nan
+
+
+ALL = read, watch, renew_means, take, show, add_asleep, find_calm, watch_over

@@ -1,0 +1,347 @@
+"""Noise measured from the readings themselves, by their third differences (a difference-based variance estimator).
+
+A load that moves smoothly leaves almost nothing in the third difference of successive readings; white noise of
+variance v leaves 20 v, the sum of the squared coefficients 1, -3, 3, -1. Boards measure currents, so that noise is
+about constant in conductance: the noise of the normalised resistance r is kept relative to (1 + r)^2.
+
+One cell that moves fast looks noisy. In an array most cells are at rest, and no cell is therefore taken to be much
+noisier than the median one.
+
+Third differences of successive frames overlap, and tell nearly the same. Those of every third frame are all but
+independent: averaging only these costs a quarter of the accuracy and a third of the time.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray, IntArray, median
+from ...compiled import Places, Row, Rows, loop
+
+READINGS = 200
+"""over which the variance is averaged"""
+EVERY = 3
+"""readings between two looks at the third difference, once the noise is known roughly"""
+SOON = READINGS // EVERY // 8
+"""looks after which the noise is known roughly"""
+OUTLIER = 9.0
+"""times the variance: no squared difference counts for more, so that steps of the load hardly count"""
+LEAST = 1e-6
+"""standard deviation of r below which readings are taken for exact"""
+POOL = 6
+"""looks between two of the median cell"""
+ABOVE_POOL = 4.0
+"""times the median variance of the array that a single cell may have"""
+MANY = 9
+"""cells from which the median of the array is trusted"""
+SHARED_LOOKS = 16
+"""looks at one cell that the median of a large array is worth at the beginning. By themselves the first differences of
+a cell may be near zero by chance, and any reading after them would seem to jump"""
+ENOUGH = 500
+"""cells whose median stands for that of more"""
+KNOWN = 24
+"""looks from which the median cell tells how quiet the board is"""
+EXPECTED_LOOKS = 4
+"""looks that the noise of an earlier recording is worth to few cells, until theirs is known; many tell it at once"""
+FORGET = 1.002
+"""by which the least noise of the median cell grows from one look at it to the next, so that noise may rise for good"""
+MEDIAN_OF_SQUARES = 0.4549
+"""median of the square of a normal variable of variance 1"""
+WINDOW = 12
+"""readings that are kept, and compared with a parabola through them"""
+RECENT = 4
+"""readings of which :meth:`NoiseMeter.mean_of_recent` is the mean; frames between two looks at the window"""
+HALF_STEP = math.sqrt(3.0)
+"""half a step of an ADC over the standard deviation of an evenly distributed error, the resolution: no more is the
+standard deviation of readings that flip between two codes, and such readings show no motion"""
+CROSSED = 10.0
+"""times the variance of noise: a window that has more is crossed by an edge, which smoothing notices"""
+
+
+def _rolled(rows: FloatArray) -> list[FloatArray]:
+    """Coefficients (k, WINDOW) of readings from the oldest on, for a ring whose oldest is in row 0, 1, ..."""
+    return [np.roll(rows, shift, axis=-1) for shift in range(WINDOW)]
+
+
+_THIRD = np.zeros(WINDOW)
+_THIRD[-4:] = np.array([1.0, -3.0, 3.0, -1.0]) / np.sqrt(20.0)
+_THIRD_DIFFERENCE = _rolled(_THIRD)
+_POWERS = np.vander(np.linspace(-1.0, 1.0, WINDOW), WINDOW, increasing=True)
+_BESIDE_PARABOLA = _rolled(np.linalg.qr(_POWERS)[0][:, 3:].T.copy())
+"""orthonormal rows; parabolas have no part in them, white noise has its variance in each"""
+LEAST_VARIANCE = LEAST**2
+_ONE, _OUTLIER, _LEAST_VARIANCE = np.array(1.0), np.array(OUTLIER), np.array(LEAST_VARIANCE)
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
+
+
+class NoiseMeter:
+    """Standard deviation of the readings of n cells, from one reading to the next.
+
+    Noise below the step of an ADC does not show in the readings, and the step itself does only while they change.
+    Where the step is known it is therefore the least that is stated (:meth:`resolve`).
+    """
+
+    def __init__(self, cells: int, expected: float = 0.0) -> None:
+        """``expected``: standard deviation of r at rest that an earlier recording had; 0 if there is none."""
+        self._ring = np.zeros((WINDOW, cells))
+        self._variance = np.full(cells, expected**2)
+        self._looks = 0
+        self._expected = expected**2 if cells < MANY else 0.0
+        # The median of few cells is itself uncertain, and counts for less.
+        self._shared_looks = EXPECTED_LOOKS if self._expected else min(cells // MANY, SHARED_LOOKS)
+        self._seen = 0
+        self._blind = np.zeros(cells)
+        self._any_blind = 0
+        self._squares, self._limit = np.empty((2, cells))
+        self.typical = expected
+        """standard deviation of the median cell at rest"""
+        self.at_rest = np.sqrt(self._variance + LEAST**2)
+        """(n,) standard deviation of r of a cell at rest; renewed in place"""
+        self.quiet = np.inf
+        """the least that the median cell has had of late: what is more may be the load; infinite: not known"""
+        self.beside = np.zeros(cells)
+        """(n,) what :meth:`beside_parabola` said at the end of the last window"""
+        self.resolution = np.zeros(cells)
+        """(n,) the part of it that the steps of the ADC make; 0: not known"""
+        self.typical_resolution = 0.0
+        """that of the median cell"""
+        self.compiled = False
+        """whether the loops are there as machine code"""
+
+    def resolve(self, resolution: FloatArray) -> None:
+        """Take the standard deviation (n,) of r at rest that the steps of the ADC make."""
+        self.resolution = resolution
+        self.typical_resolution = float(np.median(resolution))
+        np.maximum(self.at_rest, resolution, out=self.at_rest)
+
+    def update(self, r: FloatArray, known: BoolArray | None) -> None:
+        """Take normalised resistances (n,); ``known`` (n,) marks those that were read, None: all."""
+        self._ring[self._seen % WINDOW] = r
+        self._seen += 1
+        if known is not None:
+            self._blind[~known] = WINDOW  # so many frames contain this reading
+            self._any_blind = WINDOW
+        due = self._looks < SOON or self._seen % EVERY == 0
+        if due and self._seen > 3:
+            self._look(r)
+        elif 1 < self._seen <= 3 and not self._looks and known is None and r.size >= MANY:
+            self._guess(r)
+        if self._any_blind:
+            self._blind -= 1.0
+            self._any_blind -= 1
+
+    def _guess(self, r: FloatArray) -> None:
+        """Take the median cell's change from the last reading for noise, until there are four readings."""
+        changes = (r - self._ring[(self._seen - 2) % WINDOW]) / (r + 1.0) ** 2
+        self.typical = float(np.median(np.abs(changes))) / (2 * MEDIAN_OF_SQUARES) ** 0.5
+        self.at_rest[:] = np.hypot(self.typical, LEAST)
+        np.maximum(self.at_rest, self.resolution, out=self.at_rest)
+
+    def _look(self, r: FloatArray) -> None:
+        """Average the square of the third difference that ends with ``r``."""
+        squares = self._squares
+        _THIRD_DIFFERENCE[self._seen % WINDOW].dot(self._ring, squares)
+        if self.compiled and self._looks:
+            self._looks += 1
+            average.code(squares, r, self._variance, self._blind, WINDOW - 4.0, self._share)
+            self._renew()
+            return
+        np.add(r, _ONE, self._limit)
+        self._limit *= self._limit
+        squares /= self._limit
+        squares *= squares
+        if self._any_blind:
+            np.copyto(squares, self._variance, where=self._blind > WINDOW - 4)
+        self._average(squares)
+
+    def _average(self, squares: FloatArray) -> None:
+        if not self._looks:
+            if squares.size >= MANY:
+                self._variance = np.full(squares.size, float(np.median(squares)) / MEDIAN_OF_SQUARES)
+            elif not self._expected:
+                self._variance = squares.copy()
+            np.maximum(self._variance, LEAST**2, out=self._variance)
+        self._looks += 1
+        np.multiply(self._variance, _OUTLIER, self._limit)
+        self._limit += _LEAST_VARIANCE
+        np.minimum(squares, self._limit, out=squares)
+        squares -= self._variance
+        squares *= self._share
+        self._variance += squares
+        self._renew()
+
+    @property
+    def _share(self) -> float:
+        """Of a look in the average."""
+        return max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
+
+    def _renew(self) -> None:
+        """Renew the standard deviations after a look."""
+        if self._expected and self._looks == KNOWN:  # what was expected leaves the average again
+            self._variance += EXPECTED_LOOKS / KNOWN * (self._variance - self._expected)
+            np.maximum(self._variance, LEAST**2, out=self._variance)
+        if self._looks % POOL == 1:
+            self._pool()
+        if self.compiled:
+            std_at_rest.code(self._variance, self.resolution, self.typical_resolution > 0.0, self.at_rest)
+            return
+        np.add(self._variance, _LEAST_VARIANCE, self.at_rest)
+        np.sqrt(self.at_rest, self.at_rest)
+        if self.typical_resolution:
+            np.maximum(self.at_rest, self.resolution, out=self.at_rest)
+
+    def _pool(self) -> None:
+        middle = median(self._variance[:: 1 + self._variance.size // ENOUGH])
+        if self._variance.size >= MANY:
+            np.minimum(self._variance, ABOVE_POOL * middle + LEAST**2, out=self._variance)
+        self.typical = middle**0.5
+        if self._looks > KNOWN:
+            least = max(self.typical, self.typical_resolution, LEAST)
+            self.quiet = min(FORGET * self.quiet, least)
+
+    def beside_parabola(self, cells: IntArray) -> FloatArray:
+        """(m,) variance of the last :data:`WINDOW` readings of ``cells`` about parabolas, over the board's noise.
+
+        A vibration within the noise looks like noise, but the board has less. Parabolas take up what moves smoothly.
+        0 where that is not known.
+        """
+        present: FloatArray
+        if self._seen < WINDOW or not np.isfinite(self.quiet):
+            return np.zeros(cells.size)
+        ring = self._ring.take(cells, axis=1)
+        beside = np.dot(_BESIDE_PARABOLA[self._seen % WINDOW], ring)
+        if self.compiled:
+            present = np.empty(cells.size)
+            last = (self._seen - 1) % WINDOW
+            beside_each.code(cells, beside, ring, last, self.quiet, self.resolution, self._blind, present)
+            return present
+        scale = ring[(self._seen - 1) % WINDOW] + 1.0
+        scale *= scale
+        scale *= np.maximum(self.quiet, HALF_STEP * self.resolution[cells])
+        beside /= scale
+        beside *= beside
+        present = np.add.accumulate(beside)[-1] / len(beside)
+        if self._any_blind:
+            present[self._blind[cells] > 0] = 0.0
+        return present
+
+    @property
+    def window(self) -> tuple[FloatArray, int]:
+        """(WINDOW, n) the last readings, and which row is the newest."""
+        return self._ring, (self._seen - 1) % WINDOW
+
+    def mean_of_recent(self, cells: IntArray) -> FloatArray:
+        """(m,) mean of the last :data:`RECENT` readings of ``cells``."""
+        ring, newest = self.window
+        total: FloatArray = ring[newest].take(cells)
+        for age in range(1, RECENT):
+            total += ring[(newest - age) % WINDOW].take(cells)
+        total *= 1.0 / RECENT
+        return total
+
+    def unrest(self, cells: IntArray, present: FloatArray) -> FloatArray:
+        """(m,) the lesser of the last two windows' variances, since a single edge is in one of them only.
+
+        To be called every :data:`WINDOW` frames, with what :meth:`beside_parabola` says at ``present`` (m,).
+        """
+        before = self.beside[cells]
+        found: FloatArray = np.minimum(present, before)
+        found[np.maximum(present, before) > CROSSED] = 0.0
+        self.beside[cells] = present
+        return found
+
+    def std(self, r: FloatArray, cells: slice | IntArray = slice(None)) -> FloatArray:
+        """Standard deviation of the readings ``r`` of ``cells``."""
+        scale = np.maximum(r, -0.9)
+        scale += 1.0
+        scale *= scale
+        scale *= self.at_rest[cells]
+        return np.asarray(scale)
+
+    def change_before(self, cells: IntArray) -> FloatArray:
+        """Change of the readings of ``cells`` from the last but two to the last but one."""
+        before, last = self._ring[(self._seen - 3) % WINDOW], self._ring[(self._seen - 2) % WINDOW]
+        return np.asarray(last[cells] - before[cells])
+
+    def last_but_one(self) -> FloatArray:
+        """(n,) readings of the frame before this one; the array is the caller's."""
+        return np.asarray(self._ring[(self._seen - 2) % WINDOW].copy())
+
+    def state(self) -> dict[str, FloatArray]:
+        """All that is remembered."""
+        return {
+            "noise_ring": self._ring,
+            "noise_blind": self._blind,
+            "noise_variance": self._variance,
+            "noise_resolution": self.resolution,
+            "noise_counts": np.array([self._looks, self._seen, self._any_blind], dtype=np.float64),
+            "noise_of_array": np.array([self.typical, self.quiet]),
+            "noise_beside": self.beside,
+        }
+
+    def restore(self, state: dict[str, FloatArray]) -> None:
+        """Continue from a :meth:`state`."""
+        self._ring, self._blind, self._variance = (state[f"noise_{name}"] for name in ("ring", "blind", "variance"))
+        self.beside = state["noise_beside"]
+        looks, seen, any_blind = state["noise_counts"].tolist()
+        self.typical, self.quiet = state["noise_of_array"].tolist()
+        self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
+        self.at_rest = np.sqrt(self._variance + LEAST**2)
+        self.resolve(state["noise_resolution"])
+
+
+@loop
+def average(squares: Row, r: Row, variance: Row, blind: Row, since: float, share: float) -> None:
+    """:meth:`NoiseMeter._average`, of third differences (n,) that are not squared yet, as a loop over cells.
+
+    Cells keep their variance that are ``blind`` (n,) for more than ``since`` frames to come.
+    """
+    for i in range(r.size):
+        scale = r[i] + 1.0
+        square = squares[i] / (scale * scale)
+        square *= square
+        if blind[i] > since:
+            square = variance[i]
+        limit = variance[i] * OUTLIER + LEAST_VARIANCE
+        variance[i] += (min(square, limit) - variance[i]) * share
+
+
+@loop
+def std_at_rest(variance: Row, resolution: Row, resolved: bool, std: Row) -> None:
+    """Standard deviations (n,) of r at rest from the variances of the noise, as a loop over cells."""
+    for i in range(std.size):
+        std[i] = math.sqrt(variance[i] + LEAST_VARIANCE)
+        if resolved:
+            std[i] = max(std[i], resolution[i])
+
+
+@loop
+def beside_each(
+    cells: Places, beside: Rows, ring: Rows, last: int, quiet: float, resolution: Row, blind: Row, present: Row
+) -> None:
+    """The rest of :meth:`NoiseMeter.beside_parabola` as a loop over cells, into ``present`` (m,).
+
+    Args:
+        cells: (m,) indices.
+        beside: (k, m) parts of the readings that parabolas do not take up.
+        ring: (WINDOW, m) readings, of which those in row ``last`` are the present ones.
+        last: that row.
+        quiet: the board's noise.
+        resolution: (n,) what the steps of the ADC add.
+        blind: (n,) frames for which a cell's readings are not complete.
+        present: (m,), changed.
+    """
+    rows = beside.shape[0]
+    for i in range(cells.size):
+        scale = ring[last, i] + 1.0
+        scale = scale * scale * max(quiet, HALF_STEP * resolution[cells[i]])
+        total = 0.0
+        for row in range(rows):
+            part = beside[row, i] / scale
+            total += part * part
+        present[i] = 0.0 if blind[cells[i]] > 0.0 else total / rows
+
+
+LOOPS = average, std_at_rest, beside_each

@@ -1,0 +1,110 @@
+"""The memory of all cells, and the block of those that are followed at present (gather, work, scatter).
+
+A skin is large and few of its cells are pressed. Work of a frame is done for those only, side by side in a block. A
+block is gathered from the memory of all cells when other cells are to be followed, and scattered back before.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from . import _smoothing as smoothing
+from ._inversion import Inversion
+
+
+class Block:
+    """What is remembered of the cells that are followed, side by side."""
+
+    def __init__(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
+        """``cells`` (m,) are indices, ``memory`` (rows, m) is the inversion's, ``line`` (ROWS, m) the smoothing's."""
+        self.cells, self.memory, self.line = cells, memory, line
+        self.line_before = line.copy()
+        """the line after the last step; replaced, never changed. Machine code sets it when the next step begins"""
+        self.scratch: smoothing.Scratch | None = None
+        """of the array operations; None: not used yet"""
+        self.taken = np.empty((4, cells.size))
+        """readings of the step, for machine code; see :mod:`._rows`"""
+        self.begun = np.empty(cells.size, dtype=np.bool_)
+        """where a line began in the step, for machine code"""
+
+    def __reduce__(self) -> tuple[type[Block], tuple[IntArray, FloatArray, FloatArray], dict[str, FloatArray]]:
+        """For pickle and copy: the rows in ``scratch`` are parts of the line, and would become arrays of their own."""
+        return type(self), (self.cells, self.memory, self.line), {"line_before": self.line_before}
+
+    def take_back(self, place: IntArray, memory: FloatArray, line: FloatArray) -> None:
+        """Let cells at ``place`` (k,) in the block remember ``memory`` (rows, k) and ``line`` (ROWS, k) again."""
+        self.memory = self.memory.copy()  # another array, as sign that it has changed
+        self.memory[:, place] = memory
+        self.line[:, place] = line
+        self.line_before = self.line.copy()
+
+
+class Remembered:
+    """What is remembered of n cells. Cells that are followed at present have theirs in :attr:`block`."""
+
+    def __init__(self, inversion: Inversion, cells: int) -> None:
+        self._inversion = inversion
+        self.memory = inversion.begin(np.zeros(cells))
+        self.line = smoothing.begin(np.zeros(cells))
+        self.followed = np.zeros(cells, dtype=np.bool_)
+        """(n,) the cells that were chosen last"""
+        self.stale = True
+        """whether other cells may have to be chosen"""
+        self._at_rest = inversion.begin(np.zeros(1)), smoothing.begin(np.zeros(1), 1.0)
+        self._no_block = self._gathered(np.zeros(0, dtype=np.intp))
+        self.block = self._no_block
+
+    def follow(self, wanted: BoolArray) -> IntArray:
+        """Gather the cells that are ``wanted`` (n,); returns their indices (m,). To be called after :meth:`flush`."""
+        self.followed = wanted.copy()
+        cells = np.flatnonzero(wanted)
+        self.block = self._gathered(cells)
+        self.stale = False
+        return cells
+
+    def flush(self) -> None:
+        """Scatter the block's memory to that of all cells; no cell is followed until they are chosen anew."""
+        self.memory[:, self.block.cells] = self.block.memory
+        self.line[:, self.block.cells] = self.block.line
+        self.block = self._no_block
+        self.stale = True
+
+    def begin(self, cells: IntArray, r: FloatArray) -> None:
+        """Let ``cells`` (m,) remember that they have read ``r`` (m,) for ever. To be called after :meth:`flush`."""
+        self.memory[:, cells] = self._inversion.begin(r)
+        self.line[:, cells] = smoothing.begin(r, 1.0)
+        self.stale = True
+
+    def wake(self, cells: IntArray) -> None:
+        """Let sleeping ``cells`` (m,) remember that they have been at rest for ever, and be followed."""
+        memory, line = self._at_rest
+        self.memory[:, cells], self.line[:, cells] = memory, line
+        self.stale = True
+
+    def rest(self, cells: IntArray) -> None:
+        """Let ``cells`` (m,) go to sleep: they remember nothing but rest. To be called after :meth:`flush`."""
+        self.memory[:, cells] = self._at_rest[0]
+
+    def interrupt(self, cells: IntArray) -> None:
+        """Let the next reading of ``cells`` (m,) begin a new line, whatever it is. To be called after :meth:`flush`."""
+        line = self.line[:, cells]
+        smoothing.interrupt(line)
+        self.line[:, cells] = line
+
+    def hold(self, cells: IntArray, unread_s: FloatArray) -> None:
+        """Bring up the memory of ``cells`` (m,) that were not read for ``unread_s`` (m,): as if the load had stayed."""
+        self.memory[:, cells] = self._inversion.hold(self.memory[:, cells], unread_s)
+
+    def state(self) -> dict[str, FloatArray | BoolArray]:
+        """What is remembered, by name. To be called after :meth:`flush`."""
+        return {"memory": self.memory, "line": self.line, "followed": self.followed}
+
+    def restore(self, state: dict[str, FloatArray]) -> None:
+        """Continue from a saved :meth:`state`."""
+        self.memory, self.line = state["memory"], state["line"]
+        self.follow(state["followed"] > 0)
+        self.stale = True
+
+    def _gathered(self, cells: IntArray) -> Block:
+        return Block(cells, self.memory.take(cells, axis=1), self.line.take(cells, axis=1))

@@ -1,0 +1,133 @@
+"""Sleep of cells at rest: only their mean is watched, until a reading or the mean leaves the noise.
+
+Most cells of a large skin carry no load. A sleeping cell costs a few operations per frame, a cell that is followed some
+hundred.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from . import _loops as loops
+from . import _smoothing as smoothing
+from ._loops import CALM_SIGMAS, LEVEL_BANDS
+from ._noise import NoiseMeter
+from ._remembered import Block
+
+AT_REST = 0.005
+"""of full scale below which a cell may sleep"""
+WATCH_S = 0.5
+"""time over which the mean of a sleeping cell is taken"""
+MEANS = 8
+"""times in that time that the mean is renewed"""
+
+
+class Sleep:
+    """Which of n cells are awake, the mean of each cell's readings, and at what readings a sleeping cell wakes."""
+
+    def __init__(self, cells: int, full_scale_r: float) -> None:
+        self.band = AT_REST * full_scale_r
+        """r within which a cell counts as at rest"""
+        self.awake = np.zeros(cells, dtype=np.bool_)
+        self.all_awake = False
+        """whether all cells are followed, and none needs to be watched"""
+        self.mean = np.zeros(cells)
+        """(n,) of r, over :data:`WATCH_S`"""
+        self.wake_at = np.full(cells, np.inf)
+        """(n,) r from which a reading wakes its cell; infinite for cells that are awake"""
+        self._sum = np.zeros(cells)
+        self._sum_s, self._summed = 0.0, 0
+        """seconds and readings in the sum"""
+        self.compiled = False
+        """whether the loops are there as machine code"""
+
+    def watch(self, dt: float, r: FloatArray) -> IntArray | None:
+        """Take readings (n,), ``dt`` after the last ones.
+
+        Returns:
+            (m,) sleeping cells whose reading, or the mean of their readings, has left what noise does; they are awake
+            now. None: of no cell.
+        """
+        may_wake = self._add_up(r)
+        self._sum_s += dt
+        self._summed += 1
+        averaged = None
+        if self._sum_s >= WATCH_S / MEANS:
+            share = -math.expm1(-dt / WATCH_S)
+            averaged = math.sqrt(share / (2 - share))
+            may_wake |= self._renew_means(averaged)
+        if not may_wake:
+            return None
+        left: BoolArray = np.abs(r) > self.wake_at
+        if averaged is not None:
+            left |= np.abs(self.mean) > self.band + averaged * (self.wake_at - self.band)
+        if not np.count_nonzero(left):
+            return None
+        cells = np.flatnonzero(left)
+        self.awake[cells] = True
+        return cells
+
+    def _add_up(self, r: FloatArray) -> bool:
+        """Add the readings (n,) to the sum of which the mean is made; whether one of them may wake its cell."""
+        if self.compiled:
+            return loops.watch.code(r, self._sum, self.wake_at)
+        self._sum += r
+        return not self.all_awake
+
+    def _renew_means(self, averaged: float) -> bool:
+        """Take the sums into the means; whether one of these may wake its cell.
+
+        ``averaged`` is the standard deviation of a mean, over that of a reading.
+        """
+        share, summed = -math.expm1(-self._sum_s / WATCH_S), self._summed
+        self._sum_s, self._summed = 0.0, 0
+        if self.compiled:
+            return loops.renew_means.code(self._sum, summed, self.mean, share, self.wake_at, self.band, averaged)
+        self._sum /= summed
+        self._sum -= self.mean
+        self._sum *= share
+        self.mean += self._sum
+        self._sum[:] = 0.0
+        return not self.all_awake
+
+    def follow(self, cells: IntArray) -> None:
+        """Note that ``cells`` (m,) are followed: no reading wakes them any more."""
+        self.all_awake = cells.size == self.awake.size
+        self.wake_at[cells] = np.inf
+
+    def begin(self, cells: IntArray) -> None:
+        """Put ``cells`` (m,) to sleep; the limits at which they wake are to be set next."""
+        self.awake[cells] = False
+        self.all_awake = False
+
+    def calm(self, block: Block, noise: NoiseMeter) -> BoolArray:
+        """(m,) cells that are followed and read as at rest."""
+        cells = block.cells
+        calm: BoolArray
+        if self.compiled:
+            calm = np.empty(cells.size, dtype=np.bool_)
+            loops.find_calm.code(cells, self.mean, noise.at_rest, block.line, self.band, calm)
+            return calm
+        mean = self.mean[cells]
+        quiet = self.band + CALM_SIGMAS * noise.std(mean, cells)
+        calm = np.abs(mean) < quiet
+        calm &= np.abs(block.line[smoothing.LEVEL]) < LEVEL_BANDS * quiet
+        return calm
+
+    @property
+    def clock(self) -> list[float]:
+        """Seconds and readings in the sum, to be saved."""
+        return [self._sum_s, self._summed]
+
+    def state(self) -> dict[str, FloatArray | BoolArray]:
+        """What is remembered beside :attr:`clock`, by name."""
+        return {"mean": self.mean, "sum": self._sum, "awake": self.awake}
+
+    def restore(self, state: dict[str, FloatArray], clock: list[float]) -> None:
+        """Continue from a saved :meth:`state` and :attr:`clock`."""
+        self.mean, self._sum, self.awake = state["mean"], state["sum"], state["awake"] > 0
+        self.wake_at, self.all_awake = np.full(self.awake.size, np.inf), False
+        self._sum_s, self._summed = clock[0], int(clock[1])

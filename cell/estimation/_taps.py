@@ -1,0 +1,158 @@
+"""Jumps of readings: contact sparks (intermittent electrical contacts) told from taps by what neighbouring cells do.
+
+A reading that jumps from one frame to the next may be a tap, or a bad contact for a moment. One reading cannot tell
+them apart while the jump lasts. An array can:
+
+* Pressure spreads. The silicone shares a tap among cells side by side, so readings beside the jump move with it, in
+  the direction of a load. A bad contact within one cell moves that cell alone.
+* Other faults have the shape of the wiring. A bad line or connector moves whole lines; a crack moves the end of a line;
+  a disturbance of the converter moves readings that are converted one after another, in one frame.
+
+A jump is therefore a load where neighbours along both axes move with it; where a neighbour of it is one; or where a
+neighbour along one axis moves with it for two frames, and the ends of that line have not moved as much. Nothing is
+concluded of lines that have moved as a whole, nor of jumps that no neighbour shares. Bad contacts add resistance: where
+loads lower it, a fall that lasts for two frames is a load as well.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray, IntArray
+
+SHARED = 0.05
+"""share of a jump by which a neighbour moves with it. Crosstalk by leads that nobody mentions is far less"""
+CLEAR = 8.0
+"""standard deviations of its reading by which a neighbour moves with a jump"""
+TOGETHER_S = 0.02
+"""time in which a fingertip comes down on all its cells: neighbours that move later tell nothing of a jump"""
+IN_LINE_S = 0.005
+"""the same of neighbours along one axis only. A frame more is always waited for"""
+FRAMES = 2
+"""in which such a neighbour must have moved: a disturbance of the converter is over in the next one"""
+LASTS = 0.5
+"""share of a jump that must be left for it to be under way"""
+WHOLE, EVEN, SEEN = 0.85, 0.3, 3.0
+"""share of a line's cells that have moved from which the line itself may be bad; share of a jump, and standard
+deviations of its reading, by which a cell has then moved, since a bad line moves its cells alike"""
+LEAST_LINE = 4
+"""cells of a line that may be called whole: a fingertip covers shorter ones"""
+_SOON = 1 + 1e-9
+
+
+class Taps:
+    """Which of the jumps that may be sparks are known to be loads. Arrays are of the k jumps of the last moment."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        """``shape`` is (rows, columns). Cells of an array with another number of axes have no neighbours."""
+        self._grid = len(shape) == 2
+        cells = math.prod(shape)
+        self._shape = (shape[0], shape[1]) if self._grid else (1, cells)
+        self._neighbours = np.full((4, cells), cells, dtype=np.intp)
+        """(4, n) cells above, below, left and right of each cell; beyond the last cell where there is none"""
+        if self._grid:
+            padded = np.full((shape[0] + 2, shape[1] + 2), cells, dtype=np.intp)
+            padded[1:-1, 1:-1] = np.arange(cells).reshape(shape)
+            sides = padded[:-2, 1:-1], padded[2:, 1:-1], padded[1:-1, :-2], padded[1:-1, 2:]
+            self._neighbours = np.array([side.ravel() for side in sides])
+        self._before = np.zeros(cells)
+        """(n,) readings before the jumps that may still turn out to be one tap"""
+        self.forget_all()
+
+    def forget_all(self) -> None:
+        """Begin without any jump."""
+        self.known = np.zeros(0, dtype=np.bool_)
+        """whether the jump is known to be a load"""
+        self._around = np.zeros((4, 0))
+        self._frames = np.zeros(0, dtype=np.intp)
+
+    def add(self, cells: IntArray, before: FloatArray, *, anew: bool) -> None:
+        """Take jumps that have just begun.
+
+        Args:
+            cells: (m,) that have jumped.
+            before: (n,) readings of all cells before these jumps.
+            anew: whether no other jump is so young that it may belong to the same tap.
+        """
+        if anew:
+            self._before = before
+        self.known = np.append(self.known, np.zeros(cells.size, dtype=np.bool_))
+        self._around = np.append(self._around, self._beside(before, cells), axis=1)
+        self._frames = np.append(self._frames, np.zeros(cells.size, dtype=np.intp))
+
+    def keep(self, kept: BoolArray) -> None:
+        """Forget the jumps that are not marked by ``kept``."""
+        self.known, self._around, self._frames = self.known[kept], self._around[:, kept], self._frames[kept]
+
+    def look(
+        self,
+        cells: IntArray,
+        age_s: FloatArray,
+        jump: FloatArray,
+        off: FloatArray,
+        dt_s: float,
+        side: float,
+        reading: FloatArray,
+        noise: FloatArray,
+    ) -> None:
+        """Find out which jumps are loads, in every frame in which there are any.
+
+        Args:
+            cells: that have jumped.
+            age_s: since they have.
+            jump: largest distance of r from that before the jump.
+            off: present distance.
+            dt_s: since the last frame.
+            side: 1 where a load raises the resistance, -1 where it lowers it.
+            reading: (n,) normalised resistances r of all cells.
+            noise: (n,) their standard deviations.
+        """
+        young = ~self.known & (age_s <= max(TOGETHER_S, dt_s) * _SOON)
+        if not np.count_nonzero(young):
+            return
+        size = np.abs(jump)
+        lasts = np.abs(off) > LASTS * size
+        young &= lasts & (jump * side > 0)
+        moved = (self._beside(reading, cells) - self._around) * side
+        with_it = moved > np.maximum(SHARED * size, CLEAR * self._beside(noise, cells))  # False where there is none
+        along_column, along_row = with_it[0] | with_it[1], with_it[2] | with_it[3]
+        soon = age_s <= max(IN_LINE_S, dt_s) * _SOON
+        self._frames += lasts & soon & (along_column | along_row | (side < 0))
+        lasted = self._frames >= FRAMES
+        if self._grid:
+            whole, ends_column, ends_row = self._lines(cells, size, (reading - self._before) * side, noise)
+            young &= ~whole
+            lasted &= ~np.where(along_column, ends_column, ends_row)
+        self.known |= young & (along_column & along_row | lasted)
+        for _ in range(2):  # a fingertip is hardly wider; further cells follow in the next frame
+            loads = np.zeros(reading.size)
+            loads[cells[self.known]] = 1.0
+            self.known |= young & ((self._beside(loads, cells) > 0) & with_it).any(axis=0)
+
+    def _beside(self, values: FloatArray, cells: IntArray) -> FloatArray:
+        """(4, m) what ``values`` (n,) has for the neighbours of ``cells`` (m,); NaN where there is none."""
+        return np.append(values, np.nan)[self._neighbours[:, cells]]
+
+    def _lines(
+        self, cells: IntArray, size: FloatArray, moved: FloatArray, noise: FloatArray
+    ) -> tuple[BoolArray, BoolArray, BoolArray]:
+        """What the lines of ``cells`` (m,) have done, whose readings jumped by ``size`` (m,).
+
+        ``moved`` (n,) is how far the readings have moved as a load moves them, ``noise`` (n,) their standard deviation.
+
+        Returns:
+            (m,) cells whose row or column has moved as a whole; cells whose column has moved at an end; whose row has.
+
+        """
+        rows, columns = self._shape
+        row, column = np.divmod(cells, columns)
+        seen = np.where(moved > SEEN * noise, moved, 0.0).reshape(rows, columns)
+        least = EVEN * size[:, None]
+        in_row, in_column = seen[row] > least, seen.T[column] > least
+        whole = np.zeros(cells.size, dtype=np.bool_)
+        for line, length in ((in_row, columns), (in_column, rows)):
+            if length >= LEAST_LINE:
+                whole |= np.count_nonzero(line, axis=1) >= WHOLE * length
+        return whole, in_column[:, 0] | in_column[:, -1], in_row[:, 0] | in_row[:, -1]

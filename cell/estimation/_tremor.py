@@ -1,0 +1,273 @@
+"""Vibration and slip within the noise of the readings, and the uncertainty of the rises that they fake.
+
+Vibration and slip that turn within a frame, or by less than the noise, are never noticed as turns. A cell answers a
+fast rise by more than a fast fall, or breaks chains both ways, so that such motion seems to be a load that rises. What
+tells of it is that the readings scatter more than the board's noise about a smooth curve. An edge of a load does so as
+well, for one window of readings or two. A rise is therefore in doubt for the time being while one window shows motion,
+and for good where several windows in a row do.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...arrays import FloatArray, IntArray
+from ...compiled import FixedRow, Places, Row, Rows, loop
+from ._noise import CROSSED
+from ._rows import GAIN, NOISE, PRESSURE
+
+HIDES, SURELY_HIDES = 1.25, 1.6
+"""variance of a cell's readings beside smooth motion, over that of the board's noise, in two windows: from the first
+on, a load may move within the noise; from the second on, it does"""
+SUSPECTS, SURELY_SUSPECTS = 2.0, 2.6
+"""the same of a single window, which noise alone exceeds in 4 and in 0.5 % of all windows"""
+SUSPICION = 0.5
+"""of a rise that is in doubt for the time being: its standard deviation"""
+
+_SUSPICION, _ZERO = np.array(SUSPICION), np.array(0.0)
+# As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
+FADES = 0.5
+"""share of such a doubt that the next window leaves, if nothing tells more"""
+
+
+def _share(ratio: FloatArray, low: float, high: float) -> FloatArray:
+    return np.asarray(np.clip((ratio - low) / (high - low), 0.0, 1.0))
+
+
+class Tremor:
+    """How far the rises of n cells are in doubt. Methods take the indices of m cells, and arrays (m,) of theirs."""
+
+    _KEPT = ("risen_from", "looked_at", "edge_kpa", "waiting_kpa", "suspicion", "amplitude", "unrest_before")
+
+    def __init__(self, cells: int) -> None:
+        self._risen_from = np.zeros(cells)
+        """kPa at the beginning of the window"""
+        self._looked_at = np.zeros(cells)
+        """kPa at the last look"""
+        self._edge_kpa = np.zeros(cells)
+        """largest rise from one look to the next in this window: an edge of a load is in one of them"""
+        self._waiting_kpa = np.zeros(cells)
+        """rise of the windows before, in doubt until this one has told"""
+        self._suspicion = np.zeros(cells)
+        """largest in this window, 0 to 1"""
+        self._amplitude = np.ones(cells)
+        """of motion over that of the noise, as far as the readings show it"""
+        self._unrest_before = np.zeros(cells)
+        self.suspicious = False
+        """whether a rise is in doubt for the time being"""
+        self.compiled = False
+        """whether the loops are there as machine code"""
+
+    def look(self, cells: IntArray, memory: FloatArray, beside: FloatArray) -> None:
+        """Take the cells' memory, and the variance (m,) of readings beside smooth motion over that of the noise."""
+        if self.compiled:
+            kept = self._suspicion, self._amplitude, self._waiting_kpa, self._looked_at, self._edge_kpa
+            self.suspicious = look_each.code(cells, memory, beside, *kept)
+            return
+        pressure_kpa = memory[PRESSURE]
+        self._edge_kpa[cells] = np.maximum(self._edge_kpa[cells], pressure_kpa - self._looked_at[cells])
+        self._looked_at[cells] = pressure_kpa
+        self._suspicion[cells] = np.maximum(self._suspicion[cells], _share(beside, HIDES, SUSPECTS))
+        self._amplitude[cells] = np.sqrt(np.clip(beside - 1.0, 1.0, CROSSED))
+        self.suspicious = bool(self._suspicion.any() or self._waiting_kpa.any())
+
+    def end_window(
+        self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray, beside: FloatArray, unrest: FloatArray
+    ) -> FloatArray | None:
+        """End a window of readings, after :meth:`look`, and begin the next one.
+
+        Args:
+            cells: (m,) indices.
+            pressure_kpa: (m,) estimates.
+            most_kpa: (m,) by which motion as large as the noise may let them seem to rise in a window.
+            beside: (m,) as in :meth:`look`.
+            unrest: (m,) the lesser of the last two windows'.
+
+        Returns:
+            (m,) kPa of the rise that is in doubt for good; None: of no cell.
+
+        """
+        rise, waiting = self._seeming_rise(cells, pressure_kpa, most_kpa), self._waiting_kpa[cells]
+        spread = np.maximum(rise - self._edge_kpa[cells], 0.0)
+        missed = None
+        if unrest.item(unrest.argmax()) > HIDES:
+            by_two = _share(unrest, HIDES, SURELY_HIDES) * np.where(rise < most_kpa, rise, 0.0)
+            by_three = _share(np.minimum(unrest, self._unrest_before[cells]), SUSPECTS, SURELY_SUSPECTS)
+            now = np.maximum(by_two, by_three * spread)
+            missed = now + by_three * waiting
+            spread *= 1.0 - by_three
+            waiting *= 1.0 - by_three
+        self._waiting_kpa[cells] = self._suspicion[cells] * (spread + FADES * waiting)
+        self._edge_kpa[cells] = 0.0
+        self._suspicion[cells] = _share(beside, HIDES, SUSPECTS)
+        self._unrest_before[cells] = unrest
+        self._risen_from[cells] = pressure_kpa
+        return missed
+
+    def accept(self, cells: IntArray, pressure_kpa: FloatArray) -> None:
+        """Take the pressures (m,) of cells for those of a load: nothing of their rise until now is in doubt."""
+        self._risen_from[cells] = self._looked_at[cells] = pressure_kpa
+        self._waiting_kpa[cells] = self._edge_kpa[cells] = 0.0
+
+    def variance(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
+        """(m,) kPa^2 of what is in doubt for the time being."""
+        std = self._seeming_rise(cells, pressure_kpa, most_kpa)
+        std *= self._suspicion.take(cells, mode="clip")  # a third of the time of [cells], here and below
+        std += self._waiting_kpa.take(cells, mode="clip")
+        std *= _SUSPICION
+        std *= std
+        return std
+
+    def add_variance(
+        self, cells: IntArray, memory: FloatArray, taken: FloatArray, seeming: float, added: FloatArray
+    ) -> None:
+        """Add :meth:`variance` to ``added`` (m,) by machine code, from the memory and the readings (4, m) of cells."""
+        kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa
+        doubt_rises.code(cells, memory, taken, seeming, *kept, added)
+
+    def end_window_compiled(
+        self,
+        cells: IntArray,
+        memory: FloatArray,
+        taken: FloatArray,
+        seeming: float,
+        beside: FloatArray,
+        beside_before: FloatArray,
+    ) -> FloatArray | None:
+        """:meth:`end_window` by machine code; ``beside_before`` (n,) is that of the window before, and changed."""
+        kept = (
+            self._risen_from,
+            self._amplitude,
+            self._suspicion,
+            self._waiting_kpa,
+            self._unrest_before,
+            self._edge_kpa,
+        )
+        missed = np.empty(cells.size)
+        found = end_window_each.code(cells, memory, taken, seeming, beside, beside_before, *kept, missed)
+        return missed if found else None
+
+    def forget(self, cells: IntArray) -> None:
+        """Let nothing be in doubt about cells that are put to sleep."""
+        self._suspicion[cells] = self._waiting_kpa[cells] = 0.0
+        self._risen_from[cells] = self._looked_at[cells] = self._edge_kpa[cells] = 0.0
+
+    def _seeming_rise(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
+        """(m,) kPa by which pressures have risen in this window; 0 where they rose faster, which is a load."""
+        rise: FloatArray = pressure_kpa - self._risen_from.take(cells, mode="clip")
+        np.maximum(rise, _ZERO, out=rise)
+        most = self._amplitude.take(cells, mode="clip")
+        most *= most_kpa
+        return np.where(rise < most, rise, _ZERO)
+
+    def state(self) -> dict[str, FloatArray]:
+        """All that is remembered, by name."""
+        return {f"tremor_{name}": getattr(self, f"_{name}") for name in self._KEPT}
+
+    def restore(self, state: dict[str, FloatArray]) -> None:
+        """Continue from a saved :meth:`state`."""
+        for name in self._KEPT:
+            setattr(self, f"_{name}", state[f"tremor_{name}"])
+        self.suspicious = bool(self._suspicion.any() or self._waiting_kpa.any())
+
+
+@loop
+def look_each(
+    cells: Places,
+    memory: Rows,
+    beside: FixedRow,
+    suspicion: Row,
+    amplitude: Row,
+    waiting_kpa: Row,
+    looked_at: Row,
+    edge_kpa: Row,
+) -> bool:
+    """:meth:`Tremor.look` as a loop over cells."""
+    for i in range(cells.size):
+        cell, pressure_kpa = cells[i], memory[PRESSURE, i]
+        edge_kpa[cell] = max(edge_kpa[cell], pressure_kpa - looked_at[cell])
+        looked_at[cell] = pressure_kpa
+        suspects = min(max((beside[i] - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
+        suspicion[cell] = max(suspicion[cell], suspects)
+        amplitude[cell] = math.sqrt(min(max(beside[i] - 1.0, 1.0), CROSSED))
+    suspicious = False
+    for cell in range(suspicion.size):
+        suspicious |= suspicion[cell] != 0.0 or waiting_kpa[cell] != 0.0
+    return suspicious
+
+
+@loop
+def doubt_rises(
+    cells: Places,
+    memory: Rows,
+    taken: Rows,
+    seeming: float,
+    risen_from: Row,
+    amplitude: Row,
+    suspicion: Row,
+    waiting_kpa: Row,
+    added: Row,
+) -> None:
+    """:meth:`Tremor.variance` as a loop over cells. ``seeming`` is the rise in a window, per noise and squared gain."""
+    for i in range(cells.size):
+        cell, gain = cells[i], memory[GAIN, i]
+        rise = max(memory[PRESSURE, i] - risen_from[cell], 0.0)
+        most_kpa = seeming * taken[NOISE, i] * (gain * gain)
+        std = rise * suspicion[cell] if rise < amplitude[cell] * most_kpa else 0.0
+        std = (std + waiting_kpa[cell]) * SUSPICION
+        added[i] += std * std
+
+
+@loop
+def end_window_each(
+    cells: Places,
+    memory: Rows,
+    taken: Rows,
+    seeming: float,
+    beside: FixedRow,
+    beside_before: Row,
+    risen_from: Row,
+    amplitude: Row,
+    suspicion: Row,
+    waiting_kpa: Row,
+    unrest_before: Row,
+    edge_kpa: Row,
+    missed: Row,
+) -> bool:
+    """:meth:`._noise.NoiseMeter.unrest` and :meth:`Tremor.end_window` as a loop over cells.
+
+    Returns:
+        Whether a rise is in doubt for good: then ``missed`` (m,) has it.
+    """
+    found = False
+    for i in range(cells.size):
+        cell, gain, pressure, present = cells[i], memory[GAIN, i], memory[PRESSURE, i], beside[i]
+        unrest = min(present, beside_before[cell])
+        if max(present, beside_before[cell]) > CROSSED:
+            unrest = 0.0
+        beside_before[cell] = present
+        most_kpa = seeming * taken[NOISE, i] * (gain * gain)
+        rise, waiting = max(pressure - risen_from[cell], 0.0), waiting_kpa[cell]
+        if not rise < amplitude[cell] * most_kpa:
+            rise = 0.0
+        found |= unrest > HIDES
+        by_two = min(max((unrest - HIDES) / (SURELY_HIDES - HIDES), 0.0), 1.0)
+        by_two *= rise if rise < most_kpa else 0.0
+        lesser = min(unrest, unrest_before[cell])
+        by_three = min(max((lesser - SUSPECTS) / (SURELY_SUSPECTS - SUSPECTS), 0.0), 1.0)
+        spread = max(rise - edge_kpa[cell], 0.0)
+        now = max(by_two, by_three * spread)
+        missed[i] = now + by_three * waiting
+        spread *= 1.0 - by_three
+        waiting *= 1.0 - by_three
+        waiting_kpa[cell] = suspicion[cell] * (spread + FADES * waiting)
+        edge_kpa[cell] = 0.0
+        suspicion[cell] = min(max((present - HIDES) / (SUSPECTS - HIDES), 0.0), 1.0)
+        unrest_before[cell] = unrest
+        risen_from[cell] = pressure
+    return found
+
+
+LOOPS = look_each, doubt_rises, end_window_each

@@ -1,0 +1,351 @@
+"""From a recording to CELL.toml: identify the cell, teach its estimators, choose one, and say how sure all that is."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...errors import InputError
+from ...progress import Progress, silent
+from .._cell import Calibrated, Cell, EstimatorName
+from ..estimation import Estimator, longest_s
+from ..inversions import DRIFT, Seen
+from ..inversions import margin as inverse_margin
+from ..materials import AsymmetricModel, ContactModel, M10Model, simulate
+from . import _choice as choice
+from . import _training as training
+from ._fitted import Fit
+from ._folds import Fold, folds, strokes
+from ._identify import fits
+from ._judged import Judged, Regimes, best_share, mixed
+from ._recording import Recording
+from ._remarks import remarks
+
+MOST = 6000
+"""samples that are learned from; a longer recording is thinned"""
+FOLD_CELLS = 32
+"""simulated for learning before each fold; a third of those for the final estimators"""
+TEACHES_WORSE = 0.7
+"""share of the richer kind's error below which a simpler one teaches"""
+MISSES = 3.0
+"""times its held-out error, that an inverse may miss of a drift that goes on after the recording"""
+BREAKS = 0.5
+"""share of the error of m10 without chains that break, below which a cell with such chains is believed to have them"""
+WORTH_COMPILING = 1000
+"""samples from which on machine code is loaded before a recording is estimated, which takes about half a second"""
+STEPS = 7
+"""of a calibration, for progress: three kinds of model, three folds, and learning from all"""
+
+
+FALLING = (
+    "the resistance falls under load: the cell is taken for a contact without memory, and creep and hysteresis are not "
+    "made up for"
+)
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """A calibrated cell and everything the report of it says."""
+
+    cell: Cell
+    recording: Recording
+    fits: tuple[Fit, ...]
+    """the chosen kind first"""
+    folds: tuple[Fold, ...]
+    """of the recording, in its time: what comes before each was learned from to judge on it"""
+    inverse_margin: float | None
+    """least slope of a fast step over that at equilibrium: the exact inverse is safe where positive; None: no such"""
+    remarks: tuple[str, ...] = ()
+    """what the recording does not say of the cell, and what looks wrong in it"""
+
+    @property
+    def fit(self) -> Fit:
+        """Of the chosen kind."""
+        return self.fits[0]
+
+
+def calibrate(
+    recording: Recording, *, full_scale_kpa: float | None = None, progress: Progress = silent
+) -> CalibrationResult:
+    """Identify the cell of a recording and calibrate its estimators.
+
+    Kinds of models and estimators are compared by rolling-origin evaluation. The recording is cut into folds that each
+    contain presses. What comes before a fold is fitted and learned from, and the worst fold counts. What is kept is
+    then fitted and learned from the whole. Deterministic.
+
+    Args:
+        recording: presses and releases of one cell.
+        full_scale_kpa: None: the largest pressure of the recording.
+        progress: told of each step that is done.
+
+    Raises:
+        InputError: the resistance does not follow the pressure, or no model of any kind fits.
+    """
+    thin = _thinned(recording.without_sparks)
+    full = float(np.quantile(thin.pressure_kpa, 0.999)) if full_scale_kpa is None else full_scale_kpa
+    if not 0 < full < np.inf:
+        raise InputError(f"full scale is {full} kPa; expected more than 0")
+    steps = itertools.count(1)
+
+    def tell(what: str) -> None:
+        progress(next(steps), STEPS, what)
+
+    found = tuple(fits(thin, full, tell))
+    model, rest = found[0].model, found[0].rest_resistance_ohm
+    cell = Cell(rest_resistance_ohm=rest, full_scale_kpa=full, model=model)
+    samples, seen, parts = Regimes.of(thin, full), _seen(thin, full), folds(thin, full)
+    presses = float(samples.pressing[-1]) / 2
+    if isinstance(model, ContactModel):
+        said = (FALLING, *remarks(recording, full, presses, varied=True))
+        return CalibrationResult(_calibrated_contact(cell, thin), recording, found, parts, None, said)
+
+    inverse = inverse_margin(model, full) if isinstance(model, AsymmetricModel | M10Model) else None
+    teacher, breaks = _teacher(found), _breaks(found)
+    whole = _normalised(thin, cell, teacher)
+    judged: dict[EstimatorName, list[Judged]] = {}
+    for fold, simulation in zip(parts, teacher.simulate_folds, strict=True):
+        first = replace(whole, simulation=simulation).until(fold.start_s)
+        trial = cell.replace(estimators=_learned(first, full, cells=FOLD_CELLS, breaks=breaks).replace(seen=seen))
+        for name in LEARNED:
+            judged.setdefault(name, []).append(_judge(trial, name, thin, samples, fold))
+        tell("learned before a fold, and judged on it")
+    judged |= _judge_models(cell.replace(estimators=None), found[0], thin, samples, parts)
+    noise = seen.noise * float(np.mean(thin.resistance_ohm) / np.ptp(thin.resistance_ohm))
+    final = _learned(whole, full, cells=training.CELLS, breaks=breaks).replace(seen=seen)
+    final = _mixed(final, judged, beyond_recorded=_beyond_noise(teacher, noise) < choice.EXACT)
+    tried = (*LEARNED, *(name for name in judged if name == "inverse"))
+    elsewhere = choice.errors_elsewhere(cell.replace(estimators=final), found, tried, whole)
+    tell("learned from all")
+    evidence = choice.Evidence(
+        judged=judged,
+        elsewhere=elsewhere,
+        presses=presses,
+        loads_vary=strokes(thin, full).vary,
+        unexplained=_beyond_noise(found[0], noise),
+        least_slope=1.0 if inverse is None else inverse,
+    )
+    cell = cell.replace(estimators=_with_errors(final, evidence, whole, full))
+    drift = next(fit.drift for fit in found if fit.drift is not None)
+    said = tuple(remarks(recording, full, presses, varied=evidence.varied, drift=drift))
+    return CalibrationResult(cell, recording, found, parts, inverse, said)
+
+
+def estimate_recording(
+    estimator: Estimator, time_s: FloatArray, resistance_ohm: FloatArray
+) -> tuple[FloatArray, FloatArray | None]:
+    """Estimates (n,) of one cell and their standard deviations, in kPa, of a whole recording.
+
+    Args:
+        estimator: made for the shape ().
+        time_s: (n,) increasing.
+        resistance_ohm: (n,); NaN where there is no reading.
+
+    Returns:
+        Pressure, and its standard deviation or None if the estimator states none.
+    """
+    if len(time_s) >= WORTH_COMPILING:
+        estimator.compile()
+    pressure, std = np.empty((2, len(time_s)))
+    for n, elapsed in enumerate(np.diff(time_s, prepend=time_s[0])):
+        pressure[n] = estimator.step(float(elapsed), resistance_ohm[n])
+        std[n] = estimator.std_kpa
+    return pressure, std if estimator.states_std else None
+
+
+def _teacher(found: tuple[Fit, ...]) -> Fit:
+    """The fit that is varied for learning: the richest with one set of states, unless it explains clearly less.
+
+    Which of two kinds predicts better is a close call on a short recording, and the poorer one, taught, misleads
+    more than the richer one's spare parameters do. But what leaves much more of its worst fold unexplained than another
+    kind does teaches its own mistakes. The paper's two models hand over at every change of direction, which a learned
+    map of memories follows badly: it teaches only where it is far better.
+    """
+    smooth = next(fit for fit in found if isinstance(fit.model, M10Model))
+    plain = next(fit for fit in found if isinstance(fit.model, AsymmetricModel))
+    if plain.held_out_error < TEACHES_WORSE * smooth.held_out_error:
+        smooth = plain
+    best = min(found, key=lambda fit: fit.held_out_error)
+    return best if best.held_out_error < 0.5 * smooth.held_out_error else smooth
+
+
+def _breaks(found: tuple[Fit, ...]) -> bool:
+    """Whether motion breaks conductive chains: without them, m10 leaves far more of the recording."""
+    errors = {fit.label: fit.error for fit in found}  # an m10 whose k is 0 has the label of the one without chains
+    return errors.get("m10", np.inf) < BREAKS * errors.get("m10, k = 0", 0.0)
+
+
+def _learned(
+    calibration: training.NormalisedRecording, full_scale_kpa: float, *, cells: int, breaks: bool
+) -> Calibrated:
+    """All learned estimators, not judged yet; of a cell whose conductive chains break under motion, or not."""
+    simulated = training.variations(calibration, np.random.default_rng(0), cells)
+    return Calibrated(
+        default="distilled",
+        reason="",
+        held_out_percent={},
+        static=training.static_curve(calibration, full_scale_kpa),
+        play=training.play(calibration, simulated),
+        distilled=training.distilled(calibration, simulated, paths_s=training.PATHS_S if breaks else ()),
+    )
+
+
+def _thinned(recording: Recording) -> Recording:
+    """At most :data:`MOST` samples."""
+    every = -(-len(recording.time_s) // MOST)
+    time_s, pressure, resistance = recording.time_s, recording.pressure_kpa, recording.resistance_ohm
+    return replace(
+        recording, time_s=time_s[::every], pressure_kpa=pressure[::every], resistance_ohm=resistance[::every]
+    )
+
+
+def _normalised(recording: Recording, cell: Cell, teacher: Fit) -> training.NormalisedRecording:
+    """What estimators are learned from: the recording, and cells like the teacher."""
+    rest = cell.rest_resistance_ohm
+    return training.NormalisedRecording(
+        time_s=recording.time_s,
+        r=recording.resistance_ohm / rest - 1,
+        load=recording.pressure_kpa / cell.full_scale_kpa,
+        rest_resistance_ohm=rest,
+        simulation=teacher.simulate,
+        unexplained=teacher.error * float(np.ptp(recording.resistance_ohm)) / rest,
+    )
+
+
+def _beyond_noise(fit: Fit, noise: float) -> float:
+    """Held-out error of a fit beyond the noise of the readings, both over the range of the resistance."""
+    return float(np.sqrt(max(fit.held_out_error**2 - noise**2, 0.0)))
+
+
+def _mixed(learned: Calibrated, judged: dict[EstimatorName, list[Judged]], *, beyond_recorded: bool) -> Calibrated:
+    """Learned maps mixed with the static curve as the folds ask for; changes ``judged`` accordingly."""
+    for name in ("play", "distilled"):
+        share = best_share(judged[name], judged["static"])
+        judged[name] = mixed(judged[name], judged["static"], share)
+        one = getattr(learned, name).replace(static_share=1 - share, beyond_recorded=beyond_recorded)
+        learned = learned.replace(**{name: one})
+    return learned
+
+
+def _with_errors(
+    final: Calibrated, evidence: choice.Evidence, whole: training.NormalisedRecording, full_scale_kpa: float
+) -> Calibrated:
+    """The choice of the default, and all estimators with the errors that they state."""
+    judged = evidence.judged
+    default, reason = choice.choose(evidence)
+    pressed = {name: 100 * max(part.pressed_rms for part in of) for name, of in judged.items()}
+    pressed_drift = max(abs(float(np.mean(part.pressed))) for part in judged["static"])
+    calibrated = {
+        name: training.calibrated(
+            getattr(final, name),
+            judged[name],
+            drift=pressed_drift,
+            elsewhere=0.0 if evidence.varied else evidence.elsewhere[name],
+            most=pressed["static"] / 100,
+        )
+        for name in ("play", "distilled")
+    }
+    other_loads = training.error_on_other_loads(whole, final.static)
+    static_std = full_scale_kpa * max(DRIFT * pressed["static"] / 100, other_loads)
+    return Calibrated(
+        default=default,
+        reason=reason,
+        held_out_percent={name: evidence.worst(name) for name in judged},
+        fold_percent={name: tuple(evidence.percent(name)) for name in judged},
+        pressed_percent=pressed,
+        # An inverse follows the drift that its model explains, which shows in its errors on the folds.
+        drift_percent=min(100 * pressed_drift, MISSES * pressed.get("inverse", np.inf)),
+        seen=final.seen,
+        static=final.static.replace(std_kpa=max(final.static.std_kpa, static_std)),
+        **calibrated,
+    )
+
+
+def _seen(recording: Recording, full_scale_kpa: float) -> Seen:
+    loads = recording.quiet.loads
+    time, load = loads.time_s, loads.pressure_kpa
+    later = np.interp(time + 1.0, time, load)
+    log_ohm = np.log(recording.resistance_ohm)
+    return Seen(
+        noise=simulate.white_noise(log_ohm) or simulate.step_noise(log_ohm),
+        step_s=recording.step_s,
+        speed_kpa_per_s=float(np.sqrt(np.mean((later - load) ** 2))),
+        longest_load_s=longest_s(time, load / full_scale_kpa),
+    )
+
+
+LEARNED: tuple[EstimatorName, ...] = ("static", "play", "distilled")
+FROM_MODEL: tuple[EstimatorName, ...] = ("paper", "inverse")
+
+
+def _judge(cell: Cell, name: EstimatorName, recording: Recording, samples: Regimes, fold: Fold) -> Judged:
+    """Of an estimator that was learned before the fold, run as it will be used: smoothed, and asleep at rest."""
+    until = int(np.searchsorted(recording.time_s, fold.end_s))
+    part = slice(int(np.searchsorted(recording.time_s, fold.start_s)), until)
+    estimator = cell.estimator((), name)
+    pressure, std = estimate_recording(estimator, recording.time_s[:until], recording.resistance_ohm[:until])
+    error = (pressure - recording.pressure_kpa[:until])[part] / cell.full_scale_kpa
+    stated = np.full(error.shape, np.inf) if std is None else std[part] / cell.full_scale_kpa
+    return Judged(fold, error, stated, samples.part(part))
+
+
+def _judge_models(
+    cell: Cell, fit: Fit, recording: Recording, samples: Regimes, parts: tuple[Fold, ...]
+) -> dict[EstimatorName, list[Judged]]:
+    """Of the estimators that follow from the model alone, as fitted before each fold, where all folds have them."""
+    judged: dict[EstimatorName, list[Judged]] = {}
+    for name in FROM_MODEL:
+        pairs = []
+        for fold, before in zip(parts, fit.before_folds, strict=True):
+            try:
+                if before is not None:
+                    model, rest = before
+                    trial = cell.replace(model=model, rest_resistance_ohm=rest)
+                    pairs.append(_judge(trial, name, recording, samples, fold))
+            except InputError:
+                break  # not for this kind of cell, or these parameters
+        if len(pairs) == len(parts) and _has(cell, name):
+            judged[name] = pairs
+    return judged
+
+
+def _has(cell: Cell, name: EstimatorName) -> bool:
+    """Whether a cell can have that estimator."""
+    try:
+        cell.estimator((), name)
+    except InputError:
+        return False
+    return True
+
+
+def _calibrated_contact(cell: Cell, recording: Recording) -> Cell:
+    """A contact has no memory: a cubic in log(R0/R), and nothing else to choose from."""
+    r, load = recording.resistance_ohm / cell.rest_resistance_ohm - 1, recording.pressure_kpa / cell.full_scale_kpa
+
+    def unused(rng: np.random.Generator, loads: FloatArray, dt: float) -> FloatArray:
+        raise AssertionError("the static curve is not learned from simulations")
+
+    whole = training.NormalisedRecording(recording.time_s, r, load, cell.rest_resistance_ohm, unused, 0.0)
+    samples = Regimes.of(recording, cell.full_scale_kpa)
+    parts = []
+    for fold in folds(recording, cell.full_scale_kpa):
+        first = training.static_curve(whole.until(fold.start_s), cell.full_scale_kpa, logarithmic=True)
+        part = slice(*np.searchsorted(recording.time_s, (fold.start_s, fold.end_s)).tolist())
+        error = np.clip(first.load(r[part]), first.limits.lowest, first.limits.highest) - load[part]
+        parts.append(Judged(fold, error, np.full(error.shape, np.inf), samples.part(part)))
+    percent = max(100 * part.rms for part in parts)
+    pressed = max(100 * part.pressed_rms for part in parts)
+    curve = training.static_curve(whole, cell.full_scale_kpa, logarithmic=True)
+    std = max(curve.std_kpa, DRIFT * pressed / 100 * cell.full_scale_kpa)
+    estimators = Calibrated(
+        default="static",
+        reason=f"a contact without memory; {percent:.1f} % of full scale on the worst of {len(parts)} folds",
+        held_out_percent={"static": percent},
+        fold_percent={"static": tuple(100 * part.rms for part in parts)},
+        pressed_percent={"static": pressed},
+        seen=_seen(recording, cell.full_scale_kpa),
+        static=curve.replace(std_kpa=std),
+    )
+    return cell.replace(estimators=estimators)

@@ -1,0 +1,100 @@
+"""Rolling-origin evaluation: the folds of a recording, each fitted on what comes before it and judged on itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...errors import InputError
+from ..inversions import play_follow
+from ._recording import Recording
+
+ORIGINS = (0.45, 0.65, 0.825)
+"""shares of all pressing after which the folds begin: what comes before is fitted, the fold judges"""
+PRESSED = 0.05
+"""of full scale: half width of the play whose movement counts as pressing"""
+HEIGHTS_DIFFER, DURATIONS_DIFFER = 0.2, 0.35
+"""interquartile ranges from which strokes differ: of their heights, over the median, and of the logarithm of their
+durations. One stroke that is cut off does not count"""
+FEWEST = 30
+"""readings before a fold that are enough to fit"""
+
+
+@dataclass(frozen=True)
+class Fold:
+    """A part of a recording, in seconds of its time: rolling-origin evaluation fits what comes before it."""
+
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True)
+class Strokes:
+    """Strokes of a recorded load, each from one of its turns to the next. Arrays are (n,)."""
+
+    height: FloatArray
+    """change of the normalised load; falls, too, count as positive"""
+    seconds: FloatArray
+
+    @property
+    def vary(self) -> bool:
+        """Whether strokes differ clearly, both in height and in duration."""
+        if not self.height.size:
+            return False
+        heights = _interquartile(self.height) > HEIGHTS_DIFFER * float(np.median(self.height))
+        return heights and _interquartile(np.log(self.seconds)) > DURATIONS_DIFFER
+
+
+def _interquartile(values: FloatArray) -> float:
+    low, high = np.percentile(values, [25, 75])
+    return float(high - low)
+
+
+def strokes(recording: Recording, full_scale_kpa: float) -> Strokes:
+    """The strokes of a recorded load. Turns within a play (Prandtl's) of :data:`PRESSED` are noise."""
+    loads = recording.quiet.loads
+    followed = play_follow(loads.pressure_kpa[:, None] / full_scale_kpa, PRESSED)[:, 0]
+    moves = np.flatnonzero(np.diff(followed))
+    ways = np.sign(np.diff(followed))[moves]
+    turns = moves[np.flatnonzero(np.diff(ways)) + 1]  # the samples from which on the load goes the other way
+    ends = np.concatenate([moves[:1], turns, moves[-1:] + 1])
+    return Strokes(np.abs(np.diff(followed[ends])), np.diff(loads.time_s[ends]))
+
+
+def pressing(recording: Recording, full_scale_kpa: float) -> FloatArray:
+    """(n,) path length of the normalised load up to each sample: a press to full scale and its release add 2.
+
+    The load passes a play (Prandtl's) first, so that noise does not add to the path.
+    """
+    load = recording.quiet.pressure_kpa[:, None] / full_scale_kpa
+    followed = play_follow(load, PRESSED)[:, 0]
+    path: FloatArray = np.cumsum(np.abs(np.diff(followed, prepend=followed[0])))
+    return path
+
+
+def folds(recording: Recording, full_scale_kpa: float) -> tuple[Fold, ...]:
+    """Consecutive folds that each have a share of all :func:`pressing`, however long the rests between.
+
+    Raises:
+        InputError: a fold, or what comes before the first, has hardly any readings: most of the time is a gap.
+    """
+    moved = pressing(recording, full_scale_kpa)
+    moved += 1e-9 * np.arange(len(moved))
+    at = np.searchsorted(moved, np.array(ORIGINS) * moved[-1]).clip(1, len(moved) - 1)
+    time = recording.time_s
+    step = recording.step_s
+    starts = time[at]
+    ends = np.append(starts[1:], time[-1] + step)
+    found = tuple(Fold(float(a), float(b)) for a, b in zip(starts, ends, strict=True) if b > a)
+    expected = (time[-1] - time[0]) / step
+    before = int(np.count_nonzero(time < found[0].start_s))
+    longest = float(np.diff(time).max())
+    if before < FEWEST or longest > 0.5 * (time[-1] - time[0]) or len(time) < 0.1 * expected:
+        raise InputError(
+            f"{recording.name}: {before} of {len(time)} readings come before the last half of its presses, and the "
+            f"longest gap is {longest:.3g} s of {time[-1] - time[0]:.3g} s; expected presses throughout the recording, "
+            "without a gap that takes up most of it"
+        )
+    return found

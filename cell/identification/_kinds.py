@@ -1,0 +1,218 @@
+"""The kinds of model that are fitted: free parameters, bounds, usual values, and how each kind answers a load.
+
+Each kind contains a simpler one: asymmetric branches, then a curved static response and slow charging ("whole"), then
+conductive chains that break ("m10"). Their solutions can therefore be handed on from one to the next. The paper's cell
+stands beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from pydantic import ValidationError
+
+from ...arrays import FloatArray
+from ...errors import InputError
+from ..inversions import play_follow
+from ..materials import AsymmetricModel, M10Model, Model, PaperModel, simulate
+
+INSTANT_S, RISE2_S = 0.05, 1.0
+"""time constant of a branch that is charged at once, and the usual one of the slow branch"""
+DRIFTS = 1.0
+"""share of R0 up to which a drift over the recording is looked for, either way"""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """How a kind of model is fitted: free parameters, which of them are positive, bounds, starts."""
+
+    kind: str
+    names: tuple[str, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    starts: tuple[tuple[float, ...], ...]
+    """the first is what is usual for a recording of that range of r, and what the prior holds to"""
+    size: float
+    """range of r in the recording"""
+    run: Callable[[FloatArray, FloatArray, float], FloatArray]
+    """parameters (p, m), load (n,) or (n, m) as ``felt``, dt -> r (n, m), without the offset of R0"""
+    begun: int = 0
+    """how many parameters, after those with names, are what branches and chains remember as the recording begins"""
+    felt: Callable[[FloatArray], FloatArray] = lambda load: load
+    """the load (n, m) or (n,) as this kind takes it: worked out once, for any number of parameters"""
+
+
+Richer = Callable[[tuple[float, ...]], tuple[float, ...]]
+"""a solution as one of the richer kind that is fitted next"""
+
+
+def asymmetric_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
+    g1, g2, g3, t2, t3 = start
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        a, alpha1, fall1, alpha2, fall2 = parameters[:5]
+        zero, instant = np.zeros_like(a), np.full_like(a, INSTANT_S)
+        full = np.stack([a, zero, alpha1, instant, fall1, alpha2, instant, fall2, zero, instant])
+        return simulate.m10(full, _columns(load), dt, _unbroken(parameters[5:]))
+
+    return Kind(
+        kind="asymmetric",
+        names=("gain1", "gain2", "fall2_s", "gain3", "fall3_s"),
+        low=(1e-4 * size, 1e-4 * size, 0.2, 1e-4 * size, 3.0),
+        high=(5 * size, 5 * size, 100.0, 5 * size, 3000.0),
+        starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0), (g1, g2, t2, g3, t3)),
+        size=size,
+        run=run,
+        begun=2 if begun else 0,
+    )
+
+
+def whole_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
+    """Kind m10 whose chains never break."""
+    g1, g2, g3, t2, t3 = start
+    count = len(simulate.M10_PARAMETERS) - 2
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        none = np.zeros((2, parameters.shape[1]))
+        none[1] = 30.0
+        full = np.concatenate([parameters[:count], none])
+        return simulate.m10(full, _columns(load), dt, _unbroken(parameters[count:]))
+
+    return Kind(
+        kind="whole",
+        names=simulate.M10_PARAMETERS[:-2],
+        low=(-2 * size, -2 * size, 1e-4 * size, 0.02, 0.2, 1e-4 * size, 0.02, 3.0),
+        high=(4 * size, 2 * size, 5 * size, 20.0, 100.0, 5 * size, 3000.0, 3000.0),
+        starts=(
+            (0.5 * size, 0.0, 0.3 * size, 0.4, 5.0, 0.2 * size, RISE2_S, 100.0),
+            (g1, -0.05 * size, g2, 0.1, t2, g3, INSTANT_S, t3),
+            (0.7 * size, 0.0, 0.2 * size, 3.0, 3.0, 0.2 * size, 60.0, 60.0),
+        ),
+        size=size,
+        run=run,
+        begun=2 if begun else 0,
+    )
+
+
+def m10_kind(start: tuple[float, ...], size: float, begun: bool) -> Kind:
+    whole = whole_kind(start, size, begun)
+    count = len(simulate.M10_PARAMETERS)
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        return simulate.m10(parameters[:count], _columns(load), dt, parameters[count:] if begun else None)
+
+    _, graphical, slow = whole.starts
+    return Kind(
+        kind="m10",
+        names=simulate.M10_PARAMETERS,
+        low=(*whole.low, 1e-4 * size, 1.0),
+        high=(*whole.high, 3 * size, 300.0),
+        starts=(
+            (0.35 * size, -0.6 * size, size, 0.4, 5.0, 0.2 * size, RISE2_S, 100.0, 0.2 * size, 30.0),
+            (*graphical, 0.1 * size, 5.0),
+            (*slow, 0.01 * size, 30.0),
+        ),
+        size=size,
+        run=run,
+        begun=3 if begun else 0,
+    )
+
+
+def paper_kind(start: tuple[float, ...], size: float) -> Kind:
+    g1, g2, g3, t2, t3 = start
+
+    def felt(load: FloatArray) -> FloatArray:
+        columns = _columns(load)
+        noise = 4 * simulate.white_noise(columns[:, 0])  # would hand over at every sample
+        return play_follow(columns, noise)
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        return simulate.paper(parameters, _columns(load), dt)
+
+    return Kind(
+        kind="paper",
+        names=simulate.PAPER_PARAMETERS,
+        low=(1e-4 * size, 1e-4 * size, 0.2, 1e-4 * size, 3.0, 1e-3, 0.1),
+        high=(5 * size, 5 * size, 100.0, 5 * size, 3000.0, 3.0, 300.0),
+        starts=((0.5 * size, 0.4 * size, 5.0, 0.1 * size, 100.0, 0.2, 5.0), (g1, g2, t2, g3, t3, 0.2, 5.0)),
+        size=size,
+        run=run,
+        felt=felt,
+    )
+
+
+def _unbroken(begun: FloatArray) -> FloatArray | None:
+    """What branches (2, m) or (0, m) remember at first, as :func:`..materials.simulate.m10` takes it."""
+    return np.concatenate([begun, np.zeros((1, begun.shape[1]))]) if len(begun) else None
+
+
+def _columns(load: FloatArray) -> FloatArray:
+    return load[:, None] if load.ndim == 1 else load
+
+
+def asymmetric_as_whole(solution: tuple[float, ...]) -> tuple[float, ...]:
+    """The same cell in the richer model: nothing is curved, and the slow branch is charged at once."""
+    a, alpha1, fall1, alpha2, fall2, *recording = solution
+    return a, 0.0, alpha1, INSTANT_S, fall1, alpha2, INSTANT_S, fall2, *recording
+
+
+def whole_as_m10(solution: tuple[float, ...], size: float) -> tuple[float, ...]:
+    """The same cell in the richer model: hardly a chain breaks."""
+    count = len(simulate.M10_PARAMETERS) - 2
+    *branches, offset = solution[count:]
+    return *solution[:count], 1e-3 * size, 30.0, *branches, *[0.0] * (len(branches) // 2), offset
+
+
+def drifting(kind: Kind) -> Kind:
+    """The same kind of cells with a drift of R0 as one more parameter, after those with names."""
+    count = len(kind.names)
+
+    def run(parameters: FloatArray, load: FloatArray, dt: float) -> FloatArray:
+        r = kind.run(np.delete(parameters, count, axis=0), load, dt)
+        return _drifted(parameters[count], r)
+
+    return replace(
+        kind,
+        names=(*kind.names, "drift"),
+        low=(*kind.low, -DRIFTS),
+        high=(*kind.high, DRIFTS),
+        starts=tuple((*start, 0.0) for start in kind.starts),
+        run=run,
+    )
+
+
+def with_drift(solution: tuple[float, ...], count: int, share: float) -> tuple[float, ...]:
+    """A solution with a drift after its ``count`` parameters with names."""
+    return *solution[:count], share, *solution[count:]
+
+
+def _drifted(drift: FloatArray, r: FloatArray) -> FloatArray:
+    """r (n, m), relative to R0 at the begin, of cells whose R0 changes steadily by a share ``drift`` (m,) of it."""
+    return np.asarray((1 + r) * (1 + np.linspace(0, 1, len(r))[:, None] * drift) - 1)
+
+
+def model_of(kind: str, found: FloatArray, full_scale_kpa: float) -> Model:
+    """The section of CELL.toml; gains are divided by 1 + offset, since r is taken from the corrected R0."""
+    unit = 1 + found[-1]
+    try:
+        if kind in ("m10", "whole"):
+            count = len(simulate.M10_PARAMETERS) - (2 if kind == "whole" else 0)
+            values = dict(zip(simulate.M10_PARAMETERS[:count], map(float, found), strict=False))
+            values.setdefault("k", 0.0)
+            for name in ("a", "b", "alpha1", "alpha2", "k"):
+                values[name] /= unit
+            return M10Model.model_validate(values)
+        g1, g2, t2, g3, t3 = found[:5]
+        (g2, t2), (g3, t3) = sorted(((g2, t2), (g3, t3)), key=lambda branch: branch[1])
+        e1, e2, e3 = (float(full_scale_kpa * unit / gain) for gain in (g1, g2, g3))
+        burgers = {"e1_kpa": e1, "e2_kpa": e2, "e3_kpa": e3, "eta2_kpa_s": e2 * float(t2), "eta3_kpa_s": e3 * float(t3)}
+        if kind == "asymmetric":
+            return AsymmetricModel.model_validate(burgers | {"rise_s": INSTANT_S})
+        eu1 = 1 / (1 / e1 + 1 / e2 + 1 / e3)
+        etau2 = eu1 / float(found[5])
+        rising = {"eu1_kpa": eu1, "etau2_kpa": etau2, "eu2_kpa_per_s": etau2 / float(found[6])}
+        return PaperModel.model_validate(burgers | rising)
+    except ValidationError as error:
+        raise InputError(f"no {kind} cell fits the recording: {error.errors()[0]['msg']}") from error

@@ -1,0 +1,203 @@
+"""A calibration recording: pressure and resistance over time, and what makes it unusable."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from ...arrays import BoolArray, FloatArray
+from ...errors import InputError
+from ...tables import read_columns
+from ..materials import smoothed, smoothing_s, white_noise
+
+COLUMNS = ("time_s", "pressure_kpa", "resistance_ohm")
+SHORTEST_S, FEWEST = 20.0, 100
+SPARK, SPARK_SIGMAS = 0.08, 8.0
+"""jump of a single reading, over the range of the readings and in standard deviations of noise, that no load made"""
+LONGEST_PRESS_S = 3600.0
+"""median length of a press beyond which time is hardly in seconds"""
+PRESSURES_KPA, RESISTANCES_OHM = (0.01, 1e4), (0.1, 1e10)
+"""between which a largest pressure and a median resistance of a cell are hardly in another unit"""
+
+
+@dataclass(frozen=True)
+class Applied:
+    """The load of every row of a recording (m,), also of the rows without a reading of the resistance."""
+
+    time_s: FloatArray
+    pressure_kpa: FloatArray
+
+    @property
+    def step_s(self) -> float:
+        """The usual time between rows."""
+        return float(np.median(np.diff(self.time_s)))
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Columns of equal length (n,), time increasing, every value finite, resistance positive."""
+
+    time_s: FloatArray
+    pressure_kpa: FloatArray
+    resistance_ohm: FloatArray
+    name: str = "recording"
+    applied: Applied | None = None
+    """the load where the resistance is missing, too; None: it is known at ``time_s`` only"""
+
+    @classmethod
+    def load(cls, path: str | Path, *, trust_units: bool = False) -> Recording:
+        """Read ``time_s,pressure_kpa,resistance_ohm``; rows without a reading (NaN, open) only tell the load.
+
+        Raises:
+            InputError: the file cannot be read, or what :func:`checked_recording` refuses.
+        """
+        columns = read_columns(path, COLUMNS)
+        return checked_recording(*(columns[name] for name in COLUMNS), name=str(path), trust_units=trust_units)
+
+    @property
+    def step_s(self) -> float:
+        """The usual time between samples."""
+        return float(np.median(np.diff(self.time_s)))
+
+    @property
+    def loads(self) -> Applied:
+        """All that is known of the load."""
+        return self.applied or Applied(self.time_s, self.pressure_kpa)
+
+    @property
+    def quiet(self) -> Recording:
+        """Itself if its pressure is free of noise; else both signals smoothed alike, which a model hardly sees."""
+        seconds = smoothing_s(self.pressure_kpa, self.step_s)
+        applied = self.applied
+        if applied is not None:
+            applied = replace(applied, pressure_kpa=smoothed(applied.pressure_kpa, applied.step_s, seconds))
+        return replace(
+            self,
+            pressure_kpa=smoothed(self.pressure_kpa, self.step_s, seconds),
+            resistance_ohm=smoothed(self.resistance_ohm, self.step_s, seconds),
+            applied=applied,
+        )
+
+    def near_reading(self, time_s: FloatArray, within_s: float) -> BoolArray:
+        """(m,) whether the resistance was read at most ``within_s`` from each time (m,)."""
+        after = np.searchsorted(self.time_s, time_s).clip(1, len(self.time_s) - 1)
+        nearest = np.minimum(np.abs(self.time_s[after] - time_s), np.abs(time_s - self.time_s[after - 1]))
+        return np.asarray(nearest <= within_s)
+
+    @property
+    def without_sparks(self) -> Recording:
+        """Without single readings that jump from both neighbours while the load does not: bad contacts.
+
+        A jump counts from :data:`SPARK` of the range of the readings on, and from :data:`SPARK_SIGMAS` standard
+        deviations of their noise.
+        """
+        log_ohm = np.log(self.resistance_ohm)
+        low, high = np.percentile(log_ohm, [0.5, 99.5])
+        clear = max(SPARK * (high - low), SPARK_SIGMAS * white_noise(log_ohm))
+        steady = SPARK * float(np.ptp(self.pressure_kpa))
+        jumps = np.abs(log_ohm - median_filter(log_ohm, 3)) > clear
+        moves = np.abs(self.pressure_kpa - median_filter(self.pressure_kpa, 3)) > steady
+        kept = ~jumps | moves
+        return replace(
+            self,
+            time_s=self.time_s[kept],
+            pressure_kpa=self.pressure_kpa[kept],
+            resistance_ohm=self.resistance_ohm[kept],
+        )
+
+
+def check_times(time_s: FloatArray, name: str) -> None:
+    """InputError, naming the sample, unless times (n,) are finite and increase."""
+    follows = np.isfinite(time_s) & (np.diff(time_s, prepend=-np.inf) > 0)
+    if not follows.all():
+        at = int(np.argmin(follows))
+        after = f" after {float(time_s[at - 1])} s" if at else ""
+        raise InputError(
+            f"{name}: time_s must increase and be finite, but sample {at + 1} is at {float(time_s[at])} s{after}"
+        )
+
+
+def checked_recording(
+    time_s: FloatArray,
+    pressure_kpa: FloatArray,
+    resistance_ohm: FloatArray,
+    *,
+    name: str = "recording",
+    trust_units: bool = False,
+) -> Recording:
+    """A recording that a cell can be identified from.
+
+    Args:
+        time_s: (n,) seconds.
+        pressure_kpa: (n,) applied.
+        resistance_ohm: (n,); where it is NaN or infinite, only the load counts.
+        name: of the recording, for messages.
+        trust_units: take the numbers even if they look as if they were in other units.
+
+    Raises:
+        InputError: time does not increase, resistance is not positive, the columns look exchanged, too few samples,
+            too short, a pressure that does not change or is never released, or numbers that look like other units.
+    """
+    check_times(time_s, name)
+    if not np.isfinite(pressure_kpa).all():
+        at = int(np.flatnonzero(~np.isfinite(pressure_kpa))[0])
+        raise InputError(f"{name}: pressure_kpa of sample {at + 1} is {pressure_kpa[at]}; expected a number")
+    wrong = np.flatnonzero(resistance_ohm <= 0)
+    if wrong.size:
+        at = int(wrong[0])
+        raise InputError(
+            f"{name}: resistance_ohm of sample {at + 1} is {resistance_ohm[at]:g}, expected more than 0; "
+            "are the columns exchanged?"
+        )
+    read = np.isfinite(resistance_ohm)
+    applied = None if read.all() else Applied(time_s, pressure_kpa)
+    found = Recording(time_s[read], pressure_kpa[read], resistance_ohm[read], name, applied)
+    length = found.time_s[-1] - found.time_s[0] if read.any() else 0.0
+    if len(found.time_s) < FEWEST or length < SHORTEST_S:
+        raise InputError(
+            f"{name}: {len(found.time_s)} readings over {length:.3g} s are too short to identify a cell; "
+            f"expected at least {FEWEST} readings and {SHORTEST_S:g} s (see ohmskin fit --protocol)"
+        )
+    pressure = found.quiet.pressure_kpa
+    low, high = float(pressure.min()), float(pressure.max())
+    if not high > 0 and low < 0:
+        raise InputError(
+            f"{name}: pressure_kpa goes from {low:g} to {high:g}; expected pressure above 0: is its sign turned round?"
+        )
+    if not high > 0 or high - low < 1e-6 * high:
+        raise InputError(f"{name}: pressure_kpa stays at {high:g}; expected presses and releases")
+    if low > 0.3 * high:
+        raise InputError(
+            f"{name}: pressure_kpa goes from {low:g} to {high:g} and is never released; expected a recording that "
+            "includes the unloaded cell, or are the columns exchanged?"
+        )
+    if not trust_units:
+        _check_units(found, high)
+    resistance = found.resistance_ohm
+    if np.ptp(resistance) < 1e-9 * resistance.max():
+        raise InputError(f"{name}: resistance_ohm stays at {resistance[0]:g}; expected it to follow the pressure")
+    return found
+
+
+def _check_units(recording: Recording, highest_kpa: float) -> None:
+    """InputError that asks about a column whose numbers are hardly in the unit that its name says."""
+    median_ohm = float(np.median(recording.resistance_ohm))
+    pressed = recording.pressure_kpa > 0.5 * highest_kpa
+    edges = np.flatnonzero(np.diff(pressed.astype(int), prepend=0, append=0))
+    time = np.append(recording.time_s, recording.time_s[-1])
+    press_s = float(np.median(time[edges[1::2]] - time[edges[::2]]))
+    doubts = (
+        (press_s > LONGEST_PRESS_S, f"time_s: a press lasts {press_s:.3g} s; is it in milliseconds or microseconds?"),
+        (highest_kpa < PRESSURES_KPA[0], f"pressure_kpa reaches {highest_kpa:.3g}; is it in MPa or bar?"),
+        (highest_kpa > PRESSURES_KPA[1], f"pressure_kpa reaches {highest_kpa:.3g}; is it in Pa?"),
+        (median_ohm < RESISTANCES_OHM[0], f"resistance_ohm is about {median_ohm:.3g}; is it in kohm or Mohm?"),
+        (median_ohm > RESISTANCES_OHM[1], f"resistance_ohm is about {median_ohm:.3g}; is it in mohm?"),
+    )
+    for doubtful, question in doubts:
+        if doubtful:
+            raise InputError(
+                f"{recording.name}: {question} Expected seconds, kPa and ohm (--trust-units takes them as they are)"
+            )

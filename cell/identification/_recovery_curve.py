@@ -1,0 +1,55 @@
+"""The paper's graphical identification (P6, equation 9): gains and time constants read off a recovery curve."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from ...errors import InputError
+from ._recording import Recording
+
+
+def recovery_branches(
+    time_s: FloatArray, r: FloatArray, released_kpa: float
+) -> tuple[float, float, float, float, float]:
+    """The paper's graphical way (P6, equation 9): E1, E2, E3, T2, T3 from a recovery curve.
+
+    Args:
+        time_s: (n,) from the last loaded sample on, the cell unloaded from the second sample.
+        r: (n,) normalised resistance, in equilibrium at the first sample.
+        released_kpa: the pressure that was released.
+
+    The slow branch is the straight line that log r becomes, the fast branch the line that log of the remainder
+    becomes, the elastic one what went at once. Raises InputError if the curve does not decay.
+    """
+    t = time_s[1:] - time_s[1]
+    left = r[1:]
+    slow_gain, slow = _line(t, left, t >= 0.5 * t[-1])
+    rest = left - slow_gain * np.exp(-t / slow)
+    fast_gain, fast = _line(t, rest, (rest > 0.1 * rest[0]) & (t <= 0.5 * t[-1]))
+    gains = np.array([r[0] - fast_gain - slow_gain, fast_gain, slow_gain])
+    if not (gains > 0).all() or not fast < slow:
+        raise InputError("the recovery curve is not an instant part and two decays, the slower one smaller")
+    e1, e2, e3 = (released_kpa / gains).tolist()
+    return e1, e2, e3, fast, slow
+
+
+def _line(t: FloatArray, y: FloatArray, where: BoolArray) -> tuple[float, float]:
+    usable = where & (y > 0)
+    if np.count_nonzero(usable) < 3:
+        raise InputError("the recovery curve has too few samples above zero to read a decay from")
+    slope, log_gain = np.polyfit(t[usable], np.log(y[usable]), 1, w=y[usable])
+    if not slope < 0:
+        raise InputError("the recovery curve does not decay")
+    return float(np.exp(log_gain)), float(-1 / slope)
+
+
+def longest_recovery(recording: Recording, full_scale_kpa: float) -> slice | None:
+    """The samples of the longest stay at no load after a press, from the last loaded sample on."""
+    idle = np.abs(recording.pressure_kpa) < 0.05 * full_scale_kpa
+    edges = np.flatnonzero(np.diff(idle.astype(int), prepend=0, append=0))
+    runs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if a > 0 and b - a > 20]
+    if not runs:
+        return None
+    start, stop = max(runs, key=lambda run: recording.time_s[run[1] - 1] - recording.time_s[run[0]])
+    return slice(int(start) - 1, int(stop))

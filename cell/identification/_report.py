@@ -1,0 +1,132 @@
+"""What a calibration found, for people: text, and a figure of model, estimate and residuals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ... import plots
+from ...files import whole_file
+from ._calibrate import CalibrationResult, estimate_recording
+
+
+def calibration_text(calibration: CalibrationResult) -> str:
+    """Kind, parameters with standard errors, what is not identified, whether the exact inverse is safe, estimators."""
+    cell, fit = calibration.cell, calibration.fit
+    assert cell.estimators is not None
+    lines = [
+        f"cell of kind {cell.model.kind}, R0 = {cell.rest_resistance_ohm:.6g} ohm, "
+        f"full scale {cell.full_scale_kpa:.4g} kPa",
+        "error of r, % of its range, on what was fitted / on each fold after fitting what comes before it:",
+        *(
+            f"  {other.label:<11} {100 * other.error:5.1f} / {_percents(other.fold_errors, 100)}"
+            + ("  <- chosen" if other is fit else "")
+            for other in calibration.fits
+        ),
+        "parameters (gains: r at full scale):",
+    ]
+    lines += [
+        f"  {p.name:<26} {p.value:10.4g} +- {p.std_error:.2g}" + ("" if p.identified else "   not identified")
+        for p in fit.parameters
+    ]
+    if any(p.name == "rest_resistance_ohm" and not p.identified for p in fit.parameters):
+        lines.append(
+            "R0 is what the model needs, not what the material has: the recording does not show the cell at rest"
+        )
+    slow = [p.name for p in fit.parameters if p.name.endswith("_s") and not p.identified]
+    if slow:
+        lines.append(f"time constants this recording cannot tell: {', '.join(slow)}")
+    if calibration.inverse_margin is not None:
+        safe = calibration.inverse_margin > 0
+        lines.append(
+            f"exact inverse: {'safe' if safe else 'not safe, two loads can give one resistance'} "
+            f"(least slope of a fast step {calibration.inverse_margin:.2g} of that at equilibrium)"
+        )
+    spans = ", ".join(
+        f"{n} from {fold.start_s:.4g} to {fold.end_s:.4g} s" for n, fold in enumerate(calibration.folds, 1)
+    )
+    lines.append(f"folds: {spans}")
+    lines.append("error of the estimators on the same folds, % of full scale:")
+    lines += [f"  {name:<11} {_percents(values)}" for name, values in cell.estimators.fold_percent.items()]
+    lines.append(f"estimator: {cell.estimators.default}, because of {cell.estimators.reason}")
+    lines += [f"note: {remark}" for remark in calibration.remarks]
+    return "\n".join(lines)
+
+
+def _percents(values: tuple[float, ...], unit: float = 1.0) -> str:
+    return " ".join(f"{unit * value:5.1f}" for value in values)
+
+
+def calibration_record(calibration: CalibrationResult) -> dict[str, Any]:
+    """What :func:`calibration_text` says, for programs: numbers, texts, lists and None only.
+
+    Errors are shares of the range of the resistance; those of the estimators are % of full scale. A number that is
+    infinite (the standard error of a parameter that is not identified) is None.
+    """
+    cell = calibration.cell
+    assert cell.estimators is not None
+    return {
+        "kind": cell.model.kind,
+        "rest_resistance_ohm": cell.rest_resistance_ohm,
+        "full_scale_kpa": cell.full_scale_kpa,
+        "fits": [
+            {
+                "kind": fit.model.kind,
+                "label": fit.label,
+                "error": fit.error,
+                "held_out_error": fit.held_out_error,
+                "folds": list(fit.fold_errors),
+            }
+            for fit in calibration.fits
+        ],
+        "parameters": [
+            {
+                "name": parameter.name,
+                "value": parameter.value,
+                "std_error": parameter.std_error if np.isfinite(parameter.std_error) else None,
+                "identified": parameter.identified,
+            }
+            for parameter in calibration.fit.parameters
+        ],
+        "inverse_margin": calibration.inverse_margin,
+        "folds_s": [[fold.start_s, fold.end_s] for fold in calibration.folds],
+        "remarks": list(calibration.remarks),
+        "estimator": cell.estimators.default,
+        "reason": cell.estimators.reason,
+        "held_out_percent": dict(cell.estimators.held_out_percent),
+        "fold_percent": {name: list(values) for name, values in cell.estimators.fold_percent.items()},
+    }
+
+
+def calibration_figure(calibration: CalibrationResult, path: str | Path) -> None:
+    """Write a PNG: the recording with the fitted model, what the model leaves, the estimate.
+
+    Raises:
+        MissingExtra: matplotlib is not installed.
+        InputError: the file cannot be written.
+    """
+    cell, recording = calibration.cell, calibration.recording
+    time, resistance = recording.time_s, recording.resistance_ohm
+    forward = cell.forward(())
+    steps = np.diff(time, prepend=time[0])
+    model = np.array([float(forward.step(dt, p)) for dt, p in zip(steps, recording.pressure_kpa, strict=True)])
+    pressure, _ = estimate_recording(cell.estimator(()), time, resistance)
+
+    with plots.drawing(3, 1, width=9, height=7, sharex=True) as (drawing, axes):
+        top, middle, bottom = axes[:, 0]
+        top.plot(time, resistance, label="measured")
+        top.plot(time, model, label=f"model ({cell.model.kind})")
+        top.set_ylabel("resistance, ohm")
+        top.legend()
+        middle.plot(time, resistance - model)
+        middle.axhline(0, color="0.7")
+        middle.set_ylabel("residual, ohm")
+        bottom.plot(time, recording.pressure_kpa, label="applied")
+        bottom.plot(time, pressure, label=f"estimate ({cell.default_estimator})")
+        bottom.set_ylabel("pressure, kPa")
+        bottom.set_xlabel("time, s")
+        bottom.legend()
+        with whole_file(path) as file:
+            drawing.savefig(file, format="png", dpi=120, facecolor="white")

@@ -1,0 +1,53 @@
+"""Readings to pressures: one :class:`..estimation.Inversion` for each material and method.
+
+====================  ==========================================================================================
+:mod:`._static`       without memory: the equilibrium curve of a model, or the calibrated cubic
+:mod:`._turning`      the paper's cell, by two hypotheses about when the pressure last turned
+:mod:`._recovery`     the same cell at rest: a Kalman filter of what it remembers
+:mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by Newton's method
+:mod:`._switched`     the paper's own estimator (P8), the baseline
+:mod:`._learned`      linear maps of the memories in :mod:`._features`, as calibration learned them
+====================  ==========================================================================================
+"""
+
+from ._features import Bank, play_follow
+from ._inverse import AsymmetricInversion, margin
+from ._learned import (
+    BEYOND,
+    DRIFT,
+    UNKNOWN_DRIFT,
+    Learned,
+    LearnedInversion,
+    Limits,
+    Numbers,
+    Reached,
+    Seen,
+    StaticCurve,
+    Terms,
+)
+from ._static import EquilibriumInversion, StaticCurveInversion, rest_slope
+from ._switched import SwitchedInversion
+from ._turning import TurningInversion
+
+__all__ = [
+    "BEYOND",
+    "DRIFT",
+    "UNKNOWN_DRIFT",
+    "AsymmetricInversion",
+    "Bank",
+    "EquilibriumInversion",
+    "Learned",
+    "LearnedInversion",
+    "Limits",
+    "Numbers",
+    "Reached",
+    "Seen",
+    "StaticCurve",
+    "StaticCurveInversion",
+    "SwitchedInversion",
+    "Terms",
+    "TurningInversion",
+    "margin",
+    "play_follow",
+    "rest_slope",
+]

@@ -1,0 +1,456 @@
+"""The exact inverse of a cell with asymmetric branches, by Newton's method: no switch, no thresholds.
+
+Where the resistance of a step rises with the load at its end, whatever the step (``margin`` positive), a reading
+has exactly one load, and the inverse is as exact as the model. Real carbon-black silicone that answers unloading
+with a rise of resistance has no such cell; there the inverse is refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from ...compiled import Loop
+from ...errors import InputError
+from ..estimation import DOUBT, GAIN, LOADS, PRESSURE, USUAL, VARIANCE, WINDOW, Inversion, credible_readings
+from ..materials import AsymmetricModel, ByStep, M10Model, as_m10, lag
+from . import _inverse_loops as loops
+
+LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST = (
+    3,
+    slice(4, 6),
+    6,
+    7,
+    8,
+    9,
+    slice(10, 13),
+    13,
+    14,
+    15,
+)
+"""rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last two steps of the
+load, variances in r of what is remembered of the branches and of the broken chains, the r of chains that may have
+broken unseen, 1 if the load left its play upwards, else 0, and the load up to which chains have broken then"""
+BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
+"""the first, of a bend of the load (its change of change between frames), makes the standard deviation of a lag over
+ramp (1 - ramp), as the load may go straight or by a step. The others, of its way in the frame after a turn, make the
+standard deviation of the way to and fro between two frames, and what is to be expected of that way: turns err to the
+same side, so this part adds up. Taken from vibrations and slips, whose drops are faster than a frame"""
+STILL_SIGMAS = 3.0
+"""half width of that play, in standard deviations: noise within it breaks no chains"""
+OVERSHOOT = 0.5
+"""of that half width: by how much noise takes the furthest load of a press beyond where the load turned"""
+
+ACCURACY = 1e-11
+"""of full scale, to which a step with a change-over is solved"""
+EVALUATIONS = 16
+"""of the model, at most, in a step with a change-over: a frame costs no more. Newton's method needs two or three
+at high sample rates, six where a step is many time constants long; bisection halves what is left otherwise"""
+
+
+def margin(model: AsymmetricModel | M10Model, full_scale_kpa: float) -> float:
+    """Least slope dr/ds of a fast step, over the slope at equilibrium; positive where the inverse is unique.
+
+    A fast unloading step leaves the branches where they are and breaks chains: a + 2 b s - k.
+    """
+    m = as_m10(model, full_scale_kpa) if isinstance(model, AsymmetricModel) else model
+    settled = max(m.a + m.b + m.alpha1 + m.alpha2, 1e-9)
+    return (m.a + min(0.0, 2 * m.b) - m.k) / settled
+
+
+class _Equation(NamedTuple):
+    """The equation for the step of n loads, as long as no branch changes over: slope step + b step^2 = change.
+
+    ``slope`` is without the branches, which follow by ``follows`` per step.
+    """
+
+    target: FloatArray
+    """(2, n) what the branches follow at first"""
+    lead: FloatArray
+    """(2, n) by which they are behind it"""
+    free: FloatArray
+    """(n,) r of the chains broken before that have not healed"""
+    breaking: FloatArray | float
+    """(n,) r of the chains that a unit of load breaks"""
+    forgets: FloatArray
+    """(2, n) share of the lead that a branch makes up for in the step"""
+    kept: FloatArray
+    """(2, n) where the branches end if the load stays"""
+    follows: FloatArray
+    """(2, n) and how much further per step of load"""
+    slope: FloatArray
+    """(n,) dr/ds of the static response and the breaking chains"""
+    change: FloatArray
+    """(n,) r that the step has to explain"""
+    width: FloatArray
+    """(n,) half width of the play in which a load counts as still"""
+    went_up: BoolArray
+    """(n,) whether the load left its play upwards the last time"""
+
+
+@dataclass(frozen=True)
+class _ChangeOver:
+    """A step of n cells of which a branch may change between charging and discharging; (2, n) are by branch."""
+
+    lead: FloatArray
+    """(2, n) by which the branches were behind their targets at first"""
+    target: FloatArray
+    """(2, n) what they followed at first"""
+    alpha: FloatArray
+    """(2, 1) targets over load"""
+    first_s: FloatArray
+    """(2, n) time constants at first"""
+    second_s: FloatArray
+    """(2, n) and after a change-over"""
+    dt_s: float
+    kept: FloatArray
+    """(2, n) where the branches would end without change-over if the load stayed"""
+    follows: FloatArray
+    """(2, n) and how much further per step of load"""
+
+    def branches(self, step: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Branches (2, n) at the end of a step (n,) of load, and their derivatives by it.
+
+        With v = alpha step/dt and q = -lead/(v T1), a branch changes over after T1 log(1 + q), and at the end is
+        behind by v T2 (1 - exp(-(time left)/T2)). All is continuous up to the first derivative; the second one is
+        (1/T2 - 1/T1)/step times something not negative and at most alpha dt.
+        """
+        speed = self.alpha * step / self.dt_s
+        turns = self.lead * speed < 0
+        since = np.divide(self.lead, speed, out=np.zeros_like(self.lead), where=turns)
+        ratio = -since / self.first_s
+        left = self.dt_s - self.first_s * np.log1p(ratio)
+        turns &= left > 0
+        done = -np.expm1(-np.maximum(left, 0) / self.second_s)
+        lags = self.second_s * done
+        ends = np.where(turns, self.target + self.alpha * step - speed * lags, self.kept + self.follows * step)
+        rates = self.alpha * (1 - (lags - (1 - done) * since / (1 + ratio)) / self.dt_s)
+        return ends, np.where(turns, rates, self.follows)
+
+
+class AsymmetricInversion(Inversion):
+    """Solves each step of :class:`~.forward.M10Forward` for its load.
+
+    As long as no branch changes between charging and discharging within the step, that is a quadratic equation. A
+    branch that does change over is, in terms of the load, convex if it rises faster than it falls, concave else
+    (see :class:`_ChangeOver`): Newton's method, from the answer without any change-over, then comes ever closer from
+    one side. Where b or opposite branches spoil that, bisection takes a step instead.
+    """
+
+    rows = (
+        *("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor", "moved", "moved_before"),
+        *("error1", "error2", "broken_error", "missed", "went_up", "furthest"),
+    )
+
+    def __init__(
+        self,
+        model: AsymmetricModel | M10Model,
+        full_scale_kpa: float,
+        *,
+        exact: bool,
+    ) -> None:
+        found = margin(model, full_scale_kpa)
+        if not found > 0:
+            raise InputError(
+                "the exact inverse of this cell has more than one answer: the resistance also rises while unloading "
+                f"(a + 2 b s - k falls to {found:.2g} of the slope at equilibrium); use another estimator"
+            )
+        self.model = m = as_m10(model, full_scale_kpa) if isinstance(model, AsymmetricModel) else model
+        self._alpha = np.array([[m.alpha1], [m.alpha2]])
+        self._rise_s, self._fall_s = np.array([[m.rise1_s], [m.rise2_s]]), np.array([[m.fall1_s], [m.fall2_s]])
+        steepest = m.a + 2 * max(m.b, 0.0) * LOADS[1] + m.alpha1 + m.alpha2 + m.k
+        credible = credible_readings(steepest)
+        self._constants_s = np.concatenate([self._rise_s, self._fall_s, [[m.tau_s]]])
+        full_r = m.a + m.b + m.alpha1 + m.alpha2
+        # With b < 0 the answer grows ever steeper towards the load where a fast step has no slope left.
+        self._highest = min(LOADS[1], max(1.0, 0.4 * (m.a - m.k) / -m.b)) if m.b < 0 else LOADS[1]
+        super().__init__(full_scale_kpa, full_r, credible=credible, exact=exact)
+        self._most_kpa = full_scale_kpa / 2
+        """standard deviation of a load of which nothing is known: no larger one is stated"""
+        self._reach = self._loads_within_reach()
+        self._weights = ByStep(_weights, self.model)
+        self._model_numbers = self._numbers_of_inverse()
+        self._of, self._crossed = np.empty((loops.ROWS, 0)), np.empty(0, dtype=np.intp)
+        self.seeming = WINDOW * self.model.k / full_scale_kpa
+
+    def begin(self, r: FloatArray) -> FloatArray:
+        m = self.model
+        slope = np.full_like(r, m.a + m.alpha1 + m.alpha2)
+        s = _root(m.b, slope, r)
+        memory = np.zeros((len(self.rows), *r.shape))
+        memory[PRESSURE], memory[LOAD], memory[BRANCHES] = s * self.full_scale_kpa, s, self._alpha * s
+        memory[GAIN], memory[ANCHOR], memory[WENT_UP], memory[FURTHEST] = self.full_scale_kpa / slope, s, 1.0, s
+        return memory
+
+    def advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
+    ) -> FloatArray:
+        gone, ramp = lag.weights(dt_s, self._constants_s)  # (5, 1) or (5, n)
+        of = self._equation(memory, r, std, gone, ramp)
+        step, branches = self._step_of_load(memory, dt_s, of)
+        m, new = self.model, memory.copy()
+        new[LOAD], new[BRANCHES], new[BROKEN] = memory[LOAD] + step, branches, of.free + of.breaking * np.abs(step)
+        if not self.exact:
+            self._limit(new, r, std)
+        if not self.exact and m.k:
+            new[WENT_UP] = of.went_up
+            new[FURTHEST] = np.where(of.breaking != 0.0, new[LOAD], memory[FURTHEST])
+        new[PRESSURE] = new[LOAD] * self.full_scale_kpa
+        new[ANCHOR] = np.maximum(np.minimum(memory[ANCHOR], new[LOAD] + of.width), new[LOAD] - of.width)
+        new[GAIN] = self.full_scale_kpa / np.maximum(m.a + 2 * m.b * new[LOAD] - m.k, 0.05 * self.full_scale_r)
+        if not self.exact:
+            self._err(new, of.forgets, gone[4], of.follows, step, std)
+        return new
+
+    def _equation(
+        self, memory: FloatArray, r: FloatArray, std: FloatArray, gone: FloatArray, ramp: FloatArray
+    ) -> _Equation:
+        """The equation for the step of the load at readings ``r`` (n,) known to ``std`` (n,).
+
+        ``gone`` and ``ramp`` (5, 1 or n) are the weights of the rising and falling branches and of the broken chains.
+        """
+        m, alpha, s0 = self.model, self._alpha, memory[LOAD]
+        target = alpha * s0
+        lead = target - memory[BRANCHES]
+        free = memory[BROKEN] * (1 - gone[4])
+        breaking: FloatArray | float = m.k * (1 - ramp[4])
+        ahead = lead > 0
+        forgets = np.where(ahead, gone[:2], gone[2:4])
+        kept = memory[BRANCHES] + lead * forgets
+        slope = m.a + 2 * m.b * s0
+        change = r - (m.a + m.b * s0) * s0 - free - kept[0] - kept[1]
+        up = change > 0  # r rises with the load, so that this is also the sign of the step
+        charging = ahead | ((lead == 0) & up)
+        follows = np.where(charging, alpha * ramp[:2], alpha * ramp[2:4])
+        width = STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
+        went_up = up
+        if not self.exact and m.k:
+            still = slope + follows[0] + follows[1]
+            moves = np.abs(s0 + change / np.maximum(still, 1e-9) - memory[ANCHOR]) > width
+            breaking = np.where(moves, breaking, 0.0)
+            # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
+            # back has broken them before, up to where it was.
+            went_up = memory[WENT_UP] > 0
+            gone_back = (memory[FURTHEST] - s0) * np.where(went_up, 1.0, -1.0) - OVERSHOOT * width
+            gone_back = np.clip(gone_back, 0.0, 2.0 * width)
+            again = np.maximum((memory[FURTHEST] - s0) * np.where(up, 1.0, -1.0), 0.0)
+            crossed_play = np.where(moves, np.where(up != went_up, m.k * gone_back, -(m.k * again)), 0.0)
+            free += crossed_play
+            change -= crossed_play
+            went_up = np.where(moves, up, went_up)
+        slope = slope + np.where(up, breaking, -breaking)
+        return _Equation(target, lead, free, breaking, forgets, kept, follows, slope, change, width, went_up)
+
+    def _step_of_load(self, memory: FloatArray, dt_s: float, of: _Equation) -> tuple[FloatArray, FloatArray]:
+        """Steps (n,) of the load that solve the equation, and the branches (2, n) after them."""
+        alpha, slope = self._alpha, of.slope
+        step = _root(self.model.b, slope + of.follows[0] + of.follows[1], of.change)
+        branches = of.kept + of.follows * step
+        crossed = np.flatnonzero(((of.target + alpha * step - branches) * of.lead < 0).any(axis=0))
+        if crossed.size:
+            discharging = of.lead[:, crossed] < 0
+            change_over = _ChangeOver(
+                lead=of.lead[:, crossed],
+                target=of.target[:, crossed],
+                alpha=alpha,
+                first_s=np.where(discharging, self._fall_s, self._rise_s),
+                second_s=np.where(discharging, self._rise_s, self._fall_s),
+                dt_s=dt_s,
+                kept=of.kept[:, crossed],
+                follows=of.follows[:, crossed],
+            )
+            bend = (alpha * dt_s * np.abs(1 / self._rise_s - 1 / self._fall_s)).sum(axis=0)
+            step[crossed], branches[:, crossed] = self._solved(
+                change_over, bend, slope[crossed], of.change[crossed], step[crossed], memory[LOAD, crossed]
+            )
+        return step, branches
+
+    def loops_used(self) -> tuple[Loop[..., Any], ...]:
+        return loops.ALL
+
+    def _numbers_of_inverse(self) -> FloatArray:
+        """What the loops take."""
+        m, full = self.model, self.full_scale_kpa
+        numbers = {
+            **{loops.A: m.a, loops.B: m.b, loops.K: m.k, loops.ALPHA: m.alpha1, loops.ALPHA + 1: m.alpha2},
+            **{loops.RISE_S: m.rise1_s, loops.RISE_S + 1: m.rise2_s},
+            **{loops.FALL_S: m.fall1_s, loops.FALL_S + 1: m.fall2_s},
+            loops.FULL_KPA: full,
+            loops.FULL_R: self.full_scale_r,
+            loops.HIGHEST: self._highest,
+            loops.IN_DOUBT: min(USUAL, self._highest),
+            loops.DOUBT_KPA2: (DOUBT * full) ** 2,
+            loops.MOST_KPA2: self._most_kpa**2,
+            loops.LOWEST_END: self._reach[0],
+            loops.HIGHEST_END: self._reach[1],
+            loops.STILL: STILL_SIGMAS,
+            loops.OVERSHOOT: OVERSHOOT,
+            loops.BETWEEN: BETWEEN,
+            loops.BY_TURNS: AROUND * m.k,
+            loops.TO_AND_FRO: TO_AND_FRO * m.k,
+            loops.ACCURACY: ACCURACY,
+            loops.EVALUATIONS: EVALUATIONS,
+        }
+        return np.array([float(numbers[place]) for place in range(len(numbers))])
+
+    def advance_compiled(
+        self, memory: FloatArray, taken: FloatArray, dt_s: float, doubt: Callable[[], FloatArray]
+    ) -> FloatArray:
+        numbers, cells = self._model_numbers, memory.shape[1]
+        if self._crossed.size != cells:
+            self._of, self._crossed = np.empty((loops.ROWS, cells)), np.empty(cells, dtype=np.intp)
+        of, crossed, (gone, ramp) = self._of, self._crossed, self._weights.of(dt_s)
+        count = loops.solve.code(memory, taken, gone, ramp, numbers, of, crossed)
+        if count:
+            loops.solve_crossed.code(memory, crossed, count, dt_s, numbers, of)
+        loops.finish.code(memory, taken, float(gone[4]), numbers, of)
+        return memory
+
+    def _err(
+        self,
+        memory: FloatArray,
+        forgets: FloatArray,
+        heals: FloatArray,
+        follows: FloatArray,
+        step: FloatArray,
+        std: FloatArray,
+    ) -> None:
+        """Follow the standard deviations of what is remembered; changes ``memory``.
+
+        What a load does between two frames is not seen: it may go straight or by a step, and turn in between. How much
+        this may be, its bends from frame to frame tell. What is remembered wrong is forgotten as what is remembered.
+        """
+        still = STILL_SIGMAS * std * memory[GAIN] / self.full_scale_kpa
+        bend = np.maximum(np.abs(step - memory[MOVED]) - still, 0.0)
+        # A load that turned may have gone on beforehand, and come back, by as much as it moves in a frame.
+        turned = (-np.sign(step) * memory[[MOVED, BEFORE]] > still / STILL_SIGMAS).any(axis=0)
+        way = np.maximum(np.abs(step) - still, 0.0) * turned
+        errors = memory[ERRORS]
+        errors[:2] *= (1 - forgets) ** 2
+        errors[2] *= (1 - heals) ** 2
+        errors[:2] += (BETWEEN * bend * follows * (1 - follows / np.maximum(self._alpha, 1e-9))) ** 2
+        errors[2] += (AROUND * self.model.k * way) ** 2
+        memory[MISSED] *= 1 - heals
+        memory[MISSED] += TO_AND_FRO * self.model.k * way
+        memory[BEFORE] = memory[MOVED]
+        memory[MOVED] = step
+        variance = (errors.sum(axis=0) + memory[MISSED] ** 2) * memory[GAIN] ** 2
+        memory[VARIANCE] = np.minimum(variance, self._most_kpa**2)
+
+    def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
+        """Motion within the noise breaks chains, which seems to be a load that rises."""
+        memory[MISSED] += rise_kpa / memory[GAIN]
+
+    def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
+        """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.
+
+        Where the model needs a pull, it remembers less; where it needs too large a load, it has missed broken chains.
+        While the memory is in doubt, less is too large.
+        """
+        allowed = -(3 * std / self.full_scale_r + 0.01)
+        load = memory[LOAD]
+        in_doubt = min(USUAL, self._highest)
+        highest = np.where(memory[VARIANCE] > (DOUBT * self.full_scale_kpa) ** 2, in_doubt, self._highest)
+        pulled = load < allowed
+        if pulled.any():
+            s = np.broadcast_to(allowed, load.shape)[pulled]
+            left = r[pulled] - (self.model.a + self.model.b * s) * s
+            remembered = memory[4:7, pulled].sum(axis=0)
+            share = np.clip(np.divide(left, remembered, out=np.zeros_like(left), where=remembered > 0), 0, 1)
+            memory[4:7, pulled] *= share
+            load[pulled] = s
+        beyond = load >= highest
+        if beyond.any():
+            load[beyond] = s = highest[beyond]
+            left = r[beyond] - (self.model.a + self.model.b * s) * s - memory[4:7, beyond].sum(axis=0)
+            # No load that is believed explains so much: chains have broken unseen.
+            if self.model.k > 0:
+                memory[BROKEN, beyond] += np.maximum(left, 0.0)
+
+    def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
+        held = memory.copy()
+        s = memory[LOAD]
+        held[BRANCHES] = self._branches(memory, dt_s, s)
+        held[BROKEN] *= np.exp(-dt_s / self.model.tau_s)
+        return held
+
+    def settled(self, memory: FloatArray, band: float) -> BoolArray:
+        found: BoolArray = np.abs(memory[4:7]).sum(axis=0) < band
+        return found
+
+    def _solved(
+        self,
+        change_over: _ChangeOver,
+        bend: FloatArray,
+        slope: FloatArray,
+        change: FloatArray,
+        step: FloatArray,
+        load: FloatArray,
+    ) -> tuple[FloatArray, FloatArray]:
+        """Steps (n,) of ``load``, and branches (2, n) after them, by Newton's method within a bracket.
+
+        Solves slope step + b step^2 + branches - kept = ``change``, from ``step`` on. The left side rises with the
+        step and is zero without one, so that the root lies between zero and the end of the loads within reach; that
+        end answers what is beyond it. ``bend`` bounds the second derivative of the branches times the step.
+        """
+        b, kept = self.model.b, change_over.kept[0] + change_over.kept[1]
+        up = change > 0
+        end = np.where(up, np.maximum(self._reach[1] - load, 0.0), np.minimum(self._reach[0] - load, 0.0))
+        low, high = np.minimum(end, 0.0), np.maximum(end, 0.0)
+        step = np.clip(step, low, high)
+        tried = step == end
+        for _ in range(EVALUATIONS - 1):
+            ends, rates = change_over.branches(step)
+            rate = slope + 2 * b * step + rates[0] + rates[1]
+            excess = (slope + b * step) * step + ends[0] + ends[1] - kept - change
+            low, high = np.where(excess > 0, low, step), np.where(excess > 0, step, high)
+            rises = rate > 1e-6
+            move = np.divide(-excess, rate, out=np.zeros_like(rate), where=rises)
+            newton = np.clip(step + move, low, high)
+            # What a step of Newton's leaves is the next term of Taylor's series.
+            next_term = (bend + np.abs(b * step)) * move**2
+            small = (next_term <= ACCURACY * rate * np.abs(step)) | (np.abs(move) <= ACCURACY)
+            solved = (rises & small) | (low == high)
+            if solved.all():
+                return newton, ends + rates * (newton - step)
+            inside = solved | (rises & (low < newton) & (newton < high))
+            to_end = rises & (newton == end) & ~tried
+            step = np.where(inside | to_end, newton, 0.5 * (low + high))
+            tried |= to_end
+        return step, change_over.branches(step)[0]
+
+    def _branches(self, memory: FloatArray, dt_s: float | FloatArray, s: FloatArray) -> FloatArray:
+        """Branches (2, n) after a step to load ``s``, through any change-over."""
+        before, after = self._alpha * memory[LOAD], self._alpha * s
+        return lag.asymmetric(memory[BRANCHES], before, after, dt_s, self._rise_s, self._fall_s)
+
+    def _loads_within_reach(self) -> tuple[float, float]:
+        """Loads beyond which none is looked for.
+
+        Beyond the top or the bottom of a curve with b is no load. A step is finite anyway: readings are credible.
+        """
+        m = self.model
+        widest = self.credible[1] / max(m.a - m.k, 1e-9)
+        bottom = -(m.a - m.k) / (2 * m.b) if m.b > 0 else -widest
+        top = (m.a - m.k) / (-2 * m.b) if m.b < 0 else widest
+        if self.exact:
+            return bottom, top
+        return max(bottom, LOADS[0]), min(top, self._highest)
+
+
+def _weights(model: M10Model, dt_s: float) -> tuple[FloatArray, FloatArray]:
+    """What lags forget in ``dt_s``, and their answers to a ramp: of rising and falling branches and broken chains."""
+    m = model
+    return lag.weights(dt_s, np.array([m.rise1_s, m.rise2_s, m.fall1_s, m.fall2_s, m.tau_s]))
+
+
+def _root(b: float, slope: FloatArray, change: FloatArray) -> FloatArray:
+    """The small root of b x^2 + slope x = change; where there is none, the top of the parabola."""
+    if b:
+        change = np.minimum(change, slope**2 / (-4 * b)) if b < 0 else np.maximum(change, slope**2 / (-4 * b))
+    root: FloatArray = 2 * change / (slope + np.sqrt(np.maximum(slope**2 + 4 * b * change, 0)))
+    return root

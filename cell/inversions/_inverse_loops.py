@@ -1,0 +1,246 @@
+"""The frame of :class:`._inverse.AsymmetricInversion` as loops over cells for :mod:`ohmskin.compiled`.
+
+The loops do what the array operations of its ``advance`` do, in the same order. A step has three parts: the quadratic
+equation of every cell, Newton's method for all cells together of which a branch changes over, and the new memory.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ...compiled import FixedRow, Places, Rows, loop
+from ..estimation import GAIN, PRESSURE, SMOOTHED, STD, VARIANCE
+
+LOAD, BRANCH, BROKEN, ANCHOR, MOVED, BEFORE, ERROR, MISSED, WENT_UP, FURTHEST = 3, 4, 6, 7, 8, 9, 10, 13, 14, 15
+"""rows of the memory, see :mod:`._inverse`; two branches, and three variances"""
+
+A, B, K, ALPHA, RISE_S, FALL_S = 0, 1, 2, 3, 5, 7
+FULL_KPA, FULL_R, HIGHEST, IN_DOUBT, DOUBT_KPA2, MOST_KPA2, LOWEST_END, HIGHEST_END = range(9, 17)
+STILL, BETWEEN, BY_TURNS, TO_AND_FRO, ACCURACY, EVALUATIONS, OVERSHOOT = range(17, 24)
+"""places of the estimator's numbers: of its model, with two branches; full scale; the largest loads that are believed,
+in general and while the memory is in doubt, which it is beyond a variance in kPa^2; the largest variance; the loads
+within reach; and the constants of :mod:`._inverse`, those of turns times ``k``"""
+
+FREE, BREAKING, FORGETS, KEPT, FOLLOWS, SLOPE, CHANGE, STEP, NEW_BRANCH, WIDTH, UP = 0, 1, 2, 4, 6, 8, 9, 10, 11, 13, 14
+"""rows of what a step finds for each cell; two rows where there is one for each branch"""
+LOW, HIGH, NEWTON, NEXT, RATE, TRIED = 15, 16, 17, 18, 19, 21
+"""rows of Newton's method, for the first cells instead"""
+ROWS = 22
+
+
+@loop
+def root(b: float, slope: float, change: float) -> float:
+    """:func:`._inverse._root` of one cell."""
+    if b < 0.0:
+        change = min(change, slope * slope / (-4.0 * b))
+    elif b > 0.0:
+        change = max(change, slope * slope / (-4.0 * b))
+    return 2.0 * change / (slope + math.sqrt(max(slope * slope + 4.0 * b * change, 0.0)))
+
+
+@loop
+def solve(
+    memory: Rows, taken: Rows, gone: FixedRow, ramp: FixedRow, numbers: FixedRow, of: Rows, crossed: Places
+) -> int:
+    """Steps of the load without change-over, into ``of``; how many cells have one, of which ``crossed`` tells.
+
+    ``gone`` and ``ramp`` (5,) are the weights of the rising and the falling branches and of the broken chains.
+    """
+    a, b, k = numbers[A], numbers[B], numbers[K]
+    count = 0
+    for i in range(memory.shape[1]):
+        s0, std, anchor = memory[LOAD, i], taken[STD, i], memory[ANCHOR, i]
+        free = memory[BROKEN, i] * (1.0 - gone[4])
+        breaking = k * (1.0 - ramp[4])
+        for j in range(2):
+            lead = numbers[ALPHA + j] * s0 - memory[BRANCH + j, i]
+            of[FORGETS + j, i] = gone[j] if lead > 0.0 else gone[2 + j]
+            of[KEPT + j, i] = memory[BRANCH + j, i] + lead * of[FORGETS + j, i]
+        slope = a + 2.0 * b * s0
+        change = taken[SMOOTHED, i] - (a + b * s0) * s0 - free - of[KEPT, i] - of[KEPT + 1, i]
+        up = change > 0.0  # r rises with the load, so that this is also the sign of the step
+        for j in range(2):
+            alpha = numbers[ALPHA + j]
+            lead = alpha * s0 - memory[BRANCH + j, i]
+            charging = lead > 0.0 or (lead == 0.0 and up)
+            of[FOLLOWS + j, i] = alpha * ramp[j] if charging else alpha * ramp[2 + j]
+        width = numbers[STILL] * std * memory[GAIN, i] / numbers[FULL_KPA]
+        went_up = up
+        if k != 0.0:
+            still = slope + of[FOLLOWS, i] + of[FOLLOWS + 1, i]
+            moves = abs(s0 + change / max(still, 1e-9) - anchor) > width
+            # A load that has turned has crossed its play, and broken chains there. One that goes on after noise took it
+            # back has broken them before, up to where it was.
+            went_up = memory[WENT_UP, i] > 0.0
+            if moves:
+                if up != went_up:
+                    gone_back = (memory[FURTHEST, i] - s0) * (1.0 if went_up else -1.0) - numbers[OVERSHOOT] * width
+                    crossed_play = k * min(max(gone_back, 0.0), 2.0 * width)
+                    free += crossed_play
+                    change -= crossed_play
+                else:
+                    again = k * max((memory[FURTHEST, i] - s0) * (1.0 if up else -1.0), 0.0)
+                    free -= again
+                    change += again
+                went_up = up
+            else:
+                breaking = 0.0
+        slope = slope + (breaking if up else -breaking)
+        step = root(b, slope + of[FOLLOWS, i] + of[FOLLOWS + 1, i], change)
+        crosses = False
+        for j in range(2):
+            target = numbers[ALPHA + j] * s0
+            branch = of[KEPT + j, i] + of[FOLLOWS + j, i] * step
+            of[NEW_BRANCH + j, i] = branch
+            lead = target - memory[BRANCH + j, i]
+            crosses |= (target + numbers[ALPHA + j] * step - branch) * lead < 0.0
+        of[FREE, i], of[BREAKING, i], of[SLOPE, i], of[CHANGE, i] = free, breaking, slope, change
+        of[STEP, i], of[WIDTH, i], of[UP, i] = step, width, 1.0 if went_up else 0.0
+        if crosses:
+            crossed[count] = i
+            count += 1
+    return count
+
+
+@loop
+def change_over(
+    memory: Rows, i: int, j: int, step: float, dt_s: float, numbers: FixedRow, of: Rows
+) -> tuple[float, float]:
+    """:meth:`._inverse._ChangeOver.branches` of cell ``i`` and branch ``j``: where it ends, and its derivative."""
+    alpha = numbers[ALPHA + j]
+    target = alpha * memory[LOAD, i]
+    lead = target - memory[BRANCH + j, i]
+    speed = alpha * step / dt_s
+    if lead * speed < 0.0:
+        first_s, second_s = numbers[RISE_S + j], numbers[FALL_S + j]
+        if lead < 0.0:
+            first_s, second_s = second_s, first_s
+        since = lead / speed
+        ratio = -since / first_s
+        left = dt_s - first_s * math.log1p(ratio)
+        if left > 0.0:
+            done = -math.expm1(-left / second_s)
+            lags = second_s * done
+            rate = alpha * (1.0 - (lags - (1.0 - done) * since / (1.0 + ratio)) / dt_s)
+            return target + alpha * step - speed * lags, rate
+    return of[KEPT + j, i] + of[FOLLOWS + j, i] * step, of[FOLLOWS + j, i]
+
+
+@loop
+def solve_crossed(memory: Rows, crossed: Places, count: int, dt_s: float, numbers: FixedRow, of: Rows) -> None:
+    """:meth:`._inverse.AsymmetricInversion._solved`, for the first ``count`` of the cells ``crossed``."""
+    b, accuracy = numbers[B], numbers[ACCURACY]
+    bend = 0.0
+    for j in range(2):
+        bend += numbers[ALPHA + j] * dt_s * abs(1.0 / numbers[RISE_S + j] - 1.0 / numbers[FALL_S + j])
+    for n in range(count):
+        i = crossed[n]
+        load = memory[LOAD, i]
+        if of[CHANGE, i] > 0.0:
+            of[LOW, n], of[HIGH, n] = 0.0, max(numbers[HIGHEST_END] - load, 0.0)
+            of[TRIED, n] = of[HIGH, n]
+        else:
+            of[LOW, n], of[HIGH, n] = min(numbers[LOWEST_END] - load, 0.0), 0.0
+            of[TRIED, n] = of[LOW, n]
+        of[STEP, i] = min(max(of[STEP, i], of[LOW, n]), of[HIGH, n])
+        if of[STEP, i] == of[TRIED, n]:
+            of[TRIED, n] = math.inf  # the end has been tried
+    for left in range(int(numbers[EVALUATIONS]) - 1, -1, -1):
+        all_solved = True
+        for n in range(count):
+            i = crossed[n]
+            step, slope, change = of[STEP, i], of[SLOPE, i], of[CHANGE, i]
+            of[NEW_BRANCH, i], of[RATE, n] = change_over(memory, i, 0, step, dt_s, numbers, of)
+            of[NEW_BRANCH + 1, i], of[RATE + 1, n] = change_over(memory, i, 1, step, dt_s, numbers, of)
+            if left == 0:
+                continue
+            rate = slope + 2.0 * b * step + of[RATE, n] + of[RATE + 1, n]
+            kept = of[KEPT, i] + of[KEPT + 1, i]
+            excess = (slope + b * step) * step + of[NEW_BRANCH, i] + of[NEW_BRANCH + 1, i] - kept - change
+            if excess > 0.0:
+                of[HIGH, n] = step
+            else:
+                of[LOW, n] = step
+            low, high = of[LOW, n], of[HIGH, n]
+            rises = rate > 1e-6
+            move = -excess / rate if rises else 0.0
+            newton = min(max(step + move, low), high)
+            # What a step of Newton's leaves is the next term of Taylor's series.
+            next_term = (bend + abs(b * step)) * (move * move)
+            small = next_term <= accuracy * rate * abs(step) or abs(move) <= accuracy
+            solved = (rises and small) or low == high
+            to_end = rises and newton == of[TRIED, n]
+            inside = solved or (rises and low < newton and newton < high)
+            of[NEWTON, n] = newton
+            of[NEXT, n] = newton if inside or to_end else 0.5 * (low + high)
+            if to_end:
+                of[TRIED, n] = math.inf
+            all_solved = all_solved and solved
+        if left == 0:
+            return
+        for n in range(count):
+            i = crossed[n]
+            if all_solved:
+                move = of[NEWTON, n] - of[STEP, i]
+                of[NEW_BRANCH, i] += of[RATE, n] * move
+                of[NEW_BRANCH + 1, i] += of[RATE + 1, n] * move
+                of[STEP, i] = of[NEWTON, n]
+            else:
+                of[STEP, i] = of[NEXT, n]
+        if all_solved:
+            return
+
+
+@loop
+def finish(memory: Rows, taken: Rows, heals: float, numbers: FixedRow, of: Rows) -> None:
+    """The memory after the steps, its limits and its errors: the rest of ``advance``, ``_limit`` and ``_err``."""
+    a, b, k, full_kpa = numbers[A], numbers[B], numbers[K], numbers[FULL_KPA]
+    for i in range(memory.shape[1]):
+        r, std, step, width = taken[SMOOTHED, i], taken[STD, i], of[STEP, i], of[WIDTH, i]
+        load = memory[LOAD, i] + step
+        one, other = of[NEW_BRANCH, i], of[NEW_BRANCH + 1, i]
+        broken = of[FREE, i] + of[BREAKING, i] * abs(step)
+        allowed = -(3.0 * std / numbers[FULL_R] + 0.01)
+        if load < allowed:
+            load = allowed
+            left, remembered = r - (a + b * load) * load, one + other + broken
+            share = min(max(left / remembered, 0.0), 1.0) if remembered > 0.0 else 0.0
+            one, other, broken = one * share, other * share, broken * share
+        highest = numbers[IN_DOUBT] if memory[VARIANCE, i] > numbers[DOUBT_KPA2] else numbers[HIGHEST]
+        if load >= highest:
+            load = highest
+            left = r - (a + b * load) * load - (one + other + broken)
+            if k > 0.0:  # No load that is believed explains so much: chains have broken unseen.
+                broken += max(left, 0.0)
+        if k != 0.0:
+            memory[WENT_UP, i] = of[UP, i]
+            if of[BREAKING, i] != 0.0:
+                memory[FURTHEST, i] = load
+        gain = full_kpa / max(a + 2.0 * b * load - k, 0.05 * numbers[FULL_R])
+        memory[LOAD, i], memory[BRANCH, i], memory[BRANCH + 1, i], memory[BROKEN, i] = load, one, other, broken
+        memory[PRESSURE, i], memory[GAIN, i] = load * full_kpa, gain
+        memory[ANCHOR, i] = max(min(memory[ANCHOR, i], load + width), load - width)
+
+        still = numbers[STILL] * std * gain / full_kpa
+        bend = max(abs(step - memory[MOVED, i]) - still, 0.0)
+        # A load that turned may have gone on beforehand, and come back, by as much as it moves in a frame.
+        sign = 1.0 if step > 0.0 else (-1.0 if step < 0.0 else 0.0)
+        little = still / numbers[STILL]
+        turned = -sign * memory[MOVED, i] > little or -sign * memory[BEFORE, i] > little
+        way = max(abs(step) - still, 0.0) if turned else 0.0
+        for j in range(2):
+            stays = 1.0 - of[FORGETS + j, i]
+            follows, alpha = of[FOLLOWS + j, i], max(numbers[ALPHA + j], 1e-9)
+            lag = numbers[BETWEEN] * bend * follows * (1.0 - follows / alpha)
+            memory[ERROR + j, i] = memory[ERROR + j, i] * (stays * stays) + lag * lag
+        by_turns = numbers[BY_TURNS] * way
+        memory[ERROR + 2, i] = memory[ERROR + 2, i] * ((1.0 - heals) * (1.0 - heals)) + by_turns * by_turns
+        missed = memory[MISSED, i] * (1.0 - heals) + numbers[TO_AND_FRO] * way
+        memory[MISSED, i] = missed
+        memory[BEFORE, i] = memory[MOVED, i]
+        memory[MOVED, i] = step
+        errors = memory[ERROR, i] + memory[ERROR + 1, i] + memory[ERROR + 2, i]
+        memory[VARIANCE, i] = min((errors + missed * missed) * (gain * gain), numbers[MOST_KPA2])
+
+
+ALL = solve, solve_crossed, finish

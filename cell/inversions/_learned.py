@@ -1,0 +1,347 @@
+"""Estimators learned at calibration: what they are (tables of CELL.toml), and how they run."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import lru_cache
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+from scipy.optimize import isotonic_regression
+from scipy.special import ndtri
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...config import Finite, NotNegative, Positive, Section
+from ..estimation import GAIN, PRESSURE, VARIANCE, Inversion
+from ._features import Bank
+
+Numbers = Annotated[tuple[Finite, ...], Field(strict=False, min_length=1, max_length=4000)]
+"""a list in TOML, not empty"""
+Positives = Annotated[tuple[Positive, ...], Field(strict=False, max_length=64)]
+
+CLIP = 3.5
+"""standard deviations to which a feature is limited: beyond, nothing was learned"""
+DRIFT = 1.5
+"""by which a standard deviation exceeds the error held out at calibration: creep goes on for hours after it"""
+UNKNOWN_DRIFT = 0.6
+"""share of the drift seen at calibration that is taken for the standard deviation of the drift afterwards"""
+STEEPER = 2.0
+"""times the mean slope of load over resistance, that a curve may have where nobody recorded it"""
+SATURATED = 5.0
+"""times the mean slope, that the slope at the end of a static curve counts as at most"""
+BEYOND = 1.2
+"""times the largest load learned from, that is answered at most: calibration may have missed full scale"""
+FADES = 0.25
+"""range of the recorded readings, beyond it, over which the share of the static curve fades"""
+CREDIBLE = 3.0
+"""ranges of the readings learned from, by which a credible reading may lie outside"""
+STILL = 0.01
+"""a cell is estimated afresh when a feature has moved by this many standard deviations since the last time"""
+POINTS = 1025
+"""of a tabulated static curve"""
+BLOCK = 512
+"""cells mapped at once, so that the cosines stay in the processor's cache"""
+
+
+class Limits(Section):
+    """What a learned estimator may answer, as normalised load."""
+
+    lowest: Finite
+    highest: Finite
+
+
+class Seen(Section):
+    """What the calibration recording was like: with what readings and loads standard deviations hold."""
+
+    noise: NotNegative = 0.0
+    """of a reading from sample to sample, relative to it"""
+    step_s: NotNegative = 0.0
+    """usual time between samples"""
+    speed_kpa_per_s: NotNegative = 0.0
+    """rms change of the load in a second"""
+    longest_load_s: NotNegative = 0.0
+    """how long the cell was loaded at most; 0: in files of earlier versions"""
+
+
+class Reached(Section):
+    """Range of each feature in what a map was learned from, as normalised resistance.
+
+    Beyond the range nothing is known of the cell. A feature that lies outside by some resistance may stand for a load
+    of :data:`STEEPER` times what this resistance is at equilibrium, and the standard deviation grows by that load.
+    """
+
+    lowest: Numbers
+    highest: Numbers
+
+    def excess(self, features: FloatArray) -> FloatArray:
+        """(m,) by how much the features (count, m) leave their ranges, of the feature that does so most."""
+        low, high = self.columns
+        return np.asarray(np.maximum(np.maximum(low - features, features - high).max(axis=0), 0.0))
+
+    @property
+    def columns(self) -> tuple[FloatArray, FloatArray]:
+        """The lowest and highest features as arrays (count, 1) that nobody may write to."""
+        return _column(self.lowest), _column(self.highest)
+
+
+class StaticCurve(Section):
+    """A cubic from the reading to the load: of r, or of log(R0/R) where contact dominates."""
+
+    coefficients: Numbers
+    """of the powers 0, 1, ... of the reading"""
+    logarithmic: bool = False
+    limits: Limits
+    std_kpa: Positive
+    reached: Reached | None = None
+    """range of the reading that the curve was fitted to; None: in files of earlier versions"""
+
+    def load(self, r: FloatArray) -> FloatArray:
+        """The normalised load for a normalised resistance, not limited; a straight line beyond what was recorded."""
+        x = self.reading(r)
+        if self.reached is None:
+            return np.asarray(np.polynomial.Polynomial(self.coefficients)(x))
+        # A cubic may turn back, above all beyond the readings that it was fitted to: an overload would read as none.
+        low, high = self.reached.lowest[0], self.reached.highest[0]
+        reading, load = _monotone(self.coefficients, low, high)
+        slope = (load[-1] - load[0]) / max(high - low, 1e-12)
+        return np.asarray(np.interp(x, reading, load) + slope * (x - np.clip(x, low, high)))
+
+    def doubt(self, r: FloatArray) -> FloatArray:
+        """Standard deviation, normalised load, that readings beyond the range of the recording add.
+
+        Towards more load it grows with the slope that the cubic has there: readings that saturate tell little.
+        """
+        if self.reached is None:
+            return np.zeros_like(r)
+        x, low, high = self.reading(r), self.reached.lowest[0], self.reached.highest[0]
+        mean, slope = _end_slopes(self.coefficients, low, high)
+        more, less = (x - high, low - x) if mean > 0 else (low - x, x - high)
+        return np.asarray(STEEPER * (slope * np.maximum(more, 0.0) + abs(mean) * np.maximum(less, 0.0)))
+
+    def reading(self, r: FloatArray) -> FloatArray:
+        """What the cubic is one of."""
+        return -np.log(np.maximum(1 + r, 1e-6)) if self.logarithmic else r
+
+
+@lru_cache(maxsize=256)
+def _monotone(coefficients: tuple[float, ...], low: float, high: float) -> tuple[FloatArray, FloatArray]:
+    """Readings (:data:`POINTS`,) from ``low`` to ``high``, and the loads there of the monotone curve next to a cubic.
+
+    This is isotonic regression, in the direction in which the cubic goes from one end to the other.
+    """
+    cubic, reading = np.polynomial.Polynomial(coefficients), np.linspace(low, high, POINTS)
+    load = cubic(reading)
+    return reading, isotonic_regression(load, increasing=bool(load[-1] >= load[0])).x
+
+
+@lru_cache(maxsize=256)
+def _end_slopes(coefficients: tuple[float, ...], low: float, high: float) -> tuple[float, float]:
+    """Mean slope of a cubic from ``low`` to ``high``, and the size of its slope at the end with more load, limited."""
+    cubic = np.polynomial.Polynomial(coefficients)
+    mean = (cubic(high) - cubic(low)) / max(high - low, 1e-12)
+    slope = np.clip(abs(cubic.deriv()(high if mean > 0 else low)), abs(mean), SATURATED * abs(mean))
+    return float(mean), float(slope)
+
+
+@lru_cache(maxsize=256)
+def _column(values: tuple[float, ...]) -> FloatArray:
+    """Numbers of a table as an array (count, 1) that nobody may write to."""
+    column = np.array(values)[:, None]
+    column.flags.writeable = False
+    return column
+
+
+class Learned(Section):
+    """A linear map of features, their cosines along fixed random directions, and the first one's powers.
+
+    The directions follow from ``seed``, so that all cells of a skin share them and the file stays short.
+    """
+
+    smoothing_s: Positive
+    smoothed: bool = True
+    """whether the first feature is the smoothed reading, as in files of earlier versions, or the last one"""
+    lags_s: Positives
+    plays: Positives
+    paths_s: Positives = ()
+    """() in files of earlier versions"""
+    mean: Numbers
+    scale: Positives
+    seed: Annotated[int, Field(ge=0)] = 0
+    directions: Annotated[int, Field(ge=0, le=3000)] = 0
+    weights: Numbers
+    """1, features, square and cube of the first feature, cosines -> normalised load"""
+    error_weights: Numbers
+    """the same -> expected absolute error of it"""
+    std_factor: Positive
+    """from expected absolute error to a standard deviation that held-out data bore out"""
+    std_floor: NotNegative
+    limits: Limits
+    reached: Reached | None = None
+    """between which values the features lay that were learned from; None: in files of earlier versions"""
+    static_share: Annotated[float, Field(ge=0, le=1)] = 0.0
+    """share of the answer that is the static curve's; the rest is the map's"""
+    beyond_recorded: bool = False
+    """whether the map is followed to readings that were simulated and not recorded, since its model explains the
+    resistance; otherwise a straight line goes on from the recorded ones"""
+
+    @property
+    def bank(self) -> Bank:
+        """The memories that make the features."""
+        return Bank(self.smoothing_s, self.lags_s, self.plays, self.paths_s, self.smoothed)
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if self.paths_s and len(self.plays) < 2:
+            raise ValueError(f"paths_s needs two plays at least, got {len(self.plays)}")
+        count = self.bank.count
+        terms = 3 + count + self.directions
+        for name, length in (("mean", count), ("scale", count), ("weights", terms), ("error_weights", terms)):
+            if len(getattr(self, name)) != length:
+                raise ValueError(f"{name} must have {length} entries, got {len(getattr(self, name))}")
+        if self.reached is not None and {len(self.reached.lowest), len(self.reached.highest)} != {count}:
+            raise ValueError(f"reached must have {count} entries each")
+        return self
+
+
+class Terms:
+    """Features (count, m) to the terms of the linear map (m, 3 + count + directions)."""
+
+    def __init__(
+        self, mean: FloatArray, scale: FloatArray, seed: int, directions: int, dtype: type[np.floating] = np.float64
+    ) -> None:
+        self.mean, self.scale = mean, scale
+        raw = np.random.PCG64(seed).random_raw((len(mean) + 1) * directions)  # a stream that numpy keeps for ever
+        uniform = ((raw >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
+        uniform = uniform.reshape(len(mean) + 1, directions)
+        self._directions = (ndtri(uniform[1:]) / np.sqrt(len(mean))).astype(dtype)
+        self._phases = (2 * np.pi * uniform[0]).astype(dtype)
+        self._amplitude = dtype(np.sqrt(2.0 / max(directions, 1)))
+        self._dtype = dtype
+
+    def standardised(self, features: FloatArray) -> FloatArray:
+        """Features (count, ...) in standard deviations."""
+        around = (-1, *(1,) * (features.ndim - 1))
+        z: FloatArray = features - self.mean.reshape(around)
+        z /= self.scale.reshape(around)
+        return z
+
+    def features(self, standardised: FloatArray) -> FloatArray:
+        """The features (count, m) that are so many standard deviations from their means."""
+        found: FloatArray = standardised * self.scale[:, None]
+        found += self.mean[:, None]
+        return found
+
+    def __call__(self, standardised: FloatArray) -> NDArray[np.floating]:
+        """All terms (m, terms) of standardised features (count, m), which are limited to :data:`CLIP`."""
+        z = np.clip(standardised.T, -CLIP, CLIP).astype(self._dtype)
+        first = z[:, :1]
+        cosines = self._amplitude * np.cos(z @ self._directions + self._phases)
+        return np.concatenate([np.ones_like(first), z, first**2, first**3, cosines], axis=1)
+
+
+def credible_range(reached: Reached | None) -> tuple[float, float]:
+    """r beyond which a reading is of no load: :data:`CREDIBLE` ranges of the readings that were learned from away."""
+    if reached is None:
+        return -1.0, np.inf
+    low, high = reached.lowest[0], reached.highest[0]
+    span = CREDIBLE * max(high - low, 1e-9)
+    return max(low - span, -1.0), high + span
+
+
+class LearnedInversion(Inversion):
+    """Runs a :class:`Learned` map beside the static curve; a cell that has not moved keeps its last answer."""
+
+    def __init__(
+        self,
+        learned: Learned,
+        curve: StaticCurve,
+        full_scale_kpa: float,
+        full_scale_r: float,
+        *,
+        exact: bool,
+    ) -> None:
+        self.learned, self._curve = learned, curve
+        self._bank = learned.bank
+        self._seen = slice(3 + self._bank.rows, 3 + self._bank.rows + self._bank.count)
+        self._terms = Terms(
+            np.array(learned.mean), np.array(learned.scale), learned.seed, learned.directions, np.float32
+        )
+        self._weights = np.array([learned.weights, learned.error_weights], dtype=np.float32).T
+        self._slope = math.copysign(1 / max(abs(full_scale_r), 1e-9), full_scale_r)
+        """normalised load per r, at equilibrium"""
+        self._steepest = full_scale_kpa * abs(self._slope)
+        credible = credible_range(learned.reached)
+        super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)
+
+    def begin(self, r: FloatArray) -> FloatArray:
+        memory = np.zeros((self._seen.stop, *r.shape))
+        memory[3 : self._seen.start] = self._bank.begin(r)
+        memory[self._seen] = self._terms.standardised(self._bank.features(memory[3 : self._seen.start]))
+        memory[GAIN] = self._steepest
+        self._answer(memory, slice(None))
+        return memory
+
+    def advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
+    ) -> FloatArray:
+        bank = memory[3 : self._seen.start]
+        self._bank.advance(bank, dt_s, r)
+        now = self._terms.standardised(self._bank.features(bank))
+        change = now - memory[self._seen]
+        moved = np.flatnonzero(np.abs(change, out=change).max(axis=0) > STILL)
+        if moved.size == r.size:
+            memory[self._seen] = now
+            self._answer(memory, slice(None))
+        elif moved.size:
+            memory[self._seen, moved] = now[:, moved]
+            self._answer(memory, moved)
+        return memory
+
+    def _answer(self, memory: FloatArray, cells: IntArray | slice) -> None:
+        """Map the features of ``cells`` afresh; changes ``memory``."""
+        load, std = self._map(memory[self._seen, cells])
+        memory[PRESSURE, cells] = load * self.full_scale_kpa
+        memory[VARIANCE, cells] = (std * self.full_scale_kpa) ** 2
+
+    def settled(self, memory: FloatArray, band: float) -> BoolArray:
+        bank = memory[3 : self._seen.start]
+        memories = np.concatenate([np.abs(self._bank.lags(bank)), self._bank.paths(bank)])
+        found: BoolArray = memories.max(axis=0) < 2 * band
+        return found
+
+    def _map(self, standardised: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Normalised load and its standard deviation (m) for standardised features (count, m)."""
+        learned, curve = self.learned, self._curve
+        features = self._terms.features(standardised)
+        reading, inside, beyond = features[0], standardised, np.zeros(())
+        if learned.reached is not None:
+            # The map knows little beyond the readings of the recording, and nothing beyond the other features learned
+            # from: there it goes on with the slope at equilibrium.
+            low, high = (limit.copy() for limit in learned.reached.columns)
+            if curve.reached is not None and not learned.beyond_recorded:
+                low[0], high[0] = max(low[0], curve.reached.lowest[0]), min(high[0], curve.reached.highest[0])
+            inside = self._terms.standardised(np.clip(features, low, high))
+            beyond = learned.reached.excess(features)
+        found = np.empty((standardised.shape[1], 2))
+        for start in range(0, len(found), BLOCK):
+            block = slice(start, start + BLOCK)
+            found[block] = self._terms(inside[:, block]) @ self._weights
+        load, std = found[:, 0], np.maximum(found[:, 1] * learned.std_factor, learned.std_floor)
+        if learned.reached is not None:
+            load += self._slope * (reading - np.clip(reading, low[0], high[0]))
+        if learned.static_share:
+            load += self._static_share(reading) * (curve.load(reading) - load)
+        std = np.hypot(std, np.maximum(STEEPER * beyond * abs(self._slope), curve.doubt(reading)))
+        std = np.hypot(std, STEEPER * np.maximum(load - learned.limits.highest / BEYOND, 0.0))
+        return np.clip(load, learned.limits.lowest, learned.limits.highest), std
+
+    def _static_share(self, reading: FloatArray) -> FloatArray | float:
+        """Share of the static curve; it fades beyond the recorded readings where the map is followed there."""
+        learned, recorded = self.learned, self._curve.reached
+        if recorded is None or not learned.beyond_recorded:
+            return learned.static_share
+        fades = FADES * max(recorded.highest[0] - recorded.lowest[0], 1e-9)
+        return learned.static_share * np.maximum(1 - recorded.excess(reading[None]) / fades, 0.0)

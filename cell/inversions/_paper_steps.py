@@ -1,0 +1,89 @@
+"""The paper's cell discretised exactly: what one time step does to the states of its two linear models, (3) and (8).
+
+Each lag is stepped exactly for a pressure that is linear over the step (:mod:`..materials._lag`). The equation for the
+pressure at the end of the step is then linear, and so is its inverse. Both inverses are stable (their zeros lie in the
+left half plane): errors of what is remembered fade in the material's own time.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ..materials import PaperModel, lag
+
+
+class StepWeights(NamedTuple):
+    """What one time step does: the state is [pressure, settled, x2, x3] before it, r the reading after it."""
+
+    free: FloatArray
+    """(3, 4) the state -> what settled, x2, x3 become if the pressure drops to zero over the step"""
+    ramp: FloatArray
+    """(3, 1) by which they rise per kPa of pressure after the step"""
+    answer: FloatArray
+    """(2, 4) settled, x2, x3 as if free, and r -> pressure after the step in the rising and in the recovery model"""
+    gain: FloatArray
+    """(2,) pressure per r of the two"""
+    fade: FloatArray
+    """(2,) share of a variance of the memory that is left after the step"""
+
+
+def step_weights(model: PaperModel, dt_s: float) -> StepWeights:
+    """The weights for steps of ``dt_s``."""
+    m = model
+    gone, ramp = lag.weights(dt_s, np.array([m.tu_s, m.t2_s, m.t3_s]))
+    gains = np.array([1.0, 1 / m.e2_kpa, 1 / m.e3_kpa])
+    free = np.zeros((3, 4))
+    free[:, 0] = gains * (gone - ramp)
+    free[[0, 1, 2], [1, 2, 3]] = 1 - gone
+    ramps = gains * ramp
+    rising = 1 / (1 / m.eu1_kpa + (1 - ramp[0]) / m.etau2_kpa)
+    falling = 1 / (1 / m.e1_kpa + ramps[1] + ramps[2])
+    answer = np.array([[rising / m.etau2_kpa, 0, 0, rising], [0, -falling, -falling, falling]])
+    # An error of the memory fades as the inverse's zeros say; the slow branch holds a few percent of it only.
+    zeros = np.array([1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1), 1 + m.e1_kpa / m.e2_kpa]) / np.array([m.tu_s, m.t2_s])
+    return StepWeights(free, ramps[:, None], answer, np.array([rising, falling]), np.exp(-2 * dt_s * zeros))
+
+
+class TurnWeights(NamedTuple):
+    """What one time step does to both hypotheses; rows and columns as :data:`._turning_rows.HYPOTHESES`."""
+
+    step: FloatArray
+    """(6, 7) hypotheses before the step, with the reading after it -> hypotheses after it"""
+    ramp: FloatArray
+    """(6,) by which they rise per kPa of their own pressure after the step"""
+    by_model: FloatArray
+    """(3, 2) in the rising and in the recovery model: pressure per r, the same of the other model, and the share of a
+    variance of the memory that is left after the step"""
+
+
+def turn_weights(model: PaperModel, dt_s: float) -> TurnWeights:
+    """The weights for steps of ``dt_s``: :func:`step_weights`, with the pressure after the step put in."""
+    w = step_weights(model, dt_s)
+    step, ramp = np.zeros((6, 7)), np.zeros(6)
+    states = np.array([[0, 2, -1, 4], [1, -1, 3, 5]])  # where the state [pressure, settled, x2, x3] is; -1: nowhere
+    for one, state in enumerate(states):
+        present = np.flatnonzero(state >= 0)
+        free = np.zeros((3, 7))
+        free[:, state[present]] = w.free[:, present]
+        pressure = w.answer[one, :3] @ free
+        pressure[6] = w.answer[one, 3]
+        after = free + w.ramp * pressure
+        step[one], ramp[one] = pressure, 1.0
+        for row in present[1:]:
+            step[state[row]], ramp[state[row]] = after[row - 1], w.ramp[row - 1, 0]
+    return TurnWeights(step, ramp, np.array([w.gain, w.gain[::-1], w.fade]))
+
+
+def taken_over(model: PaperModel) -> FloatArray:
+    """(6, 7) by which hypotheses must change to begin where the other one is, resistance and pressure continuous."""
+    m = model
+    anew = np.zeros((6, 7))
+    anew[0, 1] = anew[1, 0] = 1.0
+    anew[2, 1], anew[2, 6] = 1 + m.etau2_kpa / m.eu1_kpa, -m.etau2_kpa
+    anew[3, 0], anew[3, 4], anew[3, 6] = -1 / m.e1_kpa, -1.0, 1.0
+    anew[4, 5] = anew[5, 4] = 1.0
+    anew[:, :6] -= np.eye(6)
+    return anew

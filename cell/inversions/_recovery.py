@@ -1,0 +1,186 @@
+"""Released cells: a Kalman filter of what a recovering cell remembers, under the hypothesis that it bears no load.
+
+What noise leaves in the memory at a turn shows as a load afterwards, and fades in the material's own time only. The
+readings cannot tell such an error from a light load: both recover along the same curve for seconds. What can be said is
+that most released cells bear no load. As long as the pressure of a recovering cell does not differ from none by more
+than the error of its memory explains, the difference is therefore taken for that error. Readings of the whole rest are
+averaged for this, which is much longer than the smoothing may average.
+
+A light load that is taken for none in this way comes back as the error of the memory fades. Three rules keep that
+honest. The standard deviation does not shrink while the cell recovers. The filter trusts the memory the more the more
+it has read, and nothing is subtracted without end. A pressure that rises by no more than what the error may fade by is
+no turn (:data:`DRIFTS`): the model of a rising load would take the recovery for a load that grows.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...compiled import FixedRow, Places, Rows, loop
+from ..estimation import COUNT, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED
+from ..materials import PaperModel
+from ._paper_steps import step_weights
+from ._turning_loops import (
+    DRIFT_END_KPA,
+    DRIFT_KPA,
+    EXTREME,
+    FAR,
+    LEFT,
+    PEAK,
+    RECOVERY_KPA,
+    RECOVERY_X3,
+    RISING_KPA,
+    RISING_X3,
+    SETTLED,
+    SIGN,
+    STATE_END,
+    TURNED,
+    X2,
+)
+
+PART = 0.3
+"""of the variance that is stated for the memory at a release: that of the usual error. The rest covers rare ones"""
+MOST = 0.2
+"""of full scale: a memory that is known no better is lost, and rest is no better guess than a load"""
+REST_SIGMAS = 2.0
+"""standard deviations by which the pressure of a cell at rest may differ from none"""
+RESTED_SIGMAS = 3.0
+"""standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a cell that has
+been taken for one at rest; less than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`) is no sign of a new
+press"""
+LIGHT = 0.1
+"""share of the variance of the memory that a rest leaves: the released cell may have borne a light load after all"""
+DRIFTS = 2.0
+"""standard deviations of the memory's error that may seem to be a rise as the error fades"""
+PEAK_FADES = 0.15
+"""share of the way, from one look to the next, by which the peak goes down to the extreme. The largest of the noisy
+first pressures of a press may exceed all later ones; the other hypothesis would begin there, however long the hold"""
+
+GAIN, FADES, BACK_2, BACK_3, DRIFT_SHARE = range(5)
+"""places of what depends on the time between frames: kPa per r in recovery; share of a variance of the memory that is
+left at the next look; by how much more the two branches bore when the mean of the readings was right; share of the
+way that a drift goes until the next look. Then constants:"""
+BOUND, E1_KPA, SETTLED_PER_KPA, ETAU2_KPA, LATELY = range(5, 10)
+"""squared standard deviations of rest; of the model; how fast a peak goes down"""
+
+
+def constants(model: PaperModel, dt_s: float) -> FloatArray:
+    """What :func:`look` takes, for frames ``dt_s`` apart."""
+    weights = step_weights(model, dt_s)
+    gain_kpa, fade = float(weights.gain[-1]), float(weights.fade[-1])
+    age_s = 0.5 * (RECENT - 1) * dt_s
+    numbers = {
+        GAIN: gain_kpa,
+        FADES: fade**RECENT,
+        BACK_2: math.exp(min(age_s / model.t2_s, 50.0)),
+        BACK_3: math.exp(min(age_s / model.t3_s, 50.0)),
+        DRIFT_SHARE: 1.0 - fade ** (RECENT / 2),  # errors fade as the root of their variance
+        BOUND: REST_SIGMAS**2,
+        E1_KPA: model.e1_kpa,
+        SETTLED_PER_KPA: 1.0 + model.etau2_kpa / model.eu1_kpa,
+        ETAU2_KPA: model.etau2_kpa,
+        LATELY: PEAK_FADES,
+    }
+    return np.array([numbers[place] for place in range(len(numbers))])
+
+
+def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, count: FloatArray, numbers: FloatArray) -> None:
+    """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``memory`` (rows, m).
+
+    Args:
+        memory: of the cells.
+        mean: (m,) of those readings.
+        noise: (m,) standard deviation of one of them.
+        count: (m,) readings since the smoothing last noticed a change.
+        numbers: :func:`constants`.
+    """
+    memory[PEAK] += (memory[EXTREME] - memory[PEAK]) * numbers[LATELY]
+    memory[DRIFT_KPA] += (memory[DRIFT_END_KPA] - memory[DRIFT_KPA]) * numbers[DRIFT_SHARE]
+    memory[REST_VARIANCE] *= numbers[FADES]
+    variance, shown = memory[REST_VARIANCE], memory[PRESSURE]
+    remembered = memory[X2] * numbers[BACK_2] + memory[RECOVERY_X3] * numbers[BACK_3]
+    pressure = (mean - remembered) * numbers[GAIN]
+    by_noise = noise * numbers[GAIN]
+    by_noise = by_noise * by_noise * (1.0 / RECENT)
+    bound = (variance + by_noise) * numbers[BOUND]
+    calm = (memory[SIGN] < 0.0) & (memory[LEFT] >= FAR) & (count >= RECENT - 1.0)
+    calm &= (pressure * pressure < bound) & (shown * shown < bound)
+    rests = np.flatnonzero(calm)
+    if not rests.size:
+        return
+    some = memory[:, rests]
+    share = some[REST_VARIANCE] / (some[REST_VARIANCE] + by_noise[rests])
+    error = pressure[rests] * share
+    some[REST_VARIANCE] *= 1.0 - share
+    some[RESTED] = 1.0
+    p = some[PRESSURE] - error
+    r, x3 = some[STATE_END - 1], some[RECOVERY_X3]
+    some[PRESSURE] = some[RISING_KPA] = some[RECOVERY_KPA] = p
+    some[SETTLED] = p * numbers[SETTLED_PER_KPA] - r * numbers[ETAU2_KPA]
+    some[X2] = r - p / numbers[E1_KPA] - x3
+    some[RISING_X3] = x3
+    some[EXTREME] = np.minimum(some[EXTREME] + error, 0.0)
+    some[PEAK] = np.minimum(some[PEAK] + error, 0.0)
+    memory[:, rests] = some
+
+
+def begin(memory: FloatArray, most_kpa2: float) -> None:
+    """Begin anew in m cells that have just turned; changes their ``memory`` (rows, m).
+
+    ``most_kpa2`` is the square of :data:`MOST` in kPa.
+    """
+    turned = memory[TURNED]
+    memory[RESTED] = memory[DRIFT_KPA] = 0.0
+    memory[REST_VARIANCE] = np.where(turned < most_kpa2, turned * PART, 0.0)
+    drift = np.sqrt(np.minimum(turned, most_kpa2)) * DRIFTS
+    memory[DRIFT_END_KPA] = np.where(memory[SIGN] < 0.0, drift, 0.0)
+
+
+@loop
+def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, cells: Places, numbers: FixedRow) -> None:
+    """:func:`look` as a loop over cells, which takes the mean of the readings itself.
+
+    Args:
+        memory: (rows, m), changed.
+        taken: (4, m) readings of the frame.
+        line: (ROWS, m) memory of the smoothing.
+        ring: (k, n) the last readings of all cells.
+        newest: row of the last of them.
+        cells: (m,) indices.
+        numbers: :func:`constants`.
+    """
+    size = ring.shape[0]
+    second, third, fourth = (newest - 1) % size, (newest - 2) % size, (newest - 3) % size
+    gain = numbers[GAIN]
+    for i in range(cells.size):
+        memory[PEAK, i] += (memory[EXTREME, i] - memory[PEAK, i]) * numbers[LATELY]
+        memory[DRIFT_KPA, i] += (memory[DRIFT_END_KPA, i] - memory[DRIFT_KPA, i]) * numbers[DRIFT_SHARE]
+        memory[REST_VARIANCE, i] *= numbers[FADES]
+        if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and line[COUNT, i] >= RECENT - 1.0):
+            continue
+        cell, shown, x3 = cells[i], memory[PRESSURE, i], memory[RECOVERY_X3, i]
+        mean = (ring[newest, cell] + ring[second, cell] + ring[third, cell] + ring[fourth, cell]) * (1.0 / RECENT)
+        remembered = memory[X2, i] * numbers[BACK_2] + x3 * numbers[BACK_3]
+        pressure = (mean - remembered) * gain
+        by_noise = taken[NOISE, i] * gain
+        by_noise = by_noise * by_noise * (1.0 / RECENT)
+        bound = (memory[REST_VARIANCE, i] + by_noise) * numbers[BOUND]
+        if not (pressure * pressure < bound and shown * shown < bound):
+            continue
+        share = memory[REST_VARIANCE, i] / (memory[REST_VARIANCE, i] + by_noise)
+        error = pressure * share
+        memory[REST_VARIANCE, i] *= 1.0 - share
+        memory[RESTED, i] = 1.0
+        p, r = shown - error, memory[STATE_END - 1, i]
+        memory[PRESSURE, i], memory[RISING_KPA, i], memory[RECOVERY_KPA, i] = p, p, p
+        memory[SETTLED, i] = p * numbers[SETTLED_PER_KPA] - r * numbers[ETAU2_KPA]
+        memory[X2, i] = r - p / numbers[E1_KPA] - x3
+        memory[RISING_X3, i] = x3
+        memory[EXTREME, i] = min(memory[EXTREME, i] + error, 0.0)
+        memory[PEAK, i] = min(memory[PEAK, i] + error, 0.0)
+
+
+LOOPS = (look_each,)

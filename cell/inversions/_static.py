@@ -1,0 +1,154 @@
+"""Estimators without memory: the equilibrium curve of a model, or the calibrated cubic, inverted (isotonic lookup)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ..estimation import GAIN, PRESSURE, VARIANCE, Inversion
+from ..materials import AsymmetricModel, ContactModel, M10Model, Model, PaperModel, equilibrium_curve, equilibrium_gain
+from ._learned import BEYOND, STEEPER, StaticCurve, credible_range
+
+POINTS, REACH = 1025, 3
+"""of the tabulated equilibrium curve from rest to full scale, and how many times full scale it reaches: an overload
+must not read as full scale"""
+SLOPES, FLAT = 33, 3.0
+"""points at which the effect of an error of R0 is tabulated, and how many times its mean the effect is at most"""
+CONTACT_SHARE = 0.02
+"""standard deviation over the pressure, of a contact's answer"""
+
+
+def rest_slope(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) -> FloatArray:
+    """(:data:`SLOPES`,) pressure in kPa that a relative error of R0 is taken for, per unit of that error.
+
+    This is the slope dp/d(ln R) of the equilibrium curve, at pressures evenly from 0 to full scale. It is limited where
+    the curve is flat, since no estimator follows it there.
+    """
+    load = np.linspace(0, 1, SLOPES)
+    log_r = np.log1p(equilibrium_curve(model, full_scale_kpa, rest_resistance_ohm, load))
+    mean = max(abs(float(log_r[-1] - log_r[0])), 1e-9)
+    slope = np.maximum(np.abs(np.gradient(log_r, load)), mean / FLAT)
+    return np.asarray(full_scale_kpa / slope)
+
+
+def memory_share(model: Model) -> float:
+    """Standard deviation over the pressure, of an answer that ignores what the model remembers.
+
+    It is half of the range in which r may lie while the pressure is the same.
+    """
+    match model:
+        case PaperModel():
+            return 0.5 * (model.overshoot - 1 / (model.e1_kpa * model.gain_per_kpa))
+        case AsymmetricModel():
+            return 0.5 * (1 - 1 / (model.e1_kpa * model.gain_per_kpa))
+        case M10Model():
+            remembered = model.alpha1 + model.alpha2 + 2 * model.k
+            return min(0.5 * remembered / max(model.a + model.b + model.alpha1 + model.alpha2, 1e-9), 2.0)
+        case ContactModel():
+            return CONTACT_SHARE
+
+
+class EquilibriumInversion(Inversion):
+    """The equilibrium of the model inverted, without memory: what a calibration curve gives.
+
+    All cells share one curve of r. A contact under load conducts beside the cell's rest resistance, so its r depends on
+    that: conductances of contacts are first taken over to a cell with the median rest resistance.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        full_scale_kpa: float,
+        rest_resistance_ohm: FloatArray,
+        *,
+        exact: bool,
+    ) -> None:
+        """``rest_resistance_ohm`` (n,) is that of each cell."""
+        self.model, self._share = model, memory_share(model)
+        self.remembers = not isinstance(model, ContactModel)
+        rest = float(np.median(rest_resistance_ohm))
+        full_r = equilibrium_gain(model, full_scale_kpa, rest)
+        load = np.linspace(0, REACH, REACH * (POINTS - 1) + 1)
+        curve = equilibrium_curve(model, full_scale_kpa, rest, load)
+        # Conductance over that at rest is what contacts add to; elsewhere the curve is a table of r.
+        self._sign = -1.0 if isinstance(model, ContactModel) else 1.0
+        curve = np.maximum.accumulate(self._sign * curve)
+        rises = np.concatenate(([True], np.diff(curve) > 0))
+        self._curve, self._load = curve[rises], load[rises]
+        slope = np.gradient(self._load, self._curve) if self._curve.size > 1 else np.zeros_like(self._curve)
+        steepest = np.full(slope.size, STEEPEST / max(abs(full_r), 1e-12))
+        if isinstance(model, ContactModel):
+            # Only near rest is a contact's slope unlimited; that under load is the noise that a hard press has.
+            steepest[np.argmin(np.abs(slope)) :] = np.inf
+        self._slope = np.minimum(np.abs(slope), steepest)
+        self._rest_of_curve = rest
+        super().__init__(full_scale_kpa, full_r, exact=exact)
+        self._shift = 1 / rest - 1 / rest_resistance_ohm
+        """S, to the conductance of a contact whose rest resistance is that of the curve"""
+
+    def normalise(self, resistance_ohm: FloatArray, per_ohm: FloatArray, r: FloatArray, *, compiled: bool) -> bool:
+        if not isinstance(self.model, ContactModel):
+            return super().normalise(resistance_ohm, per_ohm, r, compiled=compiled)
+        with np.errstate(divide="ignore"):
+            np.divide(1.0, resistance_ohm, out=r)
+            r += self._shift
+            r *= self._rest_of_curve
+            np.copyto(r, np.nan, where=~np.isfinite(resistance_ohm) | (r <= 0))  # no contact and no cell conducts so
+            np.divide(1.0, r, out=r)
+        r -= 1.0
+        return False
+
+    def begin(self, r: FloatArray) -> FloatArray:
+        x = self._sign * r
+        memory = np.empty((3, *r.shape))
+        load = np.interp(x, self._curve, self._load)
+        memory[PRESSURE] = load * self.full_scale_kpa
+        memory[GAIN] = np.interp(x, self._curve, self._slope) * self.full_scale_kpa
+        memory[VARIANCE] = (self._share * memory[PRESSURE]) ** 2
+        return memory
+
+    def advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
+    ) -> FloatArray:
+        return self.begin(r)
+
+
+STEEPEST = 20.0
+"""times the mean slope that the inverse of a curve may have; a contact's is infinite at rest"""
+
+
+class StaticCurveInversion(Inversion):
+    """The calibrated cubic, without memory."""
+
+    def __init__(
+        self,
+        curve: StaticCurve,
+        full_scale_kpa: float,
+        full_scale_r: float,
+        *,
+        exact: bool,
+    ) -> None:
+        self.curve = curve
+        self.remembers = not curve.logarithmic  # as the curve of a contact is
+        credible = credible_range(None if curve.logarithmic else curve.reached)  # a contact may be open at rest
+        super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)
+
+    def begin(self, r: FloatArray) -> FloatArray:
+        curve, small = self.curve, 1e-3 * self.full_scale_r
+        load, beyond = curve.load(r), curve.load(r + small)
+        memory = np.empty((3, *r.shape))
+        memory[PRESSURE] = np.clip(load, curve.limits.lowest, curve.limits.highest) * self.full_scale_kpa
+        memory[GAIN] = np.abs(beyond - load) / small * self.full_scale_kpa
+        memory[VARIANCE] = curve.std_kpa**2
+        if curve.reached is not None:
+            memory[VARIANCE] += (curve.doubt(r) * self.full_scale_kpa) ** 2
+            over = np.maximum(load - curve.limits.highest / BEYOND, 0.0)
+            memory[VARIANCE] += (STEEPER * over * self.full_scale_kpa) ** 2
+        return memory
+
+    def advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
+    ) -> FloatArray:
+        return self.begin(r)

@@ -1,0 +1,506 @@
+"""The paper's cell inverted by two hypotheses about when the pressure last turned (multiple-model estimation).
+
+The paper's cell has two linear models and changes from one to the other where the pressure turns. Inverting either is
+algebra (:mod:`._paper_steps`). What is hard is to know which model holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray, IntArray
+from ...compiled import Loop
+from ..estimation import (
+    DOUBT,
+    GAIN,
+    HIDDEN,
+    LOADS,
+    PRESSURE,
+    REST_VARIANCE,
+    RESTED,
+    SIGMAS,
+    SMOOTHED,
+    STD,
+    USUAL,
+    VARIANCE,
+    WINDOW,
+    Inversion,
+    credible_readings,
+)
+from ..materials import ByStep, PaperModel, lag
+from . import _recovery as recovery
+from . import _turning_loops as loops
+from ._paper_steps import TurnWeights, step_weights, taken_over, turn_weights
+from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
+from ._turning_rows import (
+    CONFIRMED_FALL,
+    CONFIRMED_RISE,
+    HYPOTHESES,
+    IN_FORCE,
+    RECOVERY,
+    RISING,
+    STATE,
+    SURE,
+    Beside,
+    Rows,
+)
+
+BEYOND = 0.6
+"""of full scale: standard deviation of a pressure that was found to be too large to be believed"""
+TURN = 0.01
+"""of full scale by which the pressure must have gone back for a turn"""
+EXACTLY, NEAR, ROUND = 1e-9, 1e-3, 2e-3
+"""of full scale: rounding; a pressure that is as good as none; and an error of the pressure at a slow turn, which is
+noticed late"""
+FAST = 2.0
+"""turns by which the pressure changes in the frame of a turn, from which the turn is noticed at once"""
+EITHER = 0.5
+"""standard deviation over the difference of the two hypotheses: either may be right until the pressure has turned"""
+BETWEEN = 0.3
+"""of the way of a load in a frame: how far beyond the frames it turned. Between none and half; the root mean square"""
+HALF = 0.5
+"""of the way of the frame before: no less counts in the frame of a turn, since to and fro may leave a small way"""
+JUST_BEGUN = 3.0
+"""times the way of a frame: how far a load may go in a frame, since it may have begun to move in the midst of the one
+before"""
+MOST_LOST = 1.0
+"""of full scale: no larger standard deviation is stated for turns that were not noticed"""
+UNSEEN = 1.5
+"""standard deviations of a reading within which a load may go to and fro in a frame unseen"""
+LOST, GONE = 1.5, 0.7
+"""standard deviations of the smoothed noise by which the hypotheses must have been apart for a doubt to stay, and the
+share of the variance that a new beginning takes away"""
+LESS = 2.0
+"""standard deviations of the smoothed noise by which an extreme counts for less. The largest of many readings is too
+large by about as many; with more, the end of a tap of few frames would be missed"""
+PULL_SIGMAS = 0.7
+"""standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
+smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
+FLAT = 0.003
+"""of full scale by which a pressure that is held may seem to go back"""
+AGAIN = 0.5
+"""share by which the other hypothesis begins anew at a frame, within one standard deviation of the extreme.
+Beginning at every extreme would take noise for part of the press, beginning late would miss some of the release; half
+and half, the two errors about cancel"""
+
+
+class TurningInversion(Inversion):
+    """The exact inverse of the paper's cell, changed from one model to the other where the *pressure* turns.
+
+    The sign of dr/dt, by which the paper goes, misreads slow ramps and quick presses: the resistance also falls while a
+    load is held. Whether the pressure turned can be asked of the model in force, whose own inverse then goes back.
+    Noise delays the answer. Two hypotheses are therefore followed at the same time: that the model in force still
+    holds, and that the pressure turned where it was last near its extreme. When the first one's pressure has gone back
+    from the extreme by more than noise does, the second one is taken over, and nothing is lost by the delay.
+
+    Nothing can add up: the pressure is limited to ``LOADS``, the memory follows the limited pressure, and a memory that
+    would need a negative pressure is corrected to what the reading says at none.
+
+    Within a step both hypotheses are linear in what they remember and in the reading. A step of both is therefore one
+    matrix product. ``tests/turning.py`` writes the same estimator out for one cell.
+    """
+
+    rows = (
+        *("pressure", "gain", "variance", "last", "before_last", "third_last"),
+        *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
+        *("rest_variance", "rested", "drift", "drift_end"),
+    )
+    recovers = True
+
+    def __init__(self, model: PaperModel, full_scale_kpa: float, *, exact: bool) -> None:
+        self.model = model
+        credible = credible_readings(full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa))
+        full_r = model.gain_per_kpa * full_scale_kpa
+        self._weights = ByStep(turn_weights, model)
+        self._taken_over = taken_over(model)
+        self._bend = 1 / model.eu1_kpa + 1 / model.etau2_kpa - 1 / model.e1_kpa
+        """r per kPa by which the answer to a fast rise exceeds that to a fast fall"""
+        self._left = np.array(1.0 - GONE)
+        self._clear_kpa2 = self._left * (NEAR * full_scale_kpa) ** 2
+        self._lost_at_most_kpa2 = (MOST_LOST * full_scale_kpa) ** 2
+        self._begin_gain = float(step_weights(model, 0.01).gain[0])
+        self._most_kpa = full_scale_kpa / 2
+        """standard deviation of a load of which nothing is known"""
+        self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
+        self._usual = USUAL * full_scale_kpa
+        self._of = Rows(np.zeros((len(self.rows), 0)), TURN * full_scale_kpa)
+        self._beside = Beside(self._of.memory)
+        super().__init__(full_scale_kpa, full_r, credible=credible, exact=exact)
+        self.bends = BETWEEN * self._bend, SURE
+        self.seeming = WINDOW * UNSEEN * self._bend
+        # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
+        self._sure, self._less, self._again, self._either, self._far = (
+            np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
+        )
+        self._none, self._one, self._two = np.array(0.0), np.array(1.0), np.array(2.0)
+        self._missed_by_bend = np.array(BETWEEN * self._bend)
+        self._turn_kpa, self._flat_kpa, self._exact_kpa = (
+            np.array(share * full_scale_kpa) for share in (TURN, FLAT, EXACTLY)
+        )
+        # What is below zero is an error that fades, and no turn.
+        self._least_kpa = np.array(self._lowest if self.exact else 0.0)
+        self.steepness_kpa = 1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa
+        self.rests = recovery.RESTED_SIGMAS**2
+        self._recovery = ByStep(recovery.constants, model)
+        self._fast_kpa = FAST * TURN * full_scale_kpa
+        self._most_rested_kpa2 = (recovery.MOST * full_scale_kpa) ** 2
+        self._turns = self._numbers_of_turns()
+
+    def begin(self, r: FloatArray) -> FloatArray:
+        m = self.model
+        p = r / m.gain_per_kpa
+        memory = np.zeros((len(self.rows), *r.shape))
+        memory[PRESSURE], memory[GAIN], memory[SIGN], memory[LEFT] = p, self._begin_gain, 1.0, FAR
+        memory[EXTREME], memory[PEAK], memory[LAST : THIRD_LAST + 1] = p, p, p
+        memory[IN_FORCE.start + RISING] = 1.0
+        memory[STATE] = [p, p, p, p / m.e2_kpa, p / m.e3_kpa, p / m.e3_kpa, r]
+        return memory
+
+    def advance(
+        self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
+    ) -> FloatArray:
+        w = self._weights.of(dt_s)
+        of = self._of
+        if memory is not of.memory:
+            of = self._of = Rows(memory, TURN * self.full_scale_kpa)
+        self._predict(of, r, w)
+        unconfirmed = self._take_turns(of, std, w)
+        if not self.exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
+            self._correct(of, doubt(), w)
+        self._begin_anew(of, unconfirmed=unconfirmed)
+        self._renew_variance(of, unconfirmed=unconfirmed)
+        return memory
+
+    def _predict(self, of: Rows, r: FloatArray, weights: TurnWeights) -> None:
+        """Take both hypotheses to the readings ``r`` (m,)."""
+        of.before[...] = of.until_before
+        of.last[...] = of.pressure
+        of.r[...] = r
+        weights.step.dot(of.state, of.change)
+        of.hypotheses[...] = of.change
+        both = of.both
+        if both.item(both.argmin()) < self._lowest or both.item(both.argmax()) > self._usual:
+            self._limit(of, weights)
+
+    def _take_turns(self, of: Rows, std: FloatArray, weights: TurnWeights) -> bool:
+        """Take over the other hypothesis where the pressure has turned, and confirm earlier turns.
+
+        Returns:
+            Whether a turn was unconfirmed before. Then ``of.confirmed`` marks those that no longer are.
+        """
+        of.take_gains(weights)
+        self._look(of, std)
+        gone_back = np.subtract(of.extreme, of.ahead, of.spare)
+        turned = np.greater(gone_back, of.threshold, of.where)
+        unconfirmed = bool(of.left.item(of.left.argmin()) < FAR)
+        if unconfirmed:
+            # Back at the extreme that was left: the turn was noise.
+            back, noise = self._gone_back(of, std)
+            turned |= np.less(back, noise, of.near)
+        if np.count_nonzero(turned):
+            self._turn(of.memory, turned.nonzero()[0], std, weights)
+            of.take_gains(weights, anew=True)
+            self._look(of, std)
+            unconfirmed = True
+            back, noise = self._gone_back(of, std)
+        if unconfirmed:
+            # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
+            noise *= of.confirming_sigmas
+            noise += of.confirming_kpa
+            confirmed = np.greater_equal(back, noise, of.confirmed)
+            confirmed &= of.left < self._far
+            np.copyto(of.left, self._far, where=confirmed)
+        return unconfirmed
+
+    def _begin_anew(self, of: Rows, *, unconfirmed: bool) -> None:
+        """Begin the other hypothesis where the one in force is, as long as the pressure is near its extreme."""
+        below_peak = np.subtract(of.peak, of.ahead, of.spare)
+        np.maximum(of.unsure, self._flat_kpa, out=of.nearby)
+        again = np.less(below_peak, of.nearby, of.where).astype(np.float64)
+        again *= self._again
+        np.copyto(again, self._one, where=np.less_equal(below_peak, self._exact_kpa, of.where))
+        if unconfirmed:
+            np.copyto(again, self._none, where=np.less(of.left, self._far, of.where))
+        self._taken_over.dot(of.state, of.change)
+        np.multiply(of.not_rising, again, of.rising_share)
+        np.multiply(of.not_recovery, again, of.recovery_share)
+        for pair in of.changes_by_model:
+            np.multiply(pair, of.share, pair)
+        of.hypotheses += of.change
+        np.subtract(of.ahead, of.unsure, of.spare)
+        np.maximum(of.peak, of.spare, out=of.peak)
+        of.unsure *= self._less
+        of.ahead -= of.unsure
+        np.maximum(of.extreme, of.ahead, out=of.extreme)
+
+    def _renew_variance(self, of: Rows, *, unconfirmed: bool) -> None:
+        """Either hypothesis may be right until the pressure has turned: their distance counts as deviation."""
+        of.variance -= of.doubt  # by which the hypotheses were apart in the last frame
+        of.doubt *= of.fade
+        apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
+        apart *= self._either
+        apart *= apart
+        # Whether the variance is large, and little of it is left.
+        np.maximum(apart, self._clear_kpa2, out=of.nearby)
+        np.multiply(of.variance, self._left, of.threshold)
+        begun = np.greater(of.threshold, of.nearby, of.where)
+        if unconfirmed:
+            begun &= ~of.confirmed  # what the model that was left says has been decided
+        if np.count_nonzero(begun):
+            self._keep(of, apart, begun)
+        np.add(apart, of.doubt, of.variance)
+
+    def loops_used(self) -> tuple[Loop[..., Any], ...]:
+        return *loops.ALL, *recovery.LOOPS
+
+    def _numbers_of_turns(self) -> FloatArray:
+        """What the loops take."""
+        numbers: dict[int, float | FloatArray] = {
+            loops.LOWEST: self._lowest,
+            loops.USUAL: self._usual,
+            loops.SURE: SURE,
+            loops.TURN_KPA: self._turn_kpa,
+            loops.LEAST_KPA: self._least_kpa,
+            loops.PULLED_KPA: -NEAR * self.full_scale_kpa,
+            loops.FLAT_KPA: self._flat_kpa,
+            loops.EXACT_KPA: self._exact_kpa,
+            loops.AGAIN: AGAIN,
+            loops.LESS: LESS,
+            loops.EITHER: EITHER,
+            loops.LEFT_OVER: self._left,
+            loops.CLEAR: self._clear_kpa2,
+            loops.JUST_BEGUN: JUST_BEGUN,
+            loops.BETWEEN: BETWEEN,
+            loops.BEND: self._bend,
+            loops.ROUND_KPA: ROUND * self.full_scale_kpa,
+            loops.MOST_KPA2: self._most_kpa**2,
+            loops.CONFIRMED_RISE: CONFIRMED_RISE,
+            loops.CONFIRMED_FALL: CONFIRMED_FALL,
+            loops.HALF: HALF,
+            loops.PULL: -PULL_SIGMAS,
+            loops.NEAR_KPA: NEAR * self.full_scale_kpa,
+            loops.SETTLED_PER_KPA: 1 + self.model.etau2_kpa / self.model.eu1_kpa,
+            loops.ETAU2_KPA: self.model.etau2_kpa,
+            loops.E1_KPA: self.model.e1_kpa,
+            loops.LOST_SIGMAS: LOST / LESS,
+            loops.MOST_LOST_KPA2: self._lost_at_most_kpa2,
+            loops.HIDDEN: HIDDEN,
+            loops.PER_SIGMAS: 1.0 / SIGMAS,
+            loops.FAST_KPA: self._fast_kpa,
+            loops.LIGHT: recovery.LIGHT,
+            loops.PART: recovery.PART,
+            loops.DRIFTS: recovery.DRIFTS,
+            loops.MOST_RESTED_KPA2: self._most_rested_kpa2,
+        }
+        return np.array([float(numbers[place]) for place in range(len(numbers))])
+
+    def advance_compiled(
+        self, memory: FloatArray, taken: FloatArray, dt_s: float, doubt: Callable[[], FloatArray]
+    ) -> FloatArray:
+        w, of, numbers = self._weights.of(dt_s), self._beside, self._turns
+        r, std = taken[SMOOTHED], taken[STD]
+        if memory is not of.memory:
+            of = self._beside = Beside(memory)
+        loops.take.code(memory, r)
+        w.step.dot(of.state, of.change)
+        if loops.step.code(memory, of.change, numbers):
+            self._limit(Rows(memory, TURN * self.full_scale_kpa), w)
+        if w is not of.weights:
+            loops.take_gains.code(memory, w.by_model, of.rows, numbers)
+            of.weights = w
+        found = loops.take_turns.code(memory, std, w.by_model, of.rows, of.flags, numbers)
+        if found & loops.PULLED:
+            loops.correct.code(memory, taken, w.by_model, numbers)
+        self._taken_over.dot(of.state, of.change)
+        unconfirmed = found & loops.UNCONFIRMED > 0
+        loops.begin_anew.code(memory, of.change, of.rows, of.flags, unconfirmed, numbers)
+        return memory
+
+    def _keep(self, of: Rows, apart: FloatArray, begun: BoolArray) -> None:
+        """Where the other hypothesis has ``begun`` anew though it was apart by more than noise, the doubt stays.
+
+        The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``. On a
+        coarse converter that may happen at each step at rest, so the doubt has an end: full scale. Half of it would be
+        the deviation of any load, but a memory that is lost shows up to 1.1 times full scale where there is no load.
+        """
+        lost = of.variance - apart
+        by_noise = of.unsure * (LOST / LESS)
+        begun &= of.variance > by_noise**2
+        np.copyto(lost, 0.0, where=~begun)
+        of.doubt += lost + np.sqrt(of.doubt * lost)
+        np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
+
+    def recover(self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray) -> None:
+        """See :func:`._recovery.look`."""
+        recovery.look(memory, mean, noise, count, self._recovery.of(dt_s))
+
+    def recover_compiled(
+        self,
+        memory: FloatArray,
+        taken: FloatArray,
+        dt_s: float,
+        line: FloatArray,
+        ring: FloatArray,
+        newest: int,
+        cells: IntArray,
+    ) -> None:
+        """See :func:`._recovery.look_each`."""
+        recovery.look_each.code(memory, taken, line, ring, newest, cells, self._recovery.of(dt_s))
+
+    def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
+        """A cell that has been taken for one at rest shows what clearly differs from rest."""
+        rests = (noise_kpa * noise_kpa + memory[REST_VARIANCE]) * self.rests
+        hides: FloatArray = np.where(memory[RESTED] > 0.0, rests, super().hides_kpa2(memory, noise_kpa))
+        return hides
+
+    def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
+        """A load to and fro within the noise seems to rise: r goes up by one model, and would go down by the other."""
+        before = memory[TURNED]
+        after = np.minimum((np.sqrt(before) + rise_kpa) ** 2, self._lost_at_most_kpa2)
+        memory[VARIANCE] += after - before
+        memory[TURNED] = after
+
+    def _look(self, of: Rows, std: FloatArray) -> None:
+        """Of the hypothesis in force: pressure, its standard deviation by noise, how far it is ahead in its direction,
+        and how far it must go back for a turn.
+        """
+        np.multiply(of.pressures, of.in_force, of.share)
+        np.add(of.rising_share, of.recovery_share, of.pressure)
+        np.multiply(std, of.gain, of.unsure)
+        np.multiply(of.unsure, self._sure, of.threshold)
+        np.add(of.drift, self._turn_kpa, of.ahead)
+        of.threshold += of.ahead
+        np.maximum(of.pressure, self._least_kpa, out=of.ahead)
+        of.ahead *= of.sign
+
+    def _gone_back(self, of: Rows, std: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """How far the other hypothesis is behind the extreme that was left, and its standard deviation by noise."""
+        np.multiply(of.pressures, of.not_in_force, of.share)
+        back = np.add(of.rising_share, of.recovery_share, of.spare)
+        back *= of.sign
+        back += of.left
+        return back, np.multiply(of.other_gain, std, of.noise)
+
+    def _turn(self, memory: FloatArray, turned: IntArray, std: FloatArray, weights: TurnWeights) -> None:
+        """Take over the other hypothesis where the pressure ``turned`` (indices of cells); changes ``memory``."""
+        some = memory.take(turned, axis=1)
+        again = some[LEFT] < FAR
+        left, extreme = some[LEFT], some[EXTREME].copy()
+        some[SIGN] *= -1.0
+        some[IN_FORCE] = some[IN_FORCE][::-1].copy()
+        gain = weights.by_model[0] @ some[IN_FORCE]
+        noise = std.take(turned) if std.size > 1 else std
+        pressure = some[STATE.start] * some[IN_FORCE.start]
+        pressure += some[STATE.start + 1] * some[IN_FORCE.start + 1]
+        now = some[SIGN] * np.maximum(pressure, 0.0)
+        unsure = noise * gain
+        some[EXTREME] = now - LESS * unsure
+        some[PEAK] = now - unsure
+        # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
+        before = some[VARIANCE]
+        rested = np.minimum(before, some[REST_VARIANCE] + before * recovery.LIGHT)
+        before = np.where(some[RESTED] > 0, rested, before)
+        rounded = self._fast_kpa / np.maximum(np.abs(pressure - some[LAST]), self._fast_kpa)
+        unseen = self._unseen(some, pressure, gain, unsure) + rounded * (ROUND * self.full_scale_kpa)
+        some[TURNED] = (np.sqrt(before) + unseen) ** 2
+        some[TURNED] += (weights.by_model[0, RECOVERY] * noise) ** 2
+        some[TURNED] = np.minimum(some[TURNED], self._most_kpa**2)
+        some[VARIANCE] = some[TURNED]  # the distance of the hypotheses is in it
+        recovery.begin(some, self._most_rested_kpa2)
+        if np.count_nonzero(again):
+            np.copyto(some[EXTREME], left, where=again)
+            np.copyto(some[PEAK], left, where=again)
+            np.copyto(extreme, FAR, where=again)
+        some[LEFT] = extreme
+        memory[:, turned] = some
+
+    def _unseen(self, memory: FloatArray, pressure: FloatArray, gain: FloatArray, unsure: FloatArray) -> FloatArray:
+        """(m,) standard deviation in kPa that turns between two frames leave in ``pressure`` (m,), known to ``unsure``.
+
+        The extreme itself falls between two frames. How far it was beyond them is up to half of the way that the load
+        went in a frame before or after, whichever is less; in the frame of the turn itself it may have gone to and
+        fro. On that way r goes up by one model and down by the other. All turns err to the same side, so these errors
+        add up like amounts rather than like variances. A way that noise, or a converter that flips between two codes,
+        would go as well is no way of the load.
+        """
+        last, before, third = memory[LAST : THIRD_LAST + 1]
+        there = np.maximum(memory[SIGN] * (third - before), memory[SIGN] * (before - last))
+        there = np.maximum(there, 0.0)
+        way = np.minimum(JUST_BEGUN * there, np.maximum(np.abs(pressure - last), HALF * there))
+        by_load: FloatArray = np.maximum(way - SURE * unsure, 0.0)
+        return BETWEEN * by_load * self._bend * gain
+
+    def within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
+        """A load that bent may as well have turned within the frame: no reading tells of the turn yet."""
+        bend: FloatArray = memory[LAST] * self._two
+        np.subtract(memory[PRESSURE], bend, out=bend)
+        bend += memory[BEFORE_LAST]
+        np.abs(bend, out=bend)
+        bend -= noise_kpa * self._sure
+        np.maximum(bend, self._none, out=bend)
+        bend *= self._missed_by_bend
+        bend *= memory[GAIN]
+        bend *= bend
+        return bend
+
+    def _limit(self, of: Rows, weights: TurnWeights) -> None:
+        """Keep pressures within :data:`LOADS`, and what is remembered with them; changes the state.
+
+        Where the memory is in doubt, a pressure beyond full scale is an error of the memory rather than a load.
+        """
+        m, state = self.model, of.state
+        excess = np.clip(of.pressures, self._lowest, self._highest) - of.pressures
+        state[:6] += weights.ramp[:, None] * np.tile(excess, (3, 1))
+        doubtful = of.variance > (DOUBT * self.full_scale_kpa) ** 2
+        beyond = doubtful & (of.pressures > self._usual)
+        if not beyond.any():
+            return
+        np.minimum(of.pressures, self._usual, where=beyond, out=of.pressures)
+        least = (BEYOND * self.full_scale_kpa) ** 2
+        np.maximum(of.doubt, least, where=(beyond & (of.in_force > 0)).any(axis=0), out=of.doubt)
+        p, r = self._usual, of.r
+        np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])
+        np.copyto(state[3], r - p / m.e1_kpa - state[5], where=beyond[RECOVERY])
+
+    def _correct(self, of: Rows, doubt: FloatArray, weights: TurnWeights) -> None:
+        """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure."""
+        m = self.model
+        allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * doubt - NEAR * self.full_scale_kpa
+        below = of.pressure < allowed
+        if not np.count_nonzero(below):
+            return
+        pulled = below.nonzero()[0]
+        p = np.broadcast_to(allowed, of.pressure.shape)[pulled]
+        state, r, rising = of.state, of.r[pulled], of.in_force[RISING, pulled] > 0
+        of.pressure[pulled] = p
+        state[np.where(rising, 0, 1), pulled] = p
+        state[2, pulled[rising]] = (p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r)[rising]
+        state[3, pulled[~rising]] = (r - p / m.e1_kpa - state[5, pulled])[~rising]
+
+    def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
+        m = self.model
+        gone, _ = lag.weights(dt_s, np.array([[m.tu_s], [m.t2_s], [m.t3_s], [m.t3_s]]))
+        held = memory.copy()
+        state = held[STATE]
+        # A hypothesis that begins where the one in force is does so after the gap, too.
+        apart = state[0] != state[1]
+        pressures = state[[0, 1, 0, 1]] * np.array([[1.0], [1 / m.e2_kpa], [1 / m.e3_kpa], [1 / m.e3_kpa]])
+        state[2:6] += (pressures - state[2:6]) * gone
+        settled, x2, _, x3 = state[2:6]
+        rising = state[0] / m.eu1_kpa + (state[0] - settled) / m.etau2_kpa
+        state[6] = np.where(held[SIGN] > 0, rising, state[1] / m.e1_kpa + x2 + x3)
+        share = np.where(apart, 0.0, held[IN_FORCE][::-1])
+        state[:6] += (self._taken_over @ state) * np.tile(share, (3, 1))
+        return held
+
+    def settled(self, memory: FloatArray, band: float) -> BoolArray:
+        m = self.model
+        kpa = 2 * band / m.gain_per_kpa
+        off = np.abs(memory[PRESSURE]) < kpa
+        _, _, settled, x2, _, x3 = memory[STATE][:6]
+        unsettled = np.where(memory[SIGN] > 0, np.abs(settled) / m.etau2_kpa, np.abs(x2) + np.abs(x3))
+        found: BoolArray = off & (unsettled < band)
+        return found

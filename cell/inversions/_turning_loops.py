@@ -1,0 +1,258 @@
+"""The frame of :class:`._turning.TurningInversion` as loops over cells for :mod:`ohmskin.compiled`.
+
+The loops do what the array operations of its ``advance`` do, in the same order. Between them come two matrix products,
+which NumPy does, and the turns and limits of few cells, which stay array operations.
+"""
+
+from __future__ import annotations
+
+import math
+
+from ...compiled import FixedRow, FixedRows, FlagRows, Rows, loop
+from ..estimation import GAIN, PRESSURE, READING, REST_VARIANCE, RESTED, SMOOTHED, STD, VARIANCE
+from ..estimation import NOISE as READING_NOISE
+
+LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
+"""rows: the pressures of the last three frames; variance from turns not known to the point, which fades; 1 rising, -1
+in recovery; the largest sign times pressure since the last turn, less some standard deviations of noise and less one;
+the extreme that was left at an unconfirmed turn, else :data:`FAR`"""
+RISING_IN_FORCE, RECOVERY_IN_FORCE = 11, 12
+RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 14, 15, 16, 17, 18, 20
+"""rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
+DRIFT_KPA, DRIFT_END_KPA = 22, 23
+"""rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
+seem to rise, now and at last"""
+FAR = 1e12
+"""kPa: no extreme"""
+
+UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
+NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_KPA = range(6, 10)
+GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
+ROWS = 13
+"""rows beside the memory: intermediate results; 1 in the row of the hypothesis that is not in force; how far that one
+must have gone back for a turn to be certain; what depends on the hypothesis in force. Then the number of rows"""
+WHERE, CONFIRMED, FLAGS = 0, 2, 3
+"""rows of flags, and their number"""
+LOWEST, USUAL, SURE, TURN_KPA, LEAST_KPA, PULLED_KPA = range(6)
+FLAT_KPA, EXACT_KPA, AGAIN, LESS, EITHER, LEFT_OVER, CLEAR = range(6, 13)
+JUST_BEGUN, BETWEEN, BEND, ROUND_KPA, MOST_KPA2, CONFIRMED_RISE, CONFIRMED_FALL, HALF = range(13, 21)
+PULL, NEAR_KPA, SETTLED_PER_KPA, ETAU2_KPA, E1_KPA, LOST_SIGMAS, MOST_LOST_KPA2 = range(21, 28)
+HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2 = range(28, 35)
+"""places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
+below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
+other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
+difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
+those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, and of :mod:`._recovery`"""
+UNCONFIRMED, PULLED = 1, 2
+
+
+@loop
+def take(memory: Rows, r: FixedRow) -> None:
+    """Keep the pressures of the last frames, and take readings (m,)."""
+    for i in range(r.size):
+        memory[THIRD_LAST, i] = memory[BEFORE_LAST, i]
+        memory[BEFORE_LAST, i] = memory[LAST, i]
+        memory[LAST, i] = memory[PRESSURE, i]
+        memory[STATE_END - 1, i] = r[i]
+
+
+@loop
+def step(memory: Rows, after: Rows, numbers: FixedRow) -> bool:
+    """Take hypotheses ``after`` (6, m) the step; whether a pressure is beyond its limits."""
+    beyond = False
+    for row in range(after.shape[0]):
+        for i in range(after.shape[1]):
+            memory[RISING_KPA + row, i] = after[row, i]
+    for i in range(after.shape[1]):
+        beyond |= min(after[0, i], after[1, i]) < numbers[LOWEST]
+        beyond |= max(after[0, i], after[1, i]) > numbers[USUAL]
+    return beyond
+
+
+@loop
+def take_gains_of(memory: Rows, i: int, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+    """Write into ``of`` (ROWS, m), for cell ``i``, what depends on its hypothesis in force and on the time step."""
+    rising, recovery = memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i]
+    memory[GAIN, i] = by_model[0, 0] * rising + by_model[0, 1] * recovery
+    of[OTHER_GAIN, i] = by_model[1, 0] * rising + by_model[1, 1] * recovery
+    of[FADE, i] = by_model[2, 0] * rising + by_model[2, 1] * recovery
+    of[NOT_RISING, i], of[NOT_RECOVERY, i] = recovery, rising
+    turns = numbers[CONFIRMED_RISE] if memory[SIGN, i] > 0.0 else numbers[CONFIRMED_FALL]
+    of[CONFIRMING_SIGMAS, i], of[CONFIRMING_KPA, i] = turns * numbers[SURE], turns * numbers[TURN_KPA]
+
+
+@loop
+def take_gains(memory: Rows, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+    """:func:`take_gains_of` all cells."""
+    for i in range(memory.shape[1]):
+        take_gains_of(memory, i, by_model, of, numbers)
+
+
+@loop
+def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, unsure: float, numbers: FixedRow) -> float:
+    """Standard deviation that turns between two frames leave in the ``pressure`` of cell ``i``."""
+    last, before, third, sign = memory[LAST, i], memory[BEFORE_LAST, i], memory[THIRD_LAST, i], memory[SIGN, i]
+    there = max(sign * (third - before), sign * (before - last), 0.0)
+    way = min(numbers[JUST_BEGUN] * there, max(abs(pressure - last), numbers[HALF] * there))
+    by_load = max(way - numbers[SURE] * unsure, 0.0)
+    return float(numbers[BETWEEN] * by_load * numbers[BEND] * gain)
+
+
+@loop
+def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+    """Take over the other hypothesis in cell ``i``."""
+    left, extreme = memory[LEFT, i], memory[EXTREME, i]
+    sign = -memory[SIGN, i]
+    rising, recovery = memory[RECOVERY_IN_FORCE, i], memory[RISING_IN_FORCE, i]
+    memory[SIGN, i], memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i] = sign, rising, recovery
+    take_gains_of(memory, i, by_model, of, numbers)
+    gain = memory[GAIN, i]
+    pressure = memory[RISING_KPA, i] * rising + memory[RECOVERY_KPA, i] * recovery
+    now = sign * max(pressure, 0.0)
+    unsure = noise * gain
+    # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
+    before = memory[VARIANCE, i]
+    if memory[RESTED, i] > 0.0:
+        before = min(before, memory[REST_VARIANCE, i] + before * numbers[LIGHT])
+    rounded = numbers[FAST_KPA] / max(abs(pressure - memory[LAST, i]), numbers[FAST_KPA]) * numbers[ROUND_KPA]
+    doubt = math.sqrt(before) + (unseen_kpa(memory, i, pressure, gain, unsure, numbers) + rounded)
+    late = by_model[0, 1] * noise
+    turned = min(doubt * doubt + late * late, numbers[MOST_KPA2])
+    memory[TURNED, i] = turned
+    memory[VARIANCE, i] = turned  # the distance of the hypotheses is in it
+    memory[RESTED, i], memory[DRIFT_KPA, i] = 0.0, 0.0
+    memory[REST_VARIANCE, i] = turned * numbers[PART] if turned < numbers[MOST_RESTED_KPA2] else 0.0
+    drift = math.sqrt(min(turned, numbers[MOST_RESTED_KPA2])) * numbers[DRIFTS]
+    memory[DRIFT_END_KPA, i] = drift if sign < 0.0 else 0.0
+    if left < FAR:
+        memory[EXTREME, i], memory[PEAK, i], memory[LEFT, i] = left, left, FAR
+    else:
+        memory[EXTREME, i], memory[PEAK, i], memory[LEFT, i] = now - numbers[LESS] * unsure, now - unsure, extreme
+
+
+@loop
+def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
+    """Look at the hypothesis in force in cell ``i``; whether it has turned, or an earlier turn was noise."""
+    rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
+    pressure = rising * memory[RISING_IN_FORCE, i] + recovery * memory[RECOVERY_IN_FORCE, i]
+    sign = memory[SIGN, i]
+    unsure = std * memory[GAIN, i]
+    ahead = max(pressure, numbers[LEAST_KPA]) * sign
+    back = (rising * of[NOT_RISING, i] + recovery * of[NOT_RECOVERY, i]) * sign + memory[LEFT, i]
+    noise = of[OTHER_GAIN, i] * std
+    memory[PRESSURE, i] = pressure
+    of[UNSURE, i], of[AHEAD, i], of[SPARE, i], of[NOISE, i] = unsure, ahead, back, noise
+    gone_back = memory[EXTREME, i] - ahead > unsure * numbers[SURE] + (numbers[TURN_KPA] + memory[DRIFT_KPA, i])
+    return bool(gone_back or back < noise)
+
+
+@loop
+def take_turns(memory: Rows, std: FixedRow, by_model: FixedRows, of: Rows, flags: FlagRows, numbers: FixedRow) -> int:
+    """Take over the other hypothesis where the pressure has turned (m,), and confirm earlier turns.
+
+    Returns:
+        Sum of UNCONFIRMED if a cell had turned unconfirmed, and of PULLED if one needs a pull.
+    """
+    found = 0
+    for i in range(std.size):
+        turned = look(memory, i, std[i], of, numbers)
+        if memory[LEFT, i] < FAR or turned:
+            found |= UNCONFIRMED
+        if turned:
+            turn(memory, i, std[i], by_model, of, numbers)
+            look(memory, i, std[i], of, numbers)
+        # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
+        least = of[NOISE, i] * of[CONFIRMING_SIGMAS, i] + of[CONFIRMING_KPA, i]
+        confirmed = memory[LEFT, i] < FAR and of[SPARE, i] >= least
+        flags[CONFIRMED, i] = confirmed
+        if confirmed:
+            memory[LEFT, i] = FAR
+        if memory[PRESSURE, i] < numbers[PULLED_KPA]:
+            found |= PULLED
+    return found
+
+
+@loop
+def correct(memory: Rows, taken: Rows, by_model: FixedRows, numbers: FixedRow) -> None:
+    """Let the hypothesis in force remember less where it needs a pull, for readings ``taken`` (4, m)."""
+    pull = numbers[PULL] * by_model[0, 1]
+    for i in range(memory.shape[1]):
+        off = abs(taken[READING, i] - taken[SMOOTHED, i]) + taken[READING_NOISE, i] * numbers[HIDDEN]
+        doubt = max(off * numbers[PER_SIGMAS], taken[STD, i])
+        allowed = pull * doubt - numbers[NEAR_KPA]
+        if not memory[PRESSURE, i] < allowed:
+            continue
+        r = memory[STATE_END - 1, i]
+        memory[PRESSURE, i] = allowed
+        if memory[RISING_IN_FORCE, i] > 0.0:
+            memory[RISING_KPA, i] = allowed
+            memory[SETTLED, i] = allowed * numbers[SETTLED_PER_KPA] - numbers[ETAU2_KPA] * r
+        else:
+            memory[RECOVERY_KPA, i] = allowed
+            memory[X2, i] = r - allowed / numbers[E1_KPA] - memory[RECOVERY_X3, i]
+
+
+@loop
+def keep(memory: Rows, of: Rows, flags: FlagRows, numbers: FixedRow) -> None:
+    """Keep the doubt where the other hypothesis has begun anew though it was apart by more than noise."""
+    for i in range(memory.shape[1]):
+        by_noise = of[UNSURE, i] * numbers[LOST_SIGMAS]
+        lost = 0.0
+        if flags[WHERE, i] and memory[VARIANCE, i] > by_noise * by_noise:
+            lost = memory[VARIANCE, i] - of[SPARE, i]
+        doubt = memory[TURNED, i]
+        doubt += lost + math.sqrt(doubt * lost)
+        memory[TURNED, i] = min(doubt, numbers[MOST_LOST_KPA2])
+
+
+@loop
+def begin_anew(
+    memory: Rows,
+    anew: Rows,
+    of: Rows,
+    flags: FlagRows,
+    unconfirmed: bool,
+    numbers: FixedRow,
+) -> None:
+    """Begin the other hypothesis anew near the extreme, and tell how far apart both are.
+
+    ``anew`` (6, m) is by how much the hypotheses change if they begin where the other one is.
+    """
+    begun_anywhere = False
+    for i in range(memory.shape[1]):
+        below_peak = memory[PEAK, i] - of[AHEAD, i]
+        again = 0.0
+        if below_peak < max(of[UNSURE, i], numbers[FLAT_KPA]):
+            again = numbers[AGAIN]
+        if below_peak <= numbers[EXACT_KPA]:
+            again = 1.0
+        if unconfirmed and memory[LEFT, i] < FAR:
+            again = 0.0
+        rising, recovery = of[NOT_RISING, i] * again, of[NOT_RECOVERY, i] * again
+        for row in range(0, 6, 2):
+            memory[RISING_KPA + row, i] += anew[row, i] * rising
+            memory[RECOVERY_KPA + row, i] += anew[row + 1, i] * recovery
+    for i in range(memory.shape[1]):
+        ahead, unsure = of[AHEAD, i], of[UNSURE, i]
+        memory[PEAK, i] = max(memory[PEAK, i], ahead - unsure)
+        unsure *= numbers[LESS]
+        of[UNSURE, i] = unsure
+        memory[EXTREME, i] = max(memory[EXTREME, i], ahead - unsure)
+        memory[VARIANCE, i] -= memory[TURNED, i]  # by which the hypotheses were apart in the last frame
+        memory[TURNED, i] *= of[FADE, i]
+        apart = (memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]
+        apart *= apart
+        of[SPARE, i] = apart
+        # Whether the variance is large, and little of it is left.
+        begun = memory[VARIANCE, i] * numbers[LEFT_OVER] > max(apart, numbers[CLEAR])
+        if unconfirmed and flags[CONFIRMED, i]:
+            begun = False  # what the model that was left says has been decided
+        flags[WHERE, i] = begun
+        begun_anywhere |= begun
+    if begun_anywhere:
+        keep(memory, of, flags, numbers)
+    for i in range(memory.shape[1]):
+        memory[VARIANCE, i] = of[SPARE, i] + memory[TURNED, i]
+
+
+ALL = take, step, take_gains, take_turns, correct, begin_anew

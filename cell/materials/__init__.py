@@ -1,0 +1,45 @@
+"""What a cell is: the parameters of each kind of cell, and pressure to resistance.
+
+======================  =====================================================================================
+:mod:`._models`         the parameters, as sections of CELL.toml
+:mod:`._lag`            first-order lags, stepped exactly: what every dynamic part of a cell is made of
+:mod:`._forward`        pressure to resistance, stepped
+:mod:`._simulate`       the same for whole recordings of many cells; loads and noise drawn at random
+:mod:`._equilibrium`    the resistance that a held pressure leads to
+:mod:`._material`       sensitivity, temperature, ageing
+:mod:`._percolation`    mixtures with more or less carbon black
+======================  =====================================================================================
+"""
+
+from . import _lag as lag
+from . import _simulate as simulate
+from ._equilibrium import equilibrium_curve, equilibrium_gain
+from ._forward import Forward, as_m10, make_forward, resistance_of
+from ._lag import ByStep
+from ._material import drifted_rest_resistance, sensitivity
+from ._models import AsymmetricModel, ContactModel, M10Model, Model, PaperModel
+from ._percolation import Percolation
+from ._simulate import smoothed, smoothing_s, white_noise
+
+__all__ = [
+    "AsymmetricModel",
+    "ByStep",
+    "ContactModel",
+    "Forward",
+    "M10Model",
+    "Model",
+    "PaperModel",
+    "Percolation",
+    "as_m10",
+    "drifted_rest_resistance",
+    "equilibrium_curve",
+    "equilibrium_gain",
+    "lag",
+    "make_forward",
+    "resistance_of",
+    "sensitivity",
+    "simulate",
+    "smoothed",
+    "smoothing_s",
+    "white_noise",
+]

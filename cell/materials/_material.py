@@ -1,0 +1,34 @@
+"""A cell as a material: its sensitivity, and what temperature and age do to it. For mixtures see percolation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...arrays import FloatArray
+from ._equilibrium import equilibrium_gain
+from ._models import Model
+
+
+def sensitivity(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) -> float:
+    """S = (Rmax - R0)/R0 of a cell at equilibrium under full scale; negative where contact dominates (P2)."""
+    return equilibrium_gain(model, full_scale_kpa, rest_resistance_ohm)
+
+
+def drifted_rest_resistance(
+    rest_resistance_ohm: ArrayLike,
+    *,
+    temperature_change_c: float = 0.0,
+    per_degree: float = 0.07,
+    age_s: float = 0.0,
+    per_decade: float = 0.0,
+) -> FloatArray:
+    """R0 after a change of temperature and with age: what a calibrated cell may have become.
+
+    Temperature enters exponentially (7 % per degree is published for one rubber with 50 phr carbon black), age as a
+    share ``per_decade`` of log10(1 + age in hours). Hand the result to ``Cell.forward`` or ``Cell.estimator``.
+    """
+    warm = np.exp(np.log1p(per_degree) * temperature_change_c)
+    aged = 1 + per_decade * np.log10(1 + age_s / 3600)
+    drifted: FloatArray = np.asarray(rest_resistance_ohm, dtype=np.float64) * warm * aged
+    return drifted

@@ -1,0 +1,158 @@
+"""The parameters of a cell: the ``[model]`` table of CELL.toml, one section per kind of material.
+
+r = (R - R0)/R0 is the normalised resistance (P3), p the pressure in kPa, s = p / full scale the normalised
+load. Moduli E and viscosities eta have no mechanical meaning here: they belong to a normalised resistance
+(paper, IV.B).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from ...config import Finite, NotNegative, Positive, Section
+
+
+class Burgers(Section):
+    """The augmented Burgers model, five elements (P5, equations 4 to 8)."""
+
+    e1_kpa: Positive
+    e2_kpa: Positive
+    e3_kpa: Positive
+    eta2_kpa_s: Positive
+    """of the faster branch"""
+    eta3_kpa_s: Positive
+    """of the slower branch"""
+
+    @property
+    def t2_s(self) -> float:
+        """Time constant of the faster branch (equation 9)."""
+        return self.eta2_kpa_s / self.e2_kpa
+
+    @property
+    def t3_s(self) -> float:
+        """Time constant of the slower branch (equation 9)."""
+        return self.eta3_kpa_s / self.e3_kpa
+
+    @property
+    def gain_per_kpa(self) -> float:
+        """The equilibrium gain, r per kPa: 1/E1 + 1/E2 + 1/E3."""
+        return 1 / self.e1_kpa + 1 / self.e2_kpa + 1 / self.e3_kpa
+
+    def transfer_function(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Numerator and denominator of G(s) = r/p as printed (equations 4 to 7), highest power first."""
+        e1, e2, e3, n2, n3 = self.e1_kpa, self.e2_kpa, self.e3_kpa, self.eta2_kpa_s, self.eta3_kpa_s
+        numerator = (n2 * n3 / e1, (e2 * n3 + e3 * n2) / e1 + n2 + n3, e2 * e3 / e1 + e2 + e3)
+        return numerator, (n2 * n3, n2 * e3 + n3 * e2, e2 * e3)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.t2_s < self.t3_s:
+            raise ValueError(
+                f"the third branch must be the slower: eta2/E2 = {self.t2_s:g} s, eta3/E3 = {self.t3_s:g} s"
+            )
+        return self
+
+
+class PaperModel(Burgers):
+    """Two models and a switch, as the paper has it: P4 while the load rises, P5 while it recovers."""
+
+    kind: Literal["paper"] = "paper"
+    eu1_kpa: Positive
+    eu2_kpa_per_s: Positive
+    etau2_kpa: Positive
+
+    rising_threshold_per_s: Positive | None = None
+    """dr/dt above which the estimator takes the rising model; None: as the recovery threshold"""
+    recovery_threshold_per_s: Positive | None = None
+    """-dr/dt above which it takes the recovery model; None: 1.2 times the settling slope of full scale"""
+    derivative_s: NotNegative = 0.5
+    """time over which the estimator takes dr/dt; 0: from one sample to the next"""
+
+    @property
+    def tu_s(self) -> float:
+        """Settling time of a held load, etau2/Eu2."""
+        return self.etau2_kpa / self.eu2_kpa_per_s
+
+    @property
+    def overshoot(self) -> float:
+        """Resistance change at once after a pressure step, over its equilibrium: 1 + Eu1/etau2 (P4)."""
+        return 1 + self.eu1_kpa / self.etau2_kpa
+
+    def settling_slope_per_s(self, pressure_kpa: float) -> float:
+        """Steepest fall of r while ``pressure_kpa`` is held after a step: p Eu2/etau2^2 (P8)."""
+        return pressure_kpa * self.eu2_kpa_per_s / self.etau2_kpa**2
+
+    def thresholds_per_s(self, full_scale_kpa: float) -> tuple[float, float]:
+        """dr/dt above the first means rising, below the second (negative) recovery."""
+        falling = self.recovery_threshold_per_s or 1.2 * self.settling_slope_per_s(full_scale_kpa)
+        return self.rising_threshold_per_s or falling, -falling
+
+    def rising_transfer_function(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Numerator and denominator of G_up = r/p (equation 3), highest power of s first.
+
+        The paper's second form prints Eu1 as the constant of the numerator; its own two terms add up to Eu2.
+        """
+        return (self.eu1_kpa + self.etau2_kpa, self.eu2_kpa_per_s), (
+            self.eu1_kpa * self.etau2_kpa,
+            self.eu1_kpa * self.eu2_kpa_per_s,
+        )
+
+    @model_validator(mode="after")
+    def _one_equilibrium(self) -> Self:
+        rising = 1 / self.eu1_kpa
+        if abs(rising - self.gain_per_kpa) > 0.01 * rising:
+            raise ValueError(
+                f"a held load must settle where recovery starts: 1/Eu1 = {rising:.6g} per kPa, but "
+                f"1/E1 + 1/E2 + 1/E3 = {self.gain_per_kpa:.6g}; expected them equal within 1 %"
+            )
+        return self
+
+
+class AsymmetricModel(Burgers):
+    """One set of states for both phases: each branch charges in ``rise_s`` and discharges as in P5.
+
+    Loading then follows the gain of the rising phase, unloading equation (8), and partial releases and
+    repeated presses need no hand-over.
+    """
+
+    kind: Literal["asymmetric"] = "asymmetric"
+    rise_s: Positive = 0.05
+
+
+class M10Model(Section):
+    """Asymmetric branches, a curved static response, and conductive chains broken by motion that heal (D)::
+
+        r = a s + b s^2 + x1 + x2 + D
+        xi' = (alphai s - xi)/T,    T = rise_i while alphai s > xi, else fall_i
+        D'  = k |s'| - D/tau
+
+    With b = 0, rise -> 0 and s' > 0 it is G_up of (3), 1/Eu1 = (a + alpha1 + alpha2)/full scale,
+    etau2 = full scale/k, Eu2 = full scale/(k tau). With k = 0 and discharging it is G of (8).
+    """
+
+    kind: Literal["m10"] = "m10"
+    a: Finite
+    b: Finite = 0.0
+    alpha1: NotNegative
+    rise1_s: Positive
+    fall1_s: Positive
+    alpha2: NotNegative
+    rise2_s: Positive = 0.05
+    fall2_s: Positive
+    k: NotNegative = 0.0
+    tau_s: Positive = 30.0
+
+
+class ContactModel(Section):
+    """Electrodes that merely touch (P2): 1/R = 1/R0 + (p / full scale)^n / R_full. No memory."""
+
+    kind: Literal["contact"] = "contact"
+    exponent: Annotated[float, Field(gt=0, le=4)] = 1.0
+    """n; 0.7 to 1.3 are published"""
+    full_scale_resistance_ohm: Positive
+    """of the contact alone, at full scale"""
+
+
+Model = Annotated[PaperModel | AsymmetricModel | M10Model | ContactModel, Field(discriminator="kind")]

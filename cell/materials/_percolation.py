@@ -1,0 +1,63 @@
+"""How the carbon-black fraction sets a cell's resistance and sensitivity (P1): the percolation law.
+
+Above the threshold phi_c conduction grows as (phi - phi_c)^t, t about 2 (1.95 is published for carbon black). A load
+breaks a share of the conductive paths, as if the fraction had fallen by an amount d: the normalised change
+r = ((phi - phi_c)/(phi - phi_c - d))^t - 1 then grows as phi comes down to the threshold. d is taken from one known
+cell, and is proportional to the load.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ...arrays import FloatArray
+from ...errors import InputError
+
+
+@dataclass(frozen=True)
+class Percolation:
+    """A family of mixtures through one known cell. Fractions are mass fractions (0.015 is 1.5 %).
+
+    Threshold and exponent are the project's own choice: the paper gives neither.
+    """
+
+    fraction: float
+    """of the known cell"""
+    rest_resistance_ohm: float
+    sensitivity: float
+    """(Rmax - R0)/R0 of the known cell at full scale"""
+    threshold: float = 0.006
+    exponent: float = 2.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.threshold < self.fraction < 1:
+            raise InputError(f"fraction {self.fraction}: expected between the threshold {self.threshold} and 1")
+        if not (self.exponent > 0 and self.rest_resistance_ohm > 0 and self.sensitivity > 0):
+            raise InputError("exponent, rest resistance and sensitivity: expected numbers above 0")
+
+    def rest_resistance(self, fraction: ArrayLike) -> FloatArray:
+        """R0 in ohm of mixtures; inf at the threshold and below."""
+        return self._ohm(np.asarray(fraction, dtype=np.float64) - self.threshold)
+
+    def resistance(self, fraction: ArrayLike, load: ArrayLike) -> FloatArray:
+        """Ohm under ``load`` (1 is full scale), fractions and loads broadcast; inf where no path is left."""
+        above = self.fraction - self.threshold
+        broken = above * (1.0 - (1.0 + self.sensitivity) ** (-1.0 / self.exponent))
+        return self._ohm(np.asarray(fraction, dtype=np.float64) - self.threshold - broken * np.asarray(load))
+
+    def sensitivities(self, fraction: ArrayLike) -> FloatArray:
+        """(Rmax - R0)/R0 at full scale; inf where full scale breaks the last path."""
+        rest = self.rest_resistance(fraction)
+        with np.errstate(invalid="ignore"):
+            change = self.resistance(fraction, 1.0) / rest - 1.0
+        return np.where(np.isfinite(rest), change, np.inf)
+
+    def _ohm(self, above: FloatArray) -> FloatArray:
+        known = self.fraction - self.threshold
+        with np.errstate(divide="ignore"):
+            ratio = np.where(above > 0, known / np.where(above > 0, above, 1.0), np.inf)
+        ohm: FloatArray = self.rest_resistance_ohm * ratio**self.exponent
+        return ohm

@@ -1,0 +1,284 @@
+"""Whole recordings of many cells at once: what identification and training spend their time on.
+
+The same equations as :mod:`._forward`, on a uniform time grid and with the change-over of an asymmetric lag placed
+at the end of a step instead of inside it, which is an order of magnitude faster; a test holds the two together.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from ...arrays import BoolArray, FloatArray
+from ...compiled import Rows, loop
+from . import _lag as lag
+
+FEW_CELLS = 8
+"""up to which stepping the cells one by one is faster than stepping them together, without machine code"""
+
+M10_PARAMETERS = ("a", "b", "alpha1", "rise1_s", "fall1_s", "alpha2", "rise2_s", "fall2_s", "k", "tau_s")
+
+
+def m10(parameters: FloatArray, load: FloatArray, dt_s: float, begun: FloatArray | None = None) -> FloatArray:
+    """Normalised resistance (n, m) of m cells of kind m10.
+
+    Args:
+        parameters: (10, m), in the order of ``M10_PARAMETERS``.
+        load: (n, m) or (n, 1), pressure / full scale.
+        dt_s: the time between samples.
+        begun: (3, m) by how much each branch is above its equilibrium at the first load, and what broken chains add
+            there; 0: settled.
+    """
+    a, b, alpha1, rise1, fall1, alpha2, rise2, fall2, k, tau = parameters
+    samples, cells = len(load), parameters.shape[1]
+    alpha = np.stack([alpha1, alpha2])
+    up, up_ramp = lag.weights(dt_s, np.stack([rise1, rise2]))
+    down, down_ramp = lag.weights(dt_s, np.stack([fall1, fall2]))
+    gone, ramp = np.stack([up, down]), np.stack([up_ramp, down_ramp])  # (2, 2, m): charging or not, branch, cell
+    stay = 1 - gone
+    target = np.multiply(alpha, load[:, None, :])  # (n, 2, m)
+    into = target[:-1, None] * (gone - ramp) + target[1:, None] * ramp
+    branches = np.empty((samples, 2, cells))
+    begun = np.zeros((3, cells)) if begun is None else begun
+    branches[0] = target[0] + begun[:2]
+    compiled = _step_branches.machine_code()
+    if compiled is not None:
+        of_all = 2 * cells
+        compiled(
+            np.ascontiguousarray(target.reshape(samples, of_all)),
+            np.ascontiguousarray(into[:, 0].reshape(samples - 1, of_all)),
+            np.ascontiguousarray(into[:, 1].reshape(samples - 1, of_all)),
+            stay.reshape(2, of_all),
+            branches.reshape(samples, of_all),
+        )
+    elif cells <= FEW_CELLS:
+        for branch, cell in np.ndindex(2, cells):
+            charging, discharging = into[:, :, branch, cell].T
+            branches[:, branch, cell] = _one_branch(
+                float(branches[0, branch, cell]),
+                target[1:, branch, cell],
+                charging,
+                discharging,
+                stay[:, branch, cell],
+            )
+    else:
+        _all_branches(target, into, stay, branches)
+    gone, ramp = lag.weights(dt_s, tau)
+    moved = np.abs(np.diff(load, axis=0, prepend=load[:1])) * (k * (1 - ramp))
+    moved[0] = begun[2]
+    broken = np.empty((samples, cells))
+    for cell in range(cells):
+        broken[:, cell] = _recursion(moved[:, cell], 1 - gone[cell])
+    r: FloatArray = a * load + b * load**2 + branches.sum(axis=1) + broken
+    return r
+
+
+@loop
+def _step_branches(target: Rows, charging: Rows, discharging: Rows, stay: Rows, branches: Rows) -> None:
+    """:func:`_all_branches` with the branches of all cells side by side; writes ``branches`` from its second row on."""
+    for n in range(1, branches.shape[0]):
+        for branch in range(branches.shape[1]):
+            x = branches[n - 1, branch]
+            if target[n, branch] > x:
+                branches[n, branch] = x * stay[0, branch] + charging[n - 1, branch]
+            else:
+                branches[n, branch] = x * stay[1, branch] + discharging[n - 1, branch]
+
+
+def _all_branches(target: FloatArray, into: FloatArray, stay: FloatArray, branches: FloatArray) -> None:
+    """Step both branches of all cells, sample by sample; writes ``branches`` (n, 2, m) from its first sample on."""
+    either, charging = np.empty(stay.shape), np.empty(stay.shape[1:], dtype=bool)
+    for now, then, x, to in zip(target[1:], into, branches[:-1], branches[1:], strict=True):
+        np.multiply(x, stay, out=either)
+        either += then
+        np.greater(now, x, out=charging)
+        to[:] = either[1]
+        np.copyto(to, either[0], where=charging)
+
+
+def _one_branch(
+    first: float, target: FloatArray, charging: FloatArray, discharging: FloatArray, stay: FloatArray
+) -> list[float]:
+    """One branch of one cell (n,) from its first value on, the same numbers as those of :func:`_all_branches`.
+
+    numpy takes some microseconds per operation however small the array is; plain numbers are ten times faster.
+    """
+    x = first
+    up, down = stay.tolist()
+    states = [x]
+    for now, rise, fall in zip(target.tolist(), charging.tolist(), discharging.tolist(), strict=True):
+        x = x * up + rise if now > x else x * down + fall
+        states.append(x)
+    return states
+
+
+PAPER_PARAMETERS = ("gain1", "gain2", "fall2_s", "gain3", "fall3_s", "overshoot", "settle_s")
+
+
+def paper(parameters: FloatArray, load: FloatArray, dt_s: float) -> FloatArray:
+    """Normalised resistance (n, m) of m cells of kind paper, settled at their first load.
+
+    The same hand-overs as :class:`~.forward.PaperForward`, which only depend on the loads and are thus known before.
+
+    Args:
+        parameters: (7, m), in the order of ``PAPER_PARAMETERS``; gains are of r at full scale.
+        load: (n, m) or (n, 1), pressure / full scale.
+        dt_s: the time between samples.
+    """
+    gain1, gain2, fall2, gain3, fall3, overshoot, settle = parameters
+    samples, cells = len(load), parameters.shape[1]
+    load = np.broadcast_to(load, (samples, cells))
+    total = gain1 + gain2 + gain3
+    jump = overshoot * total  # 1/etau2, loads in full scales
+
+    gone_u, ramp_u = lag.weights(dt_s, settle)
+    gone2, ramp2 = lag.weights(dt_s, fall2)
+    gone3, ramp3 = lag.weights(dt_s, fall3)
+    into_u = load[:-1] * (gone_u - ramp_u) + load[1:] * ramp_u
+    into2 = gain2 * (load[:-1] * (gone2 - ramp2) + load[1:] * ramp2)
+    into3 = gain3 * (load[:-1] * (gone3 - ramp3) + load[1:] * ramp3)
+    stay_u, stay2 = 1 - gone_u, 1 - gone2
+    x3 = np.empty((samples, cells))
+    for cell in range(cells):
+        stay3 = 1 - gone3[cell]
+        x3[0, cell] = first = gain3[cell] * load[0, cell]
+        x3[1:, cell] = _recursion(into3[:, cell], stay3, stay3 * first)
+
+    # Which way each load last went, upwards at first.
+    sign = np.sign(np.diff(load, axis=0, prepend=load[:1] - 1))
+    moved = np.maximum.accumulate(np.where(sign != 0, np.arange(samples)[:, None], 0), axis=0)
+    rising: BoolArray = np.take_along_axis(sign, moved, axis=0) > 0
+    starts, ends = rising[1:] & ~rising[:-1], ~rising[1:] & rising[:-1]
+
+    # One free state: the load that rising has settled to, or the fast branch of recovery. A hand-over is linear in it,
+    # since the resistance is continuous, so that it follows state[n] = keep[n] state[n-1] + driven[n] all the time.
+    before, slow = load[:-1], x3[:-1]
+    start = before + ((total - gain1) * before - slow) / jump
+    end = (total + jump - gain1) * before - slow
+    risen = rising[1:]
+    stay = np.where(risen, stay_u, stay2)
+    keep = stay * np.where(starts, -1 / jump, np.where(ends, -jump, 1.0))
+    driven = stay * np.where(starts, start, np.where(ends, end, 0.0)) + np.where(risen, into_u, into2)
+    state = np.empty((samples, cells))
+    state[0] = load[0]
+    _follow(keep, driven, state)
+    r: FloatArray = np.where(rising, total * load + jump * (load - state), gain1 * load + state + x3)
+    return r
+
+
+def _follow(keep: FloatArray, driven: FloatArray, state: FloatArray) -> None:
+    """state[n] = keep[n-1] state[n-1] + driven[n-1], each (n, m); writes ``state`` from its second row on."""
+    compiled = _follow_cells.machine_code()
+    if compiled is not None:
+        compiled(keep, driven, state)
+        return
+    for factor, add, last, to in zip(keep, driven, state[:-1], state[1:], strict=True):
+        np.multiply(factor, last, out=to)
+        np.add(to, add, out=to)
+
+
+@loop
+def _follow_cells(keep: Rows, driven: Rows, state: Rows) -> None:
+    for n in range(1, state.shape[0]):
+        for cell in range(state.shape[1]):
+            state[n, cell] = keep[n - 1, cell] * state[n - 1, cell] + driven[n - 1, cell]
+
+
+def random_loads(rng: np.random.Generator, samples: int, cells: int, dt_s: float) -> FloatArray:
+    """Normalised loads (n, m): random ramps to nothing, full scale or anywhere, some cells with holds, some without.
+
+    Ramps take 0.2 to 40 s per full scale, holds 1 to 160 s. Every cell rests first.
+    """
+    loads = np.empty((samples, cells))
+    end = samples * dt_s
+    for cell in range(cells):
+        times, levels = [0.0, rng.uniform(1, 20)], [0.0, 0.0]
+        holds = rng.choice([0.0, 0.3, 1.0])
+        while times[-1] < end:
+            kind = rng.random()
+            level = 0.0 if kind < 0.25 else 1.0 if kind < 0.45 else rng.uniform(-0.05, 1.2)
+            seconds_per_full_scale = np.exp(rng.uniform(np.log(0.2), np.log(40)))
+            times.append(times[-1] + max(0.1, abs(level - levels[-1]) * seconds_per_full_scale))
+            levels.append(level)
+            if holds:
+                times.append(times[-1] + holds * np.exp(rng.uniform(np.log(1), np.log(160))))
+                levels.append(level)
+        loads[:, cell] = np.interp(np.arange(samples) * dt_s, times, levels)
+    return loads
+
+
+def varied_loads(
+    rng: np.random.Generator, samples: int, cells: int, dt_s: float, recorded: FloatArray, recorded_dt_s: float
+) -> FloatArray:
+    """Normalised loads (n, m) with the texture of a recorded one: pieces of it, slower or faster by up to two,
+    scaled, shifted, reversed in time or upside down, joined by ramps.
+    """
+    loads = np.empty((samples, cells))
+    shortest = min(len(recorded), max(2, round(20 / recorded_dt_s)))
+    for cell in range(cells):
+        pieces: list[FloatArray] = [np.zeros(max(1, round(rng.uniform(1, 20) / dt_s)))]
+        while sum(map(len, pieces)) < samples:
+            length = rng.integers(shortest, len(recorded) + 1)
+            start = rng.integers(0, len(recorded) - length + 1)
+            piece = recorded[start : start + length]
+            piece = piece[::-1] if rng.random() < 0.3 else piece
+            piece = 1 - piece if rng.random() < 0.2 else piece
+            step = dt_s / recorded_dt_s * np.exp(rng.uniform(-np.log(2), np.log(2)))
+            scale = rng.uniform(0.5, 1.1)
+            piece = np.interp(np.arange(0, length - 1, step), np.arange(length), piece) * scale
+            piece = piece + rng.uniform(-0.05, 1.05 - 0.9 * scale)
+            pieces += [np.linspace(pieces[-1][-1], piece[0], round(rng.uniform(1, 10) / dt_s)), piece]
+        loads[:, cell] = np.concatenate(pieces)[:samples]
+    return loads
+
+
+def wandering(
+    rng: np.random.Generator, samples: int, cells: int, dt_s: float, seconds: float, std: float
+) -> FloatArray:
+    """Stationary noise (n, m) that forgets itself in ``seconds``: what a model leaves unexplained."""
+    keep = np.exp(-dt_s / seconds)
+    white = std * rng.standard_normal((samples, cells))
+    white[1:] *= np.sqrt(1 - keep**2)
+    return _recursion(white, keep)
+
+
+def lagging(load: FloatArray, dt_s: float, seconds: FloatArray, first: FloatArray) -> FloatArray:
+    """Loads (n, m) behind lags of ``seconds`` (m,) that begin at ``first`` (m,): slow creep, and what came before."""
+    found = np.empty_like(load)
+    for cell, keep in enumerate(np.exp(-dt_s / seconds)):
+        found[:, cell] = _recursion((1 - keep) * load[:, cell], keep, keep * first[cell])
+    return found
+
+
+def _recursion(into: FloatArray, keep: float, before: float = 0.0) -> FloatArray:
+    """First-order recursive filter along axis 0: ``y[k] = keep y[k-1] + into[k]``, and ``before`` added to y[0]."""
+    from scipy.signal import lfilter  # loads scipy.stats, which takes as long as all else of this package
+
+    found: FloatArray = lfilter([1.0], [1.0, -keep], into, axis=0, zi=np.full((1, *into.shape[1:]), before))[0]
+    return found
+
+
+def white_noise(signal: FloatArray) -> float:
+    """Standard deviation of what changes from sample to sample: robust second differences of (n,)."""
+    return float(np.median(np.abs(np.diff(signal, 2))) / 0.6745 / np.sqrt(6)) if len(signal) > 2 else 0.0
+
+
+def step_noise(signal: FloatArray) -> float:
+    """Standard deviation of rounding to the steps that (n,) changes by, for readings coarser than their noise."""
+    steps = np.abs(np.diff(signal))
+    return float(np.min(steps, where=steps > 0, initial=np.inf) / np.sqrt(12)) if steps.any() else 0.0
+
+
+def smoothing_s(load: FloatArray, dt_s: float) -> float:
+    """Over how long a force gauge's signal must be smoothed: its noise would add up in the integral of |ds|.
+
+    Not at all if that is less than 5 % of the load's range in ten seconds.
+    """
+    return 0.5 if white_noise(load) * 10 / dt_s > 0.05 * np.ptp(load) else 0.0
+
+
+def smoothed(signal: FloatArray, dt_s: float, seconds: float) -> FloatArray:
+    """A signal (n,) behind a Gaussian window of that standard deviation."""
+    width = seconds / dt_s
+    result: FloatArray = gaussian_filter1d(signal, width) if width > 0.3 else signal
+    return result
