@@ -92,6 +92,7 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("divider extremes", 202020000179),  # a column whose scale a converter's offset of 1800 steps hides
         ("row floating extremes", 202020000198),  # a cell behind six times its resistance, and such an offset
         ("feedback extremes", 202020000238),  # a lost row's cells seem to conduct less than they do, by such a lead
+        ("loaded extremes", 201040000012),  # a row behind a break of 300 ohm, fed by a column of 1 ohm: two solutions
     ],
 )
 def test_streams_that_were_read_wrong(family: str, number: int) -> None:

@@ -7,7 +7,8 @@ readings at limits are left out         :mod:`._readings_at_limits`
 a start                                 the last frame's cells, or :mod:`._closed_start`
 steps within the frame's budget         :mod:`._gauss_newton`, :mod:`._linearised`, :mod:`._frame_budget`
 how well the cells give the readings    :meth:`CoupledLive._judge_misfit`
-uncertainty                             :mod:`._fit_uncertainty`, :mod:`._loose_columns`, :mod:`._below_range`
+uncertainty                             :mod:`._fit_uncertainty`, :mod:`._loose_columns`, :mod:`._second_scale`,
+                                        :mod:`._below_range`
 what possible shorts disturb            :mod:`._possible_shorts`
 values, validity, and reasons           :meth:`CoupledLive._reading`
 ======================================  ================================================================
@@ -48,6 +49,7 @@ from ._loose_columns import LooseColumns
 from ._lost_rows import LostRows
 from ._possible_shorts import PossibleShorts
 from ._readings_at_limits import ReadingLimits, Selection
+from ._second_scale import SecondScales
 
 _MOST_FAILURES = 3  # frames in a row until the design is not believed: other starts may lead to a fit
 _ROUGHLY = 0.05  # change of a logarithm that matters for cells which only load others
@@ -86,6 +88,7 @@ class CoupledLive:
         self._uncertainty = FitUncertainty(parts)
         is_divider = not (board.floating or board.circuit.has_amplifiers)
         self._loose = LooseColumns(parts) if is_divider else None
+        self._second = SecondScales(parts)
         self._below = BelowRange(parts)
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
@@ -252,6 +255,9 @@ class CoupledLive:
             leads = np.where(np.isfinite(self._parts.leads), self._parts.leads, 0.0)
             with np.errstate(over="ignore"):  # what is boundless stays so
                 by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
+        if self._second.applies:
+            by_second = self._second.disturb(frame, fit.known, base)
+            by_columns = by_columns if by_second is None else by_columns + by_second
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base)
         fitted = by_readings + others + doubt

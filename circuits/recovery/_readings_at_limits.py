@@ -24,6 +24,7 @@ _ONE_OF_SOME = 0.2  # the same where two frames did not, since cells of a few oh
 _LEFT_OUT = 300  # frames until a line that has been left out is tried again
 _SUDDEN = 2  # frames after which a noise that has begun is known
 _LEAST_SIEMENS = 1e-200  # of a cell that conducts nothing, so that no ratio overflows
+_BOUNDLESS = 1e50  # 1/V, where a lead without resistance leaves no bound
 _MOST_SHARE = 1e100  # so that no multiple of it overflows
 _BY_LEADS = 1.5  # times the share of a voltage that leads lose, what they may change
 
@@ -223,7 +224,7 @@ class ReadingLimits:
         row = readings.argmax(axis=0)  # of the cell at its limit, in each of the columns
         largest = np.maximum(readings.max(axis=0) - off, np.finfo(np.float64).tiny)
         with np.errstate(divide="ignore", invalid="ignore"):
-            per_volt = np.nan_to_num(most / lead[row, columns] / largest, nan=0.0)
+            per_volt = np.nan_to_num(most / lead[row, columns] / largest, nan=0.0, posinf=_BOUNDLESS)
         steeper = 1.0 + conductance.max(axis=0) / conductance  # what other rows bring in, against the cell's own
         # A row that is selected loses to the column what its own cell passes, which comes out at the cell at its limit.
         passed = (readings + off) * per_volt

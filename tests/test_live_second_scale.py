@@ -1,0 +1,83 @@
+"""Loaded dividers whose readings two sets of cells give: a column of good conductors, and a row behind a lead."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ohmskin.arrays import FloatArray
+from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.circuits.recovery._coupled_board import CoupledBoard
+from ohmskin.circuits.recovery._second_scale import SecondScales, _Column
+from ohmskin.driver import CountReader, Reading
+
+
+def board(row_lead: list[float], columns: int, *, bits: int = 20, column_lead: float = 0.0) -> Design:
+    lines = {"rows": len(row_lead), "columns": columns, "row_lead": row_lead, "column_lead": column_lead}
+    return Design.model_validate(
+        {
+            "array": lines,
+            "drive": {"voltage": 3.3, "idle_rows": "ground"},
+            "readout": {"circuit": "voltage-divider", "reference_resistance": 4.7e3, "idle_columns": "load"},
+            "adc": {"bits": bits, "range": [0.0, 3.3]},
+        }
+    )
+
+
+def known_well(reading: Reading, cells: FloatArray) -> bool:
+    """Whether no valid cell is off by more than its uncertainty."""
+    off = np.abs(reading.resistance / cells - 1.0)[reading.valid]
+    return bool((off <= reading.uncertainty[reading.valid] * (1.0 + 1e-9)).all())
+
+
+def read_after_rest(design: Design, rest: FloatArray, pressed: FloatArray) -> list[Reading]:
+    """A reader's frames at rest and after all cells have changed at once."""
+    read = CountReader(design)
+    return [read(adc_codes(design, scan(design, cells).volts)) for cells in [rest] * 3 + [pressed] * 8]
+
+
+def test_the_second_scale_is_that_of_cells_with_the_same_readings() -> None:
+    """The readings, by the exact solver, of the cells that the closed formulas make of others."""
+    design = board([0.0, 300.0, 0.0], 5)
+    cells = 10 ** np.random.default_rng(1).uniform(3.6, 4.1, (3, 5))
+    cells[:, 2] = 1.1, 1.0, 1.3
+    parts = CoupledBoard(design.board)
+    known, scales = parts.at(-np.log(cells).ravel()), SecondScales(parts)
+    column = _Column.at(1.0 / cells, scales._deficits(known), scales._lead, 2)
+    found = column.second_scales(0.0)
+    assert found is not None
+    nearest, scale = found
+    assert nearest == pytest.approx(scale)
+    assert scale < 0.6
+    own = scale * column.own * (1.0 - column.hangs) / (1.0 - scale * column.hangs)
+    other = 1.0 / np.insert(column._others(scale), 2, own, axis=1)
+    assert np.delete(other[1] / cells[1], 2).min() > 10.0  # the row hardly takes part
+    np.testing.assert_allclose(scan(design, other).volts, scan(design, cells).volts, rtol=0.02)
+
+
+@pytest.mark.parametrize("seed", [2, 3, 5, 10, 14, 17, 23, 28])
+def test_a_column_of_shorts_beside_a_row_with_a_lead_leaves_no_wrong_cell(seed: int) -> None:
+    """Boards at random, each of which once had valid cells that were wrong, most of them by a factor of two."""
+    random = np.random.default_rng(seed)
+    rows, columns = (int(count) for count in random.integers((3, 3), (7, 9)))
+    lead = np.full(rows, float(random.choice([0.0, 5.0])))
+    lead[random.integers(rows)] = 10 ** random.uniform(1.0, 3.0)
+    bits, column_lead = int(random.choice([12, 16, 20])), float(random.choice([0.0, 20.0]))
+    design = board(lead.tolist(), columns, bits=bits, column_lead=column_lead)
+    rest = 1e4 * 10 ** random.uniform(-0.5, 0.5, (rows, columns))
+    pressed = rest.copy()
+    pressed[:, random.integers(columns)] = random.choice([0.3, 1.0, 5.0]) * 10 ** random.uniform(-0.5, 0.5, rows)
+    readings = read_after_rest(design, rest, pressed)
+    assert readings[0].valid.all()
+    assert all(known_well(reading, rest) for reading in readings[:3])
+    assert all(known_well(reading, pressed) for reading in readings[3:])
+
+
+def test_a_hard_press_on_light_leads_has_one_scale() -> None:
+    design = board([5.0] * 6, 6, bits=16)
+    rest = 1e4 * 10 ** np.random.default_rng(3).uniform(-0.2, 0.2, (6, 6))
+    pressed = rest.copy()
+    pressed[1:4, 2] = 300.0
+    readings = read_after_rest(design, rest, pressed)
+    assert readings[-1].valid.all()
+    assert known_well(readings[-1], pressed)
