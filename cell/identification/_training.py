@@ -31,7 +31,8 @@ STATIC_CELLS = 12
 MOST_STEPS, FEWEST_SAMPLES = 50000, 500
 """time steps that a recording may have on the grid of the simulations, and samples that a simulated cell has"""
 R0_ERROR = 0.03
-"""standard deviation of R0, relative: an estimator must live with a rest value that is a little off"""
+"""standard deviation of R0, relative, that an estimator must live with. It is larger than the error of an R0 that was
+just read (``REST_ERROR``): R0 drifts after a calibration, and no stated deviation counts that drift"""
 CREEP = 0.08
 """of the range of r: what creep too slow for the recording, and loads before it, may add"""
 CREEP_LENGTH = (0.08, 1.33)
