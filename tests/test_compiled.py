@@ -129,9 +129,10 @@ def test_the_name_on_disk_changes_with_the_numbers_and_helpers_that_are_compiled
 def _run(program: str, **variables: str) -> str:
     """What a new interpreter prints that treats warnings as errors."""
     paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", textwrap.dedent(program)],
-        env={**os.environ, "PYTHONPATH": paths, **variables},
+        env={**inherited, "PYTHONPATH": paths, **variables},
         capture_output=True,
         text=True,
         check=False,
