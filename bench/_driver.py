@@ -33,9 +33,9 @@ from ..cell import ESTIMATORS, Cell, calibrate, checked_recording, protocol_load
 from ..circuits import Design, adc_codes, scan_batch
 from ..driver import CountReader, Skin
 from ..errors import InputError
-from ..wire import FramePacket, board_protocol, host_protocol
+from ..wire import FramePacket, host_protocol
 from ._estimators import noisy
-from ._paced_port import PacedPort
+from ._paced_port import PacedPort, frame_packets
 
 FRAMES = 400
 FRAME_RATE_HZ = 200.0
@@ -331,14 +331,9 @@ def packets_of(
     assert board.adc is not None
     volts = scan_batch(board, cells).volts
     volts = volts + np.random.default_rng(2).normal(scale=NOISE_STEPS * board.adc.step, size=volts.shape)
-    protocol = board_protocol("ohmskin")
     codes = adc_codes(board, volts)
-
-    def packet(number: int) -> bytes:
-        counts, time_us = codes[number // each % len(codes)], round(1e6 * number / rate_hz)
-        return protocol.frame(FramePacket.of(counts, sequence=number, time_us=time_us, boot_id=1))
-
-    return [packet(number) for number in range(len(codes) if frames is None else frames)]
+    numbers = range(len(codes) if frames is None else frames)
+    return frame_packets((codes[number // each % len(codes)] for number in numbers), rate_hz)
 
 
 def machine_code() -> str:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from time import process_time
 
+from ..arrays import CodeArray
 from ..circuits import Design
 from ..driver import Arrival
-from ..wire import Identity, board_protocol
+from ..wire import FramePacket, Identity, board_protocol
 
 
 class PacedPort:
@@ -61,6 +62,15 @@ class PacedPort:
 
     def close(self) -> None:
         pass
+
+
+def frame_packets(frames: Iterable[CodeArray], rate_hz: float) -> list[bytes]:
+    """The packets of frames of counts (rows, columns) that follow each other at so many a second."""
+    protocol = board_protocol("ohmskin")
+    return [
+        protocol.frame(FramePacket.of(counts, sequence=number, time_us=round(1e6 * number / rate_hz), boot_id=1))
+        for number, counts in enumerate(frames)
+    ]
 
 
 def _introduction(board: Design) -> bytes:

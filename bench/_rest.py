@@ -14,21 +14,19 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..cell import Cell, PaperModel
-from ._honesty import estimated, readings
+from ._hard_cases import TAP_KPA
+from ._honesty import CELLS, VOLTS_AT_REST, estimated, readings
 
 TAPS = 12
-TAP_KPA = 9.0
 EDGE_S = 0.03
 BEGIN_S = 1.0
 JUDGED = 0.3
 """of a period before the last tap, in which the rest is looked at"""
-CELLS = 8
 SUBSTEPS = 4
 """in which a frame is simulated"""
 SEEDS = 10
 CASES = ((50.0, 1.0, 1.0), (50.0, 1.0, 10.0), (100.0, 1.0, 10.0), (250.0, 1.0, 10.0), (50.0, 3.0, 10.0))
 """frames per second, taps per second, noise in mV"""
-VOLTS_AT_REST = 2.0
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,8 @@ from ..cell import Cell
 from ..circuits import Design, adc_codes, scan_batch
 from ..driver import Contact, Skin
 from ..errors import InputError
-from ..wire import FramePacket, board_protocol
 from ._driver import design
-from ._paced_port import PacedPort
+from ._paced_port import PacedPort, frame_packets
 
 CASES: tuple[tuple[str, str, int, float], ...] = (
     ("inverting-amplifier", "ground", 12, 1.0),
@@ -173,11 +172,7 @@ def contacts_of(
     assert board.adc is not None
     volts = scan_batch(board, ohm).volts
     codes = adc_codes(board, volts + rng.normal(scale=1e-3 * noise_mv, size=volts.shape))
-    protocol = board_protocol("ohmskin")
-    packets = [
-        protocol.frame(FramePacket.of(counts, sequence=n, time_us=round(1e6 * n / rate_hz), boot_id=1))
-        for n, counts in enumerate(codes)
-    ]
+    packets = frame_packets(codes, rate_hz)
     port = PacedPort(packets, 1e-3, board)
     port.work(10.0 + 1e-3 * len(packets))  # all frames have come
     with warnings.catch_warnings():
