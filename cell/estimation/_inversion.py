@@ -156,7 +156,7 @@ class Inversion(ABC):
 
     # -- machine code ------------------------------------------------------------------------------------------------
 
-    def recover_compiled(  # noqa: B027
+    def recover_compiled(  # noqa: B027 - as recover
         self,
         memory: FloatArray,
         taken: FloatArray,

@@ -52,10 +52,16 @@ def _interquartile(values: FloatArray) -> float:
     return float(high - low)
 
 
+def _followed(pressure_kpa: FloatArray, full_scale_kpa: float) -> FloatArray:
+    """(n,) the normalised load after a play (Prandtl's) of :data:`PRESSED`, within which it is noise."""
+    followed: FloatArray = play_follow(pressure_kpa[:, None] / full_scale_kpa, PRESSED)[:, 0]
+    return followed
+
+
 def strokes(recording: Recording, full_scale_kpa: float) -> Strokes:
-    """The strokes of a recorded load. Turns within a play (Prandtl's) of :data:`PRESSED` are noise."""
+    """The strokes of a recorded load, its turns after a play of :data:`PRESSED`."""
     loads = recording.quiet.loads
-    followed = play_follow(loads.pressure_kpa[:, None] / full_scale_kpa, PRESSED)[:, 0]
+    followed = _followed(loads.pressure_kpa, full_scale_kpa)
     moves = np.flatnonzero(np.diff(followed))
     ways = np.sign(np.diff(followed))[moves]
     turns = moves[np.flatnonzero(np.diff(ways)) + 1]  # the samples from which on the load goes the other way
@@ -66,10 +72,9 @@ def strokes(recording: Recording, full_scale_kpa: float) -> Strokes:
 def pressing(recording: Recording, full_scale_kpa: float) -> FloatArray:
     """(n,) path length of the normalised load up to each sample: a press to full scale and its release add 2.
 
-    The load passes a play (Prandtl's) first, so that noise does not add to the path.
+    It is that of the load after a play of :data:`PRESSED`, so that noise does not add to it.
     """
-    load = recording.quiet.pressure_kpa[:, None] / full_scale_kpa
-    followed = play_follow(load, PRESSED)[:, 0]
+    followed = _followed(recording.quiet.pressure_kpa, full_scale_kpa)
     path: FloatArray = np.cumsum(np.abs(np.diff(followed, prepend=followed[0])))
     return path
 
