@@ -5,6 +5,9 @@ if one of them is above a high threshold, or if the contact was there a moment a
 cell between two fingers neither joins nor parts them from frame to frame. Fingers that touch are parted along the
 valley between them (:mod:`._watershed`). :mod:`._tracks` gives the contacts their ids.
 
+On boards with few ADC steps a touch is hardly ever beyond five standard deviations of one cell's pressure. There a
+sudden joint rise of neighbouring readings makes a contact, too (:mod:`._rises`). It lasts while the pressures do.
+
 A disturbance of the converter moves readings that are converted one after another, for one frame. So a new patch within
 one row or column is a contact in its second frame only; a new patch over several rows and columns is one at once.
 """
@@ -20,6 +23,7 @@ from scipy import ndimage
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ._later import Later
+from ._rises import Rises
 from ._tracks import Named, Patch, Tracks
 from ._watershed import part
 
@@ -27,6 +31,9 @@ START_STDS, JOIN_STDS, STAY_STDS = 5.0, 3.2, 2.5
 """a contact begins, takes in a further cell, and keeps a cell at so many standard deviations of the cell's pressure"""
 START_SHARE, JOIN_SHARE, STAY_SHARE = 0.03, 0.0192, 0.015
 """least thresholds, as shares of full scale: slow errors of the cell model are not in its standard deviation"""
+LEFT_SHARE, FALLEN_SHARE = 0.4, 0.7
+"""of the largest pressure that a cell has had since it rose jointly with others: with less, its touch is over; the
+second where it has just fallen jointly with others"""
 NEIGHBOURS = np.ones((3, 3), dtype=int)
 """cells that touch at a corner belong together: a finger rarely covers whole rows"""
 
@@ -69,19 +76,31 @@ class ContactTracker:
         self._pressed: BoolArray = np.zeros(shape, dtype=np.bool_)
         """(rows, columns) cells of the last frame that showed enough pressure for a contact, however uncertain"""
         self._were_parted = False
+        self._rises = Rises(shape)
+        self._risen_kpa = np.zeros(shape)
+        """(rows, columns) largest pressure since the cell rose jointly with its neighbours; 0: it has not"""
         self._tracks = Tracks(1e3 * pitch_m)
         self._places: IntArray = np.indices(shape).reshape(2, -1).T.copy()
         """(cells, 2) row and column of each cell of the flattened array"""
 
-    def update(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[Contact, ...]:
+    def update(
+        self,
+        time_s: float,
+        pressure_kpa: FloatArray,
+        std_kpa: FloatArray,
+        rise: tuple[FloatArray, FloatArray] | None = None,
+    ) -> tuple[Contact, ...]:
         """The contacts of the next frame, the one with the largest force first.
 
         Args:
             time_s: time of the frame, increasing.
             pressure_kpa: (rows, columns); a cell with NaN counts as untouched.
             std_kpa: (rows, columns) standard deviation; NaN where unknown.
+            rise: readings and their noise, as :meth:`ohmskin.cell.Estimator.rise_of_last_step` gives them; None: joint
+                rises are not looked for.
 
         """
+        self._feel(time_s, pressure_kpa, rise)
         labels, patches = self._find(pressure_kpa, std_kpa)
         self._pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
         names = self._tracks.follow(time_s, patches, labels)
@@ -94,17 +113,50 @@ class ContactTracker:
         labels, patches = self._find(pressure_kpa, std_kpa)
         return self._contacts(patches, self._tracks.look_back(time_s, patches, labels))
 
+    def forget_readings(self) -> None:
+        """Compare no reading with one from before: rest resistances have changed."""
+        self._rises.forget()
+
+    def _feel(self, time_s: float, pressure_kpa: FloatArray, rise: tuple[FloatArray, FloatArray] | None) -> None:
+        """Look for cells that have risen jointly, and for those whose touch is over."""
+        found = None if rise is None else self._rises.look(time_s, *rise)
+        felt = self._risen_kpa
+        if found is None and not felt.any():
+            return
+        full = self.full_scale_kpa
+        least = np.maximum(LEFT_SHARE * felt, STAY_SHARE * full)
+        lasts = (pressure_kpa > least) & (felt > 0)
+        lasts &= self._touch_lasts(pressure_kpa, None if found is None else found[1])
+        if found is not None:
+            lasts |= found[0] & (pressure_kpa > START_SHARE * full)
+        self._risen_kpa = np.where(lasts, np.maximum(felt, pressure_kpa), 0.0)
+        # What kept these cells in their contact is over: they stay only if their own pressures tell of a touch.
+        self._labels = np.where((felt > 0) & ~lasts, 0, self._labels)
+
+    def _touch_lasts(self, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
+        """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle."""
+        touches, count = ndimage.label(self._risen_kpa > 0, structure=NEIGHBOURS)
+        numbers = np.arange(1, count + 1)
+        share = ndimage.sum_labels(np.nan_to_num(pressure_kpa), touches, numbers)
+        share /= ndimage.sum_labels(self._risen_kpa, touches, numbers)
+        least = np.full(count, LEFT_SHARE)
+        if fallen is not None:
+            least[ndimage.maximum(fallen, touches, numbers) > 0] = FALLEN_SHARE
+        goes_on: BoolArray = np.concatenate(([False], share > least))[touches]
+        return goes_on
+
     def _find(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[IntArray, list[Patch]]:
         """The patches of touched cells, and for each cell of the flattened array the number of its patch, from 1."""
         full = self.full_scale_kpa
         start = np.fmax(START_STDS * std_kpa, START_SHARE * full)  # not NaN where the deviation is
-        begins = pressure_kpa > start  # False where NaN
+        risen = self._risen_kpa > 0
+        begins = (pressure_kpa > start) | risen  # False where NaN
         touched = self._labels > 0
         if not (begins.any() or touched.any()):
             return np.zeros(pressure_kpa.size, dtype=int), []
         stay = np.fmax(STAY_STDS * std_kpa, STAY_SHARE * full)
         join = np.fmax(JOIN_STDS * std_kpa, JOIN_SHARE * full)
-        candidates = pressure_kpa > np.where(touched, stay, join)
+        candidates = (pressure_kpa > np.where(touched, stay, join)) | risen
         found, count = ndimage.label(candidates, structure=NEIGHBOURS)
         kept = np.zeros(count + 1, dtype=bool)
         kept[found[begins | (touched & candidates)]] = True
@@ -194,6 +246,12 @@ class ContactsOfFrames:
         self._lock = threading.Lock()
         self._asked = False
         self._time_s = -np.inf
+        self._starts = -1
+
+    @property
+    def asked(self) -> bool:
+        """Whether every frame is to be looked at."""
+        return self._asked
 
     def of(self, view: PressureView) -> tuple[Contact, ...]:
         """The contacts of one frame."""
@@ -214,7 +272,10 @@ class ContactsOfFrames:
                 # named after those of now, which it does not change.
                 view.contacts = self._tracker.look_back(view.time_s, view.pressure_kpa, view.std_kpa())
             else:
-                view.contacts = self._tracker.update(view.time_s, view.pressure_kpa, view.std_kpa())
+                if view.starts != self._starts:
+                    self._starts = view.starts
+                    self._tracker.forget_readings()
+                view.contacts = self._tracker.update(view.time_s, view.pressure_kpa, view.std_kpa(), view.rise)
                 self._time_s = view.time_s
         return view.contacts
 
@@ -226,4 +287,8 @@ class PressureView:
     time_s: float
     pressure_kpa: FloatArray
     std_kpa: Later
+    rise: tuple[FloatArray, FloatArray] | None = None
+    """readings and their noise; None where nobody has asked for contacts yet"""
+    starts: int = 0
+    """times that the estimator has begun without memory"""
     contacts: tuple[Contact, ...] | None = None

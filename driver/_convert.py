@@ -265,7 +265,10 @@ class Converter:
         if gap_s > KEEP_STATE_S:
             self._estimator = self._new_estimator()
         pressure, std = self._estimate(gap_s, reading)
-        view = PressureView(frame.time_s, _read_only(pressure), std)
+        rise = None
+        if self._estimator is not None and self.contacts.asked:
+            rise = self._estimator.rise_of_last_step()
+        view = PressureView(frame.time_s, _read_only(pressure), std, rise, self._starts)
         self.contacts.pass_by(view)
         self._starts_told = self._starts
         return Measurement(

@@ -1,4 +1,4 @@
-"""What ``ohmskin bench --json`` prints is JSON (RFC 8259) whatever the measurements are: it has no NaN and no infinity."""
+"""What ``ohmskin bench --json`` prints is JSON (RFC 8259) whatever was measured: it has no NaN and no infinity."""
 
 from __future__ import annotations
 
