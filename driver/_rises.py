@@ -5,9 +5,9 @@ Whether a cell is touched *just now* is a smaller question: by how much its read
 against the noise of the readings. What the material remembers hardly changes in that time. A fingertip also lifts
 several neighbours at once, so that the weighted sum of their rises tells far more than one cell does.
 
-The test asks for a rise of a cell and of neighbours along its row and along its column. Electrical faults have the
-shape of the wiring instead: one cell, or a line. What most cells of a line have in common is subtracted, since a bad
-line moves its cells alike, and so does the error of one reading in a column of a divider.
+The test asks for a rise of cells beside the row of a cell, too, and of cells beside its column. Electrical faults have
+the shape of the wiring instead: one cell, or a line. What most cells of a line have in common is subtracted, since a
+bad line moves its cells alike, and so does the error of one reading in a column of a divider.
 """
 
 from __future__ import annotations
@@ -27,14 +27,18 @@ fingertip comes down within the pause; at slow frame rates each is one frame at 
 LEAST_BEFORE = 3
 """frames with which readings are compared at least"""
 EACH = 2.0
-"""standard deviations by which the cell, a neighbour in its row and one in its column have risen"""
+"""standard deviations by which a cell of a touch has risen"""
 WEIGHTS = np.array([[0.25, 0.5, 0.25], [0.5, 1.0, 0.5], [0.25, 0.5, 0.25]])
 """of a cell and its neighbours in the joint test: about the shape of a fingertip (matched filter)"""
 TOGETHER = 6.0
 """standard deviations of the weighted sum of rises. By chance a cell has that once in 1e9 frames; four cells of a
 square whose readings flip by one ADC step in the same frame have 5.2"""
-SHARED = 0.05
-"""of the rise of a cell, by which its neighbours have risen at least. Crosstalk by leads is far less"""
+ASIDE = 4.0
+"""the same of the weighted sum without the cell's row, and without its column, which a fault of the wiring does not
+move"""
+MIDDLE, SHARED = 0.5, 0.1
+"""least rise of a cell in the middle of a touch, over the largest one around it; the same of a cell at its rim, and of
+the two sums. Crosstalk by leads is far less"""
 OWN = 0.3
 """of the rise of a cell, that it does not have in common with its line"""
 FALLEN = 4.0
@@ -42,10 +46,18 @@ FALLEN = 4.0
 LONGEST_S = 1.0
 """a pause between frames after which nothing is compared"""
 LEAST_LINE = 4
-"""cells of a line whose median is that of untouched ones: a fingertip covers shorter lines"""
+"""cells of a line of which a quarter is untouched: a fingertip covers shorter lines"""
 MEDIAN = 0.6745
 """median of the sizes of normally distributed numbers, in their standard deviations"""
-_FILTER = WEIGHTS / math.sqrt((WEIGHTS**2).sum())
+
+
+def _unit(weights: FloatArray) -> FloatArray:
+    """Weights with which a sum of independent standard normal numbers is standard normal."""
+    return np.asarray(weights / math.sqrt((weights**2).sum()))
+
+
+_FILTER = _unit(WEIGHTS)
+_ASIDE = [_unit(WEIGHTS * kept) for kept in ([[1], [0], [1]], [[1, 0, 1]])]
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +92,7 @@ class Rises:
             noise: (rows, columns) standard deviation of one reading.
 
         Returns:
-            (rows, columns) cells that have risen together with neighbours along both axes, these neighbours included;
+            (rows, columns) cells that have risen together with neighbours along both axes, risen neighbours included;
             and (rows, columns) cells that have fallen together with their neighbours. None: no cell has.
 
         """
@@ -98,7 +110,7 @@ class Rises:
             return None
         rise[now.missing > before.missing] = 0.0
         together = self._together(rise)
-        fallen = ndimage.correlate(rise, _FILTER, mode="constant") < -FALLEN
+        fallen = _filtered(rise, _FILTER) < -FALLEN
         if together is None:
             return (fallen & False, fallen) if fallen.any() else None
         between = since.frames - until.frames
@@ -144,38 +156,37 @@ class Rises:
 
     def _together(self, rise: FloatArray) -> BoolArray | None:
         """Cells whose ``rise`` (rows, columns) in standard deviations is part of a joint rise."""
-        if not (ndimage.correlate(rise, _FILTER, mode="constant") > TOGETHER).any():
+        if not (_filtered(rise, _FILTER) > TOGETHER).any():
             return None
         own = rise - self._in_common(rise)
-        apart = own > OWN * rise
-        rise = own / max(median(np.abs(own)) / MEDIAN, 1.0)
-        risen = apart & (rise > np.maximum(EACH, SHARED * ndimage.maximum_filter(rise, 3, mode="nearest")))
-        above, beside = _largest_neighbours(rise)
-        least = np.maximum(EACH, SHARED * rise)
-        together = risen & (above > least) & (beside > least)
-        together &= ndimage.correlate(rise, _FILTER, mode="constant") > TOGETHER
+        own /= max(median(np.abs(own)) / MEDIAN, 1.0)
+        own[(own <= OWN * rise) & (own > 0)] = 0.0
+        highest = ndimage.maximum_filter(own, 3, mode="nearest")
+        together = (own > np.maximum(EACH, MIDDLE * highest)) & (_filtered(own, _FILTER) > TOGETHER)
+        for weights in _ASIDE:
+            if not together.any():
+                return None
+            together &= _filtered(own, weights) > np.maximum(ASIDE, SHARED * own)
         if not together.any():
             return None
         near: BoolArray = ndimage.binary_dilation(together)
-        return near & risen
+        return near & (own > np.maximum(EACH, SHARED * highest))
 
     def _in_common(self, rise: FloatArray) -> FloatArray:
-        """(rows, columns) what most cells of a cell's row or of its column have risen by, at least 0."""
+        """(rows, columns) what most cells of a cell's row or of its column have risen by, at least 0.
+
+        The lower quartile, for a fingertip covers half of a short line.
+        """
         common = np.zeros(self.shape)
         rows, columns = self.shape
         if rows >= LEAST_LINE:
-            np.maximum(common, np.median(rise, axis=0), out=common)
+            np.maximum(common, np.partition(rise, rows // 4, axis=0)[rows // 4], out=common)
         if columns >= LEAST_LINE:
-            np.maximum(common, np.median(rise, axis=1)[:, None], out=common)
+            np.maximum(common, np.partition(rise, columns // 4, axis=1)[:, columns // 4, None], out=common)
         return common
 
 
-def _largest_neighbours(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The larger one of each cell's neighbours in its column, and of those in its row; -inf where there is none."""
-    rows, columns = values.shape
-    padded = np.full((rows + 2, columns + 2), -np.inf)
-    padded[1:-1, 1:-1] = values
-    return (
-        np.maximum(padded[:-2, 1:-1], padded[2:, 1:-1]),
-        np.maximum(padded[1:-1, :-2], padded[1:-1, 2:]),
-    )
+def _filtered(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """(rows, columns) weighted sums of each cell and its neighbours; beyond the rim there is nothing."""
+    found: FloatArray = ndimage.correlate(values, weights, mode="constant")
+    return found
