@@ -6,7 +6,7 @@
 :mod:`._amplified_leads`    bases by Kirchhoff's laws, where leads take much of the voltage
 :mod:`._amplified_errors`   uncertainties by quantisation, noise and the model's own error
 :mod:`._amplified_limits`   what cells at limits make of the others; :mod:`._joined_columns`: through two shorts
-:mod:`._amplified_loops`    machine code for the usual frame
+:mod:`._amplified_loops`    machine code for the usual frame; :mod:`._amplified_short_loops`: for cells at limits
 ==========================  ===================================================================================
 
 A base serves as long as the certificate stays below a share of an ADC step. Otherwise the present conductances become

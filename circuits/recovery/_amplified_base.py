@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from ...arrays import FloatArray
-from ..solvers import Attenuated, attenuate, exact_transfer
+from ..solvers import AttenuatedFrame
 from ._amplified_board import FAR, LEAST_SHARE, ZERO, AmplifiedBoard, above_floor
 from ._heavy_leads import Propagation
 
@@ -131,10 +131,10 @@ class AttenuationBases:
     def __call__(self, conductance: FloatArray) -> Base:
         """The base at these conductances (N, M) in S, by one evaluation of line attenuation."""
         board, conductance = self._board, above_floor(conductance)
-        known = None if board.wires is None else attenuate(conductance, board.wires)
+        known = board.models.attenuated(conductance)
         missing, off = None, None
         if known is None:  # lines so heavy that the drive underflows before their end
-            own, _ = exact_transfer(conductance, board.lines)
+            own = board.models.exact(conductance)
         else:
             own = known.transfer
             missing, off = self._missing(conductance, known)
@@ -154,7 +154,7 @@ class AttenuationBases:
             between=between,
         )
 
-    def _missing(self, conductance: FloatArray, known: Attenuated) -> tuple[FloatArray | None, FloatArray | None]:
+    def _missing(self, conductance: FloatArray, known: AttenuatedFrame) -> tuple[FloatArray | None, FloatArray | None]:
         """S (N, M) that attenuation misses, other cells' current; None where that is below the tolerance.
 
         Where the frame has no exact evaluation left, also the S (N, M) by which this may be off.
@@ -168,7 +168,7 @@ class AttenuationBases:
         if self.exact_left == 0:
             return scaled, off
         self.exact_left -= 1
-        transfer, _ = exact_transfer(conductance, self._board.lines)
+        transfer = self._board.models.exact(conductance)
         self._anchor = _Anchor(transfer - known.transfer, bound)
         return self._anchor.missing, None
 

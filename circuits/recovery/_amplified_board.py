@@ -15,7 +15,7 @@ import numpy as np
 from ...arrays import FloatArray
 from .._adc import adc_error
 from .._board import Board
-from ..solvers import Lines, Wires
+from ..solvers import FrameTransfer, Lines
 from ._heavy_leads import Propagation
 
 BOUNDLESS = 1e6
@@ -47,7 +47,7 @@ class AmplifiedBoard:
         resistance = ends.resistance + board.column_lead
         with np.errstate(divide="ignore"):
             self.lines = Lines(board.lines.row, board.lines.column, 1.0 / resistance)
-        self.wires = Wires.of(self.lines)
+        self.models = FrameTransfer(self.lines)
 
         self.to_driver = np.cumsum(board.row_ohms, axis=1)
         """(N, M) ohm of wire between a crosspoint and its row's driver"""
