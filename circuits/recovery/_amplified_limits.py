@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray, FloatArray, read_only
 from .._adc import adc_error
 from ._amplified_base import Base
 from ._amplified_board import BOUNDLESS, MARGIN, SIMILAR_MARGIN, AmplifiedBoard, floor_of, similar
@@ -41,8 +41,8 @@ class CellsAtLimits:
         self._offset = np.abs(board.source_per_volt)
         self._shorts = _EveryShort(board)
         self._by_shorts = by_shorts.machine_code()
-        self._to_driver, self._to_amplifier = _fixed(board.to_driver), _fixed(board.to_amplifier)
-        self._fixed_most_per_ohm, self._source = _fixed(self._most_per_ohm), _fixed(board.source_per_volt)
+        self._to_driver, self._to_amplifier = read_only(board.to_driver), read_only(board.to_amplifier)
+        self._fixed_most_per_ohm, self._source = read_only(self._most_per_ohm), read_only(board.source_per_volt)
         self._kept: _Disturbance | None = None
 
     @property
@@ -205,13 +205,6 @@ def _between_rows(fed: FloatArray, taken: FloatArray) -> FloatArray:
     return between
 
 
-def _fixed(values: FloatArray) -> FloatArray:
-    """A contiguous copy that nobody may write to."""
-    copy = np.array(values, order="C")
-    copy.flags.writeable = False
-    return copy
-
-
 class _AtHigh(NamedTuple):
     """Cells at the high end of the range. Arrays are (N, M)."""
 
@@ -252,10 +245,10 @@ class _EveryShort:
         driver, amplifier = board.to_driver, board.to_amplifier
         with np.errstate(divide="ignore", invalid="ignore"):
             conductance = 1.0 / (driver + amplifier)
-            self.along = _fixed(np.nan_to_num(driver / amplifier, nan=0.0, posinf=inf))
-            self.down = _fixed(np.nan_to_num(amplifier / driver, nan=0.0, posinf=inf))
-            self.share = _fixed(np.minimum(np.nan_to_num(driver * conductance, nan=1.0), 1.0))
-        self.conductance, self.most = _fixed(conductance), np.minimum(conductance, BOUNDLESS)
+            self.along = read_only(np.nan_to_num(driver / amplifier, nan=0.0, posinf=inf))
+            self.down = read_only(np.nan_to_num(amplifier / driver, nan=0.0, posinf=inf))
+            self.share = read_only(np.minimum(np.nan_to_num(driver * conductance, nan=1.0), 1.0))
+        self.conductance, self.most = read_only(conductance), np.minimum(conductance, BOUNDLESS)
 
     def at(self, where: BoolArray, conductance: FloatArray) -> _Shorts:
         """The shorts at these places (N, M) among cells (N, M) in S."""

@@ -15,7 +15,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ...arrays import AnyArray, FloatArray
+from ...arrays import AnyArray, FloatArray, read_only
 from ...compiled import FixedRow, FixedRows, Rows, loop
 from ._amplified_base import SECOND_ORDER, Base
 from ._amplified_board import FAR, LEAST_SHARE, AmplifiedBoard
@@ -40,10 +40,10 @@ class UsualFrames:
         self.compiled = None not in (self._about_base, self._independent, self._uncertainties)
         """there is machine code"""
         constants = (board.scale, board.constant, board.per_sum, board.farthest_driver, board.to_amplifier[0])
-        self._constants = _fixed(np.array([np.broadcast_to(values, board.board.shape[1:]) for values in constants]))
-        self._farthest_amplifier = _fixed(board.farthest_amplifier)
-        self._row_ohms = _fixed(np.broadcast_to(board.board.row_ohms, board.board.shape))
-        self._behind = _fixed(board.behind)
+        self._constants = read_only(np.array([np.broadcast_to(values, board.board.shape[1:]) for values in constants]))
+        self._farthest_amplifier = read_only(board.farthest_amplifier)
+        self._row_ohms = read_only(np.broadcast_to(board.board.row_ohms, board.board.shape))
+        self._behind = read_only(board.behind)
         self._base: Base | None = None
         self._of_base = _OfBase.none()
         self._levels: Levels | None = None
@@ -126,7 +126,7 @@ class _OfBase(NamedTuple):
         shift = none if base.shift is None else base.shift
         between = none[0] if base.between is None else base.between
         missing = 0.0 if base.shift is None else 2.0 * base.missing / base.loss
-        return cls(_fixed(np.array([base.gain, shift, base.conductance])), _fixed(between), missing)
+        return cls(read_only(np.array([base.gain, shift, base.conductance])), read_only(between), missing)
 
 
 class _OfLevels(NamedTuple):
@@ -146,14 +146,7 @@ class _OfLevels(NamedTuple):
     @classmethod
     def of(cls, levels: Levels, shape: tuple[int, int]) -> _OfLevels:
         fields = (levels.least, levels.own, levels.others, levels.by_leads)
-        return cls(_fixed(levels.gain), *(_fixed(np.broadcast_to(field, shape)) for field in fields))
-
-
-def _fixed(values: AnyArray) -> AnyArray:
-    """A contiguous copy of the caller's own that nobody may write to."""
-    copy = np.array(values, dtype=np.float64, order="C")
-    copy.flags.writeable = False
-    return copy
+        return cls(read_only(levels.gain), *(read_only(np.broadcast_to(field, shape)) for field in fields))
 
 
 @loop

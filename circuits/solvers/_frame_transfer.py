@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, read_only
 from ...compiled import FixedRows, Rows, loop
 from ._attenuation import SLACK, Attenuated, Wires, attenuate, by_ladders
 from ._elimination import ULP
@@ -58,7 +58,7 @@ class FrameTransfer:
         if self._wires is not None and self._by_ladders:
             self._attenuate = _attenuate.machine_code()
             parts = self._wires.row, self._wires.column, self._wires.to_driver, self._wires.to_amplifier
-            self._fixed_wires = tuple(_fixed(part) for part in parts)
+            self._fixed_wires = tuple(read_only(part) for part in parts)
 
     @property
     def is_compiled(self) -> bool:
@@ -72,7 +72,9 @@ class FrameTransfer:
         if self._attenuate is None:
             return self._attenuated_by_arrays(conductance, self._wires)
         transfer, error = np.empty(conductance.shape), np.empty(conductance.shape)
-        is_known = self._attenuate(np.ascontiguousarray(conductance), *self._fixed_wires, transfer, error)
+        row, column, to_driver, to_amplifier = self._fixed_wires
+        cells = np.ascontiguousarray(conductance)
+        is_known = self._attenuate(cells, row, column, to_driver, to_amplifier, transfer, error)
         return AttenuatedFrame(transfer, error) if is_known else None
 
     def _attenuated_by_arrays(self, conductance: FloatArray, wires: Wires) -> AttenuatedFrame | None:
@@ -106,13 +108,6 @@ class FrameTransfer:
         network = np.zeros((sum(cells.shape),) * 2)
         self._star_mesh(cells, row, behind, network)
         return network[::-1, ::-1] if self._turned else network
-
-
-def _fixed(values: FloatArray) -> FloatArray:
-    """A contiguous copy that nobody may write to."""
-    copy = np.array(values, order="C")
-    copy.flags.writeable = False
-    return copy
 
 
 @loop
