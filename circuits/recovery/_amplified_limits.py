@@ -257,7 +257,7 @@ class _EveryShort:
             along=np.where(where, self.along, 0.0),
             down=np.where(where, self.down, 0.0),
             conductance=np.where(where, self.conductance, 0.0),
-            share=where * self.share,
+            share=np.where(where, self.share, 0.0),
             cells=conductance,
             ordinary=np.where(where, 0.0, conductance),
             most=np.where(where, self.most, conductance),
