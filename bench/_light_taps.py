@@ -169,7 +169,7 @@ def table(rows: Iterable[LightTaps]) -> str:
         std = "".join(f"{part:>7.1f}" for part in row.std_percent)
         within = "".join(f"{100 * part:>7.1f}" for part in row.within_two)
         lines.append(
-            f"{case.cell:<9}{case.board:<10}{case.bits:>5}{case.rate_hz:>9g}{case.noise_mv:>5g}{case.taps_hz:>7g}"
-            f"{'yes' if case.fringe else 'no':>7} |{kept} |{std} |{within}"
+            f"{case.cell:<9}{case.board:<10}{case.bits:>5}{case.rate_hz:>9g}{case.noise_mv:>5g}"
+            f"{case.taps_hz:>7g}{'yes' if case.fringe else 'no':>7} |{kept} |{std} |{within}"
         )
     return "\n".join([head, *lines])

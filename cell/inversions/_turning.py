@@ -51,9 +51,9 @@ from ._turning_rows import (
 BEYOND = 0.6
 """of full scale: standard deviation of a pressure that was found to be too large to be believed"""
 TURN, LIGHT_TURN, TURN_SHARE = 0.01, 0.002, 0.02
-"""how far a pressure that is known exactly must have gone back for a turn: the second of full scale and the third of the
-extreme, but no more than the first of full scale. Errors of the memory grow with the load, and look like turns as they
-fade. Near none, a larger limit would miss light taps, and the paper's cell keeps a part of each that is missed"""
+"""how far a pressure that is known exactly must have gone back for a turn: the second of full scale and the third of
+the extreme, but no more than the first of full scale. Errors of the memory grow with the load, and look like turns as
+they fade. Near none, a larger limit would miss light taps, and the paper's cell keeps a part of each that is missed"""
 EXACTLY, NEAR, ROUND = 1e-9, 1e-3, 2e-3
 """of full scale: rounding; a pressure that is as good as none; and an error of the pressure at a slow turn, which is
 noticed late"""
