@@ -158,7 +158,7 @@ def table(rows: Iterable[LightTaps]) -> str:
     peaks = "".join(f"{f'{100 * peak:g} %':>7}" for peak in PEAKS)
     head = (
         "light taps that repeat, default estimator, peaks of 1 to 8 % of full scale; what is shown between late taps\n"
-        "(rms, over the pressure of the taps), its standard deviation (% of full scale), errors within two of them (%)\n"
+        "(rms, over the pressure of the taps), its standard deviation (% of full scale), errors within two (%)\n"
         f"{'cell':<9}{'board':<10}{'bits':>5}{'frames/s':>9}{'mV':>5}{'taps/s':>7}{'fringe':>7}"
         f" |{peaks} |{peaks} |{peaks}"
     )
