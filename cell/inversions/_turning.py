@@ -212,9 +212,9 @@ class TurningInversion(Inversion):
         if unconfirmed:
             # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
             noise *= of.confirming_sigmas
-            least = self._turn_from(of.left, of.nearby)
-            least *= of.confirming_turns
-            noise += least
+            self._turn_from(of.left, of.nearby)
+            of.nearby *= of.confirming_turns
+            noise += of.nearby
             confirmed = np.greater_equal(back, noise, of.confirmed)
             confirmed &= of.left < self._far
             np.copyto(of.left, self._far, where=confirmed)
@@ -384,12 +384,12 @@ class TurningInversion(Inversion):
         np.maximum(of.pressure, self._least_kpa, out=of.ahead)
         of.ahead *= of.sign
 
-    def _turn_from(self, extreme: FloatArray, limit: FloatArray) -> FloatArray:
+    def _turn_from(self, extreme: FloatArray, limit: FloatArray) -> None:
         """Write into ``limit`` (m,) how far exact pressures in kPa must go back from ``extreme`` (m,) for a turn."""
         np.abs(extreme, out=limit)
         limit *= self._turn_share
         limit += self._light_kpa
-        return np.minimum(limit, self._turn_kpa, out=limit)
+        np.minimum(limit, self._turn_kpa, out=limit)
 
     def _gone_back(self, of: Rows, std: FloatArray) -> tuple[FloatArray, FloatArray]:
         """How far the other hypothesis is behind the extreme that was left, and its standard deviation by noise."""
