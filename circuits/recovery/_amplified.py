@@ -151,7 +151,10 @@ class AmplifiedLive:
         else:
             self._by_attenuation.exact_left = EXACT_EVALUATIONS
             transfer = board.transfer(volts, base.between)
-        conductance, off, base = self._settle(base, volts, transfer)
+        before = base
+        conductance, off, base = self._settle(before, volts, transfer)
+        if base.between is not before.between:
+            transfer = board.transfer(volts, base.between)
         self._base = base
         return base.own_part(transfer), conductance, base.gain, off
 
@@ -178,7 +181,7 @@ class AmplifiedLive:
         Args:
             base: of the last frame.
             volts: (N, M) V, outputs.
-            transfer: (N, M) S, transfer conductances.
+            transfer: (N, M) S, transfer conductances with the currents between columns of that base.
 
         """
         if self._heavy:
@@ -190,6 +193,8 @@ class AmplifiedLive:
             if off is None:
                 break
             base = self._by_attenuation(conductance)
+            if base.between is not None:
+                transfer = self._board.transfer(volts, base.between)
             conductance, off = self._relinearised(base, transfer)
         if base.loss > _HEAVY:
             return self._settle_on_heavy_lines(base, volts, conductance, off)

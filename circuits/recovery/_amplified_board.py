@@ -78,7 +78,8 @@ class AmplifiedBoard:
         """(M,) the same per volt of drive"""
         self.has_sources = bool(ends.source.any())
         self.sources_differ = bool((ends.source != ends.source[0]).any())
-        self.source_spread = 2.0 * float(np.ptp(ends.source)) / abs(board.drive)
+        self.source_spread = float(np.ptp(ends.source)) / abs(board.drive)
+        """V by which the sources of two columns differ at most, per volt of drive"""
         # T = scale V + constant + per_sum (sum of that over the rows); without currents between columns
         self.scale = 1.0 / ends.slope / board.drive
         """(M,) S of T per volt of output"""
