@@ -47,6 +47,8 @@ class OneCell:
         if self.variance > (paper.DOUBT * self.full) ** 2:
             if now.pressure > paper.USUAL * self.full:
                 self.doubt = max(self.doubt, (paper.BEYOND * self.full) ** 2)
+                if self.rising and other.pressure <= paper.USUAL * self.full:
+                    self.extreme = paper.REFUTED
             now, other = self._believable(now, self.rising, r), self._believable(other, not self.rising, r)
         threshold = paper.SURE * std * gains[self.rising] + paper.TURN * self.full + self.drift
         turned = self.extreme - self._ahead(now) > threshold
