@@ -75,7 +75,7 @@ class OneCell:
             if self.rested:
                 before = min(before, self.rest_variance + recovery.LIGHT * before)
             self.doubt = (np.sqrt(before) + unseen) ** 2 + (gains[False] * std) ** 2
-            self.doubt = min(self.doubt, (0.5 * self.full) ** 2)
+            self.doubt = min(self.doubt, (paper.BEYOND * self.full) ** 2)
             self.variance = self.doubt
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
             self.rest_variance = 0.0 if lost else recovery.PART * self.doubt

@@ -76,7 +76,8 @@ class Following:
         if block.scratch is None:
             block.scratch = smoothing.Scratch(line)
         smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
-        self._noise.on_line[cells] = line[smoothing.COUNT]
+        if self._noise.looks_next:
+            self._noise.on_line[cells] = line[smoothing.COUNT]
         if smooth.begun is not None:
             self._sparks.remember(block, smooth.begun, reading, noise)
         if self._sparks.cells.size:

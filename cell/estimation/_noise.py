@@ -86,6 +86,7 @@ _BESIDE_PARABOLA = _rolled(np.linalg.qr(_POWERS)[0][:, 3:].T.copy())
 """orthonormal rows; parabolas have no part in them, white noise has its variance in each"""
 LEAST_VARIANCE = LEAST**2
 _ONE, _OUTLIER, _LEAST_VARIANCE = np.array(1.0), np.array(OUTLIER), np.array(LEAST_VARIANCE)
+_ACROSS, _UNCUT = np.array(ACROSS), np.array(UNCUT)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
@@ -114,6 +115,7 @@ class NoiseMeter:
         self._blind = np.zeros(cells)
         self._any_blind = 0
         self._squares, self._limit = np.empty((2, cells))
+        self._flags = np.empty((2, cells), dtype=np.bool_)
         self.typical = expected
         """standard deviation of the median cell at rest"""
         self.at_rest = np.sqrt(self._variance + LEAST**2)
@@ -151,6 +153,11 @@ class NoiseMeter:
             self._blind -= 1.0
             self._any_blind -= 1
 
+    @property
+    def looks_next(self) -> bool:
+        """Whether the next frame is looked at, if all goes on."""
+        return self._looks < SOON or (self._seen + 1) % EVERY == 0
+
     def _guess(self, r: FloatArray) -> None:
         """Take the median cell's change from the last reading for noise, until there are four readings."""
         changes = (r - self._ring[(self._seen - 2) % WINDOW]) / (r + 1.0) ** 2
@@ -186,13 +193,18 @@ class NoiseMeter:
         self._looks += 1
         np.multiply(self._variance, _OUTLIER, self._limit)
         self._limit += _LEAST_VARIANCE
-        outlies = squares > self._limit
-        outlies |= self.on_line < ACROSS
+        outlies, flags = self._flags
+        np.greater(squares, self._limit, outlies)
+        np.less(self.on_line, _ACROSS, flags)
+        outlies |= flags
         np.minimum(squares, self._limit, out=squares)
-        self._crowd += (outlies - self._crowd) * self._share_of_crowd
+        share = self._share_of_crowd
+        self._crowd *= 1.0 - share
+        np.add(self._crowd, share, out=self._crowd, where=outlies)
         if self._passes_below > 0.0:
-            squares *= UNCUT
-            outlies &= self._crowd < self._passes_below
+            squares *= _UNCUT
+            np.less(self._crowd, self._passes_below, flags)
+            outlies &= flags
             np.copyto(squares, self._variance, where=outlies)
         squares -= self._variance
         squares *= self._share
@@ -365,7 +377,9 @@ def average(
             square = variance[i]
         limit = variance[i] * OUTLIER + LEAST_VARIANCE
         outlies = square > limit or on_line[i] < ACROSS
-        crowd[i] += ((1.0 if outlies else 0.0) - crowd[i]) * share_of_crowd
+        crowd[i] *= 1.0 - share_of_crowd
+        if outlies:
+            crowd[i] += share_of_crowd
         if not (outlies and crowd[i] < passes_below):
             variance[i] += (min(square, limit) * uncut - variance[i]) * share
 

@@ -126,8 +126,8 @@ class TurningInversion(Inversion):
         self._clear_kpa2 = self._left * (NEAR * full_scale_kpa) ** 2
         self._lost_at_most_kpa2 = (MOST_LOST * full_scale_kpa) ** 2
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
-        self._most_kpa = full_scale_kpa / 2
-        """standard deviation of a load of which nothing is known"""
+        self._most_kpa = BEYOND * full_scale_kpa
+        """standard deviation of a load of which nothing is known but that it is no more than usual"""
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
         self._of = Rows(np.zeros((len(self.rows), 0)))
