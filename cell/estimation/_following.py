@@ -113,7 +113,7 @@ class Following:
         if self._sparks.cells.size:
             self._sparks.put_back(block, dt, reading, noise)
         gains = self._gains(dt).rows
-        beside = block.line_before, cells, self._noise.on_line
+        beside = block.line_before, cells, self._noise.on_line, self._noise.looks_next
         if smoothing.advance_each.code(line, *beside, dt, gains, taken, block.begun, self._sparks.large_r):
             self._sparks.remember(block, block.begun, reading, noise)
         if self._sparks.cells.size:

@@ -243,6 +243,7 @@ def advance_each(
     before: Rows,
     cells: Places,
     on_line: Row,
+    keeps: bool,
     dt_s: float,
     gains: Rows,
     taken: Rows,
@@ -255,7 +256,8 @@ def advance_each(
         line: (ROWS, m), changed.
         before: (ROWS, m), to keep the line from before.
         cells: (m,) indices.
-        on_line: (n,) readings since the lines began, changed.
+        on_line: (n,) readings since the lines began, changed if ``keeps``.
+        keeps: see there.
         dt_s: since the last readings.
         gains: (3, n), ``rows`` of :class:`Gains`.
         taken: (4, m) readings and their noise; given their smoothed values and the standard deviations of these.
@@ -288,7 +290,8 @@ def advance_each(
                 level = r - off * FAR_SHARE
                 count = 1.0
         line[LEVEL, i], line[SLOPE, i], line[COUNT, i], line[UP, i], line[DOWN, i] = level, slope, count, up, down
-        on_line[cells[i]] = count
+        if keeps:
+            on_line[cells[i]] = count
         taken[SMOOTHED, i], taken[STD, i] = level, share * noise
         begun[i] = begins
         any_begun |= begins
