@@ -315,7 +315,7 @@ def scene(name: str) -> played.Scene:
 
 @pytest.mark.parametrize("name", ["two cross", "two pass, 1 cells", "two pass, 2 cells", "one rolls"])
 def test_fingers_keep_their_ids_on_a_skin(name: str) -> None:
-    """8 x 8 cells, where fingers have hardly been apart when they meet. What a finger leaves behind may be a contact."""
+    """8 x 8 cells: fingers meet soon after they came. What a finger leaves behind may be a contact."""
     found = played.played(8, AMPLIFIER, scene(name), np.random.default_rng(1))
     assert found.ids_kept_percent == 100.0
     assert found.false <= 2
