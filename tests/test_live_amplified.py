@@ -257,3 +257,26 @@ def test_streams_on_which_no_iteration_comes_to_an_end_have_no_wrong_cell(stream
     tally = _live_hunt.LiveTally()
     _live_hunt.check(family, int(number), tally)
     assert tally.count("wrong cell") == tally.count("factor of two") == tally.count("unsolved") == 0
+
+
+def test_currents_between_columns_are_those_of_the_frame() -> None:
+    """Sources differ, so columns exchange current by way of the rows: less of it when the whole skin is released."""
+    draw, shape = np.random.default_rng(0), (32, 32)
+    design = Design.model_validate(
+        {
+            "array": {"rows": 32, "columns": 32, "row_lead": 50.0},
+            "drive": {"voltage": -1.0},
+            "readout": {
+                "circuit": "inverting-amplifier",
+                "reference_resistance": 10e3,
+                "open_loop_gain": 1e5,
+                "offset_voltage": draw.uniform(-5e-3, 5e-3, 32).tolist(),
+            },
+            "adc": {"bits": 12, "range": [-0.5, 5.0]},
+        }
+    )
+    read, pattern = CountReader(design), draw.uniform(0.9, 1.1, shape)
+    for ohms in (15e3, 15e3, 9e3, 9e3, 16e3, 16e3, 7e3, 14e3):
+        reading = read(adc_codes(design, scan(design, ohms * pattern).volts))
+        assert reading.valid.all()
+        assert (np.abs(reading.resistance / (ohms * pattern) - 1.0) <= reading.uncertainty).all()

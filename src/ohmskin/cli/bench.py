@@ -16,6 +16,7 @@ from ..bench import _estimators as of_cells
 from ..bench import _freshness as of_skins
 from ..bench import _hard_cases as of_hard_cases
 from ..bench import _honesty as of_deviations
+from ..bench import _light_taps as of_light_taps
 from ..bench import _rest as of_rests
 from ..bench import _taps as of_taps
 from ..bench import _view as of_pages
@@ -89,6 +90,7 @@ def command(
         if not as_json:
             click.echo("\n" + of_hard_cases.hard_table(of_hard_cases.hard_cases()))
             click.echo("\n" + of_rests.table(of_rests.rests()))
+            click.echo("\n" + of_light_taps.table(of_light_taps.light_taps()))
             click.echo("\n" + of_deviations.table(of_deviations.honesty()))
             click.echo("\n" + of_deviations.summary(of_deviations.elsewhere()))
         return
