@@ -47,6 +47,8 @@ class OneCell:
         if self.variance > (paper.DOUBT * self.full) ** 2:
             if now.pressure > paper.USUAL * self.full:
                 self.doubt = max(self.doubt, (paper.BEYOND * self.full) ** 2)
+                if self.rising and other.pressure <= paper.USUAL * self.full:
+                    self.extreme = paper.REFUTED
             now, other = self._believable(now, self.rising, r), self._believable(other, not self.rising, r)
         threshold = paper.SURE * std * gains[self.rising] + self._turn_from(self.extreme) + self.drift
         turned = self.extreme - self._ahead(now) > threshold
@@ -73,7 +75,7 @@ class OneCell:
             if self.rested:
                 before = min(before, self.rest_variance + recovery.LIGHT * before)
             self.doubt = (np.sqrt(before) + unseen) ** 2 + (gains[False] * std) ** 2
-            self.doubt = min(self.doubt, (0.5 * self.full) ** 2)
+            self.doubt = min(self.doubt, (paper.BEYOND * self.full) ** 2)
             self.variance = self.doubt
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
             self.rest_variance = 0.0 if lost else recovery.PART * self.doubt

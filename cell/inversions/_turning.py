@@ -81,6 +81,8 @@ large by about as many; with more, the end of a tap of few frames would be misse
 PULL_SIGMAS = 0.7
 """standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
 smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
+REFUTED = 0.5 * FAR
+"""kPa: an extreme from which any pressure has gone back, so that the turn is taken, and is certain"""
 FLAT = 0.003
 """of full scale by which a pressure that is held may seem to go back"""
 AGAIN = 0.5
@@ -124,8 +126,8 @@ class TurningInversion(Inversion):
         self._clear_kpa2 = self._left * (NEAR * full_scale_kpa) ** 2
         self._lost_at_most_kpa2 = (MOST_LOST * full_scale_kpa) ** 2
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
-        self._most_kpa = full_scale_kpa / 2
-        """standard deviation of a load of which nothing is known"""
+        self._most_kpa = BEYOND * full_scale_kpa
+        """standard deviation of a load of which nothing is known but that it is no more than usual"""
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
         self._of = Rows(np.zeros((len(self.rows), 0)))
@@ -477,6 +479,9 @@ class TurningInversion(Inversion):
         least = (BEYOND * self.full_scale_kpa) ** 2
         np.maximum(of.doubt, least, where=(beyond & (of.in_force > 0)).any(axis=0), out=of.doubt)
         p, r = self._usual, of.r
+        # A load that rises lets r fall more slowly than this: it is recovery that explains the reading.
+        refuted = beyond[RISING] & ~beyond[RECOVERY] & (of.in_force[RISING] > 0)
+        np.copyto(of.extreme, REFUTED, where=refuted)
         np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])
         np.copyto(state[3], r - p / m.e1_kpa - state[5], where=beyond[RECOVERY])
 
