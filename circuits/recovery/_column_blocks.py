@@ -135,7 +135,7 @@ class ColumnBlocks:
         """Deviation (N, M) of the logarithms by columns that lift idle rows, whose cells feed the other columns.
 
         A column at its share of the drive lifts an idle row by that share and by what the row's lead takes of it. An
-        error of the column's scale changes all these lifts together.
+        error of the column's scale changes all these lifts together, that of a single cell only its row's.
 
         Args:
             crosspoint: (N, M) S between the rows' drivers and the columns.
@@ -149,6 +149,9 @@ class ColumnBlocks:
         between = (self._lead[:, None] * crosspoint).T @ conductance  # S (M, M), from column to column
         np.fill_diagonal(between, 0.0)
         variance = (share * scale_std) ** 2 @ between**2
+        by_cells = share**2 @ ((self._lead[:, None] * crosspoint * std) ** 2).T  # (N, N), of a row by another one
+        np.fill_diagonal(by_cells, 0.0)
+        variance += by_cells @ conductance**2
         lifted: FloatArray = np.sqrt(variance) / np.maximum(conductance, least)
         return lifted
 

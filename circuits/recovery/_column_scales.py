@@ -40,6 +40,7 @@ from ._coupled_board import CoupledBoard, Frame, Known
 from ._linearised import Base
 
 _NEAR = 4.0  # margin of the condition for columns in question, so that it holds for all cells for which a base serves
+_BESIDE = 2.0  # the same for columns whose shapes may change beside a column below which a row may lie
 _UNKNOWN = 0.1  # relative error of d from which on linear uncertainties do not suffice
 _MARGIN = 1.2  # for segments along the lines, and for what the first order leaves out
 _JOINED = 2.0  # times the scale of a short that a column may have beside others in question, which distort its shape
@@ -79,35 +80,40 @@ class ColumnScales:
         )
         self._kept: tuple[Base | None, bool] = None, False  # whether columns may be in question while a base serves
 
-    def disturb(self, frame: Frame, known: Known, base: Base) -> FloatArray | None:
+    def disturb(self, frame: Frame, known: Known, base: Base, covered: float) -> FloatArray | None:
         """Largest relative change (n,) of the cells from those that have been found to others that give the readings.
 
         Args:
             frame: the readings.
             known: the cells that have been found for them.
             base: the linear model that served for this.
+            covered: V, error of a reading that linear uncertainties cover.
 
         Returns:
             None where all scales are known well enough for linear uncertainties, as in nearly all frames.
 
         """
         if self._kept[0] is not base:
-            told = self._told(frame, known)
+            told = self._told(frame, known, covered)
             self._kept = base, bool(told.in_question(_NEAR).any())
         if not self._kept[1]:
             return None
-        told = self._told(frame, known)
-        columns = np.flatnonzero(told.in_question(1.0))
-        if not columns.size:
+        told = self._told(frame, known, covered)
+        in_question = told.in_question(1.0)
+        if not in_question.any():
             return None
+        suspect = told.suspect(1.0)
+        if suspect.any():  # rows that may hang on such a column also change the shape of others that are not far below
+            suspect = told.suspect(_BESIDE)
+        columns = np.flatnonzero(in_question | suspect)
         conductance = np.minimum(self._parts.board.cell_conductance(known.cells), _LARGEST_SIEMENS)
         with np.errstate(over="ignore"):  # what is boundless stays so
-            found = _Scales(self.lead, self.load, conductance, told, columns)
+            found = _Scales(self.lead, self.load, conductance, told, columns, suspect[columns])
             if self.loaded:
                 found.search()
             return (_MARGIN * found.changes()).ravel()
 
-    def _told(self, frame: Frame, known: Known) -> _Told:
+    def _told(self, frame: Frame, known: Known, covered: float) -> _Told:
         """What the readings tell of all columns and rows."""
         parts, per_volt = self._parts, self.per_volt
         rows = parts.shape[0]
@@ -116,9 +122,13 @@ class ColumnScales:
         counts: BoolArray = np.ones(parts.shape[1], dtype=np.bool_)
         if frame.ignored is not None:
             ignored = frame.ignored.reshape(parts.shape)
-            counts, apart = ~ignored.all(axis=0), np.where(ignored, 0.0, apart)
+            counts, apart = ~np.logical_and.reduce(ignored, axis=0), np.where(ignored, 0.0, apart)
         share, error = signal * per_volt, frame.error * np.abs(per_volt)
+        through = self.lead * np.minimum(parts.board.cell_conductance(known.cells), _LARGEST_SIEMENS)
+        along = 1.0 + through.sum(axis=1, keepdims=True)
+        own = (1.0 + np.einsum("ij,ij->i", through, share)[:, None]) / along  # o
         # Errors of a column's readings add up as independent ones do, but for the converter's offset and gain error.
+        together = min(sqrt(rows) * covered, rows * frame.error)
         shift = rows * self._offset + self._gain * np.abs(frame.volts - self._lowest).sum(axis=0)
         below = np.zeros((2, rows))
         if self.loaded:
@@ -129,10 +139,11 @@ class ColumnScales:
             error=error,
             deficit=deficit,
             read=deficit - apart.sum(axis=0) * per_volt,
-            deficit_error=sqrt(rows) * error + shift * np.abs(per_volt),
+            deficit_error=(together + shift) * np.abs(per_volt),
             row_deficit=below[0],
             row_error=below[1],
             lowest=float((below[0] + below[1]).max()),
+            steepest=1.0 + (through / along / own).max(axis=0),
             counts=counts,
         )
 
@@ -156,22 +167,34 @@ class _Told(NamedTuple):
     """(N,) of that"""
     lowest: float
     """the largest deficit that a row may have"""
+    steepest: FloatArray
+    """(M,) most relative change of a cell by that of the column's scale"""
     counts: BoolArray
     """(M,) columns that are not left out"""
 
     def in_question(self, near: float) -> BoolArray:
         """Columns (M,) below which a row may lie, or whose scale is hardly known; a larger ``near`` finds more."""
         deficit = np.minimum(self.deficit, self.read)
-        below_row = deficit < near * (self.deficit_error + self.lowest)
-        unknown = near * self.deficit_error > _UNKNOWN * deficit
-        return self.counts & (below_row | unknown)
+        unknown = near * self.deficit_error * self.steepest > _UNKNOWN * deficit
+        return self.suspect(near) | (self.counts & unknown)
+
+    def suspect(self, near: float) -> BoolArray:
+        """Columns (M,) below which a row may lie, or which may not lie below the drive at all; ``near`` as above."""
+        found: BoolArray = np.minimum(self.deficit, self.read) < near * (self.deficit_error + self.lowest)
+        return self.counts & found
 
 
 class _Scales:
     """Possible scales of some columns, K in number, and what they change. The scale that has been found is 1."""
 
     def __init__(
-        self, lead: FloatArray, load: FloatArray, conductance: FloatArray, told: _Told, columns: IntArray
+        self,
+        lead: FloatArray,
+        load: FloatArray,
+        conductance: FloatArray,
+        told: _Told,
+        columns: IntArray,
+        suspect: BoolArray,
     ) -> None:
         """Bound the scales by Kirchhoff's current law and by shorts.
 
@@ -181,12 +204,14 @@ class _Scales:
             conductance: (N, M) S, the cells that have been found.
             told: by the readings.
             columns: (K,) their numbers.
+            suspect: (K,) those which may have any scale, as far as the first look tells.
 
         """
+        self._suspect = suspect
         self._load, self._cells, self._told, self._columns = load, conductance, told, columns
         through = lead * conductance
-        self._hangs = through / (1.0 + through.sum(axis=1, keepdims=True))  # (N, M) p
-        self._left = 1.0 - self._hangs.sum(axis=1)  # (N,) share of its own driver in a row's potential
+        self._left = 1.0 / (1.0 + through.sum(axis=1))  # (N,) share of its own driver in a row's potential
+        self._hangs = through * self._left[:, None]  # (N, M) p
         cells, hangs = conductance[:, columns], self._hangs[:, columns]
         # D over the reading that it makes: a reading's error may hide as much.
         per_share = load[columns] + (cells * (1.0 - hangs)).sum(axis=0)
@@ -194,8 +219,6 @@ class _Scales:
         self._rise = told.read[columns] - told.row_deficit[:, None]  # (N, K) from rows to columns, all rows driven
         self._rise_error = told.deficit_error[columns] + told.row_error[:, None]
         self._current = (cells * (told.deficit[columns] - told.row_deficit[:, None])).sum(axis=0)  # (K,) S
-        self._suspect = told.read[columns] - told.deficit_error[columns] <= told.lowest
-        """(K,) columns below which a row may lie, or which may not lie below the drive at all"""
         with np.errstate(divide="ignore"):
             short = 1.0 / np.maximum(hangs - self._hidden, 0.0).max(axis=0)
             least_current = np.maximum((cells * (self._rise - self._rise_error)).sum(axis=0), _LEAST)
@@ -349,7 +372,7 @@ class _CurrentLaw(NamedTuple):
             end: what is returned if the last of them is possible.
 
         """
-        low, high = self._excess(scales)
+        low, high = np.clip(self._excess(scales), -_BOUNDLESS, _BOUNDLESS)
         possible = (low <= 0.0) & (high >= 0.0)
         side = np.where(possible, 0.0, np.sign(low + high))
         last = np.flatnonzero(possible | np.append(np.diff(side) != 0.0, False))

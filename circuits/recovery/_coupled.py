@@ -250,7 +250,7 @@ class CoupledLive:
             with np.errstate(over="ignore"):  # what is boundless stays so
                 by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
         if self._scales.applies:
-            by_scales = self._scales.disturb(frame, fit.known, base)
+            by_scales = self._scales.disturb(frame, fit.known, base, self._uncertainty.covered(frame))
             by_columns = by_columns if by_scales is None else by_columns + by_scales
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base)

@@ -237,7 +237,8 @@ class ReadingLimits:
             fed[place] = sqrt(len(fed)) * off * each
             if not board.circuit.columns_one_by_one(board):
                 fed[place] += most / (board.reference[column] + board.column_lead[column])
-            share[place] += fed.sum() + fed @ conductance / np.maximum(conductance[place], _LEAST_SIEMENS)
+            with np.errstate(over="ignore"):  # what is boundless stays so
+                share[place] += fed.sum() + fed @ conductance / np.maximum(conductance[place], _LEAST_SIEMENS)
         changed: FloatArray = _BY_LEADS * np.minimum(share, _MOST_SHARE)
         return changed.ravel()
 
