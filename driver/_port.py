@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import select
 import selectors
 import socket
 import stat
@@ -22,7 +23,7 @@ import serial
 from serial.tools import list_ports
 
 from ..errors import LinkEnded, LinkError
-from ..rendezvous import announced, announced_ports
+from ..rendezvous import END_OF_TRANSMISSION, announced, announced_ports
 
 BAUDRATE = 1_000_000
 """for a real UART; USB, pseudo-terminals and TCP ignore it"""
@@ -45,10 +46,11 @@ _HUNG_UP = (errno.EPIPE, errno.ECONNRESET, errno.EIO, errno.ENXIO, errno.ENODEV)
 
 
 class OrderlyClose(LinkError):
-    """The other end has closed a TCP connection in good order (FIN): it has sent all that it wanted to send.
+    """The other end has closed a connection in good order: it has sent all that it wanted to send.
 
-    A broken connection ends otherwise, by a reset (RST) or by silence. But the operating system closes the connections
-    of most programs that are killed in good order, too.
+    TCP tells so by FIN, RFC 2217 by the control line DSR (data set ready), which goes off before. A broken connection
+    ends otherwise, by a reset (RST) or by silence. But the operating system closes the TCP connections of most programs
+    that are killed in good order, too, and DSR also goes off where a cable is pulled behind an access server.
     """
 
 
@@ -284,14 +286,27 @@ class SocketPort(DescriptorPort):
         except (OSError, ValueError) as error:
             raise LinkError(f"{name}: cannot be opened: {_reason(error)}") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        if hasattr(socket, "TCP_USER_TIMEOUT"):  # Linux
-            self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * UNHEARD_S))
+        _end_when_unheard(self._socket)
         self._socket.setblocking(False)
+        self._urgent = select.poll()
+        self._urgent.register(self._socket, select.POLLPRI)
+        self._is_over = False
+        """the emulated board at the other end has said that no byte will follow"""
         try:
             super().__init__(name, self._socket.fileno())
         except OSError as error:  # too many open files
             self._socket.close()
             raise LinkError(f"{name}: cannot be opened: {_reason(error)}") from error
+
+    def read(self) -> Arrival:
+        """Take the bytes that have come, without waiting; LinkError when the port is gone."""
+        if self._urgent.poll(0):  # the kernel forgets urgent data when the bytes behind them are read
+            with contextlib.suppress(OSError):
+                self._is_over = self._socket.recv(1, socket.MSG_OOB) == END_OF_TRANSMISSION or self._is_over
+        return super().read()
+
+    def _gone(self, error: Exception | str) -> LinkError:
+        return over(self.name) if self._is_over else super()._gone(error)
 
     def _hung_up(self) -> LinkError:
         error = super()._hung_up()
@@ -307,9 +322,14 @@ class UrlPort(_RealTimePort):
     def __init__(self, name: str, device: serial.SerialBase) -> None:
         super().__init__(name)
         self._device = device
+        connection = getattr(device, "_socket", None)  # pyserial offers no limit of its own
+        if isinstance(connection, socket.socket) and connection.family != socket.AF_UNIX:
+            _end_when_unheard(connection)
         self._waiting = b""
         self._taking = threading.Lock()
         """held by the thread that takes bytes: a second one would get later bytes before earlier ones"""
+        self._was_ready = False
+        """the board has said that it is ready. Many serial cables have no wire that says so"""
 
     def wait(self, timeout_s: float) -> bool:
         """Wait until bytes have come or the port is gone; False after 0.1 s, or at once without a ``timeout_s``."""
@@ -326,6 +346,7 @@ class UrlPort(_RealTimePort):
         if not self._taking.acquire(blocking=False):
             return self._arrived(b"")
         try:
+            self._was_ready = self._was_ready or self._is_ready()
             first, self._waiting = self._waiting, b""
             return self._arrived(first + self._take(None))
         finally:
@@ -341,7 +362,17 @@ class UrlPort(_RealTimePort):
             return b""
         except (serial.SerialException, OSError, TypeError, AttributeError) as error:
             # pyserial's own errors for a port that another thread closes are TypeError and AttributeError.
-            raise self._gone(error) from error
+            gone = self._gone(error)
+            if self._was_ready and not self._is_ready() and not isinstance(gone, LinkEnded):
+                gone = OrderlyClose(str(gone))
+            raise gone from error
+
+    def _is_ready(self) -> bool:
+        """Whether the board has said last that it is ready (control line DSR of RFC 2217)."""
+        try:
+            return self.name.startswith("rfc2217://") and bool(self._device.dsr)  # type: ignore[attr-defined]  # the stubs lack it
+        except (serial.SerialException, OSError, TypeError, AttributeError):  # never told, or closed meanwhile
+            return False
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``; LinkError when that fails."""
@@ -355,6 +386,12 @@ class UrlPort(_RealTimePort):
 
     def _close(self) -> None:
         self._device.close()
+
+
+def _end_when_unheard(connection: socket.socket) -> None:
+    """Let a TCP connection break after :data:`UNHEARD_S` without an acknowledgement (Linux)."""
+    if hasattr(socket, "TCP_USER_TIMEOUT"):
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1e3 * UNHEARD_S))
 
 
 def usb_serial_number(name: str) -> str | None:

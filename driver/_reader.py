@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import os
 import threading
 import time
@@ -135,8 +136,11 @@ class Reader:
             return LinkTimeout(f"{where}: {self._mailbox.away}; trying to open the port again")
         if not self._received:
             last = self._mailbox.newest
-            ago = "" if last is None else f"; the last frame came {self.now() - last.monotonic_time:.3g} s ago"
-            return LinkTimeout(f"{where}: the port is silent{ago}")
+            if last is None:
+                return LinkTimeout(f"{where}: the port is silent")
+            return LinkTimeout(
+                f"{where}: nothing came since the last frame, {self.now() - last.monotonic_time:.3g} s ago"
+            )
         if self._reason:
             layout = self._protocol.layout
             size = "" if self._family.has_description else f" with {layout.rows} x {layout.columns} cells"
@@ -162,10 +166,13 @@ class Reader:
         """Give an order to the board.
 
         Raises:
+            LinkEnded: the skin is closed, or the stream is over.
             LinkError: the port is gone, or the line is full.
 
         """
         with self._reading:
+            if self._mailbox.end is not None:
+                raise copy.copy(self._mailbox.end)
             if self._port is None:
                 raise LinkError(f"{self.port_name}: the board is away")
             data = self._protocol.request(order, period_us=period_us)
@@ -337,7 +344,8 @@ class Reader:
                 for event in events:
                     self._handle(event, arrival)
                 self._mailbox.tell()
-                if not arrival.more:
+                # Another frame may have come while several were decoded: it would be the newest one.
+                if not arrival.more and frames <= 1:
                     return
 
     def _keep(self, data: bytes, *, has_frame: bool) -> None:
@@ -486,16 +494,16 @@ class Reader:
     def _is_end(self, last: LinkError, failure: LinkError | None) -> bool:
         """Whether a board that has not come back has come to its end.
 
-        Boards with a packet for their end have sent it. Of the others, over TCP, an end is told by a connection that
-        was closed in good order, at an address where nobody listens any more. A bridge from TCP to a serial port whose
-        cable was pulled closes the connection likewise, but goes on listening.
+        Boards with a packet for their end have sent it. Of the others, over TCP and RFC 2217, an end is told by a
+        connection that was closed in good order, at an address where nobody listens any more. A bridge from TCP to a
+        serial port whose cable was pulled closes the connection likewise, but goes on listening.
 
         Args:
             last: why the port was given up last.
             failure: why the last attempt to open the port failed; None: there was none.
 
         """
-        refused = failure is not None and isinstance(failure.__cause__, ConnectionRefusedError)
+        refused = failure is not None and _has_cause(failure, ConnectionRefusedError)
         orderly = isinstance(last, OrderlyClose) and last is self._away_because
         return orderly and refused and not self._family.has_description
 
@@ -504,6 +512,13 @@ class Reader:
             if self._port is not None:
                 self._port.close()
                 self._port = None
+
+
+def _has_cause(error: BaseException | None, kind: type[BaseException]) -> bool:
+    """Whether ``error`` followed from one of that kind. pyserial raises its own errors while it handles others."""
+    while error is not None and not isinstance(error, kind):
+        error = error.__cause__ or error.__context__
+    return error is not None
 
 
 _READERS: weakref.WeakSet[Reader] = weakref.WeakSet()

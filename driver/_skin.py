@@ -20,6 +20,7 @@ from .. import compiled
 from ..cell import Cell
 from ..circuits import Design
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
+from ..text import printable
 from ..wire import Description, Family, Identity, Order
 from ._calibration import Calibration
 from ._convert import Measurement
@@ -286,6 +287,13 @@ class Skin:
         """Why the port is gone, while the driver tries to open it again; None: it is there."""
         return self._mailbox.away
 
+    def __repr__(self) -> str:
+        """Port, array, and whether frames come: what a notebook shows of a skin."""
+        rows, columns = self.design.array.shape
+        number = f", serial number {printable(self.serial_number)}" if self.serial_number else ""
+        state = "over" if self._mailbox.end is not None else "open" if self.away is None else "away"
+        return f"<Skin {self.port_name}: {rows} x {columns} cells{number}; {state}>"
+
     def __reduce__(self) -> NoReturn:
         raise TypeError("a Skin cannot be sent to another process or be copied; send its frames, or open it there")
 
@@ -459,7 +467,13 @@ class Skin:
         self._converter.on_converted.append(told)
 
     def request(self, order: Order, *, period_us: int = 0) -> None:
-        """Give the board an order of its protocol; LinkError where the port is gone."""
+        """Give the board an order of its protocol.
+
+        Raises:
+            LinkEnded: the skin is closed, or the stream is over.
+            LinkError: the port is gone, or the line is full.
+
+        """
         self._reader.send(order, period_us=period_us)
 
     def stats(self) -> LinkStatistics:

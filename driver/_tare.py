@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray
-from ..cell import Cell
+from ..cell import Cell, ContactModel, equilibrium_curve
 from ..errors import InputError
 from ..files import whole_file
 
@@ -20,6 +20,8 @@ SHEET_FACTOR = 2.0
 KNOWN_DRIFT = 0.1
 """relative change since an earlier tare or a calibration that temperature, age and the loads between explain; the
 project's own choice"""
+CONTACT_LOAD = 0.1
+"""share of full scale that electrodes which merely touch may seem to bear at rest: glue and covers press on them"""
 DRIFT = 0.01
 """relative change of a resistance during the tare that a resting cell may show"""
 DRIFT_STDS = 5.0
@@ -150,7 +152,7 @@ class RestReadings:
             remark
             for remark in (
                 _far_from_sheet(typical, cell) if calibrated_ohm is None else _far_from_calibration(typical),
-                _unlike_others(mean / expected / typical, measured, cell),
+                _unlike_others(mean, typical * expected, measured, cell),
                 ""
                 if earlier is None
                 else _changed_since(earlier, mean, std / np.sqrt(np.maximum(readings, 1)), cell, drift),
@@ -195,7 +197,8 @@ def _far_from_sheet(typical_ohm: float, cell: Cell | None) -> str:
     if cell is None:
         return ""
     ratio = typical_ohm / cell.rest_resistance_ohm
-    if 1 / SHEET_FACTOR <= ratio <= SHEET_FACTOR:
+    # Electrodes that hardly touch may have any resistance above that of the data sheet.
+    if 1 / SHEET_FACTOR <= ratio <= (np.inf if isinstance(cell.model, ContactModel) else SHEET_FACTOR):
         return ""
     return (
         f"the typical resistance is {typical_ohm:.4g} ohm, {ratio:.2g} times the {cell.rest_resistance_ohm:.4g} ohm "
@@ -209,16 +212,39 @@ def _far_from_calibration(ratio: float) -> str:
     return f"the typical resistance is {ratio:.2g} times that of the calibration at rest"
 
 
-def _unlike_others(ratio: FloatArray, measured: BoolArray, cell: Cell | None) -> str:
-    if cell is not None and cell.model.kind == "contact":
-        # Touching electrodes: at rest their resistance is anything from some kohm to infinite.
-        return ""
+def _unlike_others(mean_ohm: FloatArray, usual_ohm: FloatArray, measured: BoolArray, cell: Cell | None) -> str:
+    """A remark where cells differ from what is usual for them, since the others read as they do."""
+    if cell is not None and isinstance(cell.model, ContactModel):
+        return _conducting(mean_ohm, usual_ohm, measured, cell.model, cell.full_scale_kpa)
+    ratio = mean_ohm / usual_ohm
     unlike = measured & (np.abs(ratio - 1) > SPREAD)
     if not unlike.any():
         return ""
     worst = _worst(np.where(unlike, np.abs(ratio - 1), 0.0))
     differ = "differs" if unlike.sum() == 1 else "differ"
     return f"{_cells(unlike)} {differ} from the others, most cell {worst} with {ratio[worst]:.2f} times their median"
+
+
+def _conducting(
+    mean_ohm: FloatArray, usual_ohm: FloatArray, measured: BoolArray, model: ContactModel, full_scale_kpa: float
+) -> str:
+    """The same for electrodes that touch. Any resistance above the usual one is rest, as an open contact is."""
+    load = np.where(measured, _contact_load(mean_ohm, usual_ohm, model), 0.0)
+    loaded = load > CONTACT_LOAD
+    if not loaded.any():
+        return ""
+    worst = _worst(load)
+    conduct = "conducts" if loaded.sum() == 1 else "conduct"
+    return (
+        f"{_cells(loaded)} {conduct} as under a load, most cell {worst} as under {full_scale_kpa * load[worst]:.2g} kPa"
+    )
+
+
+def _contact_load(resistance_ohm: FloatArray, rest_ohm: FloatArray, model: ContactModel) -> FloatArray:
+    """Share of full scale under which electrodes that touch have that resistance; 0 where it is not below rest."""
+    with np.errstate(divide="ignore"):
+        conductance = np.maximum(1 / resistance_ohm - 1 / rest_ohm, 0.0)
+    return np.asarray((conductance * model.full_scale_resistance_ohm) ** (1 / model.exponent))
 
 
 def _changed_since(
@@ -228,12 +254,12 @@ def _changed_since(
 
     A change the other way is none: the skin was loaded then, and is not now. Without a cell both ways count.
     """
-    if cell is not None and cell.model.kind == "contact":
-        return ""  # as for _unlike_others()
     ratio = mean / earlier.rest_resistance_ohm
-    change = ratio - 1 if cell is not None else np.abs(ratio - 1)
+    change = np.abs(ratio - 1) if cell is None else _sign_of_load(cell) * (ratio - 1)
     noise = DRIFT_STDS * std_error / earlier.rest_resistance_ohm
-    changed = earlier.measured & (change > np.maximum(drift, noise))  # False for a cell without a reading
+    changed = earlier.measured & (mean > 0) & (change > np.maximum(drift, noise))
+    if cell is not None and isinstance(cell.model, ContactModel):
+        changed &= _contact_load(mean, earlier.rest_resistance_ohm, cell.model) > CONTACT_LOAD
     if not changed.any():
         return ""
     typical = float(np.median(ratio[earlier.measured & (mean > 0)]))
@@ -242,6 +268,12 @@ def _changed_since(
         f"{_cells(changed)} of {changed.size} changed by more than {100 * drift:.3g} % since {earlier.what}, most "
         f"cell {worst} to {ratio[worst]:.2f} and the typical one to {typical:.2f} times the resistance of then"
     )
+
+
+def _sign_of_load(cell: Cell) -> float:
+    """1.0 where a load raises the resistance, -1.0 where it lowers it."""
+    full = equilibrium_curve(cell.model, cell.full_scale_kpa, cell.rest_resistance_ohm, np.ones(1))
+    return -1.0 if full[0] < 0 else 1.0
 
 
 def _worst(amount: FloatArray) -> tuple[int, int]:

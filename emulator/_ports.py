@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import fcntl
 import os
@@ -20,7 +21,7 @@ from typing import Self, cast
 from serial.rfc2217 import PortManager, Serial
 
 from ..errors import InputError, LinkError
-from ..rendezvous import Announcement
+from ..rendezvous import END_OF_TRANSMISSION, Announcement
 from ._link_name import LinkName
 
 READ_AT_ONCE = 4096
@@ -237,8 +238,9 @@ class TcpPort(Port):
     A second host is hung up on, unless the first one has left bytes unread for :data:`DEAF_S`.
 
     A host on another machine can tell the regular end of the board from a cable that was pulled and from a program that
-    was killed: only the regular end closes the connection in good order (FIN). Everything else resets it (RST), by a
-    linger time of 0 (SO_LINGER), which the kernel keeps to also when the program is killed.
+    was killed: only the regular end sends a byte of urgent data, which programs that do not ask for it never see, and
+    closes the connection in good order (FIN). Everything else resets it (RST), by a linger time of 0 (SO_LINGER), which
+    the kernel keeps to also when the program is killed.
 
     Raises:
         LinkError: nothing can listen there.
@@ -337,7 +339,13 @@ class TcpPort(Port):
     def end(self) -> None:
         super().end()
         if self._host is not None:
+            self._say_over(self._host)
             self._host.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _IN_GOOD_ORDER)
+
+    def _say_over(self, host: socket.socket) -> None:
+        """Let the host know, beside the stream, that no byte will follow."""
+        with contextlib.suppress(OSError):  # full, or broken
+            host.send(END_OF_TRANSMISSION, socket.MSG_OOB)
 
     def plug_in(self, name: str | None) -> None:
         host, port = self._address
@@ -430,6 +438,12 @@ class Rfc2217Port(TcpPort):
 
     def unread(self) -> int:
         return super().unread() + (len(self._outgoing) if self._host is not None else 0)
+
+    def _say_over(self, host: socket.socket) -> None:
+        """As a modem does that is switched off: data set ready (DSR) and carrier detect (CD) go off."""
+        self.control.dsr = self.control.cd = False
+        self._manager.check_modem_lines()
+        self._flush()
 
     def take_reset(self) -> bool:
         if self._host is None:

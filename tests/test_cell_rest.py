@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from ohmskin.bench import _light_taps as light_taps
 from ohmskin.bench import _rest as rest
 from ohmskin.bench._honesty import estimated, readings
 from ohmskin.cell import Cell
@@ -38,3 +39,21 @@ def test_a_light_load_after_taps_is_held_within_the_deviation(light_kpa: float, 
     held = np.arange(frames) * dt_s > 9.0
     assert np.mean(error[held] < 2.0 * std[held]) > 0.95
     assert np.median(error[-200:]) < 0.5
+
+
+@pytest.mark.parametrize("cell", ["example", "paper"])
+@pytest.mark.parametrize("taps_hz", [0.5, 1.0, 3.0])
+def test_light_taps_do_not_add_up(cell: str, taps_hz: float) -> None:
+    """From one percent of full scale on; with more noise, from where a tap is some deviations of a reading."""
+    for noise_mv, lightest in ((0.1, 0.01), (4.0, 0.02)):
+        found = light_taps.judged(light_taps.Case(cell, "amplifier", 12, 100.0, noise_mv, taps_hz, fringe=False))
+        heavy_enough = [peak >= lightest for peak in light_taps.PEAKS]
+        assert max(np.array(found.kept)[heavy_enough]) < 0.7
+        assert min(np.array(found.within_two)[heavy_enough]) > 0.97
+        assert max(found.std_percent) < 3.0
+
+
+def test_the_fringe_of_taps_on_a_divider_comes_back_to_rest() -> None:
+    found = light_taps.judged(light_taps.Case("example", "divider", 12, 100.0, 0.3, 1.0, fringe=True))
+    assert max(found.kept) < 1.0
+    assert min(found.within_two) > 0.95

@@ -119,7 +119,7 @@ def test_the_matrices_do_what_one_cell_written_out_does(seed: int, dt: float, no
 def test_a_doubt_ends_at_full_scale() -> None:
     """Steps of a coarse converter look like turns, at rest too: their doubts must not add up without end."""
     inversion = TurningInversion(MODEL, FULL, exact=False)
-    rows = Rows(inversion.begin(np.zeros(1)), turn_kpa=0.1)
+    rows = Rows(inversion.begin(np.zeros(1)))
     for _ in range(50):
         rows.variance[:] = FULL**2
         inversion._keep(rows, np.zeros(1), np.array([True]))

@@ -28,7 +28,7 @@ from boards import EXAMPLES, Script, Wire, described, frame, gone, identity, los
 from ohmskin.driver import Arrival, Delivery, Frame, Skin, SocketPort, open_port
 from ohmskin.driver._clock import ClockMap
 from ohmskin.driver._mailbox import Mailbox
-from ohmskin.driver._port import DescriptorPort, OrderlyClose
+from ohmskin.driver._port import DescriptorPort, OrderlyClose, UrlPort
 from ohmskin.driver._statistics import Counters
 from ohmskin.driver._stream import FrameStream
 from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
@@ -543,11 +543,14 @@ class TestReaders:
 
 class TestPorts:
     @pytest.mark.skipif(not hasattr(socket, "TCP_USER_TIMEOUT"), reason="Linux only")
-    def test_a_tcp_board_that_acknowledges_nothing_is_gone_after_seconds(self) -> None:
+    @pytest.mark.parametrize("listening", [TcpPort, Rfc2217Port])
+    def test_a_tcp_board_that_acknowledges_nothing_is_gone_after_seconds(self, listening: type[TcpPort]) -> None:
         """A cable pulled at the board's end is told to nobody: the kernel alone would try for a quarter of an hour."""
-        with socket.create_server(("127.0.0.1", 0)) as server:
-            port = SocketPort("socket://{}:{}".format(*server.getsockname()))
-            assert port._socket.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 3000
+        with listening.at(":0") as board, running(scene(), board):
+            port = open_port(board.name)
+            assert isinstance(port, SocketPort | UrlPort)
+            connection = port._socket if isinstance(port, SocketPort) else port._device._socket  # type: ignore[attr-defined]
+            assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 3000
             port.close()
 
     @pytest.mark.parametrize("how", ["read", "write"])
@@ -588,6 +591,26 @@ class TestPorts:
                 with pytest.raises(LinkError, match="cannot be opened: Too many open files"):
                     open_port(name)
             assert len(os.listdir("/proc/self/fd")) == descriptors
+
+
+class TestWhatIsSaid:
+    def test_a_skin_shows_its_port_its_cells_and_whether_frames_come(self) -> None:
+        skin = Skin(described(frame(0)))
+        assert repr(skin) == "<Skin script: 3 x 2 cells, serial number A1; open>"
+        skin.close()
+        assert repr(skin) == "<Skin script: 3 x 2 cells, serial number A1; over>"
+
+    def test_a_closed_skin_takes_no_orders(self) -> None:
+        skin = Skin(described(frame(0)))
+        skin.close()
+        with pytest.raises(LinkEnded, match="script: the skin is closed"):
+            skin.request(Order.STOP)
+
+    def test_a_port_on_which_frames_have_come_is_not_called_silent(self) -> None:
+        with Skin(described(frame(0))) as skin:
+            skin.read(60.0)
+            with pytest.raises(LinkTimeout, match=r"no frame within 0 s: nothing came since the last frame, .* s ago"):
+                skin.read(0.0)
 
 
 class TestNumbers:

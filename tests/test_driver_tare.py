@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from ohmskin.cell import Cell
+from ohmskin.cell import Cell, ContactModel, M10Model
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.config import parse
 from ohmskin.driver import Skin, Tare
@@ -190,6 +190,58 @@ def test_drift_since_an_earlier_tare_is_no_load(noise: float) -> None:
     assert re.match(r"1 cell of 64 changed by more than 10 % since then, most cell \(4, 4\) to 1\.1\d", remark)
     readings[:, 4, 4] = np.nan
     assert taken(readings).tare(CELL, lost=0, serial_number="", wall_time=0.0, earlier=earlier).remarks == ()
+
+
+TOUCHING = Cell(
+    rest_resistance_ohm=REST,
+    full_scale_kpa=40.0,
+    model=ContactModel(full_scale_resistance_ohm=600.0, exponent=0.9),
+)
+"""electrodes that merely touch: a load lowers their resistance"""
+
+
+def under_load(resistance: np.ndarray, load: float) -> np.ndarray:
+    """What such cells read under ``load``, a share of full scale (equation of ``ContactModel``)."""
+    return np.asarray(1 / (1 / resistance + load**0.9 / 600.0))
+
+
+@pytest.mark.parametrize("spread", [0.03, 0.3])
+def test_touching_electrodes_under_a_load_are_not_tared(spread: float) -> None:
+    readings = at_rest(1e-3, spread)
+    assert tare_of(readings, TOUCHING).remarks == ()
+    assert tare_of(3.0 * readings, TOUCHING).remarks == (), "electrodes that hardly touch"
+    readings[:, 2, 5] *= 20.0  # an open contact beside the others is at rest
+    assert tare_of(readings, TOUCHING).remarks == ()
+    readings[:, 4, 4] = under_load(readings[:, 4, 4], 0.3)
+    (remark,) = tare_of(readings, TOUCHING).remarks
+    assert re.match(r"1 cell conducts as under a load, most cell \(4, 4\) as under 1[0-4] kPa", remark)
+
+
+def test_touching_electrodes_are_compared_with_an_earlier_tare() -> None:
+    rest = at_rest(1e-3, 0.3)
+    earlier = EarlierRest("then", rest[0], np.ones((8, 8), dtype=bool))
+
+    def remarks(readings: np.ndarray) -> tuple[str, ...]:
+        return taken(readings).tare(TOUCHING, lost=0, serial_number="", wall_time=0.0, earlier=earlier).remarks
+
+    assert remarks(rest) == ()
+    assert remarks(1.6 * rest) == (), "the skin was loaded then"
+    assert remarks(under_load(rest, 0.02)) == (), "the cover was put on more tightly"
+    *_, remark = remarks(under_load(rest, 0.15))
+    assert remark.startswith("64 cells of 64 changed by more than 10 % since then")
+
+
+def test_a_load_that_lowers_the_resistance_counts_since_an_earlier_tare() -> None:
+    falling = Cell(
+        rest_resistance_ohm=REST,
+        full_scale_kpa=40.0,
+        model=M10Model(a=-0.6, alpha1=0.05, rise1_s=0.1, fall1_s=5.0, alpha2=0.05, fall2_s=50.0),
+    )
+    earlier = EarlierRest("then", at_rest(0.0, 0.1)[0], np.ones((8, 8), dtype=bool))
+    for factor, signs in ((0.8, 1), (1.25, 0)):
+        readings = factor * at_rest(1e-3, 0.1)
+        tare = taken(readings).tare(falling, lost=0, serial_number="", wall_time=0.0, earlier=earlier)
+        assert len(tare.remarks) == signs
 
 
 @pytest.mark.parametrize("drift", [0.0, -0.1, float("nan")])

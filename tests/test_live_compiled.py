@@ -19,6 +19,7 @@ from ohmskin.circuits.recovery._amplified_loops import UsualFrames
 from ohmskin.circuits.recovery._coupled import CoupledLive
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
 from ohmskin.circuits.recovery._frame_budget import FIRST_EFFORT, Budget
+from ohmskin.circuits.recovery._heavy_leads import MOST_IN_DOUBLE
 from ohmskin.circuits.recovery._linearised import Linearised
 from ohmskin.driver import CountReader
 from ohmskin.driver._reading import Reading
@@ -28,6 +29,10 @@ CLOSE = 1e-11
 """relative: sums over cells are added up in another order"""
 CLOSE_MISFIT = 1e-8
 """the same of uncertainties on coupled boards: a misfit between readings and model counts, though it is all rounding"""
+CLOSE_IN_SINGLE = 1e-3
+"""the same where leads are heavy and derivatives are made in single precision"""
+ROUNDED = 1e-13
+"""a few hundred ulp of the conductance that a relative uncertainty refers to"""
 FRAMES = 60
 
 pytestmark = pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
@@ -46,7 +51,8 @@ class Pair:
             self.arrays = CountReader(design)
             self.reference = SystematicError(Cell.example())
         if isinstance(self.loops._recover, AmplifiedLive):
-            self.close = CLOSE
+            in_single = design.array.rows * design.array.columns > MOST_IN_DOUBLE
+            self.close = CLOSE_IN_SINGLE if in_single and self.loops._recover._board.lead_like else CLOSE
             self._count(self.loops._recover._loops, monkeypatch)
 
     def _count(self, loops: UsualFrames, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -66,11 +72,16 @@ class Pair:
         np.testing.assert_array_equal(found.reason, expected.reason)
         np.testing.assert_array_equal(found.valid, expected.valid)
         np.testing.assert_allclose(found.resistance, expected.resistance, rtol=CLOSE)
-        np.testing.assert_allclose(found.uncertainty, expected.uncertainty, rtol=self.close)
+        # An uncertainty may hold the difference of a reading and an exact solution, which both round otherwise.
+        np.testing.assert_allclose(found.uncertainty, expected.uncertainty, rtol=self.close, atol=ROUNDED)
         np.testing.assert_allclose(found.own_uncertainty, expected.own_uncertainty, rtol=self.close)
-        # A difference of two rounded numbers, each at most about one.
-        rounded = 1e-4 * self.close
-        np.testing.assert_allclose(found.others_noise_std, expected.others_noise_std, rtol=self.close, atol=rounded)
+        # A difference of uncertainties, off by as much as these may be off: where nearly all is the cell's own part,
+        # the rest is much smaller than its rounding.
+        known = np.isfinite(expected.uncertainty)
+        rounded = self.close * expected.uncertainty[known] + ROUNDED
+        off = np.abs(found.others_noise_std - expected.others_noise_std)
+        assert (off[known] <= rounded).all()
+        assert not off[~known].any()
         np.testing.assert_allclose(found.step_std, expected.step_std, rtol=self.close)
         assert (found.solved, found.all_valid) == (expected.solved, expected.all_valid)
         assert self.loops.noise_volts == pytest.approx(self.arrays.noise_volts, rel=CLOSE)

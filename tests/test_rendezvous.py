@@ -33,6 +33,9 @@ LINKS: dict[str, Callable[[], Port]] = {
     "tcp": lambda: TcpPort.at(":0"),
     "rfc2217": lambda: Rfc2217Port.at(":0"),
 }
+CLOSED_IN_GOOD_ORDER = (
+    r"the other end has closed the connection in good order, and nobody listens there since \(0\.5 s\)"
+)
 
 
 @pytest.fixture(autouse=True)
@@ -184,20 +187,67 @@ class TestOtherMachines:
         """Boards that have announced themselves until this is called are not known here."""
         return lambda: monkeypatch.setenv("OHMSKIN_RUNTIME_DIR", str(tmp_path / "here"))
 
-    def test_the_regular_end_is_an_end(self, elsewhere: Callable[[], None]) -> None:
+    @pytest.mark.parametrize("reconnect", [0.0, 1e6])
+    def test_the_regular_end_is_told_by_urgent_data(self, elsewhere: Callable[[], None], reconnect: float) -> None:
+        """At once: who waited until it is clear that nobody listens any more would wait for ten days here."""
+        port = TcpPort.at(":0")
+        elsewhere()
+        with silent_board(port), host_of(port, reconnect) as skin:
+            assert len(list(skin)) == 50
+            with pytest.raises(LinkEnded, match="the emulated board has come to the end of its time"):
+                skin.read()
+
+    def test_the_regular_end_over_rfc_2217_is_an_end(self, elsewhere: Callable[[], None]) -> None:
+        """DSR, which goes off, says that the connection was closed in good order."""
+        port = Rfc2217Port.at(":0")
+        elsewhere()
+        with silent_board(port), host_of(port, reconnect=0.5) as skin:
+            assert len(list(skin)) == 50
+            with pytest.raises(LinkEnded, match=CLOSED_IN_GOOD_ORDER):
+                skin.read()
+
+    @pytest.mark.parametrize("urgent", [b"", b"!"])
+    def test_behind_a_forwarder_the_end_is_known_by_nobody_listening(
+        self, elsewhere: Callable[[], None], monkeypatch: pytest.MonkeyPatch, urgent: bytes
+    ) -> None:
+        """Forwarders such as SSH drop urgent data. Other programs' urgent data say nothing of an end."""
+        monkeypatch.setattr(TcpPort, "_say_over", lambda _, host: host.send(urgent, socket.MSG_OOB))
         port = TcpPort.at(":0")
         elsewhere()
         with silent_board(port), host_of(port, reconnect=0.5) as skin:
             assert len(list(skin)) == 50
-            said = r"the other end has closed the connection in good order, and nobody listens there since \(0\.5 s\)"
-            with pytest.raises(LinkEnded, match=said):
+            with pytest.raises(LinkEnded, match=CLOSED_IN_GOOD_ORDER):
                 skin.read()
 
-    def test_without_time_to_look_whether_anybody_listens_it_is_gone(self, elsewhere: Callable[[], None]) -> None:
-        port = TcpPort.at(":0")
+    @pytest.mark.parametrize("link", ["tcp", "rfc2217"])
+    def test_without_time_to_look_whether_anybody_listens_it_is_gone(
+        self, elsewhere: Callable[[], None], monkeypatch: pytest.MonkeyPatch, link: str
+    ) -> None:
+        monkeypatch.setattr(TcpPort, "_say_over", lambda *_: None)
+        port = LINKS[link]()
         elsewhere()
         with silent_board(port), host_of(port, reconnect=0.0) as skin:
-            with pytest.raises(LinkError, match="the other end hung up") as caught:
+            with pytest.raises(LinkError, match="the board has gone away") as caught:
+                list(skin)
+            assert not isinstance(caught.value, LinkEnded)
+
+    @pytest.mark.parametrize("dsr", [True, False])
+    def test_a_serial_cable_without_control_lines_says_nothing_of_an_end(
+        self, elsewhere: Callable[[], None], monkeypatch: pytest.MonkeyPatch, dsr: bool
+    ) -> None:
+        """DSR that was never on, or that stays on, does not go off."""
+        monkeypatch.setattr(Rfc2217Port, "_say_over", lambda *_: None)
+        port = Rfc2217Port.at(":0")
+        greet = port._greet
+
+        def greeted() -> None:
+            greet()
+            port.control.dsr = dsr
+
+        monkeypatch.setattr(port, "_greet", greeted)
+        elsewhere()
+        with silent_board(port), host_of(port, reconnect=0.5) as skin:
+            with pytest.raises(LinkError, match=r"it has not come back within 0\.5 s") as caught:
                 list(skin)
             assert not isinstance(caught.value, LinkEnded)
 
@@ -292,7 +342,7 @@ class TestOtherMachines:
         """What had been sent before the end is read before it."""
         port = TcpPort.at(":0")
         elsewhere()
-        with silent_board(port), host_of(port, reconnect=0.5) as skin:
+        with silent_board(port), host_of(port) as skin:
             first = next(skin)
             time.sleep(0.3)
             assert len([first, *skin]) == 50

@@ -47,8 +47,10 @@ class OneCell:
         if self.variance > (paper.DOUBT * self.full) ** 2:
             if now.pressure > paper.USUAL * self.full:
                 self.doubt = max(self.doubt, (paper.BEYOND * self.full) ** 2)
+                if self.rising and other.pressure <= paper.USUAL * self.full:
+                    self.extreme = paper.REFUTED
             now, other = self._believable(now, self.rising, r), self._believable(other, not self.rising, r)
-        threshold = paper.SURE * std * gains[self.rising] + paper.TURN * self.full + self.drift
+        threshold = paper.SURE * std * gains[self.rising] + self._turn_from(self.extreme) + self.drift
         turned = self.extreme - self._ahead(now) > threshold
         if self.left is not None:
             direction = 1.0 if self.rising else -1.0
@@ -73,7 +75,7 @@ class OneCell:
             if self.rested:
                 before = min(before, self.rest_variance + recovery.LIGHT * before)
             self.doubt = (np.sqrt(before) + unseen) ** 2 + (gains[False] * std) ** 2
-            self.doubt = min(self.doubt, (0.5 * self.full) ** 2)
+            self.doubt = min(self.doubt, (paper.BEYOND * self.full) ** 2)
             self.variance = self.doubt
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
             self.rest_variance = 0.0 if lost else recovery.PART * self.doubt
@@ -86,7 +88,7 @@ class OneCell:
         if self.left is not None:
             back = self.left + (1.0 if self.rising else -1.0) * other.pressure
             times = paper.CONFIRMED_RISE if self.rising else paper.CONFIRMED_FALL
-            if back >= times * (paper.SURE * std * gains[not self.rising] + paper.TURN * self.full):
+            if back >= times * (paper.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
                 self.left, confirmed = None, True
         allowed = -paper.PULL_SIGMAS * gains[False] * doubt - paper.NEAR * self.full
         if not self.exact and now.pressure < allowed:
@@ -140,6 +142,10 @@ class OneCell:
         self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
         self.extreme, self.peak = min(self.extreme + error, 0.0), min(self.peak + error, 0.0)
+
+    def _turn_from(self, extreme: float) -> float:
+        """How far an exact pressure must go back for a turn."""
+        return min(paper.LIGHT_TURN * self.full + paper.TURN_SHARE * abs(extreme), paper.TURN * self.full)
 
     def _ahead(self, hypothesis: Hypothesis) -> float:
         least = paper.LOADS[0] * self.full if self.exact else 0.0

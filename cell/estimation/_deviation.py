@@ -20,7 +20,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from . import _loops as loops
 from ._conditions import Conditions
-from ._inversion import NO_LOAD_SIGMAS, Inversion
+from ._inversion import DOUBT, NO_LOAD_SIGMAS, USUAL, Inversion
 from ._loops import ASLEEP_SIGMAS
 from ._noise import NoiseMeter
 from ._remembered import Block, Remembered
@@ -34,8 +34,6 @@ MODEL_ERROR = 0.005
 """of full scale: the least standard deviation without a calibration. It covers what an estimator passes over: loads
 that let a cell sleep, turns below a percent. It is no estimate of a model's error, for nobody compared the model with a
 recording"""
-USUAL = 1.1
-"""times full scale beyond which the excess over full scale counts as standard deviation"""
 
 _ZERO = np.zeros(1)
 
@@ -95,6 +93,7 @@ class Deviation:
         rest_std_kpa = np.zeros(0) if conditions.rest_std_kpa is None else conditions.rest_std_kpa
         self._rest_variance = rest_std_kpa**2
         self._rest_at_kpa = np.linspace(0, self._full_kpa, rest_std_kpa.size)
+        self._doubt_kpa2 = (DOUBT * self._full_kpa) ** 2
         self._variance = np.full(cells, np.nan)
         """(n,) kPa^2 without the cells of ``_left_open``; replaced, never changed"""
         self._left_open: LeftOpen | Stated | None = None
@@ -124,6 +123,7 @@ class Deviation:
             loops.RISE_KPA: self._inversion.steepness_kpa[0],
             loops.FALL_KPA: self._inversion.steepness_kpa[1],
             loops.RESTS: self._inversion.rests,
+            loops.DOUBT_KPA2: self._doubt_kpa2,
         }
         return np.array([numbers[place] for place in range(len(numbers))])
 
@@ -141,9 +141,14 @@ class Deviation:
         """
         memory = block.memory
         pressure: FloatArray = memory[PRESSURE]
-        if pressure.item(pressure.argmax()) > USUAL * self._full_kpa:
+        usual = USUAL * self._full_kpa
+        if pressure.item(pressure.argmax()) > usual:
             # A pressure that the cell is not meant for may as well be an error of the memory.
-            added = total(added, np.maximum(pressure - self._full_kpa, 0.0) ** 2)
+            excess = np.maximum(pressure - self._full_kpa, 0.0)
+            by_noise = looked.doubt_kpa(memory[GAIN], self._inversion.steepness_kpa)
+            doubtful = total(added, memory[VARIANCE]) + by_noise**2 > self._doubt_kpa2
+            pressure = np.where(doubtful, np.minimum(pressure, usual), pressure)
+            added = total(added, excess**2)
         noise_kpa = looked.std * memory[GAIN]
         if noise_kpa.item(noise_kpa.argmax()) > AT_REST * self._full_kpa:
             likely = _likely(pressure, self._inversion.hides_kpa2(memory, noise_kpa))

@@ -76,6 +76,8 @@ class Following:
         if block.scratch is None:
             block.scratch = smoothing.Scratch(line)
         smooth = smoothing.advance(line, dt, self._gains(dt), reading, noise, block.scratch)
+        if self._noise.looks_next:
+            self._noise.on_line[cells] = line[smoothing.COUNT]
         if smooth.begun is not None:
             self._sparks.remember(block, smooth.begun, reading, noise)
         if self._sparks.cells.size:
@@ -111,7 +113,8 @@ class Following:
         if self._sparks.cells.size:
             self._sparks.put_back(block, dt, reading, noise)
         gains = self._gains(dt).rows
-        if smoothing.advance_each.code(line, block.line_before, dt, gains, taken, block.begun, self._sparks.large_r):
+        beside = block.line_before, cells, self._noise.on_line, self._noise.looks_next
+        if smoothing.advance_each.code(line, *beside, dt, gains, taken, block.begun, self._sparks.large_r):
             self._sparks.remember(block, block.begun, reading, noise)
         if self._sparks.cells.size:
             self._sparks.recognise_taps(dt, r)

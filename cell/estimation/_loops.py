@@ -58,13 +58,14 @@ def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, lea
 
 
 MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY = range(8)
-HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE, RISE_KPA, FALL_KPA, RESTS = range(8, 16)
+HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE, RISE_KPA, FALL_KPA, RESTS, DOUBT_KPA2 = range(8, 17)
 """places of numbers that :func:`show` and :func:`watch_over` take: variance in kPa^2 by the model; r per kPa of bend
 that a turn within the frame may leave, 0: none, and standard deviations of noise that are no bend; full scale,
 pressure, and noise in kPa from which more is done; standard deviations at which a load and none are as likely; keeps
 0/0 from occurring; standard deviations of a reading that hide a load, and the inverse number of those that an estimate
 is to cover; 1 if a standard deviation is stated; standard deviations that an estimate is to cover, and those of a
-reading that hide a load over them"""
+reading that hide a load over them; pressure per r of a fast rise and of a fast fall; as NO_LOAD, of a cell taken for
+one at rest; variance in kPa^2 from which no pressure beyond the usual is shown"""
 LAST, BEFORE_LAST = 3, 4
 """rows of the pressures of the last two frames, where a turn within the frame is reckoned with"""
 REST_VARIANCE, RESTED = 20, 21
@@ -110,22 +111,31 @@ def show(
     ``added`` (m,) holds the variance by jumps, and is changed.
     """
     full, much, no_load = numbers[FULL], False, numbers[NO_LOAD]
+    most_kpa, doubt_kpa2 = numbers[MUCH], numbers[DOUBT_KPA2]
     much_noise = False
     # Read once: the compiler cannot know that no array written below is ``numbers``.
     rise_kpa, fall_kpa, rests = numbers[RISE_KPA], numbers[FALL_KPA], numbers[RESTS]
     hidden, per_sigmas, within, sure = numbers[HIDDEN], numbers[PER_SIGMAS], numbers[WITHIN], numbers[SURE]
     model_variance, stated, tiny = numbers[MODEL_VARIANCE], numbers[STATED] > 0.0, numbers[TINY]
     for i in range(cells.size):
-        much |= memory[PRESSURE, i] > numbers[MUCH]
+        much |= memory[PRESSURE, i] > most_kpa
         much_noise |= taken[STD, i] * memory[GAIN, i] > numbers[MUCH_NOISE]
     for i in range(cells.size):
         shown, gain = memory[PRESSURE, i], memory[GAIN, i]
         found = shown
         noise_kpa = taken[STD, i] * gain
+        off, slope = taken[READING, i] - line[LEVEL, i], gain
+        if fall_kpa != 0.0:
+            slope = fall_kpa if off < 0.0 else rise_kpa
+        doubt = (abs(off) * slope + taken[NOISE, i] * gain * hidden) * per_sigmas
+        std = max(doubt, noise_kpa)
         if much:
-            excess = max(shown - full, 0.0)
+            if memory[VARIANCE, i] + added[i] + std * std > doubt_kpa2:
+                shown = min(shown, most_kpa)
+            excess = max(found - full, 0.0)
             added[i] += excess * excess
         if much_noise:
+            believed = shown
             squared = shown * shown
             squared *= squared
             hides = no_load * noise_kpa
@@ -133,14 +143,9 @@ def show(
             if rests != 0.0 and memory[RESTED, i] > 0.0:
                 hides = (noise_kpa * noise_kpa + memory[REST_VARIANCE, i]) * rests
             shown *= squared / (squared + hides * hides + tiny)
-            off = found - shown
+            off = believed - shown
             added[i] += off * off
         pressure[cells[i]] = shown
-        off, slope = taken[READING, i] - line[LEVEL, i], gain
-        if fall_kpa != 0.0:
-            slope = fall_kpa if off < 0.0 else rise_kpa
-        doubt = (abs(off) * slope + taken[NOISE, i] * gain * hidden) * per_sigmas
-        std = max(doubt, noise_kpa)
         own = std * std
         if within != 0.0:
             bend = abs(found - 2.0 * memory[LAST, i] + memory[BEFORE_LAST, i])

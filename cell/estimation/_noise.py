@@ -4,8 +4,10 @@ A load that moves smoothly leaves almost nothing in the third difference of succ
 variance v leaves 20 v, the sum of the squared coefficients 1, -3, 3, -1. Boards measure currents, so that noise is
 about constant in conductance: the noise of the normalised resistance r is kept relative to (1 + r)^2.
 
-One cell that moves fast looks noisy. In an array most cells are at rest, and no cell is therefore taken to be much
-noisier than the median one.
+One cell that moves fast looks noisy. Differences across an edge of the load, which the smoothing has noticed, and
+those far beyond the noise are therefore passed over (a redescending M-estimator), unless nearly all of them are such:
+then the noise has risen. In an array most cells are at rest. There it is the median cell that tells whether noise has
+risen, and no cell is taken to be much noisier than that one.
 
 Third differences of successive frames overlap, and tell nearly the same. Those of every third frame are all but
 independent: averaging only these costs a quarter of the accuracy and a third of the time.
@@ -26,8 +28,19 @@ EVERY = 3
 """readings between two looks at the third difference, once the noise is known roughly"""
 SOON = READINGS // EVERY // 8
 """looks after which the noise is known roughly"""
+FIRST = 9
+"""looks after which the median of so many differences tells the noise of few cells; they are in one :data:`WINDOW`"""
 OUTLIER = 9.0
-"""times the variance: no squared difference counts for more, so that steps of the load hardly count"""
+"""times the variance: a squared difference beyond is an outlier, which noise hardly ever is"""
+ACROSS = 3.0
+"""readings of the smoothing's line: a difference is an outlier, too, if the line has fewer, as an edge is within it"""
+UNCUT = 1.0274
+"""variance of a normal variable over that of its values within three standard deviations"""
+CROWD_LOOKS = 24
+"""looks over which the share of outliers is averaged"""
+CROWDED, ALL_CROWDED = 0.75, 0.15
+"""share of outliers from which they tell of noise that has risen: of one cell, since taps at three hertz that a slow
+board reads leave half of the readings clean; and of the median cell of an array, since few cells move at a time"""
 LEAST = 1e-6
 """standard deviation of r below which readings are taken for exact"""
 POOL = 6
@@ -73,6 +86,7 @@ _BESIDE_PARABOLA = _rolled(np.linalg.qr(_POWERS)[0][:, 3:].T.copy())
 """orthonormal rows; parabolas have no part in them, white noise has its variance in each"""
 LEAST_VARIANCE = LEAST**2
 _ONE, _OUTLIER, _LEAST_VARIANCE = np.array(1.0), np.array(OUTLIER), np.array(LEAST_VARIANCE)
+_ACROSS, _UNCUT = np.array(ACROSS), np.array(UNCUT)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
@@ -87,7 +101,13 @@ class NoiseMeter:
         """``expected``: standard deviation of r at rest that an earlier recording had; 0 if there is none."""
         self._ring = np.zeros((WINDOW, cells))
         self._variance = np.full(cells, expected**2)
+        self._crowd = np.zeros(cells)
+        """(n,) share of outliers among the differences of late"""
+        self._passes_below = -1.0
+        """share of outliers below which a cell's are passed over; negative: they count as three standard deviations"""
         self._looks = 0
+        self.on_line = np.full(cells, np.inf)
+        """(n,) readings since the smoothing of a cell last noticed a change; whoever smooths sets it, in every frame"""
         self._expected = expected**2 if cells < MANY else 0.0
         # The median of few cells is itself uncertain, and counts for less.
         self._shared_looks = EXPECTED_LOOKS if self._expected else min(cells // MANY, SHARED_LOOKS)
@@ -95,6 +115,7 @@ class NoiseMeter:
         self._blind = np.zeros(cells)
         self._any_blind = 0
         self._squares, self._limit = np.empty((2, cells))
+        self._flags = np.empty((2, cells), dtype=np.bool_)
         self.typical = expected
         """standard deviation of the median cell at rest"""
         self.at_rest = np.sqrt(self._variance + LEAST**2)
@@ -132,6 +153,11 @@ class NoiseMeter:
             self._blind -= 1.0
             self._any_blind -= 1
 
+    @property
+    def looks_next(self) -> bool:
+        """Whether the next frame is looked at, if all goes on."""
+        return self._looks < SOON or (self._seen + 1) % EVERY == 0
+
     def _guess(self, r: FloatArray) -> None:
         """Take the median cell's change from the last reading for noise, until there are four readings."""
         changes = (r - self._ring[(self._seen - 2) % WINDOW]) / (r + 1.0) ** 2
@@ -145,7 +171,8 @@ class NoiseMeter:
         _THIRD_DIFFERENCE[self._seen % WINDOW].dot(self._ring, squares)
         if self.compiled and self._looks:
             self._looks += 1
-            average.code(squares, r, self._variance, self._blind, WINDOW - 4.0, self._share)
+            kept = self._variance, self._crowd, self.on_line, self._blind
+            average.code(squares, r, *kept, WINDOW - 4.0, self._share, self._share_of_crowd, self._passes_below)
             self._renew()
             return
         np.add(r, _ONE, self._limit)
@@ -166,7 +193,19 @@ class NoiseMeter:
         self._looks += 1
         np.multiply(self._variance, _OUTLIER, self._limit)
         self._limit += _LEAST_VARIANCE
+        outlies, flags = self._flags
+        np.greater(squares, self._limit, outlies)
+        np.less(self.on_line, _ACROSS, flags)
+        outlies |= flags
         np.minimum(squares, self._limit, out=squares)
+        share = self._share_of_crowd
+        self._crowd *= 1.0 - share
+        np.add(self._crowd, share, out=self._crowd, where=outlies)
+        if self._passes_below > 0.0:
+            squares *= _UNCUT
+            np.less(self._crowd, self._passes_below, flags)
+            outlies &= flags
+            np.copyto(squares, self._variance, where=outlies)
         squares -= self._variance
         squares *= self._share
         self._variance += squares
@@ -177,8 +216,15 @@ class NoiseMeter:
         """Of a look in the average."""
         return max(1 / (self._looks + self._shared_looks), EVERY / READINGS)
 
+    @property
+    def _share_of_crowd(self) -> float:
+        """Of a look in the share of outliers."""
+        return 1.0 / min(self._looks, CROWD_LOOKS)
+
     def _renew(self) -> None:
         """Renew the standard deviations after a look."""
+        if self._looks == FIRST and self._variance.size < MANY:
+            self._raise()
         if self._expected and self._looks == KNOWN:  # what was expected leaves the average again
             self._variance += EXPECTED_LOOKS / KNOWN * (self._variance - self._expected)
             np.maximum(self._variance, LEAST**2, out=self._variance)
@@ -192,11 +238,22 @@ class NoiseMeter:
         if self.typical_resolution:
             np.maximum(self.at_rest, self.resolution, out=self.at_rest)
 
+    def _raise(self) -> None:
+        """Raise a variance whose first look was small by chance, so that readings after it seemed to be outliers."""
+        last = self._seen % WINDOW
+        differences = np.array([_THIRD_DIFFERENCE[(last - age) % WINDOW] for age in range(FIRST)]) @ self._ring
+        differences /= (1.0 + self._ring[last - 1]) ** 2
+        middle = np.median(differences**2, axis=0) / MEDIAN_OF_SQUARES
+        np.copyto(self._variance, np.maximum(self._variance, middle), where=self._blind <= 0.0)
+
     def _pool(self) -> None:
         middle = median(self._variance[:: 1 + self._variance.size // ENOUGH])
         if self._variance.size >= MANY:
             np.minimum(self._variance, ABOVE_POOL * middle + LEAST**2, out=self._variance)
         self.typical = middle**0.5
+        if self._looks > SOON:
+            risen = self._variance.size >= MANY and median(self._crowd[:: 1 + self._crowd.size // ENOUGH]) > ALL_CROWDED
+            self._passes_below = -1.0 if risen else CROWDED
         if self._looks > KNOWN:
             least = max(self.typical, self.typical_resolution, LEAST)
             self.quiet = min(FORGET * self.quiet, least)
@@ -276,28 +333,42 @@ class NoiseMeter:
             "noise_blind": self._blind,
             "noise_variance": self._variance,
             "noise_resolution": self.resolution,
+            "noise_crowd": self._crowd,
+            "noise_on_line": self.on_line,
             "noise_counts": np.array([self._looks, self._seen, self._any_blind], dtype=np.float64),
-            "noise_of_array": np.array([self.typical, self.quiet]),
+            "noise_of_array": np.array([self.typical, self.quiet, self._passes_below]),
             "noise_beside": self.beside,
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a :meth:`state`."""
         self._ring, self._blind, self._variance = (state[f"noise_{name}"] for name in ("ring", "blind", "variance"))
-        self.beside = state["noise_beside"]
+        self.beside, self._crowd, self.on_line = (state[f"noise_{name}"] for name in ("beside", "crowd", "on_line"))
         looks, seen, any_blind = state["noise_counts"].tolist()
-        self.typical, self.quiet = state["noise_of_array"].tolist()
+        self.typical, self.quiet, self._passes_below = state["noise_of_array"].tolist()
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
         self.at_rest = np.sqrt(self._variance + LEAST**2)
         self.resolve(state["noise_resolution"])
 
 
 @loop
-def average(squares: Row, r: Row, variance: Row, blind: Row, since: float, share: float) -> None:
+def average(
+    squares: Row,
+    r: Row,
+    variance: Row,
+    crowd: Row,
+    on_line: Row,
+    blind: Row,
+    since: float,
+    share: float,
+    share_of_crowd: float,
+    passes_below: float,
+) -> None:
     """:meth:`NoiseMeter._average`, of third differences (n,) that are not squared yet, as a loop over cells.
 
     Cells keep their variance that are ``blind`` (n,) for more than ``since`` frames to come.
     """
+    uncut = UNCUT if passes_below > 0.0 else 1.0
     for i in range(r.size):
         scale = r[i] + 1.0
         square = squares[i] / (scale * scale)
@@ -305,7 +376,12 @@ def average(squares: Row, r: Row, variance: Row, blind: Row, since: float, share
         if blind[i] > since:
             square = variance[i]
         limit = variance[i] * OUTLIER + LEAST_VARIANCE
-        variance[i] += (min(square, limit) - variance[i]) * share
+        outlies = square > limit or on_line[i] < ACROSS
+        crowd[i] *= 1.0 - share_of_crowd
+        if outlies:
+            crowd[i] += share_of_crowd
+        if not (outlies and crowd[i] < passes_below):
+            variance[i] += (min(square, limit) * uncut - variance[i]) * share
 
 
 @loop

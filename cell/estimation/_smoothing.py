@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import Flags, Rows, loop
+from ...compiled import Flags, Places, Row, Rows, loop
 from ._rows import NOISE, READING, SMOOTHED, STD
 
 ALLOWED = 0.75
@@ -238,12 +238,26 @@ def gains_for(window: float, dt_s: float) -> Gains:
 
 
 @loop
-def advance_each(line: Rows, before: Rows, dt_s: float, gains: Rows, taken: Rows, begun: Flags, large: float) -> bool:
+def advance_each(
+    line: Rows,
+    before: Rows,
+    cells: Places,
+    on_line: Row,
+    keeps: bool,
+    dt_s: float,
+    gains: Rows,
+    taken: Rows,
+    begun: Flags,
+    large: float,
+) -> bool:
     """:func:`advance` as a loop over cells.
 
     Args:
         line: (ROWS, m), changed.
         before: (ROWS, m), to keep the line from before.
+        cells: (m,) indices.
+        on_line: (n,) readings since the lines began, changed if ``keeps``.
+        keeps: see there.
         dt_s: since the last readings.
         gains: (3, n), ``rows`` of :class:`Gains`.
         taken: (4, m) readings and their noise; given their smoothed values and the standard deviations of these.
@@ -276,6 +290,8 @@ def advance_each(line: Rows, before: Rows, dt_s: float, gains: Rows, taken: Rows
                 level = r - off * FAR_SHARE
                 count = 1.0
         line[LEVEL, i], line[SLOPE, i], line[COUNT, i], line[UP, i], line[DOWN, i] = level, slope, count, up, down
+        if keeps:
+            on_line[cells[i]] = count
         taken[SMOOTHED, i], taken[STD, i] = level, share * noise
         begun[i] = begins
         any_begun |= begins

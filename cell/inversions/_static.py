@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ...arrays import FloatArray
-from ..estimation import GAIN, PRESSURE, VARIANCE, Inversion
+from ...arrays import BoolArray, FloatArray
+from ..estimation import GAIN, PRESSURE, USUAL, VARIANCE, Inversion
 from ..materials import AsymmetricModel, ContactModel, M10Model, Model, PaperModel, equilibrium_curve, equilibrium_gain
 from ._learned import BEYOND, STEEPER, StaticCurve, credible_range
 
@@ -18,6 +18,11 @@ SLOPES, FLAT = 33, 3.0
 """points at which the effect of an error of R0 is tabulated, and how many times its mean the effect is at most"""
 CONTACT_SHARE = 0.02
 """standard deviation over the pressure, of a contact's answer"""
+UNKNOWN = 0.6
+"""of full scale: no larger standard deviation is stated where chains may be broken, as no more than the usual load is
+believed then; two of it cover all loads up to that"""
+CHAINS = 3
+"""row of the memory: r by chains that must have broken"""
 
 
 def rest_slope(model: Model, full_scale_kpa: float, rest_resistance_ohm: float) -> FloatArray:
@@ -53,6 +58,10 @@ def memory_share(model: Model) -> float:
 class EquilibriumInversion(Inversion):
     """The equilibrium of the model inverted, without memory: what a calibration curve gives.
 
+    Motion breaks chains of an `m10` cell, and r rises by as much. What a reading has beyond the largest answer to the
+    usual load must be broken chains, which heal in their own time. That much is subtracted from later readings.
+    Otherwise a cell that was tapped would show an overload for minutes.
+
     All cells share one curve of r. A contact under load conducts beside the cell's rest resistance, so its r depends on
     that: conductances of contacts are first taken over to a cell with the median rest resistance.
     """
@@ -84,6 +93,13 @@ class EquilibriumInversion(Inversion):
             steepest[np.argmin(np.abs(slope)) :] = np.inf
         self._slope = np.minimum(np.abs(slope), steepest)
         self._rest_of_curve = rest
+        self._heals_s = np.inf
+        if isinstance(model, M10Model) and model.k > 0:
+            self.rows = *self.rows, "chains"
+            self._heals_s = model.tau_s
+            statics = model.a * load + model.b * load**2
+            self._most_r = float(statics[load <= USUAL].max()) + (model.alpha1 + model.alpha2) * USUAL
+            """r of the largest load that is believed, before a chain breaks: no branch is beyond what it follows"""
         super().__init__(full_scale_kpa, full_r, exact=exact)
         self._shift = 1 / rest - 1 / rest_resistance_ohm
         """S, to the conductance of a contact whose rest resistance is that of the curve"""
@@ -101,18 +117,44 @@ class EquilibriumInversion(Inversion):
         return False
 
     def begin(self, r: FloatArray) -> FloatArray:
+        return self._at(r, np.zeros_like(r))
+
+    def _at(self, r: FloatArray, chains: FloatArray) -> FloatArray:
+        """The memory (rows, m) at readings ``r`` (m,), of which broken chains are ``chains`` (m,) at least."""
+        broken = np.isfinite(self._heals_s)
+        if broken:
+            chains = np.maximum(chains, r - self._most_r)
+            r = r - chains
         x = self._sign * r
-        memory = np.empty((3, *r.shape))
+        memory = np.empty((len(self.rows), *r.shape))
         load = np.interp(x, self._curve, self._load)
         memory[PRESSURE] = load * self.full_scale_kpa
         memory[GAIN] = np.interp(x, self._curve, self._slope) * self.full_scale_kpa
         memory[VARIANCE] = (self._share * memory[PRESSURE]) ** 2
+        if broken:
+            memory[CHAINS] = chains
+            np.minimum(memory[VARIANCE], (UNKNOWN * self.full_scale_kpa) ** 2, out=memory[VARIANCE])
         return memory
 
     def advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
-        return self.begin(r)
+        if len(memory) <= CHAINS:
+            return self.begin(r)
+        return self._at(r, memory[CHAINS] * np.exp(-dt_s / self._heals_s))
+
+    def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
+        if len(memory) <= CHAINS:
+            return memory
+        held = memory.copy()
+        held[CHAINS] *= np.exp(-dt_s / self._heals_s)
+        return held
+
+    def settled(self, memory: FloatArray, band: float) -> BoolArray:
+        if len(memory) <= CHAINS:
+            return super().settled(memory, band)
+        found: BoolArray = memory[CHAINS] < band
+        return found
 
 
 STEEPEST = 20.0
@@ -131,6 +173,7 @@ class StaticCurveInversion(Inversion):
         exact: bool,
     ) -> None:
         self.curve = curve
+        curve.prepare()
         self.remembers = not curve.logarithmic  # as the curve of a contact is
         credible = credible_range(None if curve.logarithmic else curve.reached)  # a contact may be open at rest
         super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)

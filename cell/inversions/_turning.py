@@ -50,8 +50,10 @@ from ._turning_rows import (
 
 BEYOND = 0.6
 """of full scale: standard deviation of a pressure that was found to be too large to be believed"""
-TURN = 0.01
-"""of full scale by which the pressure must have gone back for a turn"""
+TURN, LIGHT_TURN, TURN_SHARE = 0.01, 0.002, 0.02
+"""how far a pressure that is known exactly must have gone back for a turn: the second of full scale and the third of
+the extreme, but no more than the first of full scale. Errors of the memory grow with the load, and look like turns as
+they fade. Near none, a larger limit would miss light taps, and the paper's cell keeps a part of each that is missed"""
 EXACTLY, NEAR, ROUND = 1e-9, 1e-3, 2e-3
 """of full scale: rounding; a pressure that is as good as none; and an error of the pressure at a slow turn, which is
 noticed late"""
@@ -79,6 +81,8 @@ large by about as many; with more, the end of a tap of few frames would be misse
 PULL_SIGMAS = 0.7
 """standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
 smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
+REFUTED = 0.5 * FAR
+"""kPa: an extreme from which any pressure has gone back, so that the turn is taken, and is certain"""
 FLAT = 0.003
 """of full scale by which a pressure that is held may seem to go back"""
 AGAIN = 0.5
@@ -122,11 +126,11 @@ class TurningInversion(Inversion):
         self._clear_kpa2 = self._left * (NEAR * full_scale_kpa) ** 2
         self._lost_at_most_kpa2 = (MOST_LOST * full_scale_kpa) ** 2
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
-        self._most_kpa = full_scale_kpa / 2
-        """standard deviation of a load of which nothing is known"""
+        self._most_kpa = BEYOND * full_scale_kpa
+        """standard deviation of a load of which nothing is known but that it is no more than usual"""
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
-        self._of = Rows(np.zeros((len(self.rows), 0)), TURN * full_scale_kpa)
+        self._of = Rows(np.zeros((len(self.rows), 0)))
         self._beside = Beside(self._of.memory)
         super().__init__(full_scale_kpa, full_r, credible=credible, exact=exact)
         self.bends = BETWEEN * self._bend, SURE
@@ -137,9 +141,10 @@ class TurningInversion(Inversion):
         )
         self._none, self._one, self._two = np.array(0.0), np.array(1.0), np.array(2.0)
         self._missed_by_bend = np.array(BETWEEN * self._bend)
-        self._turn_kpa, self._flat_kpa, self._exact_kpa = (
-            np.array(share * full_scale_kpa) for share in (TURN, FLAT, EXACTLY)
+        self._turn_kpa, self._light_kpa, self._flat_kpa, self._exact_kpa = (
+            np.array(share * full_scale_kpa) for share in (TURN, LIGHT_TURN, FLAT, EXACTLY)
         )
+        self._turn_share = np.array(TURN_SHARE)
         # What is below zero is an error that fades, and no turn.
         self._least_kpa = np.array(self._lowest if self.exact else 0.0)
         self.steepness_kpa = 1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa
@@ -165,7 +170,7 @@ class TurningInversion(Inversion):
         w = self._weights.of(dt_s)
         of = self._of
         if memory is not of.memory:
-            of = self._of = Rows(memory, TURN * self.full_scale_kpa)
+            of = self._of = Rows(memory)
         self._predict(of, r, w)
         unconfirmed = self._take_turns(of, std, w)
         if not self.exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
@@ -209,7 +214,9 @@ class TurningInversion(Inversion):
         if unconfirmed:
             # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
             noise *= of.confirming_sigmas
-            noise += of.confirming_kpa
+            self._turn_from(of.left, of.nearby)
+            of.nearby *= of.confirming_turns
+            noise += of.nearby
             confirmed = np.greater_equal(back, noise, of.confirmed)
             confirmed &= of.left < self._far
             np.copyto(of.left, self._far, where=confirmed)
@@ -263,6 +270,8 @@ class TurningInversion(Inversion):
             loops.USUAL: self._usual,
             loops.SURE: SURE,
             loops.TURN_KPA: self._turn_kpa,
+            loops.LIGHT_KPA: self._light_kpa,
+            loops.TURN_SHARE: self._turn_share,
             loops.LEAST_KPA: self._least_kpa,
             loops.PULLED_KPA: -NEAR * self.full_scale_kpa,
             loops.FLAT_KPA: self._flat_kpa,
@@ -307,7 +316,7 @@ class TurningInversion(Inversion):
         loops.take.code(memory, r)
         w.step.dot(of.state, of.change)
         if loops.step.code(memory, of.change, numbers):
-            self._limit(Rows(memory, TURN * self.full_scale_kpa), w)
+            self._limit(Rows(memory), w)
         if w is not of.weights:
             loops.take_gains.code(memory, w.by_model, of.rows, numbers)
             of.weights = w
@@ -371,10 +380,18 @@ class TurningInversion(Inversion):
         np.add(of.rising_share, of.recovery_share, of.pressure)
         np.multiply(std, of.gain, of.unsure)
         np.multiply(of.unsure, self._sure, of.threshold)
-        np.add(of.drift, self._turn_kpa, of.ahead)
+        self._turn_from(of.extreme, of.ahead)
+        of.ahead += of.drift
         of.threshold += of.ahead
         np.maximum(of.pressure, self._least_kpa, out=of.ahead)
         of.ahead *= of.sign
+
+    def _turn_from(self, extreme: FloatArray, limit: FloatArray) -> None:
+        """Write into ``limit`` (m,) how far exact pressures in kPa must go back from ``extreme`` (m,) for a turn."""
+        np.abs(extreme, out=limit)
+        limit *= self._turn_share
+        limit += self._light_kpa
+        np.minimum(limit, self._turn_kpa, out=limit)
 
     def _gone_back(self, of: Rows, std: FloatArray) -> tuple[FloatArray, FloatArray]:
         """How far the other hypothesis is behind the extreme that was left, and its standard deviation by noise."""
@@ -462,6 +479,9 @@ class TurningInversion(Inversion):
         least = (BEYOND * self.full_scale_kpa) ** 2
         np.maximum(of.doubt, least, where=(beyond & (of.in_force > 0)).any(axis=0), out=of.doubt)
         p, r = self._usual, of.r
+        # A load that rises lets r fall more slowly than this: it is recovery that explains the reading.
+        refuted = beyond[RISING] & ~beyond[RECOVERY] & (of.in_force[RISING] > 0)
+        np.copyto(of.extreme, REFUTED, where=refuted)
         np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])
         np.copyto(state[3], r - p / m.e1_kpa - state[5], where=beyond[RECOVERY])
 

@@ -26,7 +26,7 @@ FAR = 1e12
 """kPa: no extreme"""
 
 UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
-NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_KPA = range(6, 10)
+NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_TURNS = range(6, 10)
 GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
 ROWS = 13
 """rows beside the memory: intermediate results; 1 in the row of the hypothesis that is not in force; how far that one
@@ -37,12 +37,13 @@ LOWEST, USUAL, SURE, TURN_KPA, LEAST_KPA, PULLED_KPA = range(6)
 FLAT_KPA, EXACT_KPA, AGAIN, LESS, EITHER, LEFT_OVER, CLEAR = range(6, 13)
 JUST_BEGUN, BETWEEN, BEND, ROUND_KPA, MOST_KPA2, CONFIRMED_RISE, CONFIRMED_FALL, HALF = range(13, 21)
 PULL, NEAR_KPA, SETTLED_PER_KPA, ETAU2_KPA, E1_KPA, LOST_SIGMAS, MOST_LOST_KPA2 = range(21, 28)
-HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2 = range(28, 35)
+HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2, LIGHT_KPA, TURN_SHARE = range(28, 37)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
-those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, and of :mod:`._recovery`"""
+those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, of :mod:`._recovery`, and how far
+small pressures must go back for a turn"""
 UNCONFIRMED, PULLED = 1, 2
 
 
@@ -78,7 +79,7 @@ def take_gains_of(memory: Rows, i: int, by_model: FixedRows, of: Rows, numbers: 
     of[FADE, i] = by_model[2, 0] * rising + by_model[2, 1] * recovery
     of[NOT_RISING, i], of[NOT_RECOVERY, i] = recovery, rising
     turns = numbers[CONFIRMED_RISE] if memory[SIGN, i] > 0.0 else numbers[CONFIRMED_FALL]
-    of[CONFIRMING_SIGMAS, i], of[CONFIRMING_KPA, i] = turns * numbers[SURE], turns * numbers[TURN_KPA]
+    of[CONFIRMING_SIGMAS, i], of[CONFIRMING_TURNS, i] = turns * numbers[SURE], turns
 
 
 @loop
@@ -131,6 +132,12 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
 
 
 @loop
+def turn_from(extreme: float, numbers: FixedRow) -> float:
+    """How far an exact pressure in kPa must go back from ``extreme`` for a turn."""
+    return float(min(abs(extreme) * numbers[TURN_SHARE] + numbers[LIGHT_KPA], numbers[TURN_KPA]))
+
+
+@loop
 def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
     """Look at the hypothesis in force in cell ``i``; whether it has turned, or an earlier turn was noise."""
     rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
@@ -142,7 +149,8 @@ def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
     noise = of[OTHER_GAIN, i] * std
     memory[PRESSURE, i] = pressure
     of[UNSURE, i], of[AHEAD, i], of[SPARE, i], of[NOISE, i] = unsure, ahead, back, noise
-    gone_back = memory[EXTREME, i] - ahead > unsure * numbers[SURE] + (numbers[TURN_KPA] + memory[DRIFT_KPA, i])
+    least = turn_from(memory[EXTREME, i], numbers) + memory[DRIFT_KPA, i]
+    gone_back = memory[EXTREME, i] - ahead > unsure * numbers[SURE] + least
     return bool(gone_back or back < noise)
 
 
@@ -162,7 +170,8 @@ def take_turns(memory: Rows, std: FixedRow, by_model: FixedRows, of: Rows, flags
             turn(memory, i, std[i], by_model, of, numbers)
             look(memory, i, std[i], of, numbers)
         # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
-        least = of[NOISE, i] * of[CONFIRMING_SIGMAS, i] + of[CONFIRMING_KPA, i]
+        least = of[NOISE, i] * of[CONFIRMING_SIGMAS, i]
+        least += turn_from(memory[LEFT, i], numbers) * of[CONFIRMING_TURNS, i]
         confirmed = memory[LEFT, i] < FAR and of[SPARE, i] >= least
         flags[CONFIRMED, i] = confirmed
         if confirmed:

@@ -41,9 +41,8 @@ class Beside:
 class Rows:
     """The rows of one ``memory`` (rows, m) by name, and arrays for intermediate results."""
 
-    def __init__(self, memory: FloatArray, turn_kpa: float) -> None:
-        """``turn_kpa`` is by how much a pressure that is known exactly must go back for a turn."""
-        self.memory, self._turn_kpa = memory, turn_kpa
+    def __init__(self, memory: FloatArray) -> None:
+        self.memory = memory
         cells = memory.shape[1]
         self.pressure, self.gain, self.variance, self.last = memory[: LAST + 1]
         self.before, self.until_before = memory[BEFORE_LAST : THIRD_LAST + 1], memory[LAST : BEFORE_LAST + 1]
@@ -62,16 +61,17 @@ class Rows:
         self.unsure, self.threshold, self.spare, self.noise, self.ahead, self.nearby = self.beside[:6]
         self.not_in_force, self.of_model = self.beside[6:8], self.beside[10:]
         self.not_rising, self.not_recovery = self.not_in_force
-        self.confirming_sigmas, self.confirming_kpa = self.beside[8:10]
-        """how far the model that was left must have gone back for a turn to be certain: standard deviations, and kPa"""
+        self.confirming_sigmas, self.confirming_turns = self.beside[8:10]
+        """how far the model that was left must have gone back for a turn to be certain: standard deviations, and turns
+        of pressures that are known exactly"""
         self._gain, self.other_gain, self.fade = self.of_model
         self.flags = np.empty((loops.FLAGS, cells), dtype=np.bool_)
         self.where, self.near, self.confirmed = self.flags
         self._weights: TurnWeights | None = None
 
-    def __reduce__(self) -> tuple[type[Rows], tuple[FloatArray, float]]:
+    def __reduce__(self) -> tuple[type[Rows], tuple[FloatArray]]:
         """For pickle and copy: rows of the memory are parts of it, which would become arrays of their own."""
-        return type(self), (self.memory, self._turn_kpa)
+        return type(self), (self.memory,)
 
     def take_gains(self, weights: TurnWeights, *, anew: bool = False) -> None:
         """What depends on the hypothesis in force; ``anew``: another one may be in force than in the last frame."""
@@ -81,7 +81,6 @@ class Rows:
         self.gain[...] = self._gain
         if anew or self._weights is None:
             self.not_in_force[...] = self.in_force[::-1]
-            turns = np.where(self.sign > 0, CONFIRMED_RISE, CONFIRMED_FALL)
-            np.multiply(turns, SURE, self.confirming_sigmas)
-            np.multiply(turns, self._turn_kpa, self.confirming_kpa)
+            self.confirming_turns[...] = np.where(self.sign > 0, CONFIRMED_RISE, CONFIRMED_FALL)
+            np.multiply(self.confirming_turns, SURE, self.confirming_sigmas)
         self._weights = weights

@@ -6,7 +6,7 @@
 :mod:`._amplified_leads`    bases by Kirchhoff's laws, where leads take much of the voltage
 :mod:`._amplified_errors`   uncertainties by quantisation, noise and the model's own error
 :mod:`._amplified_limits`   what cells at limits make of the others; :mod:`._joined_columns`: through two shorts
-:mod:`._amplified_loops`    machine code for the usual frame
+:mod:`._amplified_loops`    machine code for the usual frame; :mod:`._amplified_short_loops`: for cells at limits
 ==========================  ===================================================================================
 
 A base serves as long as the certificate stays below a share of an ADC step. Otherwise the present conductances become
@@ -151,7 +151,10 @@ class AmplifiedLive:
         else:
             self._by_attenuation.exact_left = EXACT_EVALUATIONS
             transfer = board.transfer(volts, base.between)
-        conductance, off, base = self._settle(base, volts, transfer)
+        before = base
+        conductance, off, base = self._settle(before, volts, transfer)
+        if base.between is not before.between:
+            transfer = board.transfer(volts, base.between)
         self._base = base
         return base.own_part(transfer), conductance, base.gain, off
 
@@ -178,7 +181,7 @@ class AmplifiedLive:
         Args:
             base: of the last frame.
             volts: (N, M) V, outputs.
-            transfer: (N, M) S, transfer conductances.
+            transfer: (N, M) S, transfer conductances with the currents between columns of that base.
 
         """
         if self._heavy:
@@ -190,6 +193,8 @@ class AmplifiedLive:
             if off is None:
                 break
             base = self._by_attenuation(conductance)
+            if base.between is not None:
+                transfer = self._board.transfer(volts, base.between)
             conductance, off = self._relinearised(base, transfer)
         if base.loss > _HEAVY:
             return self._settle_on_heavy_lines(base, volts, conductance, off)

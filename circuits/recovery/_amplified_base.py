@@ -18,7 +18,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from ...arrays import FloatArray
-from ..solvers import Attenuated, attenuate, exact_transfer
+from ..solvers import AttenuatedFrame
 from ._amplified_board import FAR, LEAST_SHARE, ZERO, AmplifiedBoard, above_floor
 from ._heavy_leads import Propagation
 
@@ -82,7 +82,8 @@ class Relinearisation:
         size = np.abs(change)
         by_row, by_column = size.dot(board.farthest_driver), board.farthest_amplifier.dot(size)
         most = by_row.item(by_row.argmax()) + by_column.item(by_column.argmax())
-        if base.off is None and most <= FAR:
+        drift = self._drift_between_columns(base, size, most)
+        if base.off is None and most <= FAR and drift is None:
             # No cell is off by more than one with the largest reading would be on the lines that have changed most.
             left_out = self._left_out(base, most, transfer.item(transfer.argmax()))
             if left_out <= board.least_tolerance:
@@ -95,6 +96,8 @@ class Relinearisation:
             off = transfer * by_lines
         if base.off is not None:
             off = off + base.off
+        if drift is not None:
+            off = off + drift
         return conductance, None if (off <= board.tolerance).all() else off
 
     def _first_order(self, conductance: FloatArray, change: FloatArray) -> FloatArray:
@@ -108,14 +111,32 @@ class Relinearisation:
     def _left_out(self, base: Base, moved: T, transfer: T) -> T:
         """S that the relinearised model leaves out of T, where changed conductances move gains by the share ``moved``.
 
-        The terms beyond the first order of the attenuation; currents between columns, which are those of the base; and
-        other cells' current, which changes about as the losses of its lines do.
+        The terms beyond the first order of the attenuation, and other cells' current, which changes about as the losses
+        of its lines do.
         """
-        share = SECOND_ORDER * (base.loss + moved) + self._board.source_spread
-        left_out = transfer * moved * share
+        left_out = transfer * moved * (SECOND_ORDER * (base.loss + moved))
         if base.shift is not None:
             left_out = left_out + moved * (2.0 * base.missing / base.loss)
         return left_out
+
+    def _drift_between_columns(self, base: Base, size: FloatArray, moved: float) -> FloatArray | None:
+        """S (M,) by which currents between columns may differ from the base's; None within the base's own error.
+
+        Cell kj of the idle row k brings G_kj R_k sum_l G_kl (s_l - s_j) into all readings of column j, so what changes
+        in any row concerns them all.
+
+        Args:
+            base: in force.
+            size: (N, M) S by which the conductances have changed.
+            moved: the largest share by which that moves a gain.
+
+        """
+        if not self._board.sources_differ:
+            return None
+        changed = size.sum(axis=0)
+        drift: FloatArray = base.loss * changed + moved * (base.conductance.sum(axis=0) + changed)
+        drift *= self._board.source_spread
+        return None if (drift <= base.model_error).all() else drift
 
 
 class AttenuationBases:
@@ -131,10 +152,10 @@ class AttenuationBases:
     def __call__(self, conductance: FloatArray) -> Base:
         """The base at these conductances (N, M) in S, by one evaluation of line attenuation."""
         board, conductance = self._board, above_floor(conductance)
-        known = None if board.wires is None else attenuate(conductance, board.wires)
+        known = board.models.attenuated(conductance)
         missing, off = None, None
         if known is None:  # lines so heavy that the drive underflows before their end
-            own, _ = exact_transfer(conductance, board.lines)
+            own = board.models.exact(conductance)
         else:
             own = known.transfer
             missing, off = self._missing(conductance, known)
@@ -154,7 +175,7 @@ class AttenuationBases:
             between=between,
         )
 
-    def _missing(self, conductance: FloatArray, known: Attenuated) -> tuple[FloatArray | None, FloatArray | None]:
+    def _missing(self, conductance: FloatArray, known: AttenuatedFrame) -> tuple[FloatArray | None, FloatArray | None]:
         """S (N, M) that attenuation misses, other cells' current; None where that is below the tolerance.
 
         Where the frame has no exact evaluation left, also the S (N, M) by which this may be off.
@@ -168,7 +189,7 @@ class AttenuationBases:
         if self.exact_left == 0:
             return scaled, off
         self.exact_left -= 1
-        transfer, _ = exact_transfer(conductance, self._board.lines)
+        transfer = self._board.models.exact(conductance)
         self._anchor = _Anchor(transfer - known.transfer, bound)
         return self._anchor.missing, None
 

@@ -15,7 +15,7 @@ import numpy as np
 from ...arrays import FloatArray
 from .._adc import adc_error
 from .._board import Board
-from ..solvers import Lines, Wires
+from ..solvers import FrameTransfer, Lines
 from ._heavy_leads import Propagation
 
 BOUNDLESS = 1e6
@@ -47,7 +47,7 @@ class AmplifiedBoard:
         resistance = ends.resistance + board.column_lead
         with np.errstate(divide="ignore"):
             self.lines = Lines(board.lines.row, board.lines.column, 1.0 / resistance)
-        self.wires = Wires.of(self.lines)
+        self.models = FrameTransfer(self.lines)
 
         self.to_driver = np.cumsum(board.row_ohms, axis=1)
         """(N, M) ohm of wire between a crosspoint and its row's driver"""
@@ -78,7 +78,8 @@ class AmplifiedBoard:
         """(M,) the same per volt of drive"""
         self.has_sources = bool(ends.source.any())
         self.sources_differ = bool((ends.source != ends.source[0]).any())
-        self.source_spread = 2.0 * float(np.ptp(ends.source)) / abs(board.drive)
+        self.source_spread = float(np.ptp(ends.source)) / abs(board.drive)
+        """V by which the sources of two columns differ at most, per volt of drive"""
         # T = scale V + constant + per_sum (sum of that over the rows); without currents between columns
         self.scale = 1.0 / ends.slope / board.drive
         """(M,) S of T per volt of output"""

@@ -11,7 +11,6 @@ from math import inf
 import numpy as np
 
 from ...arrays import FloatArray
-from ..solvers import exact_transfer, port_conductances
 from ._amplified_base import Base, loss_at
 from ._amplified_board import FAR, MARGIN, AmplifiedBoard, above_floor, similar
 from ._heavy_leads import LeadFit, Propagation, invert_leads
@@ -92,28 +91,16 @@ class LeadBases:
             (N, M) in S by the readings; and these less the cells' exact ones.
 
         """
-        board = self._board
-        exact, _ = exact_transfer(above_floor(conductance), board.lines)
+        board, cells = self._board, above_floor(conductance)
         if not board.has_sources:
+            exact = board.models.exact(cells)
             return None, current, current - exact
-        by_sources = self._source_currents(conductance)
-        between = by_sources + board.source_per_volt * exact.sum(axis=0)
-        transfer = current - by_sources
+        rows, source = len(cells), board.source_per_volt
+        ports = board.models.ports(cells)
+        exact, among_columns = ports[:rows, rows:], ports[rows:, rows:]
+        between = (among_columns * (source - source[:, None])).sum(axis=1)
+        transfer = current - between + source * exact.sum(axis=0)
         return between, transfer, transfer - exact
-
-    def _source_currents(self, conductance: FloatArray) -> FloatArray:
-        """A (M,) per volt that the columns' sources drive into their amplifiers through cells (N, M) in S."""
-        board = self._board
-        if board.has_segments:
-            rows = len(conductance)
-            ports, _ = port_conductances(above_floor(conductance), board.board.lines)
-            among = np.diag(ports.sum(axis=1))[rows:, rows:] - ports[rows:, rows:]
-        else:
-            idle = board.row_lead / (1.0 + board.row_lead * conductance.sum(axis=1))
-            among = np.diag(conductance.sum(axis=0)) - (conductance.T * idle) @ conductance
-        lines = np.eye(len(among)) + among * board.behind[-1]
-        current: FloatArray = -np.linalg.solve(lines, among @ board.source_per_volt)
-        return current
 
     def _propagation(self, fit: LeadFit, before: Base) -> Propagation:
         """How errors of the readings come through; kept from frame to frame while no conductance has changed much."""

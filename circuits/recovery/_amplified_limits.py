@@ -7,16 +7,16 @@ short. All effects of these are added up (:meth:`CellsAtLimits._shares_of_shorts
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from math import inf
 from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray, FloatArray, read_only
 from .._adc import adc_error
 from ._amplified_base import Base
 from ._amplified_board import BOUNDLESS, MARGIN, SIMILAR_MARGIN, AmplifiedBoard, floor_of, similar
+from ._amplified_short_loops import by_shorts
 from ._joined_columns import currents_between_sources, shared_currents
 
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
@@ -39,7 +39,16 @@ class CellsAtLimits:
         # S (M,) into a saturated column's end
         self._most_per_ohm = (1.0 + swing / abs(circuit_board.drive)) / circuit_board.reference
         self._offset = np.abs(board.source_per_volt)
+        self._shorts = _EveryShort(board)
+        self._by_shorts = by_shorts.machine_code()
+        self._to_driver, self._to_amplifier = read_only(board.to_driver), read_only(board.to_amplifier)
+        self._fixed_most_per_ohm, self._source = read_only(self._most_per_ohm), read_only(board.source_per_volt)
         self._kept: _Disturbance | None = None
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether machine code does the work."""
+        return self._by_shorts is not None
 
     def __call__(
         self, conductance: FloatArray, volts: FloatArray, limited: BoolArray, noise: float, base: Base | None
@@ -78,25 +87,52 @@ class CellsAtLimits:
 
         """
         board, floor = self._board, floor_of(conductance)
-        less = np.where(limited & ~more, conductance, 0.0)
-        if base is None or base.propagation is None:
-            by_lines = board.by_lines(less)
-        else:
-            moved = board.moved_by(less / base.gain, base.propagation, base.conductance)
-            by_lines = moved / np.maximum(conductance, floor)
-        fixed, added = np.zeros(more.shape), board.for_all(self._offset * less.sum(axis=0)).copy()
-        if base is None or base.propagation is None:
-            added += self._by_way_of_rows(less, conductance)
-        if more.any():
-            shorts = _Shorts.at(more, board)
-            fixed = self._shares_of_shorts(shorts, saturated, conductance)
-            for current in self._currents(shorts, fixed, conductance):
-                added += current
-            added *= MARGIN
-            # Misjudged cells load their lines otherwise than the model has it, and that concerns all cells there.
-            direct = fixed + added / np.maximum(conductance, floor)
-            by_lines += board.by_lines(np.where(more, 0.0, np.minimum(direct, BOUNDLESS) * conductance))
+        low, high = bool((limited > more).any()), bool(more.any())
+        fixed, added, by_lines = np.zeros(more.shape), np.zeros(more.shape), np.zeros(more.shape)
+        if low:
+            less = np.where(limited & ~more, conductance, 0.0)
+            added += self._offset * less.sum(axis=0)
+            if base is None or base.propagation is None:
+                by_lines = board.by_lines(less)
+                added += self._by_way_of_rows(less, conductance)
+            else:
+                moved = board.moved_by(less / base.gain, base.propagation, base.conductance)
+                by_lines = moved / np.maximum(conductance, floor)
+        if high:
+            self._add_shorts(_AtHigh(conductance, more, saturated, floor), fixed, added, by_lines)
         return _Disturbance(limited, more, conductance, floor, fixed, added, by_lines)
+
+    def _add_shorts(self, at_high: _AtHigh, fixed: FloatArray, added: FloatArray, by_lines: FloatArray) -> None:
+        """Add what cells that may be shorts make of the others to the fields (N, M) of a :class:`_Disturbance`."""
+        board, conductance = self._board, at_high.conductance
+        if self._by_shorts is not None:
+            self._by_shorts(
+                np.ascontiguousarray(conductance),
+                np.ascontiguousarray(at_high.more),
+                np.ascontiguousarray(at_high.saturated),
+                self._to_driver,
+                self._to_amplifier,
+                self._shorts.along,
+                self._shorts.down,
+                self._shorts.conductance,
+                self._shorts.share,
+                self._fixed_most_per_ohm,
+                self._source,
+                at_high.floor,
+                fixed,
+                added,
+                by_lines,
+            )
+            return
+        shorts = self._shorts.at(at_high.more, conductance)
+        fixed += self._shares_of_shorts(shorts, at_high.saturated, conductance)
+        added += self._currents(shorts)
+        if board.has_sources:
+            added += self._source_currents(shorts, fixed, conductance)
+        added *= MARGIN
+        # Misjudged cells load their lines otherwise than the model has it, and that concerns all cells there.
+        direct = fixed + added / np.maximum(conductance, at_high.floor)
+        by_lines += board.by_lines(np.minimum(direct, BOUNDLESS) * shorts.ordinary)
 
     def _by_way_of_rows(self, less: FloatArray, conductance: FloatArray) -> FloatArray:
         """S (N, M) of other cells' current that unknown cells at the low end bring into a reading, or keep from it.
@@ -107,15 +143,9 @@ class CellsAtLimits:
         board = self._board
         lifted = conductance * board.to_amplifier
         fed = board.to_driver * conductance
-        current = np.zeros(less.shape)
-        for first, second, third in (
-            (conductance, less * board.to_amplifier, fed),
-            (conductance, lifted, board.to_driver * less),
-            (less, lifted, fed),
-        ):
-            rows = first @ second.T
-            np.fill_diagonal(rows, 0.0)
-            current += rows @ third
+        current = _between_rows(conductance, less * board.to_amplifier) @ fed
+        current += _between_rows(conductance, lifted) @ (board.to_driver * less)
+        current += _between_rows(less, lifted) @ fed
         return current
 
     def _shares_of_shorts(self, shorts: _Shorts, saturated: BoolArray, conductance: FloatArray) -> FloatArray:
@@ -126,54 +156,70 @@ class CellsAtLimits:
         * Down its column, a short into an idle row takes their current: to_amplifier / to_driver.
         """
         # The cells of a column that a short takes the current from conduct more than they seem to.
-        column = (conductance * (1.0 + np.minimum(shorts.down.sum(axis=0), BOUNDLESS))).sum(axis=0)
+        down = shorts.down.sum(axis=0)
+        column = conductance.sum(axis=0) * (1.0 + np.minimum(down, BOUNDLESS))
         with np.errstate(invalid="ignore"):
             most = np.fmin(shorts.along, self._board.to_driver * (self._most_per_ohm + column))
-            held = np.where(saturated, most, 0.0)
         along = np.where(saturated, 0.0, shorts.along)
-        shares: FloatArray = MARGIN * (along.sum(axis=1)[:, None] + shorts.down.sum(axis=0))
-        shares += held.sum(axis=1)[:, None]
+        held = np.where(saturated, most, 0.0)
+        shares: FloatArray = (MARGIN * along.sum(axis=1) + held.sum(axis=1))[:, None] + MARGIN * down
         return shares
 
-    def _currents(self, shorts: _Shorts, fixed: FloatArray, conductance: FloatArray) -> Iterator[FloatArray]:
-        """S, broadcast to (N, M): currents of other cells that shorts bring into a reading, one effect at a time."""
-        board, more, offset = self._board, shorts.where, self._offset
-        most = np.where(more, np.minimum(shorts.conductance, BOUNDLESS), conductance)
+    def _currents(self, shorts: _Shorts) -> FloatArray:
+        """S (N, M): currents of other cells that shorts bring into a reading."""
+        board, more, ordinary, most = self._board, shorts.where, shorts.ordinary, shorts.most
         # A column that the current of row k lifts also lifts the short's row, whose cells then add to row k's
         # readings, and above all the column that a short of its own joins that row to.
-        lifts = most @ np.where(more, board.to_amplifier, 0.0).T
-        np.fill_diagonal(lifts, 0.0)
-        yield lifts @ np.where(more, 0.0, conductance)
+        current = _between_rows(most, more * board.to_amplifier) @ ordinary
         # The other columns that it lifts feed the short's row by their cells, and the short brings into its column
         # what its row's driver does not take.
-        ordinary = np.where(more, 0.0, conductance)
-        fed = ordinary @ (ordinary * board.to_amplifier).T
-        np.fill_diagonal(fed, 0.0)
-        with np.errstate(invalid="ignore"):
-            share = np.minimum(np.nan_to_num(board.to_driver * shorts.conductance, nan=1.0), 1.0)
-        yield fed @ share
+        current += _between_rows(ordinary, ordinary * board.to_amplifier) @ shorts.share
         # Two shorts on one row join their columns.
-        yield shared_currents(board, more, conductance)
+        current += shared_currents(board, more, shorts.cells)
         # In its own step, the short lifts its column, and that the other rows, whose cells add to its row's readings.
-        takes = more @ (board.to_driver * most).T
-        np.fill_diagonal(takes, 0.0)
-        yield takes @ most
+        current += _between_rows(more.astype(np.float64), board.to_driver * most) @ most
+        return current
+
+    def _source_currents(self, shorts: _Shorts, fixed: FloatArray, conductance: FloatArray) -> FloatArray:
+        """S (N, M): currents that the columns' sources drive into a reading by way of shorts."""
+        board, more, offset = self._board, shorts.where, self._offset
         # The source of its column drives a current through it, in all steps alike ...
         with np.errstate(invalid="ignore"):
-            by_source = np.nan_to_num(offset * shorts.conductance.sum(axis=0), nan=0.0, posinf=inf)
-        yield by_source
+            by_source = offset * shorts.conductance.sum(axis=0)
+        by_source[np.isnan(by_source)] = 0.0  # no source, and no resistance
         # ... as the difference of two columns' sources does where shorts join these columns.
-        yield currents_between_sources(board, more)
+        by_source += currents_between_sources(board, more)
         # The other columns' sources drive currents through the cells of the short's row. These may conduct more than
         # they seem to.
         misjudged = conductance * (1.0 + np.minimum(fixed, BOUNDLESS))
-        yield offset * (more.any(axis=1) @ misjudged)
+        by_source += offset * (more.any(axis=1) @ misjudged)
         # The source of the short's column lifts that row, whose cells feed the other columns.
-        yield np.where(more, offset, 0.0).max(axis=1) @ misjudged
+        by_source += (more * offset).max(axis=1) @ misjudged
+        return np.broadcast_to(by_source, more.shape)
+
+
+def _between_rows(fed: FloatArray, taken: FloatArray) -> FloatArray:
+    """Sum over the columns (N, N) of what one row feeds and another one takes; 0 between a row and itself."""
+    between: FloatArray = fed @ taken.T
+    between.reshape(-1)[:: len(between) + 1] = 0.0
+    return between
+
+
+class _AtHigh(NamedTuple):
+    """Cells at the high end of the range. Arrays are (N, M)."""
+
+    conductance: FloatArray
+    """S of all cells"""
+    more: BoolArray
+    """where cells conduct more than their readings say"""
+    saturated: BoolArray
+    """those of them whose amplifier, not only the converter, is at a limit"""
+    floor: float
+    """S, least conductance that a relative change refers to"""
 
 
 class _Shorts(NamedTuple):
-    """Cells that may be shorts. Arrays are (N, M), 0 at all other cells."""
+    """Cells that may be shorts. Arrays are (N, M), 0 at all other cells unless stated."""
 
     where: BoolArray
     along: FloatArray
@@ -182,17 +228,40 @@ class _Shorts(NamedTuple):
     """relative change of the column's other cells, as each short takes their currents"""
     conductance: FloatArray
     """S that its lines leave of each short; inf on lines without resistance"""
+    share: FloatArray
+    """of a current into the row that a short takes, where it does not go to the row's driver"""
+    cells: FloatArray
+    """S of all cells, as they seem to be"""
+    ordinary: FloatArray
+    """S of all other cells, 0 at shorts"""
+    most: FloatArray
+    """S of all cells, shorts with what their lines leave of them, at most a large number"""
 
-    @classmethod
-    def at(cls, where: BoolArray, board: AmplifiedBoard) -> _Shorts:
+
+class _EveryShort:
+    """What a short at each place of one board would do: of that, frames select the shorts that there are."""
+
+    def __init__(self, board: AmplifiedBoard) -> None:
         driver, amplifier = board.to_driver, board.to_amplifier
         with np.errstate(divide="ignore", invalid="ignore"):
-            return cls(
-                where,
-                along=np.where(where, np.nan_to_num(driver / amplifier, nan=0.0, posinf=inf), 0.0),
-                down=np.where(where, np.nan_to_num(amplifier / driver, nan=0.0, posinf=inf), 0.0),
-                conductance=np.where(where, 1.0 / (driver + amplifier), 0.0),
-            )
+            conductance = 1.0 / (driver + amplifier)
+            self.along = read_only(np.nan_to_num(driver / amplifier, nan=0.0, posinf=inf))
+            self.down = read_only(np.nan_to_num(amplifier / driver, nan=0.0, posinf=inf))
+            self.share = read_only(np.minimum(np.nan_to_num(driver * conductance, nan=1.0), 1.0))
+        self.conductance, self.most = read_only(conductance), np.minimum(conductance, BOUNDLESS)
+
+    def at(self, where: BoolArray, conductance: FloatArray) -> _Shorts:
+        """The shorts at these places (N, M) among cells (N, M) in S."""
+        return _Shorts(
+            where,
+            along=np.where(where, self.along, 0.0),
+            down=np.where(where, self.down, 0.0),
+            conductance=np.where(where, self.conductance, 0.0),
+            share=np.where(where, self.share, 0.0),
+            cells=conductance,
+            ordinary=np.where(where, 0.0, conductance),
+            most=np.where(where, self.most, conductance),
+        )
 
 
 class _Disturbance(NamedTuple):

@@ -15,7 +15,7 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ...arrays import AnyArray, FloatArray
+from ...arrays import AnyArray, FloatArray, read_only
 from ...compiled import FixedRow, FixedRows, Rows, loop
 from ._amplified_base import SECOND_ORDER, Base
 from ._amplified_board import FAR, LEAST_SHARE, AmplifiedBoard
@@ -26,6 +26,7 @@ UsualFrame = tuple[FloatArray, Callable[[], tuple[FloatArray, FloatArray]]]
 """resistances (N, M) in ohm, and what computes relative uncertainties and the part by a cell's own reading"""
 _SCALE, _CONSTANT, _PER_SUM, _FARTHEST_DRIVER, _RESISTANCE = range(5)  # rows of the board's constants
 _GAIN, _SHIFT, _CONDUCTANCE = range(3)  # blocks of a base
+_BETWEEN, _SUM, _MODEL_ERROR = range(3)  # rows of a base's columns
 
 
 class UsualFrames:
@@ -40,10 +41,10 @@ class UsualFrames:
         self.compiled = None not in (self._about_base, self._independent, self._uncertainties)
         """there is machine code"""
         constants = (board.scale, board.constant, board.per_sum, board.farthest_driver, board.to_amplifier[0])
-        self._constants = _fixed(np.array([np.broadcast_to(values, board.board.shape[1:]) for values in constants]))
-        self._farthest_amplifier = _fixed(board.farthest_amplifier)
-        self._row_ohms = _fixed(np.broadcast_to(board.board.row_ohms, board.board.shape))
-        self._behind = _fixed(board.behind)
+        self._constants = read_only(np.array([np.broadcast_to(values, board.board.shape[1:]) for values in constants]))
+        self._farthest_amplifier = read_only(board.farthest_amplifier)
+        self._row_ohms = read_only(np.broadcast_to(board.board.row_ohms, board.board.shape))
+        self._behind = read_only(board.behind)
         self._base: Base | None = None
         self._of_base = _OfBase.none()
         self._levels: Levels | None = None
@@ -71,7 +72,7 @@ class UsualFrames:
             self._row_ohms,
             self._behind,
             of_base.blocks,
-            of_base.between,
+            of_base.columns,
             of_levels.least,
             board.has_sources,
             board.source_spread,
@@ -111,22 +112,23 @@ class _OfBase(NamedTuple):
 
     blocks: AnyArray
     """(3, N, M) gain, shift in S, conductance in S"""
-    between: FloatArray
-    """(M,) S that currents between columns add to each T of a column"""
+    columns: AnyArray
+    """(3, M) S that currents between columns add to each T of a column, sum of the conductances, error of T"""
     missing_per_moved: float
     """S by which other cells' current changes per share of the gains"""
 
     @classmethod
     def none(cls) -> _OfBase:
-        return cls(np.zeros((3, 0, 0)), np.zeros(0), 0.0)
+        return cls(np.zeros((3, 0, 0)), np.zeros((3, 0)), 0.0)
 
     @classmethod
     def of(cls, base: Base, board: AmplifiedBoard) -> _OfBase:
         none = np.zeros(board.board.shape)
         shift = none if base.shift is None else base.shift
         between = none[0] if base.between is None else base.between
+        columns = np.array([between, base.conductance.sum(axis=0), base.model_error])
         missing = 0.0 if base.shift is None else 2.0 * base.missing / base.loss
-        return cls(_fixed(np.array([base.gain, shift, base.conductance])), _fixed(between), missing)
+        return cls(read_only(np.array([base.gain, shift, base.conductance])), read_only(columns), missing)
 
 
 class _OfLevels(NamedTuple):
@@ -146,14 +148,7 @@ class _OfLevels(NamedTuple):
     @classmethod
     def of(cls, levels: Levels, shape: tuple[int, int]) -> _OfLevels:
         fields = (levels.least, levels.own, levels.others, levels.by_leads)
-        return cls(_fixed(levels.gain), *(_fixed(np.broadcast_to(field, shape)) for field in fields))
-
-
-def _fixed(values: AnyArray) -> AnyArray:
-    """A contiguous copy of the caller's own that nobody may write to."""
-    copy = np.array(values, dtype=np.float64, order="C")
-    copy.flags.writeable = False
-    return copy
+        return cls(read_only(levels.gain), *(read_only(np.broadcast_to(field, shape)) for field in fields))
 
 
 @loop
@@ -185,7 +180,7 @@ def _about_base(
     row_ohms: FixedRows,
     behind: FixedRows,
     base: _Blocks,
-    between: FixedRow,
+    base_columns: FixedRows,
     least: FixedRows,
     has_sources: bool,
     source_spread: float,
@@ -201,7 +196,7 @@ def _about_base(
     """
     rows, columns = volts.shape
     farthest_driver = constants[_FARTHEST_DRIVER]
-    _transfer(volts, constants, between, has_sources, transfer)
+    _transfer(volts, constants, base_columns[_BETWEEN], has_sources, transfer)
     conductance, change = resistance, np.empty((rows, columns))
     by_column = np.zeros(columns)
     most_by_row = most_by_column = most_transfer = 0.0
@@ -218,9 +213,17 @@ def _about_base(
     for j in range(columns):
         most_by_column = max(most_by_column, by_column[j])
     moved = most_by_row + most_by_column
-    left_out = most_transfer * moved * (SECOND_ORDER * (loss + moved) + source_spread) + moved * missing_per_moved
+    left_out = most_transfer * moved * (SECOND_ORDER * (loss + moved)) + moved * missing_per_moved
     if not (moved <= FAR and left_out <= least_tolerance):
         return False
+    if source_spread > 0.0:
+        for j in range(columns):
+            changed = 0.0
+            for i in range(rows):
+                changed += abs(change[i, j])
+            drift = source_spread * (loss * changed + moved * (base_columns[_SUM, j] + changed))
+            if not drift <= base_columns[_MODEL_ERROR, j]:
+                return False
     flow = np.zeros(columns)
     drop = np.empty((rows, columns))
     for i in range(rows):

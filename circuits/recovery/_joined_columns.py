@@ -16,19 +16,20 @@ def shared_currents(board: AmplifiedBoard, shorts: BoolArray, conductance: Float
     A current into one column divides between its own amplifier, the row's driver and the other column's amplifier,
     as between three resistors. With a third column joined, less of it arrives in each.
     """
-    gained_in_all = np.zeros_like(conductance)
-    for row in _rows_that_join(shorts):
-        joined = np.flatnonzero(shorts[row])
-        into, driver = board.to_amplifier[row, joined], board.to_driver[row, joined]
-        there = np.minimum.outer(driver, driver)  # ohm of the row's wire that both share
-        across = there * into[:, None]  # from a column ...
-        with np.errstate(divide="ignore", invalid="ignore"):  # ... to another one
-            share = np.nan_to_num(across / (across + np.outer(into, into) + there * into), nan=0.0)
-        np.fill_diagonal(share, 0.0)
-        gained = conductance[:, joined] @ share
-        gained[row] = 0.0  # in its own step, the row is driven
-        gained_in_all[:, joined] += gained
-    return gained_in_all
+    rows, columns, joined = _joined(shorts)
+    gained = np.zeros_like(conductance)
+    if not len(rows):
+        return gained
+    into, _, there = _wires(board, rows, columns)
+    # Ohm squared, from a column (the second index) to another one (the third).
+    across = there * into[:, :, None]
+    both = into[:, :, None] * into[:, None, :]
+    whole = across + both + there * into[:, None, :]
+    share = np.divide(across, whole, out=np.zeros_like(whole), where=joined & (whole > 0))
+    by_row = conductance[:, columns] @ share
+    by_row[np.arange(len(rows)), rows] = 0.0  # in its own step, the row is driven
+    gained[:, columns] = by_row.sum(axis=0)
+    return gained
 
 
 def currents_between_sources(board: AmplifiedBoard, shorts: BoolArray) -> FloatArray:
@@ -36,17 +37,44 @@ def currents_between_sources(board: AmplifiedBoard, shorts: BoolArray) -> FloatA
     gained = np.zeros(shorts.shape[1])
     if not board.sources_differ:
         return gained
-    for row in _rows_that_join(shorts):
-        joined = np.flatnonzero(shorts[row])
-        into, driver = board.to_amplifier[row, joined], board.to_driver[row, joined]
-        wire = np.add.outer(into, into) + np.abs(np.subtract.outer(driver, driver))
-        source = board.source_per_volt[joined]
-        apart = np.abs(np.subtract.outer(source, source))
-        current = np.divide(apart, wire, out=np.full(wire.shape, inf), where=wire > 0)
-        gained[joined] += np.where(apart > 0, current, 0.0).sum(axis=1)
+    rows, columns, joined = _joined(shorts)
+    if not len(rows):
+        return gained
+    into, driver, _ = _wires(board, rows, columns)
+    wire = into[:, :, None] + into[:, None, :] + np.abs(driver[:, :, None] - driver[:, None, :])
+    source = board.source_per_volt[columns]
+    apart = np.abs(np.subtract.outer(source, source))
+    joined &= apart > 0
+    current = np.divide(apart[None], wire, out=np.full(wire.shape, inf), where=wire > 0)
+    gained[columns] = np.where(joined, current, 0.0).sum(axis=(0, 2))
     return gained
 
 
-def _rows_that_join(shorts: BoolArray) -> IntArray:
-    """The rows with at least two shorts."""
-    return np.flatnonzero(shorts.sum(axis=1) > 1)
+def _joined(shorts: BoolArray) -> tuple[IntArray, IntArray, BoolArray]:
+    """Which columns shorts (N, M) join.
+
+    Returns:
+        The rows with at least two shorts; the columns of these shorts; and (rows, columns, columns) where such a row
+        joins a column to another one.
+
+    """
+    rows = np.flatnonzero(shorts.sum(axis=1) > 1)
+    there = shorts[rows]
+    columns = np.flatnonzero(there.any(axis=0))
+    there = there[:, columns]
+    joined: BoolArray = there[:, :, None] & there[:, None, :]
+    joined[:, np.arange(len(columns)), np.arange(len(columns))] = False
+    return rows, columns, joined
+
+
+def _wires(board: AmplifiedBoard, rows: IntArray, columns: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Wire resistances at the crosspoints of some rows and columns.
+
+    Returns:
+        Ohm (rows, columns) to the amplifiers; to the drivers; and (rows, columns, columns) of the row's wire that two
+        columns share.
+
+    """
+    places = np.ix_(rows, columns)
+    into, driver = board.to_amplifier[places], board.to_driver[places]
+    return into, driver, np.minimum(driver[:, :, None], driver[:, None, :])

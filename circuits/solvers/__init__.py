@@ -1,22 +1,24 @@
 """Solvers for resistor grids: they know conductances and lines, and nothing of designs, amplifiers or converters.
 
-=====================  ================================================================================================
-:mod:`._elimination`   Kron reduction (Schur complements) in positive arithmetic, with a bound on its rounding errors
-:mod:`._dissection`    nested dissection of plain grids, for whole frames and batches of frames
-:mod:`._network`       nested dissection of any resistor network: bridged lines, continuous sheets
-:mod:`._ports`         a grid's port conductances and transfer conductances by the two above
-:mod:`._banded`        banded Cholesky factorisation, for small grids
-:mod:`._ladders`       ladder networks (single lines with their cells) by continued fractions
-:mod:`._attenuation`   the first term of a Neumann series in closed form, with a certificate
-:mod:`._series`        further terms of that series
-:mod:`._sequence`      sequences of frames, by interpolation of what attenuation misses, with a certificate
-:mod:`._exact`         transfer conductances by whichever of these is the fastest exact one
-=====================  ================================================================================================
+========================  ==============================================================================================
+:mod:`._elimination`      Kron reduction (Schur complements) in positive arithmetic, with a bound on its rounding errors
+:mod:`._dissection`       nested dissection of plain grids, for whole frames and batches of frames
+:mod:`._network`          nested dissection of any resistor network: bridged lines, continuous sheets
+:mod:`._ports`            a grid's port conductances and transfer conductances by the two above
+:mod:`._banded`           banded Cholesky factorisation, for small grids
+:mod:`._ladders`          ladder networks (single lines with their cells) by continued fractions
+:mod:`._attenuation`      the first term of a Neumann series in closed form, with a certificate
+:mod:`._series`           further terms of that series
+:mod:`._sequence`         sequences of frames, by interpolation of what attenuation misses, with a certificate
+:mod:`._exact`            transfer conductances by whichever of these is the fastest exact one
+:mod:`._frame_transfer`   attenuation and exact ports of one grid frame by frame, also as machine code
+========================  ==============================================================================================
 """
 
 from ._attenuation import Attenuated, Wires, attenuate
 from ._elimination import ULP, Rounded, eliminate_leading, inverted
 from ._exact import entrywise, exact_transfer, series_conductance
+from ._frame_transfer import AttenuatedFrame, FrameTransfer
 from ._network import Element, Network, reduce
 from ._ports import IDEAL_WIRE, LARGEST_PART, Lines, has_ideal_lines, port_conductances
 from ._sequence import SequenceTransfer, sequence_transfer
@@ -28,7 +30,9 @@ __all__ = [
     "LARGEST_PART",
     "ULP",
     "Attenuated",
+    "AttenuatedFrame",
     "Element",
+    "FrameTransfer",
     "Lines",
     "Network",
     "Rounded",

@@ -92,15 +92,15 @@ def _ports(conductance: FloatArray, lines: Lines, *, transfer_only: bool) -> Rou
     """Port conductances (frames, N + M, N + M) in S, or if ``transfer_only`` their (frames, N, M) transfer block."""
     rows = conductance.shape[1]
     if has_ideal_lines(lines):
-        network, relative = _ideal_lines(*_capped(conductance, lines), lines.exit)
+        network, relative = _ideal_lines(*capped(conductance, lines), lines.exit)
         return Rounded(network[:, :rows, rows:] if transfer_only else network, relative)
     network, relative = dissect(*_reversed_rows(conductance, lines), transfer_only)
     return Rounded(network[:, ::-1, ::-1], relative)
 
 
 def _reversed_rows(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """As :func:`_capped`, rows in reverse order: nested dissection expects the columns' terminals at the top."""
-    cells, row, column = _capped(conductance, lines)
+    """As :func:`capped`, rows in reverse order: nested dissection expects the columns' terminals at the top."""
+    cells, row, column = capped(conductance, lines)
     return cells[:, ::-1], row[::-1], column
 
 
@@ -109,7 +109,7 @@ def has_ideal_lines(lines: Lines) -> bool:
     return bool(np.isinf(lines.row[:, 1:]).all() and np.isinf(lines.column[1:]).all())
 
 
-def _capped(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray, FloatArray]:
+def capped(conductance: FloatArray, lines: Lines) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Replace infinite conductances by large finite ones.
 
     Returns:

@@ -1,4 +1,4 @@
-"""Types of numpy arrays, named once for all rooms, and the median of a small array."""
+"""Types of numpy arrays, named once for all rooms; the median of a small array; copies that nobody writes to."""
 
 from __future__ import annotations
 
@@ -28,3 +28,10 @@ def median(values: FloatArray) -> float:
         return float(ordered[half])
     ordered.partition((half - 1, half))
     return float(ordered[half - 1] + ordered[half]) / 2
+
+
+def read_only(values: AnyArray) -> AnyArray:
+    """A contiguous copy in double precision that nobody may write to, as loops of :mod:`ohmskin.compiled` take."""
+    copy = np.array(values, dtype=np.float64, order="C")
+    copy.flags.writeable = False
+    return copy

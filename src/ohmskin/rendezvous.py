@@ -22,6 +22,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from urllib.parse import urlsplit
 
+END_OF_TRANSMISSION = b"\x04"
+"""what a board over TCP sends as urgent data before it ends: to hosts of other machines, which see no files of this one
+(EOT in ASCII)"""
 SUFFIX = ".port"
 _LONGEST = 4096
 """bytes of a file that are read: a line with the name, and one of the words below or nothing"""

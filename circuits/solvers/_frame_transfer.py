@@ -1,0 +1,253 @@
+"""Line attenuation and exact port conductances of one grid, frame by frame, as a live path evaluates them.
+
+Array operations on one small grid spend their time on calls. So both models also run as loops over the nodes
+(:mod:`ohmskin.compiled`). Loops and array operations agree up to rounding, as none of them subtracts.
+
+* Line attenuation of small grids is that of ladders (:func:`.by_ladders`) in both forms. Its closed form
+  (:func:`.attenuate`) is an approximation, and faster only on large grids.
+* Exact port conductances come from star-mesh transforms (:func:`_star_mesh`), otherwise from the array operations of
+  :mod:`._exact` and :mod:`._ports`.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import FloatArray, read_only
+from ...compiled import FixedRows, Rows, loop
+from ._attenuation import SLACK, Attenuated, Wires, attenuate, by_ladders
+from ._elimination import ULP
+from ._exact import exact_transfer
+from ._ports import Lines, capped, has_ideal_lines, port_conductances, transfer_conductances
+
+_BY_LADDERS = 256
+"""cells up to which profiles come from ladders"""
+_LARGEST = 500_000
+"""products of a solution by star-mesh transforms; more take longer than array operations"""
+_LARGEST_WITH_IDEAL_LINES = 100_000
+"""the same where array operations eliminate one node for each line"""
+
+
+class AttenuatedFrame(NamedTuple):
+    """Line attenuation of one frame. Arrays are (N, M) in S."""
+
+    transfer: FloatArray
+    """transfer conductances"""
+    error: FloatArray
+    """certified bound on their error"""
+
+
+class FrameTransfer:
+    """Evaluates the two models of one grid."""
+
+    def __init__(self, lines: Lines) -> None:
+        """For lines with exits."""
+        assert lines.exit is not None
+        self._lines, self._wires = lines, Wires.of(lines)
+        rows, columns = lines.row.shape
+        few, many = sorted((rows, columns))
+        products = rows * columns * few * (2 * few + many)
+        self._has_ideal_lines = has_ideal_lines(lines)
+        small = products <= (_LARGEST_WITH_IDEAL_LINES if self._has_ideal_lines else _LARGEST)
+        self._turned = columns > rows  # then rows and columns change places: a node has as few neighbours as possible
+        self._star_mesh = _star_mesh.machine_code() if small else None
+        self._by_ladders = rows * columns <= _BY_LADDERS
+        self._attenuate = None
+        if self._wires is not None and self._by_ladders:
+            self._attenuate = _attenuate.machine_code()
+            parts = self._wires.row, self._wires.column, self._wires.to_driver, self._wires.to_amplifier
+            self._fixed_wires = tuple(read_only(part) for part in parts)
+
+    @property
+    def is_compiled(self) -> bool:
+        """Whether exact port conductances come from machine code."""
+        return self._star_mesh is not None
+
+    def attenuated(self, conductance: FloatArray) -> AttenuatedFrame | None:
+        """Line attenuation at finite cells (N, M) in S; None where a line is broken or the drive underflows on one."""
+        if self._wires is None:
+            return None
+        if self._attenuate is None:
+            return self._attenuated_by_arrays(conductance, self._wires)
+        transfer, error = np.empty(conductance.shape), np.empty(conductance.shape)
+        row, column, to_driver, to_amplifier = self._fixed_wires
+        cells = np.ascontiguousarray(conductance)
+        is_known = self._attenuate(cells, row, column, to_driver, to_amplifier, transfer, error)
+        return AttenuatedFrame(transfer, error) if is_known else None
+
+    def _attenuated_by_arrays(self, conductance: FloatArray, wires: Wires) -> AttenuatedFrame | None:
+        if not self._by_ladders:
+            known = attenuate(conductance, wires)
+            return None if known is None else AttenuatedFrame(known.transfer, known.error)
+        known = by_ladders(conductance[None], wires)
+        if not np.isfinite(known.rounded).all():
+            return None
+        return AttenuatedFrame(known.transfer[0], Attenuated(*known).error[0])
+
+    def exact(self, conductance: FloatArray) -> FloatArray:
+        """Exact transfer conductances (N, M) in S of cells (N, M) in S."""
+        if self._star_mesh is not None:
+            return self.ports(conductance)[: len(conductance), len(conductance) :]
+        if self._has_ideal_lines:  # then `exact_transfer` does the same, and bounds its rounding at half that cost
+            return transfer_conductances(conductance, self._lines).value
+        transfer, _ = exact_transfer(conductance, self._lines)
+        return transfer
+
+    def ports(self, conductance: FloatArray) -> FloatArray:
+        """Exact port conductances (N + M, N + M) in S, rows' terminals first, of cells (N, M) in S."""
+        if self._star_mesh is None:
+            network, _ = port_conductances(conductance, self._lines)
+            return network
+        cells, row, column = capped(conductance, self._lines)
+        behind = np.concatenate([column[1:][::-1], column[:1]])
+        if self._turned:
+            cells, row, behind = (part[::-1, ::-1].T for part in (cells, behind, row))
+        cells, row, behind = (np.ascontiguousarray(part) for part in (cells, row, behind))
+        network = np.zeros((sum(cells.shape),) * 2)
+        self._star_mesh(cells, row, behind, network)
+        return network[::-1, ::-1] if self._turned else network
+
+
+@loop
+def _star_mesh(cells: Rows, row: Rows, behind: Rows, network: Rows) -> None:
+    """Write the port conductances of a grid, by star-mesh transforms.
+
+    A star-mesh transform removes one node. Each pair of its neighbours is then joined by the product of their
+    conductances to the node over the sum of all conductances to the node. Nothing is subtracted, so no digits cancel,
+    and an ideal wire may be a very large conductance.
+
+    The nodes are numbered row by row of the grid, a node of the row's line before that of the column's line. A node
+    then has at most 2 M neighbours that come later. It has seen the terminals of the rows up to its own, and in the
+    last row those of the columns.
+
+    Args:
+        cells: (N, M) S.
+        row: (N, M) S of the wire ahead of each crosspoint, towards the row's terminal.
+        behind: (N, M) S of the wire behind each crosspoint, towards the column's terminal.
+        network: (N + M, N + M) zeros, written to. The diagonal means nothing.
+
+    """
+    rows, columns = cells.shape
+    width = 2 * columns
+    nodes = width * rows
+    last = nodes - width  # first node of the grid's last row
+    ahead = np.zeros((nodes, width + 1))  # S to the node that comes so many places later
+    to_row, to_column = np.zeros((nodes, rows)), np.zeros((width, columns))
+    for i in range(rows):
+        for j in range(columns):
+            node = i * width + 2 * j
+            ahead[node, 1] = cells[i, j]
+            if j == 0:
+                to_row[node, i] = row[i, 0]
+            if j + 1 < columns:
+                ahead[node, 2] += row[i, j + 1]
+            if i + 1 < rows:
+                ahead[node + 1, width] = behind[i, j]
+            else:
+                to_column[2 * j + 1, j] = behind[i, j]
+    for node in range(nodes):
+        seen = node // width + 1  # rows
+        reach = min(width, nodes - 1 - node)
+        total = 0.0
+        for place in range(1, reach + 1):
+            total += ahead[node, place]
+        for i in range(seen):
+            total += to_row[node, i]
+        if node >= last:
+            for j in range(columns):
+                total += to_column[node - last, j]
+        if total == 0.0:
+            continue
+        for place in range(1, reach + 1):
+            if ahead[node, place] == 0.0:
+                continue
+            share = ahead[node, place] / total
+            for other in range(place + 1, reach + 1):
+                ahead[node + place, other - place] += share * ahead[node, other]
+            for i in range(seen):
+                to_row[node + place, i] += share * to_row[node, i]
+            if node >= last:
+                for j in range(columns):
+                    to_column[node + place - last, j] += share * to_column[node - last, j]
+        for i in range(seen):
+            share = to_row[node, i] / total
+            for k in range(i):
+                network[i, k] += share * to_row[node, k]
+        if node >= last:
+            for j in range(columns):
+                share = to_column[node - last, j] / total
+                for i in range(rows):
+                    network[rows + j, i] += share * to_row[node, i]
+                for k in range(j):
+                    network[rows + j, rows + k] += share * to_column[node - last, k]
+    for one in range(rows + columns):
+        for other in range(one):
+            network[other, one] = network[one, other]
+
+
+@loop
+def _attenuate(
+    cells: Rows,
+    row: FixedRows,
+    column: FixedRows,
+    to_driver: FixedRows,
+    to_amplifier: FixedRows,
+    transfer: Rows,
+    error: Rows,
+) -> bool:
+    """Write transfer conductances and bounds on their errors, (N, M) in S, as :func:`.by_ladders`; False: unknown.
+
+    Args:
+        cells: (N, M) S.
+        row: (N, M) ohm of the wire ahead of each crosspoint.
+        column: (N, M) ohm of the wire behind each crosspoint.
+        to_driver: (N, M) ohm from each crosspoint to the row's driver.
+        to_amplifier: (N, M) ohm from each crosspoint to the column's amplifier.
+        transfer: (N, M), written to.
+        error: (N, M), written to.
+
+    """
+    rows, columns = cells.shape
+    profile, beyond = np.empty((rows, columns)), np.empty((rows, columns))
+    gain, above = np.empty((rows, columns)), np.empty((rows, columns))
+    lowest = least = 1.0
+    for i in range(rows):
+        rest = 0.0
+        for j in range(columns - 1, -1, -1):
+            beyond[i, j] = rest + cells[i, j]
+            profile[i, j] = 1.0 / (row[i, j] * beyond[i, j] + 1.0)
+            rest = beyond[i, j] * profile[i, j]
+        for j in range(1, columns):
+            profile[i, j] *= profile[i, j - 1]
+        lowest = min(lowest, profile[i, columns - 1])
+    for j in range(columns):
+        rest = 0.0
+        for i in range(rows):
+            above[i, j] = rest + cells[i, j]
+            gain[i, j] = 1.0 / (column[i, j] * above[i, j] + 1.0)
+            rest = above[i, j] * gain[i, j]
+        for i in range(rows - 2, -1, -1):
+            gain[i, j] *= gain[i + 1, j]
+        least = min(least, gain[0, j])
+    if not (lowest > 0.0 and least > 0.0):
+        return False
+    relative = ULP * columns * (4.0 - 5.0 * np.log(lowest)) + ULP * rows * (4.0 - 5.0 * np.log(least)) + 4.0 * ULP
+    returned = (1.0 + relative - lowest) * (1.0 + relative - least)
+    certain = SLACK * (1.0 + relative) ** 2 / max(1.0 - returned, 1e-60)
+    most = 1.0 + relative
+    row_square, column_square = np.zeros(rows), np.zeros(columns)
+    for i in range(rows):
+        for j in range(columns):
+            into, out = cells[i, j] * profile[i, j], cells[i, j] * gain[i, j]
+            transfer[i, j] = into * gain[i, j]
+            lift = to_amplifier[i, j] / (1.0 + to_amplifier[i, j] * above[i, j])
+            row_square[i] += into * (into * most - transfer[i, j]) * lift
+            lift = to_driver[i, j] / (1.0 + to_driver[i, j] * beyond[i, j])
+            column_square[j] += out * (out * most - transfer[i, j]) * lift
+    for i in range(rows):
+        bound = certain * np.sqrt(row_square[i])
+        for j in range(columns):
+            error[i, j] = bound * np.sqrt(column_square[j]) + (most - 1.0) * transfer[i, j]
+    return True
