@@ -38,7 +38,7 @@ START_STDS, JOIN_STDS, STAY_STDS = 5.0, 3.2, 2.5
 """a contact begins, takes in a further cell, and keeps a cell at so many standard deviations of the cell's pressure"""
 START_SHARE, JOIN_SHARE, STAY_SHARE = 0.03, 0.0192, 0.015
 """least thresholds, as shares of full scale: slow errors of the cell model are not in its standard deviation"""
-LEFT_SHARE, FALLEN_SHARE = 0.4, 0.6
+LEFT_SHARE, FALLEN_SHARE = 0.4, 0.7
 """of the largest pressure that a cell has had since it rose jointly with others: with less, its touch is over; the
 second where it has just fallen jointly with others"""
 MISSING_S = 0.2
@@ -186,8 +186,9 @@ class ContactTracker:
         if found is not None:
             lasts |= found[0] & (pressure_kpa > START_SHARE * full)
         self._risen_kpa = np.where(lasts, np.maximum(felt, pressure_kpa), 0.0)
-        # What kept these cells in their contact is over: they stay only if their own pressures would let them join.
-        alone = pressure_kpa > np.fmax(JOIN_STDS * std_kpa, JOIN_SHARE * full)
+        # What kept these cells in their contact is over: they stay only if their own pressures tell of a touch that
+        # has not gone on and left a little behind.
+        alone = pressure_kpa > np.fmax(JOIN_STDS * std_kpa, np.maximum(JOIN_SHARE * full, LEFT_SHARE * felt))
         self._labels = np.where((felt > 0) & ~lasts & ~alone, 0, self._labels)
 
     def _touch_lasts(self, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:

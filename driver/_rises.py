@@ -41,8 +41,8 @@ MIDDLE, SHARED = 0.5, 0.1
 the two sums. Crosstalk by leads is far less"""
 OWN = 0.3
 """of the rise of a cell, that it does not have in common with its line"""
-FALLEN = 6.0
-"""standard deviations below zero of the weighted sum, by which a touch may have ended; the pressure decides"""
+FALLEN = 4.0
+"""standard deviations below zero of the weighted sum by which a touch may have ended; the pressure decides"""
 LONGEST_S = 1.0
 """a pause between frames after which nothing is compared"""
 LEAST_LINE = 4
