@@ -39,9 +39,9 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ._coupled_board import CoupledBoard, Frame, Known
 from ._linearised import Base
 
-_NEAR = 4.0  # margin of the condition for columns in question, so that it holds for all cells for which a base serves
+_NEAR = 2.0  # margin of the condition for columns in question, so that it holds for all cells for which a base serves
 _BESIDE = 2.0  # the same for columns whose shapes may change beside a column below which a row may lie
-_UNKNOWN = 0.1  # relative error of d from which on linear uncertainties do not suffice
+_UNKNOWN = 0.02  # relative change of cells by a column's scale from which on linear uncertainties do not suffice
 _MARGIN = 1.2  # for segments along the lines, and for what the first order leaves out
 _JOINED = 2.0  # times the scale of a short that a column may have beside others in question, which distort its shape
 _MOST_SEARCHED = 4  # columns whose scales are searched for; more in question may have any
@@ -148,7 +148,7 @@ class ColumnScales:
             row_deficit=below[0],
             row_error=below[1],
             lowest=float((below[0] + below[1]).max()),
-            steepest=1.0 + (through / along / own).max(axis=0),
+            hang=(through / along / own).max(axis=0),
             counts=counts,
         )
 
@@ -172,15 +172,16 @@ class _Told(NamedTuple):
     """(N,) of that"""
     lowest: float
     """the largest deficit that a row may have"""
-    steepest: FloatArray
-    """(M,) most relative change of a cell by that of the column's scale"""
+    hang: FloatArray
+    """(M,) most relative change of a row's other cells by that of the column's scale"""
     counts: BoolArray
     """(M,) columns that are not left out"""
 
     def in_question(self, near: float) -> BoolArray:
         """Columns (M,) below which a row may lie, or whose scale is hardly known; a larger ``near`` finds more."""
         deficit = np.minimum(self.deficit, self.read)
-        unknown = near * self.deficit_error * self.steepest > _UNKNOWN * deficit
+        error = near * self.deficit_error
+        unknown = error * self.hang > _UNKNOWN * (deficit - error)
         return self.suspect(near) | (self.counts & unknown)
 
     def suspect(self, near: float) -> BoolArray:
