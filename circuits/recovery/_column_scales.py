@@ -317,6 +317,11 @@ class _Scales:
         most = self._most * (left / left_least)[:, None]
         least = self._least * (left / left_most)[:, None]
         changes: FloatArray = np.maximum(most - 1.0, 1.0 - least)
+        for each in np.flatnonzero(self._suspect).tolist():
+            # What rows carry to other columns counts most in cells that conduct little beside the column's others.
+            cells, (hangs, hangs_most, share) = self._cells[:, self._columns[each]], self._beside(each)
+            carried = (cells * most[:, each]) @ hangs_most - self._least[each] * (cells @ hangs)
+            changes[:, each] += share @ np.maximum(carried, 0.0) / np.maximum(cells * left_least, _LEAST)
         return changes
 
     def _together(self, change: FloatArray) -> FloatArray:
