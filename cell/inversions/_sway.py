@@ -42,16 +42,19 @@ NAMES = (
     *("half_block", "looks", "looks_since_turn", "sign_before"),
     *("mean_8", "mean_16", "mean_32", "up_8", "up_16", "up_32", "down_8", "down_16", "down_32"),
 )
-"""rows of the memory, see :data:`MEAN`"""
+"""names of the rows of the memory"""
 HALF, LOOKS, SINCE, SIGN_BEFORE, MEAN, UP, DOWN = 24, 25, 26, 27, 28, 31, 34
-"""rows: mean of the readings at the last look; looks, modulo those of the longest block; looks since a turn was noticed
-last; the direction at the last look. Then three rows each, one for each length: mean of the last block; mean square of
-differences upwards and downwards, over the variance of noise, and beyond what noise makes"""
+"""rows: mean of the readings at the last look; looks; looks since a turn was noticed last, or a jump; 1 where the load
+rose at the last look, -1 where it fell. Then three rows each, one for each length: mean of the last block; mean square
+of the differences upwards, and downwards, over the variance of noise, less what noise alone makes"""
 _MEANS, _UPS, _DOWNS = slice(MEAN, MEAN + SCALES), slice(UP, UP + SCALES), slice(DOWN, DOWN + SCALES)
 _SIDES = slice(UP, DOWN + SCALES)
 LOOKS_IN_BLOCK = np.array([2.0, 4.0, 8.0])
-LONGEST = 8.0
+"""(SCALES,)"""
 _LOOKS = LOOKS_IN_BLOCK[:, None]
+_FRESH = 2.0 * _LOOKS
+"""looks since a turn from which a block and the one before it tell of no motion before the turn"""
+_UP_AND_DOWN = np.array([1.0, -1.0])[:, None, None]
 _PER_BLOCK = 1.0 / (RECENT * _LOOKS)
 """(SCALES, 1) variance of the mean of a block, over that of a reading"""
 _PER_SHORTEST = _LOOKS[0] / _LOOKS
@@ -61,6 +64,11 @@ def kpa_kept(model: PaperModel) -> float:
     """KPa that an inverse keeps of a load that goes to and fro unnoticed, per r that the reading goes."""
     rise_r, fall_r = 1.0 / model.eu1_kpa + 1.0 / model.etau2_kpa, 1.0 / model.e1_kpa
     return (rise_r - fall_r) / (rise_r * fall_r)
+
+
+def begin(memory: FloatArray, r: FloatArray) -> None:
+    """Begin with cells whose reading has been ``r`` (m,) for ever; changes their ``memory`` (rows, m)."""
+    memory[HALF], memory[_MEANS], memory[SIGN_BEFORE] = r, r, memory[SIGN]
 
 
 def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, kpa_per_r: float) -> None:
@@ -74,18 +82,17 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, kpa_per_r: flo
         noise: (m,) standard deviation of one of them.
         kpa_per_r: :func:`kpa_kept`.
     """
-    looks, since = memory[LOOKS], memory[SINCE]
-    looks += 1.0
-    since += 1.0
-    turned = memory[SIGN] != memory[SIGN_BEFORE]
-    if np.count_nonzero(turned):
-        memory[SIGN_BEFORE] = memory[SIGN]
-        begin_anew(memory, turned)
-    ends = (looks % _LOOKS) == 0.0
-    if np.count_nonzero(ends[0]):
-        _end_blocks(memory, mean, noise, ends, kpa_per_r)
+    looks = memory[LOOKS]
+    memory[LOOKS : SINCE + 1] += 1.0
+    ends = looks % LOOKS_IN_BLOCK[0] == 0.0
+    if np.count_nonzero(ends):
+        turned = memory[SIGN] != memory[SIGN_BEFORE]
+        turned &= ends
+        if np.count_nonzero(turned):
+            np.copyto(memory[SIGN_BEFORE], memory[SIGN], where=turned)
+            begin_anew(memory, turned)
+        _end_blocks(memory, mean, noise, kpa_per_r)
     memory[HALF] = mean
-    looks %= LONGEST
 
 
 def begin_anew(memory: FloatArray, cells: BoolArray) -> None:
@@ -94,9 +101,9 @@ def begin_anew(memory: FloatArray, cells: BoolArray) -> None:
     np.copyto(memory[_SIDES], 0.0, where=cells)
 
 
-def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, ends: BoolArray, kpa_per_r: float) -> None:
-    """Compare the blocks that end, ``ends`` (SCALES, m), with those before, and doubt what the cells may have kept."""
-    means, ups, downs = memory[_MEANS], memory[_UPS], memory[_DOWNS]
+def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, kpa_per_r: float) -> None:
+    """Compare the blocks that end with those before, and doubt what the cells may have kept."""
+    means = memory[_MEANS]
     block, shorter = np.empty_like(means), memory[HALF]
     for scale in range(SCALES):
         np.add(shorter, mean, block[scale])
@@ -104,16 +111,26 @@ def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, ends: B
         shorter, mean = means[scale], block[scale]
     variance = noise * noise * _PER_BLOCK
     change = block - means
-    size = change * change / variance
-    jumped = ends & (size > JUMP)
-    counts = ends & (memory[SINCE] >= 2.0 * _LOOKS)
-    np.minimum(size, MOST, out=size)
-    ups += np.where(counts, (np.where(change > 0.0, size, 0.0) - 1.0 - ups) * SHARE, 0.0)
-    downs += np.where(counts, (np.where(change < 0.0, size, 0.0) - 1.0 - downs) * SHARE, 0.0)
+    ends = memory[LOOKS] % _LOOKS == 0.0
     np.copyto(means, block, where=ends)
-    if np.count_nonzero(jumped):
+    size = change * change
+    size /= variance
+    counts = memory[SINCE] >= _FRESH
+    counts &= ends
+    jumped = (size > JUMP) & ends if size.item(size.argmax()) > JUMP else None
+    np.minimum(size, MOST, out=size)
+    sides = memory[_SIDES].reshape(2, SCALES, -1)
+    beyond = np.where(change * _UP_AND_DOWN > 0.0, size, 0.0)
+    beyond -= 1.0
+    beyond -= sides
+    beyond *= counts * SHARE
+    beyond += sides
+    memory[_SIDES] = beyond.reshape(2 * SCALES, -1)
+    if jumped is not None:
         begin_anew(memory, jumped.any(axis=0))
-    sways = (np.minimum(ups, downs) > BOTH) & ends[0]
+    ups, downs = memory[_UPS], memory[_DOWNS]
+    sways = np.minimum(ups, downs) > BOTH
+    sways &= ends[0]
     if not np.count_nonzero(sways):
         return
     excess = (ups + downs) * 0.5
@@ -123,6 +140,7 @@ def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, ends: B
     before, shown = memory[TURNED], np.maximum(memory[PRESSURE], 0.0)
     after = np.sqrt(before) + kept
     after = np.minimum(after * after, np.maximum(before, shown * shown))
+    after = np.where(kept > 0.0, after, before)  # the square of a root is not always what it was
     memory[VARIANCE] += after - before
     memory[TURNED] = after
 
@@ -149,15 +167,13 @@ def look_each(
         mean = (ring[newest, cell] + ring[second, cell] + ring[third, cell] + ring[fourth, cell]) * (1.0 / RECENT)
         looks, since = memory[LOOKS, i] + 1.0, memory[SINCE, i] + 1.0
         half = memory[HALF, i]
-        memory[HALF, i], memory[LOOKS, i] = mean, looks % LONGEST
-        anew = memory[SIGN, i] != memory[SIGN_BEFORE, i]
-        if anew:
-            memory[SIGN_BEFORE, i], since = memory[SIGN, i], 0.0
-            for row in range(UP, DOWN + SCALES):
-                memory[row, i] = 0.0
-        memory[SINCE, i] = since
+        memory[HALF, i], memory[LOOKS, i], memory[SINCE, i] = mean, looks, since
         if looks % lengths[0] != 0.0:
             continue
+        if memory[SIGN, i] != memory[SIGN_BEFORE, i]:
+            memory[SIGN_BEFORE, i], memory[SINCE, i], since = memory[SIGN, i], 0.0, 0.0
+            for row in range(UP, DOWN + SCALES):
+                memory[row, i] = 0.0
         noise2, shorter, jumped = taken[NOISE, i] * taken[NOISE, i], half, False
         for scale in range(SCALES):
             mean = (shorter + mean) * 0.5

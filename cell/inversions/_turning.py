@@ -163,7 +163,8 @@ class TurningInversion(Inversion):
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[GAIN], memory[SIGN], memory[LEFT] = p, self._begin_gain, 1.0, FAR
         memory[EXTREME], memory[PEAK], memory[LAST : THIRD_LAST + 1] = p, p, p
-        memory[IN_FORCE.start + RISING] = memory[sway.SIGN_BEFORE] = 1.0
+        memory[IN_FORCE.start + RISING] = 1.0
+        sway.begin(memory, r)
         memory[STATE] = [p, p, p, p / m.e2_kpa, p / m.e3_kpa, p / m.e3_kpa, r]
         return memory
 
