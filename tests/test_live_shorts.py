@@ -101,6 +101,9 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("divider twofold", 10000135),  # the same with two columns
         ("divider twofold", 20000023),  # a column's scale that is known, which lifts a row nevertheless
         ("divider twofold", 60000073),
+        ("loaded twofold", 30000924),  # rows that hang on two columns, of which one lies above them
+        ("loaded twofold", 130000828),  # segments of a column as large as its cells
+        ("loaded twofold", 140000286),  # a cell that conducts little beside its column's others
     ],
 )
 def test_streams_that_were_read_wrong(family: str, number: int) -> None:

@@ -25,7 +25,7 @@ ADC step hides d_j, any scale up to that of a short will do.
 So the columns in question are known from the readings. For each of them the least and the largest possible scale are
 searched for, along the whole range from no conductance to a short, while the others take any value within their own
 ranges. The fourth law, whose cells fall with every u and o, then bounds all other cells. This encloses all sets of
-cells, not only those near the one that has been found, up to what ordinary columns change in the first law.
+cells, not only those near the one that has been found. Segments along a column count as an error of its d.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ._coupled_board import CoupledBoard, Frame, Known
 from ._linearised import Base
 
-_NEAR = 4.0  # margin of the condition for columns in question, so that it holds for all cells for which a base serves
+_NEAR = 2.0  # margin of the condition for columns in question, so that it holds for all cells for which a base serves
 _BESIDE = 2.0  # the same for columns whose shapes may change beside a column below which a row may lie
-_UNKNOWN = 0.1  # relative error of d from which on linear uncertainties do not suffice
+_UNKNOWN = 0.02  # relative change of cells by a column's scale from which on linear uncertainties do not suffice
 _MARGIN = 1.2  # for segments along the lines, and for what the first order leaves out
 _JOINED = 2.0  # times the scale of a short that a column may have beside others in question, which distort its shape
 _MOST_SEARCHED = 4  # columns whose scales are searched for; more in question may have any
@@ -66,6 +66,8 @@ class ColumnScales:
         behind = np.broadcast_to(board.reference + board.column_lead, parts.shape[1:])
         self.lead = np.where(np.isfinite(to_driver), to_driver, 0.0)
         """(N, M) ohm from crosspoints to the rows' drivers"""
+        to_end = parts.lines.to_end
+        self._wire = np.where(np.isfinite(to_end), to_end, 0.0).max(axis=0)  # (M,) ohm along the columns
         self.load = 1.0 / behind
         """(M,) S"""
         self.per_volt = behind / board.reference / board.drive
@@ -124,7 +126,8 @@ class ColumnScales:
             ignored = frame.ignored.reshape(parts.shape)
             counts, apart = ~np.logical_and.reduce(ignored, axis=0), np.where(ignored, 0.0, apart)
         share, error = signal * per_volt, frame.error * np.abs(per_volt)
-        through = self.lead * np.minimum(parts.board.cell_conductance(known.cells), _LARGEST_SIEMENS)
+        conductance = np.minimum(parts.board.cell_conductance(known.cells), _LARGEST_SIEMENS)
+        through = self.lead * conductance
         along = 1.0 + through.sum(axis=1, keepdims=True)
         own = (1.0 + np.einsum("ij,ij->i", through, share)[:, None]) / along  # o
         # Errors of a column's readings add up as independent ones do, but for the converter's offset and gain error.
@@ -134,16 +137,18 @@ class ColumnScales:
         if self.loaded:
             below = np.stack([(self.lead * share) @ self.load, self.lead @ (error * self.load)])
         deficit = 1.0 - share.sum(axis=0)
+        # Crosspoints of a column are apart by what currents from row to row lose in its segments.
+        apart_by_wire = self._wire * (conductance * np.abs(deficit - below[0][:, None])).sum(axis=0)
         return _Told(
             share=share,
             error=error,
             deficit=deficit,
             read=deficit - apart.sum(axis=0) * per_volt,
-            deficit_error=(together + shift) * np.abs(per_volt),
+            deficit_error=(together + shift) * np.abs(per_volt) + apart_by_wire,
             row_deficit=below[0],
             row_error=below[1],
             lowest=float((below[0] + below[1]).max()),
-            steepest=1.0 + (through / along / own).max(axis=0),
+            hang=(through / along / own).max(axis=0),
             counts=counts,
         )
 
@@ -167,15 +172,16 @@ class _Told(NamedTuple):
     """(N,) of that"""
     lowest: float
     """the largest deficit that a row may have"""
-    steepest: FloatArray
-    """(M,) most relative change of a cell by that of the column's scale"""
+    hang: FloatArray
+    """(M,) most relative change of a row's other cells by that of the column's scale"""
     counts: BoolArray
     """(M,) columns that are not left out"""
 
     def in_question(self, near: float) -> BoolArray:
         """Columns (M,) below which a row may lie, or whose scale is hardly known; a larger ``near`` finds more."""
         deficit = np.minimum(self.deficit, self.read)
-        unknown = near * self.deficit_error * self.steepest > _UNKNOWN * deficit
+        error = near * self.deficit_error
+        unknown = error * self.hang > _UNKNOWN * (deficit - error)
         return self.suspect(near) | (self.counts & unknown)
 
     def suspect(self, near: float) -> BoolArray:
@@ -246,6 +252,7 @@ class _Scales:
         own = hangs[:, each]
         left = self._left + own
         law = _CurrentLaw(
+            cells=self._cells[:, self._columns[each]],
             driven=self._cells[:, self._columns[each]] * self._left,
             hangs=own,
             left_least=np.maximum(left - (more.sum(axis=1) - more[:, each]), own),
@@ -266,13 +273,12 @@ class _Scales:
         most = np.minimum(self._most[each] * (own + self._hidden[:, each]), self._hangs_most[:, each])
         self._hangs_most[:, each] = np.maximum(most, own)
 
-    def _beside(self, each: int) -> _Beside | None:
-        """The other columns in question, whose rows change the shape of one column; None: there are none."""
-        if len(self._columns) == 1:
-            return None
-        others = np.delete(np.arange(len(self._columns)), each)
-        numbers = self._columns[others]
-        return _Beside(self._hangs[:, numbers], self._hangs_most[:, others], self._told.share[:, numbers])
+    def _beside(self, each: int) -> _Beside:
+        """All other columns, whose rows change the shape of one column."""
+        number = self._columns[each]
+        most = self._hangs.copy()
+        most[:, self._columns] = self._hangs_most
+        return _Beside(*(np.delete(values, number, axis=1) for values in (self._hangs, most, self._told.share)))
 
     def changes(self) -> FloatArray:
         """Largest relative change (N, M) of the cells within all possible scales, by the fourth law."""
@@ -311,6 +317,11 @@ class _Scales:
         most = self._most * (left / left_least)[:, None]
         least = self._least * (left / left_most)[:, None]
         changes: FloatArray = np.maximum(most - 1.0, 1.0 - least)
+        for each in np.flatnonzero(self._suspect).tolist():
+            # What rows carry to other columns counts most in cells that conduct little beside the column's others.
+            cells, (hangs, hangs_most, share) = self._cells[:, self._columns[each]], self._beside(each)
+            carried = (cells * most[:, each]) @ hangs_most - self._least[each] * (cells @ hangs)
+            changes[:, each] += share @ np.maximum(carried, 0.0) / np.maximum(cells * left_least, _LEAST)
         return changes
 
     def _together(self, change: FloatArray) -> FloatArray:
@@ -329,21 +340,23 @@ class _Scales:
 
 
 class _Beside(NamedTuple):
-    """Other columns in question, L in number. Rows that hang on two columns carry current from one to the other."""
+    """The other columns. Rows that hang on two columns carry current from one to the other."""
 
     hangs: FloatArray
-    """(N, L) p"""
+    """(N, M - 1) p"""
     hangs_most: FloatArray
-    """(N, L) the same at most"""
+    """(N, M - 1) the same at most"""
     share: FloatArray
-    """(N, L) y"""
+    """(N, M - 1) y"""
 
 
 class _CurrentLaw(NamedTuple):
     """Kirchhoff's current law of one column with all rows driven, as a function of the column's scale; N rows."""
 
+    cells: FloatArray
+    """(N,) S: G of the scale 1"""
     driven: FloatArray
-    """(N,) S: D"""
+    """(N,) S: D of the scale 1"""
     hangs: FloatArray
     """(N,) p"""
     left_least: FloatArray
@@ -356,8 +369,8 @@ class _CurrentLaw(NamedTuple):
     """(N,) of that"""
     current: float
     """S, into the column's load, over the drive"""
-    beside: _Beside | None
-    """other columns in question; None: there are none"""
+    beside: _Beside
+    """the other columns"""
 
     @property
     def largest(self) -> float:
@@ -393,11 +406,9 @@ class _CurrentLaw(NamedTuple):
         low, high = self.rise - self.error, self.rise + self.error
         excess_low = np.where(low > 0.0, by_least, by_most) @ low - self.current
         excess_high = np.where(high > 0.0, by_most, by_least) @ high - self.current
-        if self.beside is not None:
-            # What such rows carry distorts the column's shape, by the other columns' readings.
-            carried = by_most @ self.beside.hangs_most - scale * (self.driven @ self.beside.hangs)
-            per_driven = by_most / np.maximum(self.driven, _LEAST) / scale
-            distorted = (per_driven * (np.abs(self.rise) + self.error)) @ self.beside.share
-            excess_low = excess_low - (distorted * np.abs(carried)).sum(axis=1)
-            excess_high = excess_high + (distorted * np.abs(carried)).sum(axis=1)
-        return excess_low, excess_high
+        # What rows carry to other columns distorts the shape of this one, by the other columns' readings.
+        hangs, hangs_most, share = self.beside
+        carried = np.abs(by_most @ hangs_most - scale * (self.cells @ hangs))
+        per_driven = by_most / np.maximum(self.driven, _LEAST) / scale
+        distorted = ((per_driven * (np.abs(self.rise) + self.error)) @ share * carried).sum(axis=1)
+        return excess_low - distorted, excess_high + distorted

@@ -204,6 +204,7 @@ class ReadingLimits:
                 self._left_out |= found
                 self._leaves_out = _LEFT_OUT
 
+    @np.errstate(over="ignore")  # what is boundless stays so
     def by_lost_columns(self, frame: Frame, lost: BoolArray, conductance: FloatArray) -> FloatArray:
         """Relative change (n,) of other columns' cells by columns that are taken for usual ones, whatever these are.
 
@@ -223,7 +224,7 @@ class ReadingLimits:
         readings = frame.signal[:, lost]
         row = readings.argmax(axis=0)  # of the cell at its limit, in each of the columns
         largest = np.maximum(readings.max(axis=0) - off, np.finfo(np.float64).tiny)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             per_volt = np.nan_to_num(most / lead[row, columns] / largest, nan=0.0, posinf=_BOUNDLESS)
         steeper = 1.0 + conductance.max(axis=0) / conductance  # what other rows bring in, against the cell's own
         # A row that is selected loses to the column what its own cell passes, which comes out at the cell at its limit.
@@ -237,8 +238,7 @@ class ReadingLimits:
             fed[place] = sqrt(len(fed)) * off * each
             if not board.circuit.columns_one_by_one(board):
                 fed[place] += most / (board.reference[column] + board.column_lead[column])
-            with np.errstate(over="ignore"):  # what is boundless stays so
-                share[place] += fed.sum() + fed @ conductance / np.maximum(conductance[place], _LEAST_SIEMENS)
+            share[place] += fed.sum() + fed @ conductance / np.maximum(conductance[place], _LEAST_SIEMENS)
         changed: FloatArray = _BY_LEADS * np.minimum(share, _MOST_SHARE)
         return changed.ravel()
 
