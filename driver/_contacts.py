@@ -5,12 +5,20 @@ if one of them is above a high threshold, or if the contact was there a moment a
 cell between two fingers neither joins nor parts them from frame to frame. Fingers that touch are parted along the
 valley between them (:mod:`._watershed`). :mod:`._tracks` gives the contacts their ids.
 
+On boards with few ADC steps a touch is hardly ever beyond five standard deviations of one cell's pressure. There a
+sudden joint rise of neighbouring readings makes a contact, too (:mod:`._rises`). It lasts while the pressures do.
+
+Rest resistances drift, by temperature and age, and a rise of resistance is a load to the driver. A contact therefore
+begins where the pressure exceeds what drift may have made of it: a part that has grown in each untouched cell by no
+more than :data:`DRIFT_PER_S`. In the cells of a contact this part stays as it is, so that no held load fades.
+
 A disturbance of the converter moves readings that are converted one after another, for one frame. So a new patch within
 one row or column is a contact in its second frame only; a new patch over several rows and columns is one at once.
 """
 
 from __future__ import annotations
 
+import math
 import threading
 from dataclasses import dataclass
 
@@ -19,7 +27,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ._bridging import bridge
 from ._later import Later
+from ._rises import Rises
+from ._tare import KNOWN_DRIFT
 from ._tracks import Named, Patch, Tracks
 from ._watershed import part
 
@@ -27,6 +38,13 @@ START_STDS, JOIN_STDS, STAY_STDS = 5.0, 3.2, 2.5
 """a contact begins, takes in a further cell, and keeps a cell at so many standard deviations of the cell's pressure"""
 START_SHARE, JOIN_SHARE, STAY_SHARE = 0.03, 0.0192, 0.015
 """least thresholds, as shares of full scale: slow errors of the cell model are not in its standard deviation"""
+LEFT_SHARE, FALLEN_SHARE = 0.4, 0.7
+"""of the largest pressure that a cell has had since it rose jointly with others: with less, its touch is over; the
+second where it has just fallen jointly with others"""
+MISSING_S = 0.2
+"""a cell that was not read for longer is missing; until then its last pressure counts"""
+DRIFT_PER_S = 0.003
+"""relative change of a rest resistance in a second: warming up takes minutes. A finger presses much faster"""
 NEIGHBOURS = np.ones((3, 3), dtype=int)
 """cells that touch at a corner belong together: a finger rarely covers whole rows"""
 
@@ -44,13 +62,16 @@ class Contact:
     area_mm2: float
     """of the touched cells, each one pitch square"""
     force_n: float
-    """sum of pressure times cell area"""
+    """sum of pressure times cell area; cells that are not read count with what :attr:`interpolated_n` says"""
     peak_kpa: float
     """largest pressure of one cell"""
     cells: IntArray
     """(n, 2) row and column of each touched cell"""
     joined: tuple[int, ...] = ()
     """ids of other contacts that have run into this one, and will have these ids again when they part from it"""
+    interpolated_n: float = 0.0
+    """part of :attr:`force_n` on cells between touched ones that are not read: interpolated between their neighbours. A
+    lower bound where the middle of the press lies there. A gap at the rim of a contact is not counted"""
 
     @property
     def position_m(self) -> tuple[float, float]:
@@ -61,7 +82,12 @@ class Contact:
 class ContactTracker:
     """Finds the contacts of frames and follows them from frame to frame."""
 
-    def __init__(self, shape: tuple[int, int], pitch_m: float, full_scale_kpa: float) -> None:
+    def __init__(
+        self, shape: tuple[int, int], pitch_m: float, full_scale_kpa: float, *, drift_kpa: float = 0.0
+    ) -> None:
+        """``drift_kpa`` is the pressure that an untouched cell shows whose rest resistance has drifted as far as rest
+        resistances do (:data:`._tare.KNOWN_DRIFT`); 0: they do not.
+        """
         self.shape = shape
         self.pitch_m = pitch_m
         self.full_scale_kpa = full_scale_kpa
@@ -69,23 +95,46 @@ class ContactTracker:
         self._pressed: BoolArray = np.zeros(shape, dtype=np.bool_)
         """(rows, columns) cells of the last frame that showed enough pressure for a contact, however uncertain"""
         self._were_parted = False
+        self._rises = Rises(shape)
+        self._risen_kpa = np.zeros(shape)
+        """(rows, columns) largest pressure since the cell rose jointly with its neighbours; 0: it has not"""
+        self._most_drift_kpa, self._drift_kpa_per_s = drift_kpa, drift_kpa / KNOWN_DRIFT * DRIFT_PER_S
+        self._drift_kpa = np.zeros(shape)
+        """(rows, columns) part of the pressure that drift may have made"""
+        self._time_s = math.inf
+        self._read_s = np.full(shape, -np.inf)
+        """(rows, columns) when the cell was read last; only used where somebody tells of readings"""
+        self._missing: BoolArray | None = None
+        """(rows, columns) cells that are not read; None: only those without a pressure"""
         self._tracks = Tracks(1e3 * pitch_m)
         self._places: IntArray = np.indices(shape).reshape(2, -1).T.copy()
         """(cells, 2) row and column of each cell of the flattened array"""
 
-    def update(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[Contact, ...]:
+    def update(
+        self,
+        time_s: float,
+        pressure_kpa: FloatArray,
+        std_kpa: FloatArray,
+        rise: tuple[FloatArray, FloatArray] | None = None,
+    ) -> tuple[Contact, ...]:
         """The contacts of the next frame, the one with the largest force first.
 
         Args:
             time_s: time of the frame, increasing.
             pressure_kpa: (rows, columns); a cell with NaN counts as untouched.
             std_kpa: (rows, columns) standard deviation; NaN where unknown.
+            rise: readings and their noise, as :meth:`ohmskin.cell.Estimator.rise_of_last_step` gives them; None: joint
+                rises are not looked for.
 
         """
+        self._feel(time_s, pressure_kpa, rise)
+        if rise is not None:
+            self._find_missing(time_s, np.isnan(rise[0]))
         labels, patches = self._find(pressure_kpa, std_kpa)
         self._pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
         names = self._tracks.follow(time_s, patches, labels)
         self._labels = labels.reshape(self.shape)
+        self._drift(time_s, pressure_kpa)
         self._were_parted = not all(patch.alone for patch in patches)
         return self._contacts(patches, names)
 
@@ -94,17 +143,71 @@ class ContactTracker:
         labels, patches = self._find(pressure_kpa, std_kpa)
         return self._contacts(patches, self._tracks.look_back(time_s, patches, labels))
 
+    def forget_readings(self) -> None:
+        """Compare no reading with one from before: rest resistances have changed."""
+        self._rises.forget()
+
+    def _drift(self, time_s: float, pressure_kpa: FloatArray) -> None:
+        """Let the drift of untouched cells follow their pressures, slowly upwards and at once downwards."""
+        elapsed_s, self._time_s = max(time_s - self._time_s, 0.0), time_s
+        if not self._most_drift_kpa:
+            return
+        most = np.minimum(self._drift_kpa + self._drift_kpa_per_s * elapsed_s, self._most_drift_kpa)
+        np.fmin(most, np.fmax(pressure_kpa, 0.0), out=most)
+        self._drift_kpa = np.where(self._labels > 0, self._drift_kpa, most)
+
+    def _find_missing(self, time_s: float, unread: BoolArray) -> None:
+        """Find cells that have not been read for long; ``unread`` (rows, columns) were not read in this frame."""
+        if not unread.any():
+            self._missing = None
+            self._read_s.fill(time_s)
+            return
+        self._read_s[~unread] = time_s
+        self._missing = time_s - self._read_s > MISSING_S
+
+    def _feel(self, time_s: float, pressure_kpa: FloatArray, rise: tuple[FloatArray, FloatArray] | None) -> None:
+        """Look for cells that have risen jointly, and for those whose touch is over."""
+        found = None if rise is None else self._rises.look(time_s, *rise)
+        felt = self._risen_kpa
+        if found is None and not felt.any():
+            return
+        full = self.full_scale_kpa
+        least = np.maximum(LEFT_SHARE * felt, STAY_SHARE * full)
+        lasts = (pressure_kpa > least) & (felt > 0)
+        lasts &= self._touch_lasts(pressure_kpa, None if found is None else found[1])
+        if found is not None:
+            lasts |= found[0] & (pressure_kpa > START_SHARE * full)
+        self._risen_kpa = np.where(lasts, np.maximum(felt, pressure_kpa), 0.0)
+        # What kept these cells in their contact is over: they stay only if their own pressures tell of a touch.
+        self._labels = np.where((felt > 0) & ~lasts, 0, self._labels)
+
+    def _touch_lasts(self, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
+        """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle."""
+        touches, count = ndimage.label(self._risen_kpa > 0, structure=NEIGHBOURS)
+        numbers = np.arange(1, count + 1)
+        share = ndimage.sum_labels(np.nan_to_num(pressure_kpa), touches, numbers)
+        share /= ndimage.sum_labels(self._risen_kpa, touches, numbers)
+        least = np.full(count, LEFT_SHARE)
+        if fallen is not None:
+            least[ndimage.maximum(fallen, touches, numbers) > 0] = FALLEN_SHARE
+        goes_on: BoolArray = np.concatenate(([False], share > least))[touches]
+        return goes_on
+
     def _find(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[IntArray, list[Patch]]:
         """The patches of touched cells, and for each cell of the flattened array the number of its patch, from 1."""
         full = self.full_scale_kpa
         start = np.fmax(START_STDS * std_kpa, START_SHARE * full)  # not NaN where the deviation is
-        begins = pressure_kpa > start  # False where NaN
+        risen, excess = self._risen_kpa > 0, pressure_kpa - self._drift_kpa
+        begins = (excess > start) | risen  # False where NaN
         touched = self._labels > 0
         if not (begins.any() or touched.any()):
             return np.zeros(pressure_kpa.size, dtype=int), []
         stay = np.fmax(STAY_STDS * std_kpa, STAY_SHARE * full)
         join = np.fmax(JOIN_STDS * std_kpa, JOIN_SHARE * full)
-        candidates = pressure_kpa > np.where(touched, stay, join)
+        candidates = (excess > np.where(touched, stay, join)) | risen
+        pressure_kpa, bridged = self._bridge(pressure_kpa, candidates)
+        if bridged is not None:
+            candidates |= bridged
         found, count = ndimage.label(candidates, structure=NEIGHBOURS)
         kept = np.zeros(count + 1, dtype=bool)
         kept[found[begins | (touched & candidates)]] = True
@@ -116,7 +219,17 @@ class ContactTracker:
         fingers = part(
             labels, pressure_kpa, std_kpa, begins & (labels > 0), self._labels, were_parted=self._were_parted
         )
-        return fingers.ravel(), self._measure(fingers.ravel(), labels.ravel(), pressure_kpa)
+        return fingers.ravel(), self._measure(fingers.ravel(), labels.ravel(), pressure_kpa, bridged)
+
+    def _bridge(self, pressure_kpa: FloatArray, touched: BoolArray) -> tuple[FloatArray, BoolArray | None]:
+        """Pressures with those of missing cells between touched ones, and which cells these are; None: no cell."""
+        missing = np.isnan(pressure_kpa)
+        if self._missing is not None:
+            missing |= self._missing
+        if not missing.any():
+            return pressure_kpa, None
+        bridged, pressure_kpa = bridge(pressure_kpa, touched, missing)
+        return pressure_kpa, bridged if bridged.any() else None
 
     def _drop_disturbances(self, found: NDArray[np.signedinteger], kept: BoolArray) -> None:
         """Drop patches within one row or column that were not there in the last frame.
@@ -135,10 +248,13 @@ class ContactTracker:
             rows, columns = boxes[label - 1]
             kept[label] = rows.stop - rows.start > 1 and columns.stop - columns.start > 1
 
-    def _measure(self, labels: IntArray, connected: IntArray, pressure_kpa: FloatArray) -> list[Patch]:
+    def _measure(
+        self, labels: IntArray, connected: IntArray, pressure_kpa: FloatArray, bridged: BoolArray | None
+    ) -> list[Patch]:
         """Centre, force, peak and spread of each labelled patch, in one pass over the touched cells.
 
-        ``connected`` (cells,) are the labels that patches which touch each other share.
+        ``connected`` (cells,) are the labels that patches which touch each other share; ``bridged`` (rows, columns) are
+        cells whose pressures are interpolated.
         """
         cells = np.flatnonzero(labels)
         if not len(cells):
@@ -157,10 +273,13 @@ class ContactTracker:
         peaks = np.maximum.reduceat(pressure, starts)
         shared = connected[cells[starts]]
         alone = np.bincount(shared)[shared] == 1
-        measures = (x_mean, y_mean, forces, peaks, variances, alone, starts, ends)
+        interpolated = np.zeros(len(starts))
+        if bridged is not None:
+            interpolated = 1e3 * self.pitch_m**2 * np.add.reduceat(pressure * bridged.ravel()[cells], starts)
+        measures = (x_mean, y_mean, forces, peaks, variances, alone, interpolated, starts, ends)
         return [
-            Patch(x, y, force, peak, variance, one, cells[start:end], places[start:end], pressure[start:end])
-            for x, y, force, peak, variance, one, start, end in zip(
+            Patch(x, y, force, peak, variance, one, cells[start:end], places[start:end], pressure[start:end], guessed)
+            for x, y, force, peak, variance, one, guessed, start, end in zip(
                 *(measure.tolist() for measure in measures), strict=True
             )
         ]
@@ -177,6 +296,7 @@ class ContactTracker:
                 peak_kpa=patch.peak_kpa,
                 cells=patch.places,
                 joined=name.joined,
+                interpolated_n=patch.interpolated_n,
             )
             for patch, name in zip(patches, names, strict=True)
         ]
@@ -194,6 +314,12 @@ class ContactsOfFrames:
         self._lock = threading.Lock()
         self._asked = False
         self._time_s = -np.inf
+        self._starts = -1
+
+    @property
+    def asked(self) -> bool:
+        """Whether every frame is to be looked at."""
+        return self._asked
 
     def of(self, view: PressureView) -> tuple[Contact, ...]:
         """The contacts of one frame."""
@@ -214,7 +340,10 @@ class ContactsOfFrames:
                 # named after those of now, which it does not change.
                 view.contacts = self._tracker.look_back(view.time_s, view.pressure_kpa, view.std_kpa())
             else:
-                view.contacts = self._tracker.update(view.time_s, view.pressure_kpa, view.std_kpa())
+                if view.starts != self._starts:
+                    self._starts = view.starts
+                    self._tracker.forget_readings()
+                view.contacts = self._tracker.update(view.time_s, view.pressure_kpa, view.std_kpa(), view.rise)
                 self._time_s = view.time_s
         return view.contacts
 
@@ -226,4 +355,8 @@ class PressureView:
     time_s: float
     pressure_kpa: FloatArray
     std_kpa: Later
+    rise: tuple[FloatArray, FloatArray] | None = None
+    """readings and their noise; None where nobody has asked for contacts yet"""
+    starts: int = 0
+    """times that the estimator has begun without memory"""
     contacts: tuple[Contact, ...] | None = None

@@ -27,6 +27,7 @@ from ._statistics import Counters
 from ._stream import RawFrame
 from ._systematic import SystematicError
 from ._tare import DRIFT as TARE_DRIFT
+from ._tare import KNOWN_DRIFT
 
 T = TypeVar("T", bound=np.generic)
 
@@ -127,7 +128,9 @@ class Converter:
         """times that the estimator has begun without memory, and as many as the last frame knew of"""
         self._estimator = self._new_estimator()
         full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
-        self.contacts = ContactsOfFrames(ContactTracker(design.array.shape, pitch_m, full_scale_kpa))
+        drift_kpa = 0.0 if self._systematic is None else self._systematic.kpa_of_rest(KNOWN_DRIFT)
+        tracker = ContactTracker(design.array.shape, pitch_m, full_scale_kpa, drift_kpa=drift_kpa)
+        self.contacts = ContactsOfFrames(tracker)
         self._last: RawFrame | None = None
         self._last_s: float | None = None
         """of the last frame, on the time scale of the estimator; also of a frame before the recording that is played"""
@@ -265,7 +268,10 @@ class Converter:
         if gap_s > KEEP_STATE_S:
             self._estimator = self._new_estimator()
         pressure, std = self._estimate(gap_s, reading)
-        view = PressureView(frame.time_s, _read_only(pressure), std)
+        rise = None
+        if self._estimator is not None and self.contacts.asked:
+            rise = self._estimator.rise_of_last_step()
+        view = PressureView(frame.time_s, _read_only(pressure), std, rise, self._starts)
         self.contacts.pass_by(view)
         self._starts_told = self._starts
         return Measurement(

@@ -28,6 +28,7 @@ _CONTACT = {
         "area_mm2": _NUMBER,
         "force_n": _NUMBER,
         "peak_kpa": _NUMBER,
+        "interpolated_n": _NUMBER,
     },
 }
 _IMAGE_SCHEMA = {
@@ -109,6 +110,7 @@ def _numbers(frame: Frame) -> dict[str, Any]:
             "area_mm2": contact.area_mm2,
             "force_n": contact.force_n,
             "peak_kpa": contact.peak_kpa,
+            "interpolated_n": contact.interpolated_n,
         }
         for contact in frame.contacts
     ]

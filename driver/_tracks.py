@@ -61,6 +61,8 @@ class Patch:
     """(n, 2) rows and columns"""
     pressure_kpa: FloatArray
     """(n,)"""
+    interpolated_n: float = 0.0
+    """part of the force on cells that are not read"""
 
 
 @dataclass(slots=True)

@@ -87,6 +87,29 @@ def test_errors_of_readings_come_through_heavy_leads_as_by_inverting_twice(
     assert (bound <= 10.0 * expected).all() or lead > least_ohm  # bounds without cancelling may be infinite there
 
 
+@pytest.mark.parametrize("shape", [(12, 12), (9, 28), (28, 9)])
+def test_single_precision_is_enough_for_errors(shape: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    _, row_ohm, column_ohm, transfer = leads_at_random(shape, 100.0, 150.0)
+    fit, readings = fitted(transfer, row_ohm, column_ohm, transfer), np.full(shape, 1e-9)
+    single = fit.propagation()
+    monkeypatch.setattr(_heavy_leads, "MOST_IN_DOUBLE", shape[0] * shape[1])
+    double = fit.propagation()
+    np.testing.assert_allclose(single(readings), double(readings), rtol=1e-3)
+    np.testing.assert_allclose(single.squared()(readings), double.squared()(readings), rtol=1e-3)
+
+
+@pytest.mark.parametrize(("number", "apart"), [(np.float32, 1e-6), (np.float64, 1e-14)])
+def test_solutions_that_rounding_decides_are_infinite(number: type, apart: float) -> None:
+    draw = np.random.default_rng(0)
+    matrix = draw.uniform(-1.0, 1.0, (9, 9)) + 5.0 * np.eye(9)
+    expected = np.linalg.inv(matrix)
+    found = _heavy_leads._solution(matrix.astype(number, order="F"), np.eye(9, dtype=number, order="F"))
+    np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-5)
+    matrix[:, 3] = matrix[:, 4] * (1.0 + apart * draw.uniform(size=9))
+    found = _heavy_leads._solution(matrix.astype(number, order="F"), np.eye(9, dtype=number, order="F"))
+    assert np.isinf(found).all()
+
+
 @pytest.mark.parametrize("segment", [0.0, 3.0])
 def test_currents_of_unlike_offsets_are_taken_out_exactly(segment: float) -> None:
     design = board(4, 3, 30.0, segment=segment, offset_voltage=[3e-3, -2e-3, 1e-3], open_loop_gain=1e3)

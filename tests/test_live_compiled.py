@@ -19,6 +19,7 @@ from ohmskin.circuits.recovery._amplified_loops import UsualFrames
 from ohmskin.circuits.recovery._coupled import CoupledLive
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
 from ohmskin.circuits.recovery._frame_budget import FIRST_EFFORT, Budget
+from ohmskin.circuits.recovery._heavy_leads import MOST_IN_DOUBLE
 from ohmskin.circuits.recovery._linearised import Linearised
 from ohmskin.driver import CountReader
 from ohmskin.driver._reading import Reading
@@ -28,6 +29,8 @@ CLOSE = 1e-11
 """relative: sums over cells are added up in another order"""
 CLOSE_MISFIT = 1e-8
 """the same of uncertainties on coupled boards: a misfit between readings and model counts, though it is all rounding"""
+CLOSE_IN_SINGLE = 1e-3
+"""the same where leads are heavy and derivatives are made in single precision"""
 ROUNDED = 1e-13
 """a few hundred ulp of the conductance that a relative uncertainty refers to"""
 FRAMES = 60
@@ -48,7 +51,8 @@ class Pair:
             self.arrays = CountReader(design)
             self.reference = SystematicError(Cell.example())
         if isinstance(self.loops._recover, AmplifiedLive):
-            self.close = CLOSE
+            in_single = design.array.rows * design.array.columns > MOST_IN_DOUBLE
+            self.close = CLOSE_IN_SINGLE if in_single and self.loops._recover._board.lead_like else CLOSE
             self._count(self.loops._recover._loops, monkeypatch)
 
     def _count(self, loops: UsualFrames, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -80,6 +80,8 @@ class Estimator:
         self._pressure = np.full(cells, np.nan)
         self._reading = np.zeros(cells)
         """(n,) r of the last frame; never changes again"""
+        self._known: BoolArray | None = None
+        """(n,) cells that the last frame has read; None: all"""
         self._readings = np.zeros(cells)
         """(n,) how many have been taken for first ones"""
         self._begun = False
@@ -142,7 +144,7 @@ class Estimator:
             raise InputError(f"a frame follows {elapsed_s} s after the last; expected time stamps that increase")
         dt, exact = float(elapsed_s) if self._frames else 1.0, self.inversion.exact
         r = self._reading = np.empty(resistance.size)
-        known = self._normalise(resistance.ravel(), r)
+        known = self._known = self._normalise(resistance.ravel(), r)
         before = self._pressure.copy() if self._gaps.concern(dt, self._usual_s or dt, known) else None
         if not exact:
             self._noise.update(r, known)
@@ -201,6 +203,21 @@ class Estimator:
         """
         by_gaps = self._gaps.variance if self._gaps.doubtful else None
         return self._deviation.of_last_step(self.shape, self._reading, by_gaps, self._held.variance)
+
+    def rise_of_last_step(self) -> tuple[FloatArray, FloatArray]:
+        """How far the last readings are from rest, and how far noise alone may carry them.
+
+        Returns:
+            (shape) normalised resistance R/R0 - 1, counted positive in the direction of a load, NaN where a cell was
+            not read; and (shape) its standard deviation by noise and by the steps of the ADC. What the material
+            remembers is part of the first, and not of the second. The arrays never change again.
+        """
+        r, shape = self._reading, self.shape
+        noise = smoothing.noise_of(r[np.newaxis], self._noise.at_rest)  # of lines that end in the readings
+        rise = self.inversion.side * r
+        if self._known is not None:
+            rise[~self._known] = np.nan
+        return rise.reshape(shape), noise.reshape(shape)
 
     @property
     def states_std(self) -> bool:

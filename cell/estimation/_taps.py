@@ -20,12 +20,16 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray, IntArray, median
 
 SHARED = 0.05
 """share of a jump by which a neighbour moves with it. Crosstalk by leads that nobody mentions is far less"""
 CLEAR = 8.0
 """standard deviations of its reading by which a neighbour moves with a jump"""
+JOINTLY = 4.0
+"""the same of neighbours along both axes, which would have to stray together: two by chance hardly do"""
+MEDIAN = 0.6745
+"""median of the sizes of normally distributed numbers, in their standard deviations"""
 TOGETHER_S = 0.02
 """time in which a fingertip comes down on all its cells: neighbours that move later tell nothing of a jump"""
 IN_LINE_S = 0.005
@@ -39,6 +43,8 @@ WHOLE, EVEN, SEEN = 0.85, 0.3, 3.0
 deviations of its reading, by which a cell has then moved, since a bad line moves its cells alike"""
 LEAST_LINE = 4
 """cells of a line that may be called whole: a fingertip covers shorter ones"""
+TINY = 1e-30
+"""keeps 0/0 from occurring"""
 _SOON = 1 + 1e-9
 
 
@@ -116,8 +122,11 @@ class Taps:
         lasts = np.abs(off) > LASTS * size
         young &= lasts & (jump * side > 0)
         moved = (self._beside(reading, cells) - self._around) * side
-        with_it = moved > np.maximum(SHARED * size, CLEAR * self._beside(noise, cells))  # False where there is none
+        beside = self._beside(noise, cells)
+        with_it = moved > np.maximum(SHARED * size, CLEAR * beside)  # False where there is none
         along_column, along_row = with_it[0] | with_it[1], with_it[2] | with_it[3]
+        jointly = moved > np.maximum(SHARED * size, JOINTLY * self._unrest(reading, noise) * beside)
+        spread = (jointly[0] | jointly[1]) & (jointly[2] | jointly[3])
         soon = age_s <= max(IN_LINE_S, dt_s) * _SOON
         self._frames += lasts & soon & (along_column | along_row | (side < 0))
         lasted = self._frames >= FRAMES
@@ -125,11 +134,19 @@ class Taps:
             whole, ends_column, ends_row = self._lines(cells, size, (reading - self._before) * side, noise)
             young &= ~whole
             lasted &= ~np.where(along_column, ends_column, ends_row)
-        self.known |= young & (along_column & along_row | lasted)
+        self.known |= young & (spread | lasted)
         for _ in range(2):  # a fingertip is hardly wider; further cells follow in the next frame
             loads = np.zeros(reading.size)
             loads[cells[self.known]] = 1.0
             self.known |= young & ((self._beside(loads, cells) > 0) & with_it).any(axis=0)
+
+    def _unrest(self, reading: FloatArray, noise: FloatArray) -> float:
+        """Scatter of all readings (n,) since the jump over their noise (n,), at least 1.
+
+        A finger moves fewer than half of the cells, so the median is that of cells without a load. Where it is large,
+        the noise has just grown, or the whole skin moves.
+        """
+        return max(median(np.abs(reading - self._before) / np.maximum(noise, TINY)) / MEDIAN, 1.0)
 
     def _beside(self, values: FloatArray, cells: IntArray) -> FloatArray:
         """(4, m) what ``values`` (n,) has for the neighbours of ``cells`` (m,); NaN where there is none."""

@@ -20,17 +20,21 @@ give the same readings.
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol, cast
 
 import numpy as np
-from scipy.linalg.lapack import dgesv
+from scipy.linalg.lapack import dgecon, dgesv, dlange, sgecon, sgesv, slange
 
-from ...arrays import FloatArray
+from ...arrays import AnyArray, FloatArray
 
 ROUNDS = 16
 """at most, in one inversion; usually three to six"""
 MOST_CELLS = 256
 """up to which all derivatives of all cells by all readings are made; beyond, bounds that neglect what cancels"""
+MOST_IN_DOUBLE = 64
+"""cells up to which derivatives are made in double precision; in single precision they take half as long"""
+_LEAST_ACCURACY = 0.01  # by which derivatives may be off by rounding, else they are taken for infinite
 _SHORT = 1e4  # conductance over that of its leads, at which a cell is a short
 _LEAST_OHM = 1e-6  # of a line, in that
 _ENOUGH = 1e-6  # relative change of a line's conductance in the last round
@@ -59,7 +63,7 @@ class LeadFit(NamedTuple):
     def propagation(self) -> Propagation:
         """How errors of the readings come through."""
         if self.conductance.size <= MOST_CELLS:
-            return _Derivatives(self._derivatives(), self.conductance.shape)
+            return _Derivatives(np.abs(self._derivatives()), self.conductance.shape)
         inverse = self._inverses()
         return _Bounds(
             inverse=np.abs(inverse),
@@ -81,26 +85,28 @@ class LeadFit(NamedTuple):
         share: FloatArray = 1.0 / (1.0 + self.row_ohm * self.conductance.sum(axis=1))
         return share
 
-    def _derivatives(self) -> FloatArray:
+    def _derivatives(self) -> AnyArray:
         """(NM, NM) of all conductances by all readings; inf where the readings do not tell the cells apart."""
         cells, row_ohm, column_ohm = self.conductance, self.row_ohm, self.column_ohm
-        steps, columns = cells.shape
+        count, (steps, columns) = cells.size, cells.shape
+        number = np.float64 if count <= MOST_IN_DOUBLE else np.float32
         across = self._across()
         # What a current into idle row k changes in reading ij: it lifts row k, and takes from the driver of row i.
         lifts = (cells * row_ohm[:, None])[None] - (cells * row_ohm[:, None])[:, None]  # (steps, rows, M)
         lifts *= self._divided()[:, None]
         lifts[np.arange(steps), np.arange(steps)] = 0.0
-        by_cells = np.einsum("ikj,ikl->ijkl", lifts, across)
-        own = np.einsum("ijkj->ijk", by_cells)
-        own -= across.transpose(0, 2, 1)
         by_readings = -np.einsum("ikj,kl->ijl", lifts, cells * column_ohm)
         by_readings += (cells * row_ohm[:, None])[:, :, None]
         np.einsum("ijj->ij", by_readings)[...] += 1.0 + column_ohm * cells.sum(axis=0)
-        _, _, inverse, failed = dgesv(by_cells.reshape(cells.size, -1), np.eye(cells.size))
-        if failed:
-            return np.full(inverse.shape, np.inf)
-        found: FloatArray = inverse.reshape(-1, steps, columns).transpose(1, 0, 2) @ by_readings  # (steps, NM, M)
-        return found.transpose(1, 0, 2).reshape(cells.size, -1)
+        # Transposed, since LAPACK takes matrices column by column: cell kl, then reading ij.
+        lifted: AnyArray = lifts.transpose(1, 0, 2).astype(number)  # (rows, steps, M)
+        driven: AnyArray = across.transpose(1, 2, 0).astype(number)  # (rows, M, steps)
+        by_cells = lifted[:, None] * driven[..., None]
+        own: AnyArray = np.einsum("kjij->kij", by_cells)
+        own -= driven.transpose(0, 2, 1)
+        sides = np.zeros((steps, columns, steps, columns), number)
+        np.einsum("ilim->iml", sides)[...] = by_readings
+        return _solution(by_cells.reshape(count, count).T, sides.reshape(count, count).T)
 
     def _inverses(self) -> FloatArray:
         """(M, rows, steps) of the equations of each column, by the formula of Sherman and Morrison."""
@@ -113,6 +119,18 @@ class LeadFit(NamedTuple):
             scale = 1.0 / (1.0 - by_column.sum(axis=0))
         inverses: FloatArray = shared + (by_column * scale).T[:, :, None] * shared.sum(axis=0)
         return inverses
+
+
+def _solution(matrix: AnyArray, sides: AnyArray) -> AnyArray:
+    """Solution of linear equations, both in order of columns and overwritten; inf where rounding may spoil it."""
+    routines = (dgesv, dgecon, dlange) if matrix.dtype == np.float64 else (sgesv, sgecon, slange)
+    solve, condition, norm = cast("tuple[Callable[..., Any], ...]", routines)
+    size = norm("1", matrix)
+    factors, _, solved, failed = solve(matrix, sides, overwrite_a=True, overwrite_b=True)
+    if failed or _LEAST_ACCURACY * condition(factors, size)[0] < np.finfo(matrix.dtype).eps:
+        return np.full(sides.shape, np.inf)
+    found: AnyArray = solved
+    return found
 
 
 class Propagation(Protocol):
@@ -138,15 +156,15 @@ class Propagation(Protocol):
 class _Derivatives(NamedTuple):
     """All derivatives of all cells by all readings."""
 
-    matrix: FloatArray
-    """(NM, NM)"""
+    sizes: AnyArray
+    """(NM, NM) absolute values"""
     shape: tuple[int, int]
 
     def squared(self) -> Propagation:
-        return _Derivatives(self.matrix * self.matrix, self.shape)
+        return _Derivatives(self.sizes * self.sizes, self.shape)
 
     def __call__(self, readings: FloatArray) -> FloatArray:
-        spread: FloatArray = np.abs(self.matrix) @ readings.ravel()
+        spread: FloatArray = (self.sizes @ readings.ravel().astype(self.sizes.dtype)).astype(np.float64)
         return np.nan_to_num(spread, nan=np.inf, posinf=np.inf).reshape(self.shape)
 
 

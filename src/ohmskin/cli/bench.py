@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -23,6 +23,7 @@ from ..bench import _view as of_pages
 from ..bench import _worst_frames as of_events
 from . import arguments
 from ._bar import progress_bar
+from ._json import json_text
 
 
 class _ManyValues(click.Command):
@@ -86,7 +87,7 @@ def command(
     """
     if estimators:
         judged = of_cells.estimators()
-        click.echo(json.dumps([asdict(row) for row in judged], indent=1) if as_json else of_cells.table(judged))
+        click.echo(_as_json(judged) if as_json else of_cells.table(judged))
         if not as_json:
             click.echo("\n" + of_hard_cases.hard_table(of_hard_cases.hard_cases()))
             click.echo("\n" + of_rests.table(of_rests.rests()))
@@ -96,7 +97,7 @@ def command(
         return
     if of_emulator:
         boards = list(of_boards.emulator(sizes))
-        click.echo(json.dumps([asdict(row) for row in boards], indent=1) if as_json else of_boards.table(boards))
+        click.echo(_as_json(boards) if as_json else of_boards.table(boards))
         return
     if of_driver:
         _live_path(sizes, as_json, picture)
@@ -104,14 +105,14 @@ def command(
     if of_contacts:
         tapped = of_taps.taps_and_faults(sizes)
         if as_json:
-            click.echo(json.dumps([asdict(row) for row in tapped], indent=1))
+            click.echo(_as_json(tapped))
         else:
             for line in of_taps.table(tapped):
                 click.echo(line)
         return
     if of_page:
         shown = list(of_pages.view(sizes))
-        click.echo(json.dumps([asdict(row) for row in shown], indent=1) if as_json else of_pages.table(shown))
+        click.echo(_as_json(shown) if as_json else of_pages.table(shown))
         return
     arrays = [(size, segment) for size in sizes for segment in segments]
     rows = []
@@ -121,7 +122,12 @@ def command(
             progress(arrays.index((row.size, row.segment)), len(arrays), f"{row.size} x {row.size}, {row.method}")
     if picture is not None:
         tables.write_text(picture, bench.picture(rows))
-    click.echo(json.dumps([asdict(row) for row in rows], indent=1) if as_json else bench.table(rows), nl=as_json)
+    click.echo(_as_json(rows) if as_json else bench.table(rows), nl=as_json)
+
+
+def _as_json(rows: Iterable[Any]) -> str:
+    """Measurements, which are dataclasses, as a JSON list."""
+    return json_text([asdict(row) for row in rows], indent=1)
 
 
 def _kept(rows: Iterator[of_events.WorstFrames], kept: list[of_events.WorstFrames]) -> Iterator[of_events.WorstFrames]:
@@ -149,8 +155,6 @@ def _live_path(sizes: tuple[int, ...], as_json: bool, picture: Path | None) -> N
         click.echo(of_drivers.estimator_table(judged) + "\n")
     skins = list(of_skins.freshness(sizes))
     if as_json:
-        rows = [asdict(row) for row in (*boards, *judged)]
-        rows += [asdict(row) for row in hard] + [asdict(row) for row in skins]
-        click.echo(json.dumps(rows, indent=1))
+        click.echo(_as_json([*boards, *judged, *hard, *skins]))
     else:
         click.echo(of_skins.freshness_table(skins))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 
@@ -14,6 +13,7 @@ from ..driver import Calibration
 from ..errors import InputError
 from ..files import check_writable
 from . import arguments
+from ._json import json_text
 from ._opening import Opening, opening_options
 
 STANDARD_GRAVITY = 9.80665
@@ -145,7 +145,7 @@ def command(
     made = verdict.calibration(skin.design, skin.cell, skin.serial_number, allow_partial=allow_partial)
     made.save(output)
     progress.unlink(missing_ok=True)
-    click.echo(json.dumps(_summary(made)) if as_json else _text(made, verdict, output))
+    click.echo(json_text(_summary(made)) if as_json else _text(made, verdict, output))
 
 
 def _ask_for_rest() -> None:

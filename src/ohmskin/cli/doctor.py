@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 
 import click
@@ -11,6 +10,7 @@ from ..doctor import Finding, State, examine_device, examine_installation, exami
 from ..errors import LinkError
 from ..text import one_line
 from . import arguments
+from ._json import json_text
 
 
 @click.command(
@@ -28,7 +28,7 @@ def command(port: str | None, as_json: bool) -> int:
     """
     findings = [*examine_installation(), *examine_ports()] if port is None else _examine_port(port)
     if as_json:
-        click.echo(json.dumps([asdict(finding) for finding in findings], indent=1))
+        click.echo(json_text([asdict(finding) for finding in findings], indent=1))
     else:
         for finding in findings:
             _show(finding)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
@@ -19,6 +18,7 @@ from ..cell import (
 from ..files import check_writable
 from . import arguments
 from ._bar import progress_bar
+from ._json import json_text
 
 
 @click.command(epilog=arguments.example("ohmskin fit --protocol", "ohmskin fit steps.csv -o cell.toml --plot fit.png"))
@@ -61,4 +61,4 @@ def command(
         calibration_figure(found, plot)
     if output is not None:
         found.cell.save(output, comment=summary)
-    click.echo(json.dumps(calibration_record(found), allow_nan=False) if as_json else summary)
+    click.echo(json_text(calibration_record(found)) if as_json else summary)

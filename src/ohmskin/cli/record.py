@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from math import inf, isfinite
 from pathlib import Path
@@ -14,6 +13,7 @@ from ..errors import InputError, LinkEnded, LinkTimeout
 from ..text import one_line
 from . import arguments
 from ._bar import progress_bar
+from ._json import json_text
 from ._opening import Opening, opening_options
 
 QUEUE = 4096
@@ -57,7 +57,7 @@ def command(port: str, output: Path, duration: float, opening: Opening, overwrit
                     tell(round(1000 * elapsed), round(1000 * duration), f"{skin.stats().frames} frames")
         stats = skin.stats()
     if as_json:
-        click.echo(json.dumps(_summary(output, stats)))
+        click.echo(json_text(_summary(output, stats)))
     else:
         lost = "unknown" if stats.lost is None else str(stats.lost)
         counts = f"{stats.frames} frames, {lost} lost, {stats.reconnects} reconnects"

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import json
-import math
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
@@ -13,6 +10,7 @@ import numpy as np
 from .. import circuits, tables
 from ..circuits import CIRCUITS, METHODS, Design, scan
 from . import arguments
+from ._json import json_text
 
 
 @click.command(
@@ -61,7 +59,7 @@ def command(
             "saturated": result.saturated.tolist(),
             "seconds": result.seconds,
         }
-        click.echo(json.dumps(_null_where_infinite(values), allow_nan=False))
+        click.echo(json_text(values))
     elif effects:
         for effect in circuits.effects(design, result.cells):
             share = "" if effect.estimate is None else f"{100 * effect.estimate:.3g} % of a signal"
@@ -69,12 +67,3 @@ def command(
             click.echo(f"{effect.name:<32} {state}  {share:<26} {effect.basis}".rstrip())
     elif output is None:
         click.echo(tables.format_matrix(result.resistance), nl=False)
-
-
-def _null_where_infinite(value: Any) -> Any:
-    """JSON has no infinity."""
-    if isinstance(value, dict):
-        return {key: _null_where_infinite(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_null_where_infinite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

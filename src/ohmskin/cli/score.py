@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from dataclasses import asdict
 from pathlib import Path
 
@@ -12,6 +10,7 @@ import click
 from .. import emulator
 from ..driver import stack
 from . import arguments
+from ._json import json_text
 from ._recording import played_frames
 
 
@@ -42,9 +41,7 @@ def command(recording: Path, truth: Path, pitch: float | None, full_scale: float
     taken = _load(recording)
     result = emulator.score(taken, emulator.Truth.load(truth), pitch_mm=pitch, full_scale_kpa=full_scale)
     if as_json:
-        fields = asdict(result).items()
-        shown = {key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in fields}
-        click.echo(json.dumps(shown, indent=1, allow_nan=False))
+        click.echo(json_text(asdict(result), indent=1))
     else:
         click.echo(emulator.score_text(result))
 

@@ -1,0 +1,192 @@
+"""Sudden loads on coarse boards: a joint significance test of the rises of neighbouring cells (matched filter).
+
+A pressure has a wide deviation on boards with few ADC steps, since past loads, bad contacts and steps leave much open.
+Whether a cell is touched *just now* is a smaller question: by how much its reading has risen within the last moment,
+against the noise of the readings. What the material remembers hardly changes in that time. A fingertip also lifts
+several neighbours at once, so that the weighted sum of their rises tells far more than one cell does.
+
+The test asks for a rise of cells beside the row of a cell, too, and of cells beside its column. Electrical faults have
+the shape of the wiring instead: one cell, or a line. What most cells of a line have in common is subtracted, since a
+bad line moves its cells alike, and so does the error of one reading in a column of a divider.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from ..arrays import BoolArray, FloatArray, median
+
+NOW_S, APART_S, BEFORE_S = 0.01, 0.02, 0.06
+"""readings of the last moment are compared with earlier ones: length of the first, pause, length of the second. A
+fingertip comes down within the pause; at slow frame rates each is one frame at least"""
+LEAST_BEFORE = 3
+"""frames with which readings are compared at least"""
+EACH = 2.0
+"""standard deviations by which a cell of a touch has risen"""
+WEIGHTS = np.array([[0.25, 0.5, 0.25], [0.5, 1.0, 0.5], [0.25, 0.5, 0.25]])
+"""of a cell and its neighbours in the joint test: about the shape of a fingertip (matched filter)"""
+TOGETHER = 6.0
+"""standard deviations of the weighted sum of rises. By chance a cell has that once in 1e9 frames; four cells of a
+square whose readings flip by one ADC step in the same frame have 5.2"""
+ASIDE = 4.0
+"""the same of the weighted sum without the cell's row, and without its column, which a fault of the wiring does not
+move"""
+MIDDLE, SHARED = 0.5, 0.1
+"""least rise of a cell in the middle of a touch, over the largest one around it; the same of a cell at its rim, and of
+the two sums. Crosstalk by leads is far less"""
+OWN = 0.3
+"""of the rise of a cell, that it does not have in common with its line"""
+FALLEN = 4.0
+"""the same below zero by which a touch may have ended; the pressure decides"""
+LONGEST_S = 1.0
+"""a pause between frames after which nothing is compared"""
+LEAST_LINE = 4
+"""cells of a line of which a quarter is untouched: a fingertip covers shorter lines"""
+MEDIAN = 0.6745
+"""median of the sizes of normally distributed numbers, in their standard deviations"""
+
+
+def _unit(weights: FloatArray) -> FloatArray:
+    """Weights with which a sum of independent standard normal numbers is standard normal."""
+    return np.asarray(weights / math.sqrt((weights**2).sum()))
+
+
+_FILTER = _unit(WEIGHTS)
+_ASIDE = [_unit(WEIGHTS * kept) for kept in ([[1], [0], [1]], [[1, 0, 1]])]
+
+
+@dataclass(frozen=True, slots=True)
+class _Sum:
+    """Readings summed up to a frame."""
+
+    time_s: float
+    frames: int
+    rise: FloatArray
+    """(rows, columns)"""
+    missing: FloatArray
+    """(rows, columns) frames in which the cell was not read"""
+
+
+class Rises:
+    """Looks for cells that are pressed just now."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self.shape = shape
+        self._sums: deque[_Sum] = deque()
+
+    def forget(self) -> None:
+        """Begin anew: rest resistances have changed."""
+        self._sums.clear()
+
+    def look(self, time_s: float, reading: FloatArray, noise: FloatArray) -> tuple[BoolArray, BoolArray] | None:
+        """Take the readings of the next frame.
+
+        Args:
+            time_s: of the frame, increasing.
+            reading: (rows, columns) R/R0 - 1, positive in the direction of a load; NaN where the cell was not read.
+            noise: (rows, columns) standard deviation of one reading.
+
+        Returns:
+            (rows, columns) cells that have risen together with neighbours along both axes, risen neighbours included;
+            and (rows, columns) cells that have fallen together with their neighbours. None: no cell has.
+
+        """
+        if self._sums and time_s - self._sums[-1].time_s > LONGEST_S:
+            self.forget()
+        self._add(time_s, reading)
+        places = self._places(time_s)
+        if places is None:
+            return None
+        before, until, since, now = places
+        earlier, present = until.frames - before.frames, now.frames - since.frames
+        rise = (now.rise - since.rise) / present - (until.rise - before.rise) / earlier
+        rise /= noise * math.sqrt(1.0 / present + 1.0 / earlier)
+        if max(rise.item(rise.argmax()), -rise.item(rise.argmin())) < EACH:
+            return None
+        rise[now.missing > before.missing] = 0.0
+        together = self._together(rise)
+        fallen = _filtered(rise, _FILTER) < -FALLEN
+        if together is None:
+            return (fallen & False, fallen) if fallen.any() else None
+        between = since.frames - until.frames
+        if between:
+            # After a release readings fall, though what the material remembers keeps them above those of before.
+            lately = (now.rise - since.rise) / present - (since.rise - until.rise) / between
+            together &= lately > -EACH * noise * math.sqrt(1.0 / present + 1.0 / between)
+        return together, fallen
+
+    def _add(self, time_s: float, reading: FloatArray) -> None:
+        if not self._sums:
+            nothing = np.zeros(self.shape)
+            self._sums.append(_Sum(-math.inf, 0, nothing, nothing))
+        last = self._sums[-1]
+        missing = np.isnan(reading)
+        if missing.any():
+            reading, lacking = np.where(missing, 0.0, reading), last.missing + missing
+        else:
+            lacking = last.missing
+        self._sums.append(_Sum(time_s, last.frames + 1, last.rise + reading, lacking))
+
+    def _places(self, time_s: float) -> tuple[_Sum, _Sum, _Sum, _Sum] | None:
+        """Sums before and after the earlier readings, and before and after the present ones; drops older ones."""
+        sums, last = self._sums, len(self._sums) - 1
+        soon = 1e-9
+        since = last - 1
+        while since > 0 and sums[since].time_s > time_s - NOW_S + soon:
+            since -= 1
+        until = since
+        while until > 0 and sums[until].time_s > time_s - NOW_S - APART_S + soon:
+            until -= 1
+        before = until
+        while before > 0 and (
+            sums[before].time_s > time_s - NOW_S - APART_S - BEFORE_S + soon or until - before < LEAST_BEFORE
+        ):
+            before -= 1
+        if until - before < LEAST_BEFORE:
+            return None
+        found = sums[before], sums[until], sums[since], sums[last]
+        for _ in range(before):
+            sums.popleft()
+        return found
+
+    def _together(self, rise: FloatArray) -> BoolArray | None:
+        """Cells whose ``rise`` (rows, columns) in standard deviations is part of a joint rise."""
+        if not (_filtered(rise, _FILTER) > TOGETHER).any():
+            return None
+        own = rise - self._in_common(rise)
+        own /= max(median(np.abs(own)) / MEDIAN, 1.0)
+        own[(own <= OWN * rise) & (own > 0)] = 0.0
+        highest = ndimage.maximum_filter(own, 3, mode="nearest")
+        together = (own > np.maximum(EACH, MIDDLE * highest)) & (_filtered(own, _FILTER) > TOGETHER)
+        for weights in _ASIDE:
+            if not together.any():
+                return None
+            together &= _filtered(own, weights) > np.maximum(ASIDE, SHARED * own)
+        if not together.any():
+            return None
+        near: BoolArray = ndimage.binary_dilation(together)
+        return near & (own > np.maximum(EACH, SHARED * highest))
+
+    def _in_common(self, rise: FloatArray) -> FloatArray:
+        """(rows, columns) what most cells of a cell's row or of its column have risen by, at least 0.
+
+        The lower quartile, for a fingertip covers half of a short line.
+        """
+        common = np.zeros(self.shape)
+        rows, columns = self.shape
+        if rows >= LEAST_LINE:
+            np.maximum(common, np.partition(rise, rows // 4, axis=0)[rows // 4], out=common)
+        if columns >= LEAST_LINE:
+            np.maximum(common, np.partition(rise, columns // 4, axis=1)[:, columns // 4, None], out=common)
+        return common
+
+
+def _filtered(values: FloatArray, weights: FloatArray) -> FloatArray:
+    """(rows, columns) weighted sums of each cell and its neighbours; beyond the rim there is nothing."""
+    found: FloatArray = ndimage.correlate(values, weights, mode="constant")
+    return found

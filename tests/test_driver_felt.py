@@ -1,0 +1,303 @@
+"""Contacts in hard cases: coarse readings, cells that are not read, drift of the rest; and laws of symmetry."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ohmskin.arrays import FloatArray
+from ohmskin.bench import _taps as bench
+from ohmskin.bench._driver import design
+from ohmskin.driver import Contact, ContactTracker
+from ohmskin.driver._bridging import bridge
+from ohmskin.driver._contacts import DRIFT_PER_S, MISSING_S, START_SHARE
+from ohmskin.driver._rises import Rises
+from ohmskin.driver._tare import KNOWN_DRIFT
+
+PITCH_M, FULL_KPA, SHAPE = 0.004, 20.0, (12, 12)
+CELL_N = 1e3 * PITCH_M**2
+"""force on a cell under 1 kPa"""
+DRIFT_KPA = 2.0
+
+
+def bump(row: float, column: float, peak: float, sigma: float = 0.8, shape: tuple[int, int] = SHAPE) -> FloatArray:
+    rows, columns = np.indices(shape)
+    return np.asarray(peak * np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / (2 * sigma**2)))
+
+
+def track(
+    frames: FloatArray, std_kpa: float = 0.1, step_s: float = 0.01, drift_kpa: float = 0.0, *, read: bool = False
+) -> list[tuple[Contact, ...]]:
+    """Contacts of pressures (frames, rows, columns). With ``read`` they are the readings as well, in noises."""
+    tracker = ContactTracker(frames.shape[1:], PITCH_M, FULL_KPA, drift_kpa=drift_kpa)
+    std = np.full(frames.shape[1:], std_kpa)
+    return [
+        tracker.update(step_s * k, frame, std, (frame / std_kpa, np.ones_like(std)) if read else None)
+        for k, frame in enumerate(frames)
+    ]
+
+
+# -- laws ----------------------------------------------------------------------------------------------------------
+
+
+def wandering(seed: int, shape: tuple[int, int] = SHAPE, frames: int = 25) -> FloatArray:
+    """Two fingers that come, wander and go, noise, and a cell without a pressure."""
+    rng = np.random.default_rng(seed)
+    starts, speeds = rng.uniform(2, 9, (2, 2)), rng.normal(0, 0.15, (2, 2))
+    peaks = rng.uniform(1.0, 8.0, 2)
+    pressures = rng.normal(0, 0.1, (frames, *shape))
+    for k in range(3, frames - 3):
+        for start, speed, peak in zip(starts, speeds, peaks, strict=True):
+            pressures[k] += bump(*(start + speed * k), peak, shape=shape)
+    dead = rng.integers(0, 12, 2)
+    pressures[:, dead[0], dead[1]] = np.nan
+    return pressures
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_a_transposed_array_has_transposed_contacts(seed: int) -> None:
+    frames = wandering(seed)
+    seen, turned = track(frames, read=True), track(frames.swapaxes(1, 2), read=True)
+    for one, other in zip(seen, turned, strict=True):
+        assert sorted((c.force_n, c.x_mm, c.y_mm, c.interpolated_n, c.area_mm2) for c in one) == [
+            pytest.approx((c.force_n, c.y_mm, c.x_mm, c.interpolated_n, c.area_mm2))
+            for c in sorted(other, key=lambda c: c.force_n)
+        ]
+    # Contacts that begin in the same frame are numbered row by row.
+    names = [
+        {(c.id, min(other, key=lambda d: abs(d.force_n - c.force_n)).id) for c in one}
+        for one, other in zip(seen, turned, strict=True)
+    ]
+    pairs = set().union(*names)
+    assert len(pairs) == len({one for one, _ in pairs}) == len({other for _, other in pairs})
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), down=st.integers(0, 4), right=st.integers(0, 4))
+def test_contacts_move_with_the_pressures(seed: int, down: int, right: int) -> None:
+    """Rows and columns at rest around the array change nothing, on whichever sides they are."""
+    frames = wandering(seed)
+
+    def within(above: int, left: int) -> FloatArray:
+        return np.pad(frames, ((0, 0), (above, 5 - above), (left, 5 - left)))
+
+    for one, other in zip(track(within(0, 0)), track(within(down, right)), strict=True):
+        assert len(one) == len(other)
+        for before, after in zip(one, other, strict=True):
+            assert before.id == after.id
+            assert astuple(after)[3:6] == pytest.approx(astuple(before)[3:6])
+            moved = after.y_mm - before.y_mm, after.x_mm - before.x_mm
+            assert moved == pytest.approx((4.0 * down, 4.0 * right), abs=1e-9)
+            np.testing.assert_array_equal(after.cells - before.cells, [[down, right]] * len(before.cells))
+
+
+# -- joint rises ---------------------------------------------------------------------------------------------------
+
+
+def felt(readings: FloatArray, rate_hz: float = 100.0) -> list[bool]:
+    """Whether joint rises were found, in readings (frames, rows, columns) in their standard deviations."""
+    rises, noise = Rises(readings.shape[1:]), np.ones(readings.shape[1:])
+    found = [rises.look(k / rate_hz, reading, noise) for k, reading in enumerate(readings)]
+    return [one is not None and bool(one[0].any()) for one in found]
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 100.0, 1000.0])
+def test_a_fingertip_of_a_few_deviations_is_a_joint_rise(rate_hz: float) -> None:
+    """Seven standard deviations in the middle cell; in each of twenty tries, and soon."""
+    frames = 40 + round(0.1 * rate_hz)
+    for seed in range(20):
+        readings = np.random.default_rng(seed).normal(0, 1, (frames, 12, 12))
+        readings[40:] += bump(5.0 + 0.02 * seed, 6.0, 7.0, 1.2)
+        seen = felt(readings, rate_hz)
+        assert not any(seen[:40])
+        assert any(seen)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 1000.0])
+def test_noise_makes_no_joint_rise(rate_hz: float) -> None:
+    assert not any(felt(np.random.default_rng(3).normal(0, 1, (3000, 12, 12)), rate_hz))
+
+
+def test_readings_that_flip_by_a_step_make_no_joint_rise() -> None:
+    """The resolution counts as noise: a step has 3.5 standard deviations. Each frame another quarter of the cells."""
+    steps = np.random.default_rng(4).random((2000, 12, 12)) < 0.25
+    assert not any(felt(3.46 * steps))
+
+
+@pytest.mark.parametrize("size", [5.0, 30.0, 1000.0])
+@pytest.mark.parametrize(
+    "where", ["cell", "row", "column", "two rows", "half a row", "impulse", "all", "row and column"]
+)
+def test_faults_with_the_shape_of_the_wiring_are_no_joint_rise(where: str, size: float) -> None:
+    places = {
+        "cell": [(4, 5)],
+        "row": [(4, slice(None))],
+        "column": [(slice(None), 0)],
+        "two rows": [(slice(4, 6), slice(None))],
+        "half a row": [(4, slice(0, 6))],
+        "impulse": [(4, slice(3, 6))],
+        "all": [(slice(None), slice(None))],
+        "row and column": [(4, slice(None)), (slice(None), 7)],
+    }[where]
+    readings = np.random.default_rng(5).normal(0, 1, (80, 12, 12))
+    uneven = np.random.default_rng(6).uniform(0.9, 1.1, (12, 12))
+    for place in places:
+        readings[(slice(40, 60), *place)] += size * uneven[place]  # type: ignore[arg-type]
+    assert not any(felt(readings))
+
+
+def test_a_cell_that_was_not_read_has_not_risen() -> None:
+    """It may have been pressed at any time in between."""
+    readings = np.random.default_rng(7).normal(0, 1, (60, 12, 12))
+    readings[30:50] += bump(5, 5, 20.0)
+    readings[25:35, 3:8, 3:8] = np.nan
+    assert not any(felt(readings)[:39])
+
+
+def test_a_held_touch_that_only_its_rise_has_told_of_lasts_and_ends() -> None:
+    """The pressure has a deviation of half of itself; ten minutes."""
+    rng = np.random.default_rng(8)
+    std, noise = np.full(SHAPE, 4.0), np.full(SHAPE, 0.5)
+    tracker = ContactTracker(SHAPE, PITCH_M, FULL_KPA, drift_kpa=DRIFT_KPA)
+    press, seen = bump(6, 6, 8.0), []
+    for k in range(6100):
+        pressure = (press if 100 <= k < 6000 else 0 * press) + rng.normal(0, 0.5, SHAPE)
+        seen.append(tracker.update(0.1 * k, pressure, std, (pressure, noise)))
+    assert not any(seen[:100])
+    assert {len(contacts) for contacts in seen[101:6000]} == {1}
+    assert {c.id for contacts in seen for c in contacts} == {1}
+    assert not any(seen[6003:])
+
+
+@pytest.mark.parametrize(("idle_rows", "bits", "noise_mv"), [("ground", 8, 4.0), ("float", 8, 4.0)])
+def test_boards_of_8_bits_with_dividers_find_taps(idle_rows: str, bits: int, noise_mv: float) -> None:
+    """At 1000 frames per second; without the joint test half of the taps, and none with floating rows."""
+    board = design(8, "voltage-divider", idle_rows, bits)
+    rng = np.random.default_rng(11)
+    taps = bench.random_taps(8, (8, 8), rng)
+    ohm = bench.resistances(taps, (8, 8), 1000.0, bench.REST_S + bench.EVERY_S * 8)
+    seen = list(bench.contacts_of(board, ohm, noise_mv, 1000.0, rng))
+    first_s, _ = bench.match(taps, seen, 1e3 * bench._pitch_m(board), 1e-3)
+    assert np.isfinite(first_s).sum() >= 6
+
+
+# -- cells that are not read -----------------------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(row=st.floats(2.0, 9.0), column=st.floats(2.0, 9.0), peak=st.floats(4.0, 15.0), turned=st.booleans())
+def test_a_finger_across_a_dead_line_is_one_contact(row: float, column: float, peak: float, turned: bool) -> None:
+    """Its force is between that of the read cells and the true one, and it says how much is interpolated."""
+    truth = bump(row, column, peak)
+    shown = truth.copy()
+    dead = (slice(None), 6) if turned else (6, slice(None))
+    shown[dead] = np.nan
+    (contact,) = track(shown[None])[0]
+    read = np.nansum(shown[tuple(contact.cells.T)]) * CELL_N
+    assert contact.interpolated_n <= contact.force_n
+    assert contact.force_n - contact.interpolated_n == pytest.approx(read)
+    away = abs((column if turned else row) - 6)
+    if away < 0.6:  # the finger lies across the line
+        assert 0.1 < contact.interpolated_n / contact.force_n < 0.5
+        assert contact.force_n < 1.02 * truth.sum() * CELL_N
+        assert (contact.x_mm / 4, contact.y_mm / 4) == pytest.approx((column, row), abs=0.35)
+    if away > 2.5:
+        assert contact.interpolated_n == 0
+
+
+def test_a_finger_keeps_its_id_on_its_way_across_a_dead_row() -> None:
+    frames = np.array([bump(row, 5.3, 9.0) for row in np.linspace(2, 10, 81)])
+    frames[:, 6] = np.nan
+    seen = track(frames)
+    assert [[c.id for c in contacts] for contacts in seen] == [[1]] * 81
+    assert any(contacts[0].interpolated_n > 0 for contacts in seen)
+
+
+def test_gaps_of_two_rows_and_one_sided_gaps_are_not_bridged() -> None:
+    two = bump(4, 5, 9.0) + bump(7.5, 5, 9.0)
+    two[5:7] = np.nan
+    assert len(track(two[None])[0]) == 2
+    rim = bump(0.4, 5, 9.0)
+    rim[0] = np.nan
+    (contact,) = track(rim[None])[0]
+    assert contact.interpolated_n == 0
+    assert contact.force_n < 0.8 * bump(0.4, 5, 9.0).sum() * CELL_N
+
+
+def test_a_row_that_dies_is_bridged_after_a_while() -> None:
+    """Its last pressures, at rest, count until then."""
+    frames = np.array([bump(6, 5, 9.0)] * 100)
+    readings = frames.copy()
+    readings[20:, 6] = np.nan
+    frames[:, 6] = 0.0
+    tracker, std = ContactTracker(SHAPE, PITCH_M, FULL_KPA), np.full(SHAPE, 0.1)
+    seen = [tracker.update(0.01 * k, frames[k], std, (10 * readings[k], std)) for k in range(100)]
+    late = 20 + round(MISSING_S / 0.01) + 2
+    assert all(len(contacts) == 2 for contacts in seen[1:20])
+    assert all(len(contacts) == 1 and contacts[0].interpolated_n > 0 for contacts in seen[late:])
+
+
+def test_bridging_takes_the_mean_of_both_sides_and_never_less_than_was_there() -> None:
+    pressure = np.array([[0.0, 4.0, 0.0], [6.0, np.nan, 2.0], [0.0, 8.0, 0.0]])
+    missing = np.isnan(pressure)
+    inside, filled = bridge(pressure, pressure > 1.0, missing)
+    assert inside.sum() == 1
+    assert filled[1, 1] == pytest.approx((6.0 + 4.0) / 2)  # the means along column and row
+    held = np.where(missing, 9.0, pressure)
+    assert bridge(held, held > 1.0, missing)[1][1, 1] == 9.0
+
+
+# -- drift ---------------------------------------------------------------------------------------------------------
+
+
+def slowly(rate_kpa_per_s: float, where: FloatArray, seconds: float = 30.0) -> FloatArray:
+    time_s = np.arange(0.0, seconds, 0.1)[:, None, None]
+    return np.asarray(rate_kpa_per_s * time_s * where)
+
+
+@pytest.mark.parametrize("which", ["all", "one", "some"])
+def test_a_rest_that_drifts_makes_no_contact(which: str) -> None:
+    """3 % in 24 s made one; noise of the stated deviation comes on top."""
+    where = np.zeros(SHAPE)
+    where[{"all": slice(None), "one": (4, 5), "some": (slice(3, 6), slice(2, 7))}[which]] = 1.0
+    per_s = 0.8 * DRIFT_PER_S / KNOWN_DRIFT * DRIFT_KPA
+    frames = slowly(per_s, where)
+    assert frames.max() > 2 * START_SHARE * FULL_KPA
+    noise = np.random.default_rng(2).normal(0, 0.02, frames.shape)
+    assert any(track(frames + noise, 0.05, 0.1))
+    assert not any(track(frames + noise, 0.05, 0.1, DRIFT_KPA))
+
+
+def test_a_press_on_a_skin_that_has_drifted_is_found_and_is_no_wider() -> None:
+    drifted = slowly(0.04, np.ones(SHAPE))
+    press = bump(6, 5, 3.0)
+    frames = np.concatenate([drifted, [drifted[-1] + press] * 20, [drifted[-1]] * 20])
+    seen = track(frames, 0.05, 0.1, DRIFT_KPA)
+    assert not any(seen[: len(drifted)])
+    alone = track(np.array([press]), 0.05)[0][0]
+    for contacts in seen[len(drifted) : len(drifted) + 20]:
+        assert [len(c.cells) for c in contacts] == [len(alone.cells)]
+    assert not any(seen[-10:])
+
+
+@pytest.mark.parametrize("peak", [1.0, 6.0])
+@pytest.mark.parametrize("width", [0.5, 50.0])
+def test_a_held_load_never_fades(peak: float, width: float) -> None:
+    """Twenty minutes, of a stylus and of the whole skin, little above the threshold and far."""
+    frames = np.concatenate([np.zeros((10, *SHAPE)), [bump(5, 5, peak, width)] * 1200])
+    seen = track(frames, 0.05, 1.0, DRIFT_KPA)
+    assert [len(contacts) for contacts in seen[12:]] == [1] * 1198
+    assert seen[-1][0].force_n == seen[12][0].force_n
+
+
+def test_a_load_that_grows_more_slowly_than_drift_is_found_once_drift_cannot_explain_it() -> None:
+    where = bump(5, 5, 1.0)
+    seen = track(slowly(0.03, where, 200.0), 0.05, 0.1, DRIFT_KPA)
+    first = next(k for k, contacts in enumerate(seen) if contacts)
+    assert 0.03 * 0.1 * first == pytest.approx(DRIFT_KPA + START_SHARE * FULL_KPA, abs=0.2)
+    assert all(seen[first:])
