@@ -344,7 +344,8 @@ class Reader:
                 for event in events:
                     self._handle(event, arrival)
                 self._mailbox.tell()
-                if not arrival.more:
+                # Another frame may have come while several were decoded: it would be the newest one.
+                if not arrival.more and frames <= 1:
                     return
 
     def _keep(self, data: bytes, *, has_frame: bool) -> None:

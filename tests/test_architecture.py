@@ -162,9 +162,12 @@ def test_no_module_imports_itself_by_way_of_others() -> None:
         pytest.fail(f"circle of imports: {' <- '.join(error.args[1])}")
 
 
-def test_the_driver_starts_without_packages_that_take_long_to_load() -> None:
-    heavy = ["scipy.signal", "scipy.stats", "scipy.interpolate", "numba", "matplotlib", "pandas", "websockets", "mcap"]
-    program = f"import sys; from ohmskin.driver import Skin; print([name for name in {heavy} if name in sys.modules])"
+HEAVY = ["scipy.signal", "scipy.stats", "scipy.interpolate", "numba", "matplotlib", "pandas", "websockets", "mcap"]
+
+
+@pytest.mark.parametrize(("room", "heavy"), [("driver", HEAVY), ("cell", ["scipy", "numba", "matplotlib"])])
+def test_rooms_start_without_packages_that_take_long_to_load(room: str, heavy: list[str]) -> None:
+    program = f"import sys, ohmskin.{room}; print([name for name in {heavy} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=120)
     assert done.stdout.strip() == "[]"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from math import inf
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from ohmskin.bench._paced_port import PacedPort
 from ohmskin.cell import Cell
 from ohmskin.circuits import adc_codes, scan
 from ohmskin.cli import run
-from ohmskin.driver import CountReader, Skin
+from ohmskin.driver import Arrival, CountReader, Skin
 from ohmskin.verification import _speed as speed
 from ohmskin.verification._outcome import Outcome
 from ohmskin.wire import host_protocol
@@ -69,6 +70,28 @@ def test_a_slow_reader_s_frames_are_young_and_all_accounted_for() -> None:
     assert row.skipped > 5 * 20  # 10 ms of work, a frame each ms: about ten come, one is taken
     assert 0 < row.median_age <= row.worst_age
     assert row.taken_us > 0
+
+
+def test_a_frame_that_comes_while_others_are_decoded_is_the_newest() -> None:
+    board = design(4, "inverting-amplifier", "ground", 12)
+
+    class SlowToDecode(PacedPort):
+        """Whatever comes in a burst takes one and a half periods to decode."""
+
+        def read(self) -> Arrival:
+            arrival = super().read()
+            if len(arrival.data) > len(packets[0]):
+                self.work(1.5)
+            return arrival
+
+    packets = packets_of(board, pressed((4, 4), 20)[1])
+    port = SlowToDecode(packets, 1.0, board, clock=lambda: 0.0)
+    with Skin(port, design=board, cell=Cell.example(), timeout=60.0) as skin:
+        port.work(5.0)
+        frame = skin.latest(inf)
+        assert frame.sequence == int(port.now()) - 1 == 5
+        port.work(1.0)
+        assert skin.latest(inf).sequence == 6
 
 
 def test_the_report_has_a_section_of_the_live_path(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -31,6 +31,7 @@ def test_fit_then_estimate(steps: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert run(["fit", str(steps), "-o", str(cell), "--protocol", "--full-scale", "15.5", "--plot", str(plot)]) == 0
     text = capsys.readouterr().out
     assert "cell of kind contact" in text
+    assert "full scale 15.5 kPa (2.25 psi, 0.155 bar)" in text
     assert "exponent" in text
     assert plot.read_bytes().startswith(b"\x89PNG")
     assert run(["estimate", str(steps), "--cell", str(cell), "-o", str(out)]) == 0

@@ -112,7 +112,7 @@ class Sparks:
         if back.any():
             some = np.flatnonzero(back)
             back[some] = self._were_sparks(block, some, place[some], dt, reading, noise)
-            block.take_back(place[back], self._memory[:, back], self._line[:, back])
+            block.take_back(place[back], self._memory.compress(back, axis=1), self._line.compress(back, axis=1))
         if over.any():
             self._keep(~over)
 
@@ -173,8 +173,7 @@ class Sparks:
             return
         back = gone & ~self._taps.known
         cells = self.cells[back]
-        remembered.memory[:, cells] = self._memory[:, back]
-        remembered.line[:, cells] = self._line[:, back]
+        remembered.take_back(cells, self._memory.compress(back, axis=1), self._line.compress(back, axis=1))
         pressure[cells] = self._memory[PRESSURE, back]
         self._keep(~gone)
 
@@ -191,11 +190,11 @@ class Sparks:
         self._taps.add(block.cells[place], before, anew=not (self._age_s <= TOGETHER_S).any())
         self.cells = np.concatenate([self.cells, block.cells[place]])
         self._age_s = np.concatenate([self._age_s, np.zeros(place.size)])
-        self._memory = np.concatenate([self._memory, block.memory[:, place]], axis=1)
-        self._line = np.concatenate([self._line, block.line_before[:, place]], axis=1)
+        self._memory = np.concatenate([self._memory, block.memory.take(place, axis=1)], axis=1)
+        self._line = np.concatenate([self._line, block.line_before.take(place, axis=1)], axis=1)
         self._jump = np.concatenate([self._jump, jump])
 
     def _keep(self, kept: BoolArray) -> None:
         self.cells, self._age_s, self._jump = self.cells[kept], self._age_s[kept], self._jump[kept]
-        self._memory, self._line = self._memory[:, kept], self._line[:, kept]
+        self._memory, self._line = self._memory.compress(kept, axis=1), self._line.compress(kept, axis=1)
         self._taps.keep(kept)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from ...arrays import BoolArray, FloatArray
 from ._kinds import Kind
@@ -57,6 +56,8 @@ def solve(kind: Kind, grid: Grid, starts: list[tuple[float, ...]], lower: float)
     Returns:
         The best parameters, the offset of R0 last, and their covariance.
     """
+    from scipy.optimize import least_squares
+
     problem = _Problem(kind, grid, lower)
     begins = problem.nearest(starts)
     best: Any = None

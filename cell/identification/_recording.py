@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from ...arrays import BoolArray, FloatArray
 from ...errors import InputError
@@ -94,6 +93,8 @@ class Recording:
         A jump counts from :data:`SPARK` of the range of the readings on, and from :data:`SPARK_SIGMAS` standard
         deviations of their noise.
         """
+        from scipy.ndimage import median_filter
+
         log_ohm = np.log(self.resistance_ohm)
         low, high = np.percentile(log_ohm, [0.5, 99.5])
         clear = max(SPARK * (high - low), SPARK_SIGMAS * white_noise(log_ohm))

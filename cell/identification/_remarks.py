@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from ...arrays import FloatArray
 from ._fitted import Drift
@@ -124,6 +123,8 @@ def resistance_lead_s(recording: Recording) -> float:
 
     No cell does that, though many follow the pressure late.
     """
+    from scipy.ndimage import gaussian_filter1d
+
     step = recording.step_s
     time = np.arange(recording.time_s[0], recording.time_s[-1], step)
     if len(time) > MOST_STEPS:

@@ -11,6 +11,8 @@ from ... import plots
 from ...files import whole_file
 from ._calibrate import CalibrationResult, estimate_recording
 
+KPA_PER_PSI, KPA_PER_BAR = 6.894757, 100.0
+
 
 def calibration_text(calibration: CalibrationResult) -> str:
     """Kind, parameters with standard errors, what is not identified, whether the exact inverse is safe, estimators."""
@@ -18,7 +20,7 @@ def calibration_text(calibration: CalibrationResult) -> str:
     assert cell.estimators is not None
     lines = [
         f"cell of kind {cell.model.kind}, R0 = {cell.rest_resistance_ohm:.6g} ohm, "
-        f"full scale {cell.full_scale_kpa:.4g} kPa",
+        f"full scale {_in_units(cell.full_scale_kpa)}",
         "error of r, % of its range, on what was fitted / on each fold after fitting what comes before it:",
         *(
             f"  {other.label:<11} {100 * other.error:5.1f} / {_percents(other.fold_errors, 100)}"
@@ -53,6 +55,12 @@ def calibration_text(calibration: CalibrationResult) -> str:
     lines.append(f"estimator: {cell.estimators.default}, because of {cell.estimators.reason}")
     lines += [f"note: {remark}" for remark in calibration.remarks]
     return "\n".join(lines)
+
+
+def _in_units(pressure_kpa: float) -> str:
+    """A pressure in kPa, psi and bar: no number shows that a recording is in another unit, but its maker knows."""
+    psi, bar = pressure_kpa / KPA_PER_PSI, pressure_kpa / KPA_PER_BAR
+    return f"{pressure_kpa:.4g} kPa ({psi:.3g} psi, {bar:.3g} bar)"
 
 
 def _percents(values: tuple[float, ...], unit: float = 1.0) -> str:

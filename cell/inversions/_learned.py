@@ -10,8 +10,6 @@ from typing import Annotated, Self
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
-from scipy.optimize import isotonic_regression
-from scipy.special import ndtri
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...config import Finite, NotNegative, Positive, Section
@@ -121,6 +119,10 @@ class StaticCurve(Section):
         more, less = (x - high, low - x) if mean > 0 else (low - x, x - high)
         return np.asarray(STEEPER * (slope * np.maximum(more, 0.0) + abs(mean) * np.maximum(less, 0.0)))
 
+    def prepare(self) -> None:
+        """Tabulate the curve now, since the first :meth:`load` takes as long as many frames."""
+        self.load(np.zeros(1))
+
     def reading(self, r: FloatArray) -> FloatArray:
         """What the cubic is one of."""
         return -np.log(np.maximum(1 + r, 1e-6)) if self.logarithmic else r
@@ -132,6 +134,8 @@ def _monotone(coefficients: tuple[float, ...], low: float, high: float) -> tuple
 
     This is isotonic regression, in the direction in which the cubic goes from one end to the other.
     """
+    from scipy.optimize import isotonic_regression
+
     cubic, reading = np.polynomial.Polynomial(coefficients), np.linspace(low, high, POINTS)
     load = cubic(reading)
     return reading, isotonic_regression(load, increasing=bool(load[-1] >= load[0])).x
@@ -212,6 +216,8 @@ class Terms:
     def __init__(
         self, mean: FloatArray, scale: FloatArray, seed: int, directions: int, dtype: type[np.floating] = np.float64
     ) -> None:
+        from scipy.special import ndtri
+
         self.mean, self.scale = mean, scale
         raw = np.random.PCG64(seed).random_raw((len(mean) + 1) * directions)  # a stream that numpy keeps for ever
         uniform = ((raw >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
@@ -264,6 +270,7 @@ class LearnedInversion(Inversion):
         exact: bool,
     ) -> None:
         self.learned, self._curve = learned, curve
+        curve.prepare()
         self._bank = learned.bank
         self._seen = slice(3 + self._bank.rows, 3 + self._bank.rows + self._bank.count)
         self._terms = Terms(

@@ -173,6 +173,7 @@ class StaticCurveInversion(Inversion):
         exact: bool,
     ) -> None:
         self.curve = curve
+        curve.prepare()
         self.remembers = not curve.logarithmic  # as the curve of a contact is
         credible = credible_range(None if curve.logarithmic else curve.reached)  # a contact may be open at rest
         super().__init__(full_scale_kpa, full_scale_r, credible=credible, exact=exact)

@@ -7,7 +7,6 @@ at the end of a step instead of inside it, which is an order of magnitude faster
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import gaussian_filter1d
 
 from ...arrays import BoolArray, FloatArray
 from ...compiled import Rows, loop
@@ -279,6 +278,8 @@ def smoothing_s(load: FloatArray, dt_s: float) -> float:
 
 def smoothed(signal: FloatArray, dt_s: float, seconds: float) -> FloatArray:
     """A signal (n,) behind a Gaussian window of that standard deviation."""
+    from scipy.ndimage import gaussian_filter1d
+
     width = seconds / dt_s
     result: FloatArray = gaussian_filter1d(signal, width) if width > 0.3 else signal
     return result
