@@ -24,8 +24,8 @@ on, a load may move within the noise; from the second on, it does"""
 SUSPECTS, SURELY_SUSPECTS = 2.0, 2.6
 """the same of a single window, which noise alone exceeds in 4 and in 0.5 % of all windows"""
 UNTOLD = 1.0
-"""rise that other windows of such motion have faked, over that of a window in which motion is certain: about half of the
-windows do not differ from noise. From slips of a few standard deviations of the noise"""
+"""rise that other windows of such motion have faked, over that of a window in which motion is certain: about half of
+them do not differ from noise. From slips of a few standard deviations of the noise"""
 SUSPICION = 0.5
 """of a rise that is in doubt for the time being: its standard deviation"""
 
