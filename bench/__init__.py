@@ -11,7 +11,8 @@ deviations; :mod:`._hard_cases`, taps and sparks. ``python -m ohmskin.bench.pane
 of :mod:`._materials`.
 
 The live path: :mod:`._driver`, the age of frames (:mod:`._freshness`, over a :mod:`._paced_port`) and
-:mod:`._worst_frames`; contacts of short taps, and false ones of electrical faults (:mod:`._taps`).
+:mod:`._worst_frames`; contacts of short taps, and false ones of electrical faults (:mod:`._taps`);
+contacts of fingers that move, hold or cross a dead row, and false ones of drift (:mod:`._fingers`).
 The emulator: :mod:`._emulator`. The page: :mod:`._view`.
 
 Searches for faults, each a program: ``python -m ohmskin.bench.hunt`` holds readings against exact rational arithmetic

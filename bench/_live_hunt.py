@@ -20,7 +20,7 @@ of the stream's frames after the first in which readings change and any cell is 
 them has none. Slow streams are shown, but are no wrong readings.
 Work is counted in executed lines of ohmskin, so that a verdict does not depend on the machine's load: each model that
 is evaluated and each derivative that is made takes its lines. An operation on a large matrix counts as one on a small
-one. The table shows the same ratio in processor time beside it.
+one. The table shows the same ratio in processor time beside it: the shortest of four readings, where one is over ten.
 """
 
 from __future__ import annotations
@@ -44,6 +44,7 @@ from ._live_streams import FAMILIES, MOVING, LiveStream, stream
 KINDS = ("wrong cell", "factor of two", "unsolved", "unsettled")
 _MOST_USUAL_FRAMES = 10.0
 _LEAST_USUAL = 3  # frames
+_TIMED_AGAIN = 3  # times that a stream with a frame of more than ten usual ones in processor time is read again
 _SIGMAS = 3.0  # standard deviations of the noise that an uncertainty covers, beside half a step
 _LEAST_SHOWN = 4  # readings that have shown a noise before a reader can know of it
 _ASSUMED_NOISE = 0.5  # ADC steps that the reader assumes in the first frame
@@ -113,6 +114,9 @@ def check(family: str, number: int, tally: LiveTally) -> None:
             found |= wrong
     if reading is not None and (reading.reason == Reason.UNSETTLED).any() and not read_from.noisy:
         found["unsettled"] = "in the last frame"
+    for _ in range(_TIMED_AGAIN):  # the machine's load only adds to a time
+        if _over_usual(times, usual) > _MOST_USUAL_FRAMES:
+            times = [min(pair) for pair in zip(times, _times(read_from), strict=True)]
     tally.longest = max(tally.longest, _over_usual(times, usual))
     slowest = _over_usual(_work(read_from), usual)
     tally.slowest = max(tally.slowest, slowest)
@@ -176,6 +180,16 @@ def _work(read_from: LiveStream) -> list[int]:
             sys.settrace(before)
         work.append(lines)
     return work
+
+
+def _times(read_from: LiveStream) -> list[float]:
+    """Processor time in s that a reader takes for each frame."""
+    reader, times = CountReader(read_from.design), []
+    for counts in read_from.counts:
+        start = process_time()
+        reader(counts)
+        times.append(process_time() - start)
+    return times
 
 
 def _over_usual(work: list[int] | list[float], usual: list[int]) -> float:

@@ -1,13 +1,15 @@
 """Random streams of counts of random boards, each made from a family's name and a number.
 
-Three generators share their drawing:
+Four generators share their drawing:
 
 * *plain* families: boards of up to 8 x 8 cells with two fingers that move over the skin;
 * *eventful* families: the same boards with other sizes, lines, parts, converters and faults (:func:`_varied`), and
   skins on which something happens in mid-stream (:class:`_Story`);
 * *extreme* families: boards at the ends of what is allowed (:func:`_extreme`). Converters have 6 to 24 bits, arrays
   often have a single row or column, lines often have 1 kohm, and cells of 10 ohm and 10 Mohm are neighbours. Noise of
-  0.1 to 50 steps begins and ends in mid-stream.
+  0.1 to 50 steps begins and ends in mid-stream;
+* *twofold* families: boards without amplifiers on which two sets of cells may give the same readings
+  (:func:`_twofold`). Whole columns of a few ohm are pressed at once, rows are behind heavy leads, and cells are open.
 
 A finding is named by family and number. So what an existing family draws must not change: new kinds of boards or events
 belong into a new family.
@@ -37,6 +39,7 @@ class Family(NamedTuple):
     idle_columns: str
     eventful: bool = False
     extreme: bool = False
+    twofold: bool = False
 
 
 _PLAIN = {
@@ -53,10 +56,12 @@ _ONLY_EVENTFUL = {
     "open loaded": Family("voltage-divider", "float", "load"),
 }
 _ALL = _PLAIN | _ONLY_EVENTFUL
+_WITHOUT_AMPLIFIERS = "divider", "loaded", "open divider", "open loaded"
 FAMILIES = (
     _PLAIN
     | {f"{name} events": family._replace(eventful=True) for name, family in _ALL.items()}
     | {f"{name} extremes": family._replace(eventful=True, extreme=True) for name, family in _ALL.items()}
+    | {f"{name} twofold": _ALL[name]._replace(twofold=True) for name in _WITHOUT_AMPLIFIERS}
 )
 
 Draw = np.random.Generator
@@ -106,6 +111,8 @@ def draw_design(draw: Draw, family: Family) -> Design:
         tables = _varied(draw, tables)
     if family.extreme:
         tables = _extreme(draw, tables)
+    if family.twofold:
+        tables = _twofold(draw, tables)
     return Design.model_validate(tables)
 
 
@@ -226,6 +233,20 @@ def _extreme(draw: Draw, tables: Tables) -> Tables:
     return tables
 
 
+def _twofold(draw: Draw, tables: Tables) -> Tables:
+    """The tables of a board with light leads and a few heavy ones at its rows, and with converters of up to 20 bits."""
+    array, adc = tables["array"], tables["adc"]
+    rows = array["rows"]
+    lead = np.full(rows, float(draw.choice([0.0, 0.0, 1.0, 5.0, 30.0])))
+    heavy = draw.integers(0, rows, int(draw.choice([1, 1, 2, 3])))
+    lead[heavy] = 10 ** draw.uniform(1.0, 3.0, len(heavy))
+    array["row_lead"], array["column_lead"] = lead.tolist(), float(draw.choice([0.0, 0.0, 5.0, 20.0, 100.0]))
+    array["row_segment"] = array["column_segment"] = float(draw.choice([0.0, 0.0, 0.0, 0.2]))
+    adc["bits"] = int(draw.choice([8, 10, 12, 16, 20]))
+    tables["fault"] = []
+    return tables
+
+
 def _shape(draw: Draw) -> tuple[int, int]:
     kind = draw.random()
     if kind < 0.15:
@@ -306,7 +327,22 @@ def _extreme_skin(draw: Draw, cells: FloatArray, rest: FloatArray) -> FloatArray
     return cells
 
 
+def _twofold_skin(draw: Draw, cells: FloatArray, rest: FloatArray) -> FloatArray:
+    """At rest, then with one to three columns of a few ohm, beside cells that are open."""
+    cells[:] = rest * 10 ** draw.uniform(-0.5, 0.5, rest.shape)
+    if draw.random() < 0.5:
+        cells[:, draw.random(rest.shape) < draw.choice([0.05, 0.2, 0.5])] = np.inf
+    begin, end = int(draw.integers(1, 4)), int(draw.choice([9, MOVING, MOVING, MOVING]))  # the last frame is held
+    for column in draw.integers(0, rest.shape[1], int(draw.choice([1, 1, 2, 3]))):
+        pressed = float(draw.choice([0.3, 1.0, 5.0, 30.0])) * 10 ** draw.uniform(-0.5, 0.5, len(rest))
+        some = draw.random(len(rest)) < draw.choice([0.5, 1.0, 1.0])
+        cells[begin:end, some, column] = pressed[some]
+    return cells
+
+
 def _skin_of(family: Family) -> Skin:
+    if family.twofold:
+        return _twofold_skin
     if family.extreme:
         return _extreme_skin
     return _varied_skin if family.eventful else _plain_skin

@@ -172,6 +172,8 @@ class ContactTracker:
         if found is None and not felt.any():
             return
         full = self.full_scale_kpa
+        if found is None and (pressure_kpa[felt > 0] >= FALLEN_SHARE * felt[felt > 0]).all():
+            return  # a held touch
         least = np.maximum(LEFT_SHARE * felt, STAY_SHARE * full)
         lasts = (pressure_kpa > least) & (felt > 0)
         lasts &= self._touch_lasts(pressure_kpa, None if found is None else found[1])
@@ -183,15 +185,15 @@ class ContactTracker:
 
     def _touch_lasts(self, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
         """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle."""
-        touches, count = ndimage.label(self._risen_kpa > 0, structure=NEIGHBOURS)
-        numbers = np.arange(1, count + 1)
-        share = ndimage.sum_labels(np.nan_to_num(pressure_kpa), touches, numbers)
-        share /= ndimage.sum_labels(self._risen_kpa, touches, numbers)
-        least = np.full(count, LEFT_SHARE)
+        touches, _ = ndimage.label(self._risen_kpa > 0, structure=NEIGHBOURS)
+        numbers = touches.ravel()
+        now = np.bincount(numbers, np.fmax(pressure_kpa, 0.0).ravel())
+        least = LEFT_SHARE * np.bincount(numbers, self._risen_kpa.ravel())
         if fallen is not None:
-            least[ndimage.maximum(fallen, touches, numbers) > 0] = FALLEN_SHARE
-        goes_on: BoolArray = np.concatenate(([False], share > least))[touches]
-        return goes_on
+            least[numbers[fallen.ravel()]] *= FALLEN_SHARE / LEFT_SHARE
+        goes_on = now > least
+        goes_on[0] = False
+        return goes_on[touches]
 
     def _find(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[IntArray, list[Patch]]:
         """The patches of touched cells, and for each cell of the flattened array the number of its patch, from 1."""

@@ -109,8 +109,9 @@ class Rises:
         if max(rise.item(rise.argmax()), -rise.item(rise.argmin())) < EACH:
             return None
         rise[now.missing > before.missing] = 0.0
-        together = self._together(rise)
-        fallen = _filtered(rise, _FILTER) < -FALLEN
+        weighted = _filtered(rise, _FILTER)
+        fallen = weighted < -FALLEN
+        together = self._together(rise) if weighted.item(weighted.argmax()) > TOGETHER else None
         if together is None:
             return (fallen & False, fallen) if fallen.any() else None
         between = since.frames - until.frames
@@ -156,8 +157,6 @@ class Rises:
 
     def _together(self, rise: FloatArray) -> BoolArray | None:
         """Cells whose ``rise`` (rows, columns) in standard deviations is part of a joint rise."""
-        if not (_filtered(rise, _FILTER) > TOGETHER).any():
-            return None
         own = rise - self._in_common(rise)
         own /= max(median(np.abs(own)) / MEDIAN, 1.0)
         own[(own <= OWN * rise) & (own > 0)] = 0.0
@@ -169,7 +168,11 @@ class Rises:
             together &= _filtered(own, weights) > np.maximum(ASIDE, SHARED * own)
         if not together.any():
             return None
-        near: BoolArray = ndimage.binary_dilation(together)
+        near = together.copy()
+        near[1:] |= together[:-1]
+        near[:-1] |= together[1:]
+        near[:, 1:] |= together[:, :-1]
+        near[:, :-1] |= together[:, 1:]
         return near & (own > np.maximum(EACH, SHARED * highest))
 
     def _in_common(self, rise: FloatArray) -> FloatArray:

@@ -410,7 +410,8 @@ class Skin:
 
         """
         made = FrameCallback(self._source, callback, on_end, keep=self)
-        self._callbacks.append(made)
+        # What a callback that has ended refers to is not the skin's to keep.
+        self._callbacks = [earlier for earlier in self._callbacks if not earlier.is_over] + [made]
         return made
 
     def on_bytes(self, tap: Callable[[Arrival], None]) -> None:
@@ -522,7 +523,10 @@ class Skin:
 
     @property
     def tared(self) -> Tare | None:
-        """The tare in use; None: rest resistances are those of the calibration, else of the data sheet."""
+        """The tare in use; None: rest resistances are those of the calibration, else of the data sheet.
+
+        The tares that a recording tells of are in its frames, and not here.
+        """
         return self._tares[-1]
 
     def use_tare(self, tare: Tare | None) -> None:

@@ -339,6 +339,11 @@ class FrameCallback:
         self._thread = _CallbackThread(target=self._run, name=f"ohmskin callback {source.name}", daemon=True)
         self._thread.start()
 
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing will be called any more."""
+        return not self._thread.is_alive()
+
     def end(self) -> None:
         """Call no more, without waiting for a call that is under way."""
         self._closed.set()

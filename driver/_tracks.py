@@ -38,6 +38,8 @@ TOGETHER_S = 1.0
 """two fingers are not in one place for longer: the weaker one has been lifted there"""
 EM_STEPS = 2
 """per frame; a frame begins where the last one ended"""
+WIDTH_GAIN = 0.2
+"""per frame, with which the width of a bell follows the fit while each bell has a top of its own"""
 LEAST_WIDTH_PITCHES = 0.5
 """standard deviation of the bell of a contact on one cell"""
 
@@ -212,7 +214,7 @@ class Tracks:
                 x, y = track.predicted(time_s)
                 track.move((patch.x_mm - x, patch.y_mm - y), time_s)
                 track.force_n, track.cells = patch.force_n, patch.cells
-                if patch.alone:
+                if patch.alone or patch.variance_mm2 > track.variance_mm2:  # cut off by a neighbour, it is too narrow
                     track.variance_mm2 = patch.variance_mm2
                 track.apart_s = time_s
                 return tracks
@@ -234,7 +236,10 @@ class Tracks:
         places = predicted + (1.0 - apart)[:, None] * (np.array([patch.x_mm, patch.y_mm]) - shares @ predicted)
         trust = np.zeros(len(tracks))
         if apart.any():
-            fitted, masses = self._fit(patch, places, shares, variances)
+            fitted, masses, widths = self._fit(patch, places, shares, variances)
+            for track, variance, far in zip(tracks, widths.tolist(), apart.tolist(), strict=True):
+                if far == 1.0:
+                    track.variance_mm2 += WIDTH_GAIN * (variance - track.variance_mm2)
             trust = apart * np.clip((masses - LEAST_SHARE) / (SURE_SHARE - LEAST_SHARE), 0.0, 1.0)
             places += trust[:, None] * (fitted - places)
             shares += apart * (masses - shares)
@@ -253,14 +258,14 @@ class Tracks:
 
     def _fit(
         self, patch: Patch, places: FloatArray, shares: FloatArray, variances: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Some steps of expectation maximisation: centres (n, 2) in mm and shares (n,) of the bells of a patch.
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Some steps of expectation maximisation: centres (n, 2) in mm, shares (n,) and mm^2 (n,) of a patch's bells.
 
         Args:
             patch: whose pressure is the mixture.
             places: (n, 2) mm, centres (x, y) to begin with.
             shares: (n,) of the patch's force, to begin with.
-            variances: (n,) mm^2 of the bells, known.
+            variances: (n,) mm^2 of the bells as far as they are known; the centres are found with them.
 
         """
         cells = self.pitch_mm * patch.places[:, ::-1]
@@ -271,7 +276,8 @@ class Tracks:
             parts = weights * bells / np.maximum(bells.sum(axis=0), 1e-300)
             shares = parts.sum(axis=1)
             places = parts @ cells / np.maximum(shares, 1e-9)[:, None]
-        return places, shares
+        squares = ((cells - places[:, None]) ** 2).sum(axis=-1)
+        return places, shares, (parts * squares).sum(axis=1) / (2.0 * np.maximum(shares, 1e-9))
 
 
 def _names(tracks: list[Track]) -> Named:

@@ -253,6 +253,7 @@ class TcpPort(Port):
         self._host: socket.socket | None = None
         self._took_at = 0.0
         """time at which the host took bytes last, or at which nothing waited for it"""
+        self._is_over = False
         self._listen(host, port)
 
     def _listen(self, host: str, port: int) -> None:
@@ -338,6 +339,7 @@ class TcpPort(Port):
 
     def end(self) -> None:
         super().end()
+        self._is_over = True
         if self._host is not None:
             self._say_over(self._host)
             self._host.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _IN_GOOD_ORDER)
@@ -360,6 +362,10 @@ class TcpPort(Port):
 
     def _hang_up(self) -> None:
         if self._host is not None:
+            if self._is_over:
+                # Closing resets a connection on which bytes of the host have come that nobody has read.
+                with contextlib.suppress(OSError):
+                    self._host.shutdown(socket.SHUT_WR)
             self._host.close()
             self._host = None
 

@@ -306,16 +306,35 @@ def score_text(result: Score) -> str:
         ("RMSE, all cells", f"{result.rmse_kpa:.3g} kPa, {result.rmse_percent:.2f} % of full scale"),
         (
             "RMSE, pressed cells",
-            f"{result.pressed_rmse_kpa:.3g} kPa, {result.pressed_rmse_percent:.2f} % of full scale",
+            _known(
+                result.pressed_rmse_kpa,
+                f"{result.pressed_rmse_kpa:.3g} kPa, {result.pressed_rmse_percent:.2f} % of full scale",
+                otherwise="no cell is pressed",
+            ),
         ),
         ("worst error", f"{result.worst_kpa:.3g} kPa, {result.worst_percent:.2f} % of full scale"),
         ("", f"in frame {sequence}, row {row}, column {column}"),
         ("contacts", f"{result.contacts}, {result.contacts_missed} missed, {result.contacts_false} false"),
-        ("location error", f"{result.location_rms:.3g} {unit} rms, {result.location_worst:.3g} {unit} at worst"),
+        (
+            "location error",
+            _known(
+                result.location_rms,
+                f"{result.location_rms:.3g} {unit} rms, {result.location_worst:.3g} {unit} at worst",
+                otherwise="no contact is there to compare",
+            ),
+        ),
         (
             "arrival",
             f"95 % within {result.arrival_spread_ms:.3g} ms of the fastest, worst {result.arrival_worst_ms:.3g} ms",
         ),
-        ("delay of the pressure", f"{result.delay_ms:.3g} ms"),
+        (
+            "delay of the pressure",
+            _known(result.delay_ms, f"{result.delay_ms:.3g} ms", otherwise="not to be told from these frames"),
+        ),
     ]
     return "\n".join(f"{name:<22} {text}" for name, text in lines)
+
+
+def _known(value: float, text: str, *, otherwise: str) -> str:
+    """``text`` about ``value``, or what to say where there is none (NaN)."""
+    return text if np.isfinite(value) else otherwise

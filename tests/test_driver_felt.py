@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ohmskin.arrays import FloatArray
+from ohmskin.bench import _fingers as played
 from ohmskin.bench import _taps as bench
 from ohmskin.bench._driver import design
 from ohmskin.driver import Contact, ContactTracker
@@ -301,3 +302,51 @@ def test_a_load_that_grows_more_slowly_than_drift_is_found_once_drift_cannot_exp
     first = next(k for k, contacts in enumerate(seen) if contacts)
     assert 0.03 * 0.1 * first == pytest.approx(DRIFT_KPA + START_SHARE * FULL_KPA, abs=0.2)
     assert all(seen[first:])
+
+
+# -- scenes of the bench on a whole skin -------------------------------------------------------------------------------
+
+AMPLIFIER, DIVIDER = played.BOARDS[0], played.BOARDS[2]
+
+
+def scene(name: str) -> played.Scene:
+    return next(one for one in played.SCENES if one.name == name)
+
+
+@pytest.mark.parametrize("name", ["two cross", "two pass, 1 cells", "two pass, 2 cells", "one rolls"])
+def test_fingers_keep_their_ids_on_a_skin(name: str) -> None:
+    """8 x 8 cells: fingers meet soon after they came. What a finger leaves behind may be a contact."""
+    found = played.played(8, AMPLIFIER, scene(name), np.random.default_rng(1))
+    assert found.ids_kept_percent == 100.0
+    assert found.false <= 2
+    assert found.found_percent > 98
+    assert found.off_cells < 0.1
+
+
+def test_a_finger_across_a_dead_row_of_a_skin_is_one_contact() -> None:
+    """Its force is a lower bound."""
+    found = played.played(8, AMPLIFIER, scene("across a dead row"), np.random.default_rng(1))
+    assert (found.found_percent, found.ids_kept_percent, found.false) == (100.0, 100.0, 0)
+    assert 0.75 < found.force_share < 1.0
+
+
+@pytest.mark.parametrize("board", [AMPLIFIER, DIVIDER])
+@pytest.mark.parametrize("name", ["drift of all cells", "drift of one cell"])
+def test_a_skin_that_drifts_has_no_contacts(board: tuple[str, str, int, float], name: str) -> None:
+    assert played.played(8, board, scene(name), np.random.default_rng(1)).false == 0
+
+
+def test_the_scenes_find_what_is_there_and_count_what_is_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without contacts nothing is found, and nothing by one in a corner, which is false where nothing touches."""
+    stands = Contact(7, 0.0, 0.0, 1.0, 1.0, 1.0, np.zeros((1, 2), dtype=int))
+    for contacts, percent, false in (((), 0.0, 0), ((stands,), 0.0, 0)):
+
+        def seen(*_: object, found: tuple[Contact, ...] = contacts) -> list[tuple[float, tuple[Contact, ...]]]:
+            return [(0.01 * k, found) for k in range(1000)]
+
+        monkeypatch.setattr(played, "contacts_of", seen)
+        row = played.played(8, AMPLIFIER, scene("two pass, 2 cells"), np.random.default_rng(1))
+        assert (row.found_percent, row.ids_kept_percent, row.false) == (percent, 0.0, false)
+        rest = played.played(8, AMPLIFIER, scene("drift of one cell"), np.random.default_rng(1))
+        assert rest.false == len(contacts)
+    assert len(list(played.table([row, rest]))) == 4

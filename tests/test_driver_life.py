@@ -593,6 +593,23 @@ class TestPorts:
             assert len(os.listdir("/proc/self/fd")) == descriptors
 
 
+class TestCallbacksThatEnd:
+    def test_a_skin_does_not_keep_what_an_ended_callback_refers_to(self) -> None:
+        """A program that adds and ends callbacks as long as it runs does not grow."""
+
+        class Listener:
+            def hear(self, frame: Frame) -> None:
+                """Nothing is done with it."""
+
+        with Skin(described(frame(0))) as skin:
+            listener = Listener()
+            kept = weakref.ref(listener)
+            skin.on_frame(listener.hear).close()
+            del listener
+            skin.on_frame(lambda _: None)
+            until(lambda: gc.collect() >= 0 and kept() is None)
+
+
 class TestWhatIsSaid:
     def test_a_skin_shows_its_port_its_cells_and_whether_frames_come(self) -> None:
         skin = Skin(described(frame(0)))

@@ -303,3 +303,29 @@ def test_currents_between_columns_are_those_of_the_frame() -> None:
         reading = read(adc_codes(design, scan(design, ohms * pattern).volts))
         assert reading.valid.all()
         assert (np.abs(reading.resistance / (ohms * pattern) - 1.0) <= reading.uncertainty).all()
+
+
+@pytest.mark.parametrize("column_segment", [0.0, 0.5])
+def test_currents_between_columns_are_known_where_rows_take_most_of_the_drive(column_segment: float) -> None:
+    draw, shape = np.random.default_rng(1), (32, 32)
+    offsets = draw.uniform(-5e-3, 5e-3, 32).tolist()
+    lines = {"row_lead": 50.0, "row_segment": 2.0, "column_segment": column_segment}
+    design = Design.model_validate(
+        {
+            "array": {"rows": 32, "columns": 32} | lines,
+            "drive": {"voltage": -1.0},
+            "readout": {
+                "circuit": "inverting-amplifier",
+                "reference_resistance": 1e3,
+                "offset_voltage": offsets,
+            },
+            "adc": {"bits": 16, "range": [-0.5, 5.0]},
+        }
+    )
+    read, cells = CountReader(design), 10 ** draw.uniform(3.0, 3.5, shape)
+    counts = adc_codes(design, scan(design, cells).volts)
+    for _ in range(4):
+        reading = read(counts)
+        used = np.abs(reading.resistance / cells - 1.0)[reading.valid] / reading.uncertainty[reading.valid]
+        assert used.size
+        assert used.max() <= 1.0

@@ -93,6 +93,17 @@ def check(reading: Any, cells: FloatArray) -> None:
         ("row floating extremes", 202020000198),  # a cell behind six times its resistance, and such an offset
         ("feedback extremes", 202020000238),  # a lost row's cells seem to conduct less than they do, by such a lead
         ("loaded extremes", 201040000012),  # a row behind a break of 300 ohm, fed by a column of 1 ohm: two solutions
+        ("loaded twofold", 10000091),  # two rows that hang on one column
+        ("loaded twofold", 10000161),  # two columns of shorts with two rows behind leads
+        ("loaded twofold", 10000184),  # a row that lies below a column by less than the column below the drive
+        ("loaded twofold", 60000021),  # a column that may lie anywhere within the steps of all its readings
+        ("divider twofold", 10000028),  # a row that reads nothing, and hangs on a column of shorts
+        ("divider twofold", 10000135),  # the same with two columns
+        ("divider twofold", 20000023),  # a column's scale that is known, which lifts a row nevertheless
+        ("divider twofold", 60000073),
+        ("loaded twofold", 30000924),  # rows that hang on two columns, of which one lies above them
+        ("loaded twofold", 130000828),  # segments of a column as large as its cells
+        ("loaded twofold", 140000286),  # a cell that conducts little beside its column's others
     ],
 )
 def test_streams_that_were_read_wrong(family: str, number: int) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import select
 import signal
 import socket
 import subprocess
@@ -337,6 +338,24 @@ class TestOtherMachines:
         port.close()
         assert host.recv(1) == b""
         host.close()
+
+    @pytest.mark.parametrize("regular", [True, False])
+    def test_a_question_on_its_way_does_not_make_a_reset_of_the_end(self, regular: bool) -> None:
+        """Hosts of polled boards ask for a frame at any time, so that their question may come with the end."""
+        port = TcpPort.at(":0")
+        host = socket.create_connection(("127.0.0.1", int(port.name.rpartition(":")[2])))
+        assert port.host_present()
+        host.sendall(b"?")
+        assert select.select([port], [], [], 60.0)[0]
+        if regular:
+            port.end()
+        port.close()
+        with host:
+            if regular:
+                assert host.recv(1) == b""
+            else:
+                with pytest.raises(ConnectionResetError):
+                    host.recv(1)
 
     def test_a_host_that_does_not_read_gets_the_end_too(self, elsewhere: Callable[[], None]) -> None:
         """What had been sent before the end is read before it."""

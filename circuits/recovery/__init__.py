@@ -17,7 +17,7 @@
 :mod:`._gauss_newton`        its steps, within the :mod:`._frame_budget`
 :mod:`._linearised`          the derivatives that are kept from frame to frame
 :mod:`._fit_uncertainty`     how far its cells can be off
-:mod:`._loose_columns`       by columns of dividers whose readings tell ratios only
+:mod:`._column_scales`       by columns of dividers whose readings leave their scale open
 :mod:`._below_range`         by cells whose readings lie below the converter's range
 :mod:`._possible_shorts`     which cells may be shorts, and which others such shorts would disturb
 :mod:`._live_reading`        what a stream gives: conductances, uncertainties, reasons

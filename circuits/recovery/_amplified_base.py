@@ -160,15 +160,15 @@ class AttenuationBases:
             own = known.transfer
             missing, off = self._missing(conductance, known)
         gain = conductance / np.maximum(own, LEAST_SHARE * conductance)
-        between, model_error = None, board.tolerance
+        between, model_error, loss = None, board.tolerance, loss_at(gain)
         if board.sources_differ:
-            between, left = board.between_columns(own)
+            between, left = board.between_columns(own, loss)
             model_error = board.tolerance + left
         return Base(
             conductance=conductance,
             gain=gain,
             shift=None if missing is None else -gain * missing,
-            loss=loss_at(gain),
+            loss=loss,
             missing=0.0 if missing is None else float(missing.max()),
             off=off,
             model_error=model_error,

@@ -128,16 +128,25 @@ class AmplifiedBoard:
         gain = 1.0 / np.maximum(1.0 - self.to_amplifier[0] * (self._ones @ transfer), LEAST_SHARE)
         return transfer * gain, gain
 
-    def between_columns(self, transfer: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def between_columns(self, transfer: FloatArray, loss: float) -> tuple[FloatArray, FloatArray]:
         """S (M,) that currents between columns of different sources add to each T of a column, and how far that is off.
 
         The columns' sources drive these currents through the rows that the columns share, which lifts the rows. To
-        first order in the resistance of the rows; what is left out is smaller by the loss in the lines.
+        first order in the resistance of the rows. What is left out is smaller by the losses in the lines, but need not
+        cancel where sources of both signs do.
+
+        Args:
+            transfer: (N, M) S, transfer conductances.
+            loss: largest share of a cell's current that its lines take.
+
         """
         source, drive = self.source, self.board.drive
+        taken_per_volt = (self.drop_along_rows(transfer) * transfer).sum(axis=0) / drive
         given = (self.drop_along_rows(transfer * source) * transfer).sum(axis=0) / drive
-        taken = source * (self.drop_along_rows(transfer) * transfer).sum(axis=0) / drive
-        left: FloatArray = 2.0 * (np.abs(given) + np.abs(taken))
+        most_given = (self.drop_along_rows(transfer * np.abs(source)) * transfer).sum(axis=0) / drive
+        taken = source * taken_per_volt
+        higher = loss / max(1.0 - loss, LEAST_SHARE) * (np.abs(most_given) + np.abs(taken))
+        left: FloatArray = 2.0 * (np.abs(given) + np.abs(taken) + higher)
         return given - taken, left
 
     def drop_along_rows(self, current: FloatArray) -> FloatArray:

@@ -131,6 +131,30 @@ class ColumnBlocks:
         along = (self._to_driver * conductance).sum(axis=1).max(initial=0.0)
         return float(along + (self._to_end * conductance).sum(axis=0).max(initial=0.0))
 
+    def _lifted(self, crosspoint: FloatArray, conductance: FloatArray, std: FloatArray) -> FloatArray:
+        """Deviation (N, M) of the logarithms by columns that lift idle rows, whose cells feed the other columns.
+
+        A column at its share of the drive lifts an idle row by that share and by what the row's lead takes of it. An
+        error of the column's scale changes all these lifts together, that of a single cell only its row's.
+
+        Args:
+            crosspoint: (N, M) S between the rows' drivers and the columns.
+            conductance: (N, M) S between the rows and the columns.
+            std: (N, M) of the logarithms by other causes.
+
+        """
+        least = np.finfo(np.float64).tiny
+        share = crosspoint / np.maximum(crosspoint.sum(axis=0), least)
+        scale_std = std[crosspoint.argmax(axis=0), np.arange(std.shape[1])]
+        between = (self._lead[:, None] * crosspoint).T @ conductance  # S (M, M), from column to column
+        np.fill_diagonal(between, 0.0)
+        variance = (share * scale_std) ** 2 @ between**2
+        by_cells = share**2 @ ((self._lead[:, None] * crosspoint * std) ** 2).T  # (N, N), of a row by another one
+        np.fill_diagonal(by_cells, 0.0)
+        variance += by_cells @ conductance**2
+        lifted: FloatArray = np.sqrt(variance) / np.maximum(conductance, least)
+        return lifted
+
     def crosspoints(self, signal: FloatArray) -> FloatArray:
         """S (N, M) of the crosspoints whose readings are ``signal`` (N, M), in V above the reference voltage."""
         driven = self._board.circuit.column_conductance(self._board, signal, self._noise)
@@ -194,6 +218,8 @@ class ColumnBlocks:
         along = np.einsum("ij,ij,ij->i", through_lead, through_lead, variance)[:, None]
         std = np.sqrt(variance * (1.0 + 2.0 * lead * conductance) + along * share**2)
         std *= 1.0 + 2.0 * self.loss(conductance)
+        if lead.any():
+            std = np.hypot(std, self._lifted(crosspoint, conductance, std))
         others = np.zeros(board.shape)
         for i, j in np.argwhere(hidden):
             weight = np.array([[first[j], both[j]], [both[j], second[j]]])

@@ -7,7 +7,7 @@ readings at limits are left out         :mod:`._readings_at_limits`
 a start                                 the last frame's cells, or :mod:`._closed_start`
 steps within the frame's budget         :mod:`._gauss_newton`, :mod:`._linearised`, :mod:`._frame_budget`
 how well the cells give the readings    :meth:`CoupledLive._judge_misfit`
-uncertainty                             :mod:`._fit_uncertainty`, :mod:`._loose_columns`, :mod:`._second_scale`,
+uncertainty                             :mod:`._fit_uncertainty`, :mod:`._column_scales`,
                                         :mod:`._below_range`
 what possible shorts disturb            :mod:`._possible_shorts`
 values, validity, and reasons           :meth:`CoupledLive._reading`
@@ -29,6 +29,7 @@ from ...errors import SolverError
 from .._board import Board
 from ._below_range import BelowRange
 from ._closed_start import ClosedStart
+from ._column_scales import ColumnScales
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
 from ._fit_uncertainty import ALIKE, FitUncertainty
 from ._frame_budget import FIRST_EFFORT, Budget
@@ -45,11 +46,9 @@ from ._live_reading import (
     LiveReading,
     ValidityRule,
 )
-from ._loose_columns import LooseColumns
 from ._lost_rows import LostRows
 from ._possible_shorts import PossibleShorts
 from ._readings_at_limits import ReadingLimits, Selection
-from ._second_scale import SecondScales
 
 _MOST_FAILURES = 3  # frames in a row until the design is not believed: other starts may lead to a fit
 _ROUGHLY = 0.05  # change of a logarithm that matters for cells which only load others
@@ -86,9 +85,8 @@ class CoupledLive:
         self._limits = ReadingLimits(parts, nearly_independent=columns.applies, loses_rows=self._rows.applies)
         self._shorts = PossibleShorts(parts)
         self._uncertainty = FitUncertainty(parts)
-        is_divider = not (board.floating or board.circuit.has_amplifiers)
-        self._loose = LooseColumns(parts) if is_divider else None
-        self._second = SecondScales(parts)
+        self._is_divider = not (board.floating or board.circuit.has_amplifiers)
+        self._scales = ColumnScales(parts)
         self._below = BelowRange(parts)
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
@@ -245,19 +243,15 @@ class CoupledLive:
         by_shifts = self._uncertainty.by_shifts(frame, base)
         by_readings = self._uncertainty.by_readings(frame, fit, base, own, by_shifts)
         others: FloatArray = base.others
-        sigmas = self._uncertainty.sigmas(frame, fit)
-        by_loose = None
-        if self._loose is not None:
-            by_loose = self._loose.disturb(frame, fit.known, base, sigmas, by_shifts)
-        by_columns = by_lost if by_loose is None else by_lost + by_loose
-        if self._loose is not None and isinstance(by_columns, np.ndarray):
+        by_columns = by_lost
+        if self._is_divider and isinstance(by_columns, np.ndarray):
             # That is a change of crosspoints, of which a cell is a small part beside heavy leads.
             leads = np.where(np.isfinite(self._parts.leads), self._parts.leads, 0.0)
             with np.errstate(over="ignore"):  # what is boundless stays so
                 by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
-        if self._second.applies:
-            by_second = self._second.disturb(frame, fit.known, base)
-            by_columns = by_columns if by_second is None else by_columns + by_second
+        if self._scales.applies:
+            by_scales = self._scales.disturb(frame, fit.known, base, self._uncertainty.covered(frame))
+            by_columns = by_columns if by_scales is None else by_columns + by_scales
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base)
         fitted = by_readings + others + doubt

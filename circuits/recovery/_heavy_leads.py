@@ -160,9 +160,11 @@ class _Derivatives(NamedTuple):
     """(NM, NM) absolute values"""
     shape: tuple[int, int]
 
+    @np.errstate(over="ignore")  # in single precision
     def squared(self) -> Propagation:
         return _Derivatives(self.sizes * self.sizes, self.shape)
 
+    @np.errstate(over="ignore", invalid="ignore")  # infinite derivatives by readings that are certain
     def __call__(self, readings: FloatArray) -> FloatArray:
         spread: FloatArray = (self.sizes @ readings.ravel().astype(self.sizes.dtype)).astype(np.float64)
         return np.nan_to_num(spread, nan=np.inf, posinf=np.inf).reshape(self.shape)

@@ -204,6 +204,7 @@ class ReadingLimits:
                 self._left_out |= found
                 self._leaves_out = _LEFT_OUT
 
+    @np.errstate(over="ignore")  # what is boundless stays so
     def by_lost_columns(self, frame: Frame, lost: BoolArray, conductance: FloatArray) -> FloatArray:
         """Relative change (n,) of other columns' cells by columns that are taken for usual ones, whatever these are.
 

@@ -16,7 +16,7 @@ at most b, its value at the far end. Substitution into 1 - p = D - K G (1 - p) g
 
     (1 - b) / (1 - a b) D  <=  1 - p  <=  (1 - a) / (1 - a b) D.
 
-The limits are close together, since b - a is about a sixth of the largest D. :func:`_closed_form` takes a value near
+The limits are close together, since b - a is about a sixth of the largest D. :func:`closed_form` takes a value near
 the middle. Where the limits are too far apart because lines are heavy, and where lines differ much from each other, the
 profiles come from the continued fractions of :mod:`._ladders`.
 
@@ -52,11 +52,11 @@ from ._ports import Lines
 _SINGLE_ULP = float(np.finfo(np.float32).eps) / 2.0
 _TINY = np.finfo(np.float32).tiny
 # S; with cells up to this, products that underflow in single precision are below _TINY, hence negligible
-_LARGEST_IN_SINGLE = 1e6
+LARGEST_IN_SINGLE = 1e6
 # ohm; with lines up to this, conductances that underflow (1e-45 S) change a loss over n places by at most n 1e-36
 _HEAVIEST_LINE = 1e9
 # |R| |C| for b = 1/4; above, the error of the closed form would be significant next to the truncated terms
-_CLOSED_FORM_LIMIT = 0.04
+CLOSED_FORM_LIMIT = 0.04
 SLACK = 1.0 + 1e-6  # covers the rounding errors of the bounds themselves
 
 
@@ -98,13 +98,13 @@ def attenuate(conductance: FloatArray, wires: Wires | None) -> Attenuated | None
     """
     if wires is None or not (largest := conductance.max()) < np.inf:
         return None
-    if wires.uniform is None or largest > _LARGEST_IN_SINGLE:
+    if wires.uniform is None or largest > LARGEST_IN_SINGLE:
         *frames, rows, columns = conductance.shape
         parts = by_ladders(conductance.reshape(-1, rows, columns), wires)
         known = Attenuated(*(part.reshape((*frames, *part.shape[1:])) for part in parts))
     else:
-        known, returned = _closed_form(conductance, wires.uniform)
-        light = returned <= _CLOSED_FORM_LIMIT
+        known, returned = closed_form(conductance, wires.uniform)
+        light = returned <= CLOSED_FORM_LIMIT
         if light.all():
             return known
         better = by_ladders(conductance[~light], wires, returned=returned[~light])
@@ -207,12 +207,12 @@ class Wires:
 
 
 @np.errstate(all="ignore")  # heavy lines overflow; the caller discards them
-def _closed_form(cells: FloatArray, wires: UniformWires) -> tuple[Attenuated, FloatArray]:
+def closed_form(cells: FloatArray, wires: UniformWires) -> tuple[Attenuated, FloatArray]:
     """Line attenuation with the profiles in closed form.
 
     Returns:
         The result, and a bound (...,) on |R| |C|. The result is good enough where this bound is at most
-        :data:`_CLOSED_FORM_LIMIT`; elsewhere, and where the bound is NaN, the result must not be used.
+        :data:`CLOSED_FORM_LIMIT`; elsewhere, and where the bound is NaN, the result must not be used.
 
     """
     *frames, rows, columns = cells.shape

@@ -3,21 +3,22 @@
 Array operations on one small grid spend their time on calls. So both models also run as loops over the nodes
 (:mod:`ohmskin.compiled`). Loops and array operations agree up to rounding, as none of them subtracts.
 
-* Line attenuation of small grids is that of ladders (:func:`.by_ladders`) in both forms. Its closed form
-  (:func:`.attenuate`) is an approximation, and faster only on large grids.
+* Line attenuation of small grids is that of ladders (:func:`.by_ladders`) in both forms. Its closed form is an
+  approximation, and faster only on large grids: these are done as by :func:`.attenuate`.
 * Exact port conductances come from star-mesh transforms (:func:`_star_mesh`), otherwise from the array operations of
   :mod:`._exact` and :mod:`._ports`.
 """
 
 from __future__ import annotations
 
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
 
 from ...arrays import FloatArray, read_only
 from ...compiled import FixedRows, Rows, loop
-from ._attenuation import SLACK, Attenuated, Wires, attenuate, by_ladders
+from ._attenuation import CLOSED_FORM_LIMIT, LARGEST_IN_SINGLE, SLACK, Wires, by_ladders, closed_form
 from ._elimination import ULP
 from ._exact import exact_transfer
 from ._ports import Lines, capped, has_ideal_lines, port_conductances, transfer_conductances
@@ -46,19 +47,20 @@ class FrameTransfer:
         """For lines with exits."""
         assert lines.exit is not None
         self._lines, self._wires = lines, Wires.of(lines)
-        rows, columns = lines.row.shape
+        self._shape = rows, columns = lines.row.shape
         few, many = sorted((rows, columns))
         products = rows * columns * few * (2 * few + many)
         self._has_ideal_lines = has_ideal_lines(lines)
         small = products <= (_LARGEST_WITH_IDEAL_LINES if self._has_ideal_lines else _LARGEST)
         self._turned = columns > rows  # then rows and columns change places: a node has as few neighbours as possible
         self._star_mesh = _star_mesh.machine_code() if small else None
-        self._by_ladders = rows * columns <= _BY_LADDERS
         self._attenuate = None
-        if self._wires is not None and self._by_ladders:
+        self._uniform = None  # wires for the closed form; None: always by ladders
+        if self._wires is not None:
             self._attenuate = _attenuate.machine_code()
             parts = self._wires.row, self._wires.column, self._wires.to_driver, self._wires.to_amplifier
             self._fixed_wires = tuple(read_only(part) for part in parts)
+            self._uniform = self._wires.uniform if rows * columns > _BY_LADDERS else None
 
     @property
     def is_compiled(self) -> bool:
@@ -69,22 +71,21 @@ class FrameTransfer:
         """Line attenuation at finite cells (N, M) in S; None where a line is broken or the drive underflows on one."""
         if self._wires is None:
             return None
+        returned = inf
+        if self._uniform is not None and conductance.max() <= LARGEST_IN_SINGLE:
+            close, bound = closed_form(conductance, self._uniform)
+            returned = float(bound)
+            if returned <= CLOSED_FORM_LIMIT:
+                return AttenuatedFrame(close.transfer, close.error)
         if self._attenuate is None:
-            return self._attenuated_by_arrays(conductance, self._wires)
-        transfer, error = np.empty(conductance.shape), np.empty(conductance.shape)
+            known = by_ladders(conductance[None], self._wires, returned=np.array([returned]))
+            if not np.isfinite(known.rounded).all():
+                return None
+            return AttenuatedFrame(known.transfer[0], known.error[0])
         row, column, to_driver, to_amplifier = self._fixed_wires
-        cells = np.ascontiguousarray(conductance)
-        is_known = self._attenuate(cells, row, column, to_driver, to_amplifier, transfer, error)
+        cells, transfer, error = np.ascontiguousarray(conductance), np.empty(self._shape), np.empty(self._shape)
+        is_known = self._attenuate(cells, row, column, to_driver, to_amplifier, returned, transfer, error)
         return AttenuatedFrame(transfer, error) if is_known else None
-
-    def _attenuated_by_arrays(self, conductance: FloatArray, wires: Wires) -> AttenuatedFrame | None:
-        if not self._by_ladders:
-            known = attenuate(conductance, wires)
-            return None if known is None else AttenuatedFrame(known.transfer, known.error)
-        known = by_ladders(conductance[None], wires)
-        if not np.isfinite(known.rounded).all():
-            return None
-        return AttenuatedFrame(known.transfer[0], Attenuated(*known).error[0])
 
     def exact(self, conductance: FloatArray) -> FloatArray:
         """Exact transfer conductances (N, M) in S of cells (N, M) in S."""
@@ -194,6 +195,7 @@ def _attenuate(
     column: FixedRows,
     to_driver: FixedRows,
     to_amplifier: FixedRows,
+    most_returned: float,
     transfer: Rows,
     error: Rows,
 ) -> bool:
@@ -205,6 +207,7 @@ def _attenuate(
         column: (N, M) ohm of the wire behind each crosspoint.
         to_driver: (N, M) ohm from each crosspoint to the row's driver.
         to_amplifier: (N, M) ohm from each crosspoint to the column's amplifier.
+        most_returned: a bound on |R| |C|.
         transfer: (N, M), written to.
         error: (N, M), written to.
 
@@ -235,6 +238,7 @@ def _attenuate(
         return False
     relative = ULP * columns * (4.0 - 5.0 * np.log(lowest)) + ULP * rows * (4.0 - 5.0 * np.log(least)) + 4.0 * ULP
     returned = (1.0 + relative - lowest) * (1.0 + relative - least)
+    returned = min(returned, most_returned)
     certain = SLACK * (1.0 + relative) ** 2 / max(1.0 - returned, 1e-60)
     most = 1.0 + relative
     row_square, column_square = np.zeros(rows), np.zeros(columns)

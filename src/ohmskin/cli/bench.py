@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from .. import bench, tables
 from ..bench import _driver as of_drivers
 from ..bench import _emulator as of_boards
 from ..bench import _estimators as of_cells
+from ..bench import _fingers as of_fingers
 from ..bench import _freshness as of_skins
 from ..bench import _hard_cases as of_hard_cases
 from ..bench import _honesty as of_deviations
@@ -64,7 +66,7 @@ class _ManyValues(click.Command):
     "--contacts",
     "of_contacts",
     is_flag=True,
-    help="Measure short taps found and false contacts instead.",
+    help="Measure contacts instead: short taps found, fingers followed, false contacts.",
 )
 @click.option("--view", "of_page", is_flag=True, help="Measure the page of `ohmskin view` instead, in Chromium.")
 @arguments.as_json("the measurements")
@@ -103,11 +105,11 @@ def command(
         _live_path(sizes, as_json, picture)
         return
     if of_contacts:
-        tapped = of_taps.taps_and_faults(sizes)
+        tapped, moved = of_taps.taps_and_faults(sizes), of_fingers.fingers(sizes)
         if as_json:
-            click.echo(_as_json(tapped))
+            click.echo(_as_json([*tapped, *moved]))
         else:
-            for line in of_taps.table(tapped):
+            for line in chain(of_taps.table(tapped), [""], of_fingers.table(moved)):
                 click.echo(line)
         return
     if of_page:

@@ -1,0 +1,143 @@
+"""Loaded dividers whose readings two sets of cells give: a column of good conductors, and a row behind a lead."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from ohmskin.arrays import FloatArray
+from ohmskin.circuits import Design, adc_codes, scan
+from ohmskin.circuits.recovery._column_scales import ColumnScales
+from ohmskin.circuits.recovery._coupled_board import CoupledBoard
+from ohmskin.circuits.recovery._frame_budget import FIRST_EFFORT, Budget
+from ohmskin.circuits.recovery._linearised import Linearised
+from ohmskin.driver import CountReader, Reading
+
+
+def board(row_lead: list[float], columns: int, *, bits: int = 20, column_lead: float = 0.0) -> Design:
+    lines = {"rows": len(row_lead), "columns": columns, "row_lead": row_lead, "column_lead": column_lead}
+    return Design.model_validate(
+        {
+            "array": lines,
+            "drive": {"voltage": 3.3, "idle_rows": "ground"},
+            "readout": {"circuit": "voltage-divider", "reference_resistance": 4.7e3, "idle_columns": "load"},
+            "adc": {"bits": bits, "range": [0.0, 3.3]},
+        }
+    )
+
+
+def known_well(reading: Reading, cells: FloatArray) -> bool:
+    """Whether no valid cell is off by more than its uncertainty."""
+    off = np.abs(reading.resistance / cells - 1.0)[reading.valid]
+    return bool((off <= reading.uncertainty[reading.valid] * (1.0 + 1e-9)).all())
+
+
+def read_after_rest(design: Design, rest: FloatArray, pressed: FloatArray) -> list[Reading]:
+    """A reader's frames at rest and after all cells have changed at once."""
+    read = CountReader(design)
+    return [read(adc_codes(design, scan(design, cells).volts)) for cells in [rest] * 3 + [pressed] * 8]
+
+
+def disturbed(design: Design, cells: FloatArray) -> FloatArray:
+    """Relative change of the cells to other sets that give the readings of these within an ADC step."""
+    assert design.adc is not None
+    parts = CoupledBoard(design.board)
+    known = parts.at(-np.log(cells).ravel())
+    frame = parts.frame(known.volts.reshape(parts.shape), np.abs(known.volts).reshape(parts.shape), 0.0, None)
+    linear = Linearised(parts)
+    assert linear.begin(known, Budget(FIRST_EFFORT))
+    found = ColumnScales(parts).disturb(frame, known, linear.base, 0.5 * design.adc.step)
+    return np.zeros(parts.shape) if found is None else found.reshape(parts.shape)
+
+
+def another(design: Design, cells: FloatArray, guess: FloatArray) -> FloatArray:
+    """Cells near a guess that give the same readings as others, by least squares."""
+    step = design.adc.step if design.adc is not None else 1.0
+    volts = scan(design, cells).volts
+
+    def apart(log: FloatArray) -> FloatArray:
+        return (scan(design, np.exp(log).reshape(cells.shape)).volts - volts).ravel() / step
+
+    found = least_squares(apart, np.log(guess).ravel(), x_scale="jac", ftol=1e-14, xtol=1e-14, gtol=1e-14)
+    assert np.abs(found.fun).max() < 0.5, "within half a step"
+    other: FloatArray = np.exp(found.x).reshape(cells.shape)
+    return other
+
+
+def nodal(design: Design, cells: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Potentials (N, N) of the rows and (N, M) of the columns over the drive while one row is driven, ideal lines."""
+    lead, load = np.array(design.array.row_lead), 1.0 / np.array(design.readout.reference_resistance)
+    rows, columns = cells.shape
+    matrix = np.zeros((rows + columns, rows + columns))
+    matrix[:rows, rows:] = -1.0 / cells
+    matrix[rows:, :rows] = -1.0 / cells.T
+    np.fill_diagonal(matrix, np.append(1.0 / lead + (1.0 / cells).sum(axis=1), load + (1.0 / cells).sum(axis=0)))
+    driven = np.linalg.solve(matrix, np.vstack([np.diag(1.0 / lead), np.zeros((columns, rows))])).T
+    return driven[:, :rows], driven[:, rows:]
+
+
+def test_readings_tell_how_far_all_lines_lie_below_the_drive() -> None:
+    """The rows by reciprocity, the columns by superposition."""
+    design = board([3.0, 300.0, 40.0], 5)
+    cells = 10 ** np.random.default_rng(1).uniform(1.0, 4.1, (3, 5))
+    of_rows, of_columns = nodal(design, cells)
+    parts = CoupledBoard(design.board)
+    known = parts.at(-np.log(cells).ravel())
+    frame = parts.frame(known.volts.reshape(parts.shape), np.abs(known.volts).reshape(parts.shape), 0.0, None)
+    told = ColumnScales(parts)._told(frame, known, 0.0)
+    np.testing.assert_allclose(told.row_deficit, 1.0 - of_rows.sum(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(told.read, 1.0 - of_columns.sum(axis=0), rtol=1e-9)
+    np.testing.assert_allclose(told.share, of_columns, rtol=1e-9)
+
+
+@pytest.mark.parametrize("pair", [1, 2])
+def test_the_enclosure_holds_another_set_of_cells_with_the_same_readings(pair: int) -> None:
+    """One or two columns of good conductors, and a row that hangs on them or hardly takes part."""
+    design = board([0.0, 300.0, 0.0], 5)
+    cells = 10 ** np.random.default_rng(1).uniform(3.6, 4.1, (3, 5))
+    cells[:, 2] = 1.1, 1.0, 1.3
+    if pair == 2:
+        cells[:, 4] = 2.0, 1.5, 1.1
+    guess = cells.copy()
+    guess[1] *= 20.0
+    guess[:, 2] *= 2.0
+    other = another(design, cells, guess)
+    assert (other[1] / cells[1]).min() > 5.0
+    for here, there in ((cells, other), (other, cells)):
+        change = disturbed(design, here)
+        assert (np.abs(here / there - 1.0) <= change).all()
+
+
+def test_columns_above_all_rows_have_one_scale() -> None:
+    design = board([20.0] * 5, 5, bits=16)
+    cells = 10 ** np.random.default_rng(4).uniform(2.7, 4.0, (5, 5))
+    assert not disturbed(design, cells).any()
+
+
+@pytest.mark.parametrize("seed", [2, 3, 5, 10, 14, 17, 23, 28])
+def test_a_column_of_shorts_beside_a_row_with_a_lead_leaves_no_wrong_cell(seed: int) -> None:
+    """Boards at random, each of which once had valid cells that were wrong, most of them by a factor of two."""
+    random = np.random.default_rng(seed)
+    rows, columns = (int(count) for count in random.integers((3, 3), (7, 9)))
+    lead = np.full(rows, float(random.choice([0.0, 5.0])))
+    lead[random.integers(rows)] = 10 ** random.uniform(1.0, 3.0)
+    bits, column_lead = int(random.choice([12, 16, 20])), float(random.choice([0.0, 20.0]))
+    design = board(lead.tolist(), columns, bits=bits, column_lead=column_lead)
+    rest = 1e4 * 10 ** random.uniform(-0.5, 0.5, (rows, columns))
+    pressed = rest.copy()
+    pressed[:, random.integers(columns)] = random.choice([0.3, 1.0, 5.0]) * 10 ** random.uniform(-0.5, 0.5, rows)
+    readings = read_after_rest(design, rest, pressed)
+    assert readings[0].valid.all()
+    assert all(known_well(reading, rest) for reading in readings[:3])
+    assert all(known_well(reading, pressed) for reading in readings[3:])
+
+
+def test_a_hard_press_on_light_leads_has_one_scale() -> None:
+    design = board([5.0] * 6, 6, bits=16)
+    rest = 1e4 * 10 ** np.random.default_rng(3).uniform(-0.2, 0.2, (6, 6))
+    pressed = rest.copy()
+    pressed[1:4, 2] = 300.0
+    readings = read_after_rest(design, rest, pressed)
+    assert readings[-1].valid.all()
+    assert known_well(readings[-1], pressed)
