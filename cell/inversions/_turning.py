@@ -85,6 +85,9 @@ REFUTED = 0.5 * FAR
 """kPa: an extreme from which any pressure has gone back, so that the turn is taken, and is certain"""
 FLAT = 0.003
 """of full scale by which a pressure that is held may seem to go back"""
+GOES_BACK = 2.0
+"""standard deviations of the memory, per share of its variance that fades in a frame, by which the peak goes down. As
+an error of the memory fades, the pressure of a load that is held seems to go back, by up to four standard deviations"""
 AGAIN = 0.5
 """share by which the other hypothesis begins anew at a frame, within one standard deviation of the extreme.
 Beginning at every extreme would take noise for part of the press, beginning late would miss some of the release; half
@@ -140,6 +143,7 @@ class TurningInversion(Inversion):
             np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
         )
         self._none, self._one, self._two = np.array(0.0), np.array(1.0), np.array(2.0)
+        self._goes_back = np.array(GOES_BACK)
         self._missed_by_bend = np.array(BETWEEN * self._bend)
         self._turn_kpa, self._light_kpa, self._flat_kpa, self._exact_kpa = (
             np.array(share * full_scale_kpa) for share in (TURN, LIGHT_TURN, FLAT, EXACTLY)
@@ -245,6 +249,10 @@ class TurningInversion(Inversion):
 
     def _renew_variance(self, of: Rows, *, unconfirmed: bool) -> None:
         """Either hypothesis may be right until the pressure has turned: their distance counts as deviation."""
+        np.subtract(self._one, of.fade, of.nearby)
+        of.nearby *= np.sqrt(of.doubt, of.spare)
+        of.nearby *= self._goes_back
+        of.peak -= of.nearby
         of.variance -= of.doubt  # by which the hypotheses were apart in the last frame
         of.doubt *= of.fade
         apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
@@ -303,6 +311,7 @@ class TurningInversion(Inversion):
             loops.PART: recovery.PART,
             loops.DRIFTS: recovery.DRIFTS,
             loops.MOST_RESTED_KPA2: self._most_rested_kpa2,
+            loops.GOES_BACK: GOES_BACK,
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
