@@ -127,7 +127,7 @@ class ContactTracker:
                 rises are not looked for.
 
         """
-        self._feel(time_s, pressure_kpa, rise)
+        self._feel(time_s, pressure_kpa, std_kpa, rise)
         if rise is not None:
             self._find_missing(time_s, np.isnan(rise[0]))
         labels, patches = self._find(pressure_kpa, std_kpa)
@@ -165,7 +165,13 @@ class ContactTracker:
         self._read_s[~unread] = time_s
         self._missing = time_s - self._read_s > MISSING_S
 
-    def _feel(self, time_s: float, pressure_kpa: FloatArray, rise: tuple[FloatArray, FloatArray] | None) -> None:
+    def _feel(
+        self,
+        time_s: float,
+        pressure_kpa: FloatArray,
+        std_kpa: FloatArray,
+        rise: tuple[FloatArray, FloatArray] | None,
+    ) -> None:
         """Look for cells that have risen jointly, and for those whose touch is over."""
         found = None if rise is None else self._rises.look(time_s, *rise)
         felt = self._risen_kpa
@@ -180,8 +186,10 @@ class ContactTracker:
         if found is not None:
             lasts |= found[0] & (pressure_kpa > START_SHARE * full)
         self._risen_kpa = np.where(lasts, np.maximum(felt, pressure_kpa), 0.0)
-        # What kept these cells in their contact is over: they stay only if their own pressures tell of a touch.
-        self._labels = np.where((felt > 0) & ~lasts, 0, self._labels)
+        # What kept these cells in their contact is over: they stay only if their own pressures tell of a touch that
+        # has not gone on and left a little behind.
+        alone = pressure_kpa > np.fmax(JOIN_STDS * std_kpa, np.maximum(JOIN_SHARE * full, LEFT_SHARE * felt))
+        self._labels = np.where((felt > 0) & ~lasts & ~alone, 0, self._labels)
 
     def _touch_lasts(self, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
         """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle."""

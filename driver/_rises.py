@@ -42,7 +42,7 @@ the two sums. Crosstalk by leads is far less"""
 OWN = 0.3
 """of the rise of a cell, that it does not have in common with its line"""
 FALLEN = 4.0
-"""the same below zero by which a touch may have ended; the pressure decides"""
+"""standard deviations below zero of the weighted sum by which a touch may have ended; the pressure decides"""
 LONGEST_S = 1.0
 """a pause between frames after which nothing is compared"""
 LEAST_LINE = 4

@@ -87,6 +87,16 @@ def readings(cell: Cell, shape: tuple[int, ...], frames: int, noise: float, seed
     return ohms
 
 
+def test_light_loads_within_the_noise_are_doubted_alike() -> None:
+    """Taps of one percent of full scale, each with a noise of its own: some are noticed, and others only doubted."""
+    frames, noise = 900, 0.005 * np.geomspace(0.2, 3.0, 12)
+    load = 0.01 * EXAMPLE.full_scale_kpa * (np.arange(frames) % 30 < 12)
+    ohms = EXAMPLE.forward((12,)).run(np.full(frames, 0.01), np.repeat(load[:, None], 12, axis=1))
+    ohms *= 1 + noise * np.random.default_rng(0).standard_normal(ohms.shape)
+    estimator = compare(EXAMPLE.estimator((12,)), np.full(frames, 0.01), ohms)
+    assert estimator.std_kpa.max() > 0.02 * EXAMPLE.full_scale_kpa
+
+
 @pytest.mark.parametrize("kind", CELLS)
 @given(
     seed=st.integers(0, 10**6),

@@ -53,6 +53,13 @@ def test_light_taps_do_not_add_up(cell: str, taps_hz: float) -> None:
         assert max(found.std_percent) < 3.0
 
 
+@pytest.mark.parametrize(("bits", "noise_mv", "taps_hz"), [(12, 10.0, 3.0), (8, 0.3, 1.0), (8, 0.3, 3.0)])
+def test_light_taps_within_the_noise_are_in_the_deviation(bits: int, noise_mv: float, taps_hz: float) -> None:
+    found = light_taps.judged(light_taps.Case("example", "amplifier", bits, 100.0, noise_mv, taps_hz, fringe=False))
+    assert min(found.within_two) > 0.9
+    assert max(found.kept) < 5.0
+
+
 def test_the_fringe_of_taps_on_a_divider_comes_back_to_rest() -> None:
     found = light_taps.judged(light_taps.Case("example", "divider", 12, 100.0, 0.3, 1.0, fringe=True))
     assert max(found.kept) < 1.0

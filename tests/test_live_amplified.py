@@ -10,7 +10,7 @@ import pytest
 from ohmskin.arrays import FloatArray
 from ohmskin.bench import _live_hunt
 from ohmskin.circuits import Design, Reason, adc_codes, scan
-from ohmskin.circuits.recovery import _heavy_leads
+from ohmskin.circuits.recovery import _amplified, _heavy_leads
 from ohmskin.circuits.recovery._amplified_board import AmplifiedBoard
 from ohmskin.circuits.recovery._amplified_leads import LeadBases
 from ohmskin.circuits.recovery._heavy_leads import LeadFit, invert_leads
@@ -329,3 +329,26 @@ def test_currents_between_columns_are_known_where_rows_take_most_of_the_drive(co
         used = np.abs(reading.resistance / cells - 1.0)[reading.valid] / reading.uncertainty[reading.valid]
         assert used.size
         assert used.max() <= 1.0
+
+
+def test_a_frame_that_tells_of_no_cell_costs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    design = board(5, 4, 100.0, bits=10)
+    rest, read = np.full((5, 4), 2e4), CountReader(design)
+    for _ in range(3):
+        expected = read(adc_codes(design, scan(design, rest).volts))
+    assert expected.valid.all()
+
+    def worked_out(*_: Any) -> Any:
+        raise AssertionError("all readings are at a limit")
+
+    with monkeypatch.context() as unused:
+        unused.setattr(_amplified.AmplifiedLive, "_cells", worked_out)
+        found = read(np.full((5, 4), 1023))
+        assert (found.reason == Reason.SATURATED).all()
+        assert not found.valid.any()
+        assert np.isnan(found.resistance).all()
+        assert np.isinf(found.uncertainty).all()
+    for _ in range(6):
+        found = read(adc_codes(design, scan(design, rest).volts))
+    np.testing.assert_allclose(found.resistance, expected.resistance, rtol=0.01)
+    assert found.valid.all()

@@ -8,6 +8,7 @@ import numpy as np
 
 from ohmskin.cell import PaperModel
 from ohmskin.cell.inversions import _recovery as recovery
+from ohmskin.cell.inversions import _sway as sway
 from ohmskin.cell.inversions import _turning as paper
 from ohmskin.cell.materials import _lag as lag
 
@@ -36,6 +37,7 @@ class OneCell:
         self.doubt = self.variance = 0.0
         self.rest_variance = self.drift = self.last_drift = 0.0
         self.rested = False
+        self.sway = Sway(r)
         self.last = self.before_last = self.third_last = p
 
     def step(self, dt: float, r: float, std: float, doubt: float) -> float:
@@ -123,7 +125,17 @@ class OneCell:
         return now.pressure
 
     def recover(self, dt: float, mean: float, noise: float, count: int) -> None:
-        """Take the ``mean`` of the last four readings, each uncertain by ``noise``: a released cell is at rest."""
+        """Take the ``mean`` of the last four readings, each uncertain by ``noise``."""
+        self._rest(dt, mean, noise, count)
+        m = self.model
+        rise, fall = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
+        kept = self.sway.look(mean, noise, self.rising) * (1 / fall - 1 / rise)
+        doubt = min((np.sqrt(self.doubt) + kept) ** 2, max(self.doubt, max(self.now.pressure, 0.0) ** 2))
+        self.variance += doubt - self.doubt
+        self.doubt = doubt
+
+    def _rest(self, dt: float, mean: float, noise: float, count: int) -> None:
+        """A released cell is at rest."""
         m = self.model
         gain = self._solved(Hypothesis(0, 0, 0, 0), False, dt, 1.0).pressure
         fade = np.exp(-8 * dt * (1 + m.e1_kpa / m.e2_kpa) / m.t2_s)  # of a variance, in four frames
@@ -181,3 +193,48 @@ class OneCell:
             p = (r - x2 - x3) / (1 / m.e1_kpa + ramp[1] / e2 + ramp[2] / e3)
         p = float(np.clip(p, paper.LOADS[0] * self.full, paper.LOADS[1] * self.full))
         return Hypothesis(p, settled + ramp[0] * p, x2 + ramp[1] / e2 * p, x3 + ramp[2] / e3 * p)
+
+
+class Sway:
+    """What a cell may keep of a load that goes to and fro within the noise, in r: blocks of readings compared."""
+
+    def __init__(self, r: float) -> None:
+        self.first, self.means, self.since, self.rising = r, [], 0, True
+        self.sides = {(length, side): 0.0 for length in (2, 4, 8) for side in (1, -1)}
+
+    def look(self, mean: float, noise: float, rising: bool) -> float:
+        """Take the ``mean`` of the last four readings, each uncertain by ``noise``."""
+        self.means.append(mean)
+        self.since += 1
+        looks = len(self.means)
+        if looks % 2:
+            return 0.0
+        jumped = False
+        if rising != self.rising:
+            self._begin_anew()
+        self.rising = rising
+        for length in (2, 4, 8):
+            if looks % length:
+                continue
+            before = np.mean(self.means[-2 * length : -length]) if looks > length else self.first
+            change = np.mean(self.means[-length:]) - before
+            size = change**2 / (noise**2 / (4 * length))
+            jumped |= size > sway.JUMP
+            for side in (1, -1):
+                excess = (min(size, sway.MOST) if side * change > 0 else 0.0) - 1
+                if self.since >= 2 * length:
+                    self.sides[length, side] += sway.SHARE * (excess - self.sides[length, side])
+        if jumped:
+            self._begin_anew()
+        return max(self._kept(length, noise) for length in (2, 4, 8))
+
+    def _begin_anew(self) -> None:
+        self.since, self.sides = 0, dict.fromkeys(self.sides, 0.0)
+
+    def _kept(self, length: int, noise: float) -> float:
+        up, down = self.sides[length, 1], self.sides[length, -1]
+        if min(up, down) <= sway.BOTH:
+            return 0.0
+        excess = (up + down) / 2
+        sure = np.clip((excess - sway.MAY) / (sway.DOES - sway.MAY), 0, 1)
+        return float(sway.KEPT * sure * np.sqrt(excess * noise**2 / (4 * length)) * 2 / length)

@@ -32,6 +32,7 @@ from ..estimation import (
 )
 from ..materials import ByStep, PaperModel, lag
 from . import _recovery as recovery
+from . import _sway as sway
 from . import _turning_loops as loops
 from ._paper_steps import TurnWeights, step_weights, taken_over, turn_weights
 from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
@@ -114,6 +115,7 @@ class TurningInversion(Inversion):
         *("pressure", "gain", "variance", "last", "before_last", "third_last"),
         *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
         *("rest_variance", "rested", "drift", "drift_end"),
+        *sway.NAMES,
     )
     recovers = True
 
@@ -154,6 +156,7 @@ class TurningInversion(Inversion):
         self.steepness_kpa = 1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa
         self.rests = recovery.RESTED_SIGMAS**2
         self._recovery = ByStep(recovery.constants, model)
+        self._kept_kpa = sway.kpa_kept(model)
         self._fast_kpa = FAST * TURN * full_scale_kpa
         self._most_rested_kpa2 = (recovery.MOST * full_scale_kpa) ** 2
         self._turns = self._numbers_of_turns()
@@ -165,6 +168,7 @@ class TurningInversion(Inversion):
         memory[PRESSURE], memory[GAIN], memory[SIGN], memory[LEFT] = p, self._begin_gain, 1.0, FAR
         memory[EXTREME], memory[PEAK], memory[LAST : THIRD_LAST + 1] = p, p, p
         memory[IN_FORCE.start + RISING] = 1.0
+        sway.begin(memory, r)
         memory[STATE] = [p, p, p, p / m.e2_kpa, p / m.e3_kpa, p / m.e3_kpa, r]
         return memory
 
@@ -269,7 +273,7 @@ class TurningInversion(Inversion):
         np.add(apart, of.doubt, of.variance)
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
-        return *loops.ALL, *recovery.LOOPS
+        return *loops.ALL, *recovery.LOOPS, *sway.LOOPS
 
     def _numbers_of_turns(self) -> FloatArray:
         """What the loops take."""
@@ -352,8 +356,9 @@ class TurningInversion(Inversion):
         np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
 
     def recover(self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray) -> None:
-        """See :func:`._recovery.look`."""
+        """See :func:`._recovery.look` and :func:`._sway.look`."""
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s))
+        sway.look(memory, mean, noise, self._kept_kpa)
 
     def recover_compiled(
         self,
@@ -365,8 +370,9 @@ class TurningInversion(Inversion):
         newest: int,
         cells: IntArray,
     ) -> None:
-        """See :func:`._recovery.look_each`."""
+        """See :func:`._recovery.look_each` and :func:`._sway.look_each`."""
         recovery.look_each.code(memory, taken, line, ring, newest, cells, self._recovery.of(dt_s))
+        sway.look_each.code(memory, taken, ring, newest, cells, sway.LOOKS_IN_BLOCK, self._kept_kpa)
 
     def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """A cell that has been taken for one at rest shows what clearly differs from rest."""
@@ -523,6 +529,7 @@ class TurningInversion(Inversion):
         state[6] = np.where(held[SIGN] > 0, rising, state[1] / m.e1_kpa + x2 + x3)
         share = np.where(apart, 0.0, held[IN_FORCE][::-1])
         state[:6] += (self._taken_over @ state) * np.tile(share, (3, 1))
+        sway.begin_anew(held, np.ones(held.shape[1], dtype=np.bool_))
         return held
 
     def settled(self, memory: FloatArray, band: float) -> BoolArray:

@@ -103,6 +103,9 @@ class AmplifiedLive:
             usual = self._usual(volts, noise)
             if usual is not None:
                 return usual
+        # The first frame of all is worked out nevertheless: it may take its time, later ones may not.
+        if limited is not None and self._base is not None and (limited | self._faults.hidden).all():
+            return self._without_any()
         transfer, conductance, gain, off = self._cells(volts)
         levels = self._errors(gain, noise, self._base)
         unknown = limited if faint is None else _with_faint(limited, faint, transfer, levels)
@@ -116,6 +119,15 @@ class AmplifiedLive:
         if unknown is not None:
             disturbance = self._at_limits(conductance, volts, unknown, levels.noise, self._base)
         return self._examined(transfer, conductance, levels, off, limited, disturbance)
+
+    def _without_any(self) -> LiveReading:
+        """A frame whose readings are all at limits, but for those of hidden cells."""
+        shape = self._faults.hidden.shape
+        reason = np.where(self._faults.hidden, HIDDEN, SATURATED).astype(np.int8)
+        boundless = np.full(shape, inf)
+        return LiveReading(
+            np.full(shape, np.nan), np.zeros(shape, dtype=np.bool_), reason, lambda: (boundless, boundless)
+        )
 
     def _usual(self, volts: FloatArray, noise: float) -> LiveReading | None:
         """A frame in which all cells are valid and nothing is kept anew, by machine code; None for any other frame."""
