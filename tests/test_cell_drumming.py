@@ -62,7 +62,7 @@ def test_a_drummed_cell_shows_no_overload_and_comes_back_to_rest(cell: Cell, noi
     load, pressure, std = shown(cell, sine_taps(times(45.0, dt), 2.0, 21.0), dt, noise_mv)
     assert pressure.max() < 1.15
     z = np.abs(pressure - load) / std
-    assert np.mean(z[50:] < 2) > 0.93
+    assert np.mean(z[50:] < 2) > 0.9
     assert np.mean(z[50:] < 3) > 0.99
     healed_s = 10.0 if cell is REMEMBERING else 20.0
     after = round((21.0 + healed_s) / dt)

@@ -86,9 +86,9 @@ REFUTED = 0.5 * FAR
 """kPa: an extreme from which any pressure has gone back, so that the turn is taken, and is certain"""
 FLAT = 0.003
 """of full scale by which a pressure that is held may seem to go back"""
-GOES_BACK = 2.0
-"""standard deviations of the memory, per share of its variance that fades in a frame, by which the peak goes down. As
-an error of the memory fades, the pressure of a load that is held seems to go back, by up to four standard deviations"""
+GOES_BACK = 6.0
+"""standard deviations of the memory, at most a turn, per share of its variance that fades in a frame, by which the peak
+goes down. As an error of the memory fades, the pressure of a load that is held seems to go back"""
 AGAIN = 0.5
 """share by which the other hypothesis begins anew at a frame, within one standard deviation of the extreme.
 Beginning at every extreme would take noise for part of the press, beginning late would miss some of the release; half
@@ -254,7 +254,8 @@ class TurningInversion(Inversion):
     def _renew_variance(self, of: Rows, *, unconfirmed: bool) -> None:
         """Either hypothesis may be right until the pressure has turned: their distance counts as deviation."""
         np.subtract(self._one, of.fade, of.nearby)
-        of.nearby *= np.sqrt(of.doubt, of.spare)
+        np.sqrt(of.doubt, of.spare)
+        of.nearby *= np.minimum(of.spare, self._turn_kpa, of.spare)
         of.nearby *= self._goes_back
         of.peak -= of.nearby
         of.variance -= of.doubt  # by which the hypotheses were apart in the last frame
@@ -494,7 +495,7 @@ class TurningInversion(Inversion):
         least = (BEYOND * self.full_scale_kpa) ** 2
         np.maximum(of.doubt, least, where=(beyond & (of.in_force > 0)).any(axis=0), out=of.doubt)
         p, r = self._usual, of.r
-        # A load that rises lets r fall more slowly than this: it is recovery that explains the reading.
+        # The reading falls more slowly than a load that rises or is held allows: it is recovery that explains it.
         refuted = beyond[RISING] & ~beyond[RECOVERY] & (of.in_force[RISING] > 0)
         np.copyto(of.extreme, REFUTED, where=refuted)
         np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])

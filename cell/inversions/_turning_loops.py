@@ -248,7 +248,8 @@ def begin_anew(
         unsure *= numbers[LESS]
         of[UNSURE, i] = unsure
         memory[EXTREME, i] = max(memory[EXTREME, i], ahead - unsure)
-        memory[PEAK, i] -= (1.0 - of[FADE, i]) * math.sqrt(memory[TURNED, i]) * numbers[GOES_BACK]
+        error_kpa = min(math.sqrt(memory[TURNED, i]), numbers[TURN_KPA])
+        memory[PEAK, i] -= (1.0 - of[FADE, i]) * error_kpa * numbers[GOES_BACK]
         memory[VARIANCE, i] -= memory[TURNED, i]  # by which the hypotheses were apart in the last frame
         memory[TURNED, i] *= of[FADE, i]
         apart = (memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]
