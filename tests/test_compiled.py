@@ -126,8 +126,15 @@ def test_the_name_on_disk_changes_with_the_numbers_and_helpers_that_are_compiled
     assert after[1] != before[1]
 
 
-def _run(program: str, **variables: str) -> str:
-    """What a new interpreter prints that treats warnings as errors."""
+def _run(program: str, *, told: int = 0, **variables: str) -> str:
+    """What a new interpreter prints that treats warnings as errors.
+
+    Args:
+        program: of Python, indented.
+        told: lines that it writes to standard error, all of them of a wait for the compiler.
+        variables: of the environment.
+
+    """
     paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
     inherited = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
     done = subprocess.run(
@@ -138,7 +145,9 @@ def _run(program: str, **variables: str) -> str:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    lines = done.stderr.splitlines()
+    assert all(line.startswith("ohmskin[fast] compiles") for line in lines), done.stderr
+    assert len(lines) == told
     return done.stdout
 
 
@@ -165,53 +174,82 @@ def some_loops(tmp_path: Path) -> Path:
     return folder
 
 
-def _used(folder: Path, **variables: str) -> str:
-    return _run(f"import sys; sys.path.insert(0, {str(folder)!r})\n" + textwrap.dedent(USE), **variables)
+def _used(folder: Path, *, told: int, **variables: str) -> str:
+    return _run(f"import sys; sys.path.insert(0, {str(folder)!r})\n" + textwrap.dedent(USE), told=told, **variables)
 
 
 def test_machine_code_is_kept_for_the_next_process_and_renewed_when_damaged(some_loops: Path) -> None:
-    assert _used(some_loops) == "8.0 None None\n"
+    assert _used(some_loops, told=1) == "8.0 None None\n"
     kept = list((some_loops / "__pycache__").glob("*.nb?"))
     assert len(kept) == 2, "an index and the code"
     times = [file.stat().st_mtime_ns for file in kept]
-    assert _used(some_loops) == "8.0 None None\n"
+    assert _used(some_loops, told=0) == "8.0 None None\n"
     assert [file.stat().st_mtime_ns for file in kept] == times, "taken from disk"
     for file in kept:
         file.write_bytes(b"damaged")
-    assert _used(some_loops) == "8.0 None None\n"
+    assert _used(some_loops, told=1) == "8.0 None None\n"
 
 
-def test_a_wait_for_the_compiler_is_logged_once_and_no_wait_for_the_disk(some_loops: Path) -> None:
+LOADING = """
+    import logging, sys
+    sys.path.insert(0, {folder!r})
+    {log}
+    from ohmskin import compiled
+    import some_loops
+    print(compiled.load())
+"""
+COMMAND = """
+    from ohmskin.cli import _set_up_log
+    sys.stderr.isatty = lambda: {watched}
+    logging.basicConfig(stream=sys.stderr)
+    _set_up_log()
+"""
+
+
+@pytest.mark.parametrize(
+    ("log", "told"),
+    [
+        pytest.param("", 1, id="a program that sets up no log"),
+        pytest.param("logging.basicConfig(format='%(message)s')", 1, id="a program that shows its log"),
+        pytest.param("logging.basicConfig(level=logging.ERROR)", 0, id="a program that wants no warnings"),
+        pytest.param(COMMAND.format(watched=True), 1, id="a command on a terminal"),
+        pytest.param(COMMAND.format(watched=False), 0, id="a command that nobody watches"),
+    ],
+)
+def test_a_wait_for_the_compiler_is_told_once(some_loops: Path, log: str, told: int) -> None:
     text = (some_loops / "some_loops.py").read_text()
     (some_loops / "some_loops.py").write_text(text + "@loop\ndef tripled(x: float) -> float:\n    return 3.0 * x\n")
-    program = f"""
-        import logging, sys
-        logging.basicConfig(level=logging.INFO, stream=sys.stdout, format="%(name)s: %(message)s")
-        sys.path.insert(0, {str(some_loops)!r})
-        from ohmskin import compiled
-        import some_loops
-        print(compiled.load())
-    """
-    told, done = _run(program).splitlines()
-    assert told.startswith("ohmskin: compiling for this machine")
-    assert done == "True"
-    assert _run(program) == "True\n", "from disk"
+    log = textwrap.indent(textwrap.dedent(log), "    ").strip()
+    program = LOADING.format(folder=str(some_loops), log=log)
+    assert _run(program, told=told) == "True\n"
+
+
+def test_a_wait_is_announced_with_its_length_and_whether_it_comes_again(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    for kept, words in ((True, "only this once"), (False, "see `ohmskin doctor`")):
+        monkeypatch.setattr(compiled, "is_kept", lambda kept=kept: kept)
+        compiled._tell_of_the_wait.__wrapped__()
+        assert words in caplog.messages[-1]
+        assert compiled.WAIT in caplog.messages[-1]
 
 
 def test_nothing_is_kept_where_no_folder_can_be_written_to(some_loops: Path) -> None:
     (some_loops / "__pycache__").write_text("no folder")
     nowhere = str(some_loops / "some_loops.py")
-    assert _used(some_loops, HOME=nowhere, XDG_CACHE_HOME=nowhere, PYTHONDONTWRITEBYTECODE="1") == "8.0 None None\n"
+    elsewhere = {"HOME": nowhere, "XDG_CACHE_HOME": nowhere, "PYTHONDONTWRITEBYTECODE": "1"}
+    assert _used(some_loops, told=1, **elsewhere) == "8.0 None None\n"
+    assert _used(some_loops, told=1, **elsewhere) == "8.0 None None\n"
 
 
 def test_where_numba_compiles_nothing_array_operations_do_the_work(some_loops: Path) -> None:
     """It would hand out the loops as they are written, which take ten times as long as array operations."""
     off = "switched off by NUMBA_DISABLE_JIT"
-    assert _used(some_loops, NUMBA_DISABLE_JIT="1") == f"None None {off}\n"
+    assert _used(some_loops, told=0, NUMBA_DISABLE_JIT="1") == f"None None {off}\n"
 
 
 def test_without_numba_there_is_no_machine_code(some_loops: Path) -> None:
     (some_loops / "numba.py").write_text("raise ModuleNotFoundError('no numba', name='numba')")
-    assert _used(some_loops) == "None None numba is not installed\n"
+    assert _used(some_loops, told=0) == "None None numba is not installed\n"
     (some_loops / "numba.py").write_text("raise ImportError('Numba needs NumPy 2.4 or less')")
-    assert _used(some_loops) == "None None numba cannot be imported: Numba needs NumPy 2.4 or less\n"
+    assert _used(some_loops, told=0) == "None None numba cannot be imported: Numba needs NumPy 2.4 or less\n"

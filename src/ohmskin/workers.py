@@ -7,6 +7,7 @@ when the parent dies, and the parent closes it when it gives up; either way the 
 
 from __future__ import annotations
 
+import logging
 import multiprocessing
 import os
 import signal
@@ -48,7 +49,7 @@ def in_processes(
         return results
     context = multiprocessing.get_context("spawn")
     alive, held_by_parent = context.Pipe(duplex=False)
-    pool = ProcessPoolExecutor(jobs, context, _end_with_parent, (alive,))
+    pool = ProcessPoolExecutor(jobs, context, _begin_worker, (alive,))
     try:
         with _interrupts_blocked():  # a spawned process inherits the mask; Ctrl-C is for the parent to handle
             futures: list[Future[R]] = [pool.submit(function, item) for item in items]
@@ -64,8 +65,9 @@ def in_processes(
         alive.close()
 
 
-def _end_with_parent(alive: Connection) -> None:
-    """In a new worker: a thread that waits for the end of the parent."""
+def _begin_worker(alive: Connection) -> None:
+    """In a new worker: leave when the parent ends, and log nothing, since each worker would say the same."""
+    logging.getLogger("ohmskin").addHandler(logging.NullHandler())
 
     def wait() -> None:
         try:

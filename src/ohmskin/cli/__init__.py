@@ -114,20 +114,18 @@ def main(args: Sequence[str] | None = None) -> None:
     _signals.leave_at_once()
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout = _standard_output(sys.stdout)
-    if sys.stderr.isatty():
-        _show_log()
+    _set_up_log()
     code = run(args)
     _signals.leave_from_now_on(code)
     sys.exit(code)
 
 
-def _show_log() -> None:
-    """Show on standard error what the package logs, such as why it waits: for whoever watches."""
-    handler = logging.StreamHandler()
-    handler.setFormatter(logging.Formatter("ohmskin: %(message)s"))
+def _set_up_log() -> None:
+    """Show on standard error what the package logs, such as why it waits: for whoever watches, and nobody else."""
     log = logging.getLogger("ohmskin")
     log.setLevel(logging.INFO)
-    log.addHandler(handler)
+    log.propagate = False  # a package that sets up the root logger would show each message once more
+    log.handlers = [logging.StreamHandler() if sys.stderr.isatty() else logging.NullHandler()]
 
 
 def run(args: Sequence[str] | None = None) -> int:
