@@ -255,7 +255,7 @@ class TurningInversion(Inversion):
         """Either hypothesis may be right until the pressure has turned: their distance counts as deviation."""
         np.subtract(self._one, of.fade, of.nearby)
         np.sqrt(of.doubt, of.spare)
-        of.nearby *= np.minimum(of.spare, self._turn_kpa, of.spare)
+        of.nearby *= np.minimum(of.spare, self._turn_kpa, out=of.spare)
         of.nearby *= self._goes_back
         of.peak -= of.nearby
         of.variance -= of.doubt  # by which the hypotheses were apart in the last frame
