@@ -194,18 +194,24 @@ class Converter:
             self._go_on(past)
             return past
 
-    def resume(self, past: MeasurementPast) -> None:
+    def resume(self, past: MeasurementPast) -> bool:
         """Begin with what :meth:`hand_over` returned.
 
+        Returns:
+            False where the estimator begins without memory, since its state is of another estimator, of another kind
+            of cell, or of another version of this package, whose estimators remember other quantities.
+
         Raises:
-            InputError: it is of another cell, or of an array of another shape.
+            InputError: the state is of an array of another shape, or damaged.
 
         """
         with self._lock:
-            self._go_on(past)
-            self._starts = int(past.restarted)
+            remembers = self._go_on(past)
+            self._starts = int(past.restarted or not remembers)
+            return remembers
 
-    def _go_on(self, past: MeasurementPast) -> None:
+    def _go_on(self, past: MeasurementPast) -> bool:
+        """Take the state over; False where the estimator could not."""
         shape = self.design.array.shape
         rest_ohm = None if past.rest_ohm is None else past.rest_ohm.array()
         counts = None if past.counts is None else past.counts.array()
@@ -219,12 +225,17 @@ class Converter:
         self._last_s, self._rest_ohm = past.time_s, rest_ohm
         self._read = CountReader(self.design, accuracy=self._accuracy)
         self._read.remember(past.noise_steps, None if counts is None else counts.astype(np.uint16))
+        remembers = True
         if self.cell is not None:
-            self._estimator = self._fresh_estimator()
-            self._estimator.restore(past.estimator_state())
+            self._estimator, state = self._fresh_estimator(), past.estimator_state()
+            try:
+                self._estimator.restore(state)
+            except InputError:
+                remembers = False
         if self._systematic is not None:
             self._systematic.forget()
             self._systematic.rest_spread = past.rest_spread
+        return remembers
 
     def measure(self, frame: RawFrame, mailbox: Mailbox) -> Measurement | None:
         """The measurement of ``frame``, and of those before it that are still queued.

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -211,9 +212,16 @@ class Link:
         if self._past is None:
             return
         try:
-            converter.resume(self._past.measurement)
+            remembers = converter.resume(self._past.measurement)
         except InputError as error:
             raise InputError(f"{self._port.name}: what was before: {error}") from error
+        if not remembers:
+            warnings.warn(
+                f"{self._port.name}: the estimator begins without memory of what was before, which another estimator "
+                "or another version of ohmskin has recorded; the first pressures may differ from the recorded ones",
+                RuntimeWarning,
+                stacklevel=2,
+            )
 
 
 def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:

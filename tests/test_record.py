@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from boards import Script, Wire, gone, scene
 
+from ohmskin.cell import Estimator
 from ohmskin.cli import run
 from ohmskin.config import fingerprint
 from ohmskin.driver import Calibration, Frame, Recorder, ReplayPort, Skin, to_xarray
@@ -156,6 +157,32 @@ def test_a_recorder_joins_an_open_skin_and_leaves_it(tmp_path: Path, estimator: 
         # Frames that had come, but that nobody had taken yet, belong to the time before.
         assert len(again) >= len(frames) - begin > 0
         assert all(same(one, other) for one, other in zip(frames[begin:], again, strict=False))
+
+
+def test_a_recording_can_be_played_whose_estimator_remembers_other_quantities(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another version of the package recorded it, or another estimator is asked for: only the memory is lost."""
+    path, state = tmp_path / "older.mcap", Estimator.state
+    with Skin(Wire(Board(scene())), delivery="lossless", queue=4) as skin:
+        list(islice(skin, 20))
+        with monkeypatch.context() as patch:
+            patch.setattr(Estimator, "state", lambda self: state(self) | {"of_old": np.zeros(3)})
+            patch.setattr(Estimator, "restore", lambda self, given: None)  # the skin itself goes on
+            recorder = Recorder(skin, path)
+        live = list(islice(skin, 40))
+        recorder.close()
+    for estimator in (None, "static"):
+        with (
+            pytest.warns(RuntimeWarning, match=r"older\.mcap: the estimator begins without memory"),
+            Skin.open(str(path), estimator=estimator) as skin,
+        ):
+            again = list(skin)
+        begin = next(k for k, frame in enumerate(live) if frame.sequence == again[0].sequence)
+        assert len(again) >= len(live) - begin > 0
+        assert [frame.estimator_restarted for frame in again] == [True] + [False] * (len(again) - 1)
+        for one, other in zip(live[begin:], again, strict=False):
+            np.testing.assert_array_equal(one.resistance, other.resistance)
 
 
 def test_a_recorder_may_join_within_a_packet_and_after_a_gap(tmp_path: Path) -> None:

@@ -33,10 +33,10 @@ JUMP = 1e4
 """times that variance: a difference that cannot pass unnoticed, as after a bad contact"""
 BOTH = 0.2
 """times that variance: excess that differences to either side must have"""
-MAY, DOES = 0.5, 1.0
+MAY, DOES = 0.4, 0.8
 """times that variance: mean excess of both sides from which a load may go to and fro, and from which it does"""
-KEPT = 1.0
-"""of the size of such motion, for each block: how much of it the cell may keep"""
+KEPT = 2.0
+"""times the size of such motion, for each block: how much of it the cell may keep. It may also have begun unnoticed"""
 
 NAMES = (
     *("half_block", "looks", "looks_since_turn", "sign_before"),
