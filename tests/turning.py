@@ -113,7 +113,9 @@ class OneCell:
         self.extreme = max(self.extreme, ahead - paper.LESS * unsure)
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         was_apart = self.variance - self.doubt
-        self.doubt *= np.exp(-2 * dt * rate)
+        fade = np.exp(-2 * dt * rate)
+        self.peak -= paper.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), paper.TURN * self.full)
+        self.doubt *= fade
         is_apart = (paper.EITHER * (self.other.pressure - now.pressure)) ** 2
         lost = was_apart - is_apart
         least = max(paper.LOST * unsure, paper.NEAR * self.full) ** 2

@@ -23,7 +23,7 @@ LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
 USUAL, DOUBT = 1.1, 0.1
 """times full scale: no larger pressure is believed while its standard deviation by the memory is above the second"""
-MEMORIES = 10.0
+MEMORIES = 30.0
 """times the fast answer to full scale that r may reach: presses in quick succession add up"""
 
 NO_LOAD_SIGMAS = 2.0

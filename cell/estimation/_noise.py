@@ -38,7 +38,7 @@ UNCUT = 1.0274
 """variance of a normal variable over that of its values within three standard deviations"""
 CROWD_LOOKS = 24
 """looks over which the share of outliers is averaged"""
-CROWDED, ALL_CROWDED = 0.75, 0.15
+CROWDED, ALL_CROWDED = 0.75, 0.5
 """share of outliers from which they tell of noise that has risen: of one cell, since taps at three hertz that a slow
 board reads leave half of the readings clean; and of the median cell of an array, since few cells move at a time"""
 LEAST = 1e-6

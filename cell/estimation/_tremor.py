@@ -23,6 +23,9 @@ HIDES, SURELY_HIDES = 1.25, 1.6
 on, a load may move within the noise; from the second on, it does"""
 SUSPECTS, SURELY_SUSPECTS = 2.0, 2.6
 """the same of a single window, which noise alone exceeds in 4 and in 0.5 % of all windows"""
+UNTOLD = 1.0
+"""rise that other windows of such motion have faked, over that of a window in which motion is certain: about half of
+them do not differ from noise. From slips of a few standard deviations of the noise"""
 SUSPICION = 0.5
 """of a rise that is in doubt for the time being: its standard deviation"""
 
@@ -93,10 +96,11 @@ class Tremor:
         spread = np.maximum(rise - self._edge_kpa[cells], 0.0)
         missed = None
         if unrest.item(unrest.argmax()) > HIDES:
-            by_two = _share(unrest, HIDES, SURELY_HIDES) * np.where(rise < most_kpa, rise, 0.0)
+            sure = _share(unrest, HIDES, SURELY_HIDES)
+            by_two = sure * np.where(rise < most_kpa, rise, 0.0)
             by_three = _share(np.minimum(unrest, self._unrest_before[cells]), SUSPECTS, SURELY_SUSPECTS)
             now = np.maximum(by_two, by_three * spread)
-            missed = now + by_three * waiting
+            missed = (now + by_three * waiting) * (1.0 + UNTOLD * sure)
             spread *= 1.0 - by_three
             waiting *= 1.0 - by_three
         self._waiting_kpa[cells] = self._suspicion[cells] * (spread + FADES * waiting)
@@ -253,13 +257,13 @@ def end_window_each(
         if not rise < amplitude[cell] * most_kpa:
             rise = 0.0
         found |= unrest > HIDES
-        by_two = min(max((unrest - HIDES) / (SURELY_HIDES - HIDES), 0.0), 1.0)
-        by_two *= rise if rise < most_kpa else 0.0
+        sure = min(max((unrest - HIDES) / (SURELY_HIDES - HIDES), 0.0), 1.0)
+        by_two = sure * (rise if rise < most_kpa else 0.0)
         lesser = min(unrest, unrest_before[cell])
         by_three = min(max((lesser - SUSPECTS) / (SURELY_SUSPECTS - SUSPECTS), 0.0), 1.0)
         spread = max(rise - edge_kpa[cell], 0.0)
         now = max(by_two, by_three * spread)
-        missed[i] = now + by_three * waiting
+        missed[i] = (now + by_three * waiting) * (1.0 + UNTOLD * sure)
         spread *= 1.0 - by_three
         waiting *= 1.0 - by_three
         waiting_kpa[cell] = suspicion[cell] * (spread + FADES * waiting)

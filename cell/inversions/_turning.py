@@ -86,6 +86,9 @@ REFUTED = 0.5 * FAR
 """kPa: an extreme from which any pressure has gone back, so that the turn is taken, and is certain"""
 FLAT = 0.003
 """of full scale by which a pressure that is held may seem to go back"""
+GOES_BACK = 6.0
+"""standard deviations of the memory, at most a turn, per share of its variance that fades in a frame, by which the peak
+goes down. As an error of the memory fades, the pressure of a load that is held seems to go back"""
 AGAIN = 0.5
 """share by which the other hypothesis begins anew at a frame, within one standard deviation of the extreme.
 Beginning at every extreme would take noise for part of the press, beginning late would miss some of the release; half
@@ -142,6 +145,7 @@ class TurningInversion(Inversion):
             np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
         )
         self._none, self._one, self._two = np.array(0.0), np.array(1.0), np.array(2.0)
+        self._goes_back = np.array(GOES_BACK)
         self._missed_by_bend = np.array(BETWEEN * self._bend)
         self._turn_kpa, self._light_kpa, self._flat_kpa, self._exact_kpa = (
             np.array(share * full_scale_kpa) for share in (TURN, LIGHT_TURN, FLAT, EXACTLY)
@@ -249,6 +253,11 @@ class TurningInversion(Inversion):
 
     def _renew_variance(self, of: Rows, *, unconfirmed: bool) -> None:
         """Either hypothesis may be right until the pressure has turned: their distance counts as deviation."""
+        np.subtract(self._one, of.fade, of.nearby)
+        np.sqrt(of.doubt, of.spare)
+        of.nearby *= np.minimum(of.spare, self._turn_kpa, out=of.spare)
+        of.nearby *= self._goes_back
+        of.peak -= of.nearby
         of.variance -= of.doubt  # by which the hypotheses were apart in the last frame
         of.doubt *= of.fade
         apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
@@ -307,6 +316,7 @@ class TurningInversion(Inversion):
             loops.PART: recovery.PART,
             loops.DRIFTS: recovery.DRIFTS,
             loops.MOST_RESTED_KPA2: self._most_rested_kpa2,
+            loops.GOES_BACK: GOES_BACK,
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
@@ -485,7 +495,7 @@ class TurningInversion(Inversion):
         least = (BEYOND * self.full_scale_kpa) ** 2
         np.maximum(of.doubt, least, where=(beyond & (of.in_force > 0)).any(axis=0), out=of.doubt)
         p, r = self._usual, of.r
-        # A load that rises lets r fall more slowly than this: it is recovery that explains the reading.
+        # The reading falls more slowly than a load that rises or is held allows: it is recovery that explains it.
         refuted = beyond[RISING] & ~beyond[RECOVERY] & (of.in_force[RISING] > 0)
         np.copyto(of.extreme, REFUTED, where=refuted)
         np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])

@@ -38,12 +38,13 @@ FLAT_KPA, EXACT_KPA, AGAIN, LESS, EITHER, LEFT_OVER, CLEAR = range(6, 13)
 JUST_BEGUN, BETWEEN, BEND, ROUND_KPA, MOST_KPA2, CONFIRMED_RISE, CONFIRMED_FALL, HALF = range(13, 21)
 PULL, NEAR_KPA, SETTLED_PER_KPA, ETAU2_KPA, E1_KPA, LOST_SIGMAS, MOST_LOST_KPA2 = range(21, 28)
 HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2, LIGHT_KPA, TURN_SHARE = range(28, 37)
+GOES_BACK = 37
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
 those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, of :mod:`._recovery`, and how far
-small pressures must go back for a turn"""
+small pressures must go back for a turn; how far the peak goes down as an error of the memory fades"""
 UNCONFIRMED, PULLED = 1, 2
 
 
@@ -247,6 +248,8 @@ def begin_anew(
         unsure *= numbers[LESS]
         of[UNSURE, i] = unsure
         memory[EXTREME, i] = max(memory[EXTREME, i], ahead - unsure)
+        error_kpa = min(math.sqrt(memory[TURNED, i]), numbers[TURN_KPA])
+        memory[PEAK, i] -= (1.0 - of[FADE, i]) * error_kpa * numbers[GOES_BACK]
         memory[VARIANCE, i] -= memory[TURNED, i]  # by which the hypotheses were apart in the last frame
         memory[TURNED, i] *= of[FADE, i]
         apart = (memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]
