@@ -114,7 +114,7 @@ def test_noise_that_has_risen_is_no_crowd_of_edges(cells: int, readings: int, ma
 
 @pytest.mark.parametrize("machine_code", [False, True])
 def test_readings_beside_edges_do_not_count_as_noise(machine_code: bool) -> None:
-    """Taps of eight deviations, whose edges the smoothing has noticed; unless it had, 20 % more noise would be found."""
+    """Taps of eight deviations, whose edges the smoothing has noticed; without its word 20 % more noise is found."""
     rng = np.random.default_rng(7)
     meter = meter_of(8, machine_code)
     for n in range(1500):
