@@ -15,7 +15,8 @@ from ohmskin.bench import _taps as bench
 from ohmskin.bench._driver import design
 from ohmskin.driver import Contact, ContactTracker
 from ohmskin.driver._bridging import bridge
-from ohmskin.driver._contacts import DRIFT_PER_S, MISSING_S, START_SHARE
+from ohmskin.driver._contacts import DRIFT_PER_S, MISSING_S, START_SHARE, ContactsOfFrames, PressureView
+from ohmskin.driver._later import Later
 from ohmskin.driver._rises import Rises
 from ohmskin.driver._tare import KNOWN_DRIFT
 
@@ -158,6 +159,21 @@ def test_a_cell_that_was_not_read_has_not_risen() -> None:
     readings[30:50] += bump(5, 5, 20.0)
     readings[25:35, 3:8, 3:8] = np.nan
     assert not any(felt(readings)[:39])
+
+
+@pytest.mark.parametrize("begins_anew", [False, True])
+def test_readings_that_count_from_other_rest_resistances_have_not_risen(begins_anew: bool) -> None:
+    """After a tare, say. The same jump of readings is a touch where the estimator goes on."""
+    rng = np.random.default_rng(9)
+    std, noise = np.full(SHAPE, 4.0), np.full(SHAPE, 0.5)
+    contacts, seen = ContactsOfFrames(ContactTracker(SHAPE, PITCH_M, FULL_KPA)), []
+    for k in range(60):
+        pressure = (k >= 30) * bump(6, 6, 8.0) + rng.normal(0, 0.5, SHAPE)
+        starts = int(begins_anew and k >= 30)
+        view = PressureView(0.01 * k, pressure, Later(std.copy), (pressure, noise), starts)
+        seen.append(contacts.of(view))
+    assert not any(seen[:30])
+    assert any(seen[30:]) is not begins_anew
 
 
 def test_a_held_touch_that_only_its_rise_has_told_of_lasts_and_ends() -> None:
