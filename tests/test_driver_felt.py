@@ -324,7 +324,7 @@ def test_a_load_that_grows_more_slowly_than_drift_is_found_once_drift_cannot_exp
 
 
 def test_fingers_that_come_down_beside_each_other_are_followed_while_they_pass() -> None:
-    """Each is cut off by the other one. Its width comes from the fit of both; without that they are off by 0.145 cells."""
+    """Each is cut off by the other one. Without the width that the fit of both gives they are off by 0.145 cells."""
     off = []
     for seed in range(4):
         rng = np.random.default_rng(seed)
