@@ -13,13 +13,15 @@ bad line moves its cells alike, and so does the error of one reading in a column
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from scipy import ndimage
 
-from ..arrays import BoolArray, FloatArray, median
+from ..arrays import BoolArray, FloatArray, scatter
 
 NOW_S, APART_S, BEFORE_S = 0.01, 0.02, 0.06
 """readings of the last moment are compared with earlier ones: length of the first, pause, length of the second. A
@@ -34,21 +36,21 @@ TOGETHER = 6.0
 """standard deviations of the weighted sum of rises. By chance a cell has that once in 1e9 frames; four cells of a
 square whose readings flip by one ADC step in the same frame have 5.2"""
 ASIDE = 4.0
-"""the same of the weighted sum without the cell's row, and without its column, which a fault of the wiring does not
-move"""
+"""the same of the sum that leaves out the cell's row, and of the sum that leaves out its column. A fault of the wiring
+moves one row or one column, hence only one of both sums"""
 MIDDLE, SHARED = 0.5, 0.1
-"""least rise of a cell in the middle of a touch, over the largest one around it; the same of a cell at its rim, and of
-the two sums. Crosstalk by leads is far less"""
+"""least rise of a cell in the middle of a touch, over the largest one in the 3 x 3 cells around it. The second is the
+same for a cell at the rim, and for the two sums, over the cell's own rise. Crosstalk by leads is far less"""
 OWN = 0.3
-"""of the rise of a cell, that it does not have in common with its line"""
+"""least share of a cell's rise that is its own: the rest it has in common with most cells of its row or column"""
 FALLEN = 4.0
 """standard deviations below zero of the weighted sum by which a touch may have ended; the pressure decides"""
+ROUNDING_S = 1e-9
+"""of times of frames; readings of exactly the lengths above belong to them"""
 LONGEST_S = 1.0
 """a pause between frames after which nothing is compared"""
 LEAST_LINE = 4
 """cells of a line of which a quarter is untouched: a fingertip covers shorter lines"""
-MEDIAN = 0.6745
-"""median of the sizes of normally distributed numbers, in their standard deviations"""
 
 
 def _unit(weights: FloatArray) -> FloatArray:
@@ -136,18 +138,10 @@ class Rises:
     def _places(self, time_s: float) -> tuple[_Sum, _Sum, _Sum, _Sum] | None:
         """Sums before and after the earlier readings, and before and after the present ones; drops older ones."""
         sums, last = self._sums, len(self._sums) - 1
-        soon = 1e-9
-        since = last - 1
-        while since > 0 and sums[since].time_s > time_s - NOW_S + soon:
-            since -= 1
-        until = since
-        while until > 0 and sums[until].time_s > time_s - NOW_S - APART_S + soon:
-            until -= 1
-        before = until
-        while before > 0 and (
-            sums[before].time_s > time_s - NOW_S - APART_S - BEFORE_S + soon or until - before < LEAST_BEFORE
-        ):
-            before -= 1
+        now_s = time_s + ROUNDING_S
+        since = self._last_until(now_s - NOW_S, last - 1)
+        until = self._last_until(now_s - NOW_S - APART_S, since)
+        before = self._last_until(now_s - NOW_S - APART_S - BEFORE_S, until - LEAST_BEFORE)
         if until - before < LEAST_BEFORE:
             return None
         found = sums[before], sums[until], sums[since], sums[last]
@@ -155,10 +149,14 @@ class Rises:
             sums.popleft()
         return found
 
+    def _last_until(self, time_s: float, most: int) -> int:
+        """Number of the last sum up to that time, but ``most`` at most, and 0 where all are later."""
+        return max(min(bisect_right(self._sums, time_s, key=attrgetter("time_s")) - 1, most), 0)
+
     def _together(self, rise: FloatArray) -> BoolArray | None:
         """Cells whose ``rise`` (rows, columns) in standard deviations is part of a joint rise."""
         own = rise - self._in_common(rise)
-        own /= max(median(np.abs(own)) / MEDIAN, 1.0)
+        own /= max(scatter(own), 1.0)
         own[(own <= OWN * rise) & (own > 0)] = 0.0
         highest = ndimage.maximum_filter(own, 3, mode="nearest")
         together = (own > np.maximum(EACH, MIDDLE * highest)) & (_filtered(own, _FILTER) > TOGETHER)
