@@ -75,8 +75,7 @@ def test_no_pressure_beyond_the_usual_is_shown_in_doubt(machine_code: bool) -> N
         pytest.skip("the extra 'fast' is not in use")
     full_kpa, beyond, doubted = cell.full_scale_kpa, 0, 0
     for frame in range(800):
-        pressed = (frame > 50) * (random.random((4, 4)) < 0.5)
-        load = full_kpa * pressed * random.random((4, 4))
+        load = full_kpa * random.random((4, 4)) * (random.random((4, 4)) < 0.5) * (frame > 50)
         for part in (random.random(), 1.0, 1.0):
             ohm = forward.step(0.02 / 3.0, part * load)
         shown = estimator.step(0.02, ohm * (1.0 + 0.01 * random.standard_normal((4, 4))))
