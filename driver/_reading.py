@@ -115,10 +115,14 @@ class Reading:
 
     @property
     def step_std(self) -> FloatArray:
-        """Relative standard deviation of a cell's conductance by the ADC's steps alone; computed when asked for."""
+        """Relative standard deviation of a cell's conductance by the ADC's steps alone; computed when asked for.
+
+        It counts the steps of all readings that the conductance follows from: in a column of a divider a step of one
+        cell changes the conductances of the others, too.
+        """
         if self._found is None:
             return np.full(self.resistance.shape, np.nan)
-        return _STEP_STD / self._covered_steps * self._found.own
+        return _STEP_STD / self._covered_steps * self._found.by_readings
 
     @property
     def uncertainty(self) -> FloatArray:
