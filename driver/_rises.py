@@ -13,8 +13,10 @@ bad line moves its cells alike, and so does the error of one reading in a column
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
+from operator import attrgetter
 
 import numpy as np
 from scipy import ndimage
@@ -43,6 +45,8 @@ OWN = 0.3
 """of the rise of a cell, that it does not have in common with its line"""
 FALLEN = 4.0
 """standard deviations below zero of the weighted sum by which a touch may have ended; the pressure decides"""
+ROUNDING_S = 1e-9
+"""of times of frames; readings of exactly the lengths above belong to them"""
 LONGEST_S = 1.0
 """a pause between frames after which nothing is compared"""
 LEAST_LINE = 4
@@ -136,24 +140,20 @@ class Rises:
     def _places(self, time_s: float) -> tuple[_Sum, _Sum, _Sum, _Sum] | None:
         """Sums before and after the earlier readings, and before and after the present ones; drops older ones."""
         sums, last = self._sums, len(self._sums) - 1
-        soon = 1e-9
-        since = last - 1
-        while since > 0 and sums[since].time_s > time_s - NOW_S + soon:
-            since -= 1
-        until = since
-        while until > 0 and sums[until].time_s > time_s - NOW_S - APART_S + soon:
-            until -= 1
-        before = until
-        while before > 0 and (
-            sums[before].time_s > time_s - NOW_S - APART_S - BEFORE_S + soon or until - before < LEAST_BEFORE
-        ):
-            before -= 1
+        now_s = time_s + ROUNDING_S
+        since = self._last_until(now_s - NOW_S, last - 1)
+        until = self._last_until(now_s - NOW_S - APART_S, since)
+        before = self._last_until(now_s - NOW_S - APART_S - BEFORE_S, until - LEAST_BEFORE)
         if until - before < LEAST_BEFORE:
             return None
         found = sums[before], sums[until], sums[since], sums[last]
         for _ in range(before):
             sums.popleft()
         return found
+
+    def _last_until(self, time_s: float, most: int) -> int:
+        """Number of the last sum up to that time, but ``most`` at most, and 0 where all are later."""
+        return max(min(bisect_right(self._sums, time_s, key=attrgetter("time_s")) - 1, most), 0)
 
     def _together(self, rise: FloatArray) -> BoolArray | None:
         """Cells whose ``rise`` (rows, columns) in standard deviations is part of a joint rise."""

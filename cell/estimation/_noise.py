@@ -205,6 +205,8 @@ class NoiseMeter:
             squares *= _UNCUT
             np.less(self._crowd, self._passes_below, flags)
             outlies &= flags
+            if self._any_blind:
+                outlies |= self._blind > WINDOW - 4
             np.copyto(squares, self._variance, where=outlies)
         squares -= self._variance
         squares *= self._share
@@ -373,14 +375,15 @@ def average(
         scale = r[i] + 1.0
         square = squares[i] / (scale * scale)
         square *= square
-        if blind[i] > since:
+        is_blind = blind[i] > since
+        if is_blind:
             square = variance[i]
         limit = variance[i] * OUTLIER + LEAST_VARIANCE
         outlies = square > limit or on_line[i] < ACROSS
         crowd[i] *= 1.0 - share_of_crowd
         if outlies:
             crowd[i] += share_of_crowd
-        if not (outlies and crowd[i] < passes_below):
+        if not (is_blind or (outlies and crowd[i] < passes_below)):
             variance[i] += (min(square, limit) * uncut - variance[i]) * share
 
 
