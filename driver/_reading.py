@@ -117,8 +117,17 @@ class Reading:
     def step_std(self) -> FloatArray:
         """Relative standard deviation of a cell's conductance by the ADC's steps alone; computed when asked for.
 
-        It counts the steps of all readings that the conductance follows from: in a column of a divider a step of one
-        cell changes the conductances of the others, too.
+        It counts the steps of the cell's own reading.
+        """
+        if self._found is None:
+            return np.full(self.resistance.shape, np.nan)
+        return _STEP_STD / self._covered_steps * self._found.own
+
+    @property
+    def all_steps_std(self) -> FloatArray:
+        """As :attr:`step_std`, by the steps of all readings that the conductance follows from.
+
+        In a column of a divider a step of one reading changes the conductances of all its cells.
         """
         if self._found is None:
             return np.full(self.resistance.shape, np.nan)
