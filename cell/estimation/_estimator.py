@@ -49,6 +49,8 @@ SETTLE_EVERY = 32
 """frames between two looks for cells that may go to sleep"""
 FIRST_READINGS = 4
 """averaged before the first estimate of a cell is final"""
+MORE = 1.1
+"""times what the steps of its own reading make of a resistance: from there on those of other readings count"""
 UNKNOWN_PAST = 0.25
 """of the first pressure of a cell: its standard deviation, since a load that began just now shows as much more than one
 that has been there for long; it falls as the doubt about a gap does"""
@@ -175,9 +177,7 @@ class Estimator:
         """Whether :meth:`resolve` has been called."""
         return self._noise.typical_resolution > 0.0
 
-    def resolve(
-        self, step_std: ArrayLike, resistance_ohm: ArrayLike, all_steps_std: ArrayLike | None = None
-    ) -> None:
+    def resolve(self, step_std: ArrayLike, resistance_ohm: ArrayLike, all_steps_std: ArrayLike | None = None) -> None:
         """Take the resolution of the readings, which the readings themselves do not show where noise is small.
 
         Args:
@@ -195,6 +195,8 @@ class Estimator:
         if all_steps_std is not None:
             by_all, known = self._at_rest(all_steps_std, resistance_ohm)
             of_all = float(np.median(by_all[known])) if known.any() else 0.0
+            if of_all < MORE * np.median(at_rest[found]):
+                of_all = 0.0  # as behind virtual grounds: the noise of own readings tells all
         self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])), of_all)
         self.inversion.take_steps(of_all)
 

@@ -82,7 +82,7 @@ large by about as many; with more, the end of a tap of few frames would be misse
 PULL_SIGMAS = 0.7
 """standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
 smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
-STILL = 2.0
+STILL = 1.5
 """standard deviations of the reading by which a load that seems to have fallen must be above none. Such a fall may be
 steps of the ADC, of any reading that the resistance follows from; most loads that fall are released"""
 REFUTED = 0.5 * FAR
@@ -419,9 +419,9 @@ class TurningInversion(Inversion):
         """Let a load that seems to fall, and not to none, fall by more than steps of the ADC; changes the threshold."""
         other = (of.pressures * of.not_in_force).sum(axis=0)
         scale = of.r + 1.0
-        by_steps = scale * scale * self._steps * of.gain
-        falls = (of.sign > 0.0) & (other > of.other_gain * std * STILL)
-        of.threshold += np.where(falls, np.maximum(by_steps - of.unsure, 0.0) * (SURE + LESS), 0.0)
+        by_steps = scale * scale * self._steps
+        falls = (of.sign > 0.0) & (other > np.maximum(by_steps, std) * of.other_gain * STILL)
+        of.threshold += np.where(falls, np.maximum(by_steps - std, 0.0) * of.gain * (SURE + LESS), 0.0)
 
     def _turn_from(self, extreme: FloatArray, limit: FloatArray) -> None:
         """Write into ``limit`` (m,) how far exact pressures in kPa must go back from ``extreme`` (m,) for a turn."""

@@ -153,10 +153,11 @@ def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
     memory[PRESSURE, i] = pressure
     of[UNSURE, i], of[AHEAD, i], of[SPARE, i], of[NOISE, i] = unsure, ahead, back, noise
     least = turn_from(memory[EXTREME, i], numbers) + memory[DRIFT_KPA, i]
-    if numbers[STEPS] > 0.0 and sign > 0.0 and other > noise * numbers[STILL]:
+    if numbers[STEPS] > 0.0 and sign > 0.0:
         scale = memory[STATE_END - 1, i] + 1.0
-        by_steps = scale * scale * numbers[STEPS] * memory[GAIN, i]
-        least += max(by_steps - unsure, 0.0) * numbers[FALL]
+        by_steps = scale * scale * numbers[STEPS]
+        if other > max(by_steps, std) * of[OTHER_GAIN, i] * numbers[STILL]:
+            least += max(by_steps - std, 0.0) * memory[GAIN, i] * numbers[FALL]
     gone_back = memory[EXTREME, i] - ahead > unsure * numbers[SURE] + least
     return bool(gone_back or back < noise)
 

@@ -341,9 +341,7 @@ class CoupledLive:
         own = self._uncertainty.of_own_reading(frame, uncertainty)
         return uncertainty.reshape(self._parts.shape), own.reshape(self._parts.shape)
 
-    def _by_readings(
-        self, frame: Frame, std: FloatArray, steeper: FloatArray, uncertainty: FloatArray
-    ) -> FloatArray:
+    def _by_readings(self, frame: Frame, std: FloatArray, steeper: FloatArray, uncertainty: FloatArray) -> FloatArray:
         """Relative change (N, M) of a frame's cells by random errors of all readings."""
         by_all = self._uncertainty.of_all_readings(frame, std, steeper, uncertainty)
         return by_all.reshape(self._parts.shape)
