@@ -15,7 +15,8 @@ from ohmskin.bench import _taps as bench
 from ohmskin.bench._driver import design
 from ohmskin.driver import Contact, ContactTracker
 from ohmskin.driver._bridging import bridge
-from ohmskin.driver._contacts import DRIFT_PER_S, MISSING_S, START_SHARE
+from ohmskin.driver._contacts import DRIFT_PER_S, MISSING_S, START_SHARE, ContactsOfFrames, PressureView
+from ohmskin.driver._later import Later
 from ohmskin.driver._rises import Rises
 from ohmskin.driver._tare import KNOWN_DRIFT
 
@@ -160,6 +161,21 @@ def test_a_cell_that_was_not_read_has_not_risen() -> None:
     assert not any(felt(readings)[:39])
 
 
+@pytest.mark.parametrize("begins_anew", [False, True])
+def test_readings_that_count_from_other_rest_resistances_have_not_risen(begins_anew: bool) -> None:
+    """After a tare, say. The same jump of readings is a touch where the estimator goes on."""
+    rng = np.random.default_rng(9)
+    std, noise = np.full(SHAPE, 4.0), np.full(SHAPE, 0.5)
+    contacts, seen = ContactsOfFrames(ContactTracker(SHAPE, PITCH_M, FULL_KPA)), []
+    for k in range(60):
+        pressure = (k >= 30) * bump(6, 6, 8.0) + rng.normal(0, 0.5, SHAPE)
+        starts = int(begins_anew and k >= 30)
+        view = PressureView(0.01 * k, pressure, Later(std.copy), (pressure, noise), starts)
+        seen.append(contacts.of(view))
+    assert not any(seen[:30])
+    assert any(seen[30:]) is not begins_anew
+
+
 def test_a_held_touch_that_only_its_rise_has_told_of_lasts_and_ends() -> None:
     """The pressure has a deviation of half of itself; ten minutes."""
     rng = np.random.default_rng(8)
@@ -302,6 +318,27 @@ def test_a_load_that_grows_more_slowly_than_drift_is_found_once_drift_cannot_exp
     first = next(k for k, contacts in enumerate(seen) if contacts)
     assert 0.03 * 0.1 * first == pytest.approx(DRIFT_KPA + START_SHARE * FULL_KPA, abs=0.2)
     assert all(seen[first:])
+
+
+# -- fingers beside each other --------------------------------------------------------------------------------------
+
+
+def test_fingers_that_come_down_beside_each_other_are_followed_while_they_pass() -> None:
+    """Each is cut off by the other one. Without the width that the fit of both gives they are off by 0.145 cells."""
+    off = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        tracker, std = ContactTracker(SHAPE, PITCH_M, FULL_KPA), np.full(SHAPE, 0.05)
+        for k in range(150):
+            apart = 2.8 * np.clip(1.0 - (k - 20) / 60, -1.0, 1.0)
+            fingers = np.array([(5.0, 5.5 - apart / 2), (5.6, 5.5 + apart / 2)])
+            pressure = (k >= 3) * (bump(*fingers[0], 10.0) + bump(*fingers[1], 7.0))
+            tracker.update(0.01 * k, pressure + rng.normal(0, 0.05, SHAPE), std)
+            places = np.array([(one.y_mm, one.x_mm) for one in tracker._tracks._tracks]) / (1e3 * PITCH_M)
+            if k >= 5:
+                assert len(places) == 2
+                off.append(np.linalg.norm(places[:, None] - fingers, axis=2).min(axis=1))
+    assert np.sqrt(np.mean(np.square(off))) < 0.125
 
 
 # -- scenes of the bench on a whole skin -------------------------------------------------------------------------------

@@ -86,7 +86,8 @@ STILL = 1.5
 """standard deviations of the reading by which a load that seems to have fallen must be above none. Such a fall may be
 steps of the ADC, of any reading that the resistance follows from; most loads that fall are released"""
 REFUTED = 0.5 * FAR
-"""kPa: an extreme from which any pressure has gone back, so that the turn is taken, and is certain"""
+"""kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
+is a turn, and below the extreme that means "none", so that the turn is certain"""
 FLAT = 0.003
 """of full scale by which a pressure that is held may seem to go back"""
 GOES_BACK = 6.0
