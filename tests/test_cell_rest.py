@@ -20,7 +20,7 @@ def test_a_released_cell_shows_less_than_half_a_kilopascal_in_noise() -> None:
 
 
 @pytest.mark.parametrize(("rate_hz", "noise_mv"), [(50.0, 0.1), (50.0, 1.0), (100.0, 0.3), (100.0, 1.0), (250.0, 1.0)])
-def test_a_tenth_tap_leaves_no_more_than_noise_does(rate_hz: float, noise_mv: float) -> None:
+def test_taps_leave_no_load_where_there_is_little_noise(rate_hz: float, noise_mv: float) -> None:
     """What taps leave in the memory is not shown as a load, however little noise the readings of the rest have."""
     (found,) = rest.rests([(rate_hz, 1.0, noise_mv)], seeds=3)
     assert found.median_kpa < 0.1

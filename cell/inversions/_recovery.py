@@ -48,8 +48,8 @@ MOST = 0.2
 REST_SIGMAS = 2.0
 """standard deviations by which the pressure of a cell at rest may differ from none"""
 RESTED_SIGMAS = 4.0
-"""standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a released cell.
-More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`), since the error of the memory shows in every
+"""standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a released
+cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows in every
 frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""
 LIGHT = 0.1
 """share of the variance of the memory that a rest leaves: the released cell may have borne a light load after all"""
