@@ -127,7 +127,7 @@ class ContactTracker:
                 rises are not looked for.
 
         """
-        self._feel(time_s, pressure_kpa, std_kpa, rise)
+        self._follow_joint_rises(time_s, pressure_kpa, std_kpa, rise)
         if rise is not None:
             self._find_missing(time_s, np.isnan(rise[0]))
         labels, patches = self._find(pressure_kpa, std_kpa)
@@ -165,7 +165,7 @@ class ContactTracker:
         self._read_s[~unread] = time_s
         self._missing = time_s - self._read_s > MISSING_S
 
-    def _feel(
+    def _follow_joint_rises(
         self,
         time_s: float,
         pressure_kpa: FloatArray,
@@ -174,22 +174,22 @@ class ContactTracker:
     ) -> None:
         """Look for cells that have risen jointly, and for those whose touch is over."""
         found = None if rise is None else self._rises.look(time_s, *rise)
-        felt = self._risen_kpa
-        if found is None and not felt.any():
+        risen_kpa = self._risen_kpa
+        if found is None and not risen_kpa.any():
             return
         full = self.full_scale_kpa
-        if found is None and (pressure_kpa[felt > 0] >= FALLEN_SHARE * felt[felt > 0]).all():
+        if found is None and (pressure_kpa[risen_kpa > 0] >= FALLEN_SHARE * risen_kpa[risen_kpa > 0]).all():
             return  # a held touch
-        least = np.maximum(LEFT_SHARE * felt, STAY_SHARE * full)
-        lasts = (pressure_kpa > least) & (felt > 0)
+        least = np.maximum(LEFT_SHARE * risen_kpa, STAY_SHARE * full)
+        lasts = (pressure_kpa > least) & (risen_kpa > 0)
         lasts &= self._touch_lasts(pressure_kpa, None if found is None else found[1])
         if found is not None:
             lasts |= found[0] & (pressure_kpa > START_SHARE * full)
-        self._risen_kpa = np.where(lasts, np.maximum(felt, pressure_kpa), 0.0)
+        self._risen_kpa = np.where(lasts, np.maximum(risen_kpa, pressure_kpa), 0.0)
         # What kept these cells in their contact is over: they stay only if their own pressures tell of a touch that
         # has not gone on and left a little behind.
-        alone = pressure_kpa > np.fmax(JOIN_STDS * std_kpa, np.maximum(JOIN_SHARE * full, LEFT_SHARE * felt))
-        self._labels = np.where((felt > 0) & ~lasts & ~alone, 0, self._labels)
+        alone = pressure_kpa > np.fmax(JOIN_STDS * std_kpa, np.maximum(JOIN_SHARE * full, LEFT_SHARE * risen_kpa))
+        self._labels = np.where((risen_kpa > 0) & ~lasts & ~alone, 0, self._labels)
 
     def _touch_lasts(self, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
         """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle."""

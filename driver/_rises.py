@@ -21,7 +21,7 @@ from operator import attrgetter
 import numpy as np
 from scipy import ndimage
 
-from ..arrays import BoolArray, FloatArray, median
+from ..arrays import BoolArray, FloatArray, scatter
 
 NOW_S, APART_S, BEFORE_S = 0.01, 0.02, 0.06
 """readings of the last moment are compared with earlier ones: length of the first, pause, length of the second. A
@@ -36,13 +36,13 @@ TOGETHER = 6.0
 """standard deviations of the weighted sum of rises. By chance a cell has that once in 1e9 frames; four cells of a
 square whose readings flip by one ADC step in the same frame have 5.2"""
 ASIDE = 4.0
-"""the same of the weighted sum without the cell's row, and without its column, which a fault of the wiring does not
-move"""
+"""the same of the sum that leaves out the cell's row, and of the sum that leaves out its column. A fault of the wiring
+moves one row or one column, hence only one of both sums"""
 MIDDLE, SHARED = 0.5, 0.1
-"""least rise of a cell in the middle of a touch, over the largest one around it; the same of a cell at its rim, and of
-the two sums. Crosstalk by leads is far less"""
+"""least rise of a cell in the middle of a touch, over the largest one in the 3 x 3 cells around it. The second is the
+same for a cell at the rim, and for the two sums, over the cell's own rise. Crosstalk by leads is far less"""
 OWN = 0.3
-"""of the rise of a cell, that it does not have in common with its line"""
+"""least share of a cell's rise that is its own: the rest it has in common with most cells of its row or column"""
 FALLEN = 4.0
 """standard deviations below zero of the weighted sum by which a touch may have ended; the pressure decides"""
 ROUNDING_S = 1e-9
@@ -51,8 +51,6 @@ LONGEST_S = 1.0
 """a pause between frames after which nothing is compared"""
 LEAST_LINE = 4
 """cells of a line of which a quarter is untouched: a fingertip covers shorter lines"""
-MEDIAN = 0.6745
-"""median of the sizes of normally distributed numbers, in their standard deviations"""
 
 
 def _unit(weights: FloatArray) -> FloatArray:
@@ -158,7 +156,7 @@ class Rises:
     def _together(self, rise: FloatArray) -> BoolArray | None:
         """Cells whose ``rise`` (rows, columns) in standard deviations is part of a joint rise."""
         own = rise - self._in_common(rise)
-        own /= max(median(np.abs(own)) / MEDIAN, 1.0)
+        own /= max(scatter(own), 1.0)
         own[(own <= OWN * rise) & (own > 0)] = 0.0
         highest = ndimage.maximum_filter(own, 3, mode="nearest")
         together = (own > np.maximum(EACH, MIDDLE * highest)) & (_filtered(own, _FILTER) > TOGETHER)

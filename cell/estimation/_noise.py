@@ -31,9 +31,10 @@ SOON = READINGS // EVERY // 8
 FIRST = 9
 """looks after which the median of so many differences tells the noise of few cells; they are in one :data:`WINDOW`"""
 OUTLIER = 9.0
-"""times the variance: a squared difference beyond is an outlier, which noise hardly ever is"""
+"""times the variance, from which a squared third difference is an outlier: three standard deviations"""
 ACROSS = 3.0
-"""readings of the smoothing's line: a difference is an outlier, too, if the line has fewer, as an edge is within it"""
+"""readings since the smoothing noticed an edge of the load. With fewer, the edge lies within the four readings of a
+third difference, which is then an outlier, however small"""
 UNCUT = 1.0274
 """variance of a normal variable over that of its values within three standard deviations"""
 CROWD_LOOKS = 24
@@ -104,7 +105,7 @@ class NoiseMeter:
         self._crowd = np.zeros(cells)
         """(n,) share of outliers among the differences of late"""
         self._passes_below = -1.0
-        """share of outliers below which a cell's are passed over; negative: they count as three standard deviations"""
+        """share of outliers below which those of a cell are passed over; negative: they count, as three deviations"""
         self._looks = 0
         self.on_line = np.full(cells, np.inf)
         """(n,) readings since the smoothing of a cell last noticed a change; whoever smooths sets it, in every frame"""
@@ -155,7 +156,7 @@ class NoiseMeter:
 
     @property
     def looks_next(self) -> bool:
-        """Whether the next frame is looked at, if all goes on."""
+        """Whether the noise is measured again in the next frame."""
         return self._looks < SOON or (self._seen + 1) % EVERY == 0
 
     def _guess(self, r: FloatArray) -> None:

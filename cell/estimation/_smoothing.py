@@ -255,9 +255,9 @@ def advance_each(
     Args:
         line: (ROWS, m), changed.
         before: (ROWS, m), to keep the line from before.
-        cells: (m,) indices.
-        on_line: (n,) readings since the lines began, changed if ``keeps``.
-        keeps: see there.
+        cells: (m,) their indices among all n cells.
+        on_line: (n,) for each cell the readings since its line began; written to if ``keeps``.
+        keeps: whether the noise meter looks at the next frame, since only then ``on_line`` is read.
         dt_s: since the last readings.
         gains: (3, n), ``rows`` of :class:`Gains`.
         taken: (4, m) readings and their noise; given their smoothed values and the standard deviations of these.

@@ -20,16 +20,14 @@ import math
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray, median
+from ...arrays import BoolArray, FloatArray, IntArray, scatter
 
 SHARED = 0.05
 """share of a jump by which a neighbour moves with it. Crosstalk by leads that nobody mentions is far less"""
 CLEAR = 8.0
 """standard deviations of its reading by which a neighbour moves with a jump"""
 JOINTLY = 4.0
-"""the same of neighbours along both axes, which would have to stray together: two by chance hardly do"""
-MEDIAN = 0.6745
-"""median of the sizes of normally distributed numbers, in their standard deviations"""
+"""the same where neighbours along both axes move: fewer suffice, since noise hardly moves two cells at once"""
 TOGETHER_S = 0.02
 """time in which a fingertip comes down on all its cells: neighbours that move later tell nothing of a jump"""
 IN_LINE_S = 0.005
@@ -146,7 +144,7 @@ class Taps:
         A finger moves fewer than half of the cells, so the median is that of cells without a load. Where it is large,
         the noise has just grown, or the whole skin moves.
         """
-        return max(median(np.abs(reading - self._before) / np.maximum(noise, TINY)) / MEDIAN, 1.0)
+        return max(scatter((reading - self._before) / np.maximum(noise, TINY)), 1.0)
 
     def _beside(self, values: FloatArray, cells: IntArray) -> FloatArray:
         """(4, m) what ``values`` (n,) has for the neighbours of ``cells`` (m,); NaN where there is none."""

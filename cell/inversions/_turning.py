@@ -84,7 +84,8 @@ PULL_SIGMAS = 0.7
 """standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
 smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
 REFUTED = 0.5 * FAR
-"""kPa: an extreme from which any pressure has gone back, so that the turn is taken, and is certain"""
+"""kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
+is a turn, and below the extreme that means "none", so that the turn is certain"""
 FLAT = 0.003
 """of full scale by which a pressure that is held may seem to go back"""
 GOES_BACK = 6.0

@@ -1,4 +1,4 @@
-"""Types of numpy arrays, named once for all rooms; the median of a small array; copies that nobody writes to."""
+"""Types of numpy arrays, named once for all rooms; median and scatter of small arrays; copies that nobody writes to."""
 
 from __future__ import annotations
 
@@ -28,6 +28,18 @@ def median(values: FloatArray) -> float:
         return float(ordered[half])
     ordered.partition((half - 1, half))
     return float(ordered[half - 1] + ordered[half]) / 2
+
+
+def scatter(values: FloatArray) -> float:
+    """Standard deviation about zero of most of the values, whatever the others are (median absolute deviation).
+
+    At least one value, none of them NaN.
+    """
+    return median(np.abs(values)) / _MEDIAN_OF_NORMAL
+
+
+_MEDIAN_OF_NORMAL = 0.6745
+"""median of the absolute values of standard normal numbers"""
 
 
 def read_only(values: AnyArray) -> AnyArray:
