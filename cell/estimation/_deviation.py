@@ -155,7 +155,7 @@ class Deviation:
         released = self._inversion.released(memory)
         if much_noise or released is not None:
             likely = _likely(pressure, self._inversion.hides_kpa2(memory, noise_kpa))
-            if not much_noise:
+            if released is not None and not much_noise:
                 likely = np.where(released, likely, pressure)
             added = total(added, (pressure - likely) ** 2)
             pressure = likely
