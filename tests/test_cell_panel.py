@@ -9,7 +9,7 @@ from functools import cache
 import cells
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from ohmskin.bench import panel
@@ -95,7 +95,9 @@ def test_a_nested_model_never_fits_worse_than_one_it_contains(material: str, see
     """m10 contains asymmetric; it is started from where that one ended."""
     scene = shortened(panel.scene("random", material, seed), 80)
     head = scene.time_s < scene.head_s
-    recording = checked_recording(scene.time_s[head], scene.pressure_kpa[head], scene.resistance_ohm[head])
+    pressure = scene.pressure_kpa[head]
+    assume(pressure.min() < 0.2 * pressure.max())  # a recording that is never released is refused
+    recording = checked_recording(scene.time_s[head], pressure, scene.resistance_ohm[head])
     error = {fit.model.kind: fit.error for fit in fits(recording, panel.FULL_SCALE_KPA)}
     assert error["m10"] <= 1.01 * error["asymmetric"] + 1e-4
 
