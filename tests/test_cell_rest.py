@@ -73,3 +73,25 @@ def test_the_fringe_of_taps_on_a_divider_comes_back_to_rest() -> None:
     found = light_taps.judged(light_taps.Case("example", "divider", 12, 100.0, 0.3, 1.0, fringe=True))
     assert max(found.kept) < 1.0
     assert min(found.within_two) > 0.95
+
+
+@pytest.mark.parametrize("machine_code", [False, True])
+def test_no_pressure_beyond_the_usual_is_shown_in_doubt(machine_code: bool) -> None:
+    """Loads that turn within frames, in noise: what is shown beyond full scale is in the deviation, and not doubt."""
+    random, cell = np.random.default_rng(0), Cell.example()
+    estimator, forward = cell.estimator((4, 4)), cell.forward((4, 4))
+    if machine_code and not estimator.compile():
+        pytest.skip("the extra 'fast' is not in use")
+    full_kpa, beyond, doubted = cell.full_scale_kpa, 0, 0
+    for frame in range(800):
+        pressed = (frame > 50) * (random.random((4, 4)) < 0.5)
+        load = full_kpa * pressed * random.random((4, 4))
+        for part in (random.random(), 1.0, 1.0):
+            ohm = forward.step(0.02 / 3.0, part * load)
+        shown = estimator.step(0.02, ohm * (1.0 + 0.01 * random.standard_normal((4, 4))))
+        doubt_kpa2 = estimator.variance_of_last_step()() - np.maximum(shown - full_kpa, 0.0) ** 2
+        unusual = shown > 1.1 * full_kpa * (1.0 + 1e-9)
+        beyond += np.count_nonzero(unusual)
+        doubted += np.count_nonzero(unusual & (doubt_kpa2 > (0.1001 * full_kpa) ** 2))
+    assert doubted == 0
+    assert beyond < 20
