@@ -115,10 +115,23 @@ class Reading:
 
     @property
     def step_std(self) -> FloatArray:
-        """Relative standard deviation of a cell's conductance by the ADC's steps alone; computed when asked for."""
+        """Relative standard deviation of a cell's conductance by the ADC's steps alone; computed when asked for.
+
+        It counts the steps of the cell's own reading.
+        """
         if self._found is None:
             return np.full(self.resistance.shape, np.nan)
         return _STEP_STD / self._covered_steps * self._found.own
+
+    @property
+    def all_steps_std(self) -> FloatArray:
+        """As :attr:`step_std`, by the steps of all readings that the conductance follows from.
+
+        In a column of a divider a step of one reading changes the conductances of all its cells.
+        """
+        if self._found is None:
+            return np.full(self.resistance.shape, np.nan)
+        return _STEP_STD / self._covered_steps * self._found.by_readings
 
     @property
     def uncertainty(self) -> FloatArray:

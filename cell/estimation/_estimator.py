@@ -49,6 +49,8 @@ SETTLE_EVERY = 32
 """frames between two looks for cells that may go to sleep"""
 FIRST_READINGS = 4
 """averaged before the first estimate of a cell is final"""
+MORE = 1.1
+"""times what the steps of its own reading make of a resistance: from there on those of other readings count"""
 UNKNOWN_PAST = 0.25
 """of the first pressure of a cell: its standard deviation, since a load that began just now shows as much more than one
 that has been there for long; it falls as the doubt about a gap does"""
@@ -175,21 +177,36 @@ class Estimator:
         """Whether :meth:`resolve` has been called."""
         return self._noise.typical_resolution > 0.0
 
-    def resolve(self, step_std: ArrayLike, resistance_ohm: ArrayLike) -> None:
+    def resolve(self, step_std: ArrayLike, resistance_ohm: ArrayLike, all_steps_std: ArrayLike | None = None) -> None:
         """Take the resolution of the readings, which the readings themselves do not show where noise is small.
 
         Args:
-            step_std: (shape) relative standard deviation of a conductance by the steps of the ADC.
+            step_std: (shape) relative standard deviation of a conductance by the ADC's steps of its own reading.
             resistance_ohm: (shape) the readings in ohm for which that holds. Where one of them is not finite the median
                 of the others is taken; if all are not, nothing happens.
+            all_steps_std: (shape) as ``step_std``, by the steps of all readings that a conductance follows from, as in
+                a column of a divider. A load that is held must not seem to fall when one of these steps. None: no
+                more than ``step_std``.
         """
-        step = np.asarray(step_std, dtype=np.float64).ravel()
+        at_rest, found = self._at_rest(step_std, resistance_ohm)
+        if not found.any():
+            return
+        of_all = 0.0
+        if all_steps_std is not None:
+            by_all, known = self._at_rest(all_steps_std, resistance_ohm)
+            of_all = float(np.median(by_all[known])) if known.any() else 0.0
+            if of_all < MORE * np.median(at_rest[found]):
+                of_all = 0.0  # as behind virtual grounds: the noise of own readings tells all
+        self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])), of_all)
+        self.inversion.take_steps(of_all)
+
+    def _at_rest(self, relative_std: ArrayLike, resistance_ohm: ArrayLike) -> tuple[FloatArray, BoolArray]:
+        """(n,) standard deviation of r at rest for a relative one of conductances; (n,) where it is known."""
+        std = np.asarray(relative_std, dtype=np.float64).ravel()
         resistance = np.asarray(resistance_ohm, dtype=np.float64).ravel()
         # A step of current is one of conductance: that of r is proportional to (1 + r)^2, as noise is.
-        at_rest = np.divide(step, resistance * self._per_ohm, out=np.full(step.size, np.nan), where=resistance > 0)
-        found = np.isfinite(at_rest) & (at_rest > 0)
-        if found.any():
-            self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])))
+        at_rest = np.divide(std, resistance * self._per_ohm, out=np.full(std.size, np.nan), where=resistance > 0)
+        return at_rest, np.isfinite(at_rest) & (at_rest > 0)
 
     @property
     def std_kpa(self) -> FloatArray:
@@ -360,6 +377,7 @@ class Estimator:
         self._sleep.restore(given, clock)
         for part in (self._remembered, self._deviation, self._noise, self._gaps, self._held, self._tremor):
             part.restore(given)
+        self.inversion.take_steps(self._noise.resolution_by_all)
         self._sparks.forget_all()
         self._begun = bool((self._readings >= (1 if self.inversion.exact else FIRST_READINGS)).all())
         self._watch_over()

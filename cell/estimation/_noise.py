@@ -129,12 +129,14 @@ class NoiseMeter:
         """(n,) the part of it that the steps of the ADC make; 0: not known"""
         self.typical_resolution = 0.0
         """that of the median cell"""
+        self.resolution_by_all = 0.0
+        """the same by the steps of all readings that the median cell's resistance follows from; 0: not known"""
         self.compiled = False
         """whether the loops are there as machine code"""
 
-    def resolve(self, resolution: FloatArray) -> None:
-        """Take the standard deviation (n,) of r at rest that the steps of the ADC make."""
-        self.resolution = resolution
+    def resolve(self, resolution: FloatArray, by_all: float) -> None:
+        """Take the standard deviation (n,) of r at rest that the steps of the ADC make: of own readings, and of all."""
+        self.resolution, self.resolution_by_all = resolution, by_all
         self.typical_resolution = float(np.median(resolution))
         np.maximum(self.at_rest, resolution, out=self.at_rest)
 
@@ -339,7 +341,7 @@ class NoiseMeter:
             "noise_crowd": self._crowd,
             "noise_on_line": self.on_line,
             "noise_counts": np.array([self._looks, self._seen, self._any_blind], dtype=np.float64),
-            "noise_of_array": np.array([self.typical, self.quiet, self._passes_below]),
+            "noise_of_array": np.array([self.typical, self.quiet, self._passes_below, self.resolution_by_all]),
             "noise_beside": self.beside,
         }
 
@@ -348,10 +350,10 @@ class NoiseMeter:
         self._ring, self._blind, self._variance = (state[f"noise_{name}"] for name in ("ring", "blind", "variance"))
         self.beside, self._crowd, self.on_line = (state[f"noise_{name}"] for name in ("beside", "crowd", "on_line"))
         looks, seen, any_blind = state["noise_counts"].tolist()
-        self.typical, self.quiet, self._passes_below = state["noise_of_array"].tolist()
+        self.typical, self.quiet, self._passes_below, by_all = state["noise_of_array"].tolist()
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
         self.at_rest = np.sqrt(self._variance + LEAST**2)
-        self.resolve(state["noise_resolution"])
+        self.resolve(state["noise_resolution"], by_all)
 
 
 @loop

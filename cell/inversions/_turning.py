@@ -83,6 +83,9 @@ large by about as many; with more, the end of a tap of few frames would be misse
 PULL_SIGMAS = 0.7
 """standard deviations of the reading below none, from which a pressure is an error of the memory. They include what the
 smoothing has not noticed: its line overshoots for a moment where a fast release ends"""
+STILL = 1.5
+"""standard deviations of the reading by which a load that seems to have fallen must be above none. Such a fall may be
+steps of the ADC, of any reading that the resistance follows from; most loads that fall are released"""
 REFUTED = 0.5 * FAR
 """kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
 is a turn, and below the extreme that means "none", so that the turn is certain"""
@@ -162,7 +165,12 @@ class TurningInversion(Inversion):
         self._kept_kpa = sway.kpa_kept(model)
         self._fast_kpa = FAST * TURN * full_scale_kpa
         self._most_rested_kpa2 = (recovery.MOST * full_scale_kpa) ** 2
+        self._steps = 0.0
         self._turns = self._numbers_of_turns()
+
+    def take_steps(self, std: float) -> None:
+        """As :meth:`.Inversion.take_steps`: for falls of loads that are held, see :data:`STILL`."""
+        self._steps = self._turns[loops.STEPS] = std
 
     def begin(self, r: FloatArray) -> FloatArray:
         m = self.model
@@ -288,6 +296,9 @@ class TurningInversion(Inversion):
             loops.TURN_KPA: self._turn_kpa,
             loops.LIGHT_KPA: self._light_kpa,
             loops.TURN_SHARE: self._turn_share,
+            loops.STEPS: self._steps,
+            loops.STILL: STILL,
+            loops.FALL: SURE + LESS,
             loops.LEAST_KPA: self._least_kpa,
             loops.PULLED_KPA: -NEAR * self.full_scale_kpa,
             loops.FLAT_KPA: self._flat_kpa,
@@ -411,8 +422,18 @@ class TurningInversion(Inversion):
         self._turn_from(of.extreme, of.ahead)
         of.ahead += of.drift
         of.threshold += of.ahead
+        if self._steps > 0.0:
+            self._doubt_falls(of, std)
         np.maximum(of.pressure, self._least_kpa, out=of.ahead)
         of.ahead *= of.sign
+
+    def _doubt_falls(self, of: Rows, std: FloatArray) -> None:
+        """Let a load that seems to fall, and not to none, fall by more than steps of the ADC; changes the threshold."""
+        other = (of.pressures * of.not_in_force).sum(axis=0)
+        scale = of.r + 1.0
+        by_steps = scale * scale * self._steps
+        falls = (of.sign > 0.0) & (other > np.maximum(by_steps, std) * of.other_gain * STILL)
+        of.threshold += np.where(falls, np.maximum(by_steps - std, 0.0) * of.gain * (SURE + LESS), 0.0)
 
     def _turn_from(self, extreme: FloatArray, limit: FloatArray) -> None:
         """Write into ``limit`` (m,) how far exact pressures in kPa must go back from ``extreme`` (m,) for a turn."""

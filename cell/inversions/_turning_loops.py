@@ -38,13 +38,14 @@ FLAT_KPA, EXACT_KPA, AGAIN, LESS, EITHER, LEFT_OVER, CLEAR = range(6, 13)
 JUST_BEGUN, BETWEEN, BEND, ROUND_KPA, MOST_KPA2, CONFIRMED_RISE, CONFIRMED_FALL, HALF = range(13, 21)
 PULL, NEAR_KPA, SETTLED_PER_KPA, ETAU2_KPA, E1_KPA, LOST_SIGMAS, MOST_LOST_KPA2 = range(21, 28)
 HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2, LIGHT_KPA, TURN_SHARE = range(28, 37)
-GOES_BACK = 37
+GOES_BACK, STEPS, STILL, FALL = range(37, 41)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
 those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, of :mod:`._recovery`, and how far
-small pressures must go back for a turn; how far the peak goes down as an error of the memory fades"""
+small pressures must go back for a turn; how far the peak goes down as an error of the memory fades; and those of
+``_doubt_falls``"""
 UNCONFIRMED, PULLED = 1, 2
 
 
@@ -146,11 +147,17 @@ def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
     sign = memory[SIGN, i]
     unsure = std * memory[GAIN, i]
     ahead = max(pressure, numbers[LEAST_KPA]) * sign
-    back = (rising * of[NOT_RISING, i] + recovery * of[NOT_RECOVERY, i]) * sign + memory[LEFT, i]
+    other = rising * of[NOT_RISING, i] + recovery * of[NOT_RECOVERY, i]
+    back = other * sign + memory[LEFT, i]
     noise = of[OTHER_GAIN, i] * std
     memory[PRESSURE, i] = pressure
     of[UNSURE, i], of[AHEAD, i], of[SPARE, i], of[NOISE, i] = unsure, ahead, back, noise
     least = turn_from(memory[EXTREME, i], numbers) + memory[DRIFT_KPA, i]
+    if numbers[STEPS] > 0.0 and sign > 0.0:
+        scale = memory[STATE_END - 1, i] + 1.0
+        by_steps = scale * scale * numbers[STEPS]
+        if other > max(by_steps, std) * of[OTHER_GAIN, i] * numbers[STILL]:
+            least += max(by_steps - std, 0.0) * memory[GAIN, i] * numbers[FALL]
     gone_back = memory[EXTREME, i] - ahead > unsure * numbers[SURE] + least
     return bool(gone_back or back < noise)
 

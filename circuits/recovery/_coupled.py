@@ -116,6 +116,7 @@ class CoupledLive:
             lambda: (turn(found.uncertainty), turn(found.own)),
             found.covered,
             found.alike,
+            lambda: turn(found.by_readings),
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, noise: float) -> LiveReading:
@@ -293,10 +294,16 @@ class CoupledLive:
         shape, gone, disturbed = self._parts.shape, self._parts.gone, beside.ravel()
         open_cells, counted = frame.signal.ravel() <= frame.error, (self._uncertainty.covered(frame), ALIKE)
         uncertainty = left.all
+        # Not the derivatives themselves, which are large: whoever keeps the reading keeps these.
+        by_readings = partial(self._by_readings, frame, self._linearised.base.std, fit.steeper, uncertainty)
         most = uncertainty.item(uncertainty.argmax())
         if self._all_known(selection, beside) and not np.count_nonzero(open_cells) and most <= self._rule.limit:
             return LiveReading(
-                fit.known.cells.copy(), *self._all_valid, partial(self._uncertainties, frame, uncertainty), *counted
+                fit.known.cells.copy(),
+                *self._all_valid,
+                partial(self._uncertainties, frame, uncertainty),
+                *counted,
+                by_readings,
             )
         reason = np.full(len(uncertainty), UNCERTAIN, dtype=np.int8)
         reason[left.others > 0.5 * uncertainty] = DISTURBED
@@ -321,6 +328,7 @@ class CoupledLive:
             reason.reshape(shape),
             partial(self._uncertainties, frame, uncertainty),
             *counted,
+            by_readings,
         )
 
     def _all_known(self, selection: Selection, beside: BoolArray) -> bool:
@@ -332,6 +340,11 @@ class CoupledLive:
         """Relative uncertainties (N, M) of a frame's cells, and the part by a cell's own reading."""
         own = self._uncertainty.of_own_reading(frame, uncertainty)
         return uncertainty.reshape(self._parts.shape), own.reshape(self._parts.shape)
+
+    def _by_readings(self, frame: Frame, std: FloatArray, steeper: FloatArray, uncertainty: FloatArray) -> FloatArray:
+        """Relative change (N, M) of a frame's cells by random errors of all readings."""
+        by_all = self._uncertainty.of_all_readings(frame, std, steeper, uncertainty)
+        return by_all.reshape(self._parts.shape)
 
     def _nothing(self, at_limit: BoolArray, why: int = DISTURBED) -> LiveReading:
         """A frame that tells of no cell.

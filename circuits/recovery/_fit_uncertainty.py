@@ -52,6 +52,23 @@ class FitUncertainty:
         at_most: FloatArray = np.minimum(np.minimum(own, uncertainty), 1.0)
         return at_most
 
+    def of_all_readings(
+        self, frame: Frame, std: FloatArray, steeper: FloatArray, uncertainty: FloatArray
+    ) -> FloatArray:
+        """The part (n,) of an ``uncertainty`` (n,) that is by random errors of all readings, at most 1.
+
+        Args:
+            frame: the readings.
+            std: :attr:`.Base.std` of the fit's derivatives.
+            steeper: :attr:`.Fit.steeper`.
+            uncertainty: the whole of it.
+
+        """
+        by_all = _spread(std, steeper) * (self.covered(frame) / self._noise)
+        at_most = np.minimum(np.minimum(by_all, uncertainty), 1.0)
+        at_least: FloatArray = np.maximum(at_most, self.of_own_reading(frame, uncertainty))
+        return at_least
+
     def sigmas(self, frame: Frame, fit: Fit) -> float:
         """Posterior standard deviations, by rounding alone, that an uncertainty covers.
 
@@ -64,8 +81,7 @@ class FitUncertainty:
         self, frame: Frame, fit: Fit, base: Base, own: FloatArray, by_shifts: FloatArray | None
     ) -> FloatArray:
         """What all readings leave open (n,), at least ``own`` (n,), with :meth:`by_shifts`."""
-        spread = base.std * np.maximum(fit.steeper, 1.0)
-        beyond: FloatArray = np.maximum(self.sigmas(frame, fit) * spread - own, 0.0)
+        beyond: FloatArray = np.maximum(self.sigmas(frame, fit) * _spread(base.std, fit.steeper) - own, 0.0)
         beyond += np.abs(fit.step) * (_STALLED if fit.stalled and fit.misfit > FITS else fit.stale)
         if by_shifts is not None:
             beyond += by_shifts
@@ -92,3 +108,9 @@ class FitUncertainty:
         by_gain: FloatArray = np.abs(base.step(gain * (frame.measured - lowest)))
         by_gain += np.abs(base.step(np.full(len(base.log), offset)))
         return by_gain
+
+
+def _spread(std: FloatArray, steeper: FloatArray) -> FloatArray:
+    """(n,) posterior standard deviations of the logarithms by rounding, at readings ``steeper`` (n,) than the base."""
+    spread: FloatArray = std * np.maximum(steeper, 1.0)
+    return spread

@@ -103,8 +103,13 @@ class LiveReading:
         uncertainties: Callable[[], tuple[FloatArray, FloatArray]],
         covered: float | None = None,
         alike: float = 1.0,
+        by_readings: Callable[[], FloatArray] | None = None,
     ) -> None:
-        """Keep values, and how to compute :attr:`uncertainty` and :attr:`own` should somebody ask for them."""
+        """Keep values, and how to compute the uncertainties should somebody ask for them.
+
+        ``by_readings`` gives :attr:`by_readings`; None: other readings do not count, as behind virtual grounds.
+        """
+        self._by_readings = by_readings
         self.alike = alike
         """standard deviation by ADC steps, which may err alike in many readings, over that of independent errors"""
         self.covered = covered
@@ -139,6 +144,15 @@ class LiveReading:
     def own(self) -> FloatArray:
         """The part of :attr:`uncertainty` that comes from the cell's own reading: no other reading lessens it."""
         return self._computed[1]
+
+    @property
+    def by_readings(self) -> FloatArray:
+        """Relative change of the conductance by random errors of all readings, :attr:`covered` each; at least ``own``.
+
+        In a column of a divider all readings together tell how much of the drive is left for each cell. When the code
+        of another cell of the column changes, the conductance changes as well.
+        """
+        return self.own if self._by_readings is None else self._by_readings()
 
 
 class LiveRecovery(Protocol):
