@@ -19,6 +19,15 @@ def test_a_released_cell_shows_less_than_half_a_kilopascal_in_noise() -> None:
     assert found.worst < 4.0
 
 
+@pytest.mark.parametrize(("rate_hz", "noise_mv"), [(50.0, 0.1), (50.0, 1.0), (100.0, 0.3), (100.0, 1.0), (250.0, 1.0)])
+def test_taps_leave_no_load_where_there_is_little_noise(rate_hz: float, noise_mv: float) -> None:
+    """What taps leave in the memory is not shown as a load, however little noise the readings of the rest have."""
+    (found,) = rest.rests([(rate_hz, 1.0, noise_mv)], seeds=3)
+    assert found.median_kpa < 0.1
+    assert found.largest_kpa < 0.3
+    assert found.worst < 4.0
+
+
 def test_the_bound_falls_with_more_readings_and_less_noise() -> None:
     bound = rest.bound_kpa(EXAMPLE, 50.0, 1.0, 10.0)
     assert rest.bound_kpa(EXAMPLE, 200.0, 1.0, 10.0) == pytest.approx(bound / 2.0, rel=0.05)

@@ -20,7 +20,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from . import _loops as loops
 from ._conditions import Conditions
-from ._inversion import DOUBT, NO_LOAD_SIGMAS, USUAL, Inversion
+from ._inversion import DOUBT, LIGHT_LOAD, NO_LOAD_SIGMAS, USUAL, Inversion
 from ._loops import ASLEEP_SIGMAS
 from ._noise import NoiseMeter
 from ._remembered import Block, Remembered
@@ -124,6 +124,7 @@ class Deviation:
             loops.FALL_KPA: self._inversion.steepness_kpa[1],
             loops.RESTS: self._inversion.rests,
             loops.DOUBT_KPA2: self._doubt_kpa2,
+            loops.LIGHT_KPA2: (LIGHT_LOAD * full) ** 2,
         }
         return np.array([numbers[place] for place in range(len(numbers))])
 
@@ -150,8 +151,12 @@ class Deviation:
             pressure = np.where(doubtful, np.minimum(pressure, usual), pressure)
             added = total(added, excess**2)
         noise_kpa = looked.std * memory[GAIN]
-        if noise_kpa.item(noise_kpa.argmax()) > AT_REST * self._full_kpa:
+        much_noise = noise_kpa.item(noise_kpa.argmax()) > AT_REST * self._full_kpa
+        released = self._inversion.released(memory)
+        if much_noise or released is not None:
             likely = _likely(pressure, self._inversion.hides_kpa2(memory, noise_kpa))
+            if released is not None and not much_noise:
+                likely = np.where(released, likely, pressure)
             added = total(added, (pressure - likely) ** 2)
             pressure = likely
         self._left_open = LeftOpen(block.cells, memory[:SHARED].copy(), looked, added)

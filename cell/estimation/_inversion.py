@@ -28,6 +28,9 @@ MEMORIES = 30.0
 
 NO_LOAD_SIGMAS = 2.0
 """standard deviations of the noise at which a load and none are as likely"""
+LIGHT_LOAD = 0.02
+"""of full scale: no larger load of a released cell is taken for the memory's error, unless the cell has been taken for
+one at rest"""
 
 _NO_VARIANCE = np.zeros(1)
 _ONE = np.array(1.0)  # as array: NumPy makes an array of a float in every call
@@ -117,6 +120,10 @@ class Inversion(ABC):
             noise: (m,) standard deviation of one of them.
             count: (m,) readings since the smoothing last noticed a change.
         """
+
+    def released(self, memory: FloatArray) -> BoolArray | None:
+        """(m,) whether the load of a cell went down last, so that its memory may show as a load; None: of none."""
+        return None
 
     def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """(m,) squared kPa at which a load and none are as likely, for a standard deviation by noise (m,)."""

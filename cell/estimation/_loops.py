@@ -58,18 +58,20 @@ def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, lea
 
 
 MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY = range(8)
-HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE, RISE_KPA, FALL_KPA, RESTS, DOUBT_KPA2 = range(8, 17)
+HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE, RISE_KPA, FALL_KPA, RESTS, DOUBT_KPA2, LIGHT_KPA2 = range(8, 18)
 """places of numbers that :func:`show` and :func:`watch_over` take: variance in kPa^2 by the model; r per kPa of bend
 that a turn within the frame may leave, 0: none, and standard deviations of noise that are no bend; full scale,
 pressure, and noise in kPa from which more is done; standard deviations at which a load and none are as likely; keeps
 0/0 from occurring; standard deviations of a reading that hide a load, and the inverse number of those that an estimate
 is to cover; 1 if a standard deviation is stated; standard deviations that an estimate is to cover, and those of a
 reading that hide a load over them; pressure per r of a fast rise and of a fast fall; as NO_LOAD, of a cell taken for
-one at rest; variance in kPa^2 from which no pressure beyond the usual is shown"""
+one at rest; variance in kPa^2 from which no pressure beyond the usual is shown; as RESTS, of a released cell: squared
+kPa beyond which the error of the memory hides no load"""
 LAST, BEFORE_LAST = 3, 4
 """rows of the pressures of the last two frames, where a turn within the frame is reckoned with"""
-REST_VARIANCE, RESTED = 20, 21
-"""rows where released cells are taken for cells at rest: variance in kPa^2 of the memory then; 1 where that is so"""
+SIGN, REST_VARIANCE, RESTED = 7, 20, 21
+"""rows where released cells are taken for cells at rest: negative where the cell is released; variance in kPa^2 of the
+memory then; 1 where the cell is taken for one at rest"""
 
 
 @loop
@@ -114,7 +116,8 @@ def show(
     most_kpa, doubt_kpa2 = numbers[MUCH], numbers[DOUBT_KPA2]
     much_noise = False
     # Read once: the compiler cannot know that no array written below is ``numbers``.
-    rise_kpa, fall_kpa, rests = numbers[RISE_KPA], numbers[FALL_KPA], numbers[RESTS]
+    rise_kpa, fall_kpa = numbers[RISE_KPA], numbers[FALL_KPA]
+    rests, light_kpa2 = numbers[RESTS], numbers[LIGHT_KPA2]
     hidden, per_sigmas, within, sure = numbers[HIDDEN], numbers[PER_SIGMAS], numbers[WITHIN], numbers[SURE]
     model_variance, stated, tiny = numbers[MODEL_VARIANCE], numbers[STATED] > 0.0, numbers[TINY]
     for i in range(cells.size):
@@ -134,14 +137,18 @@ def show(
                 shown = min(shown, most_kpa)
             excess = max(found - full, 0.0)
             added[i] += excess * excess
-        if much_noise:
+        released = rests != 0.0 and memory[SIGN, i] < 0.0
+        if much_noise or released:
             believed = shown
             squared = shown * shown
             squared *= squared
-            hides = no_load * noise_kpa
-            hides *= hides
-            if rests != 0.0 and memory[RESTED, i] > 0.0:
-                hides = (noise_kpa * noise_kpa + memory[REST_VARIANCE, i]) * rests
+            hides = 0.0
+            if much_noise:
+                hides = no_load * noise_kpa
+                hides *= hides
+            if released:
+                by_memory = (noise_kpa * noise_kpa + memory[REST_VARIANCE, i]) * rests
+                hides = by_memory if memory[RESTED, i] > 0.0 else max(hides, min(by_memory, light_kpa2))
             shown *= squared / (squared + hides * hides + tiny)
             off = believed - shown
             added[i] += off * off

@@ -47,10 +47,10 @@ MOST = 0.2
 """of full scale: a memory that is known no better is lost, and rest is no better guess than a load"""
 REST_SIGMAS = 2.0
 """standard deviations by which the pressure of a cell at rest may differ from none"""
-RESTED_SIGMAS = 3.0
-"""standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a cell that has
-been taken for one at rest; less than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`) is no sign of a new
-press"""
+RESTED_SIGMAS = 4.0
+"""standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a released
+cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows in every
+frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""
 LIGHT = 0.1
 """share of the variance of the memory that a rest leaves: the released cell may have borne a light load after all"""
 DRIFTS = 2.0

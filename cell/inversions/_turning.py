@@ -17,6 +17,7 @@ from ..estimation import (
     DOUBT,
     GAIN,
     HIDDEN,
+    LIGHT_LOAD,
     LOADS,
     PRESSURE,
     REST_VARIANCE,
@@ -159,6 +160,7 @@ class TurningInversion(Inversion):
         self._least_kpa = np.array(self._lowest if self.exact else 0.0)
         self.steepness_kpa = 1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa
         self.rests = recovery.RESTED_SIGMAS**2
+        self._light_load_kpa2 = (LIGHT_LOAD * full_scale_kpa) ** 2
         self._recovery = ByStep(recovery.constants, model)
         self._kept_kpa = sway.kpa_kept(model)
         self._fast_kpa = FAST * TURN * full_scale_kpa
@@ -387,10 +389,19 @@ class TurningInversion(Inversion):
         recovery.look_each.code(memory, taken, line, ring, newest, cells, self._recovery.of(dt_s))
         sway.look_each.code(memory, taken, ring, newest, cells, sway.LOOKS_IN_BLOCK, self._kept_kpa)
 
+    def released(self, memory: FloatArray) -> BoolArray | None:
+        released: BoolArray = memory[SIGN] < 0.0
+        return released if np.count_nonzero(released) else None
+
     def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
-        """A cell that has been taken for one at rest shows what clearly differs from rest."""
+        """A released cell shows what clearly differs from rest; noise and memory both may make the difference.
+
+        How little noise there is does not matter. The error of the memory was made by the noise of all taps so far.
+        """
         rests = (noise_kpa * noise_kpa + memory[REST_VARIANCE]) * self.rests
-        hides: FloatArray = np.where(memory[RESTED] > 0.0, rests, super().hides_kpa2(memory, noise_kpa))
+        by_noise = super().hides_kpa2(memory, noise_kpa)
+        light = np.maximum(by_noise, np.minimum(rests, self._light_load_kpa2))
+        hides: FloatArray = np.where(memory[SIGN] < 0.0, np.where(memory[RESTED] > 0.0, rests, light), by_noise)
         return hides
 
     def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
