@@ -26,7 +26,7 @@ ANEW_EFFORT = USUAL_EFFORT._replace(instalments=3)
 """on the way from closed formulas to a fit: on strongly coupled boards derivatives serve for one step only"""
 LARGE_EFFORT = Effort(starts=3, evaluations=4, instalments=4, solutions=0)
 """of boards on which a step by the matrix of all readings by all cells is most of a usual frame"""
-NODE_EFFORT = Effort(starts=3, evaluations=6, instalments=3, solutions=0)
+NODE_EFFORT = Effort(starts=3, evaluations=5, instalments=3, solutions=0)
 """of boards with floating rows and many cells, where a renewal is one inversion of a matrix with a row per line"""
 FIRST_EFFORT = Effort(starts=3, evaluations=40, instalments=700, solutions=4)
 """in the first frame of all, before which nothing is known"""
