@@ -166,11 +166,7 @@ class Rises:
             together &= _filtered(own, weights) > np.maximum(ASIDE, SHARED * own)
         if not together.any():
             return None
-        near = together.copy()
-        near[1:] |= together[:-1]
-        near[:-1] |= together[1:]
-        near[:, 1:] |= together[:, :-1]
-        near[:, :-1] |= together[:, 1:]
+        near: BoolArray = ndimage.binary_dilation(together)  # and the cells above, below, left and right
         return near & (own > np.maximum(EACH, SHARED * highest))
 
     def _in_common(self, rise: FloatArray) -> FloatArray:

@@ -48,7 +48,7 @@ class OneCell:
         now, other = self._solved(self.now, self.rising, dt, r), self._solved(self.other, not self.rising, dt, r)
         if self.variance > (paper.DOUBT * self.full) ** 2:
             if now.pressure > paper.USUAL * self.full:
-                self.doubt = max(self.doubt, (paper.BEYOND * self.full) ** 2)
+                self.doubt = max(self.doubt, (paper.UNKNOWN * self.full) ** 2)
                 if self.rising and other.pressure <= paper.USUAL * self.full:
                     self.extreme = paper.REFUTED
             now, other = self._believable(now, self.rising, r), self._believable(other, not self.rising, r)
@@ -77,7 +77,7 @@ class OneCell:
             if self.rested:
                 before = min(before, self.rest_variance + recovery.LIGHT * before)
             self.doubt = (np.sqrt(before) + unseen) ** 2 + (gains[False] * std) ** 2
-            self.doubt = min(self.doubt, (paper.BEYOND * self.full) ** 2)
+            self.doubt = min(self.doubt, (paper.UNKNOWN * self.full) ** 2)
             self.variance = self.doubt
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
             self.rest_variance = 0.0 if lost else recovery.PART * self.doubt

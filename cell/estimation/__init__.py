@@ -9,7 +9,7 @@ The constants below are thresholds that an inversion shares with the rest of its
 from ._conditions import Conditions
 from ._estimator import Estimator
 from ._held import longest_s
-from ._inversion import DOUBT, LIGHT_LOAD, LOADS, USUAL, Inversion, credible_readings
+from ._inversion import DOUBT, LIGHT_LOAD, LOADS, UNKNOWN, USUAL, Inversion, credible_readings
 from ._loops import REST_VARIANCE, RESTED
 from ._noise import RECENT, WINDOW
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD, VARIANCE
@@ -31,6 +31,7 @@ __all__ = [
     "SIGMAS",
     "SMOOTHED",
     "STD",
+    "UNKNOWN",
     "USUAL",
     "VARIANCE",
     "WINDOW",

@@ -23,6 +23,9 @@ LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
 USUAL, DOUBT = 1.1, 0.1
 """times full scale: no larger pressure is believed while its standard deviation by the memory is above the second"""
+UNKNOWN = 0.6
+"""of full scale: standard deviation of a load of which nothing is known but that it is no more than usual; two of it
+cover all such loads"""
 MEMORIES = 30.0
 """times the fast answer to full scale that r may reach: presses in quick succession add up"""
 

@@ -142,10 +142,8 @@ def show(
             believed = shown
             squared = shown * shown
             squared *= squared
-            hides = 0.0
-            if much_noise:
-                hides = no_load * noise_kpa
-                hides *= hides
+            hides = no_load * noise_kpa
+            hides *= hides
             if released:
                 by_memory = (noise_kpa * noise_kpa + memory[REST_VARIANCE, i]) * rests
                 hides = by_memory if memory[RESTED, i] > 0.0 else max(hides, min(by_memory, light_kpa2))

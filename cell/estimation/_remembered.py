@@ -65,30 +65,26 @@ class Remembered:
 
     def flush(self) -> None:
         """Scatter the block's memory to that of all cells; no cell is followed until they are chosen anew."""
-        _put(self.memory, self.block.cells, self.block.memory)
-        _put(self.line, self.block.cells, self.block.line)
+        self.put(self.block.cells, self.block.memory, self.block.line)
         self.block = self._no_block
         self.stale = True
 
     def begin(self, cells: IntArray, r: FloatArray) -> None:
         """Let ``cells`` (m,) remember that they have read ``r`` (m,) for ever. To be called after :meth:`flush`."""
-        _put(self.memory, cells, self._inversion.begin(r))
-        _put(self.line, cells, smoothing.begin(r, 1.0))
+        self.put(cells, self._inversion.begin(r), smoothing.begin(r, 1.0))
         self.stale = True
 
     def wake(self, cells: IntArray) -> None:
         """Let sleeping ``cells`` (m,) remember that they have been at rest for ever, and be followed."""
-        memory, line = self._at_rest
-        _put(self.memory, cells, memory)
-        _put(self.line, cells, line)
+        self.put(cells, *self._at_rest)
         self.stale = True
 
     def rest(self, cells: IntArray) -> None:
         """Let ``cells`` (m,) go to sleep: they remember nothing but rest. To be called after :meth:`flush`."""
         _put(self.memory, cells, self._at_rest[0])
 
-    def take_back(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
-        """Let ``cells`` (k,) remember ``memory`` (rows, k) and ``line`` (ROWS, k) again. After :meth:`flush`."""
+    def put(self, cells: IntArray, memory: FloatArray, line: FloatArray) -> None:
+        """Let ``cells`` (k,) remember ``memory`` (rows, k) and ``line`` (ROWS, k), outside of the block."""
         _put(self.memory, cells, memory)
         _put(self.line, cells, line)
 

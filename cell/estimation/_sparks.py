@@ -173,7 +173,7 @@ class Sparks:
             return
         back = gone & ~self._taps.known
         cells = self.cells[back]
-        remembered.take_back(cells, self._memory.compress(back, axis=1), self._line.compress(back, axis=1))
+        remembered.put(cells, self._memory.compress(back, axis=1), self._line.compress(back, axis=1))
         pressure[cells] = self._memory[PRESSURE, back]
         self._keep(~gone)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ..estimation import GAIN, PRESSURE, USUAL, VARIANCE, Inversion
+from ..estimation import GAIN, PRESSURE, UNKNOWN, USUAL, VARIANCE, Inversion
 from ..materials import AsymmetricModel, ContactModel, M10Model, Model, PaperModel, equilibrium_curve, equilibrium_gain
 from ._learned import BEYOND, STEEPER, StaticCurve, credible_range
 
@@ -18,9 +18,6 @@ SLOPES, FLAT = 33, 3.0
 """points at which the effect of an error of R0 is tabulated, and how many times its mean the effect is at most"""
 CONTACT_SHARE = 0.02
 """standard deviation over the pressure, of a contact's answer"""
-UNKNOWN = 0.6
-"""of full scale: no larger standard deviation is stated where chains may be broken, as no more than the usual load is
-believed then; two of it cover all loads up to that"""
 CHAINS = 3
 """row of the memory: r by chains that must have broken"""
 
@@ -93,8 +90,9 @@ class EquilibriumInversion(Inversion):
             steepest[np.argmin(np.abs(slope)) :] = np.inf
         self._slope = np.minimum(np.abs(slope), steepest)
         self._rest_of_curve = rest
-        self._heals_s = np.inf
-        if isinstance(model, M10Model) and model.k > 0:
+        self._breaks = isinstance(model, M10Model) and model.k > 0
+        """whether motion breaks chains"""
+        if isinstance(model, M10Model) and self._breaks:
             self.rows = *self.rows, "chains"
             self._heals_s = model.tau_s
             statics = model.a * load + model.b * load**2
@@ -121,8 +119,7 @@ class EquilibriumInversion(Inversion):
 
     def _at(self, r: FloatArray, chains: FloatArray) -> FloatArray:
         """The memory (rows, m) at readings ``r`` (m,), of which broken chains are ``chains`` (m,) at least."""
-        broken = np.isfinite(self._heals_s)
-        if broken:
+        if self._breaks:
             chains = np.maximum(chains, r - self._most_r)
             r = r - chains
         x = self._sign * r
@@ -131,27 +128,28 @@ class EquilibriumInversion(Inversion):
         memory[PRESSURE] = load * self.full_scale_kpa
         memory[GAIN] = np.interp(x, self._curve, self._slope) * self.full_scale_kpa
         memory[VARIANCE] = (self._share * memory[PRESSURE]) ** 2
-        if broken:
+        if self._breaks:
             memory[CHAINS] = chains
+            # No more than the usual load is believed where chains may be broken.
             np.minimum(memory[VARIANCE], (UNKNOWN * self.full_scale_kpa) ** 2, out=memory[VARIANCE])
         return memory
 
     def advance(
         self, memory: FloatArray, dt_s: float, r: FloatArray, std: FloatArray, doubt: Callable[[], FloatArray]
     ) -> FloatArray:
-        if len(memory) <= CHAINS:
+        if not self._breaks:
             return self.begin(r)
         return self._at(r, memory[CHAINS] * np.exp(-dt_s / self._heals_s))
 
     def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
-        if len(memory) <= CHAINS:
+        if not self._breaks:
             return memory
         held = memory.copy()
         held[CHAINS] *= np.exp(-dt_s / self._heals_s)
         return held
 
     def settled(self, memory: FloatArray, band: float) -> BoolArray:
-        if len(memory) <= CHAINS:
+        if not self._breaks:
             return super().settled(memory, band)
         found: BoolArray = memory[CHAINS] < band
         return found

@@ -25,6 +25,7 @@ from ..estimation import (
     SIGMAS,
     SMOOTHED,
     STD,
+    UNKNOWN,
     USUAL,
     VARIANCE,
     WINDOW,
@@ -50,8 +51,6 @@ from ._turning_rows import (
     Rows,
 )
 
-BEYOND = 0.6
-"""of full scale: standard deviation of a pressure that was found to be too large to be believed"""
 TURN, LIGHT_TURN, TURN_SHARE = 0.01, 0.002, 0.02
 """how far a pressure that is known exactly must have gone back for a turn: the second of full scale and the third of
 the extreme, but no more than the first of full scale. Errors of the memory grow with the load, and look like turns as
@@ -136,7 +135,7 @@ class TurningInversion(Inversion):
         self._clear_kpa2 = self._left * (NEAR * full_scale_kpa) ** 2
         self._lost_at_most_kpa2 = (MOST_LOST * full_scale_kpa) ** 2
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
-        self._most_kpa = BEYOND * full_scale_kpa
+        self._most_kpa = UNKNOWN * full_scale_kpa
         """standard deviation of a load of which nothing is known but that it is no more than usual"""
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
@@ -525,7 +524,7 @@ class TurningInversion(Inversion):
         if not beyond.any():
             return
         np.minimum(of.pressures, self._usual, where=beyond, out=of.pressures)
-        least = (BEYOND * self.full_scale_kpa) ** 2
+        least = (UNKNOWN * self.full_scale_kpa) ** 2
         np.maximum(of.doubt, least, where=(beyond & (of.in_force > 0)).any(axis=0), out=of.doubt)
         p, r = self._usual, of.r
         # The reading falls more slowly than a load that rises or is held allows: it is recovery that explains it.

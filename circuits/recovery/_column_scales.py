@@ -95,12 +95,15 @@ class ColumnScales:
             None where all scales are known well enough for linear uncertainties, as in nearly all frames.
 
         """
-        if self._kept[0] is not base:
-            told = self._told(frame, known, covered)
-            self._kept = base, bool(told.in_question(_NEAR).any())
-        if not self._kept[1]:
+        served, near = self._kept
+        if served is base and not near:
             return None
         told = self._told(frame, known, covered)
+        if served is not base:
+            near = bool(told.in_question(_NEAR).any())
+            self._kept = base, near
+            if not near:
+                return None
         in_question = told.in_question(1.0)
         if not in_question.any():
             return None
