@@ -45,6 +45,9 @@ MISSING_S = 0.2
 """a cell that was not read for longer is missing; until then its last pressure counts"""
 DRIFT_PER_S = 0.003
 """relative change of a rest resistance in a second: warming up takes minutes. A finger presses much faster"""
+WAKE_SHARE, WAKE_S = 0.15, 1.0
+"""of the largest pressure in the 3 x 3 cells around a cell, forgotten with this time constant: what a finger leaves in
+the estimates behind it and beside it is less, and begins no contact"""
 NEIGHBOURS = np.ones((3, 3), dtype=int)
 """cells that touch at a corner belong together: a finger rarely covers whole rows"""
 
@@ -98,9 +101,13 @@ class ContactTracker:
         self._rises = Rises(shape)
         self._risen_kpa = np.zeros(shape)
         """(rows, columns) largest pressure since the cell rose jointly with its neighbours; 0: it has not"""
+        self._rising: BoolArray = np.zeros(shape, dtype=np.bool_)
+        """(rows, columns) middles of the joint rises of this frame"""
         self._most_drift_kpa, self._drift_kpa_per_s = drift_kpa, drift_kpa / KNOWN_DRIFT * DRIFT_PER_S
         self._drift_kpa = np.zeros(shape)
         """(rows, columns) part of the pressure that drift may have made"""
+        self._wake_kpa = np.zeros(shape)
+        """(rows, columns) largest pressure of late while the cell was in a contact; what is long ago counts less"""
         self._time_s = math.inf
         self._read_s = np.full(shape, -np.inf)
         """(rows, columns) when the cell was read last; only used where somebody tells of readings"""
@@ -134,7 +141,10 @@ class ContactTracker:
         self._pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
         names = self._tracks.follow(time_s, patches, labels)
         self._labels = labels.reshape(self.shape)
-        self._drift(time_s, pressure_kpa)
+        self._risen_kpa[(self._labels == 0) & ~self._rising] = 0.0  # left behind by the touch that lifted them
+        elapsed_s, self._time_s = max(time_s - self._time_s, 0.0), time_s
+        self._drift(elapsed_s, pressure_kpa)
+        self._remember(elapsed_s, pressure_kpa)
         self._were_parted = not all(patch.alone for patch in patches)
         return self._contacts(patches, names)
 
@@ -147,9 +157,13 @@ class ContactTracker:
         """Compare no reading with one from before: rest resistances have changed."""
         self._rises.forget()
 
-    def _drift(self, time_s: float, pressure_kpa: FloatArray) -> None:
+    def _remember(self, elapsed_s: float, pressure_kpa: FloatArray) -> None:
+        """Remember the pressures of contacts, for the places that they leave."""
+        self._wake_kpa *= math.exp(-elapsed_s / WAKE_S)
+        np.fmax(self._wake_kpa, pressure_kpa, out=self._wake_kpa, where=self._labels > 0)
+
+    def _drift(self, elapsed_s: float, pressure_kpa: FloatArray) -> None:
         """Let the drift of untouched cells follow their pressures, slowly upwards and at once downwards."""
-        elapsed_s, self._time_s = max(time_s - self._time_s, 0.0), time_s
         if not self._most_drift_kpa:
             return
         most = np.minimum(self._drift_kpa + self._drift_kpa_per_s * elapsed_s, self._most_drift_kpa)
@@ -175,6 +189,7 @@ class ContactTracker:
         """Look for cells that have risen jointly, and for those whose touch is over."""
         found = None if rise is None else self._rises.look(time_s, *rise)
         risen_kpa = self._risen_kpa
+        self._rising = np.zeros(self.shape, dtype=np.bool_) if found is None else found.middle
         if found is None and not risen_kpa.any():
             return
         full = self.full_scale_kpa
@@ -182,9 +197,9 @@ class ContactTracker:
             return  # a held touch
         least = np.maximum(LEFT_SHARE * risen_kpa, STAY_SHARE * full)
         lasts = (pressure_kpa > least) & (risen_kpa > 0)
-        lasts &= self._touch_lasts(pressure_kpa, None if found is None else found[1])
+        lasts &= self._touch_lasts(pressure_kpa, None if found is None else found.fallen)
         if found is not None:
-            lasts |= found[0] & (pressure_kpa > START_SHARE * full)
+            lasts |= found.risen & (pressure_kpa > START_SHARE * full)
         self._risen_kpa = np.where(lasts, np.maximum(risen_kpa, pressure_kpa), 0.0)
         # What kept these cells in their contact is over: they stay only if their own pressures tell of a touch that
         # has not gone on and left a little behind.
@@ -209,6 +224,8 @@ class ContactTracker:
         start = np.fmax(START_STDS * std_kpa, START_SHARE * full)  # not NaN where the deviation is
         risen, excess = self._risen_kpa > 0, pressure_kpa - self._drift_kpa
         begins = (excess > start) | risen  # False where NaN
+        if begins.any():
+            begins &= self._rising | (excess > WAKE_SHARE * ndimage.maximum_filter(self._wake_kpa, 3, mode="nearest"))
         touched = self._labels > 0
         if not (begins.any() or touched.any()):
             return np.zeros(pressure_kpa.size, dtype=int), []
@@ -220,8 +237,9 @@ class ContactTracker:
             candidates |= bridged
         found, count = ndimage.label(candidates, structure=NEIGHBOURS)
         kept = np.zeros(count + 1, dtype=bool)
-        kept[found[begins | (touched & candidates)]] = True
+        kept[found[begins]] = True
         kept[0] = False
+        self._keep_lasting(found, kept, pressure_kpa)
         self._drop_disturbances(found, kept)
         if not kept.any():
             return np.zeros(pressure_kpa.size, dtype=int), []
@@ -240,6 +258,31 @@ class ContactTracker:
             return pressure_kpa, None
         bridged, pressure_kpa = bridge(pressure_kpa, touched, missing)
         return pressure_kpa, bridged if bridged.any() else None
+
+    def _keep_lasting(self, found: NDArray[np.signedinteger], kept: BoolArray, pressure_kpa: FloatArray) -> None:
+        """Keep patches in which contacts of the last frame go on, each contact in one of them.
+
+        The patch is one that begins contacts, too, or the one with the largest force. So hysteresis lets a contact
+        last, and makes no second one of cells that a moving finger leaves behind.
+
+        Args:
+            found: (rows, columns) labels of patches, from 1.
+            kept: (labels,) patches that make contacts, changed.
+            pressure_kpa: (rows, columns).
+
+        """
+        lasting = (found > 0) & (self._labels > 0)
+        before, now = self._labels[lasting], found[lasting]
+        ends = np.zeros(int(before.max(initial=0)) + 1, dtype=bool)
+        ends[before] = True
+        ends[before[kept[now]]] = False
+        if not ends.any():
+            return
+        force = np.bincount(found.ravel(), np.nan_to_num(pressure_kpa).ravel())
+        order = np.argsort(force[now], kind="stable")
+        last = np.zeros(ends.size, dtype=np.intp)
+        last[before[order]] = now[order]
+        kept[last[ends]] = True
 
     def _drop_disturbances(self, found: NDArray[np.signedinteger], kept: BoolArray) -> None:
         """Drop patches within one row or column that were not there in the last frame.

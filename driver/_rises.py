@@ -17,6 +17,7 @@ from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -74,6 +75,17 @@ class _Sum:
     """(rows, columns) frames in which the cell was not read"""
 
 
+class JointRise(NamedTuple):
+    """What a frame's joint rises are made of; (rows, columns) each."""
+
+    middle: BoolArray
+    """cells that have risen, together with neighbours along both axes"""
+    risen: BoolArray
+    """these and their neighbours, as far as they have risen"""
+    fallen: BoolArray
+    """cells that have fallen together with their neighbours"""
+
+
 class Rises:
     """Looks for cells that are pressed just now."""
 
@@ -85,7 +97,7 @@ class Rises:
         """Begin anew: rest resistances have changed."""
         self._sums.clear()
 
-    def look(self, time_s: float, reading: FloatArray, noise: FloatArray) -> tuple[BoolArray, BoolArray] | None:
+    def look(self, time_s: float, reading: FloatArray, noise: FloatArray) -> JointRise | None:
         """Take the readings of the next frame.
 
         Args:
@@ -94,8 +106,8 @@ class Rises:
             noise: (rows, columns) standard deviation of one reading.
 
         Returns:
-            (rows, columns) cells that have risen together with neighbours along both axes, risen neighbours included;
-            and (rows, columns) cells that have fallen together with their neighbours. None: no cell has.
+            The cells that have risen together with neighbours along both axes, and those that have fallen together.
+            None: no cell has.
 
         """
         if self._sums and time_s - self._sums[-1].time_s > LONGEST_S:
@@ -113,15 +125,17 @@ class Rises:
         rise[now.missing > before.missing] = 0.0
         weighted = _filtered(rise, _FILTER)
         fallen = weighted < -FALLEN
-        together = self._together(rise) if weighted.item(weighted.argmax()) > TOGETHER else None
-        if together is None:
-            return (fallen & False, fallen) if fallen.any() else None
+        found = self._together(rise) if weighted.item(weighted.argmax()) > TOGETHER else None
+        if found is None:
+            return JointRise(fallen & False, fallen & False, fallen) if fallen.any() else None
+        middle, risen = found
         between = since.frames - until.frames
         if between:
             # After a release readings fall, though what the material remembers keeps them above those of before.
             lately = (now.rise - since.rise) / present - (since.rise - until.rise) / between
-            together &= lately > -EACH * noise * math.sqrt(1.0 / present + 1.0 / between)
-        return together, fallen
+            still = lately > -EACH * noise * math.sqrt(1.0 / present + 1.0 / between)
+            middle, risen = middle & still, risen & still
+        return JointRise(middle, risen, fallen)
 
     def _add(self, time_s: float, reading: FloatArray) -> None:
         if not self._sums:
@@ -153,8 +167,11 @@ class Rises:
         """Number of the last sum up to that time, but ``most`` at most, and 0 where all are later."""
         return max(min(bisect_right(self._sums, time_s, key=attrgetter("time_s")) - 1, most), 0)
 
-    def _together(self, rise: FloatArray) -> BoolArray | None:
-        """Cells whose ``rise`` (rows, columns) in standard deviations is part of a joint rise."""
+    def _together(self, rise: FloatArray) -> tuple[BoolArray, BoolArray] | None:
+        """Cells in the middle of joint rises, and those with their neighbours that have risen as well.
+
+        ``rise`` (rows, columns) is in standard deviations.
+        """
         own = rise - self._in_common(rise)
         own /= max(scatter(own), 1.0)
         own[(own <= OWN * rise) & (own > 0)] = 0.0
@@ -167,7 +184,7 @@ class Rises:
         if not together.any():
             return None
         near: BoolArray = ndimage.binary_dilation(together)  # and the cells above, below, left and right
-        return near & (own > np.maximum(EACH, SHARED * highest))
+        return together, near & (own > np.maximum(EACH, SHARED * highest))
 
     def _in_common(self, rise: FloatArray) -> FloatArray:
         """(rows, columns) what most cells of a cell's row or of its column have risen by, at least 0.

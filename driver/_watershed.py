@@ -52,8 +52,8 @@ def part(
     """
     touched = labels > 0
     height = np.where(touched, pressure_kpa, -np.inf)
-    fingers = touched if were_parted else begins
-    summits = fingers & (height >= ndimage.maximum_filter(height, 3, mode="nearest"))
+    fingers = touched if were_parted else ndimage.maximum_filter(begins, 3, mode="nearest")
+    summits = fingers & touched & (height >= ndimage.maximum_filter(height, 3, mode="nearest"))
     if np.count_nonzero(summits) <= labels.max():
         return labels
     top = _tops(height)
@@ -61,7 +61,7 @@ def part(
     number = np.zeros(top.size, dtype=np.intp)
     number[tops] = np.arange(len(tops))
     basin: IntArray = number[top].reshape(labels.shape)
-    root = _merged(tops, basin, height, std_kpa.ravel(), begins.ravel(), before.ravel())
+    root = _merged(tops, basin, height, std_kpa, begins, before.ravel())
     numbers = np.cumsum(np.bincount(root) > 0)[root]
     return np.where(touched, numbers[basin], 0)
 
@@ -84,7 +84,7 @@ def _tops(height: FloatArray) -> IntArray:
 
 
 def _merged(
-    tops: IntArray, basin: IntArray, height: FloatArray, std: FloatArray, begins: BoolArray, before: IntArray
+    tops: IntArray, basin: IntArray, height: FloatArray, std_kpa: FloatArray, begins: BoolArray, before: IntArray
 ) -> IntArray:
     """(basins,) the basin that each one becomes part of; itself where it is a finger of its own."""
     root = list(range(len(tops)))
@@ -104,12 +104,23 @@ def _merged(
         now, then = before[cells[low]], before[cells[high]]
         apart = bool(now and then and now != then)
         share, stds = (STAY_SHARE, STAY_STDS) if apart else (PART_SHARE, PART_STDS)
-        noise = float(np.hypot(std[cells[low]], std[saddle]))
-        depth = peaks[low] - float(height.flat[saddle])
-        # Not NaN where a deviation is.
-        if not (apart or begins[cells[low]]) or depth < share * peaks[low] or depth < stds * noise:
+        within = basin == low
+        deep = peaks[low] - float(height.flat[saddle]) >= share * peaks[low]
+        sure = deep and (apart or begins[within].any()) and _surely_above(height, std_kpa, within, saddle, stds)
+        if not sure:
             root[low] = high
     return np.array([find(one) for one in root], dtype=np.intp)
+
+
+def _surely_above(height: FloatArray, std_kpa: FloatArray, within: BoolArray, saddle: int, stds: float) -> bool:
+    """Whether any cell ``within`` (rows, columns) is higher than the saddle by so many deviations of the difference.
+
+    Any, since a single cell at the top may be uncertain for a reason of its own. Deviations that are not known count
+    as none.
+    """
+    std = np.nan_to_num(std_kpa[within])
+    noise = np.hypot(std, np.nan_to_num(std_kpa.flat[saddle]))
+    return bool((height[within] - height.flat[saddle] >= stds * noise).any())
 
 
 def _saddles(basin: IntArray, height: FloatArray) -> list[tuple[int, int, int]]:

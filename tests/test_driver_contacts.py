@@ -357,3 +357,54 @@ def test_frames_in_which_nothing_touches_cost_little(monkeypatch: pytest.MonkeyP
     """The labelling is not even begun."""
     monkeypatch.setattr("ohmskin.driver._contacts.ndimage.label", lambda *_: 1 / 0)
     assert track([np.zeros((16, 16))] * 3) == [(), (), ()]
+
+
+@pytest.mark.parametrize("uncertain_kpa", [1.5, 3.0])
+@pytest.mark.parametrize("cell", [(7, 5), (7, 9)])
+def test_a_single_uncertain_cell_at_the_top_of_a_finger_does_not_join_it_to_its_neighbour(
+    cell: tuple[int, int], uncertain_kpa: float
+) -> None:
+    """The cells around the top tell of the valley, too."""
+    pressure = bump((16, 16), 7.3, 5.4, 12.0, 0.9) + bump((16, 16), 7.3, 9.4, 9.0, 0.9)
+    std = np.full((16, 16), 0.3)
+    assert len(tracker().update(0.0, pressure, std)) == 2
+    std[cell] = uncertain_kpa
+    assert len(tracker().update(0.0, pressure, std)) == 2
+
+
+@settings(max_examples=30)
+@given(
+    share=st.floats(0.02, 0.1),
+    angle=st.floats(0, 2 * np.pi),
+    peak=st.floats(5.0, 15.0),
+    lasting_s=st.floats(0.1, 3.0),
+)
+def test_what_a_moving_finger_leaves_behind_is_no_contact(
+    share: float, angle: float, peak: float, lasting_s: float
+) -> None:
+    """The estimates of the cells that it has passed keep up to a tenth of their largest pressure, and forget it."""
+    behind, frames = np.zeros((16, 16)), []
+    for along in np.linspace(-5.0, 5.0, 120):
+        press = bump((16, 16), *(7.5 + along * direction(angle)), peak)
+        behind = np.maximum(behind * np.exp(-0.01 / lasting_s), share * press)
+        frames.append(np.maximum(press, behind))
+    assert {contact.id for contacts in track(frames, std_kpa=0.02) for contact in contacts} == {1}
+
+
+def test_a_press_where_another_one_has_just_been_is_found() -> None:
+    """At once where it is more than a residue may be, and a lighter one when the residue would have faded."""
+    strong, nothing = bump((16, 16), 7, 7, 12.0), np.zeros((16, 16))
+    for light, wait in ((2.5, 10), (1.0, 200)):
+        frames = [strong] * 20 + [nothing] * wait + [bump((16, 16), 7, 7, light)] * 3
+        assert [len(contacts) for contacts in track(frames)][-3:] == [1, 1, 1]
+
+
+def test_hysteresis_keeps_a_contact_and_makes_no_second_one() -> None:
+    """A light press falls apart into two patches, both between the thresholds."""
+    whole, parts = np.zeros((5, 9)), np.zeros((5, 9))
+    whole[1:4, 2:7] = 1.5 * 0.03 * FULL_KPA
+    parts[1:4, 2:7] = 0.8 * 0.03 * FULL_KPA
+    parts[1:4, 5] = 0.0
+    (before,), (after,) = track([whole, parts])
+    assert after.id == before.id
+    assert len(after.cells) == 9
