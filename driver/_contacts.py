@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ._around import highest_around
 from ._bridging import bridge
 from ._later import Later
 from ._rises import Rises
@@ -208,15 +209,14 @@ class ContactTracker:
 
     def _touch_lasts(self, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
         """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle."""
-        touches, _ = ndimage.label(self._risen_kpa > 0, structure=NEIGHBOURS)
-        numbers = touches.ravel()
-        now = np.bincount(numbers, np.fmax(pressure_kpa, 0.0).ravel())
-        least = LEFT_SHARE * np.bincount(numbers, self._risen_kpa.ravel())
+        numbers, risen_kpa = self._labels.ravel(), self._risen_kpa.ravel()
+        now = np.bincount(numbers, np.where(risen_kpa > 0, np.fmax(pressure_kpa.ravel(), 0.0), 0.0))
+        least = LEFT_SHARE * np.bincount(numbers, risen_kpa)
         if fallen is not None:
-            least[numbers[fallen.ravel()]] *= FALLEN_SHARE / LEFT_SHARE
-        goes_on = now > least
-        goes_on[0] = False
-        return goes_on[touches]
+            least[numbers[fallen.ravel() & (risen_kpa > 0)]] *= FALLEN_SHARE / LEFT_SHARE
+        goes_on: BoolArray = now > least
+        goes_on[0] = True  # in no contact yet
+        return goes_on[self._labels]
 
     def _find(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[IntArray, list[Patch]]:
         """The patches of touched cells, and for each cell of the flattened array the number of its patch, from 1."""
@@ -225,7 +225,7 @@ class ContactTracker:
         risen, excess = self._risen_kpa > 0, pressure_kpa - self._drift_kpa
         begins = (excess > start) | risen  # False where NaN
         if begins.any():
-            begins &= self._rising | (excess > WAKE_SHARE * ndimage.maximum_filter(self._wake_kpa, 3, mode="nearest"))
+            begins &= self._rising | (excess > WAKE_SHARE * highest_around(self._wake_kpa))
         touched = self._labels > 0
         if not (begins.any() or touched.any()):
             return np.zeros(pressure_kpa.size, dtype=int), []
@@ -272,13 +272,16 @@ class ContactTracker:
 
         """
         lasting = (found > 0) & (self._labels > 0)
-        before, now = self._labels[lasting], found[lasting]
+        now = found[lasting]
+        if kept[now].all():
+            return
+        before = self._labels[lasting]
         ends = np.zeros(int(before.max(initial=0)) + 1, dtype=bool)
         ends[before] = True
         ends[before[kept[now]]] = False
         if not ends.any():
             return
-        force = np.bincount(found.ravel(), np.nan_to_num(pressure_kpa).ravel())
+        force = np.bincount(found.ravel(), np.where(found > 0, pressure_kpa, 0.0).ravel())
         order = np.argsort(force[now], kind="stable")
         last = np.zeros(ends.size, dtype=np.intp)
         last[before[order]] = now[order]
