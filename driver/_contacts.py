@@ -30,6 +30,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ._around import highest_around
 from ._bridging import bridge
 from ._later import Later
+from ._pitch import Pitch
 from ._rises import Rises
 from ._tare import KNOWN_DRIFT
 from ._tracks import Named, Patch, Tracks
@@ -64,7 +65,7 @@ class Contact:
     y_mm: float
     """centre of pressure along the columns: row number times pitch"""
     area_mm2: float
-    """of the touched cells, each one pitch square"""
+    """of the touched cells, each one pitch by one pitch"""
     force_n: float
     """sum of pressure times cell area; cells that are not read count with what :attr:`interpolated_n` says"""
     peak_kpa: float
@@ -87,13 +88,25 @@ class ContactTracker:
     """Finds the contacts of frames and follows them from frame to frame."""
 
     def __init__(
-        self, shape: tuple[int, int], pitch_m: float, full_scale_kpa: float, *, drift_kpa: float = 0.0
+        self,
+        shape: tuple[int, int],
+        pitch_m: float | tuple[float, float],
+        full_scale_kpa: float,
+        *,
+        drift_kpa: float = 0.0,
     ) -> None:
-        """``drift_kpa`` is the pressure that an untouched cell shows whose rest resistance has drifted as far as rest
-        resistances do (:data:`._tare.KNOWN_DRIFT`); 0: they do not.
+        """Begin with an untouched skin.
+
+        Args:
+            shape: rows and columns.
+            pitch_m: distance of neighbouring cells; of cells that are not square (x, y), along a row and a column.
+            full_scale_kpa: of the cells.
+            drift_kpa: pressure that an untouched cell shows whose rest resistance has drifted as far as rest
+                resistances do (:data:`._tare.KNOWN_DRIFT`); 0: they do not.
+
         """
         self.shape = shape
-        self.pitch_m = pitch_m
+        self.pitch = Pitch.of(pitch_m)
         self.full_scale_kpa = full_scale_kpa
         self._labels: IntArray = np.zeros(shape, dtype=int)
         self._pressed: BoolArray = np.zeros(shape, dtype=np.bool_)
@@ -114,9 +127,11 @@ class ContactTracker:
         """(rows, columns) when the cell was read last; only used where somebody tells of readings"""
         self._missing: BoolArray | None = None
         """(rows, columns) cells that are not read; None: only those without a pressure"""
-        self._tracks = Tracks(1e3 * pitch_m)
+        self._tracks = Tracks(1e3 * self.pitch.mean_m, 1e3 * max(self.pitch))
         self._places: IntArray = np.indices(shape).reshape(2, -1).T.copy()
         """(cells, 2) row and column of each cell of the flattened array"""
+        self._places_mm = 1e3 * np.array(self.pitch) * self._places[:, ::-1]
+        """(cells, 2) x and y of each cell's middle"""
 
     def update(
         self,
@@ -318,30 +333,42 @@ class ContactTracker:
         cells = cells[np.argsort(labels[cells], kind="stable")]
         ends = np.cumsum(np.bincount(labels[cells])[1:])
         starts = np.concatenate(([0], ends[:-1]))
-        pressure, places = pressure_kpa.ravel()[cells], self._places[cells]
-        y, x = 1e3 * self.pitch_m * places.T
+        pressure, places, places_mm = pressure_kpa.ravel()[cells], self._places[cells], self._places_mm[cells]
+        x, y = places_mm.T
         totals, x_sums, y_sums, squares = np.add.reduceat(
             [pressure, pressure * x, pressure * y, pressure * (x * x + y * y)], starts, axis=1
         )
         x_mean, y_mean = x_sums / totals, y_sums / totals
         variances = (squares / totals - x_mean**2 - y_mean**2) / 2
-        forces = 1e3 * self.pitch_m**2 * totals
+        forces = 1e3 * self.pitch.area_m2 * totals
         peaks = np.maximum.reduceat(pressure, starts)
         shared = connected[cells[starts]]
         alone = np.bincount(shared)[shared] == 1
         interpolated = np.zeros(len(starts))
         if bridged is not None:
-            interpolated = 1e3 * self.pitch_m**2 * np.add.reduceat(pressure * bridged.ravel()[cells], starts)
+            interpolated = 1e3 * self.pitch.area_m2 * np.add.reduceat(pressure * bridged.ravel()[cells], starts)
         measures = (x_mean, y_mean, forces, peaks, variances, alone, interpolated, starts, ends)
         return [
-            Patch(x, y, force, peak, variance, one, cells[start:end], places[start:end], pressure[start:end], guessed)
+            Patch(
+                x_mm=x,
+                y_mm=y,
+                force_n=force,
+                peak_kpa=peak,
+                variance_mm2=variance,
+                alone=one,
+                cells=cells[start:end],
+                places=places[start:end],
+                places_mm=places_mm[start:end],
+                pressure_kpa=pressure[start:end],
+                interpolated_n=guessed,
+            )
             for x, y, force, peak, variance, one, guessed, start, end in zip(
                 *(measure.tolist() for measure in measures), strict=True
             )
         ]
 
     def _contacts(self, patches: list[Patch], names: list[Named]) -> tuple[Contact, ...]:
-        cell_mm2 = 1e6 * self.pitch_m**2
+        cell_mm2 = 1e6 * self.pitch.area_m2
         contacts = [
             Contact(
                 id=name.id,

@@ -54,8 +54,8 @@ LEAST_LINE = 4
 
 _OF_LINE = 1.0 + 2.0 * ACROSS**2
 STD_OF_WHOLE, STD_OF_OTHERS = _OF_LINE, math.sqrt(2.0 * ACROSS**2 * _OF_LINE)
-"""standard deviations of the sums over 3 x 3 cells (:mod:`._around`) of independent standard normal numbers: of all nine
-cells, and of those beside a row or column. Their weights are about the shape of a fingertip (matched filter)"""
+"""standard deviations of the sums over 3 x 3 cells (:mod:`._around`) of independent standard normal numbers: of all
+nine cells, and of those beside a row or column. The weights have about the shape of a fingertip (matched filter)"""
 
 
 @dataclass(frozen=True, slots=True)
