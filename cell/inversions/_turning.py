@@ -157,9 +157,9 @@ class TurningInversion(Inversion):
         self._turn_share = np.array(TURN_SHARE)
         # What is below zero is an error that fades, and no turn.
         self._least_kpa = np.array(self._lowest if self.exact else 0.0)
-        self.steepness_kpa = 1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa
+        self.steepness_kpa = np.array([1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa])
         self.rests = recovery.RESTED_SIGMAS**2
-        self._light_load_kpa2 = (LIGHT_LOAD * full_scale_kpa) ** 2
+        self._rests, self._light_load_kpa2 = np.array(self.rests), np.array((LIGHT_LOAD * full_scale_kpa) ** 2)
         self._recovery = ByStep(recovery.constants, model)
         self._kept_kpa = sway.kpa_kept(model)
         self._fast_kpa = FAST * TURN * full_scale_kpa
@@ -389,7 +389,7 @@ class TurningInversion(Inversion):
         sway.look_each.code(memory, taken, ring, newest, cells, sway.LOOKS_IN_BLOCK, self._kept_kpa)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
-        released: BoolArray = memory[SIGN] < 0.0
+        released: BoolArray = memory[SIGN] < self._none
         return released if np.count_nonzero(released) else None
 
     def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
@@ -397,10 +397,16 @@ class TurningInversion(Inversion):
 
         How little noise there is does not matter. The error of the memory was made by the noise of all taps so far.
         """
-        rests = (noise_kpa * noise_kpa + memory[REST_VARIANCE]) * self.rests
-        by_noise = super().hides_kpa2(memory, noise_kpa)
-        light = np.maximum(by_noise, np.minimum(rests, self._light_load_kpa2))
-        hides: FloatArray = np.where(memory[SIGN] < 0.0, np.where(memory[RESTED] > 0.0, rests, light), by_noise)
+        rests = noise_kpa * noise_kpa
+        rests += memory[REST_VARIANCE]
+        rests *= self._rests
+        hides = super().hides_kpa2(memory, noise_kpa)
+        light = np.minimum(rests, self._light_load_kpa2)
+        np.maximum(hides, light, out=light)
+        released = memory[SIGN] < self._none
+        np.copyto(hides, light, where=released)
+        released &= memory[RESTED] > self._none
+        np.copyto(hides, rests, where=released)
         return hides
 
     def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
