@@ -39,7 +39,8 @@ def _share(ratio: FloatArray, low: float, high: float) -> FloatArray:
     share: FloatArray = ratio - low
     share /= high - low
     np.maximum(share, _ZERO, out=share)
-    return np.minimum(share, _ONE, out=share)
+    np.minimum(share, _ONE, out=share)
+    return share
 
 
 class Tremor:
@@ -183,7 +184,7 @@ class Tremor:
 
     def _renew(self) -> None:
         """Tell whether a rise is in doubt."""
-        self.suspicious = np.count_nonzero(self._suspicion) > 0 or np.count_nonzero(self._waiting_kpa) > 0
+        self.suspicious = bool(np.count_nonzero(self._suspicion) or np.count_nonzero(self._waiting_kpa))
 
 
 @loop

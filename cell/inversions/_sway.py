@@ -87,7 +87,7 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, kpa_per_r: flo
         kpa_per_r: :func:`kpa_kept`.
     """
     memory[LOOKS : SINCE + 1] += _ONE
-    ends = memory[LOOKS].astype(np.intp) & _BEFORE_END == 0
+    ends: BoolArray = memory[LOOKS].astype(np.intp) & _BEFORE_END == 0
     if np.count_nonzero(ends[0]):
         turned = memory[SIGN] != memory[SIGN_BEFORE]
         turned &= ends[0]
@@ -108,10 +108,10 @@ def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, ends: B
     """Compare the blocks that end with those before, where ``ends`` (SCALES, m); doubt what cells may have kept."""
     means, shorter = memory[_MEANS], memory[HALF]
     block = np.empty_like(means)
-    for before, longer in zip(means, block, strict=True):
-        np.add(shorter, mean, longer)
-        longer *= _HALF
-        shorter, mean = before, longer
+    for scale in range(SCALES):
+        np.add(shorter, mean, block[scale])
+        block[scale] *= _HALF
+        shorter, mean = means[scale], block[scale]
     variance = noise * noise * _PER_BLOCK
     change = block - means
     np.copyto(means, block, where=ends)
@@ -131,7 +131,7 @@ def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, ends: B
         beyond += side
         np.copyto(side, beyond, where=counts)
     if jumped is not None:
-        begin_anew(memory, jumped.any(axis=0))
+        begin_anew(memory, np.logical_or.reduce(jumped))
     sways = np.minimum(ups, downs) > _BOTH
     sways &= ends[0]
     if not np.count_nonzero(sways):
