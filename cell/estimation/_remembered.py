@@ -12,7 +12,6 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from . import _smoothing as smoothing
 from ._inversion import Inversion
 
-
 FEW = 64
 """cells whose memory is written for all rows at once"""
 
