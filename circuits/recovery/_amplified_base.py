@@ -153,10 +153,8 @@ class AttenuationBases:
         """The base at these conductances (N, M) in S, by one evaluation of line attenuation."""
         board, conductance = self._board, above_floor(conductance)
         known = board.models.attenuated(conductance)
-        if known is None:  # lines so heavy that the drive underflows before their end
-            own = board.models.exact(conductance)
-        else:
-            own = known.transfer
+        # Without attenuation the lines are so heavy that the drive underflows before their end.
+        own = board.models.exact(conductance) if known is None else known.transfer
         gain = conductance / np.maximum(own, LEAST_SHARE * conductance)
         between, model_error, loss = None, board.tolerance, loss_at(gain)
         missing, off = None, None

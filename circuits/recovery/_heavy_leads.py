@@ -260,7 +260,9 @@ def invert_leads(
     most = _SHORT / np.maximum(np.add.outer(row_ohm, column_ohm), _LEAST_OHM)
     conductance, diagonal = start, np.arange(count)
     sides = np.concatenate([current, column], axis=1)
-    for number in range(most_rounds):
+    rounds, settled = 0, False
+    while rounds < most_rounds and not settled:
+        rounds += 1
         loads = conductance.sum(axis=1)
         rows = (conductance @ column.T) * (row_ohm / (1.0 + row_ohm * loads))[:, None]  # U, (rows, steps)
         rows[diagonal, diagonal] = 0.0
@@ -279,7 +281,5 @@ def invert_leads(
         moved = np.abs(found - conductance).sum(axis=1)
         conductance = found
         settled = bool((moved <= _ENOUGH * loads).all())
-        if settled:
-            break
     gain = (1.0 + column_ohm * conductance.sum(axis=0)) / own[:, None]
-    return LeadFit(conductance, gain, settled, row_ohm, column_ohm, rows, column, number + 1)
+    return LeadFit(conductance, gain, settled, row_ohm, column_ohm, rows, column, rounds)
