@@ -125,6 +125,8 @@ class ContactTracker:
         """(rows, columns) time since which they have done so; infinite for the others"""
         self._rise: tuple[FloatArray, FloatArray] | None = None
         """readings and their noise, as for :meth:`update`"""
+        self._fingers: list[int] = []
+        """of each label: the fingers in it"""
         self._were_parted = False
         self._rises = Rises(shape)
         self._risen_kpa = np.zeros(shape)
@@ -173,6 +175,7 @@ class ContactTracker:
         self._pressed_s = np.where(self._pressed, np.minimum(self._pressed_s, time_s), np.inf)
         names = self._tracks.follow(time_s, patches, labels)
         self._labels = labels.reshape(self.shape)
+        self._fingers = [1 + len(name.joined) for name in names]
         self._risen_kpa[(self._labels == 0) & ~self._rising] = 0.0  # left behind by the touch that lifted them
         elapsed_s, self._time_s = max(time_s - self._time_s, 0.0), time_s
         self._drift(elapsed_s, pressure_kpa)
@@ -291,10 +294,11 @@ class ContactTracker:
         return pressure_kpa, bridged if bridged.any() else None
 
     def _keep_lasting(self, found: NDArray[np.signedinteger], kept: BoolArray, pressure_kpa: FloatArray) -> None:
-        """Keep patches in which contacts of the last frame go on, each contact in one of them.
+        """Keep patches in which contacts of the last frame go on.
 
-        The patch is one that begins contacts, too, or the one with the largest force. So hysteresis lets a contact
-        last, and makes no second one of cells that a moving finger leaves behind.
+        A contact goes on in the patch that has most of its force now. Where none of its patches begins contacts, it
+        goes on in as many as it has fingers. So hysteresis lets contacts last, and makes no further ones of cells that
+        a moving finger leaves behind.
 
         Args:
             found: (rows, columns) labels of patches, from 1.
@@ -306,17 +310,13 @@ class ContactTracker:
         now = found[lasting]
         if kept[now].all():
             return
-        before = self._labels[lasting]
-        ends = np.zeros(int(before.max(initial=0)) + 1, dtype=bool)
-        ends[before] = True
-        ends[before[kept[now]]] = False
-        if not ends.any():
-            return
-        force = np.bincount(found.ravel(), np.where(found > 0, pressure_kpa, 0.0).ravel())
-        order = np.argsort(force[now], kind="stable")
-        last = np.zeros(ends.size, dtype=np.intp)
-        last[before[order]] = now[order]
-        kept[last[ends]] = True
+        before, pressure = self._labels[lasting], pressure_kpa[lasting]
+        for contact in np.unique(before[~kept[now]]).tolist():
+            own = before == contact
+            force = np.bincount(now[own], pressure[own])
+            patches = np.flatnonzero(np.bincount(now[own]))
+            most = 1 if kept[patches].any() else self._fingers[contact - 1]
+            kept[patches[np.argsort(-force[patches])][:most]] = True
 
     def _drop_disturbances(self, time_s: float, found: NDArray[np.signedinteger], kept: BoolArray) -> None:
         """Drop new patches within one row or column that may be electrical faults.
