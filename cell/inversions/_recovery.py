@@ -47,7 +47,7 @@ MOST = 0.2
 """of full scale: a memory that is known no better is lost, and rest is no better guess than a load"""
 REST_SIGMAS = 2.0
 """standard deviations by which the pressure of a cell at rest may differ from none"""
-RESTED_SIGMAS = 4.0
+RESTED_SIGMAS = 6.0
 """standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a released
 cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows in every
 frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""
@@ -127,14 +127,18 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, count: FloatAr
     memory[:, rests] = some
 
 
-def begin(memory: FloatArray, most_kpa2: float) -> None:
+def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: float) -> None:
     """Begin anew in m cells that have just turned; changes their ``memory`` (rows, m).
 
-    ``most_kpa2`` is the square of :data:`MOST` in kPa.
+    Args:
+        memory: of the cells.
+        by_noise: (m,) variance in kPa^2 that the noise of the turn's own reading leaves. All of it is usual.
+        most_kpa2: the square of :data:`MOST` in kPa.
     """
     turned = memory[TURNED]
     memory[RESTED] = memory[DRIFT_KPA] = 0.0
-    memory[REST_VARIANCE] = np.where(turned < most_kpa2, turned * PART, 0.0)
+    usual = np.maximum(turned - by_noise, 0.0) * PART + np.minimum(by_noise, turned)
+    memory[REST_VARIANCE] = np.where(turned < most_kpa2, usual, 0.0)
     drift = np.sqrt(np.minimum(turned, most_kpa2)) * DRIFTS
     memory[DRIFT_END_KPA] = np.where(memory[SIGN] < 0.0, drift, 0.0)
 

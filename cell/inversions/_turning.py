@@ -15,6 +15,7 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from ..estimation import (
     DOUBT,
+    DOUBTED_LOAD,
     GAIN,
     HIDDEN,
     LIGHT_LOAD,
@@ -160,6 +161,7 @@ class TurningInversion(Inversion):
         self.steepness_kpa = 1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa
         self.rests = recovery.RESTED_SIGMAS**2
         self._light_load_kpa2 = (LIGHT_LOAD * full_scale_kpa) ** 2
+        self._doubted_load_kpa2 = (DOUBTED_LOAD * full_scale_kpa) ** 2
         self._recovery = ByStep(recovery.constants, model)
         self._kept_kpa = sway.kpa_kept(model)
         self._fast_kpa = FAST * TURN * full_scale_kpa
@@ -192,7 +194,7 @@ class TurningInversion(Inversion):
         self._predict(of, r, w)
         unconfirmed = self._take_turns(of, std, w)
         if not self.exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
-            self._correct(of, doubt(), w)
+            self._correct(of, std, doubt(), w)
         self._begin_anew(of, unconfirmed=unconfirmed)
         self._renew_variance(of, unconfirmed=unconfirmed)
         return memory
@@ -389,7 +391,7 @@ class TurningInversion(Inversion):
         sway.look_each.code(memory, taken, ring, newest, cells, sway.LOOKS_IN_BLOCK, self._kept_kpa)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
-        released: BoolArray = memory[SIGN] < 0.0
+        released: BoolArray = (memory[SIGN] < 0.0) | (memory[LEFT] < FAR)
         return released if np.count_nonzero(released) else None
 
     def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
@@ -400,7 +402,10 @@ class TurningInversion(Inversion):
         rests = (noise_kpa * noise_kpa + memory[REST_VARIANCE]) * self.rests
         by_noise = super().hides_kpa2(memory, noise_kpa)
         light = np.maximum(by_noise, np.minimum(rests, self._light_load_kpa2))
-        hides: FloatArray = np.where(memory[SIGN] < 0.0, np.where(memory[RESTED] > 0.0, rests, light), by_noise)
+        turned = (noise_kpa * noise_kpa + memory[TURNED]) * self.rests
+        doubted = np.maximum(by_noise, np.minimum(turned, self._doubted_load_kpa2))
+        risen = np.where(memory[LEFT] < FAR, doubted, by_noise)
+        hides: FloatArray = np.where(memory[SIGN] < 0.0, np.where(memory[RESTED] > 0.0, rests, light), risen)
         return hides
 
     def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
@@ -471,10 +476,11 @@ class TurningInversion(Inversion):
         rounded = self._fast_kpa / np.maximum(np.abs(pressure - some[LAST]), self._fast_kpa)
         unseen = self._unseen(some, pressure, gain, unsure) + rounded * (ROUND * self.full_scale_kpa)
         some[TURNED] = (np.sqrt(before) + unseen) ** 2
-        some[TURNED] += (weights.by_model[0, RECOVERY] * noise) ** 2
+        late = (weights.by_model[0, RECOVERY] * noise) ** 2
+        some[TURNED] += late
         some[TURNED] = np.minimum(some[TURNED], self._most_kpa**2)
         some[VARIANCE] = some[TURNED]  # the distance of the hypotheses is in it
-        recovery.begin(some, self._most_rested_kpa2)
+        recovery.begin(some, late, self._most_rested_kpa2)
         if np.count_nonzero(again):
             np.copyto(some[EXTREME], left, where=again)
             np.copyto(some[PEAK], left, where=again)
@@ -533,10 +539,15 @@ class TurningInversion(Inversion):
         np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])
         np.copyto(state[3], r - p / m.e1_kpa - state[5], where=beyond[RECOVERY])
 
-    def _correct(self, of: Rows, doubt: FloatArray, weights: TurnWeights) -> None:
-        """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure."""
+    def _correct(self, of: Rows, std: FloatArray, doubt: FloatArray, weights: TurnWeights) -> None:
+        """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure.
+
+        The memory of a cell taken for one at rest is known better than that: a pull is more likely noise.
+        """
         m = self.model
         allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * doubt - NEAR * self.full_scale_kpa
+        by_noise = weights.by_model[0, RECOVERY] * std * -SURE
+        allowed = np.where(of.memory[RESTED] > 0.0, np.minimum(allowed, by_noise), allowed)
         below = of.pressure < allowed
         if not np.count_nonzero(below):
             return
