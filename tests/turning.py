@@ -95,7 +95,7 @@ class OneCell:
             if back >= times * (paper.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
                 self.left, confirmed = None, True
         allowed = -paper.PULL_SIGMAS * gains[False] * doubt - paper.NEAR * self.full
-        if self.rested:
+        if not self.rising:
             allowed = min(allowed, -paper.SURE * gains[False] * std)
         if not self.exact and now.pressure < allowed:
             begun = self._begun(allowed, r, now.x3)

@@ -155,7 +155,7 @@ def show(
                 hides = max(hides, min(by_memory, doubted_kpa2))
             elif released:
                 by_memory = (noise_kpa * noise_kpa + memory[REST_VARIANCE, i]) * rests
-                hides = by_memory if memory[RESTED, i] > 0.0 else max(hides, min(by_memory, light_kpa2))
+                hides = by_memory if memory[RESTED, i] > 0.0 or shown < 0.0 else max(hides, min(by_memory, light_kpa2))
             shown *= squared / (squared + hides * hides + tiny)
             off = believed - shown
             added[i] += off * off

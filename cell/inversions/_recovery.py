@@ -47,7 +47,7 @@ MOST = 0.2
 """of full scale: a memory that is known no better is lost, and rest is no better guess than a load"""
 REST_SIGMAS = 2.0
 """standard deviations by which the pressure of a cell at rest may differ from none"""
-RESTED_SIGMAS = 6.0
+RESTED_SIGMAS = 5.0
 """standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a released
 cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows in every
 frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""

@@ -405,7 +405,9 @@ class TurningInversion(Inversion):
         turned = (noise_kpa * noise_kpa + memory[TURNED]) * self.rests
         doubted = np.maximum(by_noise, np.minimum(turned, self._doubted_load_kpa2))
         risen = np.where(memory[LEFT] < FAR, doubted, by_noise)
-        hides: FloatArray = np.where(memory[SIGN] < 0.0, np.where(memory[RESTED] > 0.0, rests, light), risen)
+        hides: FloatArray = np.where(
+            memory[SIGN] < 0.0, np.where((memory[RESTED] > 0.0) | (memory[PRESSURE] < 0), rests, light), risen
+        )
         return hides
 
     def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
@@ -542,12 +544,12 @@ class TurningInversion(Inversion):
     def _correct(self, of: Rows, std: FloatArray, doubt: FloatArray, weights: TurnWeights) -> None:
         """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure.
 
-        The memory of a cell taken for one at rest is known better than that: a pull is more likely noise.
+        In recovery noise that the smoothing passes on makes up for a pull of :data:`SURE` deviations.
         """
         m = self.model
         allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * doubt - NEAR * self.full_scale_kpa
         by_noise = weights.by_model[0, RECOVERY] * std * -SURE
-        allowed = np.where(of.memory[RESTED] > 0.0, np.minimum(allowed, by_noise), allowed)
+        allowed = np.where(of.sign < 0.0, np.minimum(allowed, by_noise), allowed)
         below = of.pressure < allowed
         if not np.count_nonzero(below):
             return

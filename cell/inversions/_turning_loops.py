@@ -196,7 +196,7 @@ def correct(memory: Rows, taken: Rows, by_model: FixedRows, numbers: FixedRow) -
         off = abs(taken[READING, i] - taken[SMOOTHED, i]) + taken[READING_NOISE, i] * numbers[HIDDEN]
         doubt = max(off * numbers[PER_SIGMAS], taken[STD, i])
         allowed = pull * doubt - numbers[NEAR_KPA]
-        if memory[RESTED, i] > 0.0:
+        if memory[SIGN, i] < 0.0:
             allowed = min(allowed, by_model[0, 1] * taken[STD, i] * -numbers[SURE])
         if not memory[PRESSURE, i] < allowed:
             continue
