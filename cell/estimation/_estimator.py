@@ -123,14 +123,8 @@ class Estimator:
 
     def _loops(self) -> tuple[Loop[..., Any], ...]:
         """All that a frame calls."""
-        return (
-            *loops.ALL,
-            *smoothing.LOOPS,
-            *noise_meter.LOOPS,
-            *shared_noise.LOOPS,
-            *tremor.LOOPS,
-            *self.inversion.loops_used(),
-        )
+        noise = *noise_meter.LOOPS, *shared_noise.LOOPS
+        return *loops.ALL, *smoothing.LOOPS, *noise, *tremor.LOOPS, *self.inversion.loops_used()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Continue from a pickle, perhaps in a process without machine code."""

@@ -39,6 +39,9 @@ REFUTED = 0.25
 """of the variance that is supposed to be shared, over own: if less is found, the readings depend on one another in
 another way"""
 
+TESTS, OWN, SHARED = range(3)
+"""places of the test's sums"""
+
 
 class SharedNoise:
     """Takes shared noise out of the readings of n cells, and tells the noise meter what is left of it."""
@@ -50,16 +53,16 @@ class SharedNoise:
         self._noise = noise
         self.ratio = 0.0
         """variance of the shared noise over that of the own noise of a cell at rest; 0: nothing is shared"""
-        self._tested = 0.0
-        """columns that have been tested so far"""
-        self._own, self._shared = 0.0, 0.0
-        """sums of the variances that the test has found"""
+        self._test = np.zeros(3)
+        """columns that have been tested so far, and sums of their variances: of own noise, and of shared noise"""
         self._reference = np.zeros(cells)
         """(n,) mean of the readings of sleeping cells"""
         self._counts = np.full(columns, -1.0)
         """(columns,) sleeping cells in the last frame; negative: not known"""
         self._weights = np.zeros(0)
         """by number of cells: share of their mean that is shared noise"""
+        self._left = np.zeros(0)
+        """by number of cells: what is left of the ratio if that is taken out"""
         self._all_read = np.ones(cells, dtype=np.bool_)
         self.mean_std = np.ones(cells)
         """(n,) noise of the readings whose mean is watched, over that of the readings that wake a cell at once"""
@@ -68,7 +71,7 @@ class SharedNoise:
 
     def suppose(self, own_std: float, all_std: float) -> None:
         """Take the deviations of r at rest by the steps of own readings, and by those of all; of none: 0."""
-        if self._shape[1] and not self._tested and all_std > own_std:
+        if self._shape[1] and not self._test[TESTS] and all_std > own_std:
             self._share(all_std * all_std / (own_std * own_std) - 1.0)
 
     def _share(self, ratio: float) -> None:
@@ -79,7 +82,9 @@ class SharedNoise:
     def _begin(self, ratio: float) -> None:
         self.ratio = ratio
         cells = np.arange(self._shape[0] + 1.0)
-        self._weights = np.where(cells < LEAST_CELLS, 0.0, cells * ratio / (cells * ratio + 1.0))
+        trusted = (cells >= LEAST_CELLS) & (self._test[TESTS] >= TESTED)
+        self._weights = np.where(trusted, cells * ratio / (cells * ratio + 1.0), 0.0)
+        self._left = np.where(trusted, ratio / (cells * ratio + 1.0), ratio)
         self._counts[:] = -1.0
 
     def sleep(self, cells: IntArray, mean: FloatArray) -> None:
@@ -104,12 +109,33 @@ class SharedNoise:
         own = self._noise.own
         near, far = SURE * own, SURE * own * math.sqrt(1.0 + self.ratio)
         share = -math.expm1(-dt_s / REFERENCE_S)
-        if self.compiled and self._tested >= TESTED:
-            without, watched = np.empty((2, r.size))
-            kept = self._reference, self._weights, self._counts
-            if subtract_each.code(r, read, awake, *kept, near, far, share, without, watched):
-                self._tell(read, awake)
-            return without, watched
+        testing = self._test[TESTS] < TESTED
+        by = self._by_machine_code if self.compiled else self._by_array_operations
+        changed, without, watched = by(r, read, awake, testing, near, far, share)
+        if testing and self._test[TESTS] >= TESTED:
+            refuted = self._test[SHARED] < REFUTED * self.ratio * self._test[OWN]
+            self._share(0.0 if refuted else self.ratio)
+        elif changed:
+            self._tell(read, awake)
+        return without, watched
+
+    def _by_machine_code(
+        self, r: FloatArray, read: BoolArray, awake: BoolArray, testing: bool, near: float, far: float, share: float
+    ) -> tuple[bool, FloatArray, FloatArray]:
+        without, watched = np.empty((2, r.size))
+        least_variance = self._least_variance if testing else math.inf
+        kept = self._reference, self._weights, self._counts, self._test
+        changed = subtract_each.code(r, read, awake, *kept, least_variance, near, far, share, without, watched)
+        return changed, without, watched
+
+    @property
+    def _least_variance(self) -> float:
+        """Of the readings of a column that tell something: others stay at one code of the ADC."""
+        return MOVED * self._noise.typical_resolution**2
+
+    def _by_array_operations(
+        self, r: FloatArray, read: BoolArray, awake: BoolArray, testing: bool, near: float, far: float, share: float
+    ) -> tuple[bool, FloatArray, FloatArray]:
         tells = (~awake & read).reshape(self._shape)
         count = np.add.accumulate(tells.astype(np.float64))[-1]
         off = (r - self._reference).reshape(self._shape)
@@ -123,51 +149,45 @@ class SharedNoise:
         common *= self._weights.take(others.astype(np.intp))
         self._reference += first.ravel() * share
         without = np.where(read, r - (r + 1.0) * common.ravel(), r)
-        if not np.array_equal(count, self._counts):
-            self._counts[:] = count
-            self._tell(read, awake)
-        if self._tested < TESTED:
-            self._test(tells, count, second, total)
-            without = r
-        return without, np.where(awake, without, r)
+        if testing:
+            self._take_test(tells, count, second, total / np.maximum(count, 1.0))
+        changed = not np.array_equal(count, self._counts)
+        self._counts[:] = count
+        return changed, without, np.where(awake, without, r)
+
+    def _take_test(self, tells: BoolArray, count: FloatArray, off: FloatArray, mean: FloatArray) -> None:
+        """Take the departures ``off`` (rows, columns) of sleeping cells into the test; ``mean`` (columns,) of them."""
+        apart = np.where(tells, off - mean, 0.0)
+        own = np.add.accumulate(apart * apart)[-1] / np.maximum(count - 1.0, 1.0)
+        shared = mean * mean
+        tell = (count > LEAST_CELLS) & (own + shared > self._least_variance)
+        shared -= own / np.maximum(count, 1.0)
+        for column in np.flatnonzero(tell):
+            self._test += 1.0, own[column], shared[column]
 
     def _tell(self, read: BoolArray, awake: BoolArray) -> None:
         """Tell the noise meter what is left of the shared noise."""
         tells = (~awake & read).reshape(self._shape)
-        others = (self._counts - tells).ravel()
-        left = np.where(others < LEAST_CELLS, self.ratio, self.ratio / (others * self.ratio + 1.0))
-        if self._tested < TESTED:
-            left[:] = self.ratio
+        others = (self._counts - tells).ravel().astype(np.intp)
+        left = self._left.take(others)
         self.mean_std = np.sqrt((1.0 + self.ratio) / (1.0 + left))
         self._noise.leave(left)
-
-    def _test(self, tells: BoolArray, count: FloatArray, off: FloatArray, total: FloatArray) -> None:
-        """Test whether columns share noise by the departures ``off`` (rows, columns) of sleeping cells."""
-        count = np.maximum(count, 1.0)
-        mean = total / count
-        scatter = (np.where(tells, off - mean, 0.0) ** 2).sum(axis=0) / np.maximum(count - 1.0, 1.0)
-        # Readings that stay at one code of the ADC tell nothing.
-        moved = (count > LEAST_CELLS) & (scatter + mean**2 > MOVED * self._noise.typical_resolution**2)
-        self._own += float(scatter[moved].sum())
-        self._shared += float((mean**2 - scatter / count)[moved].sum())
-        self._tested += float(np.count_nonzero(moved))
-        if self._tested >= TESTED:
-            if self._shared < REFUTED * self.ratio * self._own:
-                self._share(0.0)
-            self._counts[:] = -1.0
 
     def state(self) -> dict[str, FloatArray]:
         """What is remembered, by name."""
         return {
             "shared_reference": self._reference,
-            "shared_of_array": np.array([self.ratio, self._tested, self._own, self._shared]),
+            "shared_counts": self._counts,
+            "shared_of_array": np.array([self.ratio, *self._test]),
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a saved :meth:`state`."""
         self._reference = state["shared_reference"]
-        ratio, self._tested, self._own, self._shared = state["shared_of_array"].tolist()
+        ratio, self._test = float(state["shared_of_array"][0]), state["shared_of_array"][1:].copy()
         self._begin(ratio)
+        self._counts = state["shared_counts"]
+        self.mean_std = np.sqrt((1.0 + ratio) / (1.0 + self._noise.excess))
 
 
 @loop
@@ -178,6 +198,8 @@ def subtract_each(
     reference: Row,
     weights: Row,
     counts: Row,
+    test: Row,
+    least_variance: float,
     near: float,
     far: float,
     share: float,
@@ -193,6 +215,8 @@ def subtract_each(
         reference: (n,) mean of the readings of sleeping cells, changed.
         weights: (rows + 1,) by number of cells, share of their mean that is shared noise.
         counts: (columns,) sleeping cells in the last frame, changed.
+        test: (3,) the test's sums, changed.
+        least_variance: of readings of a column that are tested; infinite: none are.
         near: departure from the mean beyond which a reading counts for no more.
         far: the same, from the reference.
         share: of a reading in the reference.
@@ -214,18 +238,27 @@ def subtract_each(
         for i in range(column, r.size, columns):
             if read[i] and not awake[i]:
                 total += min(max(r[i] - reference[i], low), high)
+        mean, own_variance = total / max(count, 1), 0.0
         for i in range(column, r.size, columns):
             others, rest, asleep = count, total, not awake[i]
             if asleep and read[i]:
                 off = r[i] - reference[i]
                 reference[i] += min(max(off, -far), far) * share
+                off = min(max(off, low), high)
                 others -= 1
-                rest -= min(max(off, low), high)
+                rest -= off
+                off -= mean
+                own_variance += off * off
             own = r[i]
             if read[i]:
                 own -= (r[i] + 1.0) * (rest / max(others, 1) * weights[others])
             without[i] = own
             watched[i] = r[i] if asleep else own
+        own_variance /= max(count - 1, 1)
+        if count > LEAST_CELLS and own_variance + mean * mean > least_variance:
+            test[TESTS] += 1.0
+            test[OWN] += own_variance
+            test[SHARED] += mean * mean - own_variance / count
         changed |= counts[column] != count
         counts[column] = count
     return changed
