@@ -26,12 +26,15 @@ def read(resistance: FixedRow, per_ohm: FixedRow, r: Row, low: float, high: floa
 
 
 @loop
-def watch(r: Row, watched: Row, total: Row, wake_at: Row) -> bool:
-    """Add readings ``watched`` (n,) to their sum; whether one of the readings ``r`` (n,) wakes its cell."""
+def watch(r: Row, watched: Row, blurred: Row, total: Row, wake_at: Row) -> bool:
+    """Add readings ``watched`` (n,) to their sum; whether one of them, or of the readings ``r`` (n,), wakes its cell.
+
+    The noise of ``watched`` is ``blurred`` (n,) times that of ``r``.
+    """
     woken = False
     for i in range(r.size):
         total[i] += watched[i]
-        woken |= abs(r[i]) > wake_at[i]
+        woken |= abs(r[i]) > wake_at[i] or abs(watched[i]) > wake_at[i] * blurred[i]
     return woken
 
 

@@ -381,6 +381,7 @@ class NoiseMeter:
             "noise_ring": self._ring,
             "noise_blind": self._blind,
             "noise_variance": self._variance,
+            "noise_at_rest": self.at_rest,
             "noise_resolution": self.resolution,
             "noise_crowd": self._crowd,
             "noise_on_line": self.on_line,
@@ -401,10 +402,8 @@ class NoiseMeter:
         of_array = state["noise_of_array"].tolist()
         self.typical, self.own, self._shared, self.quiet, self._passes_below, by_all = of_array
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
-        self.at_rest = np.sqrt(self._variance + LEAST**2)
+        self.at_rest = state["noise_at_rest"]
         self.resolve(state["noise_resolution"], by_all)
-        if self._looks:
-            self._state_std()
 
 
 @loop

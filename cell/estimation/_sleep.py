@@ -53,7 +53,8 @@ class Sleep:
         Args:
             dt: in s.
             r: of which a single one may wake its cell.
-            watched: of which the mean is taken; None: the same.
+            watched: as they were read, of which the mean is taken, and a single one may wake its cell, too; None: the
+                same.
             blurred: (n,) standard deviation of the noise of those, over that of ``r``; None: the same.
 
         Returns:
@@ -61,7 +62,7 @@ class Sleep:
             now. None: of no cell.
         """
         watched, blurred = r if watched is None else watched, self._sharp if blurred is None else blurred
-        may_wake = self._add_up(r, watched)
+        may_wake = self._add_up(r, watched, blurred)
         self._sum_s += dt
         self._summed += 1
         averaged = None
@@ -72,6 +73,8 @@ class Sleep:
         if not may_wake:
             return None
         left: BoolArray = np.abs(r) > self.wake_at
+        if watched is not r:
+            left |= np.abs(watched) > self.wake_at * blurred
         if averaged is not None:
             left |= np.abs(self.mean) > self.band + averaged * blurred * (self.wake_at - self.band)
         if not np.count_nonzero(left):
@@ -80,10 +83,10 @@ class Sleep:
         self.awake[cells] = True
         return cells
 
-    def _add_up(self, r: FloatArray, watched: FloatArray) -> bool:
-        """Add readings to the sum of which the mean is made; whether one of the readings ``r`` may wake its cell."""
+    def _add_up(self, r: FloatArray, watched: FloatArray, blurred: FloatArray) -> bool:
+        """Add readings to the sum of which the mean is made; whether one of them may wake its cell."""
         if self.compiled:
-            return loops.watch.code(r, watched, self._sum, self.wake_at)
+            return loops.watch.code(r, watched, blurred, self._sum, self.wake_at)
         self._sum += watched
         return not self.all_awake
 
