@@ -313,7 +313,7 @@ class NoiseMeter:
         0 where that is not known.
         """
         present: FloatArray
-        if self._seen < WINDOW or not np.isfinite(self.quiet):
+        if self._seen < WINDOW or not math.isfinite(self.quiet):
             return np.zeros(cells.size)
         ring = self._ring.take(cells, axis=1)
         beside = np.dot(_BESIDE_PARABOLA[self._seen % WINDOW], ring)
