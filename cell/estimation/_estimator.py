@@ -4,8 +4,8 @@ A frame passes these steps.
 
 1. Readings become normalised resistances r = R/R0 - 1. NaN, open and shorted readings, and those that no credible load
    can give, are missing: the cell keeps its pressure, and the standard deviation grows (:mod:`._gaps`).
-2. Noise is measured from the readings (:mod:`._noise`).
-   Noise that the cells of a column share is taken out of them before (:mod:`._shared_noise`).
+2. Noise that the cells of a column share is taken out of the readings (:mod:`._shared_noise`), and what is left of the
+   noise is measured (:mod:`._noise`).
 3. Cells at rest sleep: only their mean is watched, until it leaves the noise (:mod:`._sleep`).
 4. The others are followed (:mod:`._following`): their readings are smoothed as their noise demands
    (:mod:`._smoothing`), and an :class:`._inversion.Inversion` turns them into pressures. Their memory lies side by side
