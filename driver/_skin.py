@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import math
 import os
-import threading
 import weakref
 from collections.abc import AsyncIterator, Callable, Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import NoReturn, Self
-
-import numpy as np
 
 from .. import compiled
 from ..cell import Cell
@@ -36,7 +31,8 @@ from ._replay import NOTHING_RECORDED, ReplayPort
 from ._statistics import LinkStatistics
 from ._stream import RawFrame
 from ._taker import AsyncFrames, ConvertedFrames, FrameCallback, FrameTaker
-from ._tare import KNOWN_DRIFT, EarlierRest, RestReadings, Tare
+from ._tare import KNOWN_DRIFT, Tare
+from ._taring import Tares
 
 
 class Skin:
@@ -60,7 +56,7 @@ class Skin:
         queue: int = QUEUE,
         reconnect: float = 10.0,
         reopen: Callable[[], BytePort] | None = None,
-        pitch: float | None = None,
+        pitch: float | tuple[float, float] | None = None,
         accuracy: float | None = None,
         record: str | Path | None = None,
         overwrite: bool = False,
@@ -82,7 +78,8 @@ class Skin:
             queue: frames that wait for readers, unless ``delivery`` is ``newest``.
             reconnect: s to try to open a port again that has gone away.
             reopen: opens the port again; None: a port that has gone away is not opened again.
-            pitch: distance of neighbouring cells in m, for contacts; None: that of the design's ``[sheet]``.
+            pitch: distance of neighbouring cells in m, for contacts; of cells that are not square (x, y), along a row
+                and along a column. None: that of the design's ``[sheet]``.
             accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 0.5, see
                 :class:`ohmskin.circuits.ValidityRule`.
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
@@ -160,8 +157,7 @@ class Skin:
         self._source = link.source(self._converter)
         self._taker = FrameTaker(self._source, from_start=True)
         self._callbacks: list[FrameCallback] = []
-        self._tares: list[Tare | None] = [None]
-        self._taring = threading.Lock()
+        self._tares = Tares(self._converter, self._taker, self.calibration)
         if self._recorder is not None:
             self._follow_frames(self._recorder)
         _OPEN_HERE.add(self)
@@ -182,7 +178,7 @@ class Skin:
         delivery: Delivery | None = None,
         queue: int = QUEUE,
         reconnect: float = 10.0,
-        pitch: float | None = None,
+        pitch: float | tuple[float, float] | None = None,
         accuracy: float | None = None,
         record: str | Path | None = None,
         overwrite: bool = False,
@@ -279,8 +275,17 @@ class Skin:
 
     @property
     def pitch_m(self) -> float:
-        """Distance of neighbouring cells in m."""
-        return self._converter.pitch_m
+        """Distance of neighbouring cells in m. InputError where cells are not square: ask for :attr:`pitch_xy_m`."""
+        x_m, y_m = self._converter.pitch
+        if x_m != y_m:
+            raise InputError(f"{self.port_name}: cells of {x_m} x {y_m} m have no single pitch; use pitch_xy_m")
+        return x_m
+
+    @property
+    def pitch_xy_m(self) -> tuple[float, float]:
+        """Distances of neighbouring cells in m along a row (x) and along a column (y)."""
+        pitch = self._converter.pitch
+        return pitch.x_m, pitch.y_m
 
     @property
     def away(self) -> str | None:
@@ -325,7 +330,7 @@ class Skin:
 
     def _disown(self) -> None:
         """In a forked process: every reader is told that the skin is another process's."""
-        self._taring = threading.Lock()
+        self._tares.disown()
         self._callbacks.clear()
         self._followers.clear()
         self._reader.disown()
@@ -511,15 +516,15 @@ class Skin:
             raise InputError(f"tare over {frames!r} frames; expected a whole number, at least 1")
         if not drift > 0:
             raise InputError(f"tare with a drift of {drift!r}; expected more than 0")
-        with self._taring, self._frames_for_tare(frames) as taken:
-            tare = self._rest(taken, drift)
-            if tare.remarks and not force:
-                raise InputError(
-                    f"{self.port_name}: no tare, the skin seems to be loaded: {'; '.join(tare.remarks)}. "
-                    "Take everything off it, or tare(force=True)"
-                )
-            self._use(tare)
-        return tare
+        return self._tares.take(
+            frames,
+            self._timeout,
+            serial_number=self.serial_number,
+            board=self.port_name,
+            drift=drift,
+            force=force,
+            waiting=self._delivery == "every",
+        )
 
     @property
     def tared(self) -> Tare | None:
@@ -527,7 +532,7 @@ class Skin:
 
         The tares that a recording tells of are in its frames, and not here.
         """
-        return self._tares[-1]
+        return self._tares.in_use
 
     def use_tare(self, tare: Tare | None) -> None:
         """Use a tare from before, such as a loaded one; None: the rest resistances from before any tare.
@@ -536,81 +541,11 @@ class Skin:
             InputError: it is of another board, or of an array of another shape.
 
         """
-        shape = self.design.array.shape
-        if tare is not None:
-            if tare.rest_resistance_ohm.shape != shape:
-                rows, columns = tare.rest_resistance_ohm.shape
-                raise InputError(f"a tare of {rows} x {columns} cells; this skin has {shape[0]} x {shape[1]}")
-            if tare.serial_number and self.serial_number and tare.serial_number != self.serial_number:
-                raise InputError(f"a tare of board {tare.serial_number}; this is board {self.serial_number}")
-        with self._taring:
-            self._use(tare)
+        self._tares.use(tare, serial_number=self.serial_number)
 
     def undo_tare(self) -> Tare | None:
         """Go back to the tare before the present one, None for none. Returns the tare then in use."""
-        with self._taring:
-            if len(self._tares) > 1:
-                self._tares.pop()
-            self._apply()
-            return self._tares[-1]
-
-    def _use(self, tare: Tare | None) -> None:
-        self._tares.append(tare)
-        self._apply()
-
-    def _apply(self) -> None:
-        tare = self._tares[-1]
-        self._converter.use_rest(None if tare is None else tare.rest_resistance_ohm)
-        self._taker.forget()
-
-    @contextlib.contextmanager
-    def _frames_for_tare(self, frames: int) -> Iterator[list[Frame]]:
-        """The next frames. What was lost and skipped meanwhile is told with the frame after them."""
-        if self._delivery == "every":
-            # What waits in the queue is of the past.
-            self._taker.pass_to_newest()
-        taken: list[Frame] = []
-        used = False
-        try:
-            with self._taker.aside():
-                while len(taken) < frames:
-                    taken.append(self._taker.take(self._timeout))
-            yield taken
-            used = True
-        finally:
-            self._taker.tell_again(taken, used=used)
-
-    def _earlier_rest(self) -> EarlierRest | None:
-        """The rest resistances in use, if they are those of an unloaded skin."""
-        tare = self._tares[-1]
-        if tare is not None:
-            then = datetime.fromtimestamp(tare.wall_time, UTC)
-            return (
-                None
-                if tare.remarks
-                else EarlierRest(f"the tare of {then:%Y-%m-%d %H:%M} UTC", tare.rest_resistance_ohm, tare.measured)
-            )
-        known = self.calibration
-        if known is None:
-            return None
-        return EarlierRest(f"the calibration of {known.date}", known.rest_ohm, np.ones(known.shape, dtype=bool))
-
-    def _rest(self, taken: list[Frame], drift: float) -> Tare:
-        # What was lost before the first of them, perhaps long ago, is not of the tare.
-        losses = [frame.lost_before for frame in taken[1:]]
-        readings = RestReadings(
-            np.array([frame.resistance for frame in taken]),
-            np.array([frame.monotonic_time for frame in taken]),
-        )
-        return readings.tare(
-            self.cell,
-            lost=None if None in losses else sum(loss or 0 for loss in losses),
-            serial_number=self.serial_number,
-            wall_time=taken[-1].host_time,
-            calibrated_ohm=None if self.calibration is None else self.calibration.rest_ohm,
-            earlier=self._earlier_rest(),
-            drift=drift,
-        )
+        return self._tares.undo()
 
 
 def _finder(port: str | None, asked: Opening, serial_number: str | None, baudrate: int | None) -> PortFinder:

@@ -35,7 +35,8 @@ MODEL_ERROR = 0.005
 that let a cell sleep, turns below a percent. It is no estimate of a model's error, for nobody compared the model with a
 recording"""
 
-_ZERO = np.zeros(1)
+_ZERO, _TINY = np.array(0.0), np.array(TINY)
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 class LeftOpen(NamedTuple):
@@ -89,7 +90,7 @@ class Deviation:
         self._inversion, self._full_kpa = inversion, inversion.full_scale_kpa
         self.stated = inversion.knows_errors or conditions.model_std_kpa > 0
         """whether a standard deviation is stated; else all are NaN"""
-        self._model_variance = (conditions.model_std_kpa or MODEL_ERROR * self._full_kpa) ** 2
+        self._model_variance = np.array((conditions.model_std_kpa or MODEL_ERROR * self._full_kpa) ** 2)
         rest_std_kpa = np.zeros(0) if conditions.rest_std_kpa is None else conditions.rest_std_kpa
         self._rest_variance = rest_std_kpa**2
         self._rest_at_kpa = np.linspace(0, self._full_kpa, rest_std_kpa.size)
@@ -107,7 +108,7 @@ class Deviation:
         full = self._full_kpa
         within, sure = self._inversion.bends
         numbers = {
-            loops.MODEL_VARIANCE: self._model_variance,
+            loops.MODEL_VARIANCE: float(self._model_variance),
             loops.WITHIN: within,
             loops.SURE: sure,
             loops.FULL: full,
@@ -120,8 +121,8 @@ class Deviation:
             loops.STATED: float(self.stated),
             loops.SIGMAS: SIGMAS,
             loops.HIDDEN_SHARE: HIDDEN / SIGMAS,
-            loops.RISE_KPA: self._inversion.steepness_kpa[0],
-            loops.FALL_KPA: self._inversion.steepness_kpa[1],
+            loops.RISE_KPA: float(self._inversion.steepness_kpa[0]),
+            loops.FALL_KPA: float(self._inversion.steepness_kpa[1]),
             loops.RESTS: self._inversion.rests,
             loops.DOUBT_KPA2: self._doubt_kpa2,
             loops.LIGHT_KPA2: (LIGHT_LOAD * full) ** 2,
@@ -157,8 +158,10 @@ class Deviation:
         if much_noise or released is not None:
             likely = _likely(pressure, self._inversion.hides_kpa2(memory, noise_kpa))
             if released is not None and not much_noise:
-                likely = np.where(released, likely, pressure)
-            added = total(added, (pressure - likely) ** 2)
+                np.copyto(likely, pressure, where=~released)
+            hidden = pressure - likely
+            hidden *= hidden
+            added = total(added, hidden)
             pressure = likely
         self._left_open = LeftOpen(block.cells, memory[:SHARED].copy(), looked, added)
         return pressure
@@ -195,7 +198,7 @@ class Deviation:
         memory = remembered.memory[:, asleep]
         std = noise.std(sleep.mean[asleep], asleep)
         sleep.wake_at[asleep] = ASLEEP_SIGMAS * std + sleep.band
-        self._variance[asleep] = self._own_variance(memory, _ZERO) + memory[PRESSURE] ** 2
+        self._variance[asleep] = self._own_variance(memory, np.zeros(asleep.size)) + memory[PRESSURE] ** 2
         self._asleep = Asleep(asleep, memory[GAIN] / SIGMAS, memory[GAIN] * (HIDDEN / SIGMAS) * std)
 
     # -- what is stated ----------------------------------------------------------------------------------------------
@@ -240,8 +243,9 @@ class Deviation:
         if isinstance(left_open, Stated):
             return left_open.variance.copy()
         looked, memory = left_open.looked, left_open.memory
-        std_kpa = _ZERO
-        if looked is not None:
+        if looked is None:
+            std_kpa = np.zeros(left_open.cells.size)
+        else:
             std_kpa = looked.doubt_kpa(memory[GAIN], self._inversion.steepness_kpa)
         variance = self._own_variance(memory, std_kpa)
         if left_open.added is not None:
@@ -252,7 +256,7 @@ class Deviation:
         """(m,) variance in kPa^2 of cells whose readings are known to ``std_kpa`` (m,) of pressure."""
         if not self.stated:
             return np.full(memory.shape[1], np.nan)
-        variance: FloatArray = np.broadcast_to(std_kpa * std_kpa, memory.shape[1]).copy()
+        variance: FloatArray = std_kpa * std_kpa
         variance += self._inversion.within_frame(memory, np.sqrt(variance))
         variance += memory[VARIANCE]
         variance += self._model_variance
@@ -282,5 +286,9 @@ def _likely(pressure: FloatArray, hides_kpa2: FloatArray) -> FloatArray:
     """
     squared = pressure * pressure
     squared *= squared
-    likely: FloatArray = pressure * (squared / (squared + hides_kpa2 * hides_kpa2 + TINY))
-    return likely
+    either: FloatArray = hides_kpa2 * hides_kpa2
+    either += squared
+    either += _TINY
+    squared /= either
+    squared *= pressure
+    return squared

@@ -38,7 +38,8 @@ DOUBTED_LOAD = 0.2
 """of full scale: no larger load is taken for noise or for the memory's error while its rise is unconfirmed"""
 
 _NO_VARIANCE = np.zeros(1)
-_ONE = np.array(1.0)  # as array: NumPy makes an array of a float in every call
+_ONE, _NO_LOAD_SIGMAS = np.array(1.0), np.array(NO_LOAD_SIGMAS)
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 class Inversion(ABC):
@@ -57,7 +58,7 @@ class Inversion(ABC):
     bends = 0.0, 0.0
     """standard deviation of r by a turn within the frame, per kPa by which the load bent, and by how many standard
     deviations of noise the load must have bent; 0: none. :meth:`within_frame` says the same to array operations"""
-    steepness_kpa = 0.0, 0.0
+    steepness_kpa = np.zeros(2)
     """kPa per r by which a fast rise of the load and a fast fall are answered; 0: by the memory's gain"""
     recovers = False
     """whether :meth:`recover` does anything"""
@@ -132,7 +133,7 @@ class Inversion(ABC):
 
     def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """(m,) squared kPa at which a load and none are as likely, for a standard deviation by noise (m,)."""
-        hides: FloatArray = noise_kpa * NO_LOAD_SIGMAS
+        hides: FloatArray = noise_kpa * _NO_LOAD_SIGMAS
         hides *= hides
         return hides
 

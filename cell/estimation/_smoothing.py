@@ -68,21 +68,20 @@ class Looked(NamedTuple):
     line: FloatArray
     """(ROWS, m) memory of the smoothing after the reading"""
 
-    def doubt_kpa(self, gain_kpa: FloatArray, steepness_kpa: tuple[float, float]) -> FloatArray:
+    def doubt_kpa(self, gain_kpa: FloatArray, steepness_kpa: FloatArray) -> FloatArray:
         """(m,) standard deviation in kPa of pressures that follow from the smoothed readings.
 
         A fast change of the load may be answered by less or by more of r than the smoothed readings are inverted with.
 
         Args:
             gain_kpa: (m,) pressure per r of the smoothed readings.
-            steepness_kpa: pressure per r of a fast rise and of a fast fall that the smoothing has not noticed yet; 0:
-                the gain.
+            steepness_kpa: (2,) pressure per r of a fast rise and of a fast fall that the smoothing has not noticed yet;
+                0: the gain.
         """
-        rise_kpa, fall_kpa = steepness_kpa
         doubt: FloatArray = self.reading - self.line[LEVEL]
-        slope = gain_kpa if fall_kpa == 0.0 else np.where(doubt < 0.0, fall_kpa, rise_kpa)
+        falls = doubt < _ZERO
         np.abs(doubt, out=doubt)
-        doubt *= slope
+        doubt *= steepness_kpa.take(falls) if steepness_kpa.item(1) else gain_kpa
         doubt += self.noise * gain_kpa * _HIDDEN
         doubt *= _PER_SIGMAS
         return np.maximum(doubt, self.std * gain_kpa, out=doubt)

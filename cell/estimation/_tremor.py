@@ -29,14 +29,18 @@ them do not differ from noise. From slips of a few standard deviations of the no
 SUSPICION = 0.5
 """of a rise that is in doubt for the time being: its standard deviation"""
 
-_SUSPICION, _ZERO = np.array(SUSPICION), np.array(0.0)
+_SUSPICION, _ZERO, _ONE = np.array(SUSPICION), np.array(0.0), np.array(1.0)
 # As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
 FADES = 0.5
 """share of such a doubt that the next window leaves, if nothing tells more"""
 
 
 def _share(ratio: FloatArray, low: float, high: float) -> FloatArray:
-    return np.asarray(np.clip((ratio - low) / (high - low), 0.0, 1.0))
+    share: FloatArray = ratio - low
+    share /= high - low
+    np.maximum(share, _ZERO, out=share)
+    np.minimum(share, _ONE, out=share)
+    return share
 
 
 class Tremor:
@@ -73,8 +77,9 @@ class Tremor:
         self._edge_kpa[cells] = np.maximum(self._edge_kpa[cells], pressure_kpa - self._looked_at[cells])
         self._looked_at[cells] = pressure_kpa
         self._suspicion[cells] = np.maximum(self._suspicion[cells], _share(beside, HIDES, SUSPECTS))
-        self._amplitude[cells] = np.sqrt(np.clip(beside - 1.0, 1.0, CROSSED))
-        self.suspicious = bool(self._suspicion.any() or self._waiting_kpa.any())
+        squared = np.maximum(beside - _ONE, _ONE)
+        self._amplitude[cells] = np.sqrt(np.minimum(squared, CROSSED, out=squared))
+        self._renew()
 
     def end_window(
         self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray, beside: FloatArray, unrest: FloatArray
@@ -164,7 +169,8 @@ class Tremor:
         np.maximum(rise, _ZERO, out=rise)
         most = self._amplitude.take(cells, mode="clip")
         most *= most_kpa
-        return np.where(rise < most, rise, _ZERO)
+        np.copyto(rise, _ZERO, where=~(rise < most))
+        return rise
 
     def state(self) -> dict[str, FloatArray]:
         """All that is remembered, by name."""
@@ -174,7 +180,11 @@ class Tremor:
         """Continue from a saved :meth:`state`."""
         for name in self._KEPT:
             setattr(self, f"_{name}", state[f"tremor_{name}"])
-        self.suspicious = bool(self._suspicion.any() or self._waiting_kpa.any())
+        self._renew()
+
+    def _renew(self) -> None:
+        """Tell whether a rise is in doubt."""
+        self.suspicious = bool(np.count_nonzero(self._suspicion) or np.count_nonzero(self._waiting_kpa))
 
 
 @loop

@@ -15,6 +15,7 @@ no turn (:data:`DRIFTS`): the model of a rising load would take the recovery for
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -67,8 +68,20 @@ BOUND, E1_KPA, SETTLED_PER_KPA, ETAU2_KPA, LATELY = range(5, 10)
 """squared standard deviations of rest; of the model; how fast a peak goes down"""
 
 
-def constants(model: PaperModel, dt_s: float) -> FloatArray:
-    """What :func:`look` takes, for frames ``dt_s`` apart."""
+_ZERO, _FAR, _BEFORE, _PER_READING = (np.array(x) for x in (0.0, FAR, RECENT - 1.0, 1.0 / RECENT))
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
+
+
+class Constants(NamedTuple):
+    """What :func:`look` takes, for one time between frames; places as above."""
+
+    row: FloatArray
+    each: tuple[FloatArray, ...]
+    """the same numbers, as arrays without axes"""
+
+
+def constants(model: PaperModel, dt_s: float) -> Constants:
+    """The constants for frames ``dt_s`` apart."""
     weights = step_weights(model, dt_s)
     gain_kpa, fade = float(weights.gain[-1]), float(weights.fade[-1])
     age_s = 0.5 * (RECENT - 1) * dt_s
@@ -84,10 +97,13 @@ def constants(model: PaperModel, dt_s: float) -> FloatArray:
         ETAU2_KPA: model.etau2_kpa,
         LATELY: PEAK_FADES,
     }
-    return np.array([numbers[place] for place in range(len(numbers))])
+    row = np.array([numbers[place] for place in range(len(numbers))])
+    return Constants(row, tuple(np.array(number) for number in row))
 
 
-def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, count: FloatArray, numbers: FloatArray) -> None:
+def look(
+    memory: FloatArray, mean: FloatArray, noise: FloatArray, count: FloatArray, numbers: tuple[FloatArray, ...]
+) -> None:
     """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``memory`` (rows, m).
 
     Args:
@@ -95,23 +111,25 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, count: FloatAr
         mean: (m,) of those readings.
         noise: (m,) standard deviation of one of them.
         count: (m,) readings since the smoothing last noticed a change.
-        numbers: :func:`constants`.
+        numbers: :func:`constants`, each.
     """
-    memory[PEAK] += (memory[EXTREME] - memory[PEAK]) * numbers[LATELY]
-    memory[DRIFT_KPA] += (memory[DRIFT_END_KPA] - memory[DRIFT_KPA]) * numbers[DRIFT_SHARE]
-    memory[REST_VARIANCE] *= numbers[FADES]
-    variance, shown = memory[REST_VARIANCE], memory[PRESSURE]
+    peak, drift, variance, shown = memory[PEAK], memory[DRIFT_KPA], memory[REST_VARIANCE], memory[PRESSURE]
+    peak += (memory[EXTREME] - peak) * numbers[LATELY]
+    drift += (memory[DRIFT_END_KPA] - drift) * numbers[DRIFT_SHARE]
+    variance *= numbers[FADES]
+    calm = (memory[SIGN] < _ZERO) & (memory[LEFT] >= _FAR) & (count >= _BEFORE)
+    if not np.count_nonzero(calm):
+        return
     remembered = memory[X2] * numbers[BACK_2] + memory[RECOVERY_X3] * numbers[BACK_3]
     pressure = (mean - remembered) * numbers[GAIN]
     by_noise = noise * numbers[GAIN]
-    by_noise = by_noise * by_noise * (1.0 / RECENT)
+    by_noise = by_noise * by_noise * _PER_READING
     bound = (variance + by_noise) * numbers[BOUND]
-    calm = (memory[SIGN] < 0.0) & (memory[LEFT] >= FAR) & (count >= RECENT - 1.0)
     calm &= (pressure * pressure < bound) & (shown * shown < bound)
-    rests = np.flatnonzero(calm)
+    rests = calm.nonzero()[0]
     if not rests.size:
         return
-    some = memory[:, rests]
+    some = memory.take(rests, axis=1)
     share = some[REST_VARIANCE] / (some[REST_VARIANCE] + by_noise[rests])
     error = pressure[rests] * share
     some[REST_VARIANCE] *= 1.0 - share
@@ -122,25 +140,26 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, count: FloatAr
     some[SETTLED] = p * numbers[SETTLED_PER_KPA] - r * numbers[ETAU2_KPA]
     some[X2] = r - p / numbers[E1_KPA] - x3
     some[RISING_X3] = x3
-    some[EXTREME] = np.minimum(some[EXTREME] + error, 0.0)
-    some[PEAK] = np.minimum(some[PEAK] + error, 0.0)
+    some[EXTREME] = np.minimum(some[EXTREME] + error, _ZERO)
+    some[PEAK] = np.minimum(some[PEAK] + error, _ZERO)
     memory[:, rests] = some
 
 
-def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: float) -> None:
+def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> None:
     """Begin anew in m cells that have just turned; changes their ``memory`` (rows, m).
 
     Args:
         memory: of the cells.
         by_noise: (m,) variance in kPa^2 that the noise of the turn's own reading leaves. All of it is usual.
-        most_kpa2: the square of :data:`MOST` in kPa.
+        most_kpa2: without axes, the square of :data:`MOST` in kPa.
     """
-    turned = memory[TURNED]
-    memory[RESTED] = memory[DRIFT_KPA] = 0.0
-    usual = np.maximum(turned - by_noise, 0.0) * PART + np.minimum(by_noise, turned)
-    memory[REST_VARIANCE] = np.where(turned < most_kpa2, usual, 0.0)
+    turned, drift_end = memory[TURNED], memory[DRIFT_END_KPA]
+    memory[[RESTED, DRIFT_KPA, REST_VARIANCE, DRIFT_END_KPA]] = 0.0
+    usual = np.maximum(turned - by_noise, _ZERO) * PART
+    usual += np.minimum(by_noise, turned)
+    np.copyto(memory[REST_VARIANCE], usual, where=turned < most_kpa2)
     drift = np.sqrt(np.minimum(turned, most_kpa2)) * DRIFTS
-    memory[DRIFT_END_KPA] = np.where(memory[SIGN] < 0.0, drift, 0.0)
+    np.copyto(drift_end, drift, where=memory[SIGN] < _ZERO)
 
 
 @loop

@@ -50,14 +50,18 @@ of the differences upwards, and downwards, over the variance of noise, less what
 _MEANS, _UPS, _DOWNS = slice(MEAN, MEAN + SCALES), slice(UP, UP + SCALES), slice(DOWN, DOWN + SCALES)
 _SIDES = slice(UP, DOWN + SCALES)
 LOOKS_IN_BLOCK = np.array([2.0, 4.0, 8.0])
-"""(SCALES,)"""
+"""(SCALES,) powers of two"""
 _LOOKS = LOOKS_IN_BLOCK[:, None]
+_BEFORE_END = _LOOKS.astype(np.intp) - 1
+"""bits of the number of looks that are 0 at the end of a block"""
 _FRESH = 2.0 * _LOOKS
 """looks since a turn from which a block and the one before it tell of no motion before the turn"""
-_UP_AND_DOWN = np.array([1.0, -1.0])[:, None, None]
 _PER_BLOCK = 1.0 / (RECENT * _LOOKS)
 """(SCALES, 1) variance of the mean of a block, over that of a reading"""
 _PER_SHORTEST = _LOOKS[0] / _LOOKS
+_ZERO, _HALF, _ONE = (np.array(x) for x in (0.0, 0.5, 1.0))
+_SHARE, _MOST, _JUMP, _BOTH = (np.array(x) for x in (SHARE, MOST, JUMP, BOTH))
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
 def kpa_kept(model: PaperModel) -> float:
@@ -82,61 +86,60 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, kpa_per_r: flo
         noise: (m,) standard deviation of one of them.
         kpa_per_r: :func:`kpa_kept`.
     """
-    looks = memory[LOOKS]
-    memory[LOOKS : SINCE + 1] += 1.0
-    ends = looks % LOOKS_IN_BLOCK[0] == 0.0
-    if np.count_nonzero(ends):
+    memory[LOOKS : SINCE + 1] += _ONE
+    ends: BoolArray = memory[LOOKS].astype(np.intp) & _BEFORE_END == 0
+    if np.count_nonzero(ends[0]):
         turned = memory[SIGN] != memory[SIGN_BEFORE]
-        turned &= ends
+        turned &= ends[0]
         if np.count_nonzero(turned):
             np.copyto(memory[SIGN_BEFORE], memory[SIGN], where=turned)
             begin_anew(memory, turned)
-        _end_blocks(memory, mean, noise, kpa_per_r)
+        _end_blocks(memory, mean, noise, ends, kpa_per_r)
     memory[HALF] = mean
 
 
 def begin_anew(memory: FloatArray, cells: BoolArray) -> None:
     """Compare only readings from now on in those ``cells`` (m,) that are marked; changes their ``memory`` (rows, m)."""
-    np.copyto(memory[SINCE], 0.0, where=cells)
-    np.copyto(memory[_SIDES], 0.0, where=cells)
+    np.copyto(memory[SINCE], _ZERO, where=cells)
+    np.copyto(memory[_SIDES], _ZERO, where=cells)
 
 
-def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, kpa_per_r: float) -> None:
-    """Compare the blocks that end with those before, and doubt what the cells may have kept."""
-    means = memory[_MEANS]
-    block, shorter = np.empty_like(means), memory[HALF]
+def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, ends: BoolArray, kpa_per_r: float) -> None:
+    """Compare the blocks that end with those before, where ``ends`` (SCALES, m); doubt what cells may have kept."""
+    means, shorter = memory[_MEANS], memory[HALF]
+    block = np.empty_like(means)
     for scale in range(SCALES):
         np.add(shorter, mean, block[scale])
-        block[scale] *= 0.5
+        block[scale] *= _HALF
         shorter, mean = means[scale], block[scale]
     variance = noise * noise * _PER_BLOCK
     change = block - means
-    ends = memory[LOOKS] % _LOOKS == 0.0
     np.copyto(means, block, where=ends)
     size = change * change
     size /= variance
     counts = memory[SINCE] >= _FRESH
     counts &= ends
-    jumped = (size > JUMP) & ends if size.item(size.argmax()) > JUMP else None
-    np.minimum(size, MOST, out=size)
-    sides = memory[_SIDES].reshape(2, SCALES, -1)
-    beyond = np.where(change * _UP_AND_DOWN > 0.0, size, 0.0)
-    beyond -= 1.0
-    beyond -= sides
-    beyond *= counts * SHARE
-    beyond += sides
-    memory[_SIDES] = beyond.reshape(2 * SCALES, -1)
-    if jumped is not None:
-        begin_anew(memory, jumped.any(axis=0))
+    jumped = (size > _JUMP) & ends if size.item(size.argmax()) > JUMP else None
+    np.minimum(size, _MOST, out=size)
     ups, downs = memory[_UPS], memory[_DOWNS]
-    sways = np.minimum(ups, downs) > BOTH
+    for side, moved in ((ups, change > _ZERO), (downs, change < _ZERO)):
+        beyond = np.zeros_like(size)
+        np.copyto(beyond, size, where=moved)
+        beyond -= _ONE
+        beyond -= side
+        beyond *= _SHARE
+        beyond += side
+        np.copyto(side, beyond, where=counts)
+    if jumped is not None:
+        begin_anew(memory, np.logical_or.reduce(jumped))
+    sways = np.minimum(ups, downs) > _BOTH
     sways &= ends[0]
     if not np.count_nonzero(sways):
         return
-    excess = (ups + downs) * 0.5
-    share = np.minimum(np.maximum((excess - MAY) * (1.0 / (DOES - MAY)), 0.0), 1.0)
-    size = share * np.sqrt(np.maximum(excess, 0.0) * variance) * _PER_SHORTEST
-    kept = np.where(sways, size, 0.0).max(axis=0) * (KEPT * kpa_per_r)
+    excess = (ups + downs) * _HALF
+    share = np.minimum(np.maximum((excess - MAY) * (1.0 / (DOES - MAY)), _ZERO), _ONE)
+    size = share * np.sqrt(np.maximum(excess, _ZERO) * variance) * _PER_SHORTEST
+    kept = np.where(sways, size, _ZERO).max(axis=0) * (KEPT * kpa_per_r)
     before, shown = memory[TURNED], np.maximum(memory[PRESSURE], 0.0)
     after = np.sqrt(before) + kept
     after = np.minimum(after * after, np.maximum(before, shown * shown))

@@ -136,8 +136,8 @@ class TurningInversion(Inversion):
         self._clear_kpa2 = self._left * (NEAR * full_scale_kpa) ** 2
         self._lost_at_most_kpa2 = (MOST_LOST * full_scale_kpa) ** 2
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
-        self._most_kpa = UNKNOWN * full_scale_kpa
-        """standard deviation of a load of which nothing is known but that it is no more than usual"""
+        self._most_kpa2 = np.array((UNKNOWN * full_scale_kpa) ** 2)
+        """variance of a load of which nothing is known but that it is no more than usual"""
         self._lowest, self._highest = LOADS[0] * full_scale_kpa, LOADS[1] * full_scale_kpa
         self._usual = USUAL * full_scale_kpa
         self._of = Rows(np.zeros((len(self.rows), 0)))
@@ -158,14 +158,14 @@ class TurningInversion(Inversion):
         self._turn_share = np.array(TURN_SHARE)
         # What is below zero is an error that fades, and no turn.
         self._least_kpa = np.array(self._lowest if self.exact else 0.0)
-        self.steepness_kpa = 1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa
+        self.steepness_kpa = np.array([1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa])
         self.rests = recovery.RESTED_SIGMAS**2
-        self._light_load_kpa2 = (LIGHT_LOAD * full_scale_kpa) ** 2
-        self._doubted_load_kpa2 = (DOUBTED_LOAD * full_scale_kpa) ** 2
+        self._rests, self._light_load_kpa2 = np.array(self.rests), np.array((LIGHT_LOAD * full_scale_kpa) ** 2)
+        self._doubted_load_kpa2 = np.array((DOUBTED_LOAD * full_scale_kpa) ** 2)
         self._recovery = ByStep(recovery.constants, model)
         self._kept_kpa = sway.kpa_kept(model)
-        self._fast_kpa = FAST * TURN * full_scale_kpa
-        self._most_rested_kpa2 = (recovery.MOST * full_scale_kpa) ** 2
+        self._fast_kpa, self._round_kpa = np.array(FAST * TURN * full_scale_kpa), np.array(ROUND * full_scale_kpa)
+        self._most_rested_kpa2 = np.array((recovery.MOST * full_scale_kpa) ** 2)
         self._steps = 0.0
         self._turns = self._numbers_of_turns()
 
@@ -312,8 +312,8 @@ class TurningInversion(Inversion):
             loops.JUST_BEGUN: JUST_BEGUN,
             loops.BETWEEN: BETWEEN,
             loops.BEND: self._bend,
-            loops.ROUND_KPA: ROUND * self.full_scale_kpa,
-            loops.MOST_KPA2: self._most_kpa**2,
+            loops.ROUND_KPA: self._round_kpa,
+            loops.MOST_KPA2: self._most_kpa2,
             loops.CONFIRMED_RISE: CONFIRMED_RISE,
             loops.CONFIRMED_FALL: CONFIRMED_FALL,
             loops.HALF: HALF,
@@ -373,7 +373,7 @@ class TurningInversion(Inversion):
 
     def recover(self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray) -> None:
         """See :func:`._recovery.look` and :func:`._sway.look`."""
-        recovery.look(memory, mean, noise, count, self._recovery.of(dt_s))
+        recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
         sway.look(memory, mean, noise, self._kept_kpa)
 
     def recover_compiled(
@@ -387,11 +387,12 @@ class TurningInversion(Inversion):
         cells: IntArray,
     ) -> None:
         """See :func:`._recovery.look_each` and :func:`._sway.look_each`."""
-        recovery.look_each.code(memory, taken, line, ring, newest, cells, self._recovery.of(dt_s))
+        recovery.look_each.code(memory, taken, line, ring, newest, cells, self._recovery.of(dt_s).row)
         sway.look_each.code(memory, taken, ring, newest, cells, sway.LOOKS_IN_BLOCK, self._kept_kpa)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
-        released: BoolArray = (memory[SIGN] < 0.0) | (memory[LEFT] < FAR)
+        released: BoolArray = memory[SIGN] < self._none
+        released |= memory[LEFT] < self._far
         return released if np.count_nonzero(released) else None
 
     def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
@@ -399,15 +400,23 @@ class TurningInversion(Inversion):
 
         How little noise there is does not matter. The error of the memory was made by the noise of all taps so far.
         """
-        rests = (noise_kpa * noise_kpa + memory[REST_VARIANCE]) * self.rests
-        by_noise = super().hides_kpa2(memory, noise_kpa)
-        light = np.maximum(by_noise, np.minimum(rests, self._light_load_kpa2))
-        turned = (noise_kpa * noise_kpa + memory[TURNED]) * self.rests
-        doubted = np.maximum(by_noise, np.minimum(turned, self._doubted_load_kpa2))
-        risen = np.where(memory[LEFT] < FAR, doubted, by_noise)
-        hides: FloatArray = np.where(
-            memory[SIGN] < 0.0, np.where((memory[RESTED] > 0.0) | (memory[PRESSURE] < 0), rests, light), risen
-        )
+        noise_kpa2 = noise_kpa * noise_kpa
+        rests = noise_kpa2 + memory[REST_VARIANCE]
+        rests *= self._rests
+        hides = super().hides_kpa2(memory, noise_kpa)
+        light = np.minimum(rests, self._light_load_kpa2)
+        np.maximum(hides, light, out=light)
+        released = memory[SIGN] < self._none
+        doubted = memory[LEFT] < self._far
+        doubted &= ~released
+        if np.count_nonzero(doubted):
+            noise_kpa2 += memory[TURNED]
+            noise_kpa2 *= self._rests
+            np.minimum(noise_kpa2, self._doubted_load_kpa2, out=noise_kpa2)
+            np.maximum(hides, noise_kpa2, out=hides, where=doubted)
+        np.copyto(hides, light, where=released)
+        released &= (memory[RESTED] > self._none) | (memory[PRESSURE] < self._none)
+        np.copyto(hides, rests, where=released)
         return hides
 
     def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
@@ -459,29 +468,29 @@ class TurningInversion(Inversion):
     def _turn(self, memory: FloatArray, turned: IntArray, std: FloatArray, weights: TurnWeights) -> None:
         """Take over the other hypothesis where the pressure ``turned`` (indices of cells); changes ``memory``."""
         some = memory.take(turned, axis=1)
-        again = some[LEFT] < FAR
-        left, extreme = some[LEFT], some[EXTREME].copy()
-        some[SIGN] *= -1.0
+        left, extreme, sign = some[LEFT], some[EXTREME].copy(), some[SIGN]
+        again = left < self._far
+        np.negative(sign, sign)
         some[IN_FORCE] = some[IN_FORCE][::-1].copy()
-        gain = weights.by_model[0] @ some[IN_FORCE]
+        gain = weights.by_model[0].dot(some[IN_FORCE])
         noise = std.take(turned) if std.size > 1 else std
         pressure = some[STATE.start] * some[IN_FORCE.start]
         pressure += some[STATE.start + 1] * some[IN_FORCE.start + 1]
-        now = some[SIGN] * np.maximum(pressure, 0.0)
+        now = sign * np.maximum(pressure, self._none)
         unsure = noise * gain
-        some[EXTREME] = now - LESS * unsure
+        some[EXTREME] = now - unsure * self._less
         some[PEAK] = now - unsure
         # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
         before = some[VARIANCE]
         rested = np.minimum(before, some[REST_VARIANCE] + before * recovery.LIGHT)
-        before = np.where(some[RESTED] > 0, rested, before)
+        np.copyto(before, rested, where=some[RESTED] > self._none)
         rounded = self._fast_kpa / np.maximum(np.abs(pressure - some[LAST]), self._fast_kpa)
-        unseen = self._unseen(some, pressure, gain, unsure) + rounded * (ROUND * self.full_scale_kpa)
-        some[TURNED] = (np.sqrt(before) + unseen) ** 2
-        late = (weights.by_model[0, RECOVERY] * noise) ** 2
-        some[TURNED] += late
-        some[TURNED] = np.minimum(some[TURNED], self._most_kpa**2)
-        some[VARIANCE] = some[TURNED]  # the distance of the hypotheses is in it
+        unseen = self._unseen(some, pressure, gain, unsure) + rounded * self._round_kpa
+        late = noise * weights.by_model[0, RECOVERY]
+        late *= late
+        doubt = np.sqrt(before) + unseen
+        doubt = np.minimum(doubt * doubt + late, self._most_kpa2)
+        some[TURNED] = some[VARIANCE] = doubt  # the distance of the hypotheses is in it
         recovery.begin(some, late, self._most_rested_kpa2)
         if np.count_nonzero(again):
             np.copyto(some[EXTREME], left, where=again)
@@ -501,10 +510,10 @@ class TurningInversion(Inversion):
         """
         last, before, third = memory[LAST : THIRD_LAST + 1]
         there = np.maximum(memory[SIGN] * (third - before), memory[SIGN] * (before - last))
-        there = np.maximum(there, 0.0)
-        way = np.minimum(JUST_BEGUN * there, np.maximum(np.abs(pressure - last), HALF * there))
-        by_load: FloatArray = np.maximum(way - SURE * unsure, 0.0)
-        return BETWEEN * by_load * self._bend * gain
+        there = np.maximum(there, self._none)
+        way = np.minimum(there * JUST_BEGUN, np.maximum(np.abs(pressure - last), there * HALF))
+        by_load: FloatArray = np.maximum(way - unsure * self._sure, self._none)
+        return by_load * BETWEEN * self._bend * gain
 
     def within_frame(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
         """A load that bent may as well have turned within the frame: no reading tells of the turn yet."""
@@ -532,8 +541,7 @@ class TurningInversion(Inversion):
         if not beyond.any():
             return
         np.minimum(of.pressures, self._usual, where=beyond, out=of.pressures)
-        least = (UNKNOWN * self.full_scale_kpa) ** 2
-        np.maximum(of.doubt, least, where=(beyond & (of.in_force > 0)).any(axis=0), out=of.doubt)
+        np.maximum(of.doubt, self._most_kpa2, where=(beyond & (of.in_force > 0)).any(axis=0), out=of.doubt)
         p, r = self._usual, of.r
         # The reading falls more slowly than a load that rises or is held allows: it is recovery that explains it.
         refuted = beyond[RISING] & ~beyond[RECOVERY] & (of.in_force[RISING] > 0)
@@ -549,12 +557,11 @@ class TurningInversion(Inversion):
         m = self.model
         allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * doubt - NEAR * self.full_scale_kpa
         by_noise = weights.by_model[0, RECOVERY] * std * -SURE
-        allowed = np.where(of.sign < 0.0, np.minimum(allowed, by_noise), allowed)
-        below = of.pressure < allowed
-        if not np.count_nonzero(below):
+        allowed = np.where(of.sign < self._none, np.minimum(allowed, by_noise), allowed)
+        pulled = (of.pressure < allowed).nonzero()[0]
+        if not pulled.size:
             return
-        pulled = below.nonzero()[0]
-        p = np.broadcast_to(allowed, of.pressure.shape)[pulled]
+        p = allowed[pulled]
         state, r, rising = of.state, of.r[pulled], of.in_force[RISING, pulled] > 0
         of.pressure[pulled] = p
         state[np.where(rising, 0, 1), pulled] = p

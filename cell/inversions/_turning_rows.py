@@ -22,6 +22,10 @@ HYPOTHESES = ("rising_pressure", "recovery_pressure", "settled", "x2", "rising_x
 """pressure, own state, and slow branch of the rising and of the recovery model in turn; the reading of both"""
 
 
+_CONFIRMED = np.array([CONFIRMED_FALL, CONFIRMED_RISE])
+_ZERO, _SURE = np.array(0.0), np.array(SURE)
+
+
 class Beside:
     """What the loops write beside one ``memory`` (rows, m)."""
 
@@ -81,6 +85,6 @@ class Rows:
         self.gain[...] = self._gain
         if anew or self._weights is None:
             self.not_in_force[...] = self.in_force[::-1]
-            self.confirming_turns[...] = np.where(self.sign > 0, CONFIRMED_RISE, CONFIRMED_FALL)
-            np.multiply(self.confirming_turns, SURE, self.confirming_sigmas)
+            self.confirming_turns[...] = _CONFIRMED.take(self.sign > _ZERO)
+            np.multiply(self.confirming_turns, _SURE, self.confirming_sigmas)
         self._weights = weights

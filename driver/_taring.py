@@ -1,0 +1,140 @@
+"""The tares of an open skin: taken from its next frames, used, and undone."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Iterator
+from datetime import UTC, datetime
+
+import numpy as np
+
+from ..errors import InputError
+from ._calibration import Calibration
+from ._convert import Converter
+from ._frame import Frame
+from ._taker import FrameTaker
+from ._tare import EarlierRest, RestReadings, Tare
+
+
+class Tares:
+    """The tares that a skin has used since it was opened; the last of them holds. Safe for threads."""
+
+    def __init__(self, converter: Converter, taker: FrameTaker, calibration: Calibration | None) -> None:
+        """Begin without a tare.
+
+        Args:
+            converter: what uses the rest resistances.
+            taker: the place in the stream from which frames are taken.
+            calibration: rest resistances from before any tare.
+
+        """
+        self._converter, self._taker, self._calibration = converter, taker, calibration
+        self._used: list[Tare | None] = [None]
+        self._lock = threading.Lock()
+
+    @property
+    def in_use(self) -> Tare | None:
+        """The tare in use; None: rest resistances are those from before any tare."""
+        return self._used[-1]
+
+    def take(
+        self, frames: int, timeout_s: float, *, serial_number: str, board: str, drift: float, force: bool, waiting: bool
+    ) -> Tare:
+        """Make a tare of the next frames, and use it; arguments and errors as for :meth:`.Skin.tare`.
+
+        Args:
+            frames: to average.
+            timeout_s: for each frame.
+            serial_number: of the board; empty where it does not say.
+            board: how messages call the board.
+            drift: relative change since the tare or calibration in use that is no load.
+            force: use the tare in spite of signs of a load.
+            waiting: whether frames wait in a queue, which are of the past.
+
+        """
+        with self._lock, self._next_frames(frames, timeout_s, waiting=waiting) as taken:
+            tare = self._made_of(taken, serial_number, drift)
+            if tare.remarks and not force:
+                raise InputError(
+                    f"{board}: no tare, the skin seems to be loaded: {'; '.join(tare.remarks)}. "
+                    "Take everything off it, or tare(force=True)"
+                )
+            self._used.append(tare)
+            self._apply()
+        return tare
+
+    def use(self, tare: Tare | None, *, serial_number: str) -> None:
+        """Use a tare from before; arguments and errors as for :meth:`.Skin.use_tare`."""
+        shape = self._converter.design.array.shape
+        if tare is not None:
+            if tare.rest_resistance_ohm.shape != shape:
+                rows, columns = tare.rest_resistance_ohm.shape
+                raise InputError(f"a tare of {rows} x {columns} cells; this skin has {shape[0]} x {shape[1]}")
+            if tare.serial_number and serial_number and tare.serial_number != serial_number:
+                raise InputError(f"a tare of board {tare.serial_number}; this is board {serial_number}")
+        with self._lock:
+            self._used.append(tare)
+            self._apply()
+
+    def undo(self) -> Tare | None:
+        """Go back to the tare before the present one, None for none. Returns the tare then in use."""
+        with self._lock:
+            if len(self._used) > 1:
+                self._used.pop()
+            self._apply()
+            return self.in_use
+
+    def disown(self) -> None:
+        """In a forked process: a tare that another thread was taking will not end here."""
+        self._lock = threading.Lock()
+
+    def _apply(self) -> None:
+        tare = self.in_use
+        self._converter.use_rest(None if tare is None else tare.rest_resistance_ohm)
+        self._taker.forget()
+
+    @contextlib.contextmanager
+    def _next_frames(self, frames: int, timeout_s: float, *, waiting: bool) -> Iterator[list[Frame]]:
+        """The next frames. What was lost and skipped meanwhile is told with the frame after them."""
+        if waiting:
+            self._taker.pass_to_newest()
+        taken: list[Frame] = []
+        used = False
+        try:
+            with self._taker.aside():
+                while len(taken) < frames:
+                    taken.append(self._taker.take(timeout_s))
+            yield taken
+            used = True
+        finally:
+            self._taker.tell_again(taken, used=used)
+
+    def _made_of(self, taken: list[Frame], serial_number: str, drift: float) -> Tare:
+        # What was lost before the first of them, perhaps long ago, is not of the tare.
+        losses = [frame.lost_before for frame in taken[1:]]
+        readings = RestReadings(
+            np.array([frame.resistance for frame in taken]),
+            np.array([frame.monotonic_time for frame in taken]),
+        )
+        return readings.tare(
+            self._converter.cell,
+            lost=None if None in losses else sum(loss or 0 for loss in losses),
+            serial_number=serial_number,
+            wall_time=taken[-1].host_time,
+            calibrated_ohm=None if self._calibration is None else self._calibration.rest_ohm,
+            earlier=self._earlier_rest(),
+            drift=drift,
+        )
+
+    def _earlier_rest(self) -> EarlierRest | None:
+        """The rest resistances in use, if they are those of an unloaded skin."""
+        tare, known = self.in_use, self._calibration
+        if tare is not None:
+            if tare.remarks:
+                return None
+            then = datetime.fromtimestamp(tare.wall_time, UTC)
+            return EarlierRest(f"the tare of {then:%Y-%m-%d %H:%M} UTC", tare.rest_resistance_ohm, tare.measured)
+        if known is None:
+            return None
+        return EarlierRest(f"the calibration of {known.date}", known.rest_ohm, np.ones(known.shape, dtype=bool))
