@@ -21,14 +21,13 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...compiled import FixedRow, Places, Rows, loop
-from ..estimation import COUNT, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED
+from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED
 from ..materials import PaperModel
 from ._paper_steps import step_weights
 from ._turning_loops import (
     DRIFT_END_KPA,
     DRIFT_KPA,
     EXTREME,
-    FAR,
     LEFT,
     PEAK,
     RECOVERY_KPA,

@@ -16,6 +16,7 @@ from ...compiled import Loop
 from ..estimation import (
     DOUBT,
     DOUBTED_LOAD,
+    FAR,
     GAIN,
     HIDDEN,
     LIGHT_LOAD,
@@ -38,7 +39,7 @@ from . import _recovery as recovery
 from . import _sway as sway
 from . import _turning_loops as loops
 from ._paper_steps import TurnWeights, step_weights, taken_over, turn_weights
-from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
+from ._turning_loops import BEFORE_LAST, EXTREME, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
 from ._turning_rows import (
     CONFIRMED_FALL,
     CONFIRMED_RISE,
