@@ -89,8 +89,8 @@ REFUTED = 0.5 * FAR
 """kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
 is a turn, and below the extreme that means "none", so that the turn is certain"""
 FLAT, HELD = 0.003, 0.03
-"""of full scale by which a pressure that is held may seem to go back, and how much of it in a second at most. A load that
-goes back faster has turned: the other hypothesis began at its extreme, and must not begin again later"""
+"""of full scale: by how much a pressure that is held may seem to go back, and by how much in a second. A load that goes
+back faster has turned: the other hypothesis began at its extreme, and is not to begin again later"""
 GOES_BACK = 6.0
 """standard deviations of the memory, at most a turn, per share of its variance that fades in a frame, by which the peak
 goes down. As an error of the memory fades, the pressure of a load that is held seems to go back"""
