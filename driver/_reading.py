@@ -15,6 +15,8 @@ from ..errors import InputError, ProtocolError, SolverError
 from ._scatter import Scatter
 
 _FIRST_GUARD = 12  # codes within which the same holds in the first frame, whose noise nobody knows
+_FINE_GUARD = 2.0**-14  # of the range, likewise in two frames: the noise of converters of 18 to 24 bits is many codes
+_MEASURED = 3  # frames, the number of the first one in which the noise may be known however large it is
 _GUARD = 6.0  # standard deviations of the noise within which an output may stand at a limit of its swing
 _JUMP = 1.0 / 16.0  # of the converter's codes, by which a reading has moved notably from one frame to the next
 _ALIKE = 1.5  # ratio of noises with which a reading is judged about alike
@@ -324,8 +326,9 @@ class CountReader:
         self._scatter.update(volts, self._silent)
         noise = self._judged_with = self.noise_volts
         guard = math.ceil(_GUARD * noise / self._step)  # codes
-        if self._scatter.frames < 2 and not self._design_noise:
-            guard = max(guard, _FIRST_GUARD)
+        if self._scatter.frames < _MEASURED and not self._design_noise:
+            first = _FIRST_GUARD if self._scatter.frames == 1 else 0
+            guard = max(guard, first, math.ceil(_FINE_GUARD * self._codes))
         lowest, highest = self._within_limits(guard)
         limited = faint = None
         self._silent, self._in_doubt, jumped = 0, False, self._jumped_to_limit(least, most)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,11 @@ import pytest
 from ohmskin.arrays import FloatArray
 from ohmskin.bench import _live_hunt
 from ohmskin.circuits import Design, Reason, adc_codes, scan
-from ohmskin.circuits.recovery import _amplified, _heavy_leads
+from ohmskin.circuits.recovery import _amplified, _amplified_leads, _heavy_leads
 from ohmskin.circuits.recovery._amplified_board import AmplifiedBoard
 from ohmskin.circuits.recovery._amplified_leads import LeadBases
 from ohmskin.circuits.recovery._heavy_leads import LeadFit, invert_leads
-from ohmskin.circuits.solvers import Lines, exact_transfer
+from ohmskin.circuits.solvers import FrameTransfer, Lines, exact_transfer
 from ohmskin.driver import CountReader
 
 
@@ -227,6 +228,23 @@ def test_an_output_at_a_limit_is_never_a_measurement(bits: int, offset_steps: fl
         assert reading.valid[1, 0]
 
 
+@pytest.mark.parametrize("bits", [18, 20, 24])
+@pytest.mark.parametrize("noise_volts", [1e-6, 8e-6, 2e-5])
+def test_noise_of_fine_converters_brings_no_saturated_output_back_to_life(bits: int, noise_volts: float) -> None:
+    """From the first frame on, in which nobody knows that the noise is many steps: up to 100 of 24 bits."""
+    design = board(4, 3, 50.0, bits=bits, supply=[-0.1, 2.9])
+    cells, draw = np.full((4, 3), 2e3), np.random.default_rng(bits)
+    cells[1, 1] = cells[3, 1] = 60.0  # beyond the swing: each would be read as one that just reaches the limit
+    volts = scan(design, cells).volts
+    assert (volts[[1, 3], 1] == 2.9).all()
+    for _ in range(30):
+        read = CountReader(design)
+        for _ in range(4):
+            reading = read(adc_codes(design, volts + draw.normal(scale=noise_volts, size=volts.shape)))
+            assert not reading.valid[[1, 3], 1].any()
+    assert reading.valid[0, 0]
+
+
 @pytest.mark.parametrize(
     "stream",
     [
@@ -258,6 +276,8 @@ def test_an_output_at_a_limit_is_never_a_measurement(bits: int, offset_steps: fl
         "inverting extremes:202020000095",
         "inverting extremes:201010000046",  # cells shorted in the frame in which a noise begins
         "inverting extremes:201050000042",  # open cells whose outputs an offset pushes far below the range
+        "inverting extremes:97950000151",  # 24 bits: noise from the first frame on takes an output off its limit
+        "row extremes:97950000168",
     ],
 )
 def test_streams_that_were_once_misread(stream: str) -> None:
@@ -352,3 +372,41 @@ def test_a_frame_that_tells_of_no_cell_costs_nothing(monkeypatch: pytest.MonkeyP
         found = read(adc_codes(design, scan(design, rest).volts))
     np.testing.assert_allclose(found.resistance, expected.resistance, rtol=0.01)
     assert found.valid.all()
+
+
+@pytest.mark.parametrize("segment", [0.0, 0.5])
+def test_a_frame_behind_heavy_leads_has_a_bounded_number_of_evaluations(
+    segment: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Presses to a few ohm and back, so that line attenuation and Kirchhoff's laws take turns."""
+    counted: Counter[str] = Counter()
+
+    def count(owner: Any, name: str, number: Any) -> None:
+        real = getattr(owner, name)
+
+        def counting(*given: Any) -> Any:
+            outermost = not counted["inside"]  # an exact evaluation may be part of another one
+            counted["inside"] += 1
+            found = real(*given)
+            counted["inside"] -= 1
+            counted[name] += number(found) if outermost else 0
+            return found
+
+        monkeypatch.setattr(owner, name, counting)
+
+    count(FrameTransfer, "exact", lambda _: 1)
+    count(FrameTransfer, "ports", lambda _: 1)
+    count(_amplified_leads, "invert_leads", lambda fit: 0 if fit is None else fit.rounds)
+    design = board(9, 7, 130.0, bits=12, segment=segment, offset_voltage=[2e-3, -3e-3, 1e-3, 0.0, -1e-3, 2e-3, 4e-3])
+    rng, read = np.random.default_rng(3), CountReader(design)
+    by_leads, exact = 0, []
+    for number in range(40):
+        counted.clear()
+        read(adc_codes(design, scan(design, rng.choice([30.0, 400.0, 2e4]) * 10 ** rng.uniform(0, 1, (9, 7))).volts))
+        if number:
+            by_leads += counted["invert_leads"] > 0
+            exact.append(counted["exact"] + counted["ports"])
+            assert counted["invert_leads"] <= _heavy_leads.ROUNDS
+            assert exact[-1] <= _amplified.EXACT_EVALUATIONS + _amplified.CHANGING_EVALUATIONS
+    assert 10 < by_leads < 39
+    assert max(exact) == _amplified.LEAD_EVALUATIONS  # the bound is reached

@@ -26,23 +26,32 @@ def read(resistance: FixedRow, per_ohm: FixedRow, r: Row, low: float, high: floa
 
 
 @loop
-def watch(r: Row, total: Row, wake_at: Row) -> bool:
-    """Add readings (n,) to their sum; whether one of them wakes its cell."""
+def watch(r: Row, watched: Row, blurred: Row, total: Row, wake_at: Row) -> bool:
+    """Add readings ``watched`` (n,) to their sum; whether one of them, or of the readings ``r`` (n,), wakes its cell.
+
+    The noise of ``watched`` is ``blurred`` (n,) times that of ``r``.
+    """
     woken = False
     for i in range(r.size):
-        total[i] += r[i]
-        woken |= abs(r[i]) > wake_at[i]
+        total[i] += watched[i]
+        woken |= abs(r[i]) > wake_at[i] or abs(watched[i]) > wake_at[i] * blurred[i]
     return woken
 
 
 @loop
-def renew_means(total: Row, summed: int, mean: Row, share: float, wake_at: Row, band: float, averaged: float) -> bool:
-    """Take sums (n,) of readings into their means, and begin new sums; whether one of the means wakes its cell."""
+def renew_means(
+    total: Row, summed: int, mean: Row, share: float, wake_at: Row, band: float, averaged: float, blurred: Row
+) -> bool:
+    """Take sums (n,) of readings into their means, and begin new sums; whether one of the means wakes its cell.
+
+    ``averaged`` is the standard deviation of a mean, over that of a reading; that of the readings is ``blurred`` (n,)
+    times that of those to which ``wake_at`` applies.
+    """
     woken = False
     for i in range(mean.size):
         mean[i] += (total[i] / summed - mean[i]) * share
         total[i] = 0.0
-        woken |= abs(mean[i]) > band + averaged * (wake_at[i] - band)
+        woken |= abs(mean[i]) > band + averaged * blurred[i] * (wake_at[i] - band)
     return woken
 
 

@@ -25,7 +25,7 @@ from ...arrays import BoolArray, FloatArray
 from .._board import Board, cell_alone
 from ..solvers import siemens
 from ._amplified_base import AttenuationBases, Base, Relinearisation
-from ._amplified_board import BOUNDLESS, LEAST_SHARE, AmplifiedBoard
+from ._amplified_board import BOUNDLESS, HEAVY, LEAST_SHARE, AmplifiedBoard
 from ._amplified_errors import Levels, ReadingErrors
 from ._amplified_leads import LeadBases
 from ._amplified_limits import CellsAtLimits
@@ -45,10 +45,13 @@ from ._live_reading import (
 EVALUATIONS = 2
 """of line attenuation"""
 EXACT_EVALUATIONS = 1
-"""of the exact transfer conductances; where leads are heavy, two more check what Kirchhoff's laws say"""
+"""of the exact transfer conductances, which correct line attenuation"""
+LEAD_EVALUATIONS = 2
+"""of the same, where the leads are heavy: they check what Kirchhoff's laws say"""
+CHANGING_EVALUATIONS = 1
+"""of the same, in a frame which finds by line attenuation that the leads are heavy"""
 FIRST_EVALUATIONS = 8, 3
 """of both in the first frame of all, before which nothing is known"""
-_HEAVY = 0.5  # share of a cell's current that its lines take, from which on attenuation may not come to its end
 
 
 class AmplifiedLive:
@@ -136,7 +139,7 @@ class AmplifiedLive:
             return None
         if self._board.independent_columns:
             found = self._loops.independent(levels, volts)
-        elif base is None or base.off is not None or self._heavy or base.loss > _HEAVY or levels.gain is not base.gain:
+        elif base is None or base.off is not None or self._heavy or base.loss > HEAVY or levels.gain is not base.gain:
             return None
         else:
             found = self._loops.about(base, levels, volts)
@@ -197,7 +200,7 @@ class AmplifiedLive:
 
         """
         if self._heavy:
-            found = self._settle_by_leads(volts, base)
+            found = self._settle_by_leads(volts, base, LEAD_EVALUATIONS)
             if found is not None:
                 return found
         conductance, off = self._relinearised(base, transfer)
@@ -208,7 +211,9 @@ class AmplifiedLive:
             if base.between is not None:
                 transfer = self._board.transfer(volts, base.between)
             conductance, off = self._relinearised(base, transfer)
-        if base.loss > _HEAVY:
+            if self._board.asks_for_leads(base.loss):
+                break
+        if base.loss > HEAVY:
             return self._settle_on_heavy_lines(base, volts, conductance, off)
         return conductance, off, base
 
@@ -220,7 +225,7 @@ class AmplifiedLive:
         Kirchhoff's laws say more where the lines are hardly more than leads. Elsewhere the certificate is widened.
         """
         if self._board.lead_like:
-            found = self._settle_by_leads(volts, base)
+            found = self._settle_by_leads(volts, base, CHANGING_EVALUATIONS)
             if found is not None:
                 return found
             off = None if off is None else np.full_like(off, inf)  # a bound of first order says nothing
@@ -229,13 +234,15 @@ class AmplifiedLive:
             off = self._board.within_linear_range(most, base.conductance) / base.gain
         return conductance, off, base
 
-    def _settle_by_leads(self, volts: FloatArray, base: Base) -> tuple[FloatArray, FloatArray | None, Base] | None:
-        """As :meth:`_settle`, by Kirchhoff's laws; None where these have no solution.
+    def _settle_by_leads(
+        self, volts: FloatArray, base: Base, checks: int
+    ) -> tuple[FloatArray, FloatArray | None, Base] | None:
+        """As :meth:`_settle`, by Kirchhoff's laws with so many exact evaluations; None where these have no solution.
 
         Decides whether the next frame begins with them.
         """
-        found = self._by_leads(volts, base)
-        self._heavy = found is not None and found.loss > 0.5 * _HEAVY
+        found = self._by_leads(volts, base, checks)
+        self._heavy = found is not None and found.loss > 0.5 * HEAVY
         return None if found is None else (found.conductance, found.off, found)
 
     def _examined(

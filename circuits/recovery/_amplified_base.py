@@ -153,14 +153,13 @@ class AttenuationBases:
         """The base at these conductances (N, M) in S, by one evaluation of line attenuation."""
         board, conductance = self._board, above_floor(conductance)
         known = board.models.attenuated(conductance)
-        missing, off = None, None
-        if known is None:  # lines so heavy that the drive underflows before their end
-            own = board.models.exact(conductance)
-        else:
-            own = known.transfer
-            missing, off = self._missing(conductance, known)
+        # Without attenuation the lines are so heavy that the drive underflows before their end.
+        own = board.models.exact(conductance) if known is None else known.transfer
         gain = conductance / np.maximum(own, LEAST_SHARE * conductance)
         between, model_error, loss = None, board.tolerance, loss_at(gain)
+        missing, off = None, None
+        if known is not None:
+            missing, off = self._missing(conductance, known, exactly=not board.asks_for_leads(loss))
         if board.sources_differ:
             between, left = board.between_columns(own, loss)
             model_error = board.tolerance + left
@@ -175,10 +174,13 @@ class AttenuationBases:
             between=between,
         )
 
-    def _missing(self, conductance: FloatArray, known: AttenuatedFrame) -> tuple[FloatArray | None, FloatArray | None]:
+    def _missing(
+        self, conductance: FloatArray, known: AttenuatedFrame, *, exactly: bool
+    ) -> tuple[FloatArray | None, FloatArray | None]:
         """S (N, M) that attenuation misses, other cells' current; None where that is below the tolerance.
 
-        Where the frame has no exact evaluation left, also the S (N, M) by which this may be off.
+        Without ``exactly``, or where the frame has no exact evaluation left, also the S (N, M) by which this may be
+        off.
         """
         bound, tolerance = known.error, self._board.tolerance
         if (bound <= tolerance).all():
@@ -186,7 +188,7 @@ class AttenuationBases:
         scaled, off = (None, bound) if self._anchor is None else self._anchor.scaled(bound)
         if (off <= tolerance).all():
             return scaled, None
-        if self.exact_left == 0:
+        if not exactly or self.exact_left == 0:
             return scaled, off
         self.exact_left -= 1
         transfer = self._board.models.exact(conductance)

@@ -32,6 +32,8 @@ ZERO = np.array(0.0)
 """as an array, since NumPy makes one of a float in every call"""
 _SIMILAR = 0.1  # relative change of conductances up to which bounds are kept
 _SHARE_OF_STEP = 0.25  # of an ADC step that the model may leave as its own error
+HEAVY = 0.5
+"""share of a cell's current that its lines take, from which on attenuation may not come to its end"""
 _LEAD_LIKE = 0.5  # most resistance of segments over that of leads, for which a grid is taken for one without segments
 
 
@@ -98,6 +100,15 @@ class AmplifiedBoard:
         """(M,) S by which a model may put T off"""
         self.least_tolerance = float(self.tolerance.min())
         """S"""
+
+    def asks_for_leads(self, loss: float) -> bool:
+        """Whether Kirchhoff's laws of grids without segments say more than line attenuation.
+
+        Args:
+            loss: largest share of a cell's current that its lines take.
+
+        """
+        return self.lead_like and loss > HEAVY
 
     def for_all(self, values: FloatArray) -> FloatArray:
         """Values that broadcast to (N, M), as an array (N, M) of their own."""

@@ -29,7 +29,7 @@ from scipy.linalg.lapack import dgecon, dgesv, dlange, sgecon, sgesv, slange
 from ...arrays import AnyArray, FloatArray
 
 ROUNDS = 16
-"""at most, in one inversion; usually three to six"""
+"""at most, in one frame; usually three to six"""
 MOST_CELLS = 256
 """up to which all derivatives of all cells by all readings are made; beyond, bounds that neglect what cancels"""
 MOST_IN_DOUBLE = 64
@@ -59,6 +59,8 @@ class LeadFit(NamedTuple):
     """(rows, steps) potentials U per volt"""
     columns: FloatArray
     """(steps, M) potentials W per volt"""
+    rounds: int
+    """that the search has taken"""
 
     def propagation(self) -> Propagation:
         """How errors of the readings come through."""
@@ -231,7 +233,12 @@ class _Bounds(NamedTuple):
 
 
 def invert_leads(
-    current: FloatArray, column: FloatArray, row_ohm: FloatArray, column_ohm: FloatArray, start: FloatArray
+    current: FloatArray,
+    column: FloatArray,
+    row_ohm: FloatArray,
+    column_ohm: FloatArray,
+    start: FloatArray,
+    most_rounds: int = ROUNDS,
 ) -> LeadFit | None:
     """The cells that give these readings.
 
@@ -241,6 +248,7 @@ def invert_leads(
         row_ohm: (N,) ohm of the rows' leads.
         column_ohm: (M,) ohm of the columns' leads and of what follows them.
         start: (N, M) S, conductances to begin with.
+        most_rounds: after which the search ends, settled or not; at least 1.
 
     Returns:
         None where no conductances give them, or the equations are singular.
@@ -252,7 +260,9 @@ def invert_leads(
     most = _SHORT / np.maximum(np.add.outer(row_ohm, column_ohm), _LEAST_OHM)
     conductance, diagonal = start, np.arange(count)
     sides = np.concatenate([current, column], axis=1)
-    for _ in range(ROUNDS):
+    rounds, settled = 0, False
+    while rounds < most_rounds and not settled:
+        rounds += 1
         loads = conductance.sum(axis=1)
         rows = (conductance @ column.T) * (row_ohm / (1.0 + row_ohm * loads))[:, None]  # U, (rows, steps)
         rows[diagonal, diagonal] = 0.0
@@ -271,7 +281,5 @@ def invert_leads(
         moved = np.abs(found - conductance).sum(axis=1)
         conductance = found
         settled = bool((moved <= _ENOUGH * loads).all())
-        if settled:
-            break
     gain = (1.0 + column_ohm * conductance.sum(axis=0)) / own[:, None]
-    return LeadFit(conductance, gain, settled, row_ohm, column_ohm, rows, column)
+    return LeadFit(conductance, gain, settled, row_ohm, column_ohm, rows, column, rounds)
