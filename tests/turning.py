@@ -99,8 +99,10 @@ class OneCell:
                 now = Hypothesis(allowed, begun.settled, now.x2, now.x3)
             else:
                 now = Hypothesis(allowed, now.settled, begun.x2, now.x3)
+        direction = 1.0 if self.rising else -1.0
+        held = direction * (self.third_last - now.pressure) < 3 * dt * paper.HELD * self.full
         below = self.peak - ahead
-        share = paper.AGAIN if below < max(unsure, paper.FLAT * self.full) else 0.0
+        share = paper.AGAIN if below < max(unsure, paper.FLAT * self.full if held else 0.0) else 0.0
         share = 1.0 if below <= paper.EXACTLY * self.full else share
         if self.left is not None:
             share = 0.0
@@ -114,7 +116,8 @@ class OneCell:
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         was_apart = self.variance - self.doubt
         fade = np.exp(-2 * dt * rate)
-        self.peak -= paper.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), paper.TURN * self.full)
+        if held:
+            self.peak -= paper.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), paper.TURN * self.full)
         self.doubt *= fade
         is_apart = (paper.EITHER * (self.other.pressure - now.pressure)) ** 2
         lost = was_apart - is_apart

@@ -31,7 +31,7 @@ GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
 ROWS = 13
 """rows beside the memory: intermediate results; 1 in the row of the hypothesis that is not in force; how far that one
 must have gone back for a turn to be certain; what depends on the hypothesis in force. Then the number of rows"""
-WHERE, CONFIRMED, FLAGS = 0, 2, 3
+WHERE, HELD, CONFIRMED, FLAGS = range(4)
 """rows of flags, and their number"""
 LOWEST, USUAL, SURE, TURN_KPA, LEAST_KPA, PULLED_KPA = range(6)
 FLAT_KPA, EXACT_KPA, AGAIN, LESS, EITHER, LEFT_OVER, CLEAR = range(6, 13)
@@ -230,18 +230,22 @@ def begin_anew(
     anew: Rows,
     of: Rows,
     flags: FlagRows,
+    held_kpa: float,
     unconfirmed: bool,
     numbers: FixedRow,
 ) -> None:
     """Begin the other hypothesis anew near the extreme, and tell how far apart both are.
 
-    ``anew`` (6, m) is by how much the hypotheses change if they begin where the other one is.
+    ``anew`` (6, m) is by how much the hypotheses change if they begin where the other one is; ``held_kpa`` by how much
+    a pressure that is held may seem to go back in three frames.
     """
     begun_anywhere = False
     for i in range(memory.shape[1]):
+        held = (memory[THIRD_LAST, i] - memory[PRESSURE, i]) * memory[SIGN, i] < held_kpa
+        flags[HELD, i] = held
         below_peak = memory[PEAK, i] - of[AHEAD, i]
         again = 0.0
-        if below_peak < max(of[UNSURE, i], numbers[FLAT_KPA]):
+        if below_peak < max(of[UNSURE, i], numbers[FLAT_KPA] if held else 0.0):
             again = numbers[AGAIN]
         if below_peak <= numbers[EXACT_KPA]:
             again = 1.0
@@ -258,7 +262,8 @@ def begin_anew(
         of[UNSURE, i] = unsure
         memory[EXTREME, i] = max(memory[EXTREME, i], ahead - unsure)
         error_kpa = min(math.sqrt(memory[TURNED, i]), numbers[TURN_KPA])
-        memory[PEAK, i] -= (1.0 - of[FADE, i]) * error_kpa * numbers[GOES_BACK]
+        if flags[HELD, i]:
+            memory[PEAK, i] -= (1.0 - of[FADE, i]) * error_kpa * numbers[GOES_BACK]
         memory[VARIANCE, i] -= memory[TURNED, i]  # by which the hypotheses were apart in the last frame
         memory[TURNED, i] *= of[FADE, i]
         apart = (memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]
