@@ -39,7 +39,7 @@ from . import _recovery as recovery
 from . import _sway as sway
 from . import _turning_loops as loops
 from ._paper_steps import TurnWeights, step_weights, taken_over, turn_weights
-from ._turning_loops import BEFORE_LAST, EXTREME, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
+from ._turning_loops import BEFORE_LAST, EXTREME, LAST, LEFT, PEAK, SIGN, TAKEN_OFF_KPA, THIRD_LAST, TURNED
 from ._turning_rows import (
     CONFIRMED_FALL,
     CONFIRMED_RISE,
@@ -121,7 +121,7 @@ class TurningInversion(Inversion):
     rows = (
         *("pressure", "gain", "variance", "last", "before_last", "third_last"),
         *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
-        *("rest_variance", "rested", "drift", "drift_end"),
+        *("rest_variance", "rested", "drift", "drift_end", "taken_off"),
         *sway.NAMES,
     )
     recovers = True
@@ -494,7 +494,8 @@ class TurningInversion(Inversion):
         some[PEAK] = now - unsure
         # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
         before = some[VARIANCE]
-        rested = np.minimum(before, some[REST_VARIANCE] + before * recovery.LIGHT)
+        left_over = before * recovery.LIGHT + some[TAKEN_OFF_KPA] * some[TAKEN_OFF_KPA]
+        rested = np.minimum(before, some[REST_VARIANCE] + left_over)
         np.copyto(before, rested, where=some[RESTED] > self._none)
         rounded = self._fast_kpa / np.maximum(np.abs(pressure - some[LAST]), self._fast_kpa)
         unseen = self._unseen(some, pressure, gain, unsure) + rounded * self._round_kpa
