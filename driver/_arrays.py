@@ -96,10 +96,10 @@ def to_xarray(frames: Iterable[Frame], skin: Skin | None = None) -> Dataset:
     }
     attributes = {"source": f"ohmskin {__version__}"}
     if skin is not None:
-        pitch_mm = 1e3 * skin.pitch_m
-        for axis, dimension, count in (("x_mm", "column", columns), ("y_mm", "row", rows)):
+        x_m, y_m = skin.pitch_xy_m
+        for axis, dimension, count, pitch_m in (("x_mm", "column", columns, x_m), ("y_mm", "row", rows, y_m)):
             place = {"units": "mm", "long_name": "middle of the cell, from the middle of cell (0, 0)"}
-            coordinates[axis] = (dimension, pitch_mm * np.arange(count), place)
+            coordinates[axis] = (dimension, 1e3 * pitch_m * np.arange(count), place)
         attributes |= _origin(skin)
     variables = {}
     for name, array in arrays.items():

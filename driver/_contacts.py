@@ -27,8 +27,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ._around import highest_around
 from ._bridging import bridge
 from ._later import Later
+from ._pitch import Pitch
 from ._rises import Rises
 from ._tare import KNOWN_DRIFT
 from ._tracks import Named, Patch, Tracks
@@ -45,6 +47,9 @@ MISSING_S = 0.2
 """a cell that was not read for longer is missing; until then its last pressure counts"""
 DRIFT_PER_S = 0.003
 """relative change of a rest resistance in a second: warming up takes minutes. A finger presses much faster"""
+WAKE_SHARE, WAKE_S = 0.15, 1.0
+"""of the largest pressure in the 3 x 3 cells around a cell, forgotten with this time constant: what a finger leaves in
+the estimates behind it and beside it is less, and begins no contact"""
 NEIGHBOURS = np.ones((3, 3), dtype=int)
 """cells that touch at a corner belong together: a finger rarely covers whole rows"""
 
@@ -60,7 +65,7 @@ class Contact:
     y_mm: float
     """centre of pressure along the columns: row number times pitch"""
     area_mm2: float
-    """of the touched cells, each one pitch square"""
+    """of the touched cells, each one pitch by one pitch"""
     force_n: float
     """sum of pressure times cell area; cells that are not read count with what :attr:`interpolated_n` says"""
     peak_kpa: float
@@ -83,13 +88,25 @@ class ContactTracker:
     """Finds the contacts of frames and follows them from frame to frame."""
 
     def __init__(
-        self, shape: tuple[int, int], pitch_m: float, full_scale_kpa: float, *, drift_kpa: float = 0.0
+        self,
+        shape: tuple[int, int],
+        pitch_m: float | tuple[float, float],
+        full_scale_kpa: float,
+        *,
+        drift_kpa: float = 0.0,
     ) -> None:
-        """``drift_kpa`` is the pressure that an untouched cell shows whose rest resistance has drifted as far as rest
-        resistances do (:data:`._tare.KNOWN_DRIFT`); 0: they do not.
+        """Begin with an untouched skin.
+
+        Args:
+            shape: rows and columns.
+            pitch_m: distance of neighbouring cells; of cells that are not square (x, y), along a row and a column.
+            full_scale_kpa: of the cells.
+            drift_kpa: pressure that an untouched cell shows whose rest resistance has drifted as far as rest
+                resistances do (:data:`._tare.KNOWN_DRIFT`); 0: they do not.
+
         """
         self.shape = shape
-        self.pitch_m = pitch_m
+        self.pitch = Pitch.of(pitch_m)
         self.full_scale_kpa = full_scale_kpa
         self._labels: IntArray = np.zeros(shape, dtype=int)
         self._pressed: BoolArray = np.zeros(shape, dtype=np.bool_)
@@ -98,17 +115,23 @@ class ContactTracker:
         self._rises = Rises(shape)
         self._risen_kpa = np.zeros(shape)
         """(rows, columns) largest pressure since the cell rose jointly with its neighbours; 0: it has not"""
+        self._rising: BoolArray = np.zeros(shape, dtype=np.bool_)
+        """(rows, columns) middles of the joint rises of this frame"""
         self._most_drift_kpa, self._drift_kpa_per_s = drift_kpa, drift_kpa / KNOWN_DRIFT * DRIFT_PER_S
         self._drift_kpa = np.zeros(shape)
         """(rows, columns) part of the pressure that drift may have made"""
+        self._wake_kpa = np.zeros(shape)
+        """(rows, columns) largest pressure of late while the cell was in a contact; what is long ago counts less"""
         self._time_s = math.inf
         self._read_s = np.full(shape, -np.inf)
         """(rows, columns) when the cell was read last; only used where somebody tells of readings"""
         self._missing: BoolArray | None = None
         """(rows, columns) cells that are not read; None: only those without a pressure"""
-        self._tracks = Tracks(1e3 * pitch_m)
+        self._tracks = Tracks(1e3 * self.pitch.mean_m, 1e3 * max(self.pitch))
         self._places: IntArray = np.indices(shape).reshape(2, -1).T.copy()
         """(cells, 2) row and column of each cell of the flattened array"""
+        self._places_mm = 1e3 * np.array(self.pitch) * self._places[:, ::-1]
+        """(cells, 2) x and y of each cell's middle"""
 
     def update(
         self,
@@ -134,7 +157,10 @@ class ContactTracker:
         self._pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
         names = self._tracks.follow(time_s, patches, labels)
         self._labels = labels.reshape(self.shape)
-        self._drift(time_s, pressure_kpa)
+        self._risen_kpa[(self._labels == 0) & ~self._rising] = 0.0  # left behind by the touch that lifted them
+        elapsed_s, self._time_s = max(time_s - self._time_s, 0.0), time_s
+        self._drift(elapsed_s, pressure_kpa)
+        self._remember(elapsed_s, pressure_kpa)
         self._were_parted = not all(patch.alone for patch in patches)
         return self._contacts(patches, names)
 
@@ -147,9 +173,13 @@ class ContactTracker:
         """Compare no reading with one from before: rest resistances have changed."""
         self._rises.forget()
 
-    def _drift(self, time_s: float, pressure_kpa: FloatArray) -> None:
+    def _remember(self, elapsed_s: float, pressure_kpa: FloatArray) -> None:
+        """Remember the pressures of contacts, for the places that they leave."""
+        self._wake_kpa *= math.exp(-elapsed_s / WAKE_S)
+        np.fmax(self._wake_kpa, pressure_kpa, out=self._wake_kpa, where=self._labels > 0)
+
+    def _drift(self, elapsed_s: float, pressure_kpa: FloatArray) -> None:
         """Let the drift of untouched cells follow their pressures, slowly upwards and at once downwards."""
-        elapsed_s, self._time_s = max(time_s - self._time_s, 0.0), time_s
         if not self._most_drift_kpa:
             return
         most = np.minimum(self._drift_kpa + self._drift_kpa_per_s * elapsed_s, self._most_drift_kpa)
@@ -175,6 +205,7 @@ class ContactTracker:
         """Look for cells that have risen jointly, and for those whose touch is over."""
         found = None if rise is None else self._rises.look(time_s, *rise)
         risen_kpa = self._risen_kpa
+        self._rising = np.zeros(self.shape, dtype=np.bool_) if found is None else found.middle
         if found is None and not risen_kpa.any():
             return
         full = self.full_scale_kpa
@@ -182,9 +213,9 @@ class ContactTracker:
             return  # a held touch
         least = np.maximum(LEFT_SHARE * risen_kpa, STAY_SHARE * full)
         lasts = (pressure_kpa > least) & (risen_kpa > 0)
-        lasts &= self._touch_lasts(pressure_kpa, None if found is None else found[1])
+        lasts &= self._touch_lasts(pressure_kpa, None if found is None else found.fallen)
         if found is not None:
-            lasts |= found[0] & (pressure_kpa > START_SHARE * full)
+            lasts |= found.risen & (pressure_kpa > START_SHARE * full)
         self._risen_kpa = np.where(lasts, np.maximum(risen_kpa, pressure_kpa), 0.0)
         # What kept these cells in their contact is over: they stay only if their own pressures tell of a touch that
         # has not gone on and left a little behind.
@@ -193,15 +224,14 @@ class ContactTracker:
 
     def _touch_lasts(self, pressure_kpa: FloatArray, fallen: BoolArray | None) -> BoolArray:
         """(rows, columns) cells of joint rises whose touch goes on as a whole: its rim does not outlast its middle."""
-        touches, _ = ndimage.label(self._risen_kpa > 0, structure=NEIGHBOURS)
-        numbers = touches.ravel()
-        now = np.bincount(numbers, np.fmax(pressure_kpa, 0.0).ravel())
-        least = LEFT_SHARE * np.bincount(numbers, self._risen_kpa.ravel())
+        numbers, risen_kpa = self._labels.ravel(), self._risen_kpa.ravel()
+        now = np.bincount(numbers, np.where(risen_kpa > 0, np.fmax(pressure_kpa.ravel(), 0.0), 0.0))
+        least = LEFT_SHARE * np.bincount(numbers, risen_kpa)
         if fallen is not None:
-            least[numbers[fallen.ravel()]] *= FALLEN_SHARE / LEFT_SHARE
-        goes_on = now > least
-        goes_on[0] = False
-        return goes_on[touches]
+            least[numbers[fallen.ravel() & (risen_kpa > 0)]] *= FALLEN_SHARE / LEFT_SHARE
+        goes_on: BoolArray = now > least
+        goes_on[0] = True  # in no contact yet
+        return goes_on[self._labels]
 
     def _find(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[IntArray, list[Patch]]:
         """The patches of touched cells, and for each cell of the flattened array the number of its patch, from 1."""
@@ -209,6 +239,8 @@ class ContactTracker:
         start = np.fmax(START_STDS * std_kpa, START_SHARE * full)  # not NaN where the deviation is
         risen, excess = self._risen_kpa > 0, pressure_kpa - self._drift_kpa
         begins = (excess > start) | risen  # False where NaN
+        if begins.any():
+            begins &= self._rising | (excess > WAKE_SHARE * highest_around(self._wake_kpa))
         touched = self._labels > 0
         if not (begins.any() or touched.any()):
             return np.zeros(pressure_kpa.size, dtype=int), []
@@ -220,8 +252,9 @@ class ContactTracker:
             candidates |= bridged
         found, count = ndimage.label(candidates, structure=NEIGHBOURS)
         kept = np.zeros(count + 1, dtype=bool)
-        kept[found[begins | (touched & candidates)]] = True
+        kept[found[begins]] = True
         kept[0] = False
+        self._keep_lasting(found, kept, pressure_kpa)
         self._drop_disturbances(found, kept)
         if not kept.any():
             return np.zeros(pressure_kpa.size, dtype=int), []
@@ -240,6 +273,34 @@ class ContactTracker:
             return pressure_kpa, None
         bridged, pressure_kpa = bridge(pressure_kpa, touched, missing)
         return pressure_kpa, bridged if bridged.any() else None
+
+    def _keep_lasting(self, found: NDArray[np.signedinteger], kept: BoolArray, pressure_kpa: FloatArray) -> None:
+        """Keep patches in which contacts of the last frame go on, each contact in one of them.
+
+        The patch is one that begins contacts, too, or the one with the largest force. So hysteresis lets a contact
+        last, and makes no second one of cells that a moving finger leaves behind.
+
+        Args:
+            found: (rows, columns) labels of patches, from 1.
+            kept: (labels,) patches that make contacts, changed.
+            pressure_kpa: (rows, columns).
+
+        """
+        lasting = (found > 0) & (self._labels > 0)
+        now = found[lasting]
+        if kept[now].all():
+            return
+        before = self._labels[lasting]
+        ends = np.zeros(int(before.max(initial=0)) + 1, dtype=bool)
+        ends[before] = True
+        ends[before[kept[now]]] = False
+        if not ends.any():
+            return
+        force = np.bincount(found.ravel(), np.where(found > 0, pressure_kpa, 0.0).ravel())
+        order = np.argsort(force[now], kind="stable")
+        last = np.zeros(ends.size, dtype=np.intp)
+        last[before[order]] = now[order]
+        kept[last[ends]] = True
 
     def _drop_disturbances(self, found: NDArray[np.signedinteger], kept: BoolArray) -> None:
         """Drop patches within one row or column that were not there in the last frame.
@@ -272,30 +333,42 @@ class ContactTracker:
         cells = cells[np.argsort(labels[cells], kind="stable")]
         ends = np.cumsum(np.bincount(labels[cells])[1:])
         starts = np.concatenate(([0], ends[:-1]))
-        pressure, places = pressure_kpa.ravel()[cells], self._places[cells]
-        y, x = 1e3 * self.pitch_m * places.T
+        pressure, places, places_mm = pressure_kpa.ravel()[cells], self._places[cells], self._places_mm[cells]
+        x, y = places_mm.T
         totals, x_sums, y_sums, squares = np.add.reduceat(
             [pressure, pressure * x, pressure * y, pressure * (x * x + y * y)], starts, axis=1
         )
         x_mean, y_mean = x_sums / totals, y_sums / totals
         variances = (squares / totals - x_mean**2 - y_mean**2) / 2
-        forces = 1e3 * self.pitch_m**2 * totals
+        forces = 1e3 * self.pitch.area_m2 * totals
         peaks = np.maximum.reduceat(pressure, starts)
         shared = connected[cells[starts]]
         alone = np.bincount(shared)[shared] == 1
         interpolated = np.zeros(len(starts))
         if bridged is not None:
-            interpolated = 1e3 * self.pitch_m**2 * np.add.reduceat(pressure * bridged.ravel()[cells], starts)
+            interpolated = 1e3 * self.pitch.area_m2 * np.add.reduceat(pressure * bridged.ravel()[cells], starts)
         measures = (x_mean, y_mean, forces, peaks, variances, alone, interpolated, starts, ends)
         return [
-            Patch(x, y, force, peak, variance, one, cells[start:end], places[start:end], pressure[start:end], guessed)
+            Patch(
+                x_mm=x,
+                y_mm=y,
+                force_n=force,
+                peak_kpa=peak,
+                variance_mm2=variance,
+                alone=one,
+                cells=cells[start:end],
+                places=places[start:end],
+                places_mm=places_mm[start:end],
+                pressure_kpa=pressure[start:end],
+                interpolated_n=guessed,
+            )
             for x, y, force, peak, variance, one, guessed, start, end in zip(
                 *(measure.tolist() for measure in measures), strict=True
             )
         ]
 
     def _contacts(self, patches: list[Patch], names: list[Named]) -> tuple[Contact, ...]:
-        cell_mm2 = 1e6 * self.pitch_m**2
+        cell_mm2 = 1e6 * self.pitch.area_m2
         contacts = [
             Contact(
                 id=name.id,

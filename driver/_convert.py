@@ -22,6 +22,7 @@ from ._contacts import ContactsOfFrames, ContactTracker, PressureView
 from ._later import Later, Retained
 from ._mailbox import Mailbox
 from ._past import Block, MeasurementPast
+from ._pitch import Pitch
 from ._reading import CountReader, Reading
 from ._statistics import Counters
 from ._stream import RawFrame
@@ -85,7 +86,7 @@ class Converter:
         design: Design,
         cell: Cell | None,
         estimator: str | None,
-        pitch_m: float,
+        pitch: Pitch,
         counters: Counters,
         rest_changes: Sequence[tuple[float, FloatArray | None]] = (),
         accuracy: float | None = None,
@@ -104,7 +105,7 @@ class Converter:
         """
         self.design = design
         self.cell = cell
-        self.pitch_m = pitch_m
+        self.pitch = pitch
         self._estimator_name = estimator
         self._calibration = calibration
         self._counters = counters
@@ -129,7 +130,7 @@ class Converter:
         self._estimator = self._new_estimator()
         full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
         drift_kpa = 0.0 if self._systematic is None else self._systematic.kpa_of_rest(KNOWN_DRIFT)
-        tracker = ContactTracker(design.array.shape, pitch_m, full_scale_kpa, drift_kpa=drift_kpa)
+        tracker = ContactTracker(design.array.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa)
         self.contacts = ContactsOfFrames(tracker)
         self._last: RawFrame | None = None
         self._last_s: float | None = None

@@ -6,7 +6,6 @@ what belongs to it: the mailbox, the counters, and, once the board has introduce
 
 from __future__ import annotations
 
-import math
 import threading
 import time
 import warnings
@@ -24,6 +23,7 @@ from ._calibration import Calibration
 from ._convert import Converter
 from ._introduce import Introduction
 from ._mailbox import Mailbox
+from ._pitch import Pitch
 from ._port import BytePort
 from ._reader import Reader
 from ._recording import Recording
@@ -67,7 +67,7 @@ class Opening:
         design: Design | str | Path | None,
         cell: Cell | str | Path | None,
         estimator: str | None,
-        pitch: float | None,
+        pitch: float | tuple[float, float] | None,
         accuracy: float | None,
         calibration: Calibration | str | Path | None,
         timeout: float,
@@ -82,8 +82,6 @@ class Opening:
             raise InputError(f"a queue of {queue!r} frames; expected a whole number, at least 1")
         if not reconnect >= 0:
             raise InputError(f"reconnect is {reconnect} s; expected at least 0")
-        if pitch is not None and not 0 < pitch < math.inf:
-            raise InputError(f"pitch is {pitch} m; expected more than 0")
         if estimator is not None and estimator not in ESTIMATORS:
             raise InputError(f"no estimator '{estimator}'; expected one of {', '.join(ESTIMATORS)}")
         ValidityRule.of(accuracy)
@@ -93,7 +91,7 @@ class Opening:
             design if isinstance(design, Design | None) else Design.load(design),
             cell if isinstance(cell, Cell | None) else Cell.load(cell),
             estimator,
-            pitch,
+            None if pitch is None else Pitch.of(pitch),
             accuracy,
             calibration if isinstance(calibration, Calibration | None) else Calibration.load(calibration),
         )
@@ -193,7 +191,7 @@ class Link:
                 design,
                 cell,
                 settings.estimator,
-                design.sheet.pitch if settings.pitch is None else settings.pitch,
+                Pitch.of(design.sheet.pitch) if settings.pitch is None else settings.pitch,
                 self.counters,
                 self._port.rest.changes if isinstance(self._port, ReplayPort) else (),
                 settings.accuracy,

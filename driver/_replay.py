@@ -23,6 +23,7 @@ from ..text import shortened
 from ..wire import read_description, write_description
 from ._calibration import Calibration
 from ._past import Past
+from ._pitch import Pitch
 from ._port import Arrival
 from ._recording import BYTES_TOPIC, EVENTS_TOPIC, FORMAT, METADATA, STAMP
 
@@ -40,8 +41,8 @@ class RecordedSettings:
     """None: as the board described itself"""
     cell: Cell | None
     estimator: str | None
-    pitch: float | None
-    """m"""
+    pitch: Pitch | None
+    """None: that of the design"""
     accuracy: float | None = None
     """relative uncertainty up to which cells were valid; None: as the converter allowed"""
     calibration: Calibration | None = None
@@ -52,12 +53,12 @@ class RecordedSettings:
             None if self.design is None else self.design.model_dump(),
             None if self.cell is None else self.cell.model_dump(exclude_none=True),
         ).decode()
-        numbers = {"pitch": self.pitch, "accuracy": self.accuracy}
+        numbers = {"pitch": _distinct(self.pitch), "accuracy": () if self.accuracy is None else (self.accuracy,)}
         known = {
             "estimator": self.estimator,
             "calibration": None if self.calibration is None else self.calibration.as_json(),
         }
-        known |= {name: None if value is None else float(value).hex() for name, value in numbers.items()}
+        known |= {name: " ".join(float(value).hex() for value in values) for name, values in numbers.items()}
         return {"board": self.board, "given": tables} | {key: value for key, value in known.items() if value}
 
     @classmethod
@@ -73,14 +74,15 @@ class RecordedSettings:
         except ProtocolError as error:
             raise InputError(f"{path}: given: {error}") from error
         calibration = metadata.get("calibration")
-        pitch, accuracy = (_hexadecimal(metadata, name, path) for name in ("pitch", "accuracy"))
+        pitch = _hexadecimals(metadata, "pitch", path, most=2)
+        accuracy = _hexadecimals(metadata, "accuracy", path)
         return cls(
             board=metadata["board"],
             design=None if design is None else parse(design, Design, source=f"{path}: design"),
             cell=None if cell is None else parse(cell, Cell, source=f"{path}: cell"),
             estimator=metadata.get("estimator"),
-            pitch=pitch,
-            accuracy=accuracy,
+            pitch=Pitch(pitch[0], pitch[-1]) if pitch else None,
+            accuracy=accuracy[0] if accuracy else None,
             calibration=None
             if calibration is None
             else Calibration.from_json(calibration, source=f"{path}: calibration"),
@@ -190,18 +192,25 @@ class ReplayPort:
         return (item.received_at - self.now()) / self._speed
 
 
-def _hexadecimal(metadata: Mapping[str, str], name: str, path: Path) -> float | None:
-    """A positive number in C's hexadecimal notation; None where the metadata has none."""
+def _distinct(pitch: Pitch | None) -> tuple[float, ...]:
+    """One number of square cells, two of others."""
+    if pitch is None:
+        return ()
+    return (pitch.x_m,) if pitch.x_m == pitch.y_m else pitch
+
+
+def _hexadecimals(metadata: Mapping[str, str], name: str, path: Path, *, most: int = 1) -> list[float]:
+    """Positive numbers in C's hexadecimal notation, at most so many; none where the metadata has none."""
     text = metadata.get(name)
     if text is None:
-        return None
+        return []
     try:
-        value = float.fromhex(text)
+        values = [float.fromhex(one) for one in text.split(" ", most - 1)]
     except (ValueError, OverflowError):
-        value = math.nan
-    if not LEAST <= value <= MOST:
+        values = []
+    if not values or not all(LEAST <= value <= MOST for value in values):
         raise InputError(f"{path}: {name}: expected a positive number in hexadecimal (got {shortened(text)})")
-    return value
+    return values
 
 
 def _survey(path: Path) -> tuple[RecordedSettings, Past | None, RestSchedule, int, float]:

@@ -17,11 +17,12 @@ from bisect import bisect_right
 from collections import deque
 from dataclasses import dataclass
 from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from ..arrays import BoolArray, FloatArray, scatter
+from ._around import ACROSS, highest_around, sums_around, with_direct_neighbours
 
 NOW_S, APART_S, BEFORE_S = 0.01, 0.02, 0.06
 """readings of the last moment are compared with earlier ones: length of the first, pause, length of the second. A
@@ -30,8 +31,6 @@ LEAST_BEFORE = 3
 """frames with which readings are compared at least"""
 EACH = 2.0
 """standard deviations by which a cell of a touch has risen"""
-WEIGHTS = np.array([[0.25, 0.5, 0.25], [0.5, 1.0, 0.5], [0.25, 0.5, 0.25]])
-"""of a cell and its neighbours in the joint test: about the shape of a fingertip (matched filter)"""
 TOGETHER = 6.0
 """standard deviations of the weighted sum of rises. By chance a cell has that once in 1e9 frames; four cells of a
 square whose readings flip by one ADC step in the same frame have 5.2"""
@@ -53,13 +52,10 @@ LEAST_LINE = 4
 """cells of a line of which a quarter is untouched: a fingertip covers shorter lines"""
 
 
-def _unit(weights: FloatArray) -> FloatArray:
-    """Weights with which a sum of independent standard normal numbers is standard normal."""
-    return np.asarray(weights / math.sqrt((weights**2).sum()))
-
-
-_FILTER = _unit(WEIGHTS)
-_ASIDE = [_unit(WEIGHTS * kept) for kept in ([[1], [0], [1]], [[1, 0, 1]])]
+_OF_LINE = 1.0 + 2.0 * ACROSS**2
+STD_OF_WHOLE, STD_OF_OTHERS = _OF_LINE, math.sqrt(2.0 * ACROSS**2 * _OF_LINE)
+"""standard deviations of the sums over 3 x 3 cells (:mod:`._around`) of independent standard normal numbers: of all
+nine cells, and of those beside a row or column. The weights have about the shape of a fingertip (matched filter)"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +70,17 @@ class _Sum:
     """(rows, columns) frames in which the cell was not read"""
 
 
+class JointRise(NamedTuple):
+    """What a frame's joint rises are made of; (rows, columns) each."""
+
+    middle: BoolArray
+    """cells that have risen, together with neighbours along both axes"""
+    risen: BoolArray
+    """these and their neighbours, as far as they have risen"""
+    fallen: BoolArray
+    """cells that have fallen together with their neighbours"""
+
+
 class Rises:
     """Looks for cells that are pressed just now."""
 
@@ -85,7 +92,7 @@ class Rises:
         """Begin anew: rest resistances have changed."""
         self._sums.clear()
 
-    def look(self, time_s: float, reading: FloatArray, noise: FloatArray) -> tuple[BoolArray, BoolArray] | None:
+    def look(self, time_s: float, reading: FloatArray, noise: FloatArray) -> JointRise | None:
         """Take the readings of the next frame.
 
         Args:
@@ -94,8 +101,8 @@ class Rises:
             noise: (rows, columns) standard deviation of one reading.
 
         Returns:
-            (rows, columns) cells that have risen together with neighbours along both axes, risen neighbours included;
-            and (rows, columns) cells that have fallen together with their neighbours. None: no cell has.
+            The cells that have risen together with neighbours along both axes, and those that have fallen together.
+            None: no cell has.
 
         """
         if self._sums and time_s - self._sums[-1].time_s > LONGEST_S:
@@ -111,17 +118,19 @@ class Rises:
         if max(rise.item(rise.argmax()), -rise.item(rise.argmin())) < EACH:
             return None
         rise[now.missing > before.missing] = 0.0
-        weighted = _filtered(rise, _FILTER)
+        weighted = sums_around(rise).whole / STD_OF_WHOLE
         fallen = weighted < -FALLEN
-        together = self._together(rise) if weighted.item(weighted.argmax()) > TOGETHER else None
-        if together is None:
-            return (fallen & False, fallen) if fallen.any() else None
+        found = self._together(rise) if weighted.item(weighted.argmax()) > TOGETHER else None
+        if found is None:
+            return JointRise(fallen & False, fallen & False, fallen) if fallen.any() else None
+        middle, risen = found
         between = since.frames - until.frames
         if between:
             # After a release readings fall, though what the material remembers keeps them above those of before.
             lately = (now.rise - since.rise) / present - (since.rise - until.rise) / between
-            together &= lately > -EACH * noise * math.sqrt(1.0 / present + 1.0 / between)
-        return together, fallen
+            still = lately > -EACH * noise * math.sqrt(1.0 / present + 1.0 / between)
+            middle, risen = middle & still, risen & still
+        return JointRise(middle, risen, fallen)
 
     def _add(self, time_s: float, reading: FloatArray) -> None:
         if not self._sums:
@@ -153,21 +162,22 @@ class Rises:
         """Number of the last sum up to that time, but ``most`` at most, and 0 where all are later."""
         return max(min(bisect_right(self._sums, time_s, key=attrgetter("time_s")) - 1, most), 0)
 
-    def _together(self, rise: FloatArray) -> BoolArray | None:
-        """Cells whose ``rise`` (rows, columns) in standard deviations is part of a joint rise."""
+    def _together(self, rise: FloatArray) -> tuple[BoolArray, BoolArray] | None:
+        """Cells in the middle of joint rises, and those with their neighbours that have risen as well.
+
+        ``rise`` (rows, columns) is in standard deviations.
+        """
         own = rise - self._in_common(rise)
         own /= max(scatter(own), 1.0)
         own[(own <= OWN * rise) & (own > 0)] = 0.0
-        highest = ndimage.maximum_filter(own, 3, mode="nearest")
-        together = (own > np.maximum(EACH, MIDDLE * highest)) & (_filtered(own, _FILTER) > TOGETHER)
-        for weights in _ASIDE:
-            if not together.any():
-                return None
-            together &= _filtered(own, weights) > np.maximum(ASIDE, SHARED * own)
+        highest = highest_around(own)
+        sums = sums_around(own)
+        least_aside = np.maximum(ASIDE, SHARED * own) * STD_OF_OTHERS
+        together = (own > np.maximum(EACH, MIDDLE * highest)) & (sums.whole > TOGETHER * STD_OF_WHOLE)
+        together &= (sums.other_rows > least_aside) & (sums.other_columns > least_aside)
         if not together.any():
             return None
-        near: BoolArray = ndimage.binary_dilation(together)  # and the cells above, below, left and right
-        return near & (own > np.maximum(EACH, SHARED * highest))
+        return together, with_direct_neighbours(together) & (own > np.maximum(EACH, SHARED * highest))
 
     def _in_common(self, rise: FloatArray) -> FloatArray:
         """(rows, columns) what most cells of a cell's row or of its column have risen by, at least 0.
@@ -181,9 +191,3 @@ class Rises:
         if columns >= LEAST_LINE:
             np.maximum(common, np.partition(rise, columns // 4, axis=1)[:, columns // 4, None], out=common)
         return common
-
-
-def _filtered(values: FloatArray, weights: FloatArray) -> FloatArray:
-    """(rows, columns) weighted sums of each cell and its neighbours; beyond the rim there is nothing."""
-    found: FloatArray = ndimage.correlate(values, weights, mode="constant")
-    return found

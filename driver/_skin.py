@@ -56,7 +56,7 @@ class Skin:
         queue: int = QUEUE,
         reconnect: float = 10.0,
         reopen: Callable[[], BytePort] | None = None,
-        pitch: float | None = None,
+        pitch: float | tuple[float, float] | None = None,
         accuracy: float | None = None,
         record: str | Path | None = None,
         overwrite: bool = False,
@@ -78,7 +78,8 @@ class Skin:
             queue: frames that wait for readers, unless ``delivery`` is ``newest``.
             reconnect: s to try to open a port again that has gone away.
             reopen: opens the port again; None: a port that has gone away is not opened again.
-            pitch: distance of neighbouring cells in m, for contacts; None: that of the design's ``[sheet]``.
+            pitch: distance of neighbouring cells in m, for contacts; of cells that are not square (x, y), along a row
+                and along a column. None: that of the design's ``[sheet]``.
             accuracy: relative uncertainty of a cell's conductance up to which the cell is valid; None: 0.5, see
                 :class:`ohmskin.circuits.ValidityRule`.
             record: MCAP file to record to, from the first byte; the recording ends with the skin.
@@ -177,7 +178,7 @@ class Skin:
         delivery: Delivery | None = None,
         queue: int = QUEUE,
         reconnect: float = 10.0,
-        pitch: float | None = None,
+        pitch: float | tuple[float, float] | None = None,
         accuracy: float | None = None,
         record: str | Path | None = None,
         overwrite: bool = False,
@@ -274,8 +275,17 @@ class Skin:
 
     @property
     def pitch_m(self) -> float:
-        """Distance of neighbouring cells in m."""
-        return self._converter.pitch_m
+        """Distance of neighbouring cells in m. InputError where cells are not square: ask for :attr:`pitch_xy_m`."""
+        x_m, y_m = self._converter.pitch
+        if x_m != y_m:
+            raise InputError(f"{self.port_name}: cells of {x_m} x {y_m} m have no single pitch; use pitch_xy_m")
+        return x_m
+
+    @property
+    def pitch_xy_m(self) -> tuple[float, float]:
+        """Distances of neighbouring cells in m along a row (x) and along a column (y)."""
+        pitch = self._converter.pitch
+        return pitch.x_m, pitch.y_m
 
     @property
     def away(self) -> str | None:

@@ -103,7 +103,8 @@ class FrameStream:
 
     def arrive(self, arrival: Arrival, frames: int) -> None:
         """Take the number of frames that came together, before :meth:`take` takes them one by one."""
-        self._arrivals.arrive(arrival.received_at, frames)
+        if self._latest_us is None:  # else the frames have the board's own time
+            self._arrivals.arrive(arrival.received_at, frames)
 
     def state(self) -> StreamPast:
         """Everything remembered, which :meth:`restore` takes. Totals are not part of it."""

@@ -138,18 +138,19 @@ class SystematicError:
         """Measure the spread in resistances, whose relative errors by half an ADC step are ``half_steps``."""
         deviation = np.log(resistance_ohm / self._rest_ohm)
         before, self._before = self._before, deviation
-        present = _median_size(deviation)
-        if present is None:
+        sizes = _sizes(deviation)
+        if sizes.size < LEAST_CELLS:
             return
-        cells = np.count_nonzero(np.isfinite(deviation))
+        present, cells = median(sizes), sizes.size
         if np.count_nonzero(np.abs(deviation) <= half_steps) >= EXPLAINED * cells:
             # Equal cells read so, too: ADC steps, which are counted by themselves, explain what they differ by.
             self.rest_spread = 0.0
             return
         variance = (NORMAL * present) ** 2
-        change = None if before is None else _median_size(deviation - before)
-        if change is not None:
-            variance -= (NORMAL * change) ** 2 / 2
+        if before is not None:
+            changes = _sizes(deviation - before)
+            if changes.size >= LEAST_CELLS:
+                variance -= (NORMAL * median(changes)) ** 2 / 2
         # Few cells may by chance be more alike than those of other skins.
         spread = math.sqrt(max(variance, 0.0)) * (1.0 + CAUTION / math.sqrt(cells))
         self.rest_spread = spread if self.rest_spread is None else min(spread, self.rest_spread)
@@ -231,10 +232,10 @@ def _of_valid_cells(
             variance[i, j] = found + slopes_squared[1, place] * rest_variance
 
 
-def _median_size(values: FloatArray) -> float | None:
-    """Median of the finite absolute values; None where they are too few."""
-    sizes = np.abs(values[np.isfinite(values)])
-    return None if sizes.size < LEAST_CELLS else median(sizes)
+def _sizes(values: FloatArray) -> FloatArray:
+    """The finite absolute values."""
+    sizes: FloatArray = np.abs(values)
+    return sizes if math.isfinite(sizes.item(sizes.argmax())) else sizes[np.isfinite(sizes)]  # argmax finds NaN, too
 
 
 def _static(cell: Cell, ohms: FloatArray, rest_ohm: float) -> FloatArray:

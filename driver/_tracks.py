@@ -61,6 +61,8 @@ class Patch:
     """(n,) numbers in the flattened array"""
     places: IntArray
     """(n, 2) rows and columns"""
+    places_mm: FloatArray
+    """(n, 2) x and y of the cells' middles"""
     pressure_kpa: FloatArray
     """(n,)"""
     interpolated_n: float = 0.0
@@ -136,6 +138,9 @@ class Tracks:
     """All fingers on one skin, and those that were lifted a moment ago."""
 
     pitch_mm: float
+    """of square cells; of others the side of a square of the same area"""
+    longest_pitch_mm: float
+    """along a row or a column, whichever is longer"""
     _tracks: list[Track] = field(default_factory=list)
     _last_id: int = 0
     _time_s: float = -math.inf
@@ -190,7 +195,7 @@ class Tracks:
         costs, possible = np.empty((len(known), len(patches))), np.empty((len(known), len(patches)), dtype=bool)
         for j, (track, overlap) in enumerate(zip(known, overlaps, strict=True)):
             x, y = track.predicted(time_s)
-            reach = REACH_PITCHES * self.pitch_mm + SPEED_MM_PER_S * abs(time_s - track.seen_s)
+            reach = REACH_PITCHES * self.longest_pitch_mm + SPEED_MM_PER_S * abs(time_s - track.seen_s)
             for k, patch in enumerate(patches):
                 far = math.hypot(x - patch.x_mm, y - patch.y_mm) / self.pitch_mm
                 costs[j, k] = far + FORCE_PITCHES * abs(math.log(patch.force_n / track.force_n))
@@ -268,15 +273,14 @@ class Tracks:
             variances: (n,) mm^2 of the bells as far as they are known; the centres are found with them.
 
         """
-        cells = self.pitch_mm * patch.places[:, ::-1]
         weights = patch.pressure_kpa / patch.pressure_kpa.sum()
         for _ in range(EM_STEPS):
-            squares = ((cells - places[:, None]) ** 2).sum(axis=-1) / variances[:, None]
+            squares = ((patch.places_mm - places[:, None]) ** 2).sum(axis=-1) / variances[:, None]
             bells = (shares / variances)[:, None] * np.exp(-0.5 * (squares - squares.min(axis=0)))
             parts = weights * bells / np.maximum(bells.sum(axis=0), 1e-300)
             shares = parts.sum(axis=1)
-            places = parts @ cells / np.maximum(shares, 1e-9)[:, None]
-        squares = ((cells - places[:, None]) ** 2).sum(axis=-1)
+            places = parts @ patch.places_mm / np.maximum(shares, 1e-9)[:, None]
+        squares = ((patch.places_mm - places[:, None]) ** 2).sum(axis=-1)
         return places, shares, (parts * squares).sum(axis=1) / (2.0 * np.maximum(shares, 1e-9))
 
 

@@ -8,9 +8,9 @@ than the unevenness of one finger. Otherwise the lower maximum becomes part of t
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ._around import highest_around, with_all_neighbours
 
 PART_SHARE, STAY_SHARE = 0.3, 0.15
 """of a maximum, by which a saddle must be lower for two fingers, and to stay two: one finger is uneven by less"""
@@ -52,8 +52,9 @@ def part(
     """
     touched = labels > 0
     height = np.where(touched, pressure_kpa, -np.inf)
-    fingers = touched if were_parted else begins
-    summits = fingers & (height >= ndimage.maximum_filter(height, 3, mode="nearest"))
+    summits = touched & (height >= highest_around(height))
+    if not were_parted:
+        summits &= with_all_neighbours(begins)
     if np.count_nonzero(summits) <= labels.max():
         return labels
     top = _tops(height)
@@ -61,7 +62,8 @@ def part(
     number = np.zeros(top.size, dtype=np.intp)
     number[tops] = np.arange(len(tops))
     basin: IntArray = number[top].reshape(labels.shape)
-    root = _merged(tops, basin, height, std_kpa.ravel(), begins.ravel(), before.ravel())
+    std = np.where(std_kpa > 0, std_kpa, 0.0)  # what is not known counts as nothing
+    root = _merged(tops, basin, height, std, begins, before.ravel())
     numbers = np.cumsum(np.bincount(root) > 0)[root]
     return np.where(touched, numbers[basin], 0)
 
@@ -104,12 +106,21 @@ def _merged(
         now, then = before[cells[low]], before[cells[high]]
         apart = bool(now and then and now != then)
         share, stds = (STAY_SHARE, STAY_STDS) if apart else (PART_SHARE, PART_STDS)
-        noise = float(np.hypot(std[cells[low]], std[saddle]))
-        depth = peaks[low] - float(height.flat[saddle])
-        # Not NaN where a deviation is.
-        if not (apart or begins[cells[low]]) or depth < share * peaks[low] or depth < stds * noise:
+        within = basin == low
+        deep = peaks[low] - float(height.flat[saddle]) >= share * peaks[low]
+        sure = deep and (apart or begins[within].any()) and _surely_above(height, std, within, saddle, stds)
+        if not sure:
             root[low] = high
     return np.array([find(one) for one in root], dtype=np.intp)
+
+
+def _surely_above(height: FloatArray, std: FloatArray, within: BoolArray, saddle: int, stds: float) -> bool:
+    """Whether any cell ``within`` (rows, columns) is higher than the saddle by so many deviations of the difference.
+
+    Any, since a single cell at the top may be uncertain for a reason of its own.
+    """
+    noise = np.hypot(std[within], std.flat[saddle])
+    return bool((height[within] - height.flat[saddle] >= stds * noise).any())
 
 
 def _saddles(basin: IntArray, height: FloatArray) -> list[tuple[int, int, int]]:

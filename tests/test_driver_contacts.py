@@ -19,6 +19,7 @@ from ohmskin.driver import _watershed as watershed
 from ohmskin.driver._contacts import JOIN_SHARE, STAY_SHARE
 from ohmskin.driver._messages import FRAME_TOPIC, MESSAGE_SCHEMAS, messages_of
 from ohmskin.emulator import Board
+from ohmskin.errors import InputError
 
 PITCH_M = 0.004
 FULL_KPA = 20.0
@@ -332,6 +333,43 @@ def test_the_pitch_can_be_given() -> None:
         assert (frames[-1].contacts[0].x_mm) == pytest.approx(10.0, abs=0.5)
 
 
+def test_cells_that_are_not_square_have_two_pitches() -> None:
+    """The same pressures on cells of 5 mm along a row and 10 mm along a column."""
+    press = bump((16, 16), 4.0, 9.0, 10.0)
+    (square,) = ContactTracker((16, 16), 0.01, FULL_KPA).update(0.0, press, np.zeros((16, 16)))
+    (oblong,) = ContactTracker((16, 16), (0.005, 0.01), FULL_KPA).update(0.0, press, np.zeros((16, 16)))
+    assert (oblong.x_mm, oblong.y_mm) == pytest.approx((45.0, 40.0), abs=0.1)
+    assert (oblong.x_mm, oblong.y_mm) == pytest.approx((square.x_mm / 2, square.y_mm))
+    assert oblong.force_n == pytest.approx(square.force_n / 2)
+    assert oblong.area_mm2 == pytest.approx(square.area_mm2 / 2)
+
+
+@pytest.mark.parametrize("towards", [(0.0, 1.0), (1.0, 0.0)])
+def test_fingers_that_pass_each_other_keep_their_ids_on_oblong_cells(towards: tuple[float, float]) -> None:
+    """Round fingers of 5 mm on cells of 5 x 10 mm, which pass each other at 12 mm, along rows or along columns."""
+    along_mm, aside_mm = np.array(towards)[::-1], np.array(towards)
+    rows, columns = np.mgrid[:16, :16]
+    one, names = ContactTracker((16, 16), (0.005, 0.01), FULL_KPA), []
+    for k, way in enumerate(np.linspace(-28.0, 28.0, 120)):
+        places = [np.array([37.5, 75.0]) + sign * (way * along_mm + 6.0 * aside_mm) for sign in (-1, 1)]
+        squares = [(5.0 * columns - x) ** 2 + (10.0 * rows - y) ** 2 for x, y in places]
+        pressure = 10.0 * np.exp(-squares[0] / 50.0) + 8.0 * np.exp(-squares[1] / 50.0)
+        contacts = one.update(0.01 * k, pressure, np.full((16, 16), 0.02))
+        if k in (5, 119):
+            names.append([min(contacts, key=lambda c: float(np.hypot(c.x_mm - x, c.y_mm - y))).id for x, y in places])
+    assert names[0] == names[1]
+    assert len(set(names[0])) == 2
+
+
+def test_a_skin_tells_the_pitch_of_oblong_cells_and_has_no_single_one() -> None:
+    with lossless(Wire(big_scene()), pitch=(0.005, 0.01)) as skin:
+        assert skin.pitch_xy_m == (0.005, 0.01)
+        with pytest.raises(InputError, match="pitch_xy_m"):
+            _ = skin.pitch_m
+        contact = list(islice(skin, 120))[-1].contacts[0]
+    assert (contact.x_mm, contact.y_mm) == pytest.approx((10.0, 20.0), abs=0.5)
+
+
 def test_ids_do_not_depend_on_the_order_in_which_frames_are_asked() -> None:
     with lossless(Wire(big_scene())) as skin:
         one_by_one = [frame.contacts for frame in islice(skin, 150)]
@@ -357,3 +395,54 @@ def test_frames_in_which_nothing_touches_cost_little(monkeypatch: pytest.MonkeyP
     """The labelling is not even begun."""
     monkeypatch.setattr("ohmskin.driver._contacts.ndimage.label", lambda *_: 1 / 0)
     assert track([np.zeros((16, 16))] * 3) == [(), (), ()]
+
+
+@pytest.mark.parametrize("uncertain_kpa", [1.5, 3.0])
+@pytest.mark.parametrize("cell", [(7, 5), (7, 9)])
+def test_a_single_uncertain_cell_at_the_top_of_a_finger_does_not_join_it_to_its_neighbour(
+    cell: tuple[int, int], uncertain_kpa: float
+) -> None:
+    """The cells around the top tell of the valley, too."""
+    pressure = bump((16, 16), 7.3, 5.4, 12.0, 0.9) + bump((16, 16), 7.3, 9.4, 9.0, 0.9)
+    std = np.full((16, 16), 0.3)
+    assert len(tracker().update(0.0, pressure, std)) == 2
+    std[cell] = uncertain_kpa
+    assert len(tracker().update(0.0, pressure, std)) == 2
+
+
+@settings(max_examples=30)
+@given(
+    share=st.floats(0.02, 0.1),
+    angle=st.floats(0, 2 * np.pi),
+    peak=st.floats(5.0, 15.0),
+    lasting_s=st.floats(0.1, 3.0),
+)
+def test_what_a_moving_finger_leaves_behind_is_no_contact(
+    share: float, angle: float, peak: float, lasting_s: float
+) -> None:
+    """The estimates of the cells that it has passed keep up to a tenth of their largest pressure, and forget it."""
+    behind, frames = np.zeros((16, 16)), []
+    for along in np.linspace(-5.0, 5.0, 120):
+        press = bump((16, 16), *(7.5 + along * direction(angle)), peak)
+        behind = np.maximum(behind * np.exp(-0.01 / lasting_s), share * press)
+        frames.append(np.maximum(press, behind))
+    assert {contact.id for contacts in track(frames, std_kpa=0.02) for contact in contacts} == {1}
+
+
+def test_a_press_where_another_one_has_just_been_is_found() -> None:
+    """At once where it is more than a residue may be, and a lighter one when the residue would have faded."""
+    strong, nothing = bump((16, 16), 7, 7, 12.0), np.zeros((16, 16))
+    for light, wait in ((2.5, 10), (1.0, 200)):
+        frames = [strong] * 20 + [nothing] * wait + [bump((16, 16), 7, 7, light)] * 3
+        assert [len(contacts) for contacts in track(frames)][-3:] == [1, 1, 1]
+
+
+def test_hysteresis_keeps_a_contact_and_makes_no_second_one() -> None:
+    """A light press falls apart into two patches, both between the thresholds."""
+    whole, parts = np.zeros((5, 9)), np.zeros((5, 9))
+    whole[1:4, 2:7] = 1.5 * 0.03 * FULL_KPA
+    parts[1:4, 2:7] = 0.8 * 0.03 * FULL_KPA
+    parts[1:4, 5] = 0.0
+    (before,), (after,) = track([whole, parts])
+    assert after.id == before.id
+    assert len(after.cells) == 9

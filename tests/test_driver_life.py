@@ -639,6 +639,8 @@ class TestNumbers:
             ({"queue": 2.5}, "a queue of 2.5 frames; expected a whole number, at least 1"),
             ({"reconnect": -1.0}, "reconnect is -1.0 s; expected at least 0"),
             ({"pitch": -0.004}, "pitch is -0.004 m; expected more than 0"),
+            ({"pitch": (0.004, 0.0)}, r"pitch is \(0.004, 0.0\) m; expected more than 0, or two such numbers"),
+            ({"pitch": (0.004, 0.004, 0.004)}, "expected more than 0, or two such numbers"),
             ({"design": "no-such.toml"}, "no-such.toml: cannot be read"),
             ({"cell": "no-such.toml"}, "no-such.toml: cannot be read"),
         ],

@@ -118,17 +118,18 @@ def test_reconnection_losses_and_noise_are_replayed(tmp_path: Path) -> None:
     assert (after.reconnects, after.reboots, after.lost, after.corrupt) == (1, 1, 6, 1)
 
 
-def test_what_was_given_at_opening_is_given_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize("pitch", [0.0031, (0.0031, 0.007)])
+def test_what_was_given_at_opening_is_given_again(tmp_path: Path, pitch: float | tuple[float, float]) -> None:
     path = tmp_path / "given.mcap"
     what = scene().skin
     other = what.design.replace(array={"row_lead": 0.0})
-    options = {"design": other, "cell": what.cell, "estimator": "static", "pitch": 0.0031}
+    options = {"design": other, "cell": what.cell, "estimator": "static", "pitch": pitch}
     with Skin(Script(*pieces(range(9), last=True)), delivery="lossless", record=path, **options) as skin:  # type: ignore[arg-type]
         live = list(skin)
     with Skin.open(str(path)) as skin:
         assert (skin.design, skin.cell) == (other, what.cell)
         again = list(skin)
-        assert skin._converter.contacts._tracker.pitch_m == 0.0031
+        assert skin.pitch_xy_m == (pitch if isinstance(pitch, tuple) else (pitch, pitch))
     assert all(map(same, live, again))
 
 

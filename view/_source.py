@@ -61,7 +61,7 @@ class Source(ABC):
             "source": printable(self.name),
             "rows": rows,
             "columns": columns,
-            "pitch_mm": 1e3 * skin.pitch_m,
+            "pitch_mm": [1e3 * pitch_m for pitch_m in skin.pitch_xy_m],
             "full_scale_kpa": None if skin.cell is None else skin.cell.full_scale_kpa,
             "full_scale_counts": None if adc is None else 2**adc.bits - 1,
             "board": skin.family.name,

@@ -12,6 +12,9 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from . import _smoothing as smoothing
 from ._inversion import Inversion
 
+FEW = 64
+"""cells whose memory is written for all rows at once"""
+
 
 class Block:
     """What is remembered of the cells that are followed, side by side."""
@@ -65,8 +68,11 @@ class Remembered:
 
     def flush(self) -> None:
         """Scatter the block's memory to that of all cells; no cell is followed until they are chosen anew."""
-        self.put(self.block.cells, self.block.memory, self.block.line)
-        self.block = self._no_block
+        block, self.block = self.block, self._no_block
+        if block.cells.size == self.followed.size:
+            self.memory, self.line = np.ascontiguousarray(block.memory), block.line
+        else:
+            self.put(block.cells, block.memory, block.line)
         self.stale = True
 
     def begin(self, cells: IntArray, r: FloatArray) -> None:
@@ -115,8 +121,12 @@ class Remembered:
 def _put(values: FloatArray, cells: IntArray, new: FloatArray) -> None:
     """Write ``new`` (rows, m), or (rows, 1) for all alike, over the ``values`` (rows, n) of some cells (m,).
 
-    Row by row: NumPy takes 15 times as long for all rows at once where there are thousands of cells. (For the same
-    reason columns are read by ``take`` and ``compress``.)
+    Row by row if there are many: NumPy takes 15 times as long for all rows at once where there are thousands of cells,
+    and a third where there are a few. (For the same reason columns are read by ``take`` and ``compress``.)
     """
-    for row, written in zip(values, new, strict=True):
+    if cells.size <= FEW:
+        values[:, cells] = new
+        return
+    alike = new.shape[1] == 1  # a number is written in half the time of an array of one
+    for row, written in zip(values, new[:, 0].tolist() if alike else new, strict=True):
         row[cells] = written

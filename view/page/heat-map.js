@@ -99,9 +99,9 @@ export class HeatMap {
 
   drawContact(contact, pitch_mm) {
     const { markContext: context, ratio, side } = this;
-    const x = this.margin + (contact.x_mm / pitch_mm + 0.5) * side;
-    const y = this.margin + (contact.y_mm / pitch_mm + 0.5) * side;
-    const radius = Math.max((Math.sqrt(contact.area_mm2 / Math.PI) / pitch_mm) * side, 5 * ratio);
+    const x = this.margin + (contact.x_mm / pitch_mm[0] + 0.5) * side;
+    const y = this.margin + (contact.y_mm / pitch_mm[1] + 0.5) * side;
+    const radius = Math.max((Math.sqrt(contact.area_mm2 / (Math.PI * pitch_mm[0] * pitch_mm[1]))) * side, 5 * ratio);
     for (const [width, colour] of [
       [4, "rgb(0 0 0 / 0.6)"],
       [1.75, "#ffffff"],
