@@ -211,7 +211,7 @@ class Sway:
             return 0.0
         jumped = False
         if rising != self.rising:
-            self._begin_anew()
+            self.since = 0
         self.rising = rising
         for length in (2, 4, 8):
             if looks % length:
