@@ -212,6 +212,9 @@ class Sway:
         jumped = False
         if rising != self.rising:
             self.since = 0
+            for length in (2, 4, 8):
+                both = min(self.sides[length, 1], self.sides[length, -1])
+                self.sides[length, 1] = self.sides[length, -1] = both
         self.rising = rising
         for length in (2, 4, 8):
             if looks % length:

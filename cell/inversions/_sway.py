@@ -7,8 +7,8 @@ differences is the Allan variance, and that of white noise is known. Blocks of s
 nobody knows how fast the taps are.
 
 A load that rises, and one that falls, moves the means to one side only. Turns that are noticed leave nothing behind:
-blocks before one are not compared with those after it. What was found in between is kept, since of light taps a few are
-noticed and others are not. What may have been kept of motion that remains is added to the standard deviation
+blocks before one are not compared with those after it. What both sides have in common is kept, since of light taps a few
+are noticed and others are not. What may have been kept of motion that remains is added to the standard deviation
 of the memory, up to the pressure that is shown: what is kept of a tap is never less than none.
 """
 
@@ -95,6 +95,9 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, kpa_per_r: flo
         if np.count_nonzero(turned):
             np.copyto(memory[SIGN_BEFORE], memory[SIGN], where=turned)
             np.copyto(memory[SINCE], _ZERO, where=turned)
+            both = np.minimum(memory[_UPS], memory[_DOWNS])
+            np.copyto(memory[_UPS], both, where=turned)
+            np.copyto(memory[_DOWNS], both, where=turned)
         _end_blocks(memory, mean, noise, ends, kpa_per_r)
     memory[HALF] = mean
 
@@ -176,6 +179,9 @@ def look_each(
             continue
         if memory[SIGN, i] != memory[SIGN_BEFORE, i]:
             memory[SIGN_BEFORE, i], memory[SINCE, i], since = memory[SIGN, i], 0.0, 0.0
+            for scale in range(SCALES):
+                both = min(memory[UP + scale, i], memory[DOWN + scale, i])
+                memory[UP + scale, i], memory[DOWN + scale, i] = both, both
         noise2, shorter, jumped = taken[NOISE, i] * taken[NOISE, i], half, False
         for scale in range(SCALES):
             mean = (shorter + mean) * 0.5
