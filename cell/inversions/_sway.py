@@ -7,7 +7,7 @@ differences is the Allan variance, and that of white noise is known. Blocks of s
 nobody knows how fast the taps are.
 
 A load that rises, and one that falls, moves the means to one side only. Turns that are noticed leave nothing behind:
-blocks before one are not compared with those after it. What both sides have in common is kept, since of light taps a few
+blocks before one are not compared with those after it. What both sides have in common is kept, since of light taps some
 are noticed and others are not. What may have been kept of motion that remains is added to the standard deviation
 of the memory, up to the pressure that is shown: what is kept of a tap is never less than none.
 """
