@@ -36,7 +36,7 @@ class OneCell:
         self.left: float | None = None
         self.doubt = self.variance = 0.0
         self.rest_variance = self.drift = self.last_drift = 0.0
-        self.rested = False
+        self.rested, self.taken_off = False, 0.0
         self.sway = Sway(r)
         self.last = self.before_last = self.third_last = p
 
@@ -75,13 +75,13 @@ class OneCell:
             unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full / fast
             before = self.variance
             if self.rested:
-                before = min(before, self.rest_variance + recovery.LIGHT * before)
+                before = min(before, self.rest_variance + recovery.LIGHT * before + self.taken_off**2)
             self.doubt = (np.sqrt(before) + unseen) ** 2 + (gains[False] * std) ** 2
             self.doubt = min(self.doubt, (paper.UNKNOWN * self.full) ** 2)
             self.variance = self.doubt
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
             self.rest_variance = 0.0 if lost else recovery.PART * self.doubt
-            self.rested, self.drift = False, 0.0
+            self.rested, self.drift, self.taken_off = False, 0.0, 0.0
             error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
             self.last_drift = 0.0 if self.rising else recovery.DRIFTS * error
         unsure = std * gains[self.rising]
@@ -99,8 +99,10 @@ class OneCell:
                 now = Hypothesis(allowed, begun.settled, now.x2, now.x3)
             else:
                 now = Hypothesis(allowed, now.settled, begun.x2, now.x3)
+        direction = 1.0 if self.rising else -1.0
+        held = direction * (self.third_last - now.pressure) < 3 * dt * paper.HELD * self.full
         below = self.peak - ahead
-        share = paper.AGAIN if below < max(unsure, paper.FLAT * self.full) else 0.0
+        share = paper.AGAIN if below < max(unsure, paper.FLAT * self.full if held else 0.0) else 0.0
         share = 1.0 if below <= paper.EXACTLY * self.full else share
         if self.left is not None:
             share = 0.0
@@ -114,7 +116,8 @@ class OneCell:
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         was_apart = self.variance - self.doubt
         fade = np.exp(-2 * dt * rate)
-        self.peak -= paper.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), paper.TURN * self.full)
+        if held:
+            self.peak -= paper.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), paper.TURN * self.full)
         self.doubt *= fade
         is_apart = (paper.EITHER * (self.other.pressure - now.pressure)) ** 2
         lost = was_apart - is_apart
@@ -141,7 +144,7 @@ class OneCell:
         fade = np.exp(-8 * dt * (1 + m.e1_kpa / m.e2_kpa) / m.t2_s)  # of a variance, in four frames
         self.peak = self.peak + recovery.PEAK_FADES * (self.extreme - self.peak)
         self.rest_variance *= fade
-        self.drift += (1 - np.sqrt(fade)) * (self.last_drift - self.drift)
+        self.drift += (1 - np.sqrt(fade)) * (self.last_drift + max(self.taken_off, 0.0) - self.drift)
         if self.rising or self.left is not None or count < 3:
             return
         ago = 1.5 * dt
@@ -153,6 +156,7 @@ class OneCell:
         error = pressure * (1 - kept)
         self.rest_variance *= kept
         self.rested = True
+        self.taken_off += error
         self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
         self.extreme, self.peak = min(self.extreme + error, 0.0), min(self.peak + error, 0.0)

@@ -7,10 +7,12 @@ differences is the Allan variance, and that of white noise is known. Blocks of s
 nobody knows how fast the taps are.
 
 A load that rises, and one that falls, moves the means to one side only. What an inverse keeps of taps does so, too, and
-would hide the taps: the mean of late differences is therefore subtracted from each (a drift). Turns that are noticed leave nothing behind:
-blocks before one are not compared with those after it. What both sides have in common is kept, since of light taps some
-are noticed and others are not. What may have been kept of motion that remains is added to the standard deviation
-of the memory, up to the pressure that is shown: what is kept of a tap is never less than none.
+would hide the taps: from each difference the mean of the late ones is subtracted, the drift.
+
+Turns that are noticed leave nothing behind: blocks before one are not compared with those after it. What both sides
+have in common is kept over a turn, since of light taps some are noticed and others are not. What may have been kept of
+motion that remains is added to the standard deviation of the memory, up to the pressure that is shown: what is kept of
+a tap is never less than none.
 """
 
 from __future__ import annotations
@@ -46,7 +48,7 @@ NAMES = (
     *("drift_8", "drift_16", "drift_32"),
 )
 """names of the rows of the memory"""
-HALF, LOOKS, SINCE, SIGN_BEFORE, MEAN, UP, DOWN, DRIFT = 24, 25, 26, 27, 28, 31, 34, 37
+HALF, LOOKS, SINCE, SIGN_BEFORE, MEAN, UP, DOWN, DRIFT = 25, 26, 27, 28, 29, 32, 35, 38
 """rows: mean of the readings at the last look; looks; looks since a turn was noticed last, or a jump; 1 where the load
 rose at the last look, -1 where it fell. Then three rows each, one for each length: mean of the last block; mean square
 of the differences upwards, and downwards, over the variance of noise, less what noise alone makes; mean difference"""

@@ -37,7 +37,7 @@ from . import _recovery as recovery
 from . import _sway as sway
 from . import _turning_loops as loops
 from ._paper_steps import TurnWeights, step_weights, taken_over, turn_weights
-from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
+from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, TAKEN_OFF_KPA, THIRD_LAST, TURNED
 from ._turning_rows import (
     CONFIRMED_FALL,
     CONFIRMED_RISE,
@@ -88,8 +88,9 @@ steps of the ADC, of any reading that the resistance follows from; most loads th
 REFUTED = 0.5 * FAR
 """kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
 is a turn, and below the extreme that means "none", so that the turn is certain"""
-FLAT = 0.003
-"""of full scale by which a pressure that is held may seem to go back"""
+FLAT, HELD = 0.003, 0.03
+"""of full scale: by how much a pressure that is held may seem to go back, and by how much in a second. A load that goes
+back faster has turned: the other hypothesis began at its extreme, and is not to begin again later"""
 GOES_BACK = 6.0
 """standard deviations of the memory, at most a turn, per share of its variance that fades in a frame, by which the peak
 goes down. As an error of the memory fades, the pressure of a load that is held seems to go back"""
@@ -118,7 +119,7 @@ class TurningInversion(Inversion):
     rows = (
         *("pressure", "gain", "variance", "last", "before_last", "third_last"),
         *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
-        *("rest_variance", "rested", "drift", "drift_end"),
+        *("rest_variance", "rested", "drift", "drift_end", "taken_off"),
         *sway.NAMES,
     )
     recovers = True
@@ -155,6 +156,7 @@ class TurningInversion(Inversion):
             np.array(share * full_scale_kpa) for share in (TURN, LIGHT_TURN, FLAT, EXACTLY)
         )
         self._turn_share = np.array(TURN_SHARE)
+        self._held_kpa_per_s = HELD * full_scale_kpa
         # What is below zero is an error that fades, and no turn.
         self._least_kpa = np.array(self._lowest if self.exact else 0.0)
         self.steepness_kpa = np.array([1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa])
@@ -193,7 +195,7 @@ class TurningInversion(Inversion):
         unconfirmed = self._take_turns(of, std, w)
         if not self.exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
             self._correct(of, doubt(), w)
-        self._begin_anew(of, unconfirmed=unconfirmed)
+        self._begin_anew(of, 3.0 * dt_s * self._held_kpa_per_s, unconfirmed=unconfirmed)
         self._renew_variance(of, unconfirmed=unconfirmed)
         return memory
 
@@ -222,7 +224,7 @@ class TurningInversion(Inversion):
         if unconfirmed:
             # Back at the extreme that was left: the turn was noise.
             back, noise = self._gone_back(of, std)
-            turned |= np.less(back, noise, of.near)
+            turned |= np.less(back, noise, of.held)
         if np.count_nonzero(turned):
             self._turn(of.memory, turned.nonzero()[0], std, weights)
             of.take_gains(weights, anew=True)
@@ -240,10 +242,17 @@ class TurningInversion(Inversion):
             np.copyto(of.left, self._far, where=confirmed)
         return unconfirmed
 
-    def _begin_anew(self, of: Rows, *, unconfirmed: bool) -> None:
-        """Begin the other hypothesis where the one in force is, as long as the pressure is near its extreme."""
+    def _begin_anew(self, of: Rows, held_kpa: float, *, unconfirmed: bool) -> None:
+        """Begin the other hypothesis where the one in force is, as long as the pressure is near its extreme.
+
+        ``held_kpa`` is by how much a pressure that is held may seem to go back in three frames.
+        """
+        gone_back = np.subtract(of.third_last, of.pressure, of.spare)
+        gone_back *= of.sign
+        np.less(gone_back, held_kpa, of.held)
+        np.multiply(of.held, self._flat_kpa, of.nearby)
+        np.maximum(of.unsure, of.nearby, out=of.nearby)
         below_peak = np.subtract(of.peak, of.ahead, of.spare)
-        np.maximum(of.unsure, self._flat_kpa, out=of.nearby)
         again = np.less(below_peak, of.nearby, of.where).astype(np.float64)
         again *= self._again
         np.copyto(again, self._one, where=np.less_equal(below_peak, self._exact_kpa, of.where))
@@ -267,6 +276,7 @@ class TurningInversion(Inversion):
         np.sqrt(of.doubt, of.spare)
         of.nearby *= np.minimum(of.spare, self._turn_kpa, out=of.spare)
         of.nearby *= self._goes_back
+        of.nearby *= of.held
         of.peak -= of.nearby
         of.variance -= of.doubt  # by which the hypotheses were apart in the last frame
         of.doubt *= of.fade
@@ -352,7 +362,8 @@ class TurningInversion(Inversion):
             loops.correct.code(memory, taken, w.by_model, numbers)
         self._taken_over.dot(of.state, of.change)
         unconfirmed = found & loops.UNCONFIRMED > 0
-        loops.begin_anew.code(memory, of.change, of.rows, of.flags, unconfirmed, numbers)
+        held_kpa = 3.0 * dt_s * self._held_kpa_per_s
+        loops.begin_anew.code(memory, of.change, of.rows, of.flags, held_kpa, unconfirmed, numbers)
         return memory
 
     def _keep(self, of: Rows, apart: FloatArray, begun: BoolArray) -> None:
@@ -472,7 +483,8 @@ class TurningInversion(Inversion):
         some[PEAK] = now - unsure
         # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
         before = some[VARIANCE]
-        rested = np.minimum(before, some[REST_VARIANCE] + before * recovery.LIGHT)
+        left_over = before * recovery.LIGHT + some[TAKEN_OFF_KPA] * some[TAKEN_OFF_KPA]
+        rested = np.minimum(before, some[REST_VARIANCE] + left_over)
         np.copyto(before, rested, where=some[RESTED] > self._none)
         rounded = self._fast_kpa / np.maximum(np.abs(pressure - some[LAST]), self._fast_kpa)
         unseen = self._unseen(some, pressure, gain, unsure) + rounded * self._round_kpa
