@@ -76,11 +76,13 @@ class OneCell:
             before = self.variance
             if self.rested:
                 before = min(before, self.rest_variance + recovery.LIGHT * before + self.taken_off**2)
-            self.doubt = (np.sqrt(before) + unseen) ** 2 + (gains[False] * std) ** 2
+            late = (gains[False] * std) ** 2
+            self.doubt = (np.sqrt(before) + unseen) ** 2 + late
             self.doubt = min(self.doubt, (paper.UNKNOWN * self.full) ** 2)
             self.variance = self.doubt
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
-            self.rest_variance = 0.0 if lost else recovery.PART * self.doubt
+            usual = recovery.PART * max(self.doubt - late, 0.0) + min(late, self.doubt)
+            self.rest_variance = 0.0 if lost else usual
             self.rested, self.drift, self.taken_off = False, 0.0, 0.0
             error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
             self.last_drift = 0.0 if self.rising else recovery.DRIFTS * error
@@ -93,6 +95,8 @@ class OneCell:
             if back >= times * (paper.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
                 self.left, confirmed = None, True
         allowed = -paper.PULL_SIGMAS * gains[False] * doubt - paper.NEAR * self.full
+        if not self.rising:
+            allowed = min(allowed, -paper.SURE * gains[False] * std)
         if not self.exact and now.pressure < allowed:
             begun = self._begun(allowed, r, now.x3)
             if self.rising:

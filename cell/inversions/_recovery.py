@@ -22,14 +22,13 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...compiled import FixedRow, Places, Rows, loop
-from ..estimation import COUNT, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED
+from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED
 from ..materials import PaperModel
 from ._paper_steps import step_weights
 from ._turning_loops import (
     DRIFT_END_KPA,
     DRIFT_KPA,
     EXTREME,
-    FAR,
     LEFT,
     PEAK,
     RECOVERY_KPA,
@@ -50,7 +49,7 @@ MOST = 0.2
 """of full scale: a memory that is known no better is lost, and rest is no better guess than a load"""
 REST_SIGMAS = 2.0
 """standard deviations by which the pressure of a cell at rest may differ from none"""
-RESTED_SIGMAS = 4.0
+RESTED_SIGMAS = 5.0
 """standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a released
 cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows in every
 frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""
@@ -150,14 +149,19 @@ def look(
     memory[:, rests] = some
 
 
-def begin(memory: FloatArray, most_kpa2: FloatArray) -> None:
+def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> None:
     """Begin anew in m cells that have just turned; changes their ``memory`` (rows, m).
 
-    ``most_kpa2``, an array without axes, is the square of :data:`MOST` in kPa.
+    Args:
+        memory: of the cells.
+        by_noise: (m,) variance in kPa^2 that the noise of the turn's own reading leaves. All of it is usual.
+        most_kpa2: without axes, the square of :data:`MOST` in kPa.
     """
     turned, drift_end = memory[TURNED], memory[DRIFT_END_KPA]
     memory[[RESTED, DRIFT_KPA, REST_VARIANCE, DRIFT_END_KPA, TAKEN_OFF_KPA]] = 0.0
-    np.copyto(memory[REST_VARIANCE], turned * PART, where=turned < most_kpa2)
+    usual = np.maximum(turned - by_noise, _ZERO) * PART
+    usual += np.minimum(by_noise, turned)
+    np.copyto(memory[REST_VARIANCE], usual, where=turned < most_kpa2)
     drift = np.sqrt(np.minimum(turned, most_kpa2)) * DRIFTS
     np.copyto(drift_end, drift, where=memory[SIGN] < _ZERO)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from ...compiled import FixedRow, FixedRows, FlagRows, Rows, loop
-from ..estimation import GAIN, PRESSURE, READING, REST_VARIANCE, RESTED, SMOOTHED, STD, VARIANCE
+from ..estimation import FAR, GAIN, PRESSURE, READING, REST_VARIANCE, RESTED, SMOOTHED, STD, VARIANCE
 from ..estimation import NOISE as READING_NOISE
 
 LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
@@ -22,9 +22,6 @@ RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 1
 DRIFT_KPA, DRIFT_END_KPA, TAKEN_OFF_KPA = 22, 23, 24
 """rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
 seem to rise, now and at last; pressure that was subtracted since the release"""
-FAR = 1e12
-"""kPa: no extreme"""
-
 UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
 NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_TURNS = range(6, 10)
 GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
@@ -126,7 +123,9 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
     memory[TURNED, i] = turned
     memory[VARIANCE, i] = turned  # the distance of the hypotheses is in it
     memory[RESTED, i], memory[DRIFT_KPA, i], memory[TAKEN_OFF_KPA, i] = 0.0, 0.0, 0.0
-    memory[REST_VARIANCE, i] = turned * numbers[PART] if turned < numbers[MOST_RESTED_KPA2] else 0.0
+    by_noise = late * late
+    rest_variance = max(turned - by_noise, 0.0) * numbers[PART] + min(by_noise, turned)
+    memory[REST_VARIANCE, i] = rest_variance if turned < numbers[MOST_RESTED_KPA2] else 0.0
     drift = math.sqrt(min(turned, numbers[MOST_RESTED_KPA2])) * numbers[DRIFTS]
     memory[DRIFT_END_KPA, i] = drift if sign < 0.0 else 0.0
     if left < FAR:
@@ -199,6 +198,8 @@ def correct(memory: Rows, taken: Rows, by_model: FixedRows, numbers: FixedRow) -
         off = abs(taken[READING, i] - taken[SMOOTHED, i]) + taken[READING_NOISE, i] * numbers[HIDDEN]
         doubt = max(off * numbers[PER_SIGMAS], taken[STD, i])
         allowed = pull * doubt - numbers[NEAR_KPA]
+        if memory[SIGN, i] < 0.0:
+            allowed = min(allowed, by_model[0, 1] * taken[STD, i] * -numbers[SURE])
         if not memory[PRESSURE, i] < allowed:
             continue
         r = memory[STATE_END - 1, i]
