@@ -131,6 +131,28 @@ def test_machine_code_does_what_array_operations_do(
     compare(cell.estimator((cells,), noise=expected, rest_error=rest_error), times, frames)
 
 
+def share(estimator: Estimator, own_std: float) -> None:
+    """Tell of noise that columns share, three times as large as that of a cell itself."""
+    own = np.full(estimator.shape, own_std)
+    estimator.resolve(own, np.full(estimator.shape, EXAMPLE.rest_resistance_ohm), 3.0 * own)
+
+
+@pytest.mark.parametrize("shares", [True, False])
+def test_noise_that_columns_share(shares: bool) -> None:
+    """A finger on three columns, bad contacts and missing readings; and a board whose columns share no noise."""
+    shape, random, frames = (8, 8), np.random.default_rng(0), 300
+    finger = np.exp(-((np.arange(8.0)[:, None] - 3) ** 2 + (np.arange(8.0) - 4) ** 2))
+    kpa = 9.0 * np.sin(np.arange(frames) / 9.0) ** 2 * (np.arange(frames) > 120)
+    ohms = EXAMPLE.forward(shape).run(np.full(frames, 0.01), kpa[:, None, None] * finger)
+    ohms *= 1 + 1e-3 * random.standard_normal(ohms.shape) + 3e-3 * shares * random.standard_normal((frames, 1, 8))
+    ohms[random.random(ohms.shape) < 0.002] *= 3.0
+    ohms[random.random(ohms.shape) < 0.002] = np.nan
+    estimator = EXAMPLE.estimator(shape)
+    share(estimator, 1e-3)
+    compare(estimator, np.full(frames, 0.01), ohms)
+    assert estimator._shared_noise.ratio == (pytest.approx(8.0) if shares else 0.0)
+
+
 def test_a_large_skin_that_mostly_sleeps() -> None:
     """Presses wake a few cells; the readings of those asleep leave something open, too."""
     shape, random = (64, 64), np.random.default_rng(0)
@@ -189,8 +211,9 @@ def _count(estimator: Estimator, method: str, name: str, counts: dict[str, int])
 
 
 def _calls(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
-    """How often an estimator calls each of its loops in a stream of rest and presses."""
-    estimator = cell.estimator((9,))
+    """How often an estimator calls each of its loops in a stream of rest and presses, on a board of shared noise."""
+    shape, random = (9, 8), np.random.default_rng(0)
+    estimator = cell.estimator(shape)
     expected = os.environ.get(SWITCH) != "0"
     assert estimator.compile() is expected
     counts: dict[str, int] = {}
@@ -204,9 +227,11 @@ def _calls(cell: Cell, monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
                 return code(*given)
 
             patched.setattr(each, "code", counted)
-        pressed = readings(cell, (9,), 20, 1e-4, 0)
-        rest = cell.rest_resistance_ohm * (1 + 1e-4 * np.random.default_rng(0).standard_normal((64, 9)))
-        noisy = readings(cell, (9,), 60, 1e-2, 1)
+        share(estimator, 1e-4)
+        pressed = readings(cell, shape, 20, 1e-4, 0)
+        rest = cell.rest_resistance_ohm * (1 + 1e-4 * random.standard_normal((64, *shape)))
+        rest *= 1 + 3e-4 * random.standard_normal((64, 1, 8))
+        noisy = readings(cell, shape, 60, 1e-2, 1)
         for ohm in (*rest, *pressed, *noisy):
             estimator.step(DT_S, ohm)
             assert np.isfinite(estimator.std_kpa).all() or not estimator.states_std

@@ -36,7 +36,7 @@ class OneCell:
         self.left: float | None = None
         self.doubt = self.variance = 0.0
         self.rest_variance = self.drift = self.last_drift = 0.0
-        self.rested = False
+        self.rested, self.taken_off = False, 0.0
         self.sway = Sway(r)
         self.last = self.before_last = self.third_last = p
 
@@ -75,13 +75,15 @@ class OneCell:
             unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full / fast
             before = self.variance
             if self.rested:
-                before = min(before, self.rest_variance + recovery.LIGHT * before)
-            self.doubt = (np.sqrt(before) + unseen) ** 2 + (gains[False] * std) ** 2
+                before = min(before, self.rest_variance + recovery.LIGHT * before + self.taken_off**2)
+            late = (gains[False] * std) ** 2
+            self.doubt = (np.sqrt(before) + unseen) ** 2 + late
             self.doubt = min(self.doubt, (paper.UNKNOWN * self.full) ** 2)
             self.variance = self.doubt
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
-            self.rest_variance = 0.0 if lost else recovery.PART * self.doubt
-            self.rested, self.drift = False, 0.0
+            usual = recovery.PART * max(self.doubt - late, 0.0) + min(late, self.doubt)
+            self.rest_variance = 0.0 if lost else usual
+            self.rested, self.drift, self.taken_off = False, 0.0, 0.0
             error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
             self.last_drift = 0.0 if self.rising else recovery.DRIFTS * error
         unsure = std * gains[self.rising]
@@ -93,14 +95,18 @@ class OneCell:
             if back >= times * (paper.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
                 self.left, confirmed = None, True
         allowed = -paper.PULL_SIGMAS * gains[False] * doubt - paper.NEAR * self.full
+        if not self.rising:
+            allowed = min(allowed, -paper.SURE * gains[False] * std)
         if not self.exact and now.pressure < allowed:
             begun = self._begun(allowed, r, now.x3)
             if self.rising:
                 now = Hypothesis(allowed, begun.settled, now.x2, now.x3)
             else:
                 now = Hypothesis(allowed, now.settled, begun.x2, now.x3)
+        direction = 1.0 if self.rising else -1.0
+        held = direction * (self.third_last - now.pressure) < 3 * dt * paper.HELD * self.full
         below = self.peak - ahead
-        share = paper.AGAIN if below < max(unsure, paper.FLAT * self.full) else 0.0
+        share = paper.AGAIN if below < max(unsure, paper.FLAT * self.full if held else 0.0) else 0.0
         share = 1.0 if below <= paper.EXACTLY * self.full else share
         if self.left is not None:
             share = 0.0
@@ -114,7 +120,8 @@ class OneCell:
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         was_apart = self.variance - self.doubt
         fade = np.exp(-2 * dt * rate)
-        self.peak -= paper.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), paper.TURN * self.full)
+        if held:
+            self.peak -= paper.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), paper.TURN * self.full)
         self.doubt *= fade
         is_apart = (paper.EITHER * (self.other.pressure - now.pressure)) ** 2
         lost = was_apart - is_apart
@@ -141,7 +148,7 @@ class OneCell:
         fade = np.exp(-8 * dt * (1 + m.e1_kpa / m.e2_kpa) / m.t2_s)  # of a variance, in four frames
         self.peak = self.peak + recovery.PEAK_FADES * (self.extreme - self.peak)
         self.rest_variance *= fade
-        self.drift += (1 - np.sqrt(fade)) * (self.last_drift - self.drift)
+        self.drift += (1 - np.sqrt(fade)) * (self.last_drift + max(self.taken_off, 0.0) - self.drift)
         if self.rising or self.left is not None or count < 3:
             return
         ago = 1.5 * dt
@@ -153,6 +160,7 @@ class OneCell:
         error = pressure * (1 - kept)
         self.rest_variance *= kept
         self.rested = True
+        self.taken_off += error
         self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
         self.extreme, self.peak = min(self.extreme + error, 0.0), min(self.peak + error, 0.0)
@@ -201,6 +209,7 @@ class Sway:
     def __init__(self, r: float) -> None:
         self.first, self.means, self.since, self.rising = r, [], 0, True
         self.sides = {(length, side): 0.0 for length in (2, 4, 8) for side in (1, -1)}
+        self.drifts = dict.fromkeys((2, 4, 8), 0.0)
 
     def look(self, mean: float, noise: float, rising: bool) -> float:
         """Take the ``mean`` of the last four readings, each uncertain by ``noise``."""
@@ -211,15 +220,21 @@ class Sway:
             return 0.0
         jumped = False
         if rising != self.rising:
-            self._begin_anew()
+            self.since = 0
+            for length in (2, 4, 8):
+                both = min(self.sides[length, 1], self.sides[length, -1])
+                self.sides[length, 1] = self.sides[length, -1] = both
+            self.drifts = dict.fromkeys(self.drifts, 0.0)
         self.rising = rising
         for length in (2, 4, 8):
             if looks % length:
                 continue
             before = np.mean(self.means[-2 * length : -length]) if looks > length else self.first
-            change = np.mean(self.means[-length:]) - before
+            change = np.mean(self.means[-length:]) - before - self.drifts[length]
             size = change**2 / (noise**2 / (4 * length))
             jumped |= size > sway.JUMP
+            if self.since >= 2 * length:
+                self.drifts[length] += sway.SHARE * change
             for side in (1, -1):
                 excess = (min(size, sway.MOST) if side * change > 0 else 0.0) - 1
                 if self.since >= 2 * length:
@@ -229,7 +244,7 @@ class Sway:
         return max(self._kept(length, noise) for length in (2, 4, 8))
 
     def _begin_anew(self) -> None:
-        self.since, self.sides = 0, dict.fromkeys(self.sides, 0.0)
+        self.since, self.sides, self.drifts = 0, dict.fromkeys(self.sides, 0.0), dict.fromkeys(self.drifts, 0.0)
 
     def _kept(self, length: int, noise: float) -> float:
         up, down = self.sides[length, 1], self.sides[length, -1]

@@ -4,7 +4,8 @@ A frame passes these steps.
 
 1. Readings become normalised resistances r = R/R0 - 1. NaN, open and shorted readings, and those that no credible load
    can give, are missing: the cell keeps its pressure, and the standard deviation grows (:mod:`._gaps`).
-2. Noise is measured from the readings (:mod:`._noise`).
+2. Noise that the cells of a column share is taken out of the readings (:mod:`._shared_noise`), and what is left of the
+   noise is measured (:mod:`._noise`).
 3. Cells at rest sleep: only their mean is watched, until it leaves the noise (:mod:`._sleep`).
 4. The others are followed (:mod:`._following`): their readings are smoothed as their noise demands
    (:mod:`._smoothing`), and an :class:`._inversion.Inversion` turns them into pressures. Their memory lies side by side
@@ -30,6 +31,7 @@ from ...compiled import Loop
 from ...errors import InputError
 from . import _loops as loops
 from . import _noise as noise_meter
+from . import _shared_noise as shared_noise
 from . import _smoothing as smoothing
 from . import _tremor as tremor
 from ._conditions import Conditions
@@ -41,6 +43,7 @@ from ._inversion import Inversion
 from ._noise import NoiseMeter
 from ._remembered import Remembered
 from ._rows import PRESSURE
+from ._shared_noise import SharedNoise
 from ._sleep import Sleep
 from ._sparks import Sparks
 from ._tremor import Tremor
@@ -71,6 +74,7 @@ class Estimator:
         self._per_ohm = 1 / rest_resistance_ohm
         cells, full_kpa = self._per_ohm.size, inversion.full_scale_kpa
         self._noise = NoiseMeter(cells, conditions.noise or 0.0)
+        self._shared_noise = SharedNoise(shape, self._noise)
         self._remembered = Remembered(inversion, cells)
         self._sleep = Sleep(cells, inversion.full_scale_r)
         self._gaps = Gaps(cells, full_kpa, conditions)
@@ -82,6 +86,8 @@ class Estimator:
         self._pressure = np.full(cells, np.nan)
         self._reading = np.zeros(cells)
         """(n,) r of the last frame; never changes again"""
+        self._watched = self._reading
+        """(n,) the same, those of sleeping cells with noise that others share; never changes again"""
         self._known: BoolArray | None = None
         """(n,) cells that the last frame has read; None: all"""
         self._readings = np.zeros(cells)
@@ -109,14 +115,16 @@ class Estimator:
     def _use(self, *, machine_code: bool) -> None:
         """Do the work of frames by machine code, or by array operations."""
         self._compiled = machine_code
-        for part in (self._noise, self._tremor, self._sleep, self._deviation, self._following):
+        noise = self._noise, self._shared_noise
+        for part in (*noise, self._tremor, self._sleep, self._deviation, self._following):
             part.compiled = machine_code
         block = self._remembered.block
         block.line_before = block.line.copy()  # machine code has that from before the last step
 
     def _loops(self) -> tuple[Loop[..., Any], ...]:
         """All that a frame calls."""
-        return *loops.ALL, *smoothing.LOOPS, *noise_meter.LOOPS, *tremor.LOOPS, *self.inversion.loops_used()
+        noise = *noise_meter.LOOPS, *shared_noise.LOOPS
+        return *loops.ALL, *smoothing.LOOPS, *noise, *tremor.LOOPS, *self.inversion.loops_used()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Continue from a pickle, perhaps in a process without machine code."""
@@ -148,12 +156,17 @@ class Estimator:
         r = self._reading = np.empty(resistance.size)
         known = self._known = self._normalise(resistance.ravel(), r)
         before = self._pressure.copy() if self._gaps.concern(dt, self._usual_s or dt, known) else None
+        watched = blurred = None
+        if self._shared_noise.ratio and not exact:
+            r, watched = self._shared_noise.subtract(dt, r, known, self._sleep.awake)
+            self._reading, blurred = r, self._shared_noise.mean_std
+        self._watched = r if watched is None else watched
         if not exact:
             self._noise.update(r, known)
         if not self._begun:
             self._start(r, known)
         if not exact:
-            woken = self._sleep.watch(dt, r)
+            woken = self._sleep.watch(dt, r, watched, blurred)
             if woken is not None:
                 self._remembered.wake(woken)
         if self._remembered.stale or known is not None or self._gaps.open:
@@ -198,6 +211,7 @@ class Estimator:
             if of_all < MORE * np.median(at_rest[found]):
                 of_all = 0.0  # as behind virtual grounds: the noise of own readings tells all
         self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])), of_all)
+        self._shared_noise.suppose(float(np.median(at_rest[found])), of_all)
         self.inversion.take_steps(of_all)
 
     def _at_rest(self, relative_std: ArrayLike, resistance_ohm: ArrayLike) -> tuple[FloatArray, BoolArray]:
@@ -219,7 +233,7 @@ class Estimator:
         The function holds what it needs, so that a step whose standard deviation nobody asks for hardly pays for it.
         """
         by_gaps = self._gaps.variance if self._gaps.doubtful else None
-        return self._deviation.of_last_step(self.shape, self._reading, by_gaps, self._held.variance)
+        return self._deviation.of_last_step(self.shape, self._watched, by_gaps, self._held.variance)
 
     def rise_of_last_step(self) -> tuple[FloatArray, FloatArray]:
         """How far the last readings are from rest, and how far noise alone may carry them.
@@ -335,6 +349,7 @@ class Estimator:
         self._pressure[cells] = 0.0  # a calibration curve may miss that by some percent
         self._sparks.forget(cells)
         self._sleep.begin(cells)
+        self._shared_noise.sleep(cells, self._sleep.mean[cells])
         self._tremor.forget(cells)
 
     def _flush(self) -> None:
@@ -357,7 +372,8 @@ class Estimator:
         self._flush()
         own = {"pressure": self._pressure, "readings": self._readings}
         own["clock"] = np.array([self._usual_s, self._frames, *self._sleep.clock], dtype=np.float64)
-        for part in (self._remembered, self._sleep, self._deviation, self._noise, self._gaps, self._held, self._tremor):
+        noise = self._noise, self._shared_noise
+        for part in (*noise, self._remembered, self._sleep, self._deviation, self._gaps, self._held, self._tremor):
             own |= part.state()
         return {name: np.array(value, dtype=np.float64) for name, value in own.items()}
 
@@ -375,7 +391,8 @@ class Estimator:
         self._usual_s, frames, *clock = given["clock"].tolist()
         self._frames = int(frames)
         self._sleep.restore(given, clock)
-        for part in (self._remembered, self._deviation, self._noise, self._gaps, self._held, self._tremor):
+        noise = self._noise, self._shared_noise
+        for part in (*noise, self._remembered, self._deviation, self._gaps, self._held, self._tremor):
             part.restore(given)
         self.inversion.take_steps(self._noise.resolution_by_all)
         self._sparks.forget_all()

@@ -121,6 +121,12 @@ class NoiseMeter:
         """standard deviation of the median cell at rest"""
         self.at_rest = np.sqrt(self._variance + LEAST**2)
         """(n,) standard deviation of r of a cell at rest; renewed in place"""
+        self.own = expected
+        """the part of it that no other cell of a column shares"""
+        self.excess = np.zeros(cells)
+        """(n,) variance at rest of what is left of shared noise, over that of own noise; see :mod:`._shared_noise`"""
+        self._shared = 0.0
+        """the same where nothing of it is taken out of the readings; 0: no noise is shared"""
         self.quiet = np.inf
         """the least that the median cell has had of late: what is more may be the load; infinite: not known"""
         self.beside = np.zeros(cells)
@@ -139,6 +145,33 @@ class NoiseMeter:
         self.resolution, self.resolution_by_all = resolution, by_all
         self.typical_resolution = float(np.median(resolution))
         np.maximum(self.at_rest, resolution, out=self.at_rest)
+
+    def share(self, ratio: float) -> None:
+        """Let all cells share noise of ``ratio`` times the variance of own noise at rest; 0: none is shared.
+
+        Shared noise scales conductances: in r it is proportional to 1 + r, where own noise is to (1 + r)^2.
+        """
+        scale = (1.0 + self._shared) / (1.0 + ratio)
+        self._variance *= scale
+        self._expected *= scale
+        self.own, self.quiet = self.own * scale**0.5, self.quiet * scale**0.5
+        self._shared = ratio
+        self.leave(np.full(self.excess.size, ratio))
+
+    def leave(self, excess: FloatArray) -> None:
+        """Take the part (n,) of shared noise that the readings have from now on, as :attr:`excess`."""
+        self.excess = excess
+        if self._looks:
+            self._state_std()
+
+    def _blurred(self, r: FloatArray) -> FloatArray:
+        """(n,) or (rows, n) standard deviation of readings ``r`` of all cells, over that of own noise at rest."""
+        scale: FloatArray = r + _ONE
+        if self._shared:
+            scale *= np.sqrt(scale * scale + self.excess)
+        else:
+            scale *= scale
+        return scale
 
     def update(self, r: FloatArray, known: BoolArray | None) -> None:
         """Take normalised resistances (n,); ``known`` (n,) marks those that were read, None: all."""
@@ -175,12 +208,11 @@ class NoiseMeter:
         if self.compiled and self._looks:
             self._looks += 1
             kept = self._variance, self._crowd, self.on_line, self._blind
-            average.code(squares, r, *kept, WINDOW - 4.0, self._share, self._share_of_crowd, self._passes_below)
+            shares = self._share, self._share_of_crowd
+            average.code(squares, r, self.excess, *kept, WINDOW - 4.0, *shares, self._passes_below)
             self._renew()
             return
-        np.add(r, _ONE, self._limit)
-        self._limit *= self._limit
-        squares /= self._limit
+        squares /= self._blurred(r)
         squares *= squares
         if self._any_blind:
             np.copyto(squares, self._variance, where=self._blind > WINDOW - 4)
@@ -235,11 +267,20 @@ class NoiseMeter:
             np.maximum(self._variance, LEAST**2, out=self._variance)
         if self._looks % POOL == 1:
             self._pool()
+        self._state_std()
+
+    def _state_std(self) -> None:
+        """Renew the standard deviations."""
         if self.compiled:
-            std_at_rest.code(self._variance, self.resolution, self.typical_resolution > 0.0, self.at_rest)
+            resolved, last = self.typical_resolution > 0.0, self._ring[(self._seen - 1) % WINDOW]
+            std_at_rest.code(self._variance, self.resolution, resolved, last, self.excess, self.at_rest)
             return
         np.add(self._variance, _LEAST_VARIANCE, self.at_rest)
         np.sqrt(self.at_rest, self.at_rest)
+        if self._shared:
+            scale = self._ring[(self._seen - 1) % WINDOW] + _ONE
+            scale *= scale
+            self.at_rest *= np.sqrt(self.excess / scale + _ONE)
         if self.typical_resolution:
             np.maximum(self.at_rest, self.resolution, out=self.at_rest)
 
@@ -247,7 +288,7 @@ class NoiseMeter:
         """Raise a variance whose first look was small by chance, so that readings after it seemed to be outliers."""
         last = self._seen % WINDOW
         differences = np.array([_THIRD_DIFFERENCE[(last - age) % WINDOW] for age in range(FIRST)]) @ self._ring
-        differences /= (1.0 + self._ring[last - 1]) ** 2
+        differences /= self._blurred(self._ring[last - 1])
         middle = np.median(differences**2, axis=0) / MEDIAN_OF_SQUARES
         np.copyto(self._variance, np.maximum(self._variance, middle), where=self._blind <= 0.0)
 
@@ -255,12 +296,14 @@ class NoiseMeter:
         middle = median(self._variance[:: 1 + self._variance.size // ENOUGH])
         if self._variance.size >= MANY:
             np.minimum(self._variance, ABOVE_POOL * middle + LEAST**2, out=self._variance)
-        self.typical = middle**0.5
+        self.own = self.typical = middle**0.5
+        if self._shared:
+            self.typical *= (1.0 + median(self.excess[:: 1 + self.excess.size // ENOUGH])) ** 0.5
         if self._looks > SOON:
             risen = self._variance.size >= MANY and median(self._crowd[:: 1 + self._crowd.size // ENOUGH]) > ALL_CROWDED
             self._passes_below = -1.0 if risen else CROWDED
         if self._looks > KNOWN:
-            least = max(self.typical, self.typical_resolution, LEAST)
+            least = max(self.own, self.typical_resolution, LEAST)
             self.quiet = min(FORGET * self.quiet, least)
 
     def beside_parabola(self, cells: IntArray) -> FloatArray:
@@ -277,10 +320,11 @@ class NoiseMeter:
         if self.compiled:
             present = np.empty(cells.size)
             last = (self._seen - 1) % WINDOW
-            beside_each.code(cells, beside, ring, last, self.quiet, self.resolution, self._blind, present)
+            of_cells = self.resolution, self.excess, self._blind
+            beside_each.code(cells, beside, ring, last, self.quiet, *of_cells, present)
             return present
         scale = ring[(self._seen - 1) % WINDOW] + 1.0
-        scale *= scale
+        scale *= np.sqrt(scale * scale + self.excess[cells]) if self._shared else scale
         scale *= np.maximum(self.quiet, HALF_STEP * self.resolution[cells])
         beside /= scale
         beside *= beside
@@ -337,11 +381,15 @@ class NoiseMeter:
             "noise_ring": self._ring,
             "noise_blind": self._blind,
             "noise_variance": self._variance,
+            "noise_at_rest": self.at_rest,
             "noise_resolution": self.resolution,
             "noise_crowd": self._crowd,
             "noise_on_line": self.on_line,
             "noise_counts": np.array([self._looks, self._seen, self._any_blind], dtype=np.float64),
-            "noise_of_array": np.array([self.typical, self.quiet, self._passes_below, self.resolution_by_all]),
+            "noise_excess": self.excess,
+            "noise_of_array": np.array(
+                [self.typical, self.own, self._shared, self.quiet, self._passes_below, self.resolution_by_all]
+            ),
             "noise_beside": self.beside,
         }
 
@@ -350,9 +398,11 @@ class NoiseMeter:
         self._ring, self._blind, self._variance = (state[f"noise_{name}"] for name in ("ring", "blind", "variance"))
         self.beside, self._crowd, self.on_line = (state[f"noise_{name}"] for name in ("beside", "crowd", "on_line"))
         looks, seen, any_blind = state["noise_counts"].tolist()
-        self.typical, self.quiet, self._passes_below, by_all = state["noise_of_array"].tolist()
+        self.excess = state["noise_excess"]
+        of_array = state["noise_of_array"].tolist()
+        self.typical, self.own, self._shared, self.quiet, self._passes_below, by_all = of_array
         self._looks, self._seen, self._any_blind = int(looks), int(seen), int(any_blind)
-        self.at_rest = np.sqrt(self._variance + LEAST**2)
+        self.at_rest = state["noise_at_rest"]
         self.resolve(state["noise_resolution"], by_all)
 
 
@@ -360,6 +410,7 @@ class NoiseMeter:
 def average(
     squares: Row,
     r: Row,
+    excess: Row,
     variance: Row,
     crowd: Row,
     on_line: Row,
@@ -376,7 +427,7 @@ def average(
     uncut = UNCUT if passes_below > 0.0 else 1.0
     for i in range(r.size):
         scale = r[i] + 1.0
-        square = squares[i] / (scale * scale)
+        square = squares[i] / (scale * math.sqrt(scale * scale + excess[i]))
         square *= square
         is_blind = blind[i] > since
         if is_blind:
@@ -391,17 +442,31 @@ def average(
 
 
 @loop
-def std_at_rest(variance: Row, resolution: Row, resolved: bool, std: Row) -> None:
-    """Standard deviations (n,) of r at rest from the variances of the noise, as a loop over cells."""
+def std_at_rest(variance: Row, resolution: Row, resolved: bool, r: Row, excess: Row, std: Row) -> None:
+    """Standard deviations (n,) of r at rest from the variances of the noise, as a loop over cells.
+
+    ``excess`` (n,) is what shared noise adds to them, where the cells read ``r`` (n,).
+    """
     for i in range(std.size):
         std[i] = math.sqrt(variance[i] + LEAST_VARIANCE)
+        if excess[i] > 0.0:
+            scale = r[i] + 1.0
+            std[i] *= math.sqrt(excess[i] / (scale * scale) + 1.0)
         if resolved:
             std[i] = max(std[i], resolution[i])
 
 
 @loop
 def beside_each(
-    cells: Places, beside: Rows, ring: Rows, last: int, quiet: float, resolution: Row, blind: Row, present: Row
+    cells: Places,
+    beside: Rows,
+    ring: Rows,
+    last: int,
+    quiet: float,
+    resolution: Row,
+    excess: Row,
+    blind: Row,
+    present: Row,
 ) -> None:
     """The rest of :meth:`NoiseMeter.beside_parabola` as a loop over cells, into ``present`` (m,).
 
@@ -412,13 +477,15 @@ def beside_each(
         last: that row.
         quiet: the board's noise.
         resolution: (n,) what the steps of the ADC add.
+        excess: (n,) variance of shared noise at rest, over that of own noise.
         blind: (n,) frames for which a cell's readings are not complete.
         present: (m,), changed.
     """
     rows = beside.shape[0]
     for i in range(cells.size):
         scale = ring[last, i] + 1.0
-        scale = scale * scale * max(quiet, HALF_STEP * resolution[cells[i]])
+        scale *= math.sqrt(scale * scale + excess[cells[i]])
+        scale *= max(quiet, HALF_STEP * resolution[cells[i]])
         total = 0.0
         for row in range(rows):
             part = beside[row, i] / scale

@@ -68,8 +68,11 @@ class Remembered:
 
     def flush(self) -> None:
         """Scatter the block's memory to that of all cells; no cell is followed until they are chosen anew."""
-        self.put(self.block.cells, self.block.memory, self.block.line)
-        self.block = self._no_block
+        block, self.block = self.block, self._no_block
+        if block.cells.size == self.followed.size:
+            self.memory, self.line = np.ascontiguousarray(block.memory), block.line
+        else:
+            self.put(block.cells, block.memory, block.line)
         self.stale = True
 
     def begin(self, cells: IntArray, r: FloatArray) -> None:
@@ -124,5 +127,6 @@ def _put(values: FloatArray, cells: IntArray, new: FloatArray) -> None:
     if cells.size <= FEW:
         values[:, cells] = new
         return
-    for row, written in zip(values, new, strict=True):
+    alike = new.shape[1] == 1  # a number is written in half the time of an array of one
+    for row, written in zip(values, new[:, 0].tolist() if alike else new, strict=True):
         row[cells] = written

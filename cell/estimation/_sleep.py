@@ -41,51 +41,65 @@ class Sleep:
         self._sum = np.zeros(cells)
         self._sum_s, self._summed = 0.0, 0
         """seconds and readings in the sum"""
+        self._sharp = np.ones(cells)
         self.compiled = False
         """whether the loops are there as machine code"""
 
-    def watch(self, dt: float, r: FloatArray) -> IntArray | None:
+    def watch(
+        self, dt: float, r: FloatArray, watched: FloatArray | None = None, blurred: FloatArray | None = None
+    ) -> IntArray | None:
         """Take readings (n,), ``dt`` after the last ones.
+
+        Args:
+            dt: in s.
+            r: of which a single one may wake its cell.
+            watched: as they were read, of which the mean is taken, and a single one may wake its cell, too; None: the
+                same.
+            blurred: (n,) standard deviation of the noise of those, over that of ``r``; None: the same.
 
         Returns:
             (m,) sleeping cells whose reading, or the mean of their readings, has left what noise does; they are awake
             now. None: of no cell.
         """
-        may_wake = self._add_up(r)
+        watched, blurred = r if watched is None else watched, self._sharp if blurred is None else blurred
+        may_wake = self._add_up(r, watched, blurred)
         self._sum_s += dt
         self._summed += 1
         averaged = None
         if self._sum_s >= WATCH_S / MEANS:
             share = -math.expm1(-dt / WATCH_S)
             averaged = math.sqrt(share / (2 - share))
-            may_wake |= self._renew_means(averaged)
+            may_wake |= self._renew_means(averaged, blurred)
         if not may_wake:
             return None
         left: BoolArray = np.abs(r) > self.wake_at
+        if watched is not r:
+            left |= np.abs(watched) > self.wake_at * blurred
         if averaged is not None:
-            left |= np.abs(self.mean) > self.band + averaged * (self.wake_at - self.band)
+            left |= np.abs(self.mean) > self.band + averaged * blurred * (self.wake_at - self.band)
         if not np.count_nonzero(left):
             return None
         cells = np.flatnonzero(left)
         self.awake[cells] = True
         return cells
 
-    def _add_up(self, r: FloatArray) -> bool:
-        """Add the readings (n,) to the sum of which the mean is made; whether one of them may wake its cell."""
+    def _add_up(self, r: FloatArray, watched: FloatArray, blurred: FloatArray) -> bool:
+        """Add readings to the sum of which the mean is made; whether one of them may wake its cell."""
         if self.compiled:
-            return loops.watch.code(r, self._sum, self.wake_at)
-        self._sum += r
+            return loops.watch.code(r, watched, blurred, self._sum, self.wake_at)
+        self._sum += watched
         return not self.all_awake
 
-    def _renew_means(self, averaged: float) -> bool:
+    def _renew_means(self, averaged: float, blurred: FloatArray) -> bool:
         """Take the sums into the means; whether one of these may wake its cell.
 
-        ``averaged`` is the standard deviation of a mean, over that of a reading.
+        ``averaged`` is the standard deviation of a mean, over that of a reading; for ``blurred`` see :meth:`watch`.
         """
         share, summed = -math.expm1(-self._sum_s / WATCH_S), self._summed
         self._sum_s, self._summed = 0.0, 0
         if self.compiled:
-            return loops.renew_means.code(self._sum, summed, self.mean, share, self.wake_at, self.band, averaged)
+            limits = self.wake_at, self.band, averaged, blurred
+            return loops.renew_means.code(self._sum, summed, self.mean, share, *limits)
         self._sum /= summed
         self._sum -= self.mean
         self._sum *= share

@@ -74,23 +74,23 @@ class Sparks:
             reading: (m,) r.
             noise: (m,) standard deviation of it.
         """
-        jump = reading - block.line_before[smoothing.LEVEL]
+        place = begun.nonzero()[0]
+        jump = reading[place] - block.line_before[smoothing.LEVEL, place]
         size = np.abs(jump)
         if size.item(size.argmax()) <= self.large_r:
             return
-        least = np.maximum(CLEAR_JUMP * noise, self.large_r)
-        # Bad contacts add resistance: where loads do so too, a fall to no less than that at rest is a release, if there
-        # was a load.
-        loaded = block.memory[PRESSURE] > LARGE_JUMP * self._inversion.full_scale_kpa
-        released = loaded & (self._inversion.side > 0) & (jump < 0) & (reading > -CLEAR * noise)
-        place = np.flatnonzero(begun & (size > least) & ~released)
-        if not place.size:
-            return
+        reading, noise = reading[place], noise[place]
+        jumped = size > np.maximum(CLEAR_JUMP * noise, self.large_r)
+        if self._inversion.side > 0:
+            # Bad contacts add resistance: where loads do so too, a fall to no less than that at rest is a release, if
+            # there was a load.
+            loaded = block.memory[PRESSURE, place] > LARGE_JUMP * self._inversion.full_scale_kpa
+            jumped &= ~(loaded & (jump < 0) & (reading > -CLEAR * noise))
         if self.cells.size:
-            place = place[~np.isin(block.cells[place], self.cells)]
-        place = place[size[place] > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))]
-        if place.size:
-            self._add(block, place, jump[place])
+            jumped &= ~np.isin(block.cells[place], self.cells)
+        jumped &= size > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))
+        if np.count_nonzero(jumped):
+            self._add(block, place[jumped], jump[jumped])
 
     def put_back(self, block: Block, dt: float, reading: FloatArray, noise: FloatArray) -> None:
         """Put back the memory of cells whose reading has come back; changes the block.

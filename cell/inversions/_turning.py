@@ -15,6 +15,8 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from ..estimation import (
     DOUBT,
+    DOUBTED_LOAD,
+    FAR,
     GAIN,
     HIDDEN,
     LIGHT_LOAD,
@@ -37,7 +39,7 @@ from . import _recovery as recovery
 from . import _sway as sway
 from . import _turning_loops as loops
 from ._paper_steps import TurnWeights, step_weights, taken_over, turn_weights
-from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
+from ._turning_loops import BEFORE_LAST, EXTREME, LAST, LEFT, PEAK, SIGN, TAKEN_OFF_KPA, THIRD_LAST, TURNED
 from ._turning_rows import (
     CONFIRMED_FALL,
     CONFIRMED_RISE,
@@ -88,8 +90,9 @@ steps of the ADC, of any reading that the resistance follows from; most loads th
 REFUTED = 0.5 * FAR
 """kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
 is a turn, and below the extreme that means "none", so that the turn is certain"""
-FLAT = 0.003
-"""of full scale by which a pressure that is held may seem to go back"""
+FLAT, HELD = 0.003, 0.03
+"""of full scale: by how much a pressure that is held may seem to go back, and by how much in a second. A load that goes
+back faster has turned: the other hypothesis began at its extreme, and is not to begin again later"""
 GOES_BACK = 6.0
 """standard deviations of the memory, at most a turn, per share of its variance that fades in a frame, by which the peak
 goes down. As an error of the memory fades, the pressure of a load that is held seems to go back"""
@@ -118,7 +121,7 @@ class TurningInversion(Inversion):
     rows = (
         *("pressure", "gain", "variance", "last", "before_last", "third_last"),
         *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
-        *("rest_variance", "rested", "drift", "drift_end"),
+        *("rest_variance", "rested", "drift", "drift_end", "taken_off"),
         *sway.NAMES,
     )
     recovers = True
@@ -155,11 +158,13 @@ class TurningInversion(Inversion):
             np.array(share * full_scale_kpa) for share in (TURN, LIGHT_TURN, FLAT, EXACTLY)
         )
         self._turn_share = np.array(TURN_SHARE)
+        self._held_kpa_per_s = HELD * full_scale_kpa
         # What is below zero is an error that fades, and no turn.
         self._least_kpa = np.array(self._lowest if self.exact else 0.0)
         self.steepness_kpa = np.array([1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa])
         self.rests = recovery.RESTED_SIGMAS**2
         self._rests, self._light_load_kpa2 = np.array(self.rests), np.array((LIGHT_LOAD * full_scale_kpa) ** 2)
+        self._doubted_load_kpa2 = np.array((DOUBTED_LOAD * full_scale_kpa) ** 2)
         self._recovery = ByStep(recovery.constants, model)
         self._kept_kpa = sway.kpa_kept(model)
         self._fast_kpa, self._round_kpa = np.array(FAST * TURN * full_scale_kpa), np.array(ROUND * full_scale_kpa)
@@ -192,8 +197,8 @@ class TurningInversion(Inversion):
         self._predict(of, r, w)
         unconfirmed = self._take_turns(of, std, w)
         if not self.exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
-            self._correct(of, doubt(), w)
-        self._begin_anew(of, unconfirmed=unconfirmed)
+            self._correct(of, std, doubt(), w)
+        self._begin_anew(of, 3.0 * dt_s * self._held_kpa_per_s, unconfirmed=unconfirmed)
         self._renew_variance(of, unconfirmed=unconfirmed)
         return memory
 
@@ -222,7 +227,7 @@ class TurningInversion(Inversion):
         if unconfirmed:
             # Back at the extreme that was left: the turn was noise.
             back, noise = self._gone_back(of, std)
-            turned |= np.less(back, noise, of.near)
+            turned |= np.less(back, noise, of.held)
         if np.count_nonzero(turned):
             self._turn(of.memory, turned.nonzero()[0], std, weights)
             of.take_gains(weights, anew=True)
@@ -240,10 +245,17 @@ class TurningInversion(Inversion):
             np.copyto(of.left, self._far, where=confirmed)
         return unconfirmed
 
-    def _begin_anew(self, of: Rows, *, unconfirmed: bool) -> None:
-        """Begin the other hypothesis where the one in force is, as long as the pressure is near its extreme."""
+    def _begin_anew(self, of: Rows, held_kpa: float, *, unconfirmed: bool) -> None:
+        """Begin the other hypothesis where the one in force is, as long as the pressure is near its extreme.
+
+        ``held_kpa`` is by how much a pressure that is held may seem to go back in three frames.
+        """
+        gone_back = np.subtract(of.third_last, of.pressure, of.spare)
+        gone_back *= of.sign
+        np.less(gone_back, held_kpa, of.held)
+        np.multiply(of.held, self._flat_kpa, of.nearby)
+        np.maximum(of.unsure, of.nearby, out=of.nearby)
         below_peak = np.subtract(of.peak, of.ahead, of.spare)
-        np.maximum(of.unsure, self._flat_kpa, out=of.nearby)
         again = np.less(below_peak, of.nearby, of.where).astype(np.float64)
         again *= self._again
         np.copyto(again, self._one, where=np.less_equal(below_peak, self._exact_kpa, of.where))
@@ -267,6 +279,7 @@ class TurningInversion(Inversion):
         np.sqrt(of.doubt, of.spare)
         of.nearby *= np.minimum(of.spare, self._turn_kpa, out=of.spare)
         of.nearby *= self._goes_back
+        of.nearby *= of.held
         of.peak -= of.nearby
         of.variance -= of.doubt  # by which the hypotheses were apart in the last frame
         of.doubt *= of.fade
@@ -352,7 +365,8 @@ class TurningInversion(Inversion):
             loops.correct.code(memory, taken, w.by_model, numbers)
         self._taken_over.dot(of.state, of.change)
         unconfirmed = found & loops.UNCONFIRMED > 0
-        loops.begin_anew.code(memory, of.change, of.rows, of.flags, unconfirmed, numbers)
+        held_kpa = 3.0 * dt_s * self._held_kpa_per_s
+        loops.begin_anew.code(memory, of.change, of.rows, of.flags, held_kpa, unconfirmed, numbers)
         return memory
 
     def _keep(self, of: Rows, apart: FloatArray, begun: BoolArray) -> None:
@@ -390,6 +404,7 @@ class TurningInversion(Inversion):
 
     def released(self, memory: FloatArray) -> BoolArray | None:
         released: BoolArray = memory[SIGN] < self._none
+        released |= memory[LEFT] < self._far
         return released if np.count_nonzero(released) else None
 
     def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
@@ -397,15 +412,22 @@ class TurningInversion(Inversion):
 
         How little noise there is does not matter. The error of the memory was made by the noise of all taps so far.
         """
-        rests = noise_kpa * noise_kpa
-        rests += memory[REST_VARIANCE]
+        noise_kpa2 = noise_kpa * noise_kpa
+        rests = noise_kpa2 + memory[REST_VARIANCE]
         rests *= self._rests
         hides = super().hides_kpa2(memory, noise_kpa)
         light = np.minimum(rests, self._light_load_kpa2)
         np.maximum(hides, light, out=light)
         released = memory[SIGN] < self._none
+        doubted = memory[LEFT] < self._far
+        doubted &= ~released
+        if np.count_nonzero(doubted):
+            noise_kpa2 += memory[TURNED]
+            noise_kpa2 *= self._rests
+            np.minimum(noise_kpa2, self._doubted_load_kpa2, out=noise_kpa2)
+            np.maximum(hides, noise_kpa2, out=hides, where=doubted)
         np.copyto(hides, light, where=released)
-        released &= memory[RESTED] > self._none
+        released &= (memory[RESTED] > self._none) | (memory[PRESSURE] < self._none)
         np.copyto(hides, rests, where=released)
         return hides
 
@@ -472,15 +494,17 @@ class TurningInversion(Inversion):
         some[PEAK] = now - unsure
         # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
         before = some[VARIANCE]
-        rested = np.minimum(before, some[REST_VARIANCE] + before * recovery.LIGHT)
+        left_over = before * recovery.LIGHT + some[TAKEN_OFF_KPA] * some[TAKEN_OFF_KPA]
+        rested = np.minimum(before, some[REST_VARIANCE] + left_over)
         np.copyto(before, rested, where=some[RESTED] > self._none)
         rounded = self._fast_kpa / np.maximum(np.abs(pressure - some[LAST]), self._fast_kpa)
         unseen = self._unseen(some, pressure, gain, unsure) + rounded * self._round_kpa
         late = noise * weights.by_model[0, RECOVERY]
+        late *= late
         doubt = np.sqrt(before) + unseen
-        doubt = np.minimum(doubt * doubt + late * late, self._most_kpa2)
+        doubt = np.minimum(doubt * doubt + late, self._most_kpa2)
         some[TURNED] = some[VARIANCE] = doubt  # the distance of the hypotheses is in it
-        recovery.begin(some, self._most_rested_kpa2)
+        recovery.begin(some, late, self._most_rested_kpa2)
         if np.count_nonzero(again):
             np.copyto(some[EXTREME], left, where=again)
             np.copyto(some[PEAK], left, where=again)
@@ -538,10 +562,15 @@ class TurningInversion(Inversion):
         np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])
         np.copyto(state[3], r - p / m.e1_kpa - state[5], where=beyond[RECOVERY])
 
-    def _correct(self, of: Rows, doubt: FloatArray, weights: TurnWeights) -> None:
-        """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure."""
+    def _correct(self, of: Rows, std: FloatArray, doubt: FloatArray, weights: TurnWeights) -> None:
+        """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure.
+
+        In recovery noise that the smoothing passes on makes up for a pull of :data:`SURE` deviations.
+        """
         m = self.model
         allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * doubt - NEAR * self.full_scale_kpa
+        by_noise = weights.by_model[0, RECOVERY] * std * -SURE
+        allowed = np.where(of.sign < self._none, np.minimum(allowed, by_noise), allowed)
         pulled = (of.pressure < allowed).nonzero()[0]
         if not pulled.size:
             return

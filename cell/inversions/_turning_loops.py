@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from ...compiled import FixedRow, FixedRows, FlagRows, Rows, loop
-from ..estimation import GAIN, PRESSURE, READING, REST_VARIANCE, RESTED, SMOOTHED, STD, VARIANCE
+from ..estimation import FAR, GAIN, PRESSURE, READING, REST_VARIANCE, RESTED, SMOOTHED, STD, VARIANCE
 from ..estimation import NOISE as READING_NOISE
 
 LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
@@ -19,19 +19,16 @@ the extreme that was left at an unconfirmed turn, else :data:`FAR`"""
 RISING_IN_FORCE, RECOVERY_IN_FORCE = 11, 12
 RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 14, 15, 16, 17, 18, 20
 """rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
-DRIFT_KPA, DRIFT_END_KPA = 22, 23
+DRIFT_KPA, DRIFT_END_KPA, TAKEN_OFF_KPA = 22, 23, 24
 """rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
-seem to rise, now and at last"""
-FAR = 1e12
-"""kPa: no extreme"""
-
+seem to rise, now and at last; pressure that was subtracted since the release"""
 UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
 NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_TURNS = range(6, 10)
 GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
 ROWS = 13
 """rows beside the memory: intermediate results; 1 in the row of the hypothesis that is not in force; how far that one
 must have gone back for a turn to be certain; what depends on the hypothesis in force. Then the number of rows"""
-WHERE, CONFIRMED, FLAGS = 0, 2, 3
+WHERE, HELD, CONFIRMED, FLAGS = range(4)
 """rows of flags, and their number"""
 LOWEST, USUAL, SURE, TURN_KPA, LEAST_KPA, PULLED_KPA = range(6)
 FLAT_KPA, EXACT_KPA, AGAIN, LESS, EITHER, LEFT_OVER, CLEAR = range(6, 13)
@@ -116,15 +113,19 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
     # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
     before = memory[VARIANCE, i]
     if memory[RESTED, i] > 0.0:
-        before = min(before, memory[REST_VARIANCE, i] + before * numbers[LIGHT])
+        taken_off = memory[TAKEN_OFF_KPA, i]
+        left_over = before * numbers[LIGHT] + taken_off * taken_off
+        before = min(before, memory[REST_VARIANCE, i] + left_over)
     rounded = numbers[FAST_KPA] / max(abs(pressure - memory[LAST, i]), numbers[FAST_KPA]) * numbers[ROUND_KPA]
     doubt = math.sqrt(before) + (unseen_kpa(memory, i, pressure, gain, unsure, numbers) + rounded)
     late = by_model[0, 1] * noise
     turned = min(doubt * doubt + late * late, numbers[MOST_KPA2])
     memory[TURNED, i] = turned
     memory[VARIANCE, i] = turned  # the distance of the hypotheses is in it
-    memory[RESTED, i], memory[DRIFT_KPA, i] = 0.0, 0.0
-    memory[REST_VARIANCE, i] = turned * numbers[PART] if turned < numbers[MOST_RESTED_KPA2] else 0.0
+    memory[RESTED, i], memory[DRIFT_KPA, i], memory[TAKEN_OFF_KPA, i] = 0.0, 0.0, 0.0
+    by_noise = late * late
+    rest_variance = max(turned - by_noise, 0.0) * numbers[PART] + min(by_noise, turned)
+    memory[REST_VARIANCE, i] = rest_variance if turned < numbers[MOST_RESTED_KPA2] else 0.0
     drift = math.sqrt(min(turned, numbers[MOST_RESTED_KPA2])) * numbers[DRIFTS]
     memory[DRIFT_END_KPA, i] = drift if sign < 0.0 else 0.0
     if left < FAR:
@@ -197,6 +198,8 @@ def correct(memory: Rows, taken: Rows, by_model: FixedRows, numbers: FixedRow) -
         off = abs(taken[READING, i] - taken[SMOOTHED, i]) + taken[READING_NOISE, i] * numbers[HIDDEN]
         doubt = max(off * numbers[PER_SIGMAS], taken[STD, i])
         allowed = pull * doubt - numbers[NEAR_KPA]
+        if memory[SIGN, i] < 0.0:
+            allowed = min(allowed, by_model[0, 1] * taken[STD, i] * -numbers[SURE])
         if not memory[PRESSURE, i] < allowed:
             continue
         r = memory[STATE_END - 1, i]
@@ -228,18 +231,22 @@ def begin_anew(
     anew: Rows,
     of: Rows,
     flags: FlagRows,
+    held_kpa: float,
     unconfirmed: bool,
     numbers: FixedRow,
 ) -> None:
     """Begin the other hypothesis anew near the extreme, and tell how far apart both are.
 
-    ``anew`` (6, m) is by how much the hypotheses change if they begin where the other one is.
+    ``anew`` (6, m) is by how much the hypotheses change if they begin where the other one is; ``held_kpa`` by how much
+    a pressure that is held may seem to go back in three frames.
     """
     begun_anywhere = False
     for i in range(memory.shape[1]):
+        held = (memory[THIRD_LAST, i] - memory[PRESSURE, i]) * memory[SIGN, i] < held_kpa
+        flags[HELD, i] = held
         below_peak = memory[PEAK, i] - of[AHEAD, i]
         again = 0.0
-        if below_peak < max(of[UNSURE, i], numbers[FLAT_KPA]):
+        if below_peak < max(of[UNSURE, i], numbers[FLAT_KPA] if held else 0.0):
             again = numbers[AGAIN]
         if below_peak <= numbers[EXACT_KPA]:
             again = 1.0
@@ -256,7 +263,8 @@ def begin_anew(
         of[UNSURE, i] = unsure
         memory[EXTREME, i] = max(memory[EXTREME, i], ahead - unsure)
         error_kpa = min(math.sqrt(memory[TURNED, i]), numbers[TURN_KPA])
-        memory[PEAK, i] -= (1.0 - of[FADE, i]) * error_kpa * numbers[GOES_BACK]
+        if flags[HELD, i]:
+            memory[PEAK, i] -= (1.0 - of[FADE, i]) * error_kpa * numbers[GOES_BACK]
         memory[VARIANCE, i] -= memory[TURNED, i]  # by which the hypotheses were apart in the last frame
         memory[TURNED, i] *= of[FADE, i]
         apart = (memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]

@@ -50,6 +50,7 @@ class Rows:
         cells = memory.shape[1]
         self.pressure, self.gain, self.variance, self.last = memory[: LAST + 1]
         self.before, self.until_before = memory[BEFORE_LAST : THIRD_LAST + 1], memory[LAST : BEFORE_LAST + 1]
+        self.third_last = memory[THIRD_LAST]
         self.doubt, self.sign, self.extreme, self.peak, self.left = memory[TURNED : LEFT + 1]
         self.in_force, self.drift = memory[IN_FORCE], memory[DRIFT_KPA]
         self.state = memory[STATE]
@@ -70,7 +71,7 @@ class Rows:
         of pressures that are known exactly"""
         self._gain, self.other_gain, self.fade = self.of_model
         self.flags = np.empty((loops.FLAGS, cells), dtype=np.bool_)
-        self.where, self.near, self.confirmed = self.flags
+        self.where, self.held, self.confirmed = self.flags
         self._weights: TurnWeights | None = None
 
     def __reduce__(self) -> tuple[type[Rows], tuple[FloatArray]]:
