@@ -74,7 +74,7 @@ def _machine_code() -> Finding:
     """Whether the driver works by machine code."""
     why_not = compiled.why_not()
     if why_not is None and compiled.is_kept():
-        return Finding(State.OK, "machine code", "the driver's loops are compiled")
+        return Finding(State.OK, "machine code", "the first skin that is opened compiles the driver's loops, once")
     if why_not is None:
         found = (
             "every program compiles the driver's loops anew, for about 10 s: no folder to keep them in can be written"

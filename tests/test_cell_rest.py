@@ -12,11 +12,26 @@ EXAMPLE = Cell.example()
 
 
 def test_a_released_cell_shows_less_than_half_a_kilopascal_in_noise() -> None:
-    """Twelve taps of 9 kPa at 10 mV: the median of four seeds, and never four times the best that knows every turn."""
+    """Twelve taps of 9 kPa at 10 mV: every cell of four seeds."""
     (found,) = rest.rests([(50.0, 1.0, 10.0)], seeds=4)
-    assert found.median_kpa < 0.5
-    assert found.largest_kpa < 4.0 * found.bound_kpa
+    assert found.largest_kpa < 0.5
     assert found.worst < 4.0
+
+
+@pytest.mark.parametrize(("rate_hz", "noise_mv"), [(50.0, 1.0), (100.0, 3.0), (200.0, 10.0)])
+def test_noise_is_no_press_between_taps(rate_hz: float, noise_mv: float) -> None:
+    """Of 320 cells some have readings four sd off, which begin a new line of the smoothing: none shows a load."""
+    cells, dt_s = 320, 1.0 / rate_hz
+    last_s = rest.BEGIN_S + rest.TAPS - 1.0
+    fine_s = dt_s / rest.SUBSTEPS * np.arange(1.0, round(last_s * rate_hz) * rest.SUBSTEPS + 1)
+    share = np.repeat(rest.taps(fine_s, 1.0)[:, None], cells, axis=1) / EXAMPLE.full_scale_kpa
+    read = readings(EXAMPLE, share, dt_s, noise_mv, np.random.default_rng(100), substeps=rest.SUBSTEPS)
+    pressure, std = estimated(EXAMPLE, read, np.ones(len(read), dtype=np.bool_), dt_s, bits=12)
+    judged = slice(-round(rest.JUDGED * rate_hz), -1)
+    largest = np.sort(np.abs(pressure[judged]).max(axis=0))
+    assert largest[-2] < 0.5
+    assert largest[-1] < 1.0
+    assert np.all(np.abs(pressure[judged]) < 3.0 * std[judged])
 
 
 @pytest.mark.parametrize(("rate_hz", "noise_mv"), [(50.0, 0.1), (50.0, 1.0), (100.0, 0.3), (100.0, 1.0), (250.0, 1.0)])

@@ -36,7 +36,7 @@ class OneCell:
         self.left: float | None = None
         self.doubt = self.variance = 0.0
         self.rest_variance = self.drift = self.last_drift = 0.0
-        self.rested = False
+        self.rested, self.taken_off = False, 0.0
         self.sway = Sway(r)
         self.last = self.before_last = self.third_last = p
 
@@ -77,13 +77,15 @@ class OneCell:
             self.peak = left if again else ahead - unsure
             before = self.variance
             if self.rested:
-                before = min(before, self.rest_variance + recovery.LIGHT * before)
-            self.doubt = (np.sqrt(before) + unseen) ** 2 + (gains[False] * std) ** 2
+                before = min(before, self.rest_variance + recovery.LIGHT * before + self.taken_off**2)
+            by_noise = (gains[False] * std) ** 2
+            self.doubt = (np.sqrt(before) + unseen) ** 2 + by_noise
             self.doubt = min(self.doubt, (paper.UNKNOWN * self.full) ** 2)
             self.variance = self.doubt
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
-            self.rest_variance = 0.0 if lost else recovery.PART * self.doubt
-            self.rested, self.drift = False, 0.0
+            usual = recovery.PART * max(self.doubt - by_noise, 0.0) + min(by_noise, self.doubt)
+            self.rest_variance = 0.0 if lost else usual
+            self.rested, self.drift, self.taken_off = False, 0.0, 0.0
             error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
             self.last_drift = 0.0 if self.rising else recovery.DRIFTS * error
             if late > 0:
@@ -98,6 +100,8 @@ class OneCell:
             if back >= times * (paper.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
                 self.left, confirmed = None, True
         allowed = -paper.PULL_SIGMAS * gains[False] * doubt - paper.NEAR * self.full
+        if not self.rising:
+            allowed = min(allowed, -paper.SURE * gains[False] * std)
         if not self.exact and now.pressure < allowed:
             begun = self._begun(allowed, r, now.x3)
             if self.rising:
@@ -149,7 +153,7 @@ class OneCell:
         fade = np.exp(-8 * dt * (1 + m.e1_kpa / m.e2_kpa) / m.t2_s)  # of a variance, in four frames
         self.peak = self.peak + recovery.PEAK_FADES * (self.extreme - self.peak)
         self.rest_variance *= fade
-        self.drift += (1 - np.sqrt(fade)) * (self.last_drift - self.drift)
+        self.drift += (1 - np.sqrt(fade)) * (self.last_drift + max(self.taken_off, 0.0) - self.drift)
         if self.rising or self.left is not None or count < 3:
             return
         ago = 1.5 * dt
@@ -161,6 +165,7 @@ class OneCell:
         error = pressure * (1 - kept)
         self.rest_variance *= kept
         self.rested = True
+        self.taken_off += error
         self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
         self.extreme, self.peak = min(self.extreme + error, 0.0), min(self.peak + error, 0.0)

@@ -9,8 +9,8 @@ The constants below are thresholds that an inversion shares with the rest of its
 from ._conditions import Conditions
 from ._estimator import Estimator
 from ._held import longest_s
-from ._inversion import DOUBT, LIGHT_LOAD, LOADS, UNKNOWN, USUAL, Inversion, credible_readings
-from ._loops import REST_VARIANCE, RESTED
+from ._inversion import DOUBT, DOUBTED_LOAD, LIGHT_LOAD, LOADS, UNKNOWN, USUAL, Inversion, credible_readings
+from ._loops import FAR, REST_VARIANCE, RESTED
 from ._noise import RECENT, WINDOW
 from ._rows import GAIN, NOISE, PRESSURE, READING, SMOOTHED, STD, VARIANCE
 from ._smoothing import COUNT, HIDDEN, SIGMAS
@@ -18,6 +18,8 @@ from ._smoothing import COUNT, HIDDEN, SIGMAS
 __all__ = [
     "COUNT",
     "DOUBT",
+    "DOUBTED_LOAD",
+    "FAR",
     "GAIN",
     "HIDDEN",
     "LIGHT_LOAD",

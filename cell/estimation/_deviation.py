@@ -20,7 +20,7 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from . import _loops as loops
 from ._conditions import Conditions
-from ._inversion import DOUBT, LIGHT_LOAD, NO_LOAD_SIGMAS, USUAL, Inversion
+from ._inversion import DOUBT, DOUBTED_LOAD, LIGHT_LOAD, NO_LOAD_SIGMAS, USUAL, Inversion
 from ._loops import ASLEEP_SIGMAS
 from ._noise import NoiseMeter
 from ._remembered import Block, Remembered
@@ -126,6 +126,7 @@ class Deviation:
             loops.RESTS: self._inversion.rests,
             loops.DOUBT_KPA2: self._doubt_kpa2,
             loops.LIGHT_KPA2: (LIGHT_LOAD * full) ** 2,
+            loops.DOUBTED_KPA2: (DOUBTED_LOAD * full) ** 2,
         }
         return np.array([numbers[place] for place in range(len(numbers))])
 

@@ -34,6 +34,8 @@ NO_LOAD_SIGMAS = 2.0
 LIGHT_LOAD = 0.02
 """of full scale: no larger load of a released cell is taken for the memory's error, unless the cell has been taken for
 one at rest"""
+DOUBTED_LOAD = 0.2
+"""of full scale: no larger load is taken for noise or for the memory's error while its rise is unconfirmed"""
 
 _NO_VARIANCE = np.zeros(1)
 _ONE, _NO_LOAD_SIGMAS = np.array(1.0), np.array(NO_LOAD_SIGMAS)

@@ -67,20 +67,25 @@ def take(r: Row, noise_at_rest: Row, cells: Places, line: Rows, taken: Rows, lea
 
 
 MODEL_VARIANCE, WITHIN, SURE, FULL, MUCH, MUCH_NOISE, NO_LOAD, TINY = range(8)
-HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE, RISE_KPA, FALL_KPA, RESTS, DOUBT_KPA2, LIGHT_KPA2 = range(8, 18)
+HIDDEN, PER_SIGMAS, STATED, SIGMAS, HIDDEN_SHARE, RISE_KPA, FALL_KPA, RESTS, DOUBT_KPA2, LIGHT_KPA2, DOUBTED_KPA2 = (
+    range(8, 19)
+)
 """places of numbers that :func:`show` and :func:`watch_over` take: variance in kPa^2 by the model; r per kPa of bend
 that a turn within the frame may leave, 0: none, and standard deviations of noise that are no bend; full scale,
 pressure, and noise in kPa from which more is done; standard deviations at which a load and none are as likely; keeps
 0/0 from occurring; standard deviations of a reading that hide a load, and the inverse number of those that an estimate
 is to cover; 1 if a standard deviation is stated; standard deviations that an estimate is to cover, and those of a
 reading that hide a load over them; pressure per r of a fast rise and of a fast fall; as NO_LOAD, of a cell taken for
-one at rest; variance in kPa^2 from which no pressure beyond the usual is shown; as RESTS, of a released cell: squared
-kPa beyond which the error of the memory hides no load"""
+one at rest; variance in kPa^2 from which no pressure beyond the usual is shown; squared kPa beyond which the error of
+the memory hides no load of a released cell, and of one whose rise is unconfirmed"""
 LAST, BEFORE_LAST = 3, 4
 """rows of the pressures of the last two frames, where a turn within the frame is reckoned with"""
-SIGN, REST_VARIANCE, RESTED = 7, 20, 21
-"""rows where released cells are taken for cells at rest: negative where the cell is released; variance in kPa^2 of the
-memory then; 1 where the cell is taken for one at rest"""
+TURNED, SIGN, LEFT, REST_VARIANCE, RESTED = 6, 7, 10, 20, 21
+"""rows where released cells are taken for cells at rest: variance in kPa^2 of the memory by its last turn; negative
+where the cell is released; below :data:`FAR` where the last turn is unconfirmed; variance in kPa^2 of the memory of a
+released cell; 1 where the cell is taken for one at rest"""
+FAR = 1e12
+"""kPa: no extreme that an unconfirmed turn has left"""
 
 
 @loop
@@ -126,7 +131,7 @@ def show(
     much_noise = False
     # Read once: the compiler cannot know that no array written below is ``numbers``.
     rise_kpa, fall_kpa = numbers[RISE_KPA], numbers[FALL_KPA]
-    rests, light_kpa2 = numbers[RESTS], numbers[LIGHT_KPA2]
+    rests, light_kpa2, doubted_kpa2 = numbers[RESTS], numbers[LIGHT_KPA2], numbers[DOUBTED_KPA2]
     hidden, per_sigmas, within, sure = numbers[HIDDEN], numbers[PER_SIGMAS], numbers[WITHIN], numbers[SURE]
     model_variance, stated, tiny = numbers[MODEL_VARIANCE], numbers[STATED] > 0.0, numbers[TINY]
     for i in range(cells.size):
@@ -147,15 +152,19 @@ def show(
             excess = max(found - full, 0.0)
             added[i] += excess * excess
         released = rests != 0.0 and memory[SIGN, i] < 0.0
-        if much_noise or released:
+        doubted = rests != 0.0 and not released and memory[LEFT, i] < FAR
+        if much_noise or released or doubted:
             believed = shown
             squared = shown * shown
             squared *= squared
             hides = no_load * noise_kpa
             hides *= hides
-            if released:
+            if doubted:
+                by_memory = (noise_kpa * noise_kpa + memory[TURNED, i]) * rests
+                hides = max(hides, min(by_memory, doubted_kpa2))
+            elif released:
                 by_memory = (noise_kpa * noise_kpa + memory[REST_VARIANCE, i]) * rests
-                hides = by_memory if memory[RESTED, i] > 0.0 else max(hides, min(by_memory, light_kpa2))
+                hides = by_memory if memory[RESTED, i] > 0.0 or shown < 0.0 else max(hides, min(by_memory, light_kpa2))
             shown *= squared / (squared + hides * hides + tiny)
             off = believed - shown
             added[i] += off * off

@@ -7,9 +7,10 @@ than the error of its memory explains, the difference is therefore taken for tha
 averaged for this, which is much longer than the smoothing may average.
 
 A light load that is taken for none in this way comes back as the error of the memory fades. Three rules keep that
-honest. The standard deviation does not shrink while the cell recovers. The filter trusts the memory the more the more
-it has read, and nothing is subtracted without end. A pressure that rises by no more than what the error may fade by is
-no turn (:data:`DRIFTS`): the model of a rising load would take the recovery for a load that grows.
+honest. The standard deviation does not shrink while the cell recovers, and at the next turn what was subtracted is part
+of it. The filter trusts the memory the more the more it has read, and nothing is subtracted without end. A pressure
+that rises by no more than what the error may fade by (:data:`DRIFTS`), and what was subtracted comes back by, is no
+turn: the model of a rising load would take the recovery for a load that grows.
 """
 
 from __future__ import annotations
@@ -21,14 +22,13 @@ import numpy as np
 
 from ...arrays import FloatArray
 from ...compiled import FixedRow, Places, Rows, loop
-from ..estimation import COUNT, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED
+from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED
 from ..materials import PaperModel
 from ._paper_steps import step_weights
 from ._turning_loops import (
     DRIFT_END_KPA,
     DRIFT_KPA,
     EXTREME,
-    FAR,
     LEFT,
     PEAK,
     RECOVERY_KPA,
@@ -38,6 +38,7 @@ from ._turning_loops import (
     SETTLED,
     SIGN,
     STATE_END,
+    TAKEN_OFF_KPA,
     TURNED,
     X2,
 )
@@ -48,12 +49,13 @@ MOST = 0.2
 """of full scale: a memory that is known no better is lost, and rest is no better guess than a load"""
 REST_SIGMAS = 2.0
 """standard deviations by which the pressure of a cell at rest may differ from none"""
-RESTED_SIGMAS = 4.0
+RESTED_SIGMAS = 5.0
 """standard deviations of the smoothed noise and of the memory at which a load and none are as likely in a released
 cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows in every
 frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""
 LIGHT = 0.1
-"""share of the variance of the memory that a rest leaves: the released cell may have borne a light load after all"""
+"""share of the variance of the memory that a rest leaves, beside the square of what was subtracted: the released cell
+may have borne a light load after all"""
 DRIFTS = 2.0
 """standard deviations of the memory's error that may seem to be a rise as the error fades"""
 PEAK_FADES = 0.15
@@ -115,7 +117,8 @@ def look(
     """
     peak, drift, variance, shown = memory[PEAK], memory[DRIFT_KPA], memory[REST_VARIANCE], memory[PRESSURE]
     peak += (memory[EXTREME] - peak) * numbers[LATELY]
-    drift += (memory[DRIFT_END_KPA] - drift) * numbers[DRIFT_SHARE]
+    comes_back = np.maximum(memory[TAKEN_OFF_KPA], _ZERO)
+    drift += (memory[DRIFT_END_KPA] + comes_back - drift) * numbers[DRIFT_SHARE]
     variance *= numbers[FADES]
     calm = (memory[SIGN] < _ZERO) & (memory[LEFT] >= _FAR) & (count >= _BEFORE)
     if not np.count_nonzero(calm):
@@ -134,6 +137,7 @@ def look(
     error = pressure[rests] * share
     some[REST_VARIANCE] *= 1.0 - share
     some[RESTED] = 1.0
+    some[TAKEN_OFF_KPA] += error
     p = some[PRESSURE] - error
     r, x3 = some[STATE_END - 1], some[RECOVERY_X3]
     some[PRESSURE] = some[RISING_KPA] = some[RECOVERY_KPA] = p
@@ -145,14 +149,19 @@ def look(
     memory[:, rests] = some
 
 
-def begin(memory: FloatArray, most_kpa2: FloatArray) -> None:
+def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> None:
     """Begin anew in m cells that have just turned; changes their ``memory`` (rows, m).
 
-    ``most_kpa2``, an array without axes, is the square of :data:`MOST` in kPa.
+    Args:
+        memory: of the cells.
+        by_noise: (m,) variance in kPa^2 that the noise of the turn's own reading leaves. All of it is usual.
+        most_kpa2: without axes, the square of :data:`MOST` in kPa.
     """
     turned, drift_end = memory[TURNED], memory[DRIFT_END_KPA]
-    memory[[RESTED, DRIFT_KPA, REST_VARIANCE, DRIFT_END_KPA]] = 0.0
-    np.copyto(memory[REST_VARIANCE], turned * PART, where=turned < most_kpa2)
+    memory[[RESTED, DRIFT_KPA, REST_VARIANCE, DRIFT_END_KPA, TAKEN_OFF_KPA]] = 0.0
+    usual = np.maximum(turned - by_noise, _ZERO) * PART
+    usual += np.minimum(by_noise, turned)
+    np.copyto(memory[REST_VARIANCE], usual, where=turned < most_kpa2)
     drift = np.sqrt(np.minimum(turned, most_kpa2)) * DRIFTS
     np.copyto(drift_end, drift, where=memory[SIGN] < _ZERO)
 
@@ -175,7 +184,8 @@ def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, ce
     gain = numbers[GAIN]
     for i in range(cells.size):
         memory[PEAK, i] += (memory[EXTREME, i] - memory[PEAK, i]) * numbers[LATELY]
-        memory[DRIFT_KPA, i] += (memory[DRIFT_END_KPA, i] - memory[DRIFT_KPA, i]) * numbers[DRIFT_SHARE]
+        drift_end = memory[DRIFT_END_KPA, i] + max(memory[TAKEN_OFF_KPA, i], 0.0)
+        memory[DRIFT_KPA, i] += (drift_end - memory[DRIFT_KPA, i]) * numbers[DRIFT_SHARE]
         memory[REST_VARIANCE, i] *= numbers[FADES]
         if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and line[COUNT, i] >= RECENT - 1.0):
             continue
@@ -192,6 +202,7 @@ def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, ce
         error = pressure * share
         memory[REST_VARIANCE, i] *= 1.0 - share
         memory[RESTED, i] = 1.0
+        memory[TAKEN_OFF_KPA, i] += error
         p, r = shown - error, memory[STATE_END - 1, i]
         memory[PRESSURE, i], memory[RISING_KPA, i], memory[RECOVERY_KPA, i] = p, p, p
         memory[SETTLED, i] = p * numbers[SETTLED_PER_KPA] - r * numbers[ETAU2_KPA]

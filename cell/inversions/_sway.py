@@ -43,7 +43,7 @@ NAMES = (
     *("mean_8", "mean_16", "mean_32", "up_8", "up_16", "up_32", "down_8", "down_16", "down_32"),
 )
 """names of the rows of the memory"""
-HALF, LOOKS, SINCE, SIGN_BEFORE, MEAN, UP, DOWN = 24, 25, 26, 27, 28, 31, 34
+HALF, LOOKS, SINCE, SIGN_BEFORE, MEAN, UP, DOWN = 25, 26, 27, 28, 29, 32, 35
 """rows: mean of the readings at the last look; looks; looks since a turn was noticed last, or a jump; 1 where the load
 rose at the last look, -1 where it fell. Then three rows each, one for each length: mean of the last block; mean square
 of the differences upwards, and downwards, over the variance of noise, less what noise alone makes"""

@@ -15,6 +15,8 @@ from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from ..estimation import (
     DOUBT,
+    DOUBTED_LOAD,
+    FAR,
     GAIN,
     HIDDEN,
     LIGHT_LOAD,
@@ -37,7 +39,7 @@ from . import _recovery as recovery
 from . import _sway as sway
 from . import _turning_loops as loops
 from ._paper_steps import TurnWeights, step_weights, taken_over, turn_weights
-from ._turning_loops import BEFORE_LAST, EXTREME, FAR, LAST, LEFT, PEAK, SIGN, THIRD_LAST, TURNED
+from ._turning_loops import BEFORE_LAST, EXTREME, LAST, LEFT, PEAK, SIGN, TAKEN_OFF_KPA, THIRD_LAST, TURNED
 from ._turning_rows import (
     CONFIRMED_FALL,
     CONFIRMED_RISE,
@@ -124,7 +126,7 @@ class TurningInversion(Inversion):
     rows = (
         *("pressure", "gain", "variance", "last", "before_last", "third_last"),
         *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
-        *("rest_variance", "rested", "drift", "drift_end"),
+        *("rest_variance", "rested", "drift", "drift_end", "taken_off"),
         *sway.NAMES,
     )
     recovers = True
@@ -170,6 +172,7 @@ class TurningInversion(Inversion):
         self.steepness_kpa = np.array([1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa])
         self.rests = recovery.RESTED_SIGMAS**2
         self._rests, self._light_load_kpa2 = np.array(self.rests), np.array((LIGHT_LOAD * full_scale_kpa) ** 2)
+        self._doubted_load_kpa2 = np.array((DOUBTED_LOAD * full_scale_kpa) ** 2)
         self._recovery = ByStep(recovery.constants, model)
         self._kept_kpa = sway.kpa_kept(model)
         self._fast_kpa, self._round_kpa = np.array(FAST * TURN * full_scale_kpa), np.array(ROUND * full_scale_kpa)
@@ -202,7 +205,7 @@ class TurningInversion(Inversion):
         self._predict(of, r, w)
         unconfirmed = self._take_turns(of, std, w)
         if not self.exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
-            self._correct(of, doubt(), w)
+            self._correct(of, std, doubt(), w)
         self._begin_anew(of, 3.0 * dt_s * self._held_kpa_per_s, unconfirmed=unconfirmed)
         self._renew_variance(of, unconfirmed=unconfirmed)
         return memory
@@ -414,6 +417,7 @@ class TurningInversion(Inversion):
 
     def released(self, memory: FloatArray) -> BoolArray | None:
         released: BoolArray = memory[SIGN] < self._none
+        released |= memory[LEFT] < self._far
         return released if np.count_nonzero(released) else None
 
     def hides_kpa2(self, memory: FloatArray, noise_kpa: FloatArray) -> FloatArray:
@@ -421,15 +425,22 @@ class TurningInversion(Inversion):
 
         How little noise there is does not matter. The error of the memory was made by the noise of all taps so far.
         """
-        rests = noise_kpa * noise_kpa
-        rests += memory[REST_VARIANCE]
+        noise_kpa2 = noise_kpa * noise_kpa
+        rests = noise_kpa2 + memory[REST_VARIANCE]
         rests *= self._rests
         hides = super().hides_kpa2(memory, noise_kpa)
         light = np.minimum(rests, self._light_load_kpa2)
         np.maximum(hides, light, out=light)
         released = memory[SIGN] < self._none
+        doubted = memory[LEFT] < self._far
+        doubted &= ~released
+        if np.count_nonzero(doubted):
+            noise_kpa2 += memory[TURNED]
+            noise_kpa2 *= self._rests
+            np.minimum(noise_kpa2, self._doubted_load_kpa2, out=noise_kpa2)
+            np.maximum(hides, noise_kpa2, out=hides, where=doubted)
         np.copyto(hides, light, where=released)
-        released &= memory[RESTED] > self._none
+        released &= (memory[RESTED] > self._none) | (memory[PRESSURE] < self._none)
         np.copyto(hides, rests, where=released)
         return hides
 
@@ -494,15 +505,17 @@ class TurningInversion(Inversion):
         unsure = noise * gain
         # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
         before = some[VARIANCE]
-        rested = np.minimum(before, some[REST_VARIANCE] + before * recovery.LIGHT)
+        left_over = before * recovery.LIGHT + some[TAKEN_OFF_KPA] * some[TAKEN_OFF_KPA]
+        rested = np.minimum(before, some[REST_VARIANCE] + left_over)
         np.copyto(before, rested, where=some[RESTED] > self._none)
         rounded = self._fast_kpa / np.maximum(np.abs(pressure - some[LAST]), self._fast_kpa)
         unseen = self._unseen(some, pressure, gain, unsure) + rounded * self._round_kpa
         by_noise = noise * weights.by_model[0, RECOVERY]
+        by_noise *= by_noise
         doubt = np.sqrt(before) + unseen
-        doubt = np.minimum(doubt * doubt + by_noise * by_noise, self._most_kpa2)
+        doubt = np.minimum(doubt * doubt + by_noise, self._most_kpa2)
         some[TURNED] = some[VARIANCE] = doubt  # the distance of the hypotheses is in it
-        recovery.begin(some, self._most_rested_kpa2)
+        recovery.begin(some, by_noise, self._most_rested_kpa2)
         if np.count_nonzero(late):
             pressure = self._take_delay_back(some, pressure, late)
         now = sign * np.maximum(pressure, self._none)
@@ -608,10 +621,15 @@ class TurningInversion(Inversion):
         np.copyto(state[2], p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r, where=beyond[RISING])
         np.copyto(state[3], r - p / m.e1_kpa - state[5], where=beyond[RECOVERY])
 
-    def _correct(self, of: Rows, doubt: FloatArray, weights: TurnWeights) -> None:
-        """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure."""
+    def _correct(self, of: Rows, std: FloatArray, doubt: FloatArray, weights: TurnWeights) -> None:
+        """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure.
+
+        In recovery noise that the smoothing passes on makes up for a pull of :data:`SURE` deviations.
+        """
         m = self.model
         allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * doubt - NEAR * self.full_scale_kpa
+        by_noise = weights.by_model[0, RECOVERY] * std * -SURE
+        allowed = np.where(of.sign < self._none, np.minimum(allowed, by_noise), allowed)
         pulled = (of.pressure < allowed).nonzero()[0]
         if not pulled.size:
             return

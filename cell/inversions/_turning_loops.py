@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from ...compiled import FixedRow, FixedRows, FlagRows, Rows, loop
-from ..estimation import GAIN, PRESSURE, READING, REST_VARIANCE, RESTED, SMOOTHED, STD, VARIANCE
+from ..estimation import FAR, GAIN, PRESSURE, READING, REST_VARIANCE, RESTED, SMOOTHED, STD, VARIANCE
 from ..estimation import NOISE as READING_NOISE
 
 LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
@@ -19,12 +19,9 @@ the extreme that was left at an unconfirmed turn, else :data:`FAR`"""
 RISING_IN_FORCE, RECOVERY_IN_FORCE = 11, 12
 RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 14, 15, 16, 17, 18, 20
 """rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
-DRIFT_KPA, DRIFT_END_KPA = 22, 23
+DRIFT_KPA, DRIFT_END_KPA, TAKEN_OFF_KPA = 22, 23, 24
 """rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
-seem to rise, now and at last"""
-FAR = 1e12
-"""kPa: no extreme"""
-
+seem to rise, now and at last; pressure that was subtracted since the release"""
 UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
 NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_TURNS = range(6, 10)
 GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
@@ -136,16 +133,20 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
     # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
     before = memory[VARIANCE, i]
     if memory[RESTED, i] > 0.0:
-        before = min(before, memory[REST_VARIANCE, i] + before * numbers[LIGHT])
+        taken_off = memory[TAKEN_OFF_KPA, i]
+        left_over = before * numbers[LIGHT] + taken_off * taken_off
+        before = min(before, memory[REST_VARIANCE, i] + left_over)
     rounded = numbers[FAST_KPA] / max(abs(pressure - memory[LAST, i]), numbers[FAST_KPA]) * numbers[ROUND_KPA]
     unseen = unseen_kpa(memory, i, pressure, gain, unsure, numbers) + rounded
     doubt = math.sqrt(before) + unseen
     by_noise = by_model[0, 1] * noise
-    turned = min(doubt * doubt + by_noise * by_noise, numbers[MOST_KPA2])
+    by_noise *= by_noise
+    turned = min(doubt * doubt + by_noise, numbers[MOST_KPA2])
     memory[TURNED, i] = turned
     memory[VARIANCE, i] = turned  # the distance of the hypotheses is in it
-    memory[RESTED, i], memory[DRIFT_KPA, i] = 0.0, 0.0
-    memory[REST_VARIANCE, i] = turned * numbers[PART] if turned < numbers[MOST_RESTED_KPA2] else 0.0
+    memory[RESTED, i], memory[DRIFT_KPA, i], memory[TAKEN_OFF_KPA, i] = 0.0, 0.0, 0.0
+    rest_variance = max(turned - by_noise, 0.0) * numbers[PART] + min(by_noise, turned)
+    memory[REST_VARIANCE, i] = rest_variance if turned < numbers[MOST_RESTED_KPA2] else 0.0
     drift = math.sqrt(min(turned, numbers[MOST_RESTED_KPA2])) * numbers[DRIFTS]
     memory[DRIFT_END_KPA, i] = drift if sign < 0.0 else 0.0
     if late > 0.0:
@@ -230,6 +231,8 @@ def correct(memory: Rows, taken: Rows, by_model: FixedRows, numbers: FixedRow) -
         off = abs(taken[READING, i] - taken[SMOOTHED, i]) + taken[READING_NOISE, i] * numbers[HIDDEN]
         doubt = max(off * numbers[PER_SIGMAS], taken[STD, i])
         allowed = pull * doubt - numbers[NEAR_KPA]
+        if memory[SIGN, i] < 0.0:
+            allowed = min(allowed, by_model[0, 1] * taken[STD, i] * -numbers[SURE])
         if not memory[PRESSURE, i] < allowed:
             continue
         r = memory[STATE_END - 1, i]

@@ -78,7 +78,7 @@ class ReadingLimits:
         )
         self.nowhere = np.zeros(parts.shape, dtype=np.bool_)
         """(N, M) what a usual frame's selection leaves out"""
-        self._usual_below = -1.0, self._short_signal  # V: an error of readings, and what they do not reach as a rule
+        self._least_signals = float(np.min(self._short_signal)), float(np.min(self._most_signal))  # V
         self._along = 1 if loses_rows else 0  # axis along which lines are left out
         self._left_out = np.zeros(parts.shape[1 - self._along], dtype=np.bool_)  # columns or rows
         self._leaves_out = 0  # frames for which they stay so
@@ -153,10 +153,12 @@ class ReadingLimits:
         """Whether no reading is near a limit, and no column is left out: quickly, as it is so in nearly all frames."""
         if (self._loses_columns or self._loses_rows) and (convergence.astray or np.count_nonzero(self._left_out)):
             return False
-        if self._usual_below[0] != error:
-            below = np.minimum(self._as_a_short(error), self._most_signal + _SHORT * error)
-            self._usual_below = error, np.where(self._gone, np.inf, below)
-        return not np.count_nonzero(signal >= self._usual_below[1])  # several times as fast as any()
+        short, most = self._least_signals
+        largest = signal.item(signal.argmax())
+        if largest < min(short - _SHORT * error, _SHORT_SHARE * short, most + _SHORT * error):
+            return True
+        below = np.minimum(self._as_a_short(error), self._most_signal + _SHORT * error)
+        return not np.count_nonzero((signal >= below) & ~self._gone)  # several times as fast as any()
 
     def _at_limit(self, signal: FloatArray, limited: BoolArray, error: float) -> BoolArray:
         """(N, M) readings that are limited, or as large as that of a short."""
