@@ -236,6 +236,7 @@ class Sway:
     def __init__(self, r: float) -> None:
         self.first, self.means, self.since, self.rising = r, [], 0, True
         self.sides = {(length, side): 0.0 for length in (2, 4, 8) for side in (1, -1)}
+        self.drifts = dict.fromkeys((2, 4, 8), 0.0)
 
     def look(self, mean: float, noise: float, rising: bool) -> float:
         """Take the ``mean`` of the last four readings, each uncertain by ``noise``."""
@@ -246,15 +247,21 @@ class Sway:
             return 0.0
         jumped = False
         if rising != self.rising:
-            self._begin_anew()
+            self.since = 0
+            for length in (2, 4, 8):
+                both = min(self.sides[length, 1], self.sides[length, -1])
+                self.sides[length, 1] = self.sides[length, -1] = both
+            self.drifts = dict.fromkeys(self.drifts, 0.0)
         self.rising = rising
         for length in (2, 4, 8):
             if looks % length:
                 continue
             before = np.mean(self.means[-2 * length : -length]) if looks > length else self.first
-            change = np.mean(self.means[-length:]) - before
+            change = np.mean(self.means[-length:]) - before - self.drifts[length]
             size = change**2 / (noise**2 / (4 * length))
             jumped |= size > sway.JUMP
+            if self.since >= 2 * length:
+                self.drifts[length] += sway.SHARE * change
             for side in (1, -1):
                 excess = (min(size, sway.MOST) if side * change > 0 else 0.0) - 1
                 if self.since >= 2 * length:
@@ -264,7 +271,7 @@ class Sway:
         return max(self._kept(length, noise) for length in (2, 4, 8))
 
     def _begin_anew(self) -> None:
-        self.since, self.sides = 0, dict.fromkeys(self.sides, 0.0)
+        self.since, self.sides, self.drifts = 0, dict.fromkeys(self.sides, 0.0), dict.fromkeys(self.drifts, 0.0)
 
     def _kept(self, length: int, noise: float) -> float:
         up, down = self.sides[length, 1], self.sides[length, -1]
