@@ -261,6 +261,17 @@ def test_a_file_reads_back_bit_for_bit(tmp_path: Path) -> None:
     assert Calibration.from_json(one.as_json(), source="recording").hash == one.hash
 
 
+def test_a_calibration_prints_as_one_line_without_its_arrays() -> None:
+    assert repr(made()) == (
+        "<Calibration of 3 x 2 cells: 6 calibrated, gains 0.8 to 1.3, typically 10000 ohm at rest; "
+        "12 presses at 5, 12 kPa; 2026-01-02T03:04:05+00:00; board EMULATED>"
+    )
+    bad = made(calibrated=np.zeros((3, 2), dtype=np.bool_), remarks=("one",), serial_number="")
+    assert repr(bad) == (
+        "<Calibration of 3 x 2 cells: 0 calibrated; 12 presses at 5, 12 kPa; 2026-01-02T03:04:05+00:00; 1 remark>"
+    )
+
+
 def test_an_edited_file_is_refused_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "left.toml"
     made().save(path)
