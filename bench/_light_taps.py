@@ -57,6 +57,7 @@ CASES = (
     *(Case("example", "amplifier", 12, 100.0, mv, 1.0, True) for mv in (1.0, 10.0)),
     *(Case("example", "amplifier", 8, 100.0, 0.3, hz, False) for hz in (1.0, 3.0)),
     *(Case("example", "divider", bits, 100.0, mv, 1.0, True) for bits, mv in ((12, 0.3), (12, 4.0), (8, 0.3))),
+    *(Case("example", "divider", bits, 100.0, mv, 3.0, True) for bits, mv in ((12, 4.0), (10, 1.0))),
 )
 
 

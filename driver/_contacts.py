@@ -50,6 +50,13 @@ DRIFT_PER_S = 0.003
 WAKE_SHARE, WAKE_S = 0.15, 1.0
 """of the largest pressure in the 3 x 3 cells around a cell, forgotten with this time constant: what a finger leaves in
 the estimates behind it and beside it is less, and begins no contact"""
+SPARK_S, STANDS_OUT = 0.1, 15.0
+"""a lone cell, or part of a line as a bad line moves it, is a contact when it has been pressed for longer; unless a
+reading has risen by so many standard deviations of its noise, since the estimator judges such jumps itself"""
+LONGEST_IN_LINE = 3
+"""cells within one line that a stylus covers"""
+EVEN_LINE = 0.3
+"""of the rise of some cells of a line: where the median of its other cells rises by more, the line is bad"""
 NEIGHBOURS = np.ones((3, 3), dtype=int)
 """cells that touch at a corner belong together: a finger rarely covers whole rows"""
 
@@ -94,6 +101,7 @@ class ContactTracker:
         full_scale_kpa: float,
         *,
         drift_kpa: float = 0.0,
+        faults_press: bool = True,
     ) -> None:
         """Begin with an untouched skin.
 
@@ -103,14 +111,22 @@ class ContactTracker:
             full_scale_kpa: of the cells.
             drift_kpa: pressure that an untouched cell shows whose rest resistance has drifted as far as rest
                 resistances do (:data:`._tare.KNOWN_DRIFT`); 0: they do not.
+            faults_press: a bad contact, which adds resistance, looks like a load. False where loads lower it.
 
         """
         self.shape = shape
         self.pitch = Pitch.of(pitch_m)
         self.full_scale_kpa = full_scale_kpa
+        self._faults_press = faults_press
         self._labels: IntArray = np.zeros(shape, dtype=int)
         self._pressed: BoolArray = np.zeros(shape, dtype=np.bool_)
         """(rows, columns) cells of the last frame that showed enough pressure for a contact, however uncertain"""
+        self._pressed_s = np.full(shape, np.inf)
+        """(rows, columns) time since which they have done so; infinite for the others"""
+        self._rise: tuple[FloatArray, FloatArray] | None = None
+        """readings and their noise, as for :meth:`update`"""
+        self._fingers: list[int] = []
+        """of each label: the fingers in it"""
         self._were_parted = False
         self._rises = Rises(shape)
         self._risen_kpa = np.zeros(shape)
@@ -153,10 +169,13 @@ class ContactTracker:
         self._follow_joint_rises(time_s, pressure_kpa, std_kpa, rise)
         if rise is not None:
             self._find_missing(time_s, np.isnan(rise[0]))
-        labels, patches = self._find(pressure_kpa, std_kpa)
+        self._rise = rise
+        labels, patches = self._find(time_s, pressure_kpa, std_kpa)
         self._pressed = pressure_kpa > START_SHARE * self.full_scale_kpa
+        self._pressed_s = np.where(self._pressed, np.minimum(self._pressed_s, time_s), np.inf)
         names = self._tracks.follow(time_s, patches, labels)
         self._labels = labels.reshape(self.shape)
+        self._fingers = [1 + len(name.joined) for name in names]
         self._risen_kpa[(self._labels == 0) & ~self._rising] = 0.0  # left behind by the touch that lifted them
         elapsed_s, self._time_s = max(time_s - self._time_s, 0.0), time_s
         self._drift(elapsed_s, pressure_kpa)
@@ -166,7 +185,7 @@ class ContactTracker:
 
     def look_back(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[Contact, ...]:
         """The contacts of a frame from before the last one, at ``time_s``; tracks and hysteresis stay as they are."""
-        labels, patches = self._find(pressure_kpa, std_kpa)
+        labels, patches = self._find(time_s, pressure_kpa, std_kpa)
         return self._contacts(patches, self._tracks.look_back(time_s, patches, labels))
 
     def forget_readings(self) -> None:
@@ -233,7 +252,7 @@ class ContactTracker:
         goes_on[0] = True  # in no contact yet
         return goes_on[self._labels]
 
-    def _find(self, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[IntArray, list[Patch]]:
+    def _find(self, time_s: float, pressure_kpa: FloatArray, std_kpa: FloatArray) -> tuple[IntArray, list[Patch]]:
         """The patches of touched cells, and for each cell of the flattened array the number of its patch, from 1."""
         full = self.full_scale_kpa
         start = np.fmax(START_STDS * std_kpa, START_SHARE * full)  # not NaN where the deviation is
@@ -255,7 +274,7 @@ class ContactTracker:
         kept[found[begins]] = True
         kept[0] = False
         self._keep_lasting(found, kept, pressure_kpa)
-        self._drop_disturbances(found, kept)
+        self._drop_disturbances(time_s, found, kept)
         if not kept.any():
             return np.zeros(pressure_kpa.size, dtype=int), []
         labels = np.where(kept, np.cumsum(kept), 0)[found]
@@ -275,10 +294,11 @@ class ContactTracker:
         return pressure_kpa, bridged if bridged.any() else None
 
     def _keep_lasting(self, found: NDArray[np.signedinteger], kept: BoolArray, pressure_kpa: FloatArray) -> None:
-        """Keep patches in which contacts of the last frame go on, each contact in one of them.
+        """Keep patches in which contacts of the last frame go on.
 
-        The patch is one that begins contacts, too, or the one with the largest force. So hysteresis lets a contact
-        last, and makes no second one of cells that a moving finger leaves behind.
+        A contact goes on in the patch that has most of its force now. Where none of its patches begins contacts, it
+        goes on in as many as it has fingers. So hysteresis lets contacts last, and makes no further ones of cells that
+        a moving finger leaves behind.
 
         Args:
             found: (rows, columns) labels of patches, from 1.
@@ -290,34 +310,55 @@ class ContactTracker:
         now = found[lasting]
         if kept[now].all():
             return
-        before = self._labels[lasting]
-        ends = np.zeros(int(before.max(initial=0)) + 1, dtype=bool)
-        ends[before] = True
-        ends[before[kept[now]]] = False
-        if not ends.any():
-            return
-        force = np.bincount(found.ravel(), np.where(found > 0, pressure_kpa, 0.0).ravel())
-        order = np.argsort(force[now], kind="stable")
-        last = np.zeros(ends.size, dtype=np.intp)
-        last[before[order]] = now[order]
-        kept[last[ends]] = True
+        before, pressure = self._labels[lasting], pressure_kpa[lasting]
+        for contact in np.unique(before[~kept[now]]).tolist():
+            own = before == contact
+            force = np.bincount(now[own], pressure[own])
+            patches = np.flatnonzero(np.bincount(now[own]))
+            most = 1 if kept[patches].any() else self._fingers[contact - 1]
+            kept[patches[np.argsort(-force[patches])][:most]] = True
 
-    def _drop_disturbances(self, found: NDArray[np.signedinteger], kept: BoolArray) -> None:
-        """Drop patches within one row or column that were not there in the last frame.
+    def _drop_disturbances(self, time_s: float, found: NDArray[np.signedinteger], kept: BoolArray) -> None:
+        """Drop new patches within one row or column that may be electrical faults.
+
+        Those that were not there in the last frame may be disturbances of the converter. Where the readings hardly rise
+        above their noise, lone cells may be sparks for longer, and patches that are long or reach an end of their line
+        may be bad lines, of which the other cells cannot be seen.
 
         Args:
+            time_s: of the frame.
             found: (rows, columns) labels of patches, from 1.
             kept: (labels,) patches that make contacts, changed.
 
         """
         fresh = kept.copy()
-        fresh[found[self._pressed | (self._labels > 0)]] = False
+        fresh[found[self._labels > 0]] = False
         if not fresh.any():
             return
         boxes = ndimage.find_objects(found)
         for label in np.flatnonzero(fresh).tolist():
-            rows, columns = boxes[label - 1]
-            kept[label] = rows.stop - rows.start > 1 and columns.stop - columns.start > 1
+            box = boxes[label - 1]
+            if min(span.stop - span.start for span in box) > 1:
+                continue
+            lasts_s = time_s - float(self._pressed_s[box][found[box] == label].min())
+            kept[label] = lasts_s > (SPARK_S if self._may_be_a_fault(np.argwhere(found == label)) else 0.0)
+
+    def _may_be_a_fault(self, cells: IntArray) -> bool:
+        """Whether cells (n, 2) of one row or column may have risen by a bad contact, which the estimator cannot see."""
+        if self._rise is None or not self._faults_press:
+            return False
+        reading, noise = self._rise
+        rows, columns = cells.T
+        risen = reading[rows, columns]
+        if (risen > STANDS_OUT * noise[rows, columns]).any():
+            return False
+        if len(cells) == 1 or len(cells) > LONGEST_IN_LINE:
+            return True
+        line, places = (reading[rows[0]], columns) if rows[0] == rows[-1] else (reading[:, columns[0]], rows)
+        if places.min() == 0 or places.max() == line.size - 1:
+            return True
+        others = np.delete(line, places)
+        return bool(np.nanmedian(others) > EVEN_LINE * risen.mean()) if not np.isnan(others).all() else False
 
     def _measure(
         self, labels: IntArray, connected: IntArray, pressure_kpa: FloatArray, bridged: BoolArray | None

@@ -130,7 +130,10 @@ class Converter:
         self._estimator = self._new_estimator()
         full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
         drift_kpa = 0.0 if self._systematic is None else self._systematic.kpa_of_rest(KNOWN_DRIFT)
-        tracker = ContactTracker(design.array.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa)
+        faults_press = self._estimator is None or self._estimator.inversion.side > 0
+        tracker = ContactTracker(
+            design.array.shape, pitch, full_scale_kpa, drift_kpa=drift_kpa, faults_press=faults_press
+        )
         self.contacts = ContactsOfFrames(tracker)
         self._last: RawFrame | None = None
         self._last_s: float | None = None

@@ -219,6 +219,53 @@ def test_cells_of_one_line_are_no_contact_for_a_single_frame(cells: tuple[slice,
     assert [len(contacts) for contacts in track([nothing, press, press, press, nothing])] == [0, 0, 1, 1, 0]
 
 
+def when_found(
+    cells: tuple[slice, slice], rise: FloatArray, lasting_s: float, *, faults_press: bool = True
+) -> list[float]:
+    """Times after the start of a press, in s, at which there is a contact, at 1000 frames per second.
+
+    ``rise`` (rows, columns) is that of the readings, whose noise is 0.01. Only ``cells`` show a pressure for it.
+    """
+    pressure, one = np.zeros((16, 16)), ContactTracker((16, 16), PITCH_M, FULL_KPA, faults_press=faults_press)
+    pressure[cells] = 2.0
+    found = []
+    for k in range(-100, round(1e3 * lasting_s)):
+        now = (pressure, rise) if k >= 0 else (0.0 * pressure, 0.0 * rise)
+        contacts = one.update(1e-3 * k, now[0], np.full((16, 16), 0.3), (now[1], np.full((16, 16), 0.01)))
+        found += [1e-3 * k] if contacts else []
+    return found
+
+
+def risen(cells: tuple[slice, slice], by: float) -> FloatArray:
+    rise = np.zeros((16, 16))
+    rise[cells] = by
+    return rise
+
+
+def test_a_lone_cell_hardly_above_its_noise_is_a_contact_when_it_has_outlasted_a_spark() -> None:
+    lone = slice(5, 6), slice(7, 8)
+    assert when_found(lone, risen(lone, 0.08), 0.09) == []
+    assert 0.1 < when_found(lone, risen(lone, 0.08), 0.2)[0] < 0.105
+    assert when_found(lone, risen(lone, 0.5), 0.09)[0] < 0.005  # the estimator would have told a spark
+    assert when_found(lone, risen(lone, 0.08), 0.09, faults_press=False)[0] < 0.005  # a spark would be no load
+
+
+@pytest.mark.parametrize("cells", [(slice(12, 13), slice(7, 10)), (slice(4, 7), slice(3, 4))])
+def test_cells_of_a_bad_line_whose_other_cells_hardly_show_it_make_no_contact(cells: tuple[slice, slice]) -> None:
+    line = tuple(part if part.stop - part.start == 1 else slice(None) for part in cells)
+    assert when_found(cells, risen(cells, 0.08), 0.09)[0] < 0.005  # a stylus
+    assert when_found(cells, np.maximum(risen(line, 0.06), risen(cells, 0.08)), 0.09) == []  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "cells", [(slice(12, 13), slice(0, 3)), (slice(13, 16), slice(2, 3)), (slice(8, 9), slice(3, 9))]
+)
+def test_ends_and_long_parts_of_a_line_wait_as_long_as_a_lone_cell(cells: tuple[slice, slice]) -> None:
+    """Coarse steps hide the other cells of a bad line."""
+    assert when_found(cells, risen(cells, 0.08), 0.09) == []
+    assert when_found(cells, risen(cells, 0.08), 0.2)
+
+
 @pytest.mark.parametrize("share", [watershed.PART_SHARE, watershed.STAY_SHARE])
 def test_a_cell_between_two_fingers_does_not_part_and_join_them_in_turns(share: float) -> None:
     """The valley between the fingers goes up and down by a twentieth about one of the depths that part them."""

@@ -18,6 +18,7 @@ other ways.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,14 +43,31 @@ another way"""
 TESTS, OWN, SHARED = range(3)
 """places of the test's sums"""
 
+_ONE = np.array(1.0)
+
+
+class _Tellers(NamedTuple):
+    """Sleeping cells that were read, for the array operations."""
+
+    counted: FloatArray
+    """(rows, columns) 1 where a cell tells"""
+    number: FloatArray
+    """(columns,) cells of a column that tell"""
+    others: IntArray
+    """(rows, columns) cells of the column that tell, without the cell itself"""
+    divisor: FloatArray
+    """(columns,) the number, at least 1"""
+    others_divisor: FloatArray
+    """(rows, columns) the others, at least 1"""
+
 
 class SharedNoise:
     """Takes shared noise out of the readings of n cells, and tells the noise meter what is left of it."""
 
     def __init__(self, shape: tuple[int, ...], noise: NoiseMeter) -> None:
         """``shape`` is (rows, columns). Cells of an array with another number of axes share nothing."""
-        cells, columns = math.prod(shape), shape[-1] if len(shape) == 2 else 0
-        self._shape = cells // max(columns, 1), columns
+        cells, self._has_columns = math.prod(shape), len(shape) == 2
+        self._shape = (shape[0], shape[1]) if self._has_columns else (cells, 1)
         self._noise = noise
         self.ratio = 0.0
         """variance of the shared noise over that of the own noise of a cell at rest; 0: nothing is shared"""
@@ -57,12 +75,15 @@ class SharedNoise:
         """columns that have been tested so far, and sums of their variances: of own noise, and of shared noise"""
         self._reference = np.zeros(cells)
         """(n,) mean of the readings of sleeping cells"""
-        self._counts = np.full(columns, -1.0)
+        self._counts = np.full(self._shape[1], -1.0)
         """(columns,) sleeping cells in the last frame; negative: not known"""
         self._weights = np.zeros(0)
         """by number of cells: share of their mean that is shared noise"""
+        self._tell_now = np.zeros(0, dtype=np.bool_)
+        """(n,) the cells that ``_tellers`` are made of"""
         self._left = np.zeros(0)
         """by number of cells: what is left of the ratio if that is taken out"""
+        self._tellers = self._tellers_of(np.zeros(cells, dtype=np.bool_))
         self._all_read = np.ones(cells, dtype=np.bool_)
         self.mean_std = np.ones(cells)
         """(n,) noise of the readings whose mean is watched, over that of the readings that wake a cell at once"""
@@ -71,7 +92,7 @@ class SharedNoise:
 
     def suppose(self, own_std: float, all_std: float) -> None:
         """Take the deviations of r at rest by the steps of own readings, and by those of all; of none: 0."""
-        if self._shape[1] and not self._test[TESTS] and all_std > own_std:
+        if self._has_columns and not self._test[TESTS] and all_std > own_std:
             self._share(all_std * all_std / (own_std * own_std) - 1.0)
 
     def _share(self, ratio: float) -> None:
@@ -136,24 +157,42 @@ class SharedNoise:
     def _by_array_operations(
         self, r: FloatArray, read: BoolArray, awake: BoolArray, testing: bool, near: float, far: float, share: float
     ) -> tuple[bool, FloatArray, FloatArray]:
-        tells = (~awake & read).reshape(self._shape)
-        count = np.add.accumulate(tells.astype(np.float64))[-1]
+        of = self._tellers_of(~awake & read)
+        near_, far_ = np.array(near), np.array(far)  # NumPy makes an array of a float in every call
         off = (r - self._reference).reshape(self._shape)
-        first = np.where(tells, np.minimum(np.maximum(off, -far), far), 0.0)
-        centre = np.add.accumulate(first)[-1] / np.maximum(count, 1.0)
-        second = np.where(tells, np.minimum(np.maximum(off, centre - near), centre + near), 0.0)
+        first = np.minimum(np.maximum(off, -far_), far_)
+        first *= of.counted
+        centre = np.add.accumulate(first)[-1]
+        centre /= of.divisor
+        second = np.minimum(np.maximum(off, centre - near_), centre + near_)
+        second *= of.counted
         total = np.add.accumulate(second)[-1]
         # What others tell of a sleeping cell: with its own reading in the mean, its own load would seem smaller.
-        others = count - tells
-        common = (total - second) / np.maximum(others, 1.0)
-        common *= self._weights.take(others.astype(np.intp))
-        self._reference += first.ravel() * share
-        without = np.where(read, r - (r + 1.0) * common.ravel(), r)
+        common = total - second
+        common /= of.others_divisor
+        common *= self._weights.take(of.others)
+        first *= share
+        self._reference += first.ravel()
+        without = r + _ONE
+        without *= common.ravel()
+        np.subtract(r, without, out=without)
+        if read is not self._all_read:
+            np.copyto(without, r, where=~read)
         if testing:
-            self._take_test(tells, count, second, total / np.maximum(count, 1.0))
-        changed = not np.array_equal(count, self._counts)
-        self._counts[:] = count
+            self._take_test(of.counted > 0.0, of.number, second, total / of.divisor)
+        changed = not np.array_equal(of.number, self._counts)
+        self._counts[:] = of.number
         return changed, without, np.where(awake, without, r)
+
+    def _tellers_of(self, tell: BoolArray) -> _Tellers:
+        """The cells (n,) that tell of shared noise, and what follows from which they are."""
+        if not np.array_equal(tell, self._tell_now):
+            counted = tell.reshape(self._shape).astype(np.float64)
+            count = np.add.accumulate(counted)[-1]
+            others = count - counted
+            divisors = np.maximum(count, 1.0), np.maximum(others, 1.0)
+            self._tell_now, self._tellers = tell, _Tellers(counted, count, others.astype(np.intp), *divisors)
+        return self._tellers
 
     def _take_test(self, tells: BoolArray, count: FloatArray, off: FloatArray, mean: FloatArray) -> None:
         """Take the departures ``off`` (rows, columns) of sleeping cells into the test; ``mean`` (columns,) of them."""

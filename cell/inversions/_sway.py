@@ -6,9 +6,13 @@ successive blocks of readings differ, both up and down, by more than noise lets 
 differences is the Allan variance, and that of white noise is known. Blocks of several lengths are compared, since
 nobody knows how fast the taps are.
 
-A load that rises, and one that falls, moves the means to one side only. Turns that are noticed leave nothing behind:
-after one, the comparison begins anew. What may have been kept of motion that remains is added to the standard deviation
-of the memory, up to the pressure that is shown: what is kept of a tap is never less than none.
+A load that rises, and one that falls, moves the means to one side only. What an inverse keeps of taps does so, too, and
+would hide the taps: from each difference the mean of the late ones is subtracted, the drift.
+
+Turns that are noticed leave nothing behind: blocks before one are not compared with those after it. What both sides
+have in common is kept over a turn, since of light taps some are noticed and others are not. What may have been kept of
+motion that remains is added to the standard deviation of the memory, up to the pressure that is shown: what is kept of
+a tap is never less than none.
 """
 
 from __future__ import annotations
@@ -41,14 +45,16 @@ KEPT = 2.0
 NAMES = (
     *("half_block", "looks", "looks_since_turn", "sign_before"),
     *("mean_8", "mean_16", "mean_32", "up_8", "up_16", "up_32", "down_8", "down_16", "down_32"),
+    *("drift_8", "drift_16", "drift_32"),
 )
 """names of the rows of the memory"""
-HALF, LOOKS, SINCE, SIGN_BEFORE, MEAN, UP, DOWN = 25, 26, 27, 28, 29, 32, 35
+HALF, LOOKS, SINCE, SIGN_BEFORE, MEAN, UP, DOWN, DRIFT = 25, 26, 27, 28, 29, 32, 35, 38
 """rows: mean of the readings at the last look; looks; looks since a turn was noticed last, or a jump; 1 where the load
 rose at the last look, -1 where it fell. Then three rows each, one for each length: mean of the last block; mean square
-of the differences upwards, and downwards, over the variance of noise, less what noise alone makes"""
+of the differences upwards, and downwards, over the variance of noise, less what noise alone makes; mean difference"""
 _MEANS, _UPS, _DOWNS = slice(MEAN, MEAN + SCALES), slice(UP, UP + SCALES), slice(DOWN, DOWN + SCALES)
-_SIDES = slice(UP, DOWN + SCALES)
+_SIDES, _DRIFTS = slice(UP, DOWN + SCALES), slice(DRIFT, DRIFT + SCALES)
+_OF_MOTION = slice(UP, DRIFT + SCALES)
 LOOKS_IN_BLOCK = np.array([2.0, 4.0, 8.0])
 """(SCALES,) powers of two"""
 _LOOKS = LOOKS_IN_BLOCK[:, None]
@@ -93,7 +99,11 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, kpa_per_r: flo
         turned &= ends[0]
         if np.count_nonzero(turned):
             np.copyto(memory[SIGN_BEFORE], memory[SIGN], where=turned)
-            begin_anew(memory, turned)
+            np.copyto(memory[SINCE], _ZERO, where=turned)
+            both = np.minimum(memory[_UPS], memory[_DOWNS])
+            np.copyto(memory[_UPS], both, where=turned)
+            np.copyto(memory[_DOWNS], both, where=turned)
+            np.copyto(memory[_DRIFTS], _ZERO, where=turned)
         _end_blocks(memory, mean, noise, ends, kpa_per_r)
     memory[HALF] = mean
 
@@ -101,7 +111,7 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, kpa_per_r: flo
 def begin_anew(memory: FloatArray, cells: BoolArray) -> None:
     """Compare only readings from now on in those ``cells`` (m,) that are marked; changes their ``memory`` (rows, m)."""
     np.copyto(memory[SINCE], _ZERO, where=cells)
-    np.copyto(memory[_SIDES], _ZERO, where=cells)
+    np.copyto(memory[_OF_MOTION], _ZERO, where=cells)
 
 
 def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, ends: BoolArray, kpa_per_r: float) -> None:
@@ -115,10 +125,13 @@ def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, ends: B
     variance = noise * noise * _PER_BLOCK
     change = block - means
     np.copyto(means, block, where=ends)
-    size = change * change
-    size /= variance
     counts = memory[SINCE] >= _FRESH
     counts &= ends
+    drift = memory[_DRIFTS]
+    change -= drift
+    np.copyto(drift, change * _SHARE + drift, where=counts)
+    size = change * change
+    size /= variance
     jumped = (size > _JUMP) & ends if size.item(size.argmax()) > JUMP else None
     np.minimum(size, _MOST, out=size)
     ups, downs = memory[_UPS], memory[_DOWNS]
@@ -175,8 +188,9 @@ def look_each(
             continue
         if memory[SIGN, i] != memory[SIGN_BEFORE, i]:
             memory[SIGN_BEFORE, i], memory[SINCE, i], since = memory[SIGN, i], 0.0, 0.0
-            for row in range(UP, DOWN + SCALES):
-                memory[row, i] = 0.0
+            for scale in range(SCALES):
+                both = min(memory[UP + scale, i], memory[DOWN + scale, i])
+                memory[UP + scale, i], memory[DOWN + scale, i], memory[DRIFT + scale, i] = both, both, 0.0
         noise2, shorter, jumped = taken[NOISE, i] * taken[NOISE, i], half, False
         for scale in range(SCALES):
             mean = (shorter + mean) * 0.5
@@ -184,17 +198,19 @@ def look_each(
                 break
             shorter = memory[MEAN + scale, i]
             memory[MEAN + scale, i] = mean
-            change = mean - shorter
+            drift = memory[DRIFT + scale, i]
+            change = mean - shorter - drift
             beyond = change * change / (noise2 * (1.0 / (RECENT * lengths[scale])))
             jumped |= beyond > JUMP
             if since >= 2.0 * lengths[scale]:
+                memory[DRIFT + scale, i] = change * SHARE + drift
                 beyond = min(beyond, MOST)
                 up, down = memory[UP + scale, i], memory[DOWN + scale, i]
                 memory[UP + scale, i] += ((beyond if change > 0.0 else 0.0) - 1.0 - up) * SHARE
                 memory[DOWN + scale, i] += ((beyond if change < 0.0 else 0.0) - 1.0 - down) * SHARE
         if jumped:
             memory[SINCE, i] = 0.0
-            for row in range(UP, DOWN + SCALES):
+            for row in range(UP, DRIFT + SCALES):
                 memory[row, i] = 0.0
             continue
         kept = 0.0

@@ -91,6 +91,7 @@ class CoupledLive:
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
         self._known: Known | None = None  # where the last frame ended
+        self._settled: FloatArray | None = None  # (n,) logarithms of the conductances of the last frame that settled
         self._has_begun = False  # there has been a frame
         self._any_gone = bool(parts.gone.any())
         self._all_valid = np.ones(parts.shape, dtype=np.bool_), np.zeros(parts.shape, dtype=np.int8)
@@ -137,6 +138,8 @@ class CoupledLive:
         if fit.none and short is not None:  # readings hardly tell such a cell from a short
             return self._nothing(short)
         self._steps.settle(fit)
+        if not self._convergence.astray:
+            self._settled = fit.known.log
         if selection.lost_rows is not None:
             conductance = 1.0 / fit.known.cells
             by_lost = self._rows.change(frame, selection.lost_rows, selection.at_limit, conductance)
@@ -158,7 +161,10 @@ class CoupledLive:
         return self._parts.at(log)
 
     def _usual_start(self, frame: Frame, selection: Selection, budget: Budget) -> tuple[Known, FloatArray | float]:
-        """The last frame's cells, or closed formulas; cells of which the frame does not tell are usual ones.
+        """The last frame's cells, or others; cells of which the frame does not tell are usual ones.
+
+        Where the last frame's cells lead nowhere, closed formulas and the cells of the last frame that settled take
+        turns.
 
         Returns:
             The cells, and the relative change (n,) of all others by columns that are left out.
@@ -166,7 +172,8 @@ class CoupledLive:
         """
         start = self._known
         if start is None:
-            start = self._at(self._start(frame.volts), budget)
+            settled = self._settled if self._convergence.starts % 2 else None
+            start = self._at(self._start(frame.volts) if settled is None else settled, budget)
             self._steps.begin_anew()
             self._linearised.begin_anew(start, budget)
         beside = selection.beside.ravel()
@@ -220,7 +227,10 @@ class CoupledLive:
         """
         convergence = self._convergence
         convergence.count(fit)
-        self._known = None if fit.none else fit.known  # None: the next frame starts anew
+        elsewhere = fit.none or convergence.in_vain
+        self._known = None if elsewhere else fit.known  # None: the next frame starts anew
+        if elsewhere:
+            convergence.give_up_start()
         self._linearised.end_frame()
         if convergence.stuck:
             self._linearised.give_up_columns()

@@ -30,6 +30,7 @@ _SHORTER = 0.4  # of a step that led away from the readings: what is taken next
 _MOST_LEFT = 0.9  # share of a misfit that a step leaves, from which on steps do not lead to an end
 _PATIENCE = 3  # frames that do not settle, after which steps that lead away from the readings are not taken
 _MISFIT = 8.0  # half steps between readings and model beyond which no cells give these readings
+_MOST_TRIED = 8  # frames in a row until the cells that they started from are given up
 _MOST_WITHOUT_FIT = 6  # frames in a row until steps column by column are given up
 
 
@@ -71,6 +72,29 @@ class Convergence:
     """frames in a row that did not come to a fit"""
     astray_for: int = 0
     """frames in a row that did not settle"""
+    tried_for: int = 0
+    """frames in a row since the last start at whose end the cells do not give the readings"""
+    starts: int = 0
+    """that have been given up since a frame has settled"""
+    restarted: bool = False
+    """the last frame has given its start up"""
+    astray_before: int = 0
+    """frames of :attr:`astray_for` up to that one"""
+
+    @property
+    def astray_since_start(self) -> int:
+        """Frames in a row that did not settle, after the last one that gave its start up."""
+        return self.astray_for - self.astray_before
+
+    @property
+    def in_vain(self) -> bool:
+        """Whether steps from the last start lead nowhere, without an end."""
+        return self.tried_for >= _MOST_TRIED
+
+    def give_up_start(self) -> None:
+        """Let the next frame start from elsewhere."""
+        self.tried_for, self.restarted, self.astray_before = 0, True, self.astray_for + 1
+        self.starts += 1
 
     @property
     def astray(self) -> bool:
@@ -84,6 +108,8 @@ class Convergence:
 
     def count(self, fit: Fit) -> None:
         """Count a frame's fit, or that there is none."""
+        self.restarted = False
+        self.tried_for = 0 if fit.misfit <= _MISFIT else self.tried_for + 1
         self.without_fit = 0 if fit.misfit <= NO_FIT else self.without_fit + 1
 
     def settle(self, fit: Fit) -> None:
@@ -94,6 +120,8 @@ class Convergence:
         doubted = self.astray or self.fresh
         astray = fit.misfit > NO_FIT or fit.lost or (doubted and not fit.proven)
         self.astray_for = self.astray_for + 1 if astray else 0
+        if not astray:
+            self.starts = self.astray_before = 0
         if fit.misfit <= NO_FIT:
             self.fresh, self.failures = False, 0
 
@@ -130,7 +158,7 @@ class GaussNewton:
         """Fit the cells to a frame, from ``start`` on, as far as the frame's budget goes."""
         here = _Place(self._linearised.base, frame, start)
         # Over strong nonlinearities whole steps are quick as a rule, but may lead too far, back, and so on for ever.
-        damped = self._convergence.astray_for >= _PATIENCE
+        damped = self._convergence.astray_since_start >= _PATIENCE
         stalled = False
         while budget.evaluate():
             ahead = frame.compared(self._parts.at(here.base.advanced(here.known.log, self._damping * here.step)))

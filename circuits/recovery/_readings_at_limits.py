@@ -199,7 +199,10 @@ class ReadingLimits:
         elif self._leaves_out <= 0:
             self._left_out[:] = False  # and try again
         self._leaves_out -= 1
-        again = convergence.astray_for > 1
+        if convergence.restarted:  # what is left out may be what keeps the others from settling
+            self._left_out[:] = False
+            return
+        again = convergence.astray_since_start > 1
         if again or (convergence.astray and not convergence.fresh):
             found = share >= (_ONE_OF_SOME if again else _HEAVY_CELL)
             if found.any():
