@@ -220,8 +220,8 @@ def score(
 
 def _errors_at_rest(error: FloatArray, at_rest: BoolArray) -> FloatArray:
     """Median error of each cell over its frames at rest, without the cells that have none."""
-    medians = np.ma.median(np.ma.masked_array(error, ~at_rest), axis=0)
-    return np.asarray(np.ma.compressed(medians))
+    known = np.where(at_rest, error, np.nan)[:, at_rest.any(axis=0)]
+    return np.asarray(np.nanmedian(known, axis=0))
 
 
 @dataclass(frozen=True)
