@@ -198,8 +198,8 @@ def test_a_report_is_compared_with_an_older_one(
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("{}", "old.json: not a report.json of this version: missing key 'title'"),
-        ('{"title": 3}', "old.json: not a report.json of this version: missing key 'schema_version'"),
+        ("{}", "old.json: not a report.json of this version: missing key 'schema_version'"),
+        ('{"schema_version": "2"}', "old.json: not a report.json of this version: schema_version: input should be"),
         ("[1]", "old.json: not a report.json of this version: expected a table (got [1])"),
         ("a,b\n1,2\n", "old.json: not valid JSON: expected value at line 1 column 1; expected a report.json"),
         ("", "old.json: not valid JSON: EOF while parsing a value at line 1 column 0; expected a report.json"),
