@@ -117,14 +117,17 @@ def test_errors_of_drawn_paper_cells_are_within_the_stated_deviations() -> None:
     assert within_two(every) > 0.985
     assert beyond_three(every) < 0.006
     for load, several in found.items():
-        assert within_two(several) > {"sine": 0.92, "finger": 0.97}.get(load, 0.99)
+        assert within_two(several) > {"sine": 0.98, "finger": 0.97}.get(load, 0.99)
         assert np.mean([one.rmse_percent for one in several]) < 5.0
 
 
 def test_of_the_least_honest_paper_cells_only_the_sine_and_the_finger_are_worse() -> None:
-    """Each turn leaves an error to the same side; under loads without a rest they add up to 15 % of full scale."""
+    """What turns leave adds up under loads without a rest: to 8 % of full scale, which was 15 while turns were late."""
     found = judged_by_load((shape.cell(full_kpa=20.0, rest_ohm=1e4), (60.0, 0.1)) for shape in CORNERS)
-    assert within_two(found.pop("sine") + found.pop("finger")) > 0.65
+    sines = found.pop("sine")
+    assert within_two(sines) > 0.92
+    assert max(one.rmse_percent for one in sines) < 10.0
+    assert within_two(found.pop("finger")) > 0.87
     for several in found.values():
         assert within_two(several) > 0.98
         assert max(one.rmse_percent for one in several) < 12.0

@@ -77,6 +77,31 @@ def test_wrong_time_constants_stay_bearable(kind: str, factor: float) -> None:
     assert rmse(TurningInversion(wrong, FULL, exact=False), NOISE, read, load, 0.1) < 0.06
 
 
+@pytest.mark.parametrize("dt", [0.002, 0.02])
+def test_a_smooth_load_turns_when_its_own_model_says_so(dt: float) -> None:
+    """Half of this cell's answer takes 15 s, and its overshoot fades in 2 s.
+
+    Its resistance therefore bends at a turn as if the load went on. Corners of a ramp are no smooth turns.
+    """
+    model = PaperModel(
+        eu1_kpa=200 / 3,
+        etau2_kpa=500 / 3,
+        eu2_kpa_per_s=250 / 3,
+        e1_kpa=400 / 3,
+        e2_kpa=138.9,
+        e3_kpa=3333.0,
+        eta2_kpa_s=15 * 138.9,
+        eta3_kpa_s=50 * 3333.0,
+    )
+    cell = EXAMPLE.replace(model=model)
+    time = dt * np.arange(1.0, 12.0 / dt)
+    sine = 0.5 - 0.4 * np.cos(1.4 * np.pi * time)
+    ramps = np.interp(time, [1.0, 4.0, 6.0, 10.0], [0.0, 0.9, 0.9, 0.0])
+    for load, bound in ((sine, 0.09), (ramps, 0.005)):
+        read = sense(cell, load, dt)
+        assert rmse(TurningInversion(model, FULL, exact=True), 0.0, read, load, dt) < bound
+
+
 @settings(max_examples=12)
 @given(
     seed=st.integers(0, 2**32 - 1),

@@ -68,14 +68,12 @@ class OneCell:
         if refuted:
             turned = self.rising
         if turned:
+            late = 0.0 if self.left is not None else self._late(now, other, std * gains[self.rising])
             now, other = other, now
             self.rising = not self.rising
             again, left = self.left is not None, self.left
             unsure = std * gains[self.rising]
             self.left = None if again else self.extreme
-            self.extreme = left if again else (1 if self.rising else -1) * max(now.pressure, 0) - paper.LESS * unsure
-            ahead = (1 if self.rising else -1) * max(now.pressure, 0)
-            self.peak = left if again else ahead - unsure
             sign = 1.0 if self.rising else -1.0
             there = max(sign * (self.third_last - self.before_last), sign * (self.before_last - self.last), 0.0)
             way = min(paper.JUST_BEGUN * there, max(abs(now.pressure - self.last), paper.HALF * there))
@@ -83,19 +81,26 @@ class OneCell:
             fast = max(1.0, abs(now.pressure - self.last) / (paper.FAST * paper.TURN * self.full))
             way = max(way - paper.SURE * unsure, 0.0)
             unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full / fast
+            now = self._without_delay(now, late)
+            ahead = sign * max(now.pressure, 0)
+            self.extreme = left if again else ahead - paper.LESS * unsure
+            self.peak = left if again else ahead - unsure
             before = self.variance
             if self.rested:
                 before = min(before, self.rest_variance + recovery.LIGHT * before + self.taken_off**2)
-            late = (gains[False] * std) ** 2
-            self.doubt = (np.sqrt(before) + unseen) ** 2 + late
+            by_noise = (gains[False] * std) ** 2
+            self.doubt = (np.sqrt(before) + unseen) ** 2 + by_noise
             self.doubt = min(self.doubt, (paper.UNKNOWN * self.full) ** 2)
             self.variance = self.doubt
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
-            usual = recovery.PART * max(self.doubt - late, 0.0) + min(late, self.doubt)
+            usual = recovery.PART * max(self.doubt - by_noise, 0.0) + min(by_noise, self.doubt)
             self.rest_variance = 0.0 if lost else usual
             self.rested, self.drift, self.taken_off = False, 0.0, 0.0
             error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
             self.last_drift = 0.0 if self.rising else recovery.DRIFTS * error
+            if late > 0:
+                doubt_kpa = np.sqrt(self.doubt) + paper.MAY_BEND * late
+                self.doubt = self.variance = min(doubt_kpa**2, (paper.UNKNOWN * self.full) ** 2)
         unsure = std * gains[self.rising]
         ahead = self._ahead(now)
         if refuted:
@@ -177,6 +182,28 @@ class OneCell:
         self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
         self.extreme, self.peak = min(self.extreme + error, 0.0), min(self.peak + error, 0.0)
+
+    def _late(self, left: Hypothesis, other: Hypothesis, unsure: float) -> float:
+        """By how much the pressure was off when the model that is left turned, if the load is a parabola in time."""
+        m, sign = self.model, 1.0 if self.rising else -1.0
+        rise_r, fall_r = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
+        left_r, other_r = (rise_r, fall_r) if self.rising else (fall_r, rise_r)
+        away = paper.AWAY * self.full < abs(self.extreme) and self.extreme < paper.USUAL * self.full
+        if not away or unsure >= paper.SMOOTH * paper.TURN * self.full:
+            return 0.0
+        gone, way = (self.extreme + unsure - sign * one.pressure for one in (left, other))
+        by_drift = way * other_r / left_r - gone
+        if by_drift <= paper.SURE * unsure:
+            return 0.0
+        return min(by_drift**2 * (left_r + other_r) / (4 * other_r * gone), way)
+
+    def _without_delay(self, now: Hypothesis, late: float) -> Hypothesis:
+        """The hypothesis taken over, whose pressure went on for too long: less goes back, more is remembered of it."""
+        m = self.model
+        if self.rising:
+            settled = now.settled + late * (1 + m.etau2_kpa / m.eu1_kpa)
+            return Hypothesis(now.pressure + late, settled, now.x2, now.x3)
+        return Hypothesis(now.pressure - late, now.settled, now.x2 + late / m.e1_kpa, now.x3)
 
     def _turn_from(self, extreme: float) -> float:
         """How far an exact pressure must go back for a turn."""

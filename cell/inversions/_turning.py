@@ -87,6 +87,11 @@ smoothing has not noticed: its line overshoots for a moment where a fast release
 STILL = 1.5
 """standard deviations of the reading by which a load that seems to have fallen must be above none. Such a fall may be
 steps of the ADC, of any reading that the resistance follows from; most loads that fall are released"""
+SMOOTH, AWAY = 0.4, 0.02
+"""turns by which a pressure may be unsure where the delay of a smooth turn is told; in more noise it cannot be. And of
+full scale by which the extreme must differ from none, where pressures that are too low have been corrected already"""
+MAY_BEND = 0.5
+"""standard deviation of what such a delay makes, over that: the load may have turned with a bend after all"""
 REFUTED = 0.5 * FAR
 """kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
 is a turn, and below the extreme that means "none", so that the turn is certain"""
@@ -165,6 +170,9 @@ class TurningInversion(Inversion):
         self._turn_share, self._shared = np.array(TURN_SHARE), np.array(SHARED)
         self._clear_rise_kpa = CLEAR_RISE * full_scale_kpa
         self._held_kpa_per_s = HELD * full_scale_kpa
+        self._fast_r = np.array([[1 / model.eu1_kpa + 1 / model.etau2_kpa], [1 / model.e1_kpa]])
+        """r per kPa of a fast change, in the rising and in the recovery model"""
+        self._smooth_kpa, self._away_kpa = SMOOTH * self._turn_kpa, np.array(AWAY * full_scale_kpa)
         # What is below zero is an error that fades, and no turn.
         self._least_kpa = np.array(self._lowest if self.exact else 0.0)
         self.steepness_kpa = np.array([1 / (1 / model.eu1_kpa + 1 / model.etau2_kpa), model.e1_kpa])
@@ -375,6 +383,11 @@ class TurningInversion(Inversion):
             loops.DRIFTS: recovery.DRIFTS,
             loops.MOST_RESTED_KPA2: self._most_rested_kpa2,
             loops.GOES_BACK: GOES_BACK,
+            loops.RISE_R: self._fast_r[0, 0],
+            loops.FALL_R: self._fast_r[1, 0],
+            loops.SMOOTH_KPA: self._smooth_kpa,
+            loops.AWAY_KPA: self._away_kpa,
+            loops.MAY_BEND: MAY_BEND,
             loops.SHARED: SHARED,
             loops.CLEAR_RISE_KPA: self._clear_rise_kpa,
         }
@@ -516,16 +529,14 @@ class TurningInversion(Inversion):
         some = memory.take(turned, axis=1)
         left, extreme, sign = some[LEFT], some[EXTREME].copy(), some[SIGN]
         again = left < self._far
+        noise = std.take(turned) if std.size > 1 else std
+        late = self._late(some, noise)
         np.negative(sign, sign)
         some[IN_FORCE] = some[IN_FORCE][::-1].copy()
         gain = weights.by_model[0].dot(some[IN_FORCE])
-        noise = std.take(turned) if std.size > 1 else std
         pressure = some[STATE.start] * some[IN_FORCE.start]
         pressure += some[STATE.start + 1] * some[IN_FORCE.start + 1]
-        now = sign * np.maximum(pressure, self._none)
         unsure = noise * gain
-        some[EXTREME] = now - unsure * self._less
-        some[PEAK] = now - unsure
         # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
         before = some[VARIANCE]
         left_over = before * recovery.LIGHT + some[TAKEN_OFF_KPA] * some[TAKEN_OFF_KPA]
@@ -533,18 +544,66 @@ class TurningInversion(Inversion):
         np.copyto(before, rested, where=some[RESTED] > self._none)
         rounded = self._fast_kpa / np.maximum(np.abs(pressure - some[LAST]), self._fast_kpa)
         unseen = self._unseen(some, pressure, gain, unsure) + rounded * self._round_kpa
-        late = noise * weights.by_model[0, RECOVERY]
-        late *= late
+        by_noise = noise * weights.by_model[0, RECOVERY]
+        by_noise *= by_noise
         doubt = np.sqrt(before) + unseen
-        doubt = np.minimum(doubt * doubt + late, self._most_kpa2)
+        doubt = np.minimum(doubt * doubt + by_noise, self._most_kpa2)
         some[TURNED] = some[VARIANCE] = doubt  # the distance of the hypotheses is in it
-        recovery.begin(some, late, self._most_rested_kpa2)
+        recovery.begin(some, by_noise, self._most_rested_kpa2)
+        if np.count_nonzero(late):
+            pressure = self._take_delay_back(some, pressure, late)
+        now = sign * np.maximum(pressure, self._none)
+        some[EXTREME] = now - unsure * self._less
+        some[PEAK] = now - unsure
         if np.count_nonzero(again):
             np.copyto(some[EXTREME], left, where=again)
             np.copyto(some[PEAK], left, where=again)
             np.copyto(extreme, FAR, where=again)
         some[LEFT] = extreme
         memory[:, turned] = some
+
+    def _late(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
+        """(m,) kPa by which the pressure of the model that is left was off when it turned, for readings with ``noise``.
+
+        Where a held load lets r drift faster in the model that is taken over than in the one that is left, r bends at
+        the turn, and that bend looks like a load that goes on. The model that is left turns later than a smooth load
+        then. Let the load be a parabola in time, and r answer changes by a model's response to fast ones. The ways
+        back of the two hypotheses, ``gone`` in the model that is left and ``way`` in the other, then tell both the
+        drift and the delay, and with them the error. Where the load bent (corners of a ramp), both ways answer the
+        same change of r, and no error is found.
+        """
+        sign, extreme = memory[SIGN], memory[EXTREME]
+        rises = sign > self._none
+        left_r, other_r = np.where(rises, self._fast_r, self._fast_r[::-1])
+        unsure = noise * memory[GAIN]
+        top = extreme + unsure
+        rising, recovery = memory[STATE.start] * sign, memory[STATE.start + 1] * sign
+        gone = np.maximum(top - np.where(rises, rising, recovery), self._exact_kpa)
+        way = top - np.where(rises, recovery, rising)
+        by_drift = way * other_r / left_r - gone
+        smooth = (by_drift > unsure * self._sure) & (unsure < self._smooth_kpa) & (memory[LEFT] >= self._far)
+        smooth &= (np.abs(extreme) > self._away_kpa) & (extreme < self._usual)
+        error = by_drift * by_drift * (left_r + other_r) / (4.0 * other_r * gone)
+        late: FloatArray = np.where(smooth, np.minimum(error, way), self._none)
+        return late
+
+    def _take_delay_back(self, memory: FloatArray, pressure: FloatArray, late: FloatArray) -> FloatArray:
+        """Correct the ``pressure`` (m,) of the hypothesis taken over by ``late`` (m,) kPa; changes its ``memory``.
+
+        Returns:
+            (m,) kPa.
+        """
+        m, state = self.model, memory[STATE]
+        rises = memory[SIGN] > self._none
+        corrected: FloatArray = pressure + memory[SIGN] * late
+        np.copyto(state[RISING], corrected, where=rises)
+        np.copyto(state[RECOVERY], corrected, where=~rises)
+        state[2] += np.where(rises, late * (1 + m.etau2_kpa / m.eu1_kpa), self._none)
+        state[3] += np.where(rises, self._none, late / m.e1_kpa)
+        memory[PRESSURE] = corrected
+        doubt = np.sqrt(memory[TURNED]) + late * MAY_BEND
+        memory[TURNED] = memory[VARIANCE] = np.minimum(doubt * doubt, self._most_kpa2)
+        return corrected
 
     def _unseen(self, memory: FloatArray, pressure: FloatArray, gain: FloatArray, unsure: FloatArray) -> FloatArray:
         """(m,) standard deviation in kPa that turns between two frames leave in ``pressure`` (m,), known to ``unsure``.

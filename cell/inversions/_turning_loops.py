@@ -35,14 +35,16 @@ FLAT_KPA, EXACT_KPA, AGAIN, LESS, EITHER, LEFT_OVER, CLEAR = range(6, 13)
 JUST_BEGUN, BETWEEN, BEND, ROUND_KPA, MOST_KPA2, CONFIRMED_RISE, CONFIRMED_FALL, HALF = range(13, 21)
 PULL, NEAR_KPA, SETTLED_PER_KPA, ETAU2_KPA, E1_KPA, LOST_SIGMAS, MOST_LOST_KPA2 = range(21, 28)
 HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2, LIGHT_KPA, TURN_SHARE = range(28, 37)
-GOES_BACK, STEPS, STILL, FALL, SHARED, CLEAR_RISE_KPA = range(37, 43)
+GOES_BACK, STEPS, STILL, FALL = range(37, 41)
+RISE_R, FALL_R, SMOOTH_KPA, AWAY_KPA, MAY_BEND = range(41, 46)
+SHARED, CLEAR_RISE_KPA = range(46, 48)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
 those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, of :mod:`._recovery`, and how far
 small pressures must go back for a turn; how far the peak goes down as an error of the memory fades; those of
-``_doubt_falls``; and of :func:`refutes`"""
+``_doubt_falls`` and of ``_late``; and of :func:`refutes`"""
 UNCONFIRMED, PULLED = 1, 2
 
 
@@ -99,16 +101,35 @@ def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, unsure: float
 
 
 @loop
+def late_kpa(memory: Rows, i: int, noise: float, numbers: FixedRow) -> float:
+    """By how much the pressure of the model that cell ``i`` leaves was off when it turned."""
+    sign, extreme = memory[SIGN, i], memory[EXTREME, i]
+    unsure = noise * memory[GAIN, i]
+    if not (unsure < numbers[SMOOTH_KPA] and numbers[AWAY_KPA] < abs(extreme) and extreme < numbers[USUAL]):
+        return 0.0
+    top = extreme + unsure
+    left, other = memory[RISING_KPA, i] * sign, memory[RECOVERY_KPA, i] * sign
+    left_r, other_r = numbers[RISE_R], numbers[FALL_R]
+    if sign < 0.0:
+        left, other, left_r, other_r = other, left, other_r, left_r
+    gone, way = max(top - left, numbers[EXACT_KPA]), top - other
+    by_drift = way * other_r / left_r - gone
+    if not by_drift > unsure * numbers[SURE]:
+        return 0.0
+    return float(min(by_drift * by_drift * (left_r + other_r) / (4.0 * other_r * gone), way))
+
+
+@loop
 def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
     """Take over the other hypothesis in cell ``i``."""
     left, extreme = memory[LEFT, i], memory[EXTREME, i]
+    late = late_kpa(memory, i, noise, numbers) if left >= FAR else 0.0
     sign = -memory[SIGN, i]
     rising, recovery = memory[RECOVERY_IN_FORCE, i], memory[RISING_IN_FORCE, i]
     memory[SIGN, i], memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i] = sign, rising, recovery
     take_gains_of(memory, i, by_model, of, numbers)
     gain = memory[GAIN, i]
     pressure = memory[RISING_KPA, i] * rising + memory[RECOVERY_KPA, i] * recovery
-    now = sign * max(pressure, 0.0)
     unsure = noise * gain
     # When the pressure turned is as doubtful as it was in the last frame whether it had turned.
     before = memory[VARIANCE, i]
@@ -117,17 +138,30 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
         left_over = before * numbers[LIGHT] + taken_off * taken_off
         before = min(before, memory[REST_VARIANCE, i] + left_over)
     rounded = numbers[FAST_KPA] / max(abs(pressure - memory[LAST, i]), numbers[FAST_KPA]) * numbers[ROUND_KPA]
-    doubt = math.sqrt(before) + (unseen_kpa(memory, i, pressure, gain, unsure, numbers) + rounded)
-    late = by_model[0, 1] * noise
-    turned = min(doubt * doubt + late * late, numbers[MOST_KPA2])
+    unseen = unseen_kpa(memory, i, pressure, gain, unsure, numbers) + rounded
+    doubt = math.sqrt(before) + unseen
+    by_noise = by_model[0, 1] * noise
+    by_noise *= by_noise
+    turned = min(doubt * doubt + by_noise, numbers[MOST_KPA2])
     memory[TURNED, i] = turned
     memory[VARIANCE, i] = turned  # the distance of the hypotheses is in it
     memory[RESTED, i], memory[DRIFT_KPA, i], memory[TAKEN_OFF_KPA, i] = 0.0, 0.0, 0.0
-    by_noise = late * late
     rest_variance = max(turned - by_noise, 0.0) * numbers[PART] + min(by_noise, turned)
     memory[REST_VARIANCE, i] = rest_variance if turned < numbers[MOST_RESTED_KPA2] else 0.0
     drift = math.sqrt(min(turned, numbers[MOST_RESTED_KPA2])) * numbers[DRIFTS]
     memory[DRIFT_END_KPA, i] = drift if sign < 0.0 else 0.0
+    if late > 0.0:
+        doubt = math.sqrt(turned) + late * numbers[MAY_BEND]
+        memory[TURNED, i] = memory[VARIANCE, i] = min(doubt * doubt, numbers[MOST_KPA2])
+        pressure += sign * late
+        memory[PRESSURE, i] = pressure
+        if sign > 0.0:
+            memory[RISING_KPA, i] = pressure
+            memory[SETTLED, i] += late * numbers[SETTLED_PER_KPA]
+        else:
+            memory[RECOVERY_KPA, i] = pressure
+            memory[X2, i] += late / numbers[E1_KPA]
+    now = sign * max(pressure, 0.0)
     if left < FAR:
         memory[EXTREME, i], memory[PEAK, i], memory[LEFT, i] = left, left, FAR
     else:
