@@ -276,7 +276,7 @@ class TurningInversion(Inversion):
         how much the two differed stays in the standard deviation.
         """
         taken = of.left < self._far
-        refuted = taken | turned
+        refuted: BoolArray = taken | turned
         refuted &= taken == (of.sign > self._none)
         begun = np.where(taken, of.left, of.extreme)  # the pressure then, with its sign turned
         rise, shared = begun + of.rising_kpa, begun + of.recovery_kpa
