@@ -23,6 +23,7 @@ from ..circuits import Design
 from ..config import NotNegative, Positive, Section, fingerprint, parse, read_toml
 from ..errors import InputError
 from ..tables import write_text
+from ..text import count_of, printable, shortened
 
 FORMAT = 1
 MOST_LINES = 1024
@@ -103,6 +104,20 @@ class Calibration:
     """UTC, ISO 8601"""
     remarks: tuple[str, ...] = ()
     """what speaks against it; a calibration that has any was accepted nevertheless"""
+
+    def __repr__(self) -> str:
+        """Size, gains, resistances, loads, date and board in one line, without the arrays."""
+        rows, columns = self.shape
+        gain, rest_ohm = self.gain[self.calibrated], self.rest_ohm[self.calibrated]
+        range_of = f", gains {gain.min():.3g} to {gain.max():.3g}" if gain.size else ""
+        typical = f", typically {np.median(rest_ohm):.6g} ohm at rest" if gain.size else ""
+        loads = ", ".join(f"{load:.4g}" for load in self.loads_kpa)
+        board = f"; board {printable(self.serial_number)}" if self.serial_number else ""
+        accepted = f"; {count_of(len(self.remarks), 'remark')}" if self.remarks else ""
+        return (
+            f"<Calibration of {rows} x {columns} cells: {gain.size} calibrated{range_of}{typical}; "
+            f"{self.presses} presses at {shortened(loads)} kPa; {printable(self.date)}{board}{accepted}>"
+        )
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -7,7 +7,9 @@ from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from ..errors import LinkError, OhmskinError
+from ..checks import path_text, positive
+from ..errors import InputError, LinkError, OhmskinError
+from ..text import shown
 from ..wire import Family, FramePacket, Identity, Order, board_family, host_protocol
 from ._port import emulated_ports, open_port, serial_ports, usb_serial_number
 
@@ -47,11 +49,15 @@ def discover(
         timeout: s to wait for an answer.
 
     Raises:
-        InputError: there is no such family.
+        InputError: there is no such family, ``ports`` is a single name, or ``timeout`` is not above 0.
 
     """
     board_family(board)
-    names = list(dict.fromkeys([*serial_ports(), *emulated_ports()] if ports is None else ports))
+    positive("timeout", timeout, "s")
+    if isinstance(ports, str) or not isinstance(ports, Iterable | None):
+        raise InputError(f"ports is {shown(ports)}; expected a list of names")
+    asked = [*serial_ports(), *emulated_ports()] if ports is None else ports
+    names = list(dict.fromkeys(path_text("port", name, "the name of a port") for name in asked))
     if not names:
         return []
     with ThreadPoolExecutor(max_workers=min(len(names), 32)) as pool:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..cell import ESTIMATORS, Cell
+from ..checks import count, loaded, number, positive
 from ..circuits import Design, ValidityRule
 from ..compiled import is_compiling
 from ..errors import InputError, OhmskinError, ProtocolError
@@ -76,11 +77,9 @@ class Opening:
         reconnect: float,
     ) -> Opening:
         """The same with files read and numbers checked; InputError."""
-        if not timeout > 0:
-            raise InputError(f"timeout is {timeout} s; expected more than 0")
-        if not (isinstance(queue, int) and queue >= 1):
-            raise InputError(f"a queue of {queue!r} frames; expected a whole number, at least 1")
-        if not reconnect >= 0:
+        timeout_s, queued = positive("timeout", timeout, "s"), count("queue", queue)
+        reconnect_s = number("reconnect", reconnect, "s")
+        if not reconnect_s >= 0:
             raise InputError(f"reconnect is {reconnect} s; expected at least 0")
         if estimator is not None and estimator not in ESTIMATORS:
             raise InputError(f"no estimator '{estimator}'; expected one of {', '.join(ESTIMATORS)}")
@@ -88,16 +87,16 @@ class Opening:
         family = board_family(board)
         settings = RecordedSettings(
             family.name,
-            design if isinstance(design, Design | None) else Design.load(design),
-            cell if isinstance(cell, Cell | None) else Cell.load(cell),
+            None if design is None else loaded("design", design, Design),
+            None if cell is None else loaded("cell", cell, Cell),
             estimator,
             None if pitch is None else Pitch.of(pitch),
             accuracy,
-            calibration if isinstance(calibration, Calibration | None) else Calibration.load(calibration),
+            None if calibration is None else loaded("calibration", calibration, Calibration),
         )
         if delivery not in ("newest", "every", "lossless"):
             raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
-        return cls(family, settings, timeout, delivery, queue, reconnect)
+        return cls(family, settings, timeout_s, delivery, queued, reconnect_s)
 
 
 class Link:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from ..checks import number
 from ..errors import InputError
 
 
@@ -20,7 +21,7 @@ class Pitch(NamedTuple):
     def of(cls, pitch_m: float | tuple[float, float]) -> Pitch:
         """Of square cells by one number, of others by (x, y); InputError unless positive numbers."""
         pair = pitch_m if isinstance(pitch_m, tuple | list) else (pitch_m, pitch_m)
-        if len(pair) != 2 or not all(0 < one < math.inf for one in pair):
+        if len(pair) != 2 or not all(0 < number("pitch", one, "m") < math.inf for one in pair):
             raise InputError(f"pitch is {pitch_m} m; expected more than 0, or two such numbers (x, y)")
         return cls(float(pair[0]), float(pair[1]))
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from ..checks import of_kind
 from ..errors import InputError
 from ._recording import Recording
 from ._skin import Skin
@@ -38,7 +39,7 @@ class Recorder:
             LinkError: the skin has come to its end, or is closed.
 
         """
-        self._skin = skin
+        self._skin = of_kind("skin", skin, Skin, "an open Skin")
         self._recording = Recording(path, skin.settings.as_metadata(), overwrite=overwrite)
         try:
             skin.attach(self._recording)

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from .. import __version__
 from ..arrays import FloatArray
+from ..checks import path_text
 from ..errors import InputError, MissingExtra
 from ._frame import Frame
 from ._messages import MESSAGE_SCHEMAS, messages_of
@@ -59,7 +60,7 @@ class Recording:
 
         """
         writer = _mcap_writer()
-        self.path = Path(path)
+        self.path = Path(path_text("name of the recording", path))
         _keep(self.path, overwrite)
         self.error: InputError | None = None
         """why the recording ended before it was closed"""
@@ -89,7 +90,7 @@ class Recording:
     def check(cls, path: str | Path, *, overwrite: bool = False) -> None:
         """Find out beforehand whether a recording can begin at ``path``; raises what ``__init__`` raises."""
         _mcap_writer()
-        file = Path(path)
+        file = Path(path_text("name of the recording", path))
         _keep(file, overwrite)
         try:
             if file.is_file() or file.is_dir():
@@ -190,7 +191,7 @@ def _mcap_writer() -> type[Writer]:
 def _keep(path: Path, overwrite: bool) -> None:
     """Raise InputError where there is a file with content that shall not be replaced."""
     if not overwrite and path.is_file() and path.stat().st_size:
-        raise InputError(f"{path}: is there already; choose another name, or ask to overwrite it")
+        raise InputError(f"{path}: is there already; choose another name, or replace it (overwrite=True, --overwrite)")
 
 
 def _not_written(path: Path, error: OSError) -> InputError:

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..cell import Cell
+from ..checks import number
 from ..circuits import Design
 from ..config import LEAST, MOST, parse
 from ..errors import InputError, LinkEnded, LinkError, MissingExtra, ProtocolError
@@ -111,7 +112,7 @@ class ReplayPort:
     """
 
     def __init__(self, path: str | Path, speed: float | None = None) -> None:
-        if speed is not None and not 0 < speed < math.inf:
+        if speed is not None and not 0 < number("speed", speed) < math.inf:
             raise InputError(f"speed {speed}; expected a positive number")
         self.path = Path(path)
         self.name = str(path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 import os
 import weakref
 from collections.abc import AsyncIterator, Callable, Iterator
@@ -13,6 +12,7 @@ from typing import NoReturn, Self
 
 from .. import compiled
 from ..cell import Cell
+from ..checks import count, function, loaded, number, of_kind, path_text, positive
 from ..circuits import Design
 from ..errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ..text import printable
@@ -166,7 +166,7 @@ class Skin:
     @classmethod
     def open(
         cls,
-        port: str | None = None,
+        port: str | Path | None = None,
         *,
         board: str | Family = "ohmskin",
         serial_number: str | None = None,
@@ -216,26 +216,28 @@ class Skin:
         finder: PortFinder | None = None
         opened: BytePort
         reopen: Callable[[], BytePort]
-        played = ReplayPort(port, speed) if port is not None and str(port).endswith(".mcap") else None
+        name = None if port is None else path_text("port", port, "the name of a port or of a recording")
+        played = ReplayPort(name, speed) if name is not None and name.endswith(".mcap") else None
         recorded = NOTHING_RECORDED if played is None else played.settings
+        usual: Delivery = "newest" if played is None else "lossless"
         # All that can be wrong with what is asked is told before anybody waits for a board or for the compiler.
         asked = Opening.of(
             board=board if played is None else recorded.board,
-            design=design or recorded.design,
-            cell=cell or recorded.cell,
-            estimator=estimator or recorded.estimator,
+            design=recorded.design if design is None else design,
+            cell=recorded.cell if cell is None else cell,
+            estimator=recorded.estimator if estimator is None else estimator,
             pitch=recorded.pitch if pitch is None else pitch,
             accuracy=recorded.accuracy if accuracy is None else accuracy,
             calibration=recorded.calibration if calibration is None else calibration,
             timeout=timeout,
-            delivery=delivery or ("newest" if played is None else "lossless"),
+            delivery=usual if delivery is None else delivery,
             queue=queue,
             reconnect=reconnect,
         )
         if record is not None:
             Recording.check(record, overwrite=overwrite)
         if played is None:
-            finder = _finder(port, asked, serial_number, baudrate)
+            finder = _finder(name, asked, serial_number, baudrate)
             compiled.load()  # while no frames come
             opened, reopen = finder.open(), finder.open_again
         else:
@@ -373,6 +375,8 @@ class Skin:
     def read(self, timeout: float | None = None) -> Frame:
         """The next frame, waiting for it for ``timeout`` s (None: as the skin was opened).
 
+        With 0 or less nothing is waited for: a frame that has come is returned, else LinkTimeout is raised.
+
         Raises:
             LinkTimeout: none came in time.
             LinkEnded: none will come: the stream is over, or the skin is closed.
@@ -380,14 +384,14 @@ class Skin:
             InputError: ``timeout`` is no number.
 
         """
-        return self._taker.take(self._timeout if timeout is None else _seconds("timeout", timeout))
+        return self._taker.take(self._timeout if timeout is None else number("timeout", timeout, "s"))
 
     def latest(self, max_age: float, timeout: float = 0.0) -> Frame:
         """The newest frame, taken before or not, never older than ``max_age``. For control loops.
 
         Args:
             max_age: s that may have passed since the frame's last byte came.
-            timeout: s to wait for such a frame, where there is none.
+            timeout: s to wait for such a frame, where there is none; 0 or less: none.
 
         Raises:
             LinkTimeout: there is none; the message says how old the newest is.
@@ -395,9 +399,7 @@ class Skin:
             InputError: ``max_age`` is not above 0, or ``timeout`` is no number.
 
         """
-        if not max_age > 0:
-            raise InputError(f"max_age is {max_age} s; expected more than 0")
-        return self._taker.latest(max_age, _seconds("timeout", timeout))
+        return self._taker.latest(positive("max_age", max_age, "s"), number("timeout", timeout, "s"))
 
     def on_frame(
         self, callback: Callable[[Frame], None], on_end: Callable[[OhmskinError], None] | None = None
@@ -413,6 +415,9 @@ class Skin:
         Returns:
             An object whose ``close()`` ends the calls. An exception in the callback ends them too.
 
+        Raises:
+            InputError: ``callback`` or ``on_end`` is no function.
+
         """
         made = FrameCallback(self._source, callback, on_end, keep=self)
         # What a callback that has ended refers to is not the skin's to keep.
@@ -420,7 +425,13 @@ class Skin:
         return made
 
     def on_bytes(self, tap: Callable[[Arrival], None]) -> None:
-        """Call ``tap`` with all bytes from now on, as they arrive, in the thread that reads them: for recorders."""
+        """Call ``tap`` with all bytes from now on, as they arrive, in the thread that reads them: for recorders.
+
+        Raises:
+            InputError: ``tap`` is no function.
+
+        """
+        function("tap", tap)
         self._reader.taps.append(tap)
 
     @property
@@ -478,8 +489,11 @@ class Skin:
         Raises:
             LinkEnded: the skin is closed, or the stream is over.
             LinkError: the port is gone, or the line is full.
+            InputError: ``order`` is no :class:`ohmskin.wire.Order`, or ``period_us`` no number.
 
         """
+        of_kind("order", order, Order, "an ohmskin.wire.Order")
+        number("period_us", period_us, "us")
         self._reader.send(order, period_us=period_us)
 
     def stats(self) -> LinkStatistics:
@@ -512,16 +526,12 @@ class Skin:
             LinkTimeout, LinkError, ProtocolError: as for :meth:`read`.
 
         """
-        if not (isinstance(frames, int) and frames >= 1):
-            raise InputError(f"tare over {frames!r} frames; expected a whole number, at least 1")
-        if not drift > 0:
-            raise InputError(f"tare with a drift of {drift!r}; expected more than 0")
         return self._tares.take(
-            frames,
+            count("frames", frames),
             self._timeout,
             serial_number=self.serial_number,
             board=self.port_name,
-            drift=drift,
+            drift=positive("drift", drift),
             force=force,
             waiting=self._delivery == "every",
         )
@@ -534,14 +544,18 @@ class Skin:
         """
         return self._tares.in_use
 
-    def use_tare(self, tare: Tare | None) -> None:
-        """Use a tare from before, such as a loaded one; None: the rest resistances from before any tare.
+    def use_tare(self, tare: Tare | str | Path | None) -> None:
+        """Use a tare from before.
+
+        Args:
+            tare: a tare, or the file that :meth:`Tare.save` wrote; None: the rest resistances from before any tare.
 
         Raises:
-            InputError: it is of another board, or of an array of another shape.
+            InputError: the tare is of another board, or of an array of another shape, or the file holds none.
 
         """
-        self._tares.use(tare, serial_number=self.serial_number)
+        given = None if tare is None else loaded("tare", tare, Tare)
+        self._tares.use(given, serial_number=self.serial_number)
 
     def undo_tare(self) -> Tare | None:
         """Go back to the tare before the present one, None for none. Returns the tare then in use."""
@@ -551,8 +565,10 @@ class Skin:
 def _finder(port: str | None, asked: Opening, serial_number: str | None, baudrate: int | None) -> PortFinder:
     """What opens the port of a board, named or looked for by its serial number; errors as :meth:`Skin.open`."""
     family = asked.family
-    if baudrate is not None and not baudrate > 0:
-        raise InputError(f"baudrate is {baudrate} bit/s; expected more than 0")
+    if baudrate is not None:
+        positive("baudrate", baudrate, "bit/s")
+    if serial_number is not None:
+        of_kind("serial_number", serial_number, str, "text")
     if port is None:
         if serial_number is None:
             raise InputError("neither a port nor a serial number; expected one of them")
@@ -560,13 +576,6 @@ def _finder(port: str | None, asked: Opening, serial_number: str | None, baudrat
     refuse_missing(port)  # before the compiler keeps anybody waiting
     await_free(port)
     return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)
-
-
-def _seconds(name: str, value: float) -> float:
-    """``value`` in s; InputError where it is no number. A time that is over already waits for nothing."""
-    if math.isnan(value):
-        raise InputError(f"{name} is {value} s; expected a number of seconds")
-    return value
 
 
 _OPEN_HERE: weakref.WeakSet[Skin] = weakref.WeakSet()

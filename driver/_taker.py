@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
+from ..checks import function
 from ..errors import LinkEnded, LinkError, LinkTimeout, OhmskinError, ProtocolError
 from ._convert import Converter, Measurement
 from ._frame import Frame
@@ -331,7 +332,10 @@ class FrameCallback:
         *,
         keep: object = None,
     ) -> None:
-        """``keep``: as for :class:`AsyncFrames`, until the calls end."""
+        """``keep``: as for :class:`AsyncFrames`, until the calls end. InputError unless both can be called."""
+        function("callback", callback)
+        if on_end is not None:
+            function("on_end", on_end)
         self._keep = keep
         self._taker = FrameTaker(source)
         self._callback, self._on_end = callback, on_end

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import zipfile
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,8 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray
 from ..cell import Cell, ContactModel, equilibrium_curve
 from ..errors import InputError
-from ..files import whole_file
+from ..files import read_bytes, whole_file
+from ..text import count_of, printable
 
 SPREAD = 0.3
 """relative deviation of a cell from the other cells that manufacture explains; the project's own choice"""
@@ -26,6 +29,10 @@ DRIFT = 0.01
 """relative change of a resistance during the tare that a resting cell may show"""
 DRIFT_STDS = 5.0
 """and so many standard errors, for noisy readings"""
+MOST_BYTES = 2**26
+"""size limit of a file: a tare of 1024 x 1024 cells fits"""
+LATEST_S = 4e9
+"""s since the epoch, in the year 2096: no tare is later"""
 _KEYS = ("rest_resistance_ohm", "measured", "std_ohm", "frames", "lost", "serial_number", "wall_time")
 
 
@@ -50,6 +57,23 @@ class Tare:
     remarks: tuple[str, ...] = ()
     """signs that the skin was loaded; a tare that has any was forced"""
 
+    @property
+    def taken_at(self) -> datetime:
+        """When the last frame came, UTC."""
+        return datetime.fromtimestamp(self.wall_time, UTC)
+
+    def __repr__(self) -> str:
+        """Size, typical resistance, date and board in one line, without the arrays."""
+        rows, columns = self.rest_resistance_ohm.shape
+        known = self.rest_resistance_ohm[self.measured]
+        typical = f", typically {np.median(known):.6g} ohm" if known.size else ""
+        board = f"; board {printable(self.serial_number)}" if self.serial_number else ""
+        forced = f"; {count_of(len(self.remarks), 'remark')}" if self.remarks else ""
+        return (
+            f"<Tare of {rows} x {columns} cells: {known.size} measured over {count_of(self.frames, 'frame')}{typical}; "
+            f"{self.taken_at:%Y-%m-%d %H:%M} UTC{board}{forced}>"
+        )
+
     def save(self, path: str | Path) -> None:
         """Write the tare to a NumPy archive (.npz); InputError when that fails."""
         values = {key: np.asarray(getattr(self, key)) for key in _KEYS if key != "lost"}
@@ -66,17 +90,19 @@ class Tare:
             InputError: the file cannot be read or is no saved tare.
 
         """
+        content = read_bytes(path, most_bytes=MOST_BYTES)
         try:
-            with open(path, "rb") as opened, np.load(opened, allow_pickle=False) as file:
+            with np.load(io.BytesIO(content), allow_pickle=False) as file:
                 values = {key: file[key] for key in (*_KEYS, "remarks")}
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
         except (ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
             # NumPy's own message advises to load pickled objects, which would run the code of whoever wrote the file.
             raise InputError(f"{path}: is no saved tare; expected a file that Tare.save() has written") from error
         rest = np.asarray(values["rest_resistance_ohm"], dtype=np.float64)
         if rest.ndim != 2 or not (np.isfinite(rest) & (rest > 0)).all():
             raise InputError(f"{path}: is no saved tare: rest resistances must be positive, (rows, columns)")
+        wall_time = float(values["wall_time"])
+        if not 0 <= wall_time <= LATEST_S:
+            raise InputError(f"{path}: is no saved tare: its time must be s since the epoch")
         lost = int(values["lost"])
         return cls(
             rest_resistance_ohm=rest,
@@ -85,7 +111,7 @@ class Tare:
             frames=int(values["frames"]),
             lost=None if lost < 0 else lost,
             serial_number=str(values["serial_number"]),
-            wall_time=float(values["wall_time"]),
+            wall_time=wall_time,
             remarks=tuple(str(remark) for remark in values["remarks"].tolist()),
         )
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import threading
 from collections.abc import Iterator
-from datetime import UTC, datetime
 
 import numpy as np
 
@@ -133,8 +132,8 @@ class Tares:
         if tare is not None:
             if tare.remarks:
                 return None
-            then = datetime.fromtimestamp(tare.wall_time, UTC)
-            return EarlierRest(f"the tare of {then:%Y-%m-%d %H:%M} UTC", tare.rest_resistance_ohm, tare.measured)
+            then = f"{tare.taken_at:%Y-%m-%d %H:%M} UTC"
+            return EarlierRest(f"the tare of {then}", tare.rest_resistance_ohm, tare.measured)
         if known is None:
             return None
         return EarlierRest(f"the calibration of {known.date}", known.rest_ohm, np.ones(known.shape, dtype=bool))

@@ -15,7 +15,20 @@ import pytest
 from ohmskin.circuits.readouts import CIRCUITS
 
 ROOT = Path(__file__).parent.parent
-SHARED = {"arrays", "compiled", "errors", "config", "files", "frozen", "plots", "progress", "tables", "text", "workers"}
+SHARED = {
+    "arrays",
+    "checks",
+    "compiled",
+    "errors",
+    "config",
+    "files",
+    "frozen",
+    "plots",
+    "progress",
+    "tables",
+    "text",
+    "workers",
+}
 MAY_IMPORT = {
     "circuits": SHARED,
     "cell": SHARED,

@@ -261,6 +261,17 @@ def test_a_file_reads_back_bit_for_bit(tmp_path: Path) -> None:
     assert Calibration.from_json(one.as_json(), source="recording").hash == one.hash
 
 
+def test_a_calibration_prints_as_one_line_without_its_arrays() -> None:
+    assert repr(made()) == (
+        "<Calibration of 3 x 2 cells: 6 calibrated, gains 0.8 to 1.3, typically 10000 ohm at rest; "
+        "12 presses at 5, 12 kPa; 2026-01-02T03:04:05+00:00; board EMULATED>"
+    )
+    bad = made(calibrated=np.zeros((3, 2), dtype=np.bool_), remarks=("one",), serial_number="")
+    assert repr(bad) == (
+        "<Calibration of 3 x 2 cells: 0 calibrated; 12 presses at 5, 12 kPa; 2026-01-02T03:04:05+00:00; 1 remark>"
+    )
+
+
 def test_an_edited_file_is_refused_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "left.toml"
     made().save(path)
@@ -366,6 +377,31 @@ def test_words_that_do_not_fit_are_one_line(tmp_path: Path, capsys: pytest.Captu
         port = f"ohmskin://{EXAMPLES / 'calibration.toml'}?clock=fast"
         assert run(["calibrate", port, "-o", str(tmp_path / "a.toml"), *words]) == 2
         assert capsys.readouterr().err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--load", "-5"], "a calibration needs loads above 0 kPa"),
+        (["--load", "nan"], "a calibration needs loads above 0 kPa"),
+        (["--mass", "-1", "--area", "1e-4"], "a calibration needs loads above 0 kPa"),
+        (["--load", "5", "--press", "some"], "press 'some'; expected each, all, or a patch"),
+        (["--load", "5"] * 101, "101 loads; expected at most 100"),
+    ],
+)
+def test_words_that_fit_no_skin_are_refused_before_anything_is_asked(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neither whether the skin is unloaded nor the board: there is nobody and no port."""
+    assert run(["calibrate", str(tmp_path / "no-port"), "-o", str(tmp_path / "a.toml"), *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_load_alone_is_pressed_twice() -> None:
+    assert Plan.make((2, 3), "each", [5.0]).loads_kpa == (5.0, 5.0)
+    assert Plan.make((2, 3), "all", [5.0, 12.0]).loads_kpa == (5.0, 12.0)
 
 
 # --- interrupted, from a recording, with a reference sensor -----------------------------------------------------------

@@ -16,7 +16,7 @@ import socket
 import struct
 import threading
 import weakref
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,8 @@ import numpy as np
 import pytest
 from boards import EXAMPLES, Script, Wire, described, frame, gone, identity, lossless, scene, sheet, until
 
-from ohmskin.driver import Arrival, Delivery, Frame, Skin, SocketPort, open_port
+from ohmskin.circuits import Design
+from ohmskin.driver import Arrival, Delivery, Frame, Recorder, Skin, SocketPort, Tare, discover, open_port
 from ohmskin.driver._clock import ClockMap
 from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._port import DescriptorPort, OrderlyClose, UrlPort
@@ -635,8 +636,8 @@ class TestNumbers:
         ("options", "message"),
         [
             ({"timeout": 0.0}, "timeout is 0.0 s; expected more than 0"),
-            ({"timeout": float("nan")}, "timeout is nan s"),
-            ({"queue": 2.5}, "a queue of 2.5 frames; expected a whole number, at least 1"),
+            ({"timeout": float("nan")}, "timeout is nan; expected a number, in s"),
+            ({"queue": 2.5}, "queue is 2.5; expected a whole number, at least 1"),
             ({"reconnect": -1.0}, "reconnect is -1.0 s; expected at least 0"),
             ({"pitch": -0.004}, "pitch is -0.004 m; expected more than 0"),
             ({"pitch": (0.004, 0.0)}, r"pitch is \(0.004, 0.0\) m; expected more than 0, or two such numbers"),
@@ -658,22 +659,61 @@ class TestNumbers:
             assert skin.latest(forever, forever).sequence == 1
             assert list(skin) == []
 
-    @pytest.mark.parametrize("age", [0.0, -1.0, float("nan")])
-    def test_no_frame_can_be_so_young(self, age: float) -> None:
-        with Skin(described(frame(0))) as skin, pytest.raises(InputError, match="expected more than 0"):
+    @pytest.mark.parametrize("age", [0.0, -1.0, float("nan"), "x", None])
+    def test_no_frame_can_be_so_young(self, age: Any) -> None:
+        with Skin(described(frame(0))) as skin, pytest.raises(InputError, match=r"max_age is .*; expected"):
             skin.latest(max_age=age)
 
     def test_a_wait_is_a_number_of_seconds(self) -> None:
         with Skin(described(frame(0))) as skin:
-            with pytest.raises(InputError, match="timeout is nan s"):
-                skin.read(float("nan"))
-            with pytest.raises(InputError, match="timeout is nan s"):
-                skin.latest(0.1, timeout=float("nan"))
+            for wrong in (float("nan"), "3", []):
+                with pytest.raises(InputError, match=r"timeout is .*; expected a number, in s"):
+                    skin.read(wrong)  # type: ignore[arg-type]
+                with pytest.raises(InputError, match=r"timeout is .*; expected a number, in s"):
+                    skin.latest(0.1, timeout=wrong)  # type: ignore[arg-type]
 
-    @pytest.mark.parametrize("frames", [0, -1, 2.5, float("nan")])
+    def test_a_wait_may_be_over_already(self) -> None:
+        with lossless(described(frame(0)), timeout=60.0) as skin:
+            skin.read()
+            with pytest.raises(LinkTimeout, match="no frame within"):
+                skin.read(-1)
+
+    def test_numbers_may_be_numpys(self) -> None:
+        options: dict[str, Any] = {"timeout": np.float32(60), "queue": np.int64(8), "accuracy": np.float32(0.5)}
+        with lossless(described(frame(0), frame(1, flags=Flag.LAST)), **options) as skin:
+            assert skin.read(np.float32(60)).sequence == 0
+            assert skin.latest(np.int64(60), np.int64(60)).sequence == 1
+
+    @pytest.mark.parametrize("frames", [0, -1, 2.5, float("nan"), "20", True, None])
     def test_a_tare_takes_a_whole_number_of_frames(self, frames: Any) -> None:
         with Skin(described(frame(0))) as skin, pytest.raises(InputError, match="expected a whole number"):
             skin.tare(frames)
+
+    @pytest.mark.parametrize(
+        ("call", "message"),
+        [
+            (lambda skin: skin.on_frame(3), "callback is 3; expected a function"),
+            (lambda skin: skin.on_frame(print, on_end="x"), "on_end is 'x'; expected a function"),
+            (lambda skin: skin.on_bytes(None), "tap is None; expected a function"),
+            (lambda skin: skin.request("start"), "order is 'start'; expected an ohmskin.wire.Order"),
+            (lambda skin: skin.use_tare(3), "tare is 3; expected a Tare or the path of its file"),
+            (lambda skin: skin.use_tare("no-such.npz"), "no-such.npz: cannot be read: No such file"),
+            (lambda skin: skin.tare(drift="x"), "drift is 'x'; expected a number"),
+            (lambda skin: Recorder(skin, 3), "name of the recording is 3; expected the path of a file"),  # type: ignore[arg-type]
+            (lambda skin: Recorder("skin", "x.mcap"), "skin is 'skin'; expected an open Skin"),  # type: ignore[arg-type]
+            (lambda skin: discover("/dev/ttyACM0"), "ports is '/dev/ttyACM0'; expected a list of names"),
+            (lambda skin: discover([3]), "port is 3; expected the name of a port"),  # type: ignore[list-item]
+            (lambda skin: Design.load(0), "path is 0; expected the path of a file"),  # type: ignore[arg-type]
+            (lambda skin: Tare.load(0), "path is 0; expected the path of a file"),  # type: ignore[arg-type]
+        ],
+    )
+    def test_an_argument_of_the_wrong_type_is_one_line(self, call: Callable[[Any], object], message: str) -> None:
+        """And the skin goes on."""
+        with lossless(described(frame(0), frame(1, flags=Flag.LAST))) as skin:
+            with pytest.raises(InputError, match=re.escape(message)) as caught:
+                call(skin)
+            assert "\n" not in str(caught.value)
+            assert [taken.sequence for taken in skin] == [0, 1]
 
     def test_design_and_cell_may_be_files(self) -> None:
         cell = EXAMPLES / "cell.toml"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -97,6 +98,36 @@ def test_a_tare_saved_is_the_tare_loaded(tmp_path_factory: pytest.TempPathFactor
         np.testing.assert_array_equal(getattr(again, name), getattr(tare, name))
     for name in ("frames", "lost", "serial_number", "wall_time", "remarks"):
         assert getattr(again, name) == getattr(tare, name)
+
+
+def test_a_tare_prints_as_one_line_without_its_arrays() -> None:
+    readings = np.full((5, 2, 3), 1e4) * [0.9, 1.0, 1.2]
+    readings[:, 1, 2] = np.nan
+    plain = taken(readings).tare(CELL, lost=None, serial_number="A\n1", wall_time=1.7e9)
+    assert repr(plain) == (
+        "<Tare of 2 x 3 cells: 5 measured over 5 frames, typically 10000 ohm; 2023-11-14 22:13 UTC; board A\\n1>"
+    )
+    loaded = replace(plain, remarks=("one", "two"), serial_number="", measured=np.zeros((2, 3), dtype=np.bool_))
+    assert repr(loaded) == "<Tare of 2 x 3 cells: 0 measured over 5 frames; 2023-11-14 22:13 UTC; 2 remarks>"
+
+
+@pytest.mark.parametrize("wall_time", [np.nan, np.inf, -1.0, 1e300])
+def test_a_tare_of_no_time_is_refused(wall_time: float, tmp_path: Path) -> None:
+    path = tmp_path / "tare.npz"
+    replace(tare_of(at_rest(0.0, 0.0)), wall_time=wall_time).save(path)
+    with pytest.raises(InputError, match="its time must be s since the epoch"):
+        Tare.load(path)
+
+
+def test_a_tare_in_a_file_can_be_used_by_its_name(tmp_path: Path) -> None:
+    with lossless(Wire(Board(scene(contact=[]))), design=unknown_lead()) as skin:
+        skin.tare(5).save(tmp_path / "tare.npz")
+    for name in (tmp_path / "tare.npz", str(tmp_path / "tare.npz")):
+        with lossless(Wire(Board(scene(contact=[]))), design=unknown_lead()) as skin:
+            skin.use_tare(name)
+            np.testing.assert_allclose(next(skin).pressure, 0.0, atol=1e-9)
+            assert skin.tared is not None
+            assert skin.tared.serial_number == skin.serial_number
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 broken", b"time_s,pressure_kpa\n0,1\n", None])
@@ -246,7 +277,7 @@ def test_a_load_that_lowers_the_resistance_counts_since_an_earlier_tare() -> Non
 
 @pytest.mark.parametrize("drift", [0.0, -0.1, float("nan")])
 def test_a_drift_that_cannot_be_is_refused(drift: float) -> None:
-    with lossless(even_load()) as skin, pytest.raises(InputError, match="tare with a drift of"):
+    with lossless(even_load()) as skin, pytest.raises(InputError, match=r"drift is .*; expected"):
         skin.tare(2, drift=drift)
 
 

@@ -511,7 +511,7 @@ def test_a_recording_is_not_replaced_unless_asked(tmp_path: Path) -> None:
     file = tmp_path / "hours of work.mcap"
     file.write_bytes(b"precious")
     port = Script(*pieces(range(5), last=True))
-    with pytest.raises(InputError, match="is there already; choose another name, or ask to overwrite it"):
+    with pytest.raises(InputError, match=r"is there already; choose another name, or .*overwrite=True"):
         Skin(port, record=file)
     assert port.closed
     assert file.read_bytes() == b"precious"
@@ -526,6 +526,8 @@ def test_the_command_keeps_a_recording_too(tmp_path: Path, capsys: pytest.Captur
         assert run(["record", str(link), "-o", str(file), "--duration", "0.2"]) == 0
         size = file.stat().st_size
         assert run(["record", str(link), "-o", str(file), "--duration", "0.2"]) == 2
-        assert "is there already; choose another name" in capsys.readouterr().err
+        error = capsys.readouterr().err
+        assert "is there already; choose another name" in error
+        assert "--overwrite" in error
         assert file.stat().st_size == size
         assert run(["record", str(link), "-o", str(file), "--duration", "0.2", "--overwrite"]) == 0

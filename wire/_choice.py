@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 
+from ..checks import of_kind
 from ..errors import InputError
 from ._protocol import BoardProtocol, Family, HostProtocol, Layout
 from .boards import BOARDS
@@ -14,7 +15,7 @@ def board_family(name: str | Family) -> Family:
     """The family called ``name``; InputError with the nearest known name where there is none. A family is itself."""
     if isinstance(name, Family):
         return name
-    if name not in BOARDS:
+    if of_kind("board", name, str, "the name of a family") not in BOARDS:
         (near,) = difflib.get_close_matches(name, BOARDS, n=1, cutoff=0.0)
         raise InputError(f"no family of boards '{name}'; the nearest is '{near}', all are {', '.join(BOARDS)}")
     return BOARDS[name]

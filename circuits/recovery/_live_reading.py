@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...arrays import BoolArray, FloatArray
+from ...checks import number
 from ...errors import InputError
 
 ACCURACY = 0.5
@@ -64,7 +65,7 @@ class ValidityRule:
 
     def __post_init__(self) -> None:
         """Raises InputError where the limit is no share of a conductance."""
-        if not 0 < self.limit < 1:
+        if not 0 < number("accuracy", self.limit) < 1:
             raise InputError(
                 f"accuracy is {self.limit:g}; expected a relative uncertainty above 0 and below 1, or None"
             )

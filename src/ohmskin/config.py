@@ -21,7 +21,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from .errors import InputError
 from .files import read_text
 from .tables import write_text
-from .text import printable, shortened
+from .text import printable, shortened, shown
 
 MOST, LEAST = 1e30, 1e-30
 """Quantities in SI units lie far within these limits, and products of a few of them neither overflow nor vanish."""
@@ -188,8 +188,8 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
         case _:
             message = first["msg"][0].lower() + first["msg"][1:]
     given = first["input"]
-    shown = "" if isinstance(given, (dict, BaseModel)) else f" (got {_shown(given)})"
-    return f"{where}: {message}{shown}" if where else f"{message}{shown}"
+    got = "" if isinstance(given, (dict, BaseModel)) else f" (got {shown(given)})"
+    return f"{where}: {message}{got}" if where else f"{message}{got}"
 
 
 def _check_integers(value: Any, source: str, where: str = "") -> None:
@@ -202,7 +202,7 @@ def _check_integers(value: Any, source: str, where: str = "") -> None:
             _check_integers(item, source, f"{where}[{index}]")
     elif isinstance(value, int) and not -(2**63) <= value < 2**63:
         where = shortened(where, LONGEST_KEY)
-        raise InputError(f"{source}: {where}: an integer has at most 64 bits (got {_shown(value)})")
+        raise InputError(f"{source}: {where}: an integer has at most 64 bits (got {shown(value)})")
 
 
 def _dotted(location: tuple[int | str, ...]) -> str:
@@ -263,11 +263,3 @@ def _model_at(model: type[BaseModel], location: tuple[int | str, ...]) -> type[B
 
 def _keys(model: type[BaseModel]) -> list[str]:
     return [field.alias or name for name, field in model.model_fields.items()]
-
-
-def _shown(value: Any) -> str:
-    """A rejected value, as far as it fits into a message."""
-    try:
-        return shortened(repr(value))
-    except ValueError:  # Python does not print integers of more than 4300 digits
-        return "an integer of thousands of digits"

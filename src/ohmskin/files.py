@@ -18,6 +18,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+from .checks import path_text
 from .errors import InputError, OhmskinError
 
 MOST_BYTES = 16 * 2**20
@@ -244,7 +245,8 @@ def _own_descriptor(path: str | Path) -> int | None:
 
 @contextmanager
 def _errors_name(path: str | Path, done: str) -> Iterator[None]:
-    """An operating system's error as an InputError that names ``path``."""
+    """An operating system's error as an InputError that names ``path``. A number is no path but an open descriptor."""
+    path_text("path", path)
     try:
         yield
     except OhmskinError:  # some are OSErrors, too

@@ -24,5 +24,18 @@ def shortened(text: str, longest: int = LONGEST_SHOWN) -> str:
     return text if len(text) <= longest else text[: longest - 4] + " ..."
 
 
+def count_of(count: int, noun: str) -> str:
+    """A number and its noun: ``1 frame``, ``2 frames``."""
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def shown(value: object) -> str:
+    """A rejected value, as far as it fits into a message."""
+    try:
+        return shortened(one_line(repr(value)))
+    except ValueError:  # Python does not print integers of more than 4300 digits
+        return "an integer of thousands of digits"
+
+
 def _escaped(letter: str) -> str:
     return letter.encode("unicode_escape", "surrogatepass").decode("ascii")
