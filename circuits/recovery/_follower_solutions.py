@@ -15,9 +15,9 @@ by which some other solution is above the found one at most, at one cell or more
 
     b G_ij <= F_ij(b G).
 
-Where F(b G) < b G at all cells, no solution is above the found one by b at most. This is tried for all b up to
-conductances far beyond those of the leads, and likewise for all factors below 1. The largest factor that is left is
-where F starts from, in a sequence which falls to the largest solution, cell by cell.
+Where F(b G) < b G at all cells, no solution is above the found one by b at most. This is tried for all b up to cells of
+1 ohm, and likewise for all factors below 1. The largest factor that is left is where F starts from, in a sequence
+which falls to the largest solution, cell by cell. Other sets with cells of less than 1 ohm are not enclosed.
 
 Idle lines above the sensed column bring current into it instead. Their S counts as it has been found.
 """
