@@ -1,6 +1,6 @@
 """Random streams of counts of random boards, each made from a family's name and a number.
 
-Four generators share their drawing:
+Five generators share their drawing:
 
 * *plain* families: boards of up to 8 x 8 cells with two fingers that move over the skin;
 * *eventful* families: the same boards with other sizes, lines, parts, converters and faults (:func:`_varied`), and
@@ -9,7 +9,9 @@ Four generators share their drawing:
   often have a single row or column, lines often have 1 kohm, and cells of 10 ohm and 10 Mohm are neighbours. Noise of
   0.1 to 50 steps begins and ends in mid-stream;
 * *twofold* families: boards without amplifiers on which two sets of cells may give the same readings
-  (:func:`_twofold`). Whole columns of a few ohm are pressed at once, rows are behind heavy leads, and cells are open.
+  (:func:`_twofold`). Whole columns of a few ohm are pressed at once, rows are behind heavy leads, and cells are open;
+* *pressed* families: boards with reference resistors of up to 1 Mohm on which all cells are pressed at once
+  (:func:`_high_reference`), so that readings stand near their upper end.
 
 A finding is named by family and number. So what an existing family draws must not change: new kinds of boards or events
 belong into a new family.
@@ -40,6 +42,7 @@ class Family(NamedTuple):
     eventful: bool = False
     extreme: bool = False
     twofold: bool = False
+    pressed: bool = False
 
 
 _PLAIN = {
@@ -62,6 +65,7 @@ FAMILIES = (
     | {f"{name} events": family._replace(eventful=True) for name, family in _ALL.items()}
     | {f"{name} extremes": family._replace(eventful=True, extreme=True) for name, family in _ALL.items()}
     | {f"{name} twofold": _ALL[name]._replace(twofold=True) for name in _WITHOUT_AMPLIFIERS}
+    | {f"{name} pressed": family._replace(pressed=True) for name, family in _ALL.items()}
 )
 
 Draw = np.random.Generator
@@ -113,6 +117,8 @@ def draw_design(draw: Draw, family: Family) -> Design:
         tables = _extreme(draw, tables)
     if family.twofold:
         tables = _twofold(draw, tables)
+    if family.pressed:
+        tables = _high_reference(draw, tables)
     return Design.model_validate(tables)
 
 
@@ -247,6 +253,21 @@ def _twofold(draw: Draw, tables: Tables) -> Tables:
     return tables
 
 
+def _high_reference(draw: Draw, tables: Tables) -> Tables:
+    """The tables of a board with light or heavy leads, high references and converters of up to 24 bits."""
+    array, readout, adc = (tables[name] for name in ("array", "readout", "adc"))
+    lead = float(draw.choice([0.0, 5.0, 50.0, 50.0, 200.0]))
+    array["row_lead"], array["column_lead"] = lead, float(draw.choice([0.0, 5.0, 50.0, lead, lead]))
+    array["row_segment"] = array["column_segment"] = float(draw.choice([0.0, 0.0, 0.5]))
+    readout["reference_resistance"] = float(10 ** draw.uniform(3.0, 6.0))
+    if readout["circuit"] != "voltage-divider":
+        readout["open_loop_gain"] = float(draw.choice([1e3, 1e4, 1e5, np.inf]))
+        readout["offset_voltage"] = float(draw.choice([-5e-3, -2e-3, 0.0, 1e-3, 5e-3]))
+    adc["bits"] = int(draw.choice([8, 10, 12, 16, 20, 24]))
+    tables["fault"] = []
+    return tables
+
+
 def _shape(draw: Draw) -> tuple[int, int]:
     kind = draw.random()
     if kind < 0.15:
@@ -340,7 +361,25 @@ def _twofold_skin(draw: Draw, cells: FloatArray, rest: FloatArray) -> FloatArray
     return cells
 
 
+def _hard_pressed_skin(draw: Draw, cells: FloatArray, rest: FloatArray) -> FloatArray:
+    """At rest, then with all cells of some ohm to some kiloohm at once, in half of the streams by rows or columns."""
+    cells[:] = rest
+    shape, begin, later = rest.shape, int(draw.integers(1, 4)), int(draw.integers(6, 9))
+    decades = draw.uniform(1.0, 3.5) + draw.uniform(0.0, float(draw.choice([0.1, 0.5, 1.0, 1.5])), shape)
+    kind = draw.random()
+    if kind < 0.25:
+        decades = decades - draw.uniform(0.0, 2.0, (1, shape[1]))
+    elif kind < 0.5:
+        decades = decades - draw.uniform(0.0, 2.0, (shape[0], 1))
+    pressed = np.maximum(10**decades, 1.0)
+    cells[begin:later] = pressed
+    cells[later:] = np.maximum(pressed * draw.uniform(0.5, 2.0, shape), 1.0)  # the last frame is held
+    return cells
+
+
 def _skin_of(family: Family) -> Skin:
+    if family.pressed:
+        return _hard_pressed_skin
     if family.twofold:
         return _twofold_skin
     if family.extreme:

@@ -40,27 +40,25 @@ class Plan:
             InputError: no load, or one that is not positive; or no such way to press.
 
         """
-        if not loads_kpa or not all(0 < load < np.inf for load in loads_kpa):
-            raise InputError("a calibration needs loads above 0 kPa")
+        cls.check(press, loads_kpa)
         steps = list(loads_kpa) * (LEAST_PRESSES if len(loads_kpa) == 1 else 1)
-        if len(steps) > MOST_STEPS:
-            raise InputError(f"{len(steps)} loads; expected at most {MOST_STEPS}")
         rows, columns = shape
-        patch = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", press)
-        if press == "each":
-            height, width = 1, 1
-        elif press == "all":
-            height, width = rows, columns
-        elif patch is not None:
-            height, width = int(patch[1]), int(patch[2])
-        else:
-            raise InputError(f"press '{press}'; expected each, all, or a patch such as 2x3 (rows x columns)")
+        height, width = _patch(press) or shape
         if rows % height or columns % width:
             raise InputError(f"patches of {height} x {width} cells do not fill a skin of {rows} x {columns}")
         indices = np.arange(rows * columns).reshape(shape)
         corners = product(range(0, rows, height), range(0, columns, width))
         targets = (indices[row : row + height, column : column + width].ravel() for row, column in corners)
         return cls(shape, tuple(targets), tuple(steps))
+
+    @staticmethod
+    def check(press: str, loads_kpa: Sequence[float]) -> None:
+        """InputError for words that fit no skin; arguments as for :meth:`make`."""
+        if not loads_kpa or not all(0 < load < np.inf for load in loads_kpa):
+            raise InputError("a calibration needs loads above 0 kPa")
+        if len(loads_kpa) > MOST_STEPS:
+            raise InputError(f"{len(loads_kpa)} loads; expected at most {MOST_STEPS}")
+        _patch(press)
 
     def name(self, target: int) -> str:
         """A target in words."""
@@ -96,3 +94,13 @@ class Plan:
         mask = np.ones(self.shape[0] * self.shape[1], dtype=np.bool_)
         mask[self.targets[target]] = False
         return mask
+
+
+def _patch(press: str) -> tuple[int, int] | None:
+    """(rows, columns) that bear a load together; None: all of the skin. InputError for other words."""
+    if press == "all":
+        return None
+    patch = re.fullmatch(r"([1-9]\d{0,3})x([1-9]\d{0,3})", "1x1" if press == "each" else press)
+    if patch is None:
+        raise InputError(f"press '{press}'; expected each, all, or a patch such as 2x3 (rows x columns)")
+    return int(patch[1]), int(patch[2])

@@ -31,6 +31,8 @@ from ._archive import numbers, read_arrays
 
 CONTACT_SHARE = 0.1
 """a contact is a patch of cells above this share of full scale"""
+REST_SHARE = 0.01
+"""a cell that bears at most this share of full scale is at rest"""
 PAIR_CELLS = 3.0
 """contacts that are farther apart are not the same: one is missed, the other false"""
 _LONGEST_DELAY_S = 2.0
@@ -122,6 +124,10 @@ class Score:
     worst_percent: float
     worst_at: tuple[int, int, int]
     """sequence number, row and column of the worst error"""
+    rest_error_kpa: float
+    """rms over the cells of each one's median error while it is at rest in truth; NaN where no cell ever is"""
+    rest_contact_cells: int
+    """cells whose median at rest is above the threshold of a contact: each makes false contacts in most frames"""
     contacts: int
     """contacts in truth, summed over the frames"""
     contacts_missed: int
@@ -179,6 +185,7 @@ def score(
     pressed = valid & (expected > 0)
     worst = np.unravel_index(int(error.argmax()), error.shape)
     rmse, pressed_rmse = _rms(error[valid]), _rms(error[pressed])
+    at_rest = _errors_at_rest(estimate - expected, valid & (expected <= REST_SHARE * full))
     places = _compare_contacts(np.where(valid, estimate, 0.0), expected, CONTACT_SHARE * full)
     unit = pitch if np.isfinite(pitch) else 1.0
     late = recording.time[found] - truth.time_s[in_truth]
@@ -197,6 +204,8 @@ def score(
         worst_kpa=float(error.max()),
         worst_percent=100.0 * float(error.max()) / full,
         worst_at=(int(truth.sequence[in_truth[worst[0]]]), int(worst[1]), int(worst[2])),
+        rest_error_kpa=_rms(at_rest),
+        rest_contact_cells=int((at_rest > CONTACT_SHARE * full).sum()),
         contacts=places.contacts,
         contacts_missed=places.missed,
         contacts_false=places.false,
@@ -207,6 +216,12 @@ def score(
         arrival_worst_ms=float(late.max()),
         delay_ms=1000.0 * _delay_s(np.where(valid, estimate, np.nan), truth, in_truth),
     )
+
+
+def _errors_at_rest(error: FloatArray, at_rest: BoolArray) -> FloatArray:
+    """Median error of each cell over its frames at rest, without the cells that have none."""
+    known = np.where(at_rest, error, np.nan)[:, at_rest.any(axis=0)]
+    return np.asarray(np.nanmedian(known, axis=0))
 
 
 @dataclass(frozen=True)
@@ -314,7 +329,12 @@ def score_text(result: Score) -> str:
         ),
         ("worst error", f"{result.worst_kpa:.3g} kPa, {result.worst_percent:.2f} % of full scale"),
         ("", f"in frame {sequence}, row {row}, column {column}"),
+        (
+            "steady error at rest",
+            _known(result.rest_error_kpa, f"{result.rest_error_kpa:.3g} kPa rms", otherwise="no cell is ever at rest"),
+        ),
         ("contacts", f"{result.contacts}, {result.contacts_missed} missed, {result.contacts_false} false"),
+        *_cause_of_false_contacts(result.rest_contact_cells),
         (
             "location error",
             _known(
@@ -333,6 +353,17 @@ def score_text(result: Score) -> str:
         ),
     ]
     return "\n".join(f"{name:<22} {text}" for name, text in lines)
+
+
+def _cause_of_false_contacts(cells: int) -> list[tuple[str, str]]:
+    """A line about cells that read as pressed at rest, where there are any."""
+    if not cells:
+        return []
+    read = "1 cell reads" if cells == 1 else f"{cells} cells read"
+    return [
+        ("", f"{read} above {100 * CONTACT_SHARE:.0f} % of full scale at rest, and so as false contacts:"),
+        ("", "the skin was probably not tared; tare or calibrate it before it is recorded"),
+    ]
 
 
 def _known(value: float, text: str, *, otherwise: str) -> str:

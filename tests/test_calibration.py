@@ -379,6 +379,31 @@ def test_words_that_do_not_fit_are_one_line(tmp_path: Path, capsys: pytest.Captu
         assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--load", "-5"], "a calibration needs loads above 0 kPa"),
+        (["--load", "nan"], "a calibration needs loads above 0 kPa"),
+        (["--mass", "-1", "--area", "1e-4"], "a calibration needs loads above 0 kPa"),
+        (["--load", "5", "--press", "some"], "press 'some'; expected each, all, or a patch"),
+        (["--load", "5"] * 101, "101 loads; expected at most 100"),
+    ],
+)
+def test_words_that_fit_no_skin_are_refused_before_anything_is_asked(
+    words: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Neither whether the skin is unloaded nor the board: there is nobody and no port."""
+    assert run(["calibrate", str(tmp_path / "no-port"), "-o", str(tmp_path / "a.toml"), *words]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_one_load_alone_is_pressed_twice() -> None:
+    assert Plan.make((2, 3), "each", [5.0]).loads_kpa == (5.0, 5.0)
+    assert Plan.make((2, 3), "all", [5.0, 12.0]).loads_kpa == (5.0, 12.0)
+
+
 # --- interrupted, from a recording, with a reference sensor -----------------------------------------------------------
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from ohmskin.cli import run
-from ohmskin.emulator import Recording, Sample, Truth, TruthFile, score
+from ohmskin.emulator import Recording, Sample, Truth, TruthFile, score, score_text
 from ohmskin.errors import InputError
 
 ROOT = Path(__file__).parents[1]
@@ -268,6 +268,27 @@ def test_contacts_are_missed_and_imagined() -> None:
     far = score(recording(pressure=np.roll(truth().pressure_kpa, 4, axis=1)), truth())
     assert far.contacts_missed > 0.5 * far.contacts
     assert far.contacts_false > 0.5 * far.contacts
+
+
+def test_cells_that_read_as_pressed_at_rest_are_named_as_a_cause_of_false_contacts() -> None:
+    real = truth()
+    perfect = score(recording(), real)
+    assert (perfect.rest_error_kpa, perfect.rest_contact_cells) == (0.0, 0)
+    assert "tare" not in score_text(perfect)
+    pressure = real.pressure_kpa.copy()
+    pressure[:, :, 8] += 2.0  # 15.5 kPa is full scale
+    pressure[::3, 0, 0] += 9.0  # a cell that is wrong now and then is at rest in the median
+    result = score(recording(pressure=pressure), real)
+    ever_at_rest = (real.pressure_kpa <= 0.155).any(axis=0)
+    assert ever_at_rest[:, 8].all()
+    assert result.rest_contact_cells == SHAPE[0]
+    assert result.rest_error_kpa == pytest.approx(np.sqrt(SHAPE[0] * 2.0**2 / ever_at_rest.sum()))
+    assert f"{SHAPE[0]} cells read above 10 % of full scale at rest" in score_text(result)
+    assert "not tared" in score_text(result)
+    always = score(recording(), truth(pressure_kpa=real.pressure_kpa + 1.0))
+    assert np.isnan(always.rest_error_kpa)
+    assert always.rest_contact_cells == 0
+    assert "no cell is ever at rest" in score_text(always)
 
 
 def test_losses_repeats_and_strangers_are_counted() -> None:

@@ -195,10 +195,23 @@ def test_a_report_is_compared_with_an_older_one(
     assert "worse" in capsys.readouterr().out
 
 
-def test_an_old_report_that_is_none_is_bad_input(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "old.json").write_text("{}")
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{}", "old.json: not a report.json of this version: missing key 'schema_version'"),
+        ('{"schema_version": "2"}', "old.json: not a report.json of this version: schema_version: input should be"),
+        ("[1]", "old.json: not a report.json of this version: expected a table (got [1])"),
+        ("a,b\n1,2\n", "old.json: not valid JSON: expected value at line 1 column 1; expected a report.json"),
+        ("", "old.json: not valid JSON: EOF while parsing a value at line 1 column 0; expected a report.json"),
+    ],
+)
+def test_an_old_report_that_is_none_is_bad_input(
+    content: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "old.json").write_text(content)
     assert run(["verify", "-o", str(tmp_path / "out"), "--against", str(tmp_path / "old.json")]) == 2
-    assert "not a report.json of this version" in capsys.readouterr().err
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
 
 
 def test_a_divider_does_not_pass(tmp_path: Path) -> None:

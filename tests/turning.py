@@ -57,6 +57,16 @@ class OneCell:
         if self.left is not None:
             direction = 1.0 if self.rising else -1.0
             turned = turned or -direction * other.pressure > self.left - std * gains[not self.rising]
+        refuted = False
+        if self.rising == (self.left is not None) and (self.rising or turned):
+            rising, recovers = (now, other) if self.rising else (other, now)
+            begun = self.extreme if self.left is None else self.left  # the pressure then, with its sign turned
+            rise = begun + rising.pressure
+            clear = rise > paper.CLEAR_RISE * self.full + paper.SURE * std * gains[True]
+            seeming = paper.LESS * std * gains[False]
+            refuted = clear and begun + recovers.pressure < paper.SHARED * rise + seeming
+        if refuted:
+            turned = self.rising
         if turned:
             late = 0.0 if self.left is not None else self._late(now, other, std * gains[self.rising])
             now, other = other, now
@@ -93,11 +103,14 @@ class OneCell:
                 self.doubt = self.variance = min(doubt_kpa**2, (paper.UNKNOWN * self.full) ** 2)
         unsure = std * gains[self.rising]
         ahead = self._ahead(now)
+        if refuted:
+            self.extreme, self.peak = ahead - paper.LESS * unsure, ahead - unsure
         confirmed = False
         if self.left is not None:
             back = self.left + (1.0 if self.rising else -1.0) * other.pressure
             times = paper.CONFIRMED_RISE if self.rising else paper.CONFIRMED_FALL
-            if back >= times * (paper.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
+            shares = not self.rising or back >= paper.SHARED * (self.left + now.pressure)
+            if shares and back >= times * (paper.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
                 self.left, confirmed = None, True
         allowed = -paper.PULL_SIGMAS * gains[False] * doubt - paper.NEAR * self.full
         if not self.rising:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ..config import describe
 from ..errors import InputError
 from ..files import read_text
 
@@ -126,8 +127,10 @@ def load_record(path: str | Path) -> ReportRecord:
         return ReportRecord.model_validate_json(read_text(path, most_bytes=1 << 28), strict=True)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise InputError(f"{path}: not a report.json of this version: {place}: {first['msg']}") from error
+        if first["type"] == "json_invalid":
+            reason = first["ctx"]["error"]
+            raise InputError(f"{path}: not valid JSON: {reason}; expected a report.json of ohmskin verify") from error
+        raise InputError(f"{path}: not a report.json of this version: {describe(error, ReportRecord)}") from error
 
 
 def number(value: float | None) -> Number:

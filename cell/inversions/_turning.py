@@ -95,6 +95,11 @@ MAY_BEND = 0.5
 REFUTED = 0.5 * FAR
 """kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
 is a turn, and below the extreme that means "none", so that the turn is certain"""
+SHARED, CLEAR_RISE = 0.2, 0.05
+"""share of a rise by which the recovery model must have risen, too, or else the rise is refuted; and how large, of full
+scale, a rise must be to be refuted. Where a cell recovers under a light hold, the rising model takes the recovery for a
+load that grows, while the recovery model is almost constant. A press raises both models by about as much. A press of
+some seconds that begins while the cell recovers raises them less alike: a share of 0.5 would refute some of these"""
 FLAT, HELD = 0.003, 0.03
 """of full scale: by how much a pressure that is held may seem to go back, and by how much in a second. A load that goes
 back faster has turned: the other hypothesis began at its extreme, and is not to begin again later"""
@@ -162,7 +167,8 @@ class TurningInversion(Inversion):
         self._turn_kpa, self._light_kpa, self._flat_kpa, self._exact_kpa = (
             np.array(share * full_scale_kpa) for share in (TURN, LIGHT_TURN, FLAT, EXACTLY)
         )
-        self._turn_share = np.array(TURN_SHARE)
+        self._turn_share, self._shared = np.array(TURN_SHARE), np.array(SHARED)
+        self._clear_rise_kpa = CLEAR_RISE * full_scale_kpa
         self._held_kpa_per_s = HELD * full_scale_kpa
         self._fast_r = np.array([[1 / model.eu1_kpa + 1 / model.etau2_kpa], [1 / model.e1_kpa]])
         """r per kPa of a fast change, in the rising and in the recovery model"""
@@ -236,12 +242,17 @@ class TurningInversion(Inversion):
             # Back at the extreme that was left: the turn was noise.
             back, noise = self._gone_back(of, std)
             turned |= np.less(back, noise, of.held)
+        refuted = self._refuted(of, turned, std, weights) if unconfirmed or np.count_nonzero(turned) else of.none
+        np.copyto(turned, of.sign > self._none, where=refuted)
         if np.count_nonzero(turned):
             self._turn(of.memory, turned.nonzero()[0], std, weights)
             of.take_gains(weights, anew=True)
             self._look(of, std)
             unconfirmed = True
             back, noise = self._gone_back(of, std)
+        if np.count_nonzero(refuted):
+            np.copyto(of.peak, of.ahead - of.unsure, where=refuted)
+            np.copyto(of.extreme, of.ahead - of.unsure * self._less, where=refuted)
         if unconfirmed:
             # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
             noise *= of.confirming_sigmas
@@ -250,8 +261,29 @@ class TurningInversion(Inversion):
             noise += of.nearby
             confirmed = np.greater_equal(back, noise, of.confirmed)
             confirmed &= of.left < self._far
+            rise = np.add(of.left, of.rising_kpa, of.nearby)
+            rise *= self._shared
+            confirmed &= np.greater_equal(back, rise, of.held) | (of.sign < self._none)
             np.copyto(of.left, self._far, where=confirmed)
         return unconfirmed
+
+    def _refuted(self, of: Rows, turned: BoolArray, std: FloatArray, weights: TurnWeights) -> BoolArray:
+        """(m,) where a rise is refuted that has just ``turned`` the pressure (m,), or is not confirmed yet.
+
+        The recovery model then does not share the rise (:data:`SHARED`). The largest of many noisy pressures makes a
+        turn, so that the share seems larger than it is by :data:`LESS` deviations. The recovery model stays in force,
+        or comes back into force, with all that it remembers. The rising model begins anew where the pressure is. By
+        how much the two differed stays in the standard deviation.
+        """
+        taken = of.left < self._far
+        refuted: BoolArray = taken | turned
+        refuted &= taken == (of.sign > self._none)
+        begun = np.where(taken, of.left, of.extreme)  # the pressure then, with its sign turned
+        rise, shared = begun + of.rising_kpa, begun + of.recovery_kpa
+        rising_gain, recovery_gain = weights.by_model[0]
+        refuted &= shared < rise * self._shared + std * (LESS * recovery_gain)
+        refuted &= rise > self._clear_rise_kpa + std * (SURE * rising_gain)
+        return refuted
 
     def _begin_anew(self, of: Rows, held_kpa: float, *, unconfirmed: bool) -> None:
         """Begin the other hypothesis where the one in force is, as long as the pressure is near its extreme.
@@ -356,6 +388,8 @@ class TurningInversion(Inversion):
             loops.SMOOTH_KPA: self._smooth_kpa,
             loops.AWAY_KPA: self._away_kpa,
             loops.MAY_BEND: MAY_BEND,
+            loops.SHARED: SHARED,
+            loops.CLEAR_RISE_KPA: self._clear_rise_kpa,
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 

@@ -37,13 +37,14 @@ PULL, NEAR_KPA, SETTLED_PER_KPA, ETAU2_KPA, E1_KPA, LOST_SIGMAS, MOST_LOST_KPA2 
 HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2, LIGHT_KPA, TURN_SHARE = range(28, 37)
 GOES_BACK, STEPS, STILL, FALL = range(37, 41)
 RISE_R, FALL_R, SMOOTH_KPA, AWAY_KPA, MAY_BEND = range(41, 46)
+SHARED, CLEAR_RISE_KPA = range(46, 48)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
 those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, of :mod:`._recovery`, and how far
-small pressures must go back for a turn; how far the peak goes down as an error of the memory fades; and those of
-``_doubt_falls`` and of ``_late``"""
+small pressures must go back for a turn; how far the peak goes down as an error of the memory fades; those of
+``_doubt_falls`` and of ``_late``; and of :func:`refutes`"""
 UNCONFIRMED, PULLED = 1, 2
 
 
@@ -197,6 +198,15 @@ def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
 
 
 @loop
+def refutes(memory: Rows, i: int, std: float, by_model: FixedRows, numbers: FixedRow) -> bool:
+    """Whether the recovery model did not share the rise of cell ``i``, which is taken over or is to be."""
+    begun = memory[LEFT, i] if memory[LEFT, i] < FAR else memory[EXTREME, i]  # the pressure then, sign turned
+    rise, shared = begun + memory[RISING_KPA, i], begun + memory[RECOVERY_KPA, i]
+    clear = rise > numbers[CLEAR_RISE_KPA] + std * (numbers[SURE] * by_model[0, 0])
+    return bool(clear and shared < rise * numbers[SHARED] + std * (numbers[LESS] * by_model[0, 1]))
+
+
+@loop
 def take_turns(memory: Rows, std: FixedRow, by_model: FixedRows, of: Rows, flags: FlagRows, numbers: FixedRow) -> int:
     """Take over the other hypothesis where the pressure has turned (m,), and confirm earlier turns.
 
@@ -206,15 +216,25 @@ def take_turns(memory: Rows, std: FixedRow, by_model: FixedRows, of: Rows, flags
     found = 0
     for i in range(std.size):
         turned = look(memory, i, std[i], of, numbers)
-        if memory[LEFT, i] < FAR or turned:
+        taken, rises, refuted = memory[LEFT, i] < FAR, memory[SIGN, i] > 0.0, False
+        if (taken or turned) and taken == rises:
+            refuted = refutes(memory, i, std[i], by_model, numbers)
+            if refuted:
+                turned = rises
+        if taken or turned:
             found |= UNCONFIRMED
         if turned:
             turn(memory, i, std[i], by_model, of, numbers)
             look(memory, i, std[i], of, numbers)
+        if refuted:
+            memory[PEAK, i] = of[AHEAD, i] - of[UNSURE, i]
+            memory[EXTREME, i] = of[AHEAD, i] - of[UNSURE, i] * numbers[LESS]
         # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
         least = of[NOISE, i] * of[CONFIRMING_SIGMAS, i]
         least += turn_from(memory[LEFT, i], numbers) * of[CONFIRMING_TURNS, i]
-        confirmed = memory[LEFT, i] < FAR and of[SPARE, i] >= least
+        shared = (memory[LEFT, i] + memory[RISING_KPA, i]) * numbers[SHARED]
+        shares = of[SPARE, i] >= shared or memory[SIGN, i] < 0.0
+        confirmed = memory[LEFT, i] < FAR and of[SPARE, i] >= least and shares
         flags[CONFIRMED, i] = confirmed
         if confirmed:
             memory[LEFT, i] = FAR

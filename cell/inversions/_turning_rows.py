@@ -72,6 +72,7 @@ class Rows:
         self._gain, self.other_gain, self.fade = self.of_model
         self.flags = np.empty((loops.FLAGS, cells), dtype=np.bool_)
         self.where, self.held, self.confirmed = self.flags
+        self.none = np.zeros(cells, dtype=np.bool_)
         self._weights: TurnWeights | None = None
 
     def __reduce__(self) -> tuple[type[Rows], tuple[FloatArray]]:

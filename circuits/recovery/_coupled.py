@@ -8,7 +8,7 @@ a start                                 the last frame's cells, or :mod:`._close
 steps within the frame's budget         :mod:`._gauss_newton`, :mod:`._linearised`, :mod:`._frame_budget`
 how well the cells give the readings    :meth:`CoupledLive._judge_misfit`
 uncertainty                             :mod:`._fit_uncertainty`, :mod:`._column_scales`,
-                                        :mod:`._below_range`
+                                        :mod:`._follower_solutions`, :mod:`._below_range`
 what possible shorts disturb            :mod:`._possible_shorts`
 values, validity, and reasons           :meth:`CoupledLive._reading`
 ======================================  ================================================================
@@ -32,6 +32,7 @@ from ._closed_start import ClosedStart
 from ._column_scales import ColumnScales
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
 from ._fit_uncertainty import ALIKE, FitUncertainty
+from ._follower_solutions import FollowerSolutions
 from ._frame_budget import FIRST_EFFORT, Budget
 from ._gauss_newton import Convergence, Fit, GaussNewton
 from ._linearised import Linearised
@@ -87,6 +88,7 @@ class CoupledLive:
         self._uncertainty = FitUncertainty(parts)
         self._is_divider = not (board.floating or board.circuit.has_amplifiers)
         self._scales = ColumnScales(parts)
+        self._solutions = FollowerSolutions(parts)
         self._below = BelowRange(parts)
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
@@ -263,6 +265,9 @@ class CoupledLive:
         if self._scales.applies:
             by_scales = self._scales.disturb(frame, fit.known, base, self._uncertainty.covered(frame))
             by_columns = by_columns if by_scales is None else by_columns + by_scales
+        if self._solutions.applies:
+            by_solutions = self._solutions.change(frame, fit.known, base)
+            by_columns = by_columns if by_solutions is None else by_columns + by_solutions
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base)
         fitted = by_readings + others + doubt

@@ -31,7 +31,14 @@ QUEUE = 4096
 )
 @click.argument("port", metavar="PORT|FILE.mcap")
 @click.option("-o", "output", required=True, type=click.Path(path_type=Path), metavar="FILE.toml")
-@click.option("--load", "loads", multiple=True, type=float, metavar="KPA", help="Load of a step; give two or more.")
+@click.option(
+    "--load",
+    "loads",
+    multiple=True,
+    type=float,
+    metavar="KPA",
+    help="Load of a step; better two or more. One alone is pressed twice.",
+)
 @click.option("--mass", "masses", multiple=True, type=float, metavar="KG", help="Weight of a step, instead of a load.")
 @click.option(
     "--area",
@@ -114,6 +121,8 @@ def command(
         raise InputError("give the loads in kPa (--load) or the weights in kg (--mass), one or the other")
     if masses and area is None:
         raise InputError("--mass needs the --area of the stamp, in m^2")
+    given = loads or tuple(mass * STANDARD_GRAVITY / (area or 1.0) / 1000.0 for mass in masses)
+    Plan.check(press, given)
     progress = output.with_name(output.name + ".progress")
     check_writable(output, progress)
     if reference is not None and port.endswith(".mcap"):
@@ -122,7 +131,6 @@ def command(
         _ask_for_rest()
     with opening.open(port, delivery="lossless", queue=QUEUE) as skin:
         shape = skin.design.array.shape
-        given = loads or tuple(mass * STANDARD_GRAVITY / (area or 1.0) / 1000.0 for mass in masses)
         share = 1.0 if area is None else _share(press, shape, area, pitch or skin.design.sheet.pitch)
         plan = Plan.make(shape, press, [share * load for load in given])
         guide = Guide(

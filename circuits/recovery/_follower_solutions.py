@@ -1,0 +1,225 @@
+"""Enclosure of all sets of cells that give the readings of a follower board.
+
+A follower of finite gain A or offset holds idle lines a little below the sensed column, by the voltage e. The
+column's conductance S to all idle lines then takes the current e S, beside that of the reference resistor:
+
+    Y_ij (drive - V_ij) = V_ij / Rref + e_ij S_ij,        Y_ij = G_ij / att_ij.
+
+Y is the conductance from the row's driver to the column's end, and att what the leads of row and column make of it.
+Both att and S rise with all cells. So the cells of a row whose lead takes most of the drive may conduct many times as
+well, if those of the columns do too: the larger S demands what the larger att loses. For equal cells this is a
+quadratic equation, and both of its solutions may be those of real cells.
+
+With the readings as they are, the equations are a fixed point G = F(G), and F rises with each cell. Let b be a factor
+by which some other solution is above the found one at most, at one cell or more. There,
+
+    b G_ij <= F_ij(b G).
+
+Where F(b G) < b G at all cells, no solution is above the found one by b at most. This is tried for all b up to
+conductances far beyond those of the leads, and likewise for all factors below 1. The largest factor that is left is
+where F starts from, in a sequence which falls to the largest solution, cell by cell.
+
+Idle lines above the sensed column bring current into it instead. Their S counts as it has been found.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from ._coupled_board import CoupledBoard, Frame, Known
+from ._linearised import Base
+
+_LEAST = 1e-30  # S, or A: next to none
+_LARGEST_SIEMENS = 1e6  # that of a cell that ran away is infinite
+_BOUNDLESS = 1e12  # 1/S, where a reading is next to none
+_MOST_SIEMENS = 1.0  # what cells conduct at most that are many times as conductive as they seem
+_LARGEST_ERROR = 1e3  # relative, of a reading that tells of no current
+_NEAR = 0.25  # relative change of cells up to which linear uncertainties suffice
+_PARTS = np.linspace(0.0, 1.0, 25)[1:]  # of the logarithms of the largest factors, at which F is tried
+_SLACK = 0.01  # share by which F must miss, for what lies between two factors
+_DRIFTED = 1.65  # factor by which cells may differ from those of a base while it serves
+_ALIKE, _ALIKE_MARGIN = 0.05, 1.25  # change of logarithms while a result is kept, and what it is multiplied by
+_NOTABLE = 0.02  # share of a reading's current
+_ROUNDS = 8  # of the sequence, between two trials
+_TRIALS = 4
+_LEAST_FACTOR = 1e-4  # below the found solution
+
+
+class FollowerSolutions:
+    """All sets of cells that give the readings of one board."""
+
+    def __init__(self, parts: CoupledBoard) -> None:
+        """For a board."""
+        board, lines = parts.board, parts.lines
+        self._parts = parts
+        self._row = np.where(np.isfinite(lines.to_driver), lines.to_driver, 0.0)  # (N, M) ohm
+        to_end = np.where(np.isfinite(lines.to_end), lines.to_end, 0.0)
+        lead = np.where(np.isfinite(board.column_lead), board.column_lead, 0.0)
+        self._column = to_end + lead  # (N, M) ohm
+        self.applies = board.circuit.drives_idle_lines
+        """whether the circuit has followers that hold idle lines"""
+        self._kept: tuple[Base | None, bool] = (
+            None,
+            False,
+        )  # whether other solutions are conceivable while a base serves
+        self._last: tuple[FloatArray, FloatArray | None] | None = None  # logarithms (n,) and the change found for them
+
+    def change(self, frame: Frame, known: Known, base: Base) -> FloatArray | None:
+        """Largest relative change (n,) of the cells from those that have been found to others that give the readings.
+
+        Args:
+            frame: the readings.
+            known: the cells that have been found for them.
+            base: the linear model that served for this.
+
+        Returns:
+            None where linear uncertainties suffice, as in nearly all frames.
+
+        """
+        served, conceivable = self._kept
+        if served is not base:
+            conceivable = self._conceivable(frame, known)
+            self._kept = base, conceivable
+        if not conceivable:
+            return None
+        if self._last is not None and np.abs(self._last[0] - known.log).max() <= _ALIKE:
+            return self._last[1]
+        found = self._law(frame, known).changes()
+        change = None if found is None else _ALIKE_MARGIN * found.ravel()
+        self._last = known.log, change
+        return change
+
+    def _conceivable(self, frame: Frame, known: Known) -> bool:
+        """Whether another solution may exist for cells like these while their base serves."""
+        self._last = None
+        law = self._law(frame, known)
+        return law.changes() is not None or law.drifted(_DRIFTED).changes() is not None
+
+    def _law(self, frame: Frame, known: Known) -> _Law:
+        """The fixed point equation of a frame's readings."""
+        board, shape = self._parts.board, self._parts.shape
+        conductance = np.minimum(board.cell_conductance(known.cells), _LARGEST_SIEMENS)
+        column = known.volts.reshape(shape) / board.loop_share - board.level - board.offset
+        sign = float(np.sign(board.drive))
+        below = np.maximum(sign * (board.inverse_gain * column - board.follower_lift), 0.0)
+        current = np.maximum(sign * (column / board.reference + board.bias), _LEAST)
+        counts: BoolArray = ~self._parts.gone.reshape(shape)
+        if frame.ignored is not None:
+            counts = counts & ~frame.ignored.reshape(shape)
+        error = np.minimum(frame.error * frame.slope, _LARGEST_ERROR).reshape(shape)
+        return _Law(self._row, self._column, conductance, np.minimum(below / current, _BOUNDLESS), error, counts)
+
+
+class _Law:
+    """The fixed point equation F(G) = G of the readings of one frame. Arrays are (N, M)."""
+
+    def __init__(
+        self,
+        row: FloatArray,
+        column: FloatArray,
+        conductance: FloatArray,
+        per_siemens: FloatArray,
+        error: FloatArray,
+        counts: BoolArray,
+    ) -> None:
+        """For cells that have been found.
+
+        Args:
+            row: ohm from crosspoints to the rows' drivers.
+            column: ohm from crosspoints to the columns' ends.
+            conductance: S of the cells.
+            per_siemens: 1/S, current to idle lines per siemens over that of the reference resistor.
+            error: relative, by a cell's own reading.
+            counts: cells whose readings count; the others stay as they are.
+
+        """
+        self._row, self._column, self._cells, self._per_siemens = row, column, conductance, per_siemens
+        self._counts, self._error = counts, error
+        self._wide = 1.0 + error
+        self._found = self._demand(conductance)
+
+    def drifted(self, factor: float) -> _Law:
+        """The same for other readings, those of cells that all conduct so many times as well."""
+        cells = factor * self._cells
+        return _Law(self._row, self._column, cells, self._per_siemens, self._error, self._counts)
+
+    def _demand(self, cells: FloatArray) -> FloatArray:
+        """Conductance G that the readings demand beside cells (..., N, M) in S, but for a factor of each reading."""
+        row, column = self._row, self._column
+        to_ends = cells / (1.0 + cells * column)
+        to_columns = to_ends.sum(axis=-1, keepdims=True) - to_ends  # g, from a row to the other columns' ends
+        to_drivers = cells / (1.0 + cells * row)
+        to_rows = to_drivers.sum(axis=-2, keepdims=True) - to_drivers  # h, from a column to the other rows' drivers
+        by_row, by_column = 1.0 + row * to_columns, 1.0 + column * to_rows
+        attenuation = by_row * by_column + cells * (row * by_column + column * by_row)
+        demand: FloatArray = attenuation * (1.0 + self._idle_share(cells, by_row))
+        return demand
+
+    def _idle_share(self, cells: FloatArray, by_row: FloatArray) -> FloatArray:
+        """Current of a column to idle lines over that of its reference resistor, beside cells (..., N, M) in S.
+
+        It reaches idle lines by other rows, and by way of these other columns.
+        """
+        behind = self._row / by_row
+        into = (cells / (1.0 + cells * behind)).sum(axis=-2, keepdims=True)
+        share: FloatArray = self._per_siemens * (into / (1.0 + self._column * into))
+        return share
+
+    def _most_cells(self) -> FloatArray:
+        """S, the most that cells may conduct."""
+        return np.where(self._counts, np.maximum(_MOST_SIEMENS, (1.0 + _NEAR) * self._cells), self._cells)
+
+    def _draws_on_idle_lines(self) -> bool:
+        """Whether idle lines take a notable current; without it conductances between terminals have one solution."""
+        most = self._most_cells()
+        to_ends = most / (1.0 + most * self._column)
+        by_row = 1.0 + self._row * (to_ends.sum(axis=-1, keepdims=True) - to_ends)
+        share = self._idle_share(most, by_row)
+        return bool((share > _NOTABLE).any(where=self._counts))
+
+    def changes(self) -> FloatArray | None:
+        """Largest relative change of the cells to those of another solution; None where there is no other one."""
+        if not self._draws_on_idle_lines():
+            return None
+        above, below = self._above(), self._below()
+        if above is None:
+            return below
+        return above if below is None else np.maximum(above, below)
+
+    def _above(self) -> FloatArray | None:
+        """Largest relative change upwards; None where no solution is far above the one that has been found."""
+        counts, cells = self._counts, np.maximum(self._cells, _LEAST)
+        most = np.where(counts, self._most_cells() / cells, 1.0)
+        for _ in range(_TRIALS):
+            logarithm = np.log(most)
+            times = np.exp(_PARTS[:, None, None] * logarithm)
+            ratio = self._demand(times * self._cells) / self._found / times * self._wide
+            # At the cell that is farthest above, another solution would demand as much.
+            possible = ((ratio >= 1.0 - _SLACK) & counts & (times > 1.0 + _NEAR)).any(axis=(-2, -1))
+            if not possible.any():
+                return None
+            most = np.exp(_PARTS[np.flatnonzero(possible)[-1]] * logarithm)
+            for _ in range(_ROUNDS):
+                demanded = self._demand(most * self._cells) / self._found * self._wide
+                most = np.where(counts, np.clip(demanded, 1.0 + _SLACK, most), most)
+        change: FloatArray = np.maximum(most / self._wide - 1.0, 0.0)
+        return change if (change > _NEAR).any() else None
+
+    def _below(self) -> FloatArray | None:
+        """Largest relative change downwards; None where no solution is far below the one that has been found."""
+        counts = self._counts
+        least = np.where(counts, _LEAST_FACTOR, 1.0)
+        for _ in range(_TRIALS):
+            logarithm = np.log(least)
+            times = np.exp(_PARTS[:, None, None] * logarithm)
+            ratio = self._demand(times * self._cells) / self._found / times / self._wide
+            possible = ((ratio <= 1.0 + _SLACK) & counts & (times < 1.0 / (1.0 + _NEAR))).any(axis=(-2, -1))
+            if not possible.any():
+                return None
+            least = np.exp(_PARTS[np.flatnonzero(possible)[-1]] * logarithm)
+            for _ in range(_ROUNDS):
+                demanded = self._demand(least * self._cells) / self._found / self._wide
+                least = np.where(counts, np.clip(demanded, least, 1.0 - _SLACK), least)
+        change: FloatArray = np.maximum(1.0 - least * self._wide, 0.0)
+        return change if (change > _NEAR).any() else None
