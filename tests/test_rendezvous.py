@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import select
 import signal
@@ -447,6 +448,26 @@ class TestFiles:
         with running(scene(), port), Skin.open(port.name, timeout=30.0) as skin:
             assert discover() == []
             next(skin)
+
+    def test_a_board_that_begins_while_somebody_looks_stays(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        # Its file is made, and neither locked nor written yet, when a host looks at it. It is written right after.
+        made = Path(os.environ["OHMSKIN_RUNTIME_DIR"]) / "board.port"
+        made.parent.mkdir(mode=0o700, exist_ok=True)
+        made.touch()
+        lock = fcntl.flock
+
+        def unlock_then_board_writes(file: int, how: int) -> None:
+            lock(file, how)
+            if how == fcntl.LOCK_UN:
+                made.write_text("/dev/pts/1\n")
+
+        monkeypatch.setattr(fcntl, "flock", unlock_then_board_writes)
+        try:
+            list(announced_ports())
+            assert made.exists()
+            assert made.read_text()
+        finally:
+            made.unlink(missing_ok=True)
 
     def test_boards_that_come_and_go_while_others_look(self) -> None:
         over = threading.Event()

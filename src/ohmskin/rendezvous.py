@@ -146,9 +146,10 @@ def _is_left_behind(file: int) -> bool:
         fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return False
+    # Between its making and its locking, too, a file can be locked. It is empty then, as long as this lock holds.
+    size = os.fstat(file).st_size
     fcntl.flock(file, fcntl.LOCK_UN)
-    # Between its making and its locking, too, a file can be locked. It is empty then.
-    return os.fstat(file).st_size > 0
+    return size > 0
 
 
 def _read(file: int) -> bytes:
