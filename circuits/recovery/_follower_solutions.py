@@ -59,10 +59,7 @@ class FollowerSolutions:
         self._column = to_end + lead  # (N, M) ohm
         self.applies = board.circuit.drives_idle_lines
         """whether the circuit has followers that hold idle lines"""
-        self._kept: tuple[Base | None, bool] = (
-            None,
-            False,
-        )  # whether other solutions are conceivable while a base serves
+        self._kept: tuple[Base | None, bool] = None, False  # whether others are conceivable while a base serves
         self._last: tuple[FloatArray, FloatArray | None] | None = None  # logarithms (n,) and the change found for them
 
     def change(self, frame: Frame, known: Known, base: Base) -> FloatArray | None:
@@ -77,24 +74,20 @@ class FollowerSolutions:
             None where linear uncertainties suffice, as in nearly all frames.
 
         """
-        served, conceivable = self._kept
-        if served is not base:
-            conceivable = self._conceivable(frame, known)
+        if self._kept[0] is base:
+            if not self._kept[1]:
+                return None
+            if self._last is not None and np.abs(self._last[0] - known.log).max() <= _ALIKE:
+                return self._last[1]
+            found = self._law(frame, known).changes()
+        else:
+            law = self._law(frame, known)
+            found = law.changes()
+            conceivable = found is not None or law.drifted(_DRIFTED).changes() is not None
             self._kept = base, conceivable
-        if not conceivable:
-            return None
-        if self._last is not None and np.abs(self._last[0] - known.log).max() <= _ALIKE:
-            return self._last[1]
-        found = self._law(frame, known).changes()
         change = None if found is None else _ALIKE_MARGIN * found.ravel()
         self._last = known.log, change
         return change
-
-    def _conceivable(self, frame: Frame, known: Known) -> bool:
-        """Whether another solution may exist for cells like these while their base serves."""
-        self._last = None
-        law = self._law(frame, known)
-        return law.changes() is not None or law.drifted(_DRIFTED).changes() is not None
 
     def _law(self, frame: Frame, known: Known) -> _Law:
         """The fixed point equation of a frame's readings."""
