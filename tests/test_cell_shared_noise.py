@@ -62,10 +62,9 @@ def test_what_is_left_is_what_the_sleeping_cells_cannot_tell(asleep: int, presse
     meter.own = OWN
     awake = np.zeros((rows, columns), dtype=np.bool_)
     for first in sum(noise(40, rows, columns, seed=1)):  # all cells sleep, and tell that they do share noise
-        found.subtract(DT_S, first.ravel(), None, awake.ravel(), np.zeros(rows * columns))
+        found.subtract(DT_S, first.ravel(), None, awake.ravel())
     awake[asleep:] = True
-    no_load = np.zeros(rows * columns)
-    without = np.array([found.subtract(DT_S, x.ravel(), None, awake.ravel(), no_load)[0] for x in readings])
+    without = np.array([found.subtract(DT_S, x.ravel(), None, awake.ravel())[0] for x in readings])
     error = (without.reshape(readings.shape) - r)[:, 7]
     ratio = (SHARED / OWN) ** 2
     left = ratio / (1.0 + asleep * ratio) if asleep >= LEAST_CELLS else ratio
@@ -134,38 +133,6 @@ def fringe(bits: int, noise_v: float, seed: int) -> tuple[FloatArray, FloatArray
         pressure[n] = estimator.step(DT_S, reading.for_estimation)
         std[n] = estimator.std_kpa
     return load, pressure, std
-
-
-def beside_load(others: FloatArray) -> FloatArray:
-    """(8,) what is left of departures ``others`` of 7 woken cells, and of one that is held at r = 0.5 beside them."""
-    found = SharedNoise((8, 1), NoiseMeter(8))
-    found._noise.resolve(np.full(8, OWN), 0.0)
-    found.suppose(1.0, float(np.hypot(1.0, SHARED / OWN)))
-    found.begin(np.arange(8), np.zeros(8))
-    awake, pressure = np.ones(8, dtype=np.bool_), np.zeros(8)
-    for r in (np.zeros(8), np.append(np.zeros(7), 0.5)):
-        for _ in range(20):
-            found.subtract(DT_S, r, None, awake, pressure)
-    pressure[7] = 10.0
-    return found.subtract(DT_S, np.append(others, 1.5 * (1.0 + others.min()) - 1.0), None, awake, pressure)[0]
-
-
-@pytest.mark.parametrize("step", [-0.1, -0.03, 0.03, 0.1])
-def test_a_step_of_a_woken_column_is_taken_out_beside_a_load(step: float) -> None:
-    left = beside_load(np.full(7, step))
-    np.testing.assert_allclose(left, np.append(np.zeros(7), 0.5), atol=0.05 * abs(step) * 1.5)
-
-
-def test_what_one_cell_more_bears_is_no_step() -> None:
-    """Four cells stay, so that they tell: three that are loaded beside the first are left alone."""
-    loaded = np.array([0.0, 0.0, 0.0, 0.0, 0.1, 0.2, 0.3])
-    np.testing.assert_allclose(beside_load(loaded)[:7], loaded, atol=1e-12)
-
-
-def test_a_load_on_all_other_cells_is_no_step() -> None:
-    """More than a column moves by noise is a load, though all cells agree."""
-    loaded = np.full(7, 0.35)
-    np.testing.assert_allclose(beside_load(loaded)[:7], loaded, atol=1e-12)
 
 
 @pytest.mark.parametrize(

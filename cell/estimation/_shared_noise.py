@@ -12,7 +12,8 @@ known of shared noise.
 A press wakes its column where the steps of the ADC are coarse: a step of the reading of one cell moves them all. Cells
 that have borne no load since they last slept then tell the shared part, too, asleep or not, while another cell of their
 column is clearly loaded. Loads move cells one way only, so the three that moved least in that way say where the rest
-is, and only cells that agree with them count. A column that is loaded as a whole has no cell that stands out.
+is, and only cells that agree with them count. A column that is loaded as a whole has no cell that stands out. For the
+first moment of a press nothing is changed: taps are over before cells that were just woken can be trusted.
 
 The estimator is told of the circuit by two numbers only: the deviations of a conductance by the steps of its own
 reading, and by those of all readings (:meth:`._estimator.Estimator.resolve`). Noise takes the same ways as steps. That
@@ -52,16 +53,15 @@ LEAST_LOAD = 0.02
 BOUND = 8.0
 """standard deviations of shared noise that a column moves together in the direction of loads; more is a load on all
 cells. The steps of equal cells come together, and move a column by up to as many deviations."""
-LASTS_S = 0.2
-"""time after which a load is over, since an estimate may be too small for a moment"""
+HELD_S = 0.16
+"""time for which a cell must have been loaded before others of its column tell that are awake"""
 BEFORE_S = 1.0
 """time over which the mean of a column is taken before one of its cells is loaded"""
 
 TESTS, OWN, SHARED = range(3)
 """places of the test's sums"""
 BEFORE, SINCE = range(2)
-"""places of what is kept of columns: mean departure of cells without load before a press, and seconds since one of its
-cells was loaded"""
+"""places of what is kept of columns: mean departure of cells without load before the press, and seconds of the press"""
 
 _ONE = np.array(1.0)
 
@@ -146,7 +146,6 @@ class SharedNoise:
         self._rested = np.zeros(cells, dtype=np.bool_)
         """(n,) cells that have borne no load since they last slept"""
         self._of_columns = np.zeros((2, self._shape[1]))
-        self._of_columns[SINCE] = np.inf
         """(2, columns) see :data:`BEFORE`"""
         self._trusted = False
         """whether the test has shown that columns share noise"""
@@ -290,8 +289,7 @@ class SharedNoise:
         """
         of_columns, shape, side = self._of_columns, self._shape, limits.side
         some_awake = awake.reshape(shape).any(axis=0)
-        of_columns[BEFORE, ~some_awake] = 0.0
-        of_columns[SINCE, ~some_awake] = np.inf
+        of_columns[:, ~some_awake] = 0.0
         if shape[0] < LEAST_CELLS or not some_awake.any():
             return None
         rested = (self._rested & read).reshape(shape)
@@ -306,9 +304,9 @@ class SharedNoise:
         self._rested[loaded.ravel()] = False
         beside = loaded.any(axis=0)
         before = of_columns[BEFORE].copy()
-        of_columns[SINCE] = np.where(beside, 0.0, of_columns[SINCE] + limits.dt_s)
-        columns = enough & (side * (mean - before) < limits.bound) & (of_columns[SINCE] < LASTS_S)
-        of_columns[BEFORE] += np.where(enough & ~columns, (mean - before) * limits.share_before, 0.0)
+        of_columns[SINCE] = np.where(beside, of_columns[SINCE] + limits.dt_s, 0.0)
+        of_columns[BEFORE] += np.where(enough & ~beside, (mean - before) * limits.share_before, 0.0)
+        columns = enough & (side * (mean - before) < limits.bound) & (of_columns[SINCE] > HELD_S)
         if not columns.any():
             return None
         tell &= ~loaded
@@ -443,11 +441,11 @@ def subtract_each(
                         beside = True
                         rested[i] = False
         if not some_awake:
-            of_columns[BEFORE, column], of_columns[SINCE, column] = 0.0, math.inf
+            of_columns[BEFORE, column] = 0.0
         before = of_columns[BEFORE, column]
-        of_columns[SINCE, column] = 0.0 if beside else of_columns[SINCE, column] + dt_s
-        held = enough and side * (common - before) < bound and of_columns[SINCE, column] < LASTS_S
-        if enough and not held:
+        of_columns[SINCE, column] = of_columns[SINCE, column] + dt_s if beside else 0.0
+        held = enough and side * (common - before) < bound and of_columns[SINCE, column] > HELD_S
+        if enough and not beside:
             of_columns[BEFORE, column] += (common - before) * share_before
         mean, own_variance = total / max(count, 1), 0.0
         for i in range(column, r.size, columns):
