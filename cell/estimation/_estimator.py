@@ -74,7 +74,7 @@ class Estimator:
         self._per_ohm = 1 / rest_resistance_ohm
         cells, full_kpa = self._per_ohm.size, inversion.full_scale_kpa
         self._noise = NoiseMeter(cells, conditions.noise or 0.0)
-        self._shared_noise = SharedNoise(shape, self._noise, inversion.side, full_kpa)
+        self._shared_noise = SharedNoise(shape, self._noise)
         self._remembered = Remembered(inversion, cells)
         self._sleep = Sleep(cells, inversion.full_scale_r)
         self._gaps = Gaps(cells, full_kpa, conditions)
@@ -158,7 +158,7 @@ class Estimator:
         before = self._pressure.copy() if self._gaps.concern(dt, self._usual_s or dt, known) else None
         watched = blurred = None
         if self._shared_noise.ratio and not exact:
-            r, watched = self._shared_noise.subtract(dt, r, known, self._sleep.awake, self._pressure)
+            r, watched = self._shared_noise.subtract(dt, r, known, self._sleep.awake)
             self._reading, blurred = r, self._shared_noise.mean_std
         self._watched = r if watched is None else watched
         if not exact:
@@ -284,7 +284,6 @@ class Estimator:
             mean = self._sleep.mean
             mean[new] += (r[new] - mean[new]) / self._readings[new]
             self._remembered.begin(new, mean[new])
-            self._shared_noise.begin(new, mean[new])
             if len(self.inversion.rows) > len(Inversion.rows):  # what the cell bore before counts
                 first = new[self._readings[new] == 1]
                 self._gaps.doubt(first, UNKNOWN_PAST * np.abs(self._remembered.memory[PRESSURE, first]))
