@@ -14,6 +14,7 @@ from ..circuits import Design
 from ..config import fingerprint
 from ..driver import Calibration
 from ..errors import InputError
+from ..text import count_of
 from ._fit import Fit, fit_cells
 from ._plan import LEAST_PRESSES
 from ._presses import Press, Rest
@@ -62,8 +63,7 @@ class Verdict:
         for kind, places in cells.items():
             named = ", ".join(map(str, places[:MOST_NAMED])) + (", ..." if len(places) > MOST_NAMED else "")
             detail = self.reasons[places[0]].partition(": ")[2]
-            count = "1 cell" if len(places) == 1 else f"{len(places)} cells"
-            said.append(f"{count} {kind}: {named}" + (f" ({detail})" if detail else ""))
+            said.append(f"{count_of(len(places), 'cell')} {kind}: {named}" + (f" ({detail})" if detail else ""))
         return "; ".join(said)
 
     def calibration(

@@ -308,5 +308,4 @@ def _worst(amount: FloatArray) -> tuple[int, int]:
 
 
 def _cells(mask: BoolArray) -> str:
-    count = int(mask.sum())
-    return "1 cell" if count == 1 else f"{count} cells"
+    return count_of(int(mask.sum()), "cell")

@@ -53,7 +53,7 @@ HALF, LOOKS, SINCE, SIGN_BEFORE, MEAN, UP, DOWN, DRIFT = 25, 26, 27, 28, 29, 32,
 rose at the last look, -1 where it fell. Then three rows each, one for each length: mean of the last block; mean square
 of the differences upwards, and downwards, over the variance of noise, less what noise alone makes; mean difference"""
 _MEANS, _UPS, _DOWNS = slice(MEAN, MEAN + SCALES), slice(UP, UP + SCALES), slice(DOWN, DOWN + SCALES)
-_SIDES, _DRIFTS = slice(UP, DOWN + SCALES), slice(DRIFT, DRIFT + SCALES)
+_DRIFTS = slice(DRIFT, DRIFT + SCALES)
 _OF_MOTION = slice(UP, DRIFT + SCALES)
 LOOKS_IN_BLOCK = np.array([2.0, 4.0, 8.0])
 """(SCALES,) powers of two"""

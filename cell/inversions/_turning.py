@@ -212,7 +212,7 @@ class TurningInversion(Inversion):
         unconfirmed = self._take_turns(of, std, w)
         if not self.exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
             self._correct(of, std, doubt(), w)
-        self._begin_anew(of, 3.0 * dt_s * self._held_kpa_per_s, unconfirmed=unconfirmed)
+        self._begin_anew(of, self._held_kpa(dt_s), unconfirmed=unconfirmed)
         self._renew_variance(of, unconfirmed=unconfirmed)
         return memory
 
@@ -285,10 +285,14 @@ class TurningInversion(Inversion):
         refuted &= rise > self._clear_rise_kpa + std * (SURE * rising_gain)
         return refuted
 
+    def _held_kpa(self, dt_s: float) -> float:
+        """By how much a pressure that is held may seem to go back in three frames."""
+        return 3.0 * dt_s * self._held_kpa_per_s
+
     def _begin_anew(self, of: Rows, held_kpa: float, *, unconfirmed: bool) -> None:
         """Begin the other hypothesis where the one in force is, as long as the pressure is near its extreme.
 
-        ``held_kpa`` is by how much a pressure that is held may seem to go back in three frames.
+        For ``held_kpa`` see :meth:`_held_kpa`.
         """
         gone_back = np.subtract(of.third_last, of.pressure, of.spare)
         gone_back *= of.sign
@@ -412,8 +416,7 @@ class TurningInversion(Inversion):
             loops.correct.code(memory, taken, w.by_model, numbers)
         self._taken_over.dot(of.state, of.change)
         unconfirmed = found & loops.UNCONFIRMED > 0
-        held_kpa = 3.0 * dt_s * self._held_kpa_per_s
-        loops.begin_anew.code(memory, of.change, of.rows, of.flags, held_kpa, unconfirmed, numbers)
+        loops.begin_anew.code(memory, of.change, of.rows, of.flags, self._held_kpa(dt_s), unconfirmed, numbers)
         return memory
 
     def _keep(self, of: Rows, apart: FloatArray, begun: BoolArray) -> None:
