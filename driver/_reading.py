@@ -351,7 +351,7 @@ class CountReader:
             return Reading(nothing, counts < 0, reason, solved=False, all_valid=False, _found=None, _covered_steps=1.0)
         covered = self._step / 2 + LiveReading.sigmas * noise if found.covered is None else found.covered
         valid, reason = found.valid, found.reason
-        every = faint is None and np.count_nonzero(valid) == valid.size
+        every = faint is None and found.every
         if faint is not None:
             valid = valid & ~faint
             reason = np.where(faint, np.int8(Reason.NO_CURRENT), reason)
