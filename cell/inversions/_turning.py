@@ -25,8 +25,6 @@ from ..estimation import (
     REST_VARIANCE,
     RESTED,
     SIGMAS,
-    SMOOTHED,
-    STD,
     UNKNOWN,
     USUAL,
     VARIANCE,
@@ -397,21 +395,20 @@ class TurningInversion(Inversion):
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
-    def advance_compiled(
-        self, memory: FloatArray, taken: FloatArray, dt_s: float, doubt: Callable[[], FloatArray]
-    ) -> FloatArray:
+    def advance_compiled(self, memory: FloatArray, taken: FloatArray, line: FloatArray, dt_s: float) -> FloatArray:
         w, of, numbers = self._weights.of(dt_s), self._beside, self._turns
-        r, std = taken[SMOOTHED], taken[STD]
         if memory is not of.memory:
             of = self._beside = Beside(memory)
-        loops.take.code(memory, r)
+        loops.take.code(memory, taken)
         w.step.dot(of.state, of.change)
-        if loops.step.code(memory, of.change, numbers):
-            self._limit(Rows(memory), w)
         if w is not of.weights:
             loops.take_gains.code(memory, w.by_model, of.rows, numbers)
             of.weights = w
-        found = loops.take_turns.code(memory, std, w.by_model, of.rows, of.flags, numbers)
+        beside = of.change, taken, w.by_model, of.rows, of.flags, numbers
+        found = loops.step_and_turn.code(memory, *beside, False)
+        if found & loops.BEYOND:
+            self._limit(Rows(memory), w)
+            found = loops.step_and_turn.code(memory, *beside, True)
         if found & loops.PULLED:
             loops.correct.code(memory, taken, w.by_model, numbers)
         self._taken_over.dot(of.state, of.change)

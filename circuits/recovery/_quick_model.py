@@ -80,7 +80,7 @@ class QuickModel:
         fields = self._board.circuit.quick_fields(self._board, self._network(conductance))
         if fields is None:
             return None
-        return _products(fields, self._branches(cells, conductance))
+        return _products(fields, self.branches(cells))
 
     def products(self, cells: FloatArray) -> PortDerivatives | None:
         """The same derivatives without their matrix.
@@ -93,12 +93,17 @@ class QuickModel:
             return None
         conductance = self._board.cell_conductance(cells)
         fields = self._board.circuit.quick_fields(self._board, self._network(conductance))
-        return None if fields is None else PortDerivatives(fields, self._branches(cells, conductance))
+        return None if fields is None else PortDerivatives(fields, self.branches(cells))
 
-    def _branches(self, cells: FloatArray, conductance: FloatArray) -> Branches:
+    def branches(self, cells: FloatArray) -> Branches:
+        """Voltages across the crosspoints for potentials of the grid's ports, for ``cells`` (N, M) in ohm, no shorts.
+
+        They are in closed form with ideal lines, by sweeps over light lines, and by a sparse factorisation elsewhere.
+        """
+        conductance = self._board.cell_conductance(cells)
         if self.is_quick:
             return IdealLines(conductance, self._lead)
-        light = self._lines.finite and self._lines.loss(conductance) <= _LIGHT
+        light = self.has_network and self._lines.finite and self._lines.loss(conductance) <= _LIGHT
         return AnyLines(self._lines.swept_drops(conductance) if light else basis_drops(self._board, cells))
 
     def _network(self, conductance: FloatArray) -> QuickNetwork:
