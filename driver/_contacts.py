@@ -129,7 +129,7 @@ class ContactTracker:
         self._fingers: list[int] = []
         """of each label: the fingers in it"""
         self._were_parted = False
-        self._rises = Rises(shape)
+        self._rises = Rises(shape, loads_raise=faults_press)
         self._trails = Trails(shape)
         self._risen_kpa = np.zeros(shape)
         """(rows, columns) largest pressure since the cell rose jointly with its neighbours; 0: it has not"""
