@@ -118,3 +118,31 @@ def test_a_frame_is_checked_for_other_solutions_at_a_bounded_cost(monkeypatch: p
             read(counts)
             most = max(most, demands[0])
     assert 0 < most <= 40
+
+
+def test_current_from_idle_lines_above_a_poor_conductor_is_enclosed_with_the_others() -> None:
+    """By the follower's offset. Cells of 170 to 190 kohm beside hard presses were read as 44 to 62 kohm, and valid."""
+    design = board(7, 3, 200.0).replace(
+        array={"column_lead": 0.0},
+        readout={"reference_resistance": 29.4e3, "offset_voltage": 5e-3, "open_loop_gain": 300.0},
+        adc={"bits": 12},
+    )
+    rest = np.full((7, 3), 120e3)
+    pressed = np.array(
+        [
+            [118e3, 111e3, 82.0],
+            [181e3, 192e3, 173e3],
+            [148.0, 5.3, 63.0],
+            [93.0, 6.0, 43.0],
+            [81e3, 300.0, 191e3],
+            [173e3, 8.0, 48.5],
+            [109e3, 11.7, 188e3],
+        ]
+    )
+    read, valid = CountReader(design), 0
+    for cells in [rest] * 2 + [pressed] * 6 + [rest] * 3:
+        reading = read(adc_codes(design, scan(design, cells).volts))
+        known = reading.valid
+        valid += int(known.sum())
+        assert (np.abs(reading.resistance / cells - 1.0) <= reading.uncertainty)[known].all()
+    assert valid >= 4 * rest.size
