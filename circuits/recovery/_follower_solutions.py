@@ -21,7 +21,8 @@ which falls to the largest solution, cell by cell. Other sets with cells of less
 
 Idle lines above the sensed column bring current into it instead, as they do by an offset while a poor conductor is
 read. The sequence counts their S as it has been found. Where others may be far away, S is enclosed with them, and so is
-what it makes of such a reading.
+what it makes of such a reading. The same holds for current that reaches the column by detours: over a column's own
+wire, other rows and their cells.
 """
 
 from __future__ import annotations
@@ -186,6 +187,31 @@ class _Law:
         change: FloatArray = brought * np.abs(then - now) / np.maximum(1.0 - brought * now, _LEAST)
         return change
 
+    def _by_detours(self, cells: FloatArray, factors: FloatArray) -> FloatArray:
+        """Relative change (K, 2, N, M) of cells by current that detours bring to their readings, if others change.
+
+        A driven row lifts the columns, by their own wire, these lift other rows, and those feed the sensed column. What
+        comes so is not the cell's.
+
+        Args:
+            cells: (K, 1, N, M) S.
+            factors: (K, 2, N, M) of them, the others.
+
+        """
+        to_columns = self._lifts(factors * cells) - self._lifts(cells)
+        change: FloatArray = np.maximum(to_columns, 0.0) / np.maximum(cells, _LEAST) * self._demand(cells)
+        return change
+
+    def _lifts(self, cells: FloatArray) -> FloatArray:
+        """S (..., N, M) at most from rows to columns by detours, beside cells (..., N, M) in S."""
+        columns = self._column * (cells / (1.0 + cells * (self._row + self._column)))  # V per volt
+        rows = self._row * cells
+        rows = rows / (1.0 + rows.sum(axis=-1, keepdims=True))
+        lifted = columns @ np.swapaxes(rows, -1, -2)  # of other rows by each driven one
+        lifted *= 1.0 - np.eye(lifted.shape[-1])
+        into: FloatArray = lifted @ (cells / (1.0 + cells * self._column))
+        return into
+
     def changes(self, *times: float) -> list[FloatArray | None]:
         """Largest relative change of the cells to those of another solution; None where there is no other one.
 
@@ -206,8 +232,10 @@ class _Law:
         limits = np.concatenate([above, np.full(above.shape, _LEAST_FACTOR)], axis=1)
         far, enclosed = self._enclosed(cells, np.where(counts, limits, 1.0))
         change = np.maximum(np.maximum(enclosed / self._wide - 1.0, 1.0 - enclosed * self._wide), 0.0)
-        if self._brought.any() and far.any():
-            change += self._by_idle_lines_above(cells, enclosed)
+        if far.any():
+            change += self._by_detours(cells, enclosed)
+            if self._brought.any():
+                change += self._by_idle_lines_above(cells, enclosed)
         largest = change.max(axis=1, where=far[..., None, None], initial=0.0)
         return [each if (each > _NEAR).any() else None for each in largest]
 
