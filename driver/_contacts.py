@@ -34,6 +34,7 @@ from ._pitch import Pitch
 from ._rises import Rises
 from ._tare import KNOWN_DRIFT
 from ._tracks import Named, Patch, Tracks
+from ._trails import Trails
 from ._watershed import part
 
 START_STDS, JOIN_STDS, STAY_STDS = 5.0, 3.2, 2.5
@@ -129,6 +130,7 @@ class ContactTracker:
         """of each label: the fingers in it"""
         self._were_parted = False
         self._rises = Rises(shape)
+        self._trails = Trails(shape)
         self._risen_kpa = np.zeros(shape)
         """(rows, columns) largest pressure since the cell rose jointly with its neighbours; 0: it has not"""
         self._rising: BoolArray = np.zeros(shape, dtype=np.bool_)
@@ -168,6 +170,7 @@ class ContactTracker:
         """
         self._follow_joint_rises(time_s, pressure_kpa, std_kpa, rise)
         if rise is not None:
+            self._trails.look(*rise, self._labels > 0)
             self._find_missing(time_s, np.isnan(rise[0]))
         self._rise = rise
         labels, patches = self._find(time_s, pressure_kpa, std_kpa)
@@ -191,6 +194,7 @@ class ContactTracker:
     def forget_readings(self) -> None:
         """Compare no reading with one from before: rest resistances have changed."""
         self._rises.forget()
+        self._trails.forget()
 
     def _remember(self, elapsed_s: float, pressure_kpa: FloatArray) -> None:
         """Remember the pressures of contacts, for the places that they leave."""
@@ -269,6 +273,9 @@ class ContactTracker:
         pressure_kpa, bridged = self._bridge(pressure_kpa, candidates)
         if bridged is not None:
             candidates |= bridged
+        if self._trails.any_left:
+            candidates &= ~self._trails.left
+            begins &= candidates
         found, count = ndimage.label(candidates, structure=NEIGHBOURS)
         kept = np.zeros(count + 1, dtype=bool)
         kept[found[begins]] = True

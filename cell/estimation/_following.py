@@ -15,7 +15,7 @@ from ._deviation import Deviation, total
 from ._inversion import Inversion
 from ._noise import RECENT, WINDOW, NoiseMeter
 from ._remembered import Block
-from ._rows import PRESSURE
+from ._rows import NOISE, PRESSURE, READING
 from ._smoothing import LEAST_NOISE, Looked
 from ._sparks import Sparks
 from ._tremor import Tremor
@@ -112,18 +112,16 @@ class Following:
         self, block: Block, dt: float, r: FloatArray, frame: int, pressure: FloatArray
     ) -> None:
         cells, line, taken = block.cells, block.line, block.taken
-        reading, noise, _, std = taken
         loops.take.code(r, self._noise.at_rest, cells, line, taken, LEAST_NOISE)
         if self._sparks.cells.size:
-            self._sparks.put_back(block, dt, reading, noise)
+            self._sparks.put_back(block, dt, taken[READING], taken[NOISE])
         gains = self._gains(dt).rows
         beside = block.line_before, cells, self._noise.on_line, self._noise.looks_next
         if smoothing.advance_each.code(line, *beside, dt, gains, taken, block.begun, self._sparks.large_r):
-            self._sparks.remember(block, block.begun, reading, noise)
+            self._sparks.remember(block, block.begun, taken[READING], taken[NOISE])
         if self._sparks.cells.size:
             self._sparks.recognise_taps(dt, r)
-        doubt = Looked(reading, noise, std, line).doubt
-        memory = block.memory = self._inversion.advance_compiled(block.memory, taken, dt, doubt)
+        memory = block.memory = self._inversion.advance_compiled(block.memory, taken, line, dt)
         if self._fall_kpa:
             self._tremor.doubt_falls_compiled(cells, memory, taken, line, self._fall_kpa)
         if self._sparks.cells.size:

@@ -79,12 +79,10 @@ class FollowerSolutions:
                 return None
             if self._last is not None and np.abs(self._last[0] - known.log).max() <= _ALIKE:
                 return self._last[1]
-            found = self._law(frame, known).changes()
+            (found,) = self._law(frame, known).changes()
         else:
-            law = self._law(frame, known)
-            found = law.changes()
-            conceivable = found is not None or law.drifted(_DRIFTED).changes() is not None
-            self._kept = base, conceivable
+            found, drifted = self._law(frame, known).changes(1.0, _DRIFTED)
+            self._kept = base, found is not None or drifted is not None
         change = None if found is None else _ALIKE_MARGIN * found.ravel()
         self._last = known.log, change
         return change
@@ -128,14 +126,7 @@ class _Law:
 
         """
         self._row, self._column, self._cells, self._per_siemens = row, column, conductance, per_siemens
-        self._counts, self._error = counts, error
-        self._wide = 1.0 + error
-        self._found = self._demand(conductance)
-
-    def drifted(self, factor: float) -> _Law:
-        """The same for other readings, those of cells that all conduct so many times as well."""
-        cells = factor * self._cells
-        return _Law(self._row, self._column, cells, self._per_siemens, self._error, self._counts)
+        self._counts, self._wide = counts, 1.0 + error
 
     def _demand(self, cells: FloatArray) -> FloatArray:
         """Conductance G that the readings demand beside cells (..., N, M) in S, but for a factor of each reading."""
@@ -159,60 +150,71 @@ class _Law:
         share: FloatArray = self._per_siemens * (into / (1.0 + self._column * into))
         return share
 
-    def _most_cells(self) -> FloatArray:
-        """S, the most that cells may conduct."""
-        return np.where(self._counts, np.maximum(_MOST_SIEMENS, (1.0 + _NEAR) * self._cells), self._cells)
+    def _draws_on_idle_lines(self, most: FloatArray) -> bool:
+        """Whether idle lines take a notable current; without it conductances between terminals have one solution.
 
-    def _draws_on_idle_lines(self) -> bool:
-        """Whether idle lines take a notable current; without it conductances between terminals have one solution."""
-        most = self._most_cells()
+        Args:
+            most: (..., N, M) S, what cells conduct at most.
+
+        """
         to_ends = most / (1.0 + most * self._column)
         by_row = 1.0 + self._row * (to_ends.sum(axis=-1, keepdims=True) - to_ends)
         share = self._idle_share(most, by_row)
         return bool((share > _NOTABLE).any(where=self._counts))
 
-    def changes(self) -> FloatArray | None:
-        """Largest relative change of the cells to those of another solution; None where there is no other one."""
-        if not self._draws_on_idle_lines():
-            return None
-        above, below = self._above(), self._below()
-        if above is None:
-            return below
-        return above if below is None else np.maximum(above, below)
+    def changes(self, *times: float) -> list[FloatArray | None]:
+        """Largest relative change of the cells to those of another solution; None where there is no other one.
 
-    def _above(self) -> FloatArray | None:
-        """Largest relative change upwards; None where no solution is far above the one that has been found."""
-        counts, cells = self._counts, np.maximum(self._cells, _LEAST)
-        most = np.where(counts, self._most_cells() / cells, 1.0)
-        for _ in range(_TRIALS):
-            logarithm = np.log(most)
-            times = np.exp(_PARTS[:, None, None] * logarithm)
-            ratio = self._demand(times * self._cells) / self._found / times * self._wide
-            # At the cell that is farthest above, another solution would demand as much.
-            possible = ((ratio >= 1.0 - _SLACK) & counts & (times > 1.0 + _NEAR)).any(axis=(-2, -1))
-            if not possible.any():
-                return None
-            most = np.exp(_PARTS[np.flatnonzero(possible)[-1]] * logarithm)
-            for _ in range(_ROUNDS):
-                demanded = self._demand(most * self._cells) / self._found * self._wide
-                most = np.where(counts, np.clip(demanded, 1.0 + _SLACK, most), most)
-        change: FloatArray = np.maximum(most / self._wide - 1.0, 0.0)
-        return change if (change > _NEAR).any() else None
+        Args:
+            times: for readings of cells that all conduct so many times as well as those that were found; 1 without it.
 
-    def _below(self) -> FloatArray | None:
-        """Largest relative change downwards; None where no solution is far below the one that has been found."""
-        counts = self._counts
-        least = np.where(counts, _LEAST_FACTOR, 1.0)
+        Returns:
+            For each of ``times``. All are narrowed as long as there is another solution for the first of them.
+
+        """
+        # Axes: the readings, then solutions above and below, then the cells.
+        cells = np.array(times or (1.0,))[:, None, None, None] * self._cells
+        counts, most = self._counts, np.maximum(_MOST_SIEMENS, (1.0 + _NEAR) * cells)
+        most = np.where(counts, most, cells)
+        if not self._draws_on_idle_lines(most):
+            return [None] * len(cells)
+        above = most / np.maximum(cells, _LEAST)
+        limits = np.concatenate([above, np.full(above.shape, _LEAST_FACTOR)], axis=1)
+        far, enclosed = self._enclosed(cells, np.where(counts, limits, 1.0))
+        change = np.maximum(np.maximum(enclosed / self._wide - 1.0, 1.0 - enclosed * self._wide), 0.0)
+        largest = change.max(axis=1, where=far[..., None, None], initial=0.0)
+        return [each if (each > _NEAR).any() else None for each in largest]
+
+    def _enclosed(self, cells: FloatArray, factors: FloatArray) -> tuple[BoolArray, FloatArray]:
+        """Enclose the solutions above and below those that were found.
+
+        Args:
+            cells: (K, 1, N, M) S, found for K sets of readings.
+            factors: (K, 2, N, M) of them, the largest and the least that are looked at.
+
+        Returns:
+            (K, 2), whether there may be a solution far away on that side; and (K, 2, N, M), factors within which it is.
+
+        """
+        counts, side = self._counts, np.array([1.0, -1.0])[:, None, None]  # of the logarithms
+        found, wide = self._demand(cells), self._wide**side
+        demanded_at_most, near = wide / found, (1.0 + _NEAR) ** side
+        beside = np.where(counts, (1.0 + _SLACK) ** side, 1.0)
+        each = np.indices(factors.shape[:2])
+        far = np.ones(factors.shape[:2], dtype=np.bool_)
         for _ in range(_TRIALS):
-            logarithm = np.log(least)
-            times = np.exp(_PARTS[:, None, None] * logarithm)
-            ratio = self._demand(times * self._cells) / self._found / times / self._wide
-            possible = ((ratio <= 1.0 + _SLACK) & counts & (times < 1.0 / (1.0 + _NEAR))).any(axis=(-2, -1))
-            if not possible.any():
-                return None
-            least = np.exp(_PARTS[np.flatnonzero(possible)[-1]] * logarithm)
+            logarithm = np.log(factors)
+            times = np.exp(_PARTS[:, None, None, None, None] * logarithm)
+            ratio = self._demand(times * cells) * demanded_at_most / times
+            # At the cell that is farthest off, another solution would demand as much.
+            beyond = (side * ratio >= side / (1.0 + _SLACK) ** side) & (side * times > side * near)
+            possible = beyond.any(axis=(-2, -1), where=counts)
+            far &= possible.any(axis=0)
+            if not far[0].any():
+                break
+            last = len(_PARTS) - 1 - possible[::-1].argmax(axis=0)
+            factors = times[last, *each]
             for _ in range(_ROUNDS):
-                demanded = self._demand(least * self._cells) / self._found / self._wide
-                least = np.where(counts, np.clip(demanded, least, 1.0 - _SLACK), least)
-        change: FloatArray = np.maximum(1.0 - least * self._wide, 0.0)
-        return change if (change > _NEAR).any() else None
+                demanded = self._demand(factors * cells) * demanded_at_most
+                factors = np.clip(demanded, np.minimum(beside, factors), np.maximum(beside, factors))
+        return far, factors
