@@ -36,6 +36,7 @@ def told(estimator: Estimator) -> Estimator:
 
 def stepped(estimator: Estimator, ohms: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pressures and their standard deviations in kPa."""
+    estimator.compile()
     pressure, std = np.empty((2, *ohms.shape))
     for n, ohm in enumerate(ohms):
         pressure[n] = estimator.step(DT_S, ohm)

@@ -229,6 +229,8 @@ class SharedNoise:
         most = self._add_up(mean, of)
         if most > DOUBTED:
             self._keep(without, r, awake)
+        if most > LOADED:
+            np.copyto(without.reshape(self._shape), r.reshape(self._shape), where=self._sums > LOADED)
         if read is not self._all_read:
             np.copyto(without, r, where=~read)
         if testing:
@@ -251,12 +253,15 @@ class SharedNoise:
         return most
 
     def _keep(self, without: FloatArray, r: FloatArray, awake: BoolArray) -> None:
-        """Subtract less where sleeping cells may be loaded, and nothing where they are; changes ``without`` (n,)."""
-        left, shape = without.reshape(self._shape), self._shape
-        kept = np.maximum(self._last, np.minimum(without, r))
-        np.minimum(kept, np.maximum(without, r), out=kept)
-        np.copyto(left, kept.reshape(shape), where=awake.reshape(shape) & (self._sums > DOUBTED))
-        np.copyto(left, r.reshape(shape), where=self._sums > LOADED)
+        """Let cells that are ``awake`` (n,) keep their last readings where sleeping ones may be loaded.
+
+        As far as these are between the readings ``r`` (n,) and those ``without`` shared noise (n,), which are changed.
+        """
+        cells = (awake.reshape(self._shape) & (self._sums > DOUBTED)).ravel().nonzero()[0]
+        if cells.size:
+            own, read = without.take(cells), r.take(cells)
+            kept = np.maximum(self._last.take(cells), np.minimum(own, read))
+            without[cells] = np.minimum(kept, np.maximum(own, read))
 
     def _tellers_of(self, tell: BoolArray) -> _Tellers:
         """The cells (n,) that tell of shared noise, and what follows from which they are."""
