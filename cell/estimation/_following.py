@@ -35,6 +35,8 @@ class Following:
     ) -> None:
         self._inversion, self._noise, self._tremor = inversion, noise, tremor
         self._sparks, self._deviation = sparks, deviation
+        self._fall_kpa = float(inversion.steepness_kpa[1])
+        """pressure per r of a fast fall; 0: fast falls are answered as all loads are"""
         self._smoothed_for = (-1.0, -1.0)
         self._smoothed_by = smoothing.gains_for(1.0, 1.0)
         self.compiled = False
@@ -85,6 +87,8 @@ class Following:
         block.line_before = line.copy()
         looked = Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._inversion.advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
+        if self._fall_kpa:
+            self._tremor.doubt_falls(cells, memory, looked, self._fall_kpa)
         if self._sparks.cells.size:
             self._accept_taps(block)
         if frame % RECENT == 0:
@@ -118,6 +122,8 @@ class Following:
         if self._sparks.cells.size:
             self._sparks.recognise_taps(dt, r)
         memory = block.memory = self._inversion.advance_compiled(block.memory, taken, line, dt)
+        if self._fall_kpa:
+            self._tremor.doubt_falls_compiled(cells, memory, taken, line, self._fall_kpa)
         if self._sparks.cells.size:
             self._accept_taps(block)
         if frame % RECENT == 0:

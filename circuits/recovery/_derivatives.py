@@ -34,19 +34,19 @@ def derivatives(board: Board, cells: FloatArray, model: QuickModel, meter: Meter
         After each instalment of the work but the last.
 
     """
-    by_row = model.derivatives(cells)
-    if by_row is not None:
+    by_rows = model.derivatives(cells)
+    if by_rows is not None:
         try:
-            yield from _quick_derivatives(by_row, meter, out)
+            yield from _quick_derivatives(by_rows, meter, out)
         except np.linalg.LinAlgError:  # parts of the grid that nothing is connected to
-            by_row = None
-    if by_row is None:
+            by_rows = None
+    if by_rows is None:
         yield from _exact_derivatives(board, cells, model, meter, out)
 
 
-def _quick_derivatives(by_row: Iterator[FloatArray], meter: Meter, out: FloatArray) -> Iterator[None]:
+def _quick_derivatives(by_rows: Iterator[FloatArray], meter: Meter, out: FloatArray) -> Iterator[None]:
     size, written = len(out), 0
-    for some in by_row:
+    for some in by_rows:
         if meter.is_full(_PER_ENTRY * some.size):
             yield
         out[written : written + len(some)] = some.reshape(len(some), size)
