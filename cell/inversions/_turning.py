@@ -522,7 +522,7 @@ class TurningInversion(Inversion):
         Under a load that rises this is no more than a share of what the recovery model has gone back by, and none where
         the pressure has gone back by more than noise in the last three frames.
         """
-        shared = np.subtract(of.extreme, of.recovery_kpa, of.spare)
+        shared: FloatArray = np.subtract(of.extreme, of.recovery_kpa, of.spare)
         shared -= self._clear_fall_kpa
         np.maximum(shared, self._none, out=shared)
         shared *= self._shared_fall
