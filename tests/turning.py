@@ -8,6 +8,7 @@ import numpy as np
 
 from ohmskin.cell import PaperModel
 from ohmskin.cell.inversions import _recovery as recovery
+from ohmskin.cell.inversions import _still as still
 from ohmskin.cell.inversions import _sway as sway
 from ohmskin.cell.inversions import _turning as paper
 from ohmskin.cell.materials import _lag as lag
@@ -37,6 +38,7 @@ class OneCell:
         self.doubt = self.variance = 0.0
         self.rest_variance = self.drift = self.last_drift = 0.0
         self.rested, self.taken_off = False, 0.0
+        self.still = Still()
         self.sway = Sway(r)
         self.last = self.before_last = self.third_last = p
 
@@ -159,6 +161,7 @@ class OneCell:
     def recover(self, dt: float, mean: float, noise: float, count: int) -> None:
         """Take the ``mean`` of the last four readings, each uncertain by ``noise``."""
         self._rest(dt, mean, noise, count)
+        self._compare(dt, mean, noise)
         m = self.model
         rise, fall = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
         kept = self.sway.look(mean, noise, self.rising) * (1 / fall - 1 / rise)
@@ -194,6 +197,33 @@ class OneCell:
         self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
         self.extreme, self.peak = min(self.extreme + error, 0.0), min(self.peak + error, 0.0)
+
+    def _compare(self, dt: float, mean: float, noise: float) -> None:
+        """The load may be what it was before."""
+        m, was, ago = self.model, self.still, 1.5 * dt
+        was.x2, was.x3 = was.x2 * np.exp(-4 * dt / m.t2_s), was.x3 * np.exp(-4 * dt / m.t3_s)
+        p = self.now.pressure
+        if not self.rising:
+            if self.left is None:
+                load = max(p, 0.0)
+                self.still = Still(load, self.now.x2 - load / m.e2_kpa, self.now.x3 - load / m.e3_kpa)
+            return
+        gain = self._solved(Hypothesis(0, 0, 0, 0), False, dt, 1.0).pressure
+        noise_kpa = still.SURE * noise / 2 * gain
+        bears = was.x2 * np.exp(ago / m.t2_s) + was.x3 * np.exp(ago / m.t3_s)
+        off = gain * (mean - was.load * (1 / m.e1_kpa + 1 / m.e2_kpa + 1 / m.e3_kpa) - bears)
+        growth = p - was.pressure
+        alike = was.off is not None and abs(off - was.off) <= still.FLAT * max(growth, 0) + noise_kpa
+        if not alike or abs(off) > still.LIGHT_TOUCH * self.full + noise_kpa:
+            was.off, was.pressure = off, p
+            return
+        doubt = max(self.doubt, (still.EITHER * max(growth - noise_kpa, 0)) ** 2)
+        self.variance += doubt - self.doubt
+        self.doubt = doubt
+        if growth > max(still.CLEAR * self.full, noise_kpa / still.FLAT):
+            x3 = was.x3 + was.load / m.e3_kpa
+            self.other = Hypothesis(was.load, self.other.settled, self.r - was.load / m.e1_kpa - x3, x3)
+            self.extreme = paper.REFUTED
 
     def _late(self, left: Hypothesis, other: Hypothesis, unsure: float) -> float:
         """By how much the pressure was off when the model that is left turned, if the load is a parabola in time."""
@@ -253,6 +283,17 @@ class OneCell:
             p = (r - x2 - x3) / (1 / m.e1_kpa + ramp[1] / e2 + ramp[2] / e3)
         p = float(np.clip(p, paper.LOADS[0] * self.full, paper.LOADS[1] * self.full))
         return Hypothesis(p, settled + ramp[0] * p, x2 + ramp[1] / e2 * p, x3 + ramp[2] / e3 * p)
+
+
+@dataclass
+class Still:
+    """The load that may be the same again, what the branches bear beyond it, and where the comparison began."""
+
+    load: float = 0.0
+    x2: float = 0.0
+    x3: float = 0.0
+    off: float | None = None
+    pressure: float = 0.0
 
 
 class Sway:

@@ -4,6 +4,7 @@
 :mod:`._static`       without memory: the equilibrium curve of a model, or the calibrated cubic
 :mod:`._turning`      the paper's cell, by two hypotheses about when the pressure last turned
 :mod:`._recovery`     the same cell at rest: a Kalman filter of what it remembers
+:mod:`._still`        the same cell after a light touch: whether the load is again what it was
 :mod:`._sway`         the same cell under light loads that go to and fro within the noise
 :mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by Newton's method
 :mod:`._switched`     the paper's own estimator (P8), the baseline

@@ -34,10 +34,11 @@ from ..estimation import (
 )
 from ..materials import ByStep, PaperModel, lag
 from . import _recovery as recovery
+from . import _still as still
 from . import _sway as sway
 from . import _turning_loops as loops
 from ._paper_steps import TurnWeights, step_weights, taken_over, turn_weights
-from ._turning_loops import BEFORE_LAST, EXTREME, LAST, LEFT, PEAK, SIGN, TAKEN_OFF_KPA, THIRD_LAST, TURNED
+from ._turning_loops import BEFORE_LAST, EXTREME, LAST, LEFT, PEAK, REFUTED, SIGN, TAKEN_OFF_KPA, THIRD_LAST, TURNED
 from ._turning_rows import (
     CONFIRMED_FALL,
     CONFIRMED_RISE,
@@ -90,9 +91,6 @@ SMOOTH, AWAY = 0.4, 0.02
 full scale by which the extreme must differ from none, where pressures that are too low have been corrected already"""
 MAY_BEND = 0.5
 """standard deviation of what such a delay makes, over that: the load may have turned with a bend after all"""
-REFUTED = 0.5 * FAR
-"""kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
-is a turn, and below the extreme that means "none", so that the turn is certain"""
 SHARED, CLEAR_RISE = 0.2, 0.05
 """share of a rise by which the recovery model must have risen, too, or else the rise is refuted; and how large, of full
 scale, a rise must be to be refuted. Where a cell recovers under a light hold, the rising model takes the recovery for a
@@ -141,6 +139,7 @@ class TurningInversion(Inversion):
         *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
         *("rest_variance", "rested", "drift", "drift_end", "taken_off"),
         *sway.NAMES,
+        *still.NAMES,
     )
     recovers = True
 
@@ -190,6 +189,7 @@ class TurningInversion(Inversion):
         self._rests, self._light_load_kpa2 = np.array(self.rests), np.array((LIGHT_LOAD * full_scale_kpa) ** 2)
         self._doubted_load_kpa2 = np.array((DOUBTED_LOAD * full_scale_kpa) ** 2)
         self._recovery = ByStep(recovery.constants, model)
+        self._still = ByStep(still.constants, model)
         self._kept_kpa = sway.kpa_kept(model)
         self._fast_kpa, self._round_kpa = np.array(FAST * TURN * full_scale_kpa), np.array(ROUND * full_scale_kpa)
         self._most_rested_kpa2 = np.array((recovery.MOST * full_scale_kpa) ** 2)
@@ -208,6 +208,7 @@ class TurningInversion(Inversion):
         memory[EXTREME], memory[PEAK], memory[LAST : THIRD_LAST + 1] = p, p, p
         memory[IN_FORCE.start + RISING] = 1.0
         sway.begin(memory, r)
+        still.begin(memory)
         memory[STATE] = [p, p, p, p / m.e2_kpa, p / m.e3_kpa, p / m.e3_kpa, r]
         return memory
 
@@ -351,7 +352,7 @@ class TurningInversion(Inversion):
         np.add(apart, of.doubt, of.variance)
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
-        return *loops.ALL, *recovery.LOOPS, *sway.LOOPS
+        return *loops.ALL, *recovery.LOOPS, *still.LOOPS, *sway.LOOPS
 
     def _numbers_of_turns(self) -> FloatArray:
         """What the loops take."""
@@ -446,8 +447,9 @@ class TurningInversion(Inversion):
         np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
 
     def recover(self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray) -> None:
-        """See :func:`._recovery.look` and :func:`._sway.look`."""
+        """See :func:`._recovery.look`, :func:`._still.look` and :func:`._sway.look`."""
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
+        still.look(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).each)
         sway.look(memory, mean, noise, self._kept_kpa)
 
     def recover_compiled(
@@ -460,8 +462,10 @@ class TurningInversion(Inversion):
         newest: int,
         cells: IntArray,
     ) -> None:
-        """See :func:`._recovery.look_each` and :func:`._sway.look_each`."""
+        """See :func:`._recovery.look_each`, :func:`._still.look_each` and :func:`._sway.look_each`."""
         recovery.look_each.code(memory, taken, line, ring, newest, cells, self._recovery.of(dt_s).row)
+        numbers = self._still.of(dt_s).row
+        still.look_each.code(memory, taken, ring, newest, cells, self.full_scale_kpa, numbers)
         sway.look_each.code(memory, taken, ring, newest, cells, sway.LOOKS_IN_BLOCK, self._kept_kpa)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
@@ -728,6 +732,7 @@ class TurningInversion(Inversion):
         state[6] = np.where(held[SIGN] > 0, rising, state[1] / m.e1_kpa + x2 + x3)
         share = np.where(apart, 0.0, held[IN_FORCE][::-1])
         state[:6] += (self._taken_over @ state) * np.tile(share, (3, 1))
+        still.hold(held, 1.0 - gone[1], 1.0 - gone[2])
         sway.begin_anew(held, np.ones(held.shape[1], dtype=np.bool_))
         return held
 

@@ -45,6 +45,9 @@ difference of the hypotheses; share of a variance that a new beginning leaves, a
 those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, of :mod:`._recovery`, and how far
 small pressures must go back for a turn; how far the peak goes down as an error of the memory fades; those of
 ``_doubt_falls`` and of ``_late``; of :func:`refutes`, and of :func:`seeming_kpa`"""
+REFUTED = 0.5 * FAR
+"""kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
+is a turn, and below the extreme that means "none", so that the turn is certain"""
 UNCONFIRMED, PULLED, BEYOND = 1, 2, 4
 
 

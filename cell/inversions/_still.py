@@ -1,0 +1,201 @@
+"""Light touches on cells that recover: whether the load is again what it was before.
+
+The paper's cell answers a rise by more than a fall. Near none a touch may therefore be noticed as a turn, and its
+release not. The rising model then stays in force, and takes the recovery for a load that grows, by up to a twentieth of
+full scale. Neither hypothesis tells: the recovery model begins anew where the pressure is as long as that goes up.
+
+A third hypothesis is therefore followed while the rising model is in force: that the load is what it was when the
+recovery model was, and that the cell remembers what it remembered then. Its prediction of the readings needs no
+inverse. As long as the readings keep their distance from it while the rising model's pressure grows, the load would
+have to grow exactly as the recovery fades. The growth is therefore in doubt, and is refuted when it is clear: the
+recovery model is taken over again, with that load. A load that grows takes the readings away from the prediction, and
+under a light load that is held the resistance falls faster than it. Both begin the comparison anew.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ...arrays import FloatArray
+from ...compiled import FixedRow, Places, Rows, loop
+from ..estimation import FAR, NOISE, PRESSURE, RECENT, VARIANCE
+from ..materials import PaperModel
+from ._paper_steps import step_weights
+from ._turning_loops import EXTREME, LEFT, RECOVERY_KPA, RECOVERY_X3, REFUTED, SIGN, STATE_END, TURNED, X2
+
+FLAT = 0.3
+"""share of the growth by which the readings may leave the prediction, as the recovery model answers that"""
+SURE = 3.0
+"""standard deviations of the mean of readings by which they may do so, too, and by which a growth is none"""
+LIGHT_TOUCH = 0.05
+"""of full scale: how far the readings may be from the prediction, as the recovery model answers that. Larger loads fall
+by enough to be noticed"""
+CLEAR = 0.01
+"""of full scale: growth that is refuted. Of a growth that noise hides more than :data:`FLAT` of, nothing can be said"""
+EITHER = 0.5
+"""standard deviation over the growth that is in doubt"""
+_ZERO, _FAR, _EITHER, _FLAT, _SURE = (np.array(x) for x in (0.0, FAR, EITHER, FLAT, SURE / math.sqrt(RECENT)))
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
+
+NAMES = ("still_kpa", "still_x2", "still_x3", "off_kpa_before", "pressure_before")
+"""names of the rows of the memory"""
+STILL_KPA, STILL_X2, STILL_X3, OFF_BEFORE, PRESSURE_BEFORE = range(41, 46)
+"""rows: the load that may be the same again; r that the two branches bear beyond what they would under it for ever.
+Then, from when the comparison began: how far the readings were from the prediction, and the pressure"""
+
+GAIN_KPA, FADES_2, FADES_3, BACK_2, BACK_3 = range(5)
+"""places of what depends on the time between frames: kPa per r in recovery; share of what the branches bear that is
+left at the next look; by how much more they bore when the mean of the readings was right. Then constants:"""
+PER_KPA, PER_KPA_2, PER_KPA_3, PER_KPA_AT_ONCE = range(5, 9)
+"""r per kPa of a load for ever: all of it; what the two branches bear; what comes at once"""
+
+
+class Constants(NamedTuple):
+    """What :func:`look` takes, for one time between frames; places as above."""
+
+    row: FloatArray
+    each: tuple[FloatArray, ...]
+    """the same numbers, as arrays without axes"""
+
+
+def constants(model: PaperModel, dt_s: float) -> Constants:
+    """The constants for frames ``dt_s`` apart."""
+    age_s, look_s = 0.5 * (RECENT - 1) * dt_s, RECENT * dt_s
+    numbers = {
+        GAIN_KPA: float(step_weights(model, dt_s).gain[-1]),
+        FADES_2: math.exp(-look_s / model.t2_s),
+        FADES_3: math.exp(-look_s / model.t3_s),
+        BACK_2: math.exp(min(age_s / model.t2_s, 50.0)),
+        BACK_3: math.exp(min(age_s / model.t3_s, 50.0)),
+        PER_KPA: 1.0 / model.e1_kpa + 1.0 / model.e2_kpa + 1.0 / model.e3_kpa,
+        PER_KPA_2: 1.0 / model.e2_kpa,
+        PER_KPA_3: 1.0 / model.e3_kpa,
+        PER_KPA_AT_ONCE: 1.0 / model.e1_kpa,
+    }
+    row = np.array([numbers[place] for place in range(len(numbers))])
+    return Constants(row, tuple(np.array(number) for number in row))
+
+
+def begin(memory: FloatArray) -> None:
+    """Begin with cells that bear no load and remember none; changes their ``memory`` (rows, m)."""
+    memory[OFF_BEFORE] = FAR
+
+
+def hold(memory: FloatArray, left_2: FloatArray, left_3: FloatArray) -> None:
+    """Let what the branches bear fade in a gap that leaves these shares of it; changes ``memory`` (rows, m)."""
+    memory[STILL_X2] *= left_2
+    memory[STILL_X3] *= left_3
+
+
+def look(
+    memory: FloatArray, mean: FloatArray, noise: FloatArray, full_scale_kpa: float, numbers: tuple[FloatArray, ...]
+) -> None:
+    """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``memory`` (rows, m).
+
+    Args:
+        memory: of the cells.
+        mean: (m,) of those readings.
+        noise: (m,) standard deviation of one of them.
+        full_scale_kpa: of the cells.
+        numbers: :func:`constants`, each.
+    """
+    load, x2, x3, off_before, pressure_before = memory[STILL_KPA : PRESSURE_BEFORE + 1]
+    pressure, rising = memory[PRESSURE], memory[SIGN] > _ZERO
+    x2 *= numbers[FADES_2]
+    x3 *= numbers[FADES_3]
+    released = memory[LEFT] >= _FAR
+    released &= ~rising
+    if np.count_nonzero(released):
+        np.copyto(load, np.maximum(pressure, _ZERO), where=released)
+        np.copyto(x2, memory[X2] - load * numbers[PER_KPA_2], where=released)
+        np.copyto(x3, memory[RECOVERY_X3] - load * numbers[PER_KPA_3], where=released)
+        np.copyto(off_before, _FAR, where=released)
+    if not np.count_nonzero(rising):
+        return
+    off = mean - load * numbers[PER_KPA]
+    off -= x2 * numbers[BACK_2]
+    off -= x3 * numbers[BACK_3]
+    off *= numbers[GAIN_KPA]
+    by_noise = noise * _SURE
+    by_noise *= numbers[GAIN_KPA]
+    growth = pressure - pressure_before
+    alike = np.abs(off - off_before) <= np.maximum(growth, _ZERO) * _FLAT + by_noise
+    alike &= np.abs(off) <= by_noise + LIGHT_TOUCH * full_scale_kpa
+    anew = rising & ~alike
+    np.copyto(off_before, off, where=anew)
+    np.copyto(pressure_before, pressure, where=anew)
+    np.copyto(growth, _ZERO, where=~(rising & alike))
+    in_doubt = np.maximum(growth - by_noise, _ZERO) * _EITHER
+    in_doubt *= in_doubt
+    in_doubt -= memory[TURNED]
+    np.maximum(in_doubt, _ZERO, out=in_doubt)
+    memory[TURNED] += in_doubt
+    memory[VARIANCE] += in_doubt
+    refuted = growth > CLEAR * full_scale_kpa
+    refuted &= growth * _FLAT > by_noise
+    if np.count_nonzero(refuted):
+        x3 = x3 + load * numbers[PER_KPA_3]
+        np.copyto(memory[RECOVERY_KPA], load, where=refuted)
+        np.copyto(memory[RECOVERY_X3], x3, where=refuted)
+        np.copyto(memory[X2], memory[STATE_END - 1] - load * numbers[PER_KPA_AT_ONCE] - x3, where=refuted)
+        np.copyto(memory[EXTREME], REFUTED, where=refuted)
+
+
+@loop
+def look_each(
+    memory: Rows,
+    taken: Rows,
+    ring: Rows,
+    newest: int,
+    cells: Places,
+    full_scale_kpa: float,
+    numbers: FixedRow,
+) -> None:
+    """:func:`look` as a loop over cells, which takes the mean of the readings itself.
+
+    Args:
+        memory: (rows, m), changed.
+        taken: (4, m) readings of the frame.
+        ring: (k, n) the last readings of all cells.
+        newest: row of the last of them.
+        cells: (m,) indices.
+        full_scale_kpa: of the cells.
+        numbers: :func:`constants`.
+    """
+    size = ring.shape[0]
+    second, third, fourth = (newest - 1) % size, (newest - 2) % size, (newest - 3) % size
+    for i in range(cells.size):
+        pressure = memory[PRESSURE, i]
+        x2, x3 = memory[STILL_X2, i] * numbers[FADES_2], memory[STILL_X3, i] * numbers[FADES_3]
+        memory[STILL_X2, i], memory[STILL_X3, i] = x2, x3
+        if not memory[SIGN, i] > 0.0:
+            if memory[LEFT, i] >= FAR:
+                load = max(pressure, 0.0)
+                memory[STILL_KPA, i], memory[OFF_BEFORE, i] = load, FAR
+                memory[STILL_X2, i] = memory[X2, i] - load * numbers[PER_KPA_2]
+                memory[STILL_X3, i] = memory[RECOVERY_X3, i] - load * numbers[PER_KPA_3]
+            continue
+        cell, load = cells[i], memory[STILL_KPA, i]
+        mean = (ring[newest, cell] + ring[second, cell] + ring[third, cell] + ring[fourth, cell]) * (1.0 / RECENT)
+        off = mean - load * numbers[PER_KPA] - x2 * numbers[BACK_2] - x3 * numbers[BACK_3]
+        off *= numbers[GAIN_KPA]
+        by_noise = taken[NOISE, i] * (SURE / math.sqrt(RECENT)) * numbers[GAIN_KPA]
+        growth = pressure - memory[PRESSURE_BEFORE, i]
+        alike = abs(off - memory[OFF_BEFORE, i]) <= max(growth, 0.0) * FLAT + by_noise
+        if not (alike and abs(off) <= by_noise + LIGHT_TOUCH * full_scale_kpa):
+            memory[OFF_BEFORE, i], memory[PRESSURE_BEFORE, i] = off, pressure
+            continue
+        in_doubt = max(growth - by_noise, 0.0) * EITHER
+        in_doubt = max(in_doubt * in_doubt - memory[TURNED, i], 0.0)
+        memory[TURNED, i] += in_doubt
+        memory[VARIANCE, i] += in_doubt
+        if growth > CLEAR * full_scale_kpa and growth * FLAT > by_noise:
+            x3 = x3 + load * numbers[PER_KPA_3]
+            memory[RECOVERY_KPA, i], memory[RECOVERY_X3, i], memory[EXTREME, i] = load, x3, REFUTED
+            memory[X2, i] = memory[STATE_END - 1, i] - load * numbers[PER_KPA_AT_ONCE] - x3
+
+
+LOOPS = (look_each,)
