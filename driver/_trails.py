@@ -16,10 +16,10 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import ndimage
 
 from ..arrays import BoolArray, FloatArray
 from ._around import highest_around, with_all_neighbours
+from ._watershed import Segments
 
 SUDDEN = 0.2
 """share of the largest reading in the 3 x 3 cells around a cell by which the reading of a head's cell rises in a frame:
@@ -47,7 +47,6 @@ KEPT = 0.8
 GONE = 0.1
 """share by which the readings of the cells behind a slide have fallen together. A cell that was loaded and unloaded
 between two frames shows no fall, but those beside it do, on which the finger was when they were read"""
-NEIGHBOURS = np.ones((3, 3), dtype=int)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +80,7 @@ class Trails:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         self.shape = shape
+        self._segments = Segments(shape)
         self.left: BoolArray = np.zeros(shape, dtype=np.bool_)
         """(rows, columns) cells that were left behind and have not been touched since"""
         self.any_left = False
@@ -123,7 +123,7 @@ class Trails:
         self._highest = np.fmax(self._highest, reading) if last else reading
         gone_on = set[int]()
         if sudden.any():
-            labels, count = ndimage.label(sudden, structure=NEIGHBOURS)
+            labels, count = self._segments.label(sudden)
             for label in range(1, count + 1):
                 self._heads.append(self._head(labels == label, rise, last, gone_on, touched))
         for head in self._heads:

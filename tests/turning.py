@@ -52,7 +52,14 @@ class OneCell:
                 if self.rising and other.pressure <= paper.USUAL * self.full:
                     self.extreme = paper.REFUTED
             now, other = self._believable(now, self.rising, r), self._believable(other, not self.rising, r)
-        threshold = paper.SURE * std * gains[self.rising] + self._turn_from(self.extreme) + self.drift
+        seeming = self.drift
+        if self.rising:
+            rise_r, fall_r = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
+            fall = max(self.extreme - other.pressure - paper.CLEAR_FALL * self.full, 0.0)
+            seeming = min(seeming, paper.SHARED_FALL * fall_r / rise_r * fall)
+            if self.third_last - now.pressure > paper.FALLING * std * gains[True]:
+                seeming = 0.0
+        threshold = paper.SURE * std * gains[self.rising] + self._turn_from(self.extreme) + seeming
         turned = self.extreme - self._ahead(now) > threshold
         if self.left is not None:
             direction = 1.0 if self.rising else -1.0
@@ -97,7 +104,7 @@ class OneCell:
             self.rest_variance = 0.0 if lost else usual
             self.rested, self.drift, self.taken_off = False, 0.0, 0.0
             error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
-            self.last_drift = 0.0 if self.rising else recovery.DRIFTS * error
+            self.last_drift = recovery.DRIFTS * error
             if late > 0:
                 doubt_kpa = np.sqrt(self.doubt) + paper.MAY_BEND * late
                 self.doubt = self.variance = min(doubt_kpa**2, (paper.UNKNOWN * self.full) ** 2)
@@ -163,10 +170,15 @@ class OneCell:
         """A released cell is at rest."""
         m = self.model
         gain = self._solved(Hypothesis(0, 0, 0, 0), False, dt, 1.0).pressure
-        fade = np.exp(-8 * dt * (1 + m.e1_kpa / m.e2_kpa) / m.t2_s)  # of a variance, in four frames
+        rate = (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         self.peak = self.peak + recovery.PEAK_FADES * (self.extreme - self.peak)
-        self.rest_variance *= fade
-        self.drift += (1 - np.sqrt(fade)) * (self.last_drift + max(self.taken_off, 0.0) - self.drift)
+        self.rest_variance *= np.exp(-8 * dt * rate)  # of a variance, in four frames
+        if self.rising:
+            rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s
+        self.drift += (1 - np.exp(-4 * dt * rate)) * (self.last_drift + max(self.taken_off, 0.0) - self.drift)
+        if self.rising and count >= recovery.OLD:
+            rising_gain = self._solved(Hypothesis(0, 0, 0, 0), True, dt, 1.0).pressure
+            self.drift = max(self.drift, recovery.OVERSHOOT * noise * rising_gain)
         if self.rising or self.left is not None or count < 3:
             return
         ago = 1.5 * dt

@@ -99,16 +99,17 @@ class Tremor:
         noise leaves its own variance less that of the line; the share that is left of a sudden change is as large.
         """
         below = looked.line[LEVEL] - looked.reading
-        noise2 = looked.noise * looked.noise
-        left = noise2 - looked.std * looked.std  # 0 where a line begins
-        may = below * below > left * _MAY_FALL2
-        may &= below > _ZERO
-        may &= left > _ZERO
-        fell = may.nonzero()[0]
+        squared = np.abs(below)
+        squared *= below
+        left = looked.noise * looked.noise
+        left -= looked.std * looked.std  # 0 where a line begins
+        fell = (squared > left * _MAY_FALL2).nonzero()[0]
+        if fell.size:
+            fell = fell[left[fell] > _ZERO]
         if not fell.size:
             return
-        below, left = below[fell], left[fell]
-        kept_kpa = below * noise2[fell] / left * np.maximum(fall_kpa - memory[GAIN, fell], 0.0) * FALLEN
+        below, left, noise2 = below[fell], left[fell], looked.noise[fell] ** 2
+        kept_kpa = below * noise2 / left * np.maximum(fall_kpa - memory[GAIN, fell], 0.0) * FALLEN
         kept_kpa *= _share(below / np.sqrt(left), MAY_FALL, FALLS)
         self._waiting_kpa[cells[fell]] += np.minimum(kept_kpa, np.maximum(memory[PRESSURE, fell], 0.0))
         self.suspicious = True

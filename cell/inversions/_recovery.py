@@ -23,6 +23,7 @@ import numpy as np
 from ...arrays import FloatArray
 from ...compiled import FixedRow, Places, Rows, loop
 from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED
+from ..estimation import GAIN as GAIN_ROW
 from ..materials import PaperModel
 from ._paper_steps import step_weights
 from ._turning_loops import (
@@ -57,20 +58,25 @@ LIGHT = 0.1
 """share of the variance of the memory that a rest leaves, beside the square of what was subtracted: the released cell
 may have borne a light load after all"""
 DRIFTS = 2.0
-"""standard deviations of the memory's error that may seem to be a rise as the error fades"""
+"""standard deviations of the memory's error that may seem to be a turn as the error fades"""
+OVERSHOOT = 3.0
+"""standard deviations of a reading by which the smoothing's line may go beyond a rising load that stops: readings must
+depart from it by some before a new line begins. No fall that is less is a turn for sure"""
+OLD = 2.0 * RECENT
+"""readings of a line from which this is reckoned with: the end of a shorter one is as uncertain itself"""
 PEAK_FADES = 0.15
 """share of the way, from one look to the next, by which the peak goes down to the extreme. The largest of the noisy
 first pressures of a press may exceed all later ones; the other hypothesis would begin there, however long the hold"""
 
-GAIN, FADES, BACK_2, BACK_3, DRIFT_SHARE = range(5)
+GAIN, FADES, BACK_2, BACK_3, DRIFT_SHARE, RISING_DRIFT_SHARE = range(6)
 """places of what depends on the time between frames: kPa per r in recovery; share of a variance of the memory that is
 left at the next look; by how much more the two branches bore when the mean of the readings was right; share of the
-way that a drift goes until the next look. Then constants:"""
-BOUND, E1_KPA, SETTLED_PER_KPA, ETAU2_KPA, LATELY = range(5, 10)
-"""squared standard deviations of rest; of the model; how fast a peak goes down"""
+way that a drift goes until the next look, in recovery and under a load that rises. Then constants:"""
+BOUND, E1_KPA, SETTLED_PER_KPA, ETAU2_KPA, LATELY, BEYOND = range(6, 12)
+"""squared standard deviations of rest; of the model; how fast a peak goes down; how far a line may overshoot"""
 
 
-_ZERO, _FAR, _BEFORE, _PER_READING = (np.array(x) for x in (0.0, FAR, RECENT - 1.0, 1.0 / RECENT))
+_ZERO, _FAR, _BEFORE, _OLD, _PER_READING = (np.array(x) for x in (0.0, FAR, RECENT - 1.0, OLD, 1.0 / RECENT))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
@@ -85,7 +91,7 @@ class Constants(NamedTuple):
 def constants(model: PaperModel, dt_s: float) -> Constants:
     """The constants for frames ``dt_s`` apart."""
     weights = step_weights(model, dt_s)
-    gain_kpa, fade = float(weights.gain[-1]), float(weights.fade[-1])
+    gain_kpa, (rising_fade, fade) = float(weights.gain[-1]), weights.fade.tolist()
     age_s = 0.5 * (RECENT - 1) * dt_s
     numbers = {
         GAIN: gain_kpa,
@@ -93,11 +99,13 @@ def constants(model: PaperModel, dt_s: float) -> Constants:
         BACK_2: math.exp(min(age_s / model.t2_s, 50.0)),
         BACK_3: math.exp(min(age_s / model.t3_s, 50.0)),
         DRIFT_SHARE: 1.0 - fade ** (RECENT / 2),  # errors fade as the root of their variance
+        RISING_DRIFT_SHARE: 1.0 - rising_fade ** (RECENT / 2),
         BOUND: REST_SIGMAS**2,
         E1_KPA: model.e1_kpa,
         SETTLED_PER_KPA: 1.0 + model.etau2_kpa / model.eu1_kpa,
         ETAU2_KPA: model.etau2_kpa,
         LATELY: PEAK_FADES,
+        BEYOND: OVERSHOOT,
     }
     row = np.array([numbers[place] for place in range(len(numbers))])
     return Constants(row, tuple(np.array(number) for number in row))
@@ -118,7 +126,11 @@ def look(
     peak, drift, variance, shown = memory[PEAK], memory[DRIFT_KPA], memory[REST_VARIANCE], memory[PRESSURE]
     peak += (memory[EXTREME] - peak) * numbers[LATELY]
     comes_back = np.maximum(memory[TAKEN_OFF_KPA], _ZERO)
-    drift += (memory[DRIFT_END_KPA] + comes_back - drift) * numbers[DRIFT_SHARE]
+    rising = memory[SIGN] > _ZERO
+    share = np.where(rising, numbers[RISING_DRIFT_SHARE], numbers[DRIFT_SHARE])
+    drift += (memory[DRIFT_END_KPA] + comes_back - drift) * share
+    held = rising & (count >= _OLD)
+    np.maximum(drift, noise * memory[GAIN_ROW] * numbers[BEYOND], out=drift, where=held)
     variance *= numbers[FADES]
     calm = (memory[SIGN] < _ZERO) & (memory[LEFT] >= _FAR) & (count >= _BEFORE)
     if not np.count_nonzero(calm):
@@ -157,13 +169,12 @@ def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> No
         by_noise: (m,) variance in kPa^2 that the noise of the turn's own reading leaves. All of it is usual.
         most_kpa2: without axes, the square of :data:`MOST` in kPa.
     """
-    turned, drift_end = memory[TURNED], memory[DRIFT_END_KPA]
-    memory[[RESTED, DRIFT_KPA, REST_VARIANCE, DRIFT_END_KPA, TAKEN_OFF_KPA]] = 0.0
+    turned = memory[TURNED]
+    memory[[RESTED, DRIFT_KPA, REST_VARIANCE, TAKEN_OFF_KPA]] = 0.0
     usual = np.maximum(turned - by_noise, _ZERO) * PART
     usual += np.minimum(by_noise, turned)
     np.copyto(memory[REST_VARIANCE], usual, where=turned < most_kpa2)
-    drift = np.sqrt(np.minimum(turned, most_kpa2)) * DRIFTS
-    np.copyto(drift_end, drift, where=memory[SIGN] < _ZERO)
+    memory[DRIFT_END_KPA] = np.sqrt(np.minimum(turned, most_kpa2)) * DRIFTS
 
 
 @loop
@@ -185,7 +196,11 @@ def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, ce
     for i in range(cells.size):
         memory[PEAK, i] += (memory[EXTREME, i] - memory[PEAK, i]) * numbers[LATELY]
         drift_end = memory[DRIFT_END_KPA, i] + max(memory[TAKEN_OFF_KPA, i], 0.0)
-        memory[DRIFT_KPA, i] += (drift_end - memory[DRIFT_KPA, i]) * numbers[DRIFT_SHARE]
+        rising = memory[SIGN, i] > 0.0
+        share = numbers[RISING_DRIFT_SHARE] if rising else numbers[DRIFT_SHARE]
+        memory[DRIFT_KPA, i] += (drift_end - memory[DRIFT_KPA, i]) * share
+        if rising and line[COUNT, i] >= OLD:
+            memory[DRIFT_KPA, i] = max(memory[DRIFT_KPA, i], taken[NOISE, i] * memory[GAIN_ROW, i] * numbers[BEYOND])
         memory[REST_VARIANCE, i] *= numbers[FADES]
         if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and line[COUNT, i] >= RECENT - 1.0):
             continue

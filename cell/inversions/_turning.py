@@ -98,6 +98,14 @@ SHARED, CLEAR_RISE = 0.2, 0.05
 scale, a rise must be to be refuted. Where a cell recovers under a light hold, the rising model takes the recovery for a
 load that grows, while the recovery model is almost constant. A press raises both models by about as much. A press of
 some seconds that begins while the cell recovers raises them less alike: a share of 0.5 would refute some of these"""
+SHARED_FALL, CLEAR_FALL = 0.3, 0.02
+"""share of a fall of the recovery model, as the rising model answers it, up to which a fall of the rising model may be
+an error of its memory that fades, or a line that overshot; and the fall, of full scale, from which this is so. Where
+much is remembered, the resistance under a load that is held falls so fast that the recovery model takes it for a
+release, while the rising model is almost constant. A release takes both models back"""
+FALLING = 6.0
+"""standard deviations of the smoothed noise by which a pressure that goes back in three frames is that of a load that
+falls, whatever the share: smooth loads of little noise turn so"""
 FLAT, HELD = 0.003, 0.03
 """of full scale: by how much a pressure that is held may seem to go back, and by how much in a second. A load that goes
 back faster has turned: the other hypothesis began at its extreme, and is not to begin again later"""
@@ -169,9 +177,11 @@ class TurningInversion(Inversion):
         )
         self._turn_share, self._shared = np.array(TURN_SHARE), np.array(SHARED)
         self._clear_rise_kpa = CLEAR_RISE * full_scale_kpa
-        self._held_kpa_per_s = HELD * full_scale_kpa
         self._fast_r = np.array([[1 / model.eu1_kpa + 1 / model.etau2_kpa], [1 / model.e1_kpa]])
         """r per kPa of a fast change, in the rising and in the recovery model"""
+        self._shared_fall = np.array(SHARED_FALL * self._fast_r[1, 0] / self._fast_r[0, 0])
+        self._clear_fall_kpa, self._falling = np.array(CLEAR_FALL * full_scale_kpa), np.array(FALLING)
+        self._held_kpa_per_s = HELD * full_scale_kpa
         self._smooth_kpa, self._away_kpa = SMOOTH * self._turn_kpa, np.array(AWAY * full_scale_kpa)
         # What is below zero is an error that fades, and no turn.
         self._least_kpa = np.array(self._lowest if self.exact else 0.0)
@@ -394,6 +404,9 @@ class TurningInversion(Inversion):
             loops.MAY_BEND: MAY_BEND,
             loops.SHARED: SHARED,
             loops.CLEAR_RISE_KPA: self._clear_rise_kpa,
+            loops.SHARED_FALL: self._shared_fall,
+            loops.CLEAR_FALL_KPA: self._clear_fall_kpa,
+            loops.FALLING: FALLING,
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
@@ -496,12 +509,28 @@ class TurningInversion(Inversion):
         np.multiply(std, of.gain, of.unsure)
         np.multiply(of.unsure, self._sure, of.threshold)
         self._turn_from(of.extreme, of.ahead)
-        of.ahead += of.drift
+        of.ahead += self._seeming(of)
         of.threshold += of.ahead
         if self._steps > 0.0:
             self._doubt_falls(of, std)
         np.maximum(of.pressure, self._least_kpa, out=of.ahead)
         of.ahead *= of.sign
+
+    def _seeming(self, of: Rows) -> FloatArray:
+        """(m,) kPa by which pressures may seem to go back though the load has not turned.
+
+        Under a load that rises this is no more than a share of what the recovery model has gone back by, and none where
+        the pressure has gone back by more than noise in the last three frames.
+        """
+        shared: FloatArray = np.subtract(of.extreme, of.recovery_kpa, of.spare)
+        shared -= self._clear_fall_kpa
+        np.maximum(shared, self._none, out=shared)
+        shared *= self._shared_fall
+        np.minimum(shared, of.drift, out=shared)
+        falls = np.subtract(of.third_last, of.pressure, of.nearby)
+        np.copyto(shared, self._none, where=np.greater(falls, of.unsure * self._falling, of.where))
+        np.copyto(shared, of.drift, where=np.less(of.sign, self._none, of.where))
+        return shared
 
     def _doubt_falls(self, of: Rows, std: FloatArray) -> None:
         """Let a load that seems to fall, and not to none, fall by more than steps of the ADC; changes the threshold."""

@@ -21,7 +21,7 @@ RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 1
 """rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
 DRIFT_KPA, DRIFT_END_KPA, TAKEN_OFF_KPA = 22, 23, 24
 """rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
-seem to rise, now and at last; pressure that was subtracted since the release"""
+seem to turn, now and at last; pressure that was subtracted since the release"""
 UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
 NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_TURNS = range(6, 10)
 GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
@@ -37,14 +37,14 @@ PULL, NEAR_KPA, SETTLED_PER_KPA, ETAU2_KPA, E1_KPA, LOST_SIGMAS, MOST_LOST_KPA2 
 HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2, LIGHT_KPA, TURN_SHARE = range(28, 37)
 GOES_BACK, STEPS, STILL, FALL = range(37, 41)
 RISE_R, FALL_R, SMOOTH_KPA, AWAY_KPA, MAY_BEND = range(41, 46)
-SHARED, CLEAR_RISE_KPA = range(46, 48)
+SHARED, CLEAR_RISE_KPA, SHARED_FALL, CLEAR_FALL_KPA, FALLING = range(46, 51)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
 those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, of :mod:`._recovery`, and how far
 small pressures must go back for a turn; how far the peak goes down as an error of the memory fades; those of
-``_doubt_falls`` and of ``_late``; and of :func:`refutes`"""
+``_doubt_falls`` and of ``_late``; of :func:`refutes`, and of :func:`seeming_kpa`"""
 UNCONFIRMED, PULLED, BEYOND = 1, 2, 4
 
 
@@ -148,8 +148,7 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
     memory[RESTED, i], memory[DRIFT_KPA, i], memory[TAKEN_OFF_KPA, i] = 0.0, 0.0, 0.0
     rest_variance = max(turned - by_noise, 0.0) * numbers[PART] + min(by_noise, turned)
     memory[REST_VARIANCE, i] = rest_variance if turned < numbers[MOST_RESTED_KPA2] else 0.0
-    drift = math.sqrt(min(turned, numbers[MOST_RESTED_KPA2])) * numbers[DRIFTS]
-    memory[DRIFT_END_KPA, i] = drift if sign < 0.0 else 0.0
+    memory[DRIFT_END_KPA, i] = math.sqrt(min(turned, numbers[MOST_RESTED_KPA2])) * numbers[DRIFTS]
     if late > 0.0:
         doubt = math.sqrt(turned) + late * numbers[MAY_BEND]
         memory[TURNED, i] = memory[VARIANCE, i] = min(doubt * doubt, numbers[MOST_KPA2])
@@ -175,6 +174,21 @@ def turn_from(extreme: float, numbers: FixedRow) -> float:
 
 
 @loop
+def seeming_kpa(memory: Rows, i: int, unsure: float, numbers: FixedRow) -> float:
+    """By how much the pressure of cell ``i`` may seem to go back though the load has not turned.
+
+    Its noise is ``unsure``.
+    """
+    drift = memory[DRIFT_KPA, i]
+    if memory[SIGN, i] > 0.0:
+        shared = memory[EXTREME, i] - memory[RECOVERY_KPA, i] - numbers[CLEAR_FALL_KPA]
+        drift = min(drift, max(shared, 0.0) * numbers[SHARED_FALL])
+        if memory[THIRD_LAST, i] - memory[PRESSURE, i] > unsure * numbers[FALLING]:
+            drift = 0.0
+    return float(drift)
+
+
+@loop
 def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
     """Look at the hypothesis in force in cell ``i``; whether it has turned, or an earlier turn was noise."""
     rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
@@ -187,7 +201,7 @@ def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
     noise = of[OTHER_GAIN, i] * std
     memory[PRESSURE, i] = pressure
     of[UNSURE, i], of[AHEAD, i], of[SPARE, i], of[NOISE, i] = unsure, ahead, back, noise
-    least = turn_from(memory[EXTREME, i], numbers) + memory[DRIFT_KPA, i]
+    least = turn_from(memory[EXTREME, i], numbers) + seeming_kpa(memory, i, unsure, numbers)
     if numbers[STEPS] > 0.0 and sign > 0.0:
         scale = memory[STATE_END - 1, i] + 1.0
         by_steps = scale * scale * numbers[STEPS]
