@@ -64,7 +64,7 @@ def keep(
     above = np.maximum(np.minimum(level - own, 2.0 * bound - (level - own)), 0.0)
     shared = np.where(level < 0.0, np.maximum(np.minimum(level + own, 0.0), -bound), above)
     stands_out = awake.reshape(-1, columns) & (off > level + STANDS_OUT * own) & (untold & (shared != 0.0))
-    cells = (stands_out.ravel() & read).nonzero()[0]
+    cells: IntArray = (stands_out.ravel() & read).nonzero()[0]
     if cells.size:
         part, with_it = shared.take(cells % columns), r.take(cells)
         without = (1.0 + with_it) / (1.0 + side * part) - 1.0
