@@ -4,6 +4,7 @@ Fingers move over emulated boards, which are read through a whole :class:`ohmski
 several times in one stream, along another direction and with other forces each time:
 
 * two fingers cross, or pass each other at a distance of some cells; one finger rolls over the skin;
+* a finger swipes over the skin, by one or two cells in a frame;
 * a finger goes across a row that is dead; a light finger stays where it is for seconds;
 * nothing touches the skin, but the rest resistances of all its cells drift, or that of one;
 * a stylus taps single cells, as fingertips do where the pitch is larger than they are.
@@ -40,6 +41,10 @@ WAY_CELLS = 3.0
 WIDTH_CELLS = 0.8
 """standard deviation of a fingertip's bell"""
 STYLUS_CELLS = 0.1
+SWIPE_CELLS = 7.0
+"""way of a finger that swipes, from touching the skin to leaving it"""
+SUBSTEPS = 8
+"""in which a frame's load is simulated of a finger that moves by cells within a frame"""
 PEAKS, LIGHT = (0.3, 0.7), 0.12
 """of full scale"""
 DRIFT, DRIFT_S = 0.03, 24.0
@@ -75,6 +80,8 @@ class Fingers:
     """of the plays, those in which each finger has one id, from its first contact to its last one"""
     false: int
     """ids beyond one for each finger of each play"""
+    false_s: float
+    """time in which there was any contact though no finger was on the skin, from :data:`LATE_S` after the last one"""
     force_share: float
     """median force of a contact that is one finger's alone, over that of its finger"""
     off_cells: float
@@ -112,6 +119,11 @@ def _down(share: FloatArray, rng: np.random.Generator) -> FloatArray:
     return np.stack([(2.0 * share - 1.0) * WAY_CELLS, np.full(share.size, aside)], axis=1)[None]
 
 
+def _swipe(share: FloatArray, rng: np.random.Generator) -> FloatArray:
+    along = (2.0 * share - 1.0)[:, None] * SWIPE_CELLS / 2.0
+    return (along * _direction(rng.uniform(0.0, 2.0 * np.pi)) + rng.uniform(-0.5, 0.5, 2))[None]
+
+
 def _stay(share: FloatArray, rng: np.random.Generator) -> FloatArray:
     place = rng.uniform(-WAY_CELLS, WAY_CELLS, 2)
     return np.asarray(np.broadcast_to(place, (1, share.size, 2)))
@@ -131,6 +143,8 @@ class Scene:
     on_cells: bool = False
     """presses are in the middle of cells"""
     dead_row: bool = False
+    substeps: int = 1
+    """in which a frame's load is simulated"""
     drifting: str = ""
     """"all" or "one" of the cells"""
 
@@ -139,6 +153,10 @@ SCENES = (
     Scene("two cross", _cross),
     *(Scene(f"two pass, {gap:g} cells", _pass(gap)) for gap in (1.0, 1.5, 2.0)),
     Scene("one rolls", _roll),
+    *(
+        Scene(f"swipe, {speed:g} cells a frame", _swipe, seconds=SWIPE_CELLS / speed / RATE_HZ, substeps=SUBSTEPS)
+        for speed in (1.0, 2.0)
+    ),
     Scene("across a dead row", _down, dead_row=True),
     Scene("light, held 5 s", _stay, seconds=HOLD_S, plays=2, peaks=(LIGHT, LIGHT)),
     Scene("lone cells, 300 ms", _stay, seconds=TAP_S, plays=PLAYS_OF_TAPS, width_cells=STYLUS_CELLS, on_cells=True),
@@ -153,6 +171,8 @@ class Play:
 
     start_s: float
     end_s: float
+    edge_s: float
+    """in which the fingers come down, and are lifted"""
     places: FloatArray
     """(fingers, frames, 2) rows and columns, in the frames of the whole stream"""
     peaks_kpa: FloatArray
@@ -176,11 +196,15 @@ def played(size: int, board: tuple[str, str, int, float], scene: Scene, rng: np.
     readout = design(size, circuit, idle_rows, bits)
     pitch_mm = 1e3 * (readout.sheet.pitch or 1.0)
     seconds = REST_S + scene.plays * (scene.seconds + REST_S)
-    time_s = np.arange(1.0, round(seconds * RATE_HZ) + 1) / RATE_HZ
-    plays = [_play(k, scene, size, time_s, rng) for k in range(scene.plays)] if scene.ways else []
+    each = scene.substeps
+    fine_s = np.arange(1.0, each * round(seconds * RATE_HZ) + 1) / (each * RATE_HZ)
+    time_s = fine_s[each - 1 :: each]
+    plays = [_play(k, scene, size, fine_s, rng) for k in range(scene.plays)] if scene.ways else []
     loads = [_loads(play, scene, (size, size)) for play in plays]
-    kpa = np.sum(loads, axis=(0, 1)) if loads else np.zeros((len(time_s), size, size))
-    ohm: FloatArray = Cell.example().forward((size, size)).run(np.full(len(time_s), 1.0 / RATE_HZ), kpa)
+    kpa = np.sum(loads, axis=(0, 1)) if loads else np.zeros((len(fine_s), size, size))
+    dt_s = np.full(len(fine_s), 1.0 / (each * RATE_HZ))
+    ohm: FloatArray = Cell.example().forward((size, size)).run(dt_s, kpa)[each - 1 :: each]
+    loads = [load[:, each - 1 :: each] for load in loads]
     if scene.dead_row:
         ohm[:, size // 2] = np.inf
     if scene.drifting:
@@ -209,6 +233,7 @@ def played(size: int, board: tuple[str, str, int, float], scene: Scene, rng: np.
         delay_ms=1e3 * float(np.median(delays)) if delays else np.nan,
         ids_kept_percent=100.0 * float(np.mean(kept)) if kept else np.nan,
         false=max(len(ids) - own, 0),
+        false_s=sum(bool(contacts) and not _touched(plays, now_s) for now_s, contacts in seen) / RATE_HZ,
         force_share=float(np.median(forces)) if forces else np.nan,
         off_cells=float(np.median(off)) if off else np.nan,
     )
@@ -224,7 +249,11 @@ def _play(number: int, scene: Scene, size: int, time_s: FloatArray, rng: np.rand
     edge_s = min(EDGE_S, scene.seconds / 6.0)
     down = np.interp(time_s, [start_s, start_s + edge_s, end_s - edge_s, end_s], [0.0, 1.0, 1.0, 0.0])
     peaks = Cell.example().full_scale_kpa * rng.uniform(*scene.peaks, len(places))
-    return Play(start_s, end_s, places, peaks[:, None] * down)
+    return Play(start_s, end_s, edge_s, places, peaks[:, None] * down)
+
+
+def _touched(plays: list[Play], time_s: float) -> bool:
+    return any(play.start_s <= time_s <= play.end_s + LATE_S for play in plays)
 
 
 def _loads(play: Play, scene: Scene, shape: tuple[int, int]) -> FloatArray:
@@ -261,10 +290,10 @@ def _judge(
     force_shares, off_cells = [], []
     rows, columns = np.indices(load.shape[2:])
     for now_s, contacts in seen:
-        if not play.start_s < now_s < play.end_s - EDGE_S / 2:
+        if not play.start_s < now_s < play.end_s - play.edge_s / 2:
             continue
         frame = min(round(now_s * RATE_HZ), len(time_s) - 1)
-        held = now_s > play.start_s + EDGE_S + LATE_S or now_s > play.start_s + (play.end_s - play.start_s) / 2
+        held = now_s > play.start_s + play.edge_s + LATE_S or now_s > play.start_s + (play.end_s - play.start_s) / 2
         for finger, kpa in enumerate(load[:, frame]):
             total = kpa.sum()
             if not total:
@@ -292,15 +321,16 @@ def table(rows: Iterable[Fingers]) -> Iterator[str]:
     """The rows as lines of text."""
     yield (
         "contacts of moving fingers: % found while they press, delay of the first contact, % of the plays in which "
-        "each finger keeps its id, ids beyond one for each finger, force over the finger's, distance from it"
+        "each finger keeps its id, ids beyond one for each finger, seconds with contacts but no finger, force over the "
+        "finger's, distance from it"
     )
     yield (
         f"    cells  {'circuit':<20} {'idle':<7}bits  noise, mV  {'scene':<22}{'found':>7}{'delay, ms':>11}"
-        f"{'ids kept':>10}{'false':>7}{'force':>7}{'off, cells':>12}"
+        f"{'ids kept':>10}{'false':>7}{'false, s':>10}{'force':>7}{'off, cells':>12}"
     )
     for row in rows:
         yield (
             f"{row.size:>4} x {row.size:<4}{row.circuit:<20} {row.idle_rows:<7}{row.bits:>4}{row.noise_mv:>11g}  "
             f"{row.scene:<22}{row.found_percent:>7.0f}{row.delay_ms:>11.0f}{row.ids_kept_percent:>10.0f}{row.false:>7}"
-            f"{row.force_share:>7.2f}{row.off_cells:>12.2f}"
+            f"{row.false_s:>10.2f}{row.force_share:>7.2f}{row.off_cells:>12.2f}"
         )

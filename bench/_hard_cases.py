@@ -90,6 +90,7 @@ def _read(cell: Cell, load: FloatArray, volts_rms: float, spark: float, random: 
 
 def _judged(cell: Cell, case: str, name: str, time_s: FloatArray, load: FloatArray, read: FloatArray) -> HardCase:
     estimator = cell.estimator((CELLS,), name)
+    estimator.compile()
     pressure, std = np.empty((2, *read.shape))
     for n, frame in enumerate(read):
         pressure[n] = estimator.step(DT_S, frame)

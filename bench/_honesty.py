@@ -217,6 +217,7 @@ def estimated(
     ``bits``: tell the estimator of the converter's steps, as the driver does.
     """
     estimator = cell.estimator(read.shape[1:])
+    estimator.compile()
     if bits is not None:
         step_std = 3.3 / 2**bits / np.sqrt(12) * read[0] / _volts_per_siemens(cell, read[read > 0])
         estimator.resolve(step_std, read[0])

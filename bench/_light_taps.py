@@ -136,6 +136,7 @@ def _on_divider(
     load = share * train(time_s, case.taps_hz)[:, None, None]
     ohm = cell.forward((8, 8)).run(np.full(frames, 1.0 / case.rate_hz), cell.full_scale_kpa * load)
     read, estimator = CountReader(board), cell.estimator((8, 8))
+    estimator.compile()
     pressure, std = np.empty((2, frames, 8, 8))
     for n in range(frames):
         volts = scan(board, ohm[n]).volts

@@ -23,7 +23,6 @@ import threading
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..arrays import BoolArray, FloatArray, IntArray
@@ -34,7 +33,8 @@ from ._pitch import Pitch
 from ._rises import Rises
 from ._tare import KNOWN_DRIFT
 from ._tracks import Named, Patch, Tracks
-from ._watershed import part
+from ._trails import Trails
+from ._watershed import Segments
 
 START_STDS, JOIN_STDS, STAY_STDS = 5.0, 3.2, 2.5
 """a contact begins, takes in a further cell, and keeps a cell at so many standard deviations of the cell's pressure"""
@@ -57,8 +57,6 @@ LONGEST_IN_LINE = 3
 """cells within one line that a stylus covers"""
 EVEN_LINE = 0.3
 """of the rise of some cells of a line: where the median of its other cells rises by more, the line is bad"""
-NEIGHBOURS = np.ones((3, 3), dtype=int)
-"""cells that touch at a corner belong together: a finger rarely covers whole rows"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +126,9 @@ class ContactTracker:
         self._fingers: list[int] = []
         """of each label: the fingers in it"""
         self._were_parted = False
-        self._rises = Rises(shape)
+        self._segments = Segments(shape)
+        self._rises = Rises(shape, loads_raise=faults_press)
+        self._trails = Trails(shape)
         self._risen_kpa = np.zeros(shape)
         """(rows, columns) largest pressure since the cell rose jointly with its neighbours; 0: it has not"""
         self._rising: BoolArray = np.zeros(shape, dtype=np.bool_)
@@ -168,6 +168,7 @@ class ContactTracker:
         """
         self._follow_joint_rises(time_s, pressure_kpa, std_kpa, rise)
         if rise is not None:
+            self._trails.look(*rise, self._labels > 0)
             self._find_missing(time_s, np.isnan(rise[0]))
         self._rise = rise
         labels, patches = self._find(time_s, pressure_kpa, std_kpa)
@@ -191,6 +192,7 @@ class ContactTracker:
     def forget_readings(self) -> None:
         """Compare no reading with one from before: rest resistances have changed."""
         self._rises.forget()
+        self._trails.forget()
 
     def _remember(self, elapsed_s: float, pressure_kpa: FloatArray) -> None:
         """Remember the pressures of contacts, for the places that they leave."""
@@ -269,7 +271,10 @@ class ContactTracker:
         pressure_kpa, bridged = self._bridge(pressure_kpa, candidates)
         if bridged is not None:
             candidates |= bridged
-        found, count = ndimage.label(candidates, structure=NEIGHBOURS)
+        if self._trails.any_left:
+            candidates &= ~self._trails.left
+            begins &= candidates
+        found, count = self._segments.label(candidates)
         kept = np.zeros(count + 1, dtype=bool)
         kept[found[begins]] = True
         kept[0] = False
@@ -278,7 +283,7 @@ class ContactTracker:
         if not kept.any():
             return np.zeros(pressure_kpa.size, dtype=int), []
         labels = np.where(kept, np.cumsum(kept), 0)[found]
-        fingers = part(
+        fingers = self._segments.part(
             labels, pressure_kpa, std_kpa, begins & (labels > 0), self._labels, were_parted=self._were_parted
         )
         return fingers.ravel(), self._measure(fingers.ravel(), labels.ravel(), pressure_kpa, bridged)
@@ -293,7 +298,7 @@ class ContactTracker:
         bridged, pressure_kpa = bridge(pressure_kpa, touched, missing)
         return pressure_kpa, bridged if bridged.any() else None
 
-    def _keep_lasting(self, found: NDArray[np.signedinteger], kept: BoolArray, pressure_kpa: FloatArray) -> None:
+    def _keep_lasting(self, found: IntArray, kept: BoolArray, pressure_kpa: FloatArray) -> None:
         """Keep patches in which contacts of the last frame go on.
 
         A contact goes on in the patch that has most of its force now. Where none of its patches begins contacts, it
@@ -318,7 +323,7 @@ class ContactTracker:
             most = 1 if kept[patches].any() else self._fingers[contact - 1]
             kept[patches[np.argsort(-force[patches])][:most]] = True
 
-    def _drop_disturbances(self, time_s: float, found: NDArray[np.signedinteger], kept: BoolArray) -> None:
+    def _drop_disturbances(self, time_s: float, found: IntArray, kept: BoolArray) -> None:
         """Drop new patches within one row or column that may be electrical faults.
 
         Those that were not there in the last frame may be disturbances of the converter. Where the readings hardly rise

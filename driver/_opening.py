@@ -6,6 +6,7 @@ what belongs to it: the mailbox, the counters, and, once the board has introduce
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 import warnings
@@ -45,7 +46,10 @@ Delivery = Literal["newest", "every", "lossless"]
 """
 QUEUE = 256
 LOOK_S = 0.05
-"""how often to look whether the compiler is at work"""
+"""how often to look whether the compiler is at work, and how much processor time the set-up has had"""
+PATIENCE = 10.0
+"""times the limit on processor time: how long a set-up that waits for the processor may take. When a robot's computer
+boots, dozens of programs start at once"""
 
 
 @dataclass(frozen=True)
@@ -222,27 +226,42 @@ class Link:
 
 
 def _within(limit_s: float, work: Callable[[], Converter]) -> Converter | None:
-    """The result of ``work``; None after ``limit_s``, and the work then ends by itself.
+    """The result of ``work``; None after ``limit_s`` of processor time, and the work then ends by itself.
 
-    The limit is for descriptions that nothing can be computed from. The compiler, which the first skin on a machine
-    waits for, is not of their making, and its time does not count.
+    The limit is for descriptions that nothing can be computed from. Neither the compiler, which the first skin on a
+    machine waits for, nor other programs, which leave the work little of the processor, are of their making. Time of
+    the compiler does not count, and of the time that passes at least a share of 1 / :data:`PATIENCE` does.
     """
     results: list[Converter] = []
     errors: list[BaseException] = []
+    clocks: list[int] = []
 
     def run() -> None:
         try:
+            if sys.platform == "linux":
+                clocks.append(time.pthread_getcpuclockid(threading.get_ident()))
             results.append(work())
         except BaseException as error:
             errors.append(error)
 
     thread = threading.Thread(target=run, name="ohmskin set-up", daemon=True)
     thread.start()
-    left_s = limit_s
+    left_s, processor_s = limit_s, 0.0
     while thread.is_alive() and left_s > 0:
-        before = time.monotonic()
+        before_s, processor_before_s = time.monotonic(), processor_s
         thread.join(min(left_s, LOOK_S))
-        left_s -= 0.0 if is_compiling() else time.monotonic() - before
+        elapsed_s = time.monotonic() - before_s
+        processor_s = _processor_s(clocks, processor_before_s + elapsed_s)
+        if not is_compiling():
+            left_s -= max(processor_s - processor_before_s, elapsed_s / PATIENCE)
     if errors:
         raise errors[0]
     return results[0] if results else None
+
+
+def _processor_s(clocks: list[int], otherwise_s: float) -> float:
+    """Processor time in s of a thread by its clock; ``otherwise_s`` where there is none, or the thread has ended."""
+    try:
+        return time.clock_gettime(clocks[0]) if clocks else otherwise_s
+    except OSError:
+        return otherwise_s

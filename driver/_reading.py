@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -171,6 +172,7 @@ class CountReader:
         adc = design.adc
         if adc is None:
             raise ProtocolError("the board's design has no [adc]; counts mean nothing without one")
+        self._design, self._accuracy = design, accuracy
         self._shape = design.array.shape
         self._codes = 2**adc.bits
         self._most_noise = _MOST_NOISE if accuracy is None else 0.0
@@ -223,6 +225,10 @@ class CountReader:
     def remember(self, noise_steps: float, counts: NDArray[np.integer] | None) -> None:
         """Go on with the :meth:`memory` of another reader of the same design. The inversion begins anew."""
         self._scatter.resume(noise_steps * self._step, None if counts is None else self._volts(counts))
+
+    def __reduce__(self) -> tuple[Callable[..., CountReader], tuple[object, ...]]:
+        """A copy, or what is unpickled, has the design and the :meth:`memory`; its inversion begins anew."""
+        return _resumed, (self._design, self._accuracy, *self.memory())
 
     def _volts(self, counts: NDArray[np.integer]) -> FloatArray:
         """The middle of each code, in V."""
@@ -345,7 +351,7 @@ class CountReader:
             return Reading(nothing, counts < 0, reason, solved=False, all_valid=False, _found=None, _covered_steps=1.0)
         covered = self._step / 2 + LiveReading.sigmas * noise if found.covered is None else found.covered
         valid, reason = found.valid, found.reason
-        every = faint is None and np.count_nonzero(valid) == valid.size
+        every = faint is None and found.every
         if faint is not None:
             valid = valid & ~faint
             reason = np.where(faint, np.int8(Reason.NO_CURRENT), reason)
@@ -361,6 +367,15 @@ class CountReader:
             noise / self._step,
             self._most_noise,
         )
+
+
+def _resumed(
+    design: Design, accuracy: float | None, noise_steps: float, counts: NDArray[np.integer] | None
+) -> CountReader:
+    """A reader that goes on with the :meth:`CountReader.memory` of another one."""
+    reader = CountReader(design, accuracy=accuracy)
+    reader.remember(noise_steps, counts)
+    return reader
 
 
 @loop

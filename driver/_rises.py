@@ -48,6 +48,8 @@ ROUNDING_S = 1e-9
 """of times of frames; readings of exactly the lengths above belong to them"""
 LONGEST_S = 1.0
 """a pause between frames after which nothing is compared"""
+LEAST_RATIO = 1e-3
+"""least R/R0 that a reading is taken for, so that a short is no infinite rise"""
 LEAST_LINE = 4
 """cells of a line of which a quarter is untouched: a fingertip covers shorter lines"""
 
@@ -84,8 +86,10 @@ class JointRise(NamedTuple):
 class Rises:
     """Looks for cells that are pressed just now."""
 
-    def __init__(self, shape: tuple[int, int]) -> None:
+    def __init__(self, shape: tuple[int, int], *, loads_raise: bool = True) -> None:
+        """``loads_raise``: a load raises the resistance of a cell."""
         self.shape = shape
+        self._side = 1.0 if loads_raise else -1.0
         self._sums: deque[_Sum] = deque()
 
     def forget(self) -> None:
@@ -107,6 +111,7 @@ class Rises:
         """
         if self._sums and time_s - self._sums[-1].time_s > LONGEST_S:
             self.forget()
+        reading, noise = _of_conductance(reading, noise, self._side)
         self._add(time_s, reading)
         places = self._places(time_s)
         if places is None:
@@ -191,3 +196,14 @@ class Rises:
         if columns >= LEAST_LINE:
             np.maximum(common, np.partition(rise, columns // 4, axis=1)[:, columns // 4, None], out=common)
         return common
+
+
+def _of_conductance(reading: FloatArray, noise: FloatArray, side: float) -> tuple[FloatArray, FloatArray]:
+    """Readings and noise (rows, columns) of conductance instead of resistance: R0/R - 1, positive under a load.
+
+    An ADC step is one of conductance, and so is the noise of the outputs. In R/R0 both grow with the square of R: a
+    press that doubles R would hardly exceed the noise of the reading under it, however small that is at rest.
+    ``side``: 1 where a load raises the resistance, -1 where it lowers it.
+    """
+    conductance = 1.0 / np.maximum(1.0 + side * reading, LEAST_RATIO)
+    return side * (1.0 - conductance), noise * conductance * conductance

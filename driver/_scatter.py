@@ -100,13 +100,17 @@ class Scatter:
         self._assumed = ASSUMED * step if assumed else 0.0
         self._cut_sum = _cut_sum.machine_code() or cut_sum
         self._changes_of = _changes_of.machine_code()
-        self._sums = np.zeros(2)
-        """V, what the loop has found of the last frame: cut sums of its change, and of the quietest sum of two"""
+        self._quietest = np.zeros((0, 0))
+        """V, the quietest sum that the loop has found last; written anew in each frame"""
+        self._sums = np.zeros(3)
+        """V, what the loop has found of the last frame: cut sums of its change, and of the quietest sum of two; and the
+        largest change"""
         self.before: FloatArray | None = None
         """V, the last frame's readings"""
         self.frames = 0
         """changes seen so far, and one"""
         self._change: FloatArray | None = None  # V, from the last frame but one to the last
+        self._largest: float | None = None  # V, of any reading in that change; None: not looked for
         self._older: FloatArray | None = None  # V, the change before
         self.forget()
 
@@ -128,6 +132,8 @@ class Scatter:
         change = self._change
         if change is None:
             return 0.0
+        if self._largest is not None:
+            return self._largest
         return max(change.item(change.argmax()), -change.item(change.argmin()))
 
     @property
@@ -159,12 +165,15 @@ class Scatter:
         if before is None:
             return
         moving = max(self._free, 1)
-        quietest = None
+        quietest = self._largest = None
         if self._changes_of is None or self._change is None:
             change = volts - before
         else:
-            change, quietest = np.empty(volts.shape), np.empty(volts.shape)
+            if self._quietest.shape != volts.shape:
+                self._quietest = np.empty(volts.shape)
+            change, quietest = np.empty(volts.shape), self._quietest
             self._changes_of(volts, before, self._change, self._most(self._seen), change, quietest, self._sums)
+            self._largest = self._sums.item(2)
         if self.frames == 2:
             expected = max(self._seen, min(_median(np.abs(change)), AT_FIRST * self._step))
             self._seen, self._confirmed = self._by_mean(change, expected, moving), 1
@@ -351,12 +360,14 @@ def _quietest_of_two(change: FloatArray, before: FloatArray) -> FloatArray:
 def _changes_of(
     volts: FixedRows, last: FixedRows, before: FixedRows, most: float, change: Rows, quietest: Rows, sums: Row
 ) -> None:
-    """Write the change (N, M) of the readings, its quietest sum with the one ``before``, and their cut sums.
+    """Write the change (N, M) of the readings, its quietest sum with the one ``before``, and ``sums``.
+
+    These are the cut sums of both, and the largest change.
 
     As array operations, :func:`_quietest_of_two` and :func:`cut_sum`.
     """
     rows, columns = volts.shape
-    newer = mixed = older = cut = 0.0
+    newer = mixed = older = cut = largest = 0.0
     for i in range(rows):
         for j in range(columns):
             change[i, j] = volts[i, j] - last[i, j]
@@ -364,7 +375,8 @@ def _changes_of(
             mixed += change[i, j] * before[i, j]
             older += before[i, j] * before[i, j]
             cut += min(abs(change[i, j]), most)
-    sums[0] = cut
+            largest = max(largest, abs(change[i, j]))
+    sums[0], sums[2] = cut, largest
     second = (newer - 2.0 * mixed + older) / 3.0
     across = newer + 2.0 * mixed + older
     angle = 0.5 * math.atan2(2.0 * (newer - older) / _ROOT_3, second - across)

@@ -72,8 +72,9 @@ class Skin:
             cell: what the skin is made of, or its CELL.toml; None: as the board describes itself. Without both,
                 pressures are NaN.
             estimator: name for :meth:`ohmskin.cell.Cell.estimator`.
-            timeout: s to wait for the board to introduce itself, then for the inverse of its circuit to be set up, and
-                later for each frame. The compiler (extra ``fast``) may take longer, once on a machine.
+            timeout: s to wait for the board to introduce itself, then of processor time for the inverse of its circuit
+                to be set up (at most ten times as long on a busy machine), and later s to wait for each frame. The
+                compiler (extra ``fast``) may take longer, once on a machine.
             delivery: which frames readers get, see :data:`Delivery`.
             queue: frames that wait for readers, unless ``delivery`` is ``newest``.
             reconnect: s to try to open a port again that has gone away.

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..arrays import BoolArray, FloatArray, median
+from ..arrays import BoolArray, FloatArray, scatter
 from ..cell import Cell
 from ..compiled import FixedRow, FixedRows, Rows, loop
 from ._reading import Reading
@@ -29,8 +29,6 @@ LOOK_EVERY = 8
 """frames from one look at the spread of the cells to the next"""
 LEAST_CELLS = 4
 """with fewer readings no spread is measured"""
-NORMAL = 1.4826
-"""standard deviation over the median of absolute deviations, of normally distributed numbers"""
 CAUTION = 1.17
 """relative standard deviation of a deviation that was found by the median of n absolute deviations, times the root of n
 (normal distribution; its asymptotic efficiency is 37 %)"""
@@ -141,16 +139,16 @@ class SystematicError:
         sizes = _sizes(deviation)
         if sizes.size < LEAST_CELLS:
             return
-        present, cells = median(sizes), sizes.size
+        cells = sizes.size
         if np.count_nonzero(np.abs(deviation) <= half_steps) >= EXPLAINED * cells:
             # Equal cells read so, too: ADC steps, which are counted by themselves, explain what they differ by.
             self.rest_spread = 0.0
             return
-        variance = (NORMAL * present) ** 2
+        variance = scatter(sizes) ** 2
         if before is not None:
             changes = _sizes(deviation - before)
             if changes.size >= LEAST_CELLS:
-                variance -= (NORMAL * median(changes)) ** 2 / 2
+                variance -= scatter(changes) ** 2 / 2
         # Few cells may by chance be more alike than those of other skins.
         spread = math.sqrt(max(variance, 0.0)) * (1.0 + CAUTION / math.sqrt(cells))
         self.rest_spread = spread if self.rest_spread is None else min(spread, self.rest_spread)

@@ -21,7 +21,8 @@ from ..arrays import BoolArray, FloatArray, IntArray
 
 SPEED_MM_PER_S = 500.0
 REACH_PITCHES = 1.5
-"""a contact moves at most this far between two frames, plus what the speed above allows in the time between them"""
+"""a contact is at most this far from where it was, or from where it must be by its velocity, plus what the speed above
+allows in the time since then"""
 REMEMBERED_S = 0.2
 """a contact that returns within this time keeps its id"""
 MEMORY_S = 0.05
@@ -200,7 +201,7 @@ class Tracks:
                 far = math.hypot(x - patch.x_mm, y - patch.y_mm) / self.pitch_mm
                 costs[j, k] = far + FORCE_PITCHES * abs(math.log(patch.force_n / track.force_n))
                 moved = math.hypot(track.x_mm - patch.x_mm, track.y_mm - patch.y_mm)
-                possible[j, k] = moved <= reach or k + 1 in overlap
+                possible[j, k] = min(moved, far * self.pitch_mm) <= reach or k + 1 in overlap
         pairs = _pairs(costs, possible)
         for j, k in pairs.items():
             shared[k].append(known[j])

@@ -19,7 +19,7 @@ from contextlib import contextmanager, nullcontext
 from math import inf
 from pathlib import Path
 
-from ..errors import InputError
+from ..checks import positive
 from ..wire import BoardProtocol, board_protocol
 from ._device import Device
 from ._hand import Hand
@@ -73,13 +73,12 @@ def emulate(
         stop: asks for the end.
 
     Raises:
-        InputError: the duration is not positive, the family has no such array, or the truth file cannot be written.
+        InputError: the duration is not above 0, the family has no such array, or the truth file cannot be written.
         LinkError: the port failed.
         SolverError: the scene leads to a circuit without a solution.
 
     """
-    if not duration_s > 0:
-        raise InputError(f"duration is {duration_s} s; expected more than 0")
+    duration_s = positive("duration", duration_s, "s")
     protocol = _protocol(family, scene)
     with nullcontext() if truth is None else _truth_file(truth, scene) as file:
         device = Device(

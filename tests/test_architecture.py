@@ -7,6 +7,7 @@ import importlib
 import re
 import subprocess
 import sys
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -59,7 +60,8 @@ def _place(file: Path) -> tuple[str, ...]:
     return file.relative_to(top if file.is_relative_to(top) else ROOT).parts
 
 
-def _imports(file: Path) -> set[str]:
+@cache
+def _imports(file: Path) -> frozenset[str]:
     """First names below ``ohmskin`` that a module imports, and the top-level modules of other packages."""
     package = ["ohmskin", *_place(file)[:-1]]
     found = set()
@@ -70,7 +72,7 @@ def _imports(file: Path) -> set[str]:
             base = package[: len(package) - node.level + 1] if node.level else []
             stem = [*base, *(node.module.split(".") if node.module else [])]
             found |= {".".join([*stem, name.name]) for name in node.names}
-    return found
+    return frozenset(found)
 
 
 @pytest.mark.parametrize("room", MAY_IMPORT)

@@ -306,6 +306,15 @@ def test_motion_within_the_noise_is_in_the_deviation(kind: str, load: honesty.Lo
     assert honesty.judged(cell, kind, "slow ramp", 10.0).std_percent < 5.0
 
 
+@pytest.mark.parametrize(("kind", "load", "seeds"), [("example", "slip", (5, 6)), ("paper", "vibration", (8, 9))])
+def test_motion_that_has_just_begun_is_in_the_deviation(kind: str, load: honesty.Load, seeds: tuple[int, int]) -> None:
+    """No window of readings is full of it: a load that falls within a frame is told by that frame's reading alone."""
+    cell = {"example": EXAMPLE, **honesty.uncalibrated()}[kind]
+    found = [honesty.judged(cell, kind, load, 10.0, seed=seed) for seed in seeds]
+    assert max(one.worst for one in found) < 6.0
+    assert beyond_three(found) < 0.001
+
+
 @pytest.mark.parametrize("load", ["rest", "hold", "press", "taps", "stairs", "sine"])
 def test_loads_of_one_skin_are_judged_as_those_of_many(load: honesty.Load) -> None:
     """Side by side, a cell is judged by the same laws; only the noise is measured on more cells."""

@@ -43,6 +43,7 @@ def read_by_a_board(cell: Cell, load: np.ndarray, volts_rms: float, seed: int = 
 
 def estimated(cell: Cell, read: np.ndarray, name: str | None = None, dt: float = DT) -> tuple[np.ndarray, np.ndarray]:
     estimator = cell.estimator(read.shape[1:], name)
+    estimator.compile()
     pressure, std = np.empty((2, *read.shape))
     for n, frame in enumerate(read):
         pressure[n] = estimator.step(dt, frame)

@@ -36,6 +36,7 @@ def told(estimator: Estimator) -> Estimator:
 
 def stepped(estimator: Estimator, ohms: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pressures and their standard deviations in kPa."""
+    estimator.compile()
     pressure, std = np.empty((2, *ohms.shape))
     for n, ohm in enumerate(ohms):
         pressure[n] = estimator.step(DT_S, ohm)
@@ -84,8 +85,8 @@ def test_a_load_on_whole_columns_is_no_noise(columns: int, kpa: float) -> None:
     load = np.interp(time_s, [2.0, 2.2], [0.0, 1.0])[:, None, None] * plate
     pressure, std = stepped(told(CELL.estimator((8, 8))), loaded(load) * (1.0 + own + shared))
     off = np.abs(pressure - load)[:, :, :columns]
-    assert np.mean(off[250:] < 0.1 * kpa + 3.0 * 0.1) > 0.95
-    assert np.mean(off[200:] < 2.0 * std[200:, :, :columns]) > 0.93
+    assert np.mean(off[250:] < 0.1 * kpa + 3.0 * 0.1) > 0.93
+    assert np.mean(off[200:] < 2.0 * std[200:, :, :columns]) > 0.98
 
 
 def test_columns_that_share_no_noise_are_left_alone() -> None:
@@ -109,22 +110,17 @@ def test_a_saved_state_goes_on() -> None:
     np.testing.assert_array_equal(stepped(first, ohms[150:])[0], stepped(second, ohms[150:])[0])
 
 
-def fringe(bits: int, noise_v: float, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(frames, 8, 8) load, pressure and deviation of taps of 9 kPa at 2 Hz, on a divider whose idle rows are driven.
-
-    Gaussian in space: the cells beside the finger get 3.3 kPa, and those at the corners 1.2.
-    """
-    board, random, frames = design("voltage-divider", "ground", "float", bits, 10e3), np.random.default_rng(seed), 600
-    time_s = DT_S * np.arange(frames)
-    phase_s = time_s % 0.5
-    tap = np.where((time_s > 1.0) & (phase_s < 0.15), np.sin(np.pi * phase_s / 0.15), 0.0)
-    row, column = np.indices((8, 8))
-    finger = 9.0 * np.exp(-((row - 2.0) ** 2 + (column - 5.0) ** 2))
-    load = tap[:, None, None] * np.where(finger > 0.1, finger, 0.0)
+def on_divider(
+    load: FloatArray, bits: int, noise_v: float, seed: int, *, compiled: bool = False
+) -> tuple[FloatArray, FloatArray]:
+    """(frames, 8, 8) pressure and deviation under a load (frames, 8, 8), on a divider whose idle rows are driven."""
+    board, random = design("voltage-divider", "ground", "float", bits, 10e3), np.random.default_rng(seed)
     rest = CELL.rest_resistance_ohm * np.exp(random.normal(0.0, 0.1, (8, 8)))
     ohms = loaded(load) * rest / CELL.rest_resistance_ohm
     read, estimator = CountReader(board), CELL.estimator((8, 8), rest_resistance_ohm=rest)
-    pressure, std = np.empty((2, frames, 8, 8))
+    if compiled and not estimator.compile():
+        pytest.skip("needs numba")
+    pressure, std = np.empty((2, *load.shape))
     for n, ohm in enumerate(ohms):
         volts = scan(board, ohm).volts
         reading = read(adc_codes(board, volts + noise_v * random.standard_normal((8, 8))))
@@ -132,7 +128,46 @@ def fringe(bits: int, noise_v: float, seed: int) -> tuple[FloatArray, FloatArray
             estimator.resolve(reading.step_std, reading.resistance, reading.all_steps_std)
         pressure[n] = estimator.step(DT_S, reading.for_estimation)
         std[n] = estimator.std_kpa
-    return load, pressure, std
+    return pressure, std
+
+
+def beside_a_hold(kpa: float, *, compiled: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(frames, 8) load, pressure and deviation of a column: one cell is held at 9 kPa, then the others get ``kpa``."""
+    time_s = DT_S * np.arange(320)
+    load = np.zeros((time_s.size, 8, 8))
+    load[:, :, 3] = kpa * np.interp(time_s, [2.0, 2.3], [0.0, 1.0])[:, None]
+    load[:, 2, 3] = 9.0 * np.interp(time_s, [1.0, 1.1], [0.0, 1.0])
+    pressure, std = on_divider(load, 12, 1e-3, seed=0, compiled=compiled)
+    return load[:, :, 3], pressure[:, :, 3], std[:, :, 3]
+
+
+@pytest.mark.parametrize("kpa", [3.0, 9.0])
+def test_a_load_beside_a_held_one_is_no_noise(kpa: float) -> None:
+    """Taken for noise, it would seem to release the held cell, and would itself come late."""
+    load, pressure, std = beside_a_hold(kpa, compiled=False)
+    off = np.abs(pressure - load)
+    assert off[150:, 2].max() < 0.6
+    assert np.mean(off[190:] < 2.0 * std[190:]) > 0.98
+    assert (off[190:] / std[190:]).max() < 4.5
+
+
+def test_machine_code_tells_loads_from_noise_as_array_operations_do() -> None:
+    for one, other in zip(beside_a_hold(3.0, compiled=True), beside_a_hold(3.0, compiled=False), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-6, atol=1e-6)
+
+
+def fringe(bits: int, noise_v: float, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(frames, 8, 8) load, pressure and deviation of taps of 9 kPa at 2 Hz, on a divider whose idle rows are driven.
+
+    Gaussian in space: the cells beside the finger get 3.3 kPa, and those at the corners 1.2.
+    """
+    time_s = DT_S * np.arange(600)
+    phase_s = time_s % 0.5
+    tap = np.where((time_s > 1.0) & (phase_s < 0.15), np.sin(np.pi * phase_s / 0.15), 0.0)
+    row, column = np.indices((8, 8))
+    finger = 9.0 * np.exp(-((row - 2.0) ** 2 + (column - 5.0) ** 2))
+    load = tap[:, None, None] * np.where(finger > 0.1, finger, 0.0)
+    return load, *on_divider(load, bits, noise_v, seed)
 
 
 @pytest.mark.parametrize(

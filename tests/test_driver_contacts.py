@@ -266,6 +266,36 @@ def test_ends_and_long_parts_of_a_line_wait_as_long_as_a_lone_cell(cells: tuple[
     assert when_found(cells, risen(cells, 0.08), 0.2)
 
 
+@settings(max_examples=150, deadline=None)
+@given(
+    shape=st.tuples(st.integers(1, 12), st.integers(1, 12)),
+    share=st.floats(0.1, 1.0),
+    levels=st.integers(2, 40),
+    were_parted=st.booleans(),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_machine_code_labels_and_parts_as_array_operations_do(
+    shape: tuple[int, int], share: float, levels: int, were_parted: bool, seed: int
+) -> None:
+    """Few levels: many cells are equal, so that ties are broken alike."""
+    compiled, rng = watershed.Segments(shape), np.random.default_rng(seed)
+    if not compiled.compiled:
+        pytest.skip("no machine code")
+    plain = watershed.Segments(shape)
+    plain.compiled = False
+    touched = rng.random(shape) < share
+    pressure = rng.integers(1, levels, shape) / levels
+    std = np.where(rng.random(shape) < 0.2, np.nan, 0.05 * rng.random(shape))
+    labels, count = compiled.label(touched)
+    expected, number = plain.label(touched)
+    np.testing.assert_array_equal(labels, expected)
+    assert count == number
+    begins = touched & (rng.random(shape) < 0.5)
+    before = rng.integers(0, 4, shape)
+    fingers = [one.part(labels, pressure, std, begins, before, were_parted=were_parted) for one in (compiled, plain)]
+    np.testing.assert_array_equal(*fingers)
+
+
 @pytest.mark.parametrize("share", [watershed.PART_SHARE, watershed.STAY_SHARE])
 def test_a_cell_between_two_fingers_does_not_part_and_join_them_in_turns(share: float) -> None:
     """The valley between the fingers goes up and down by a twentieth about one of the depths that part them."""
@@ -440,7 +470,7 @@ def test_contacts_asked_for_late_have_one_name_each() -> None:
 
 def test_frames_in_which_nothing_touches_cost_little(monkeypatch: pytest.MonkeyPatch) -> None:
     """The labelling is not even begun."""
-    monkeypatch.setattr("ohmskin.driver._contacts.ndimage.label", lambda *_: 1 / 0)
+    monkeypatch.setattr(watershed.Segments, "label", lambda *_: 1 / 0)
     assert track([np.zeros((16, 16))] * 3) == [(), (), ()]
 
 

@@ -26,6 +26,10 @@ CELL_N = 1e3 * PITCH_M**2
 DRIFT_KPA = 2.0
 
 
+STD = 1e-5
+"""of R/R0 by noise: far below 1, so that conductances change by as much as resistances do"""
+
+
 def bump(row: float, column: float, peak: float, sigma: float = 0.8, shape: tuple[int, int] = SHAPE) -> FloatArray:
     rows, columns = np.indices(shape)
     return np.asarray(peak * np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / (2 * sigma**2)))
@@ -38,7 +42,7 @@ def track(
     tracker = ContactTracker(frames.shape[1:], PITCH_M, FULL_KPA, drift_kpa=drift_kpa)
     std = np.full(frames.shape[1:], std_kpa)
     return [
-        tracker.update(step_s * k, frame, std, (frame / std_kpa, np.ones_like(std)) if read else None)
+        tracker.update(step_s * k, frame, std, (STD * frame / std_kpa, np.full_like(std, STD)) if read else None)
         for k, frame in enumerate(frames)
     ]
 
@@ -103,8 +107,8 @@ def test_contacts_move_with_the_pressures(seed: int, down: int, right: int) -> N
 
 def felt(readings: FloatArray, rate_hz: float = 100.0) -> list[bool]:
     """Whether joint rises were found, in readings (frames, rows, columns) in their standard deviations."""
-    rises, noise = Rises(readings.shape[1:]), np.ones(readings.shape[1:])
-    found = [rises.look(k / rate_hz, reading, noise) for k, reading in enumerate(readings)]
+    rises, noise = Rises(readings.shape[1:]), np.full(readings.shape[1:], STD)
+    found = [rises.look(k / rate_hz, STD * reading, noise) for k, reading in enumerate(readings)]
     return [one is not None and bool(one[0].any()) for one in found]
 
 
@@ -118,6 +122,22 @@ def test_a_fingertip_of_a_few_deviations_is_a_joint_rise(rate_hz: float) -> None
         seen = felt(readings, rate_hz)
         assert not any(seen[:40])
         assert any(seen)
+
+
+@pytest.mark.parametrize("raises", [True, False])
+def test_a_press_that_changes_resistance_fivefold_is_a_joint_rise_on_a_coarse_board(raises: bool) -> None:
+    """A step of a tenth of the conductance at rest: in R/R0 the noise under the press is 25 times as large."""
+    rng, found = np.random.default_rng(2), []
+    rises = Rises((12, 12), loads_raise=raises)
+    for k in range(80):
+        conductance = 1.0 + 0.05 * rng.normal(0, 1, (12, 12))
+        pressed = bump(5.3, 6.2, 0.8, 1.0) if k >= 40 else np.zeros((12, 12))
+        conductance += -pressed if raises else 4.0 * pressed
+        change = 1.0 / conductance - 1.0
+        look = rises.look(0.01 * k, change if raises else -change, 0.05 / conductance**2)
+        found.append(look is not None and bool(look.middle.any()))
+    assert not any(found[:40])
+    assert any(found[40:45])
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 1000.0])
@@ -170,7 +190,7 @@ def test_readings_that_count_from_other_rest_resistances_have_not_risen(begins_a
     for k in range(60):
         pressure = (k >= 30) * bump(6, 6, 8.0) + rng.normal(0, 0.5, SHAPE)
         starts = int(begins_anew and k >= 30)
-        view = PressureView(0.01 * k, pressure, Later(std.copy), (pressure, noise), starts)
+        view = PressureView(0.01 * k, pressure, Later(std.copy), (STD * pressure, STD * noise), starts)
         seen.append(contacts.of(view))
     assert not any(seen[:30])
     assert any(seen[30:]) is not begins_anew
@@ -184,7 +204,7 @@ def test_a_held_touch_that_only_its_rise_has_told_of_lasts_and_ends() -> None:
     press, seen = bump(6, 6, 8.0), []
     for k in range(6100):
         pressure = (press if 100 <= k < 6000 else 0 * press) + rng.normal(0, 0.5, SHAPE)
-        seen.append(tracker.update(0.1 * k, pressure, std, (pressure, noise)))
+        seen.append(tracker.update(0.1 * k, pressure, std, (STD * pressure, STD * noise)))
     assert not any(seen[:100])
     assert {len(contacts) for contacts in seen[101:6000]} == {1}
     assert {c.id for contacts in seen for c in contacts} == {1}
@@ -253,7 +273,7 @@ def test_a_row_that_dies_is_bridged_after_a_while() -> None:
     readings[20:, 6] = np.nan
     frames[:, 6] = 0.0
     tracker, std = ContactTracker(SHAPE, PITCH_M, FULL_KPA), np.full(SHAPE, 0.1)
-    seen = [tracker.update(0.01 * k, frames[k], std, (10 * readings[k], std)) for k in range(100)]
+    seen = [tracker.update(0.01 * k, frames[k], std, (10 * STD * readings[k], STD * std)) for k in range(100)]
     late = 20 + round(MISSING_S / 0.01) + 2
     assert all(len(contacts) == 2 for contacts in seen[1:20])
     assert all(len(contacts) == 1 and contacts[0].interpolated_n > 0 for contacts in seen[late:])

@@ -31,6 +31,7 @@ from ohmskin.driver import Arrival, BytePort, Delivery, Frame, Skin, discover
 from ohmskin.driver._convert import Converter, Measurement
 from ohmskin.driver._discover import FoundBoard, find_board
 from ohmskin.driver._mailbox import Mailbox
+from ohmskin.driver._opening import PATIENCE, _within
 from ohmskin.driver._port import DescriptorPort, UrlPort
 from ohmskin.driver._reader import Reader
 from ohmskin.driver._reading import Reading
@@ -54,6 +55,13 @@ SIX_FRAMES = [frame(k) for k in range(6)]
 
 def sequences(frames: list[Frame]) -> list[int | None]:
     return [frame.sequence for frame in frames]
+
+
+def busy_until(event: threading.Event, processor_s: float) -> None:
+    """Work until the event, for at most so much processor time."""
+    until_s = time.thread_time() + processor_s
+    while not event.is_set() and time.thread_time() < until_s:
+        sum(range(1000))
 
 
 @contextlib.contextmanager
@@ -942,7 +950,7 @@ class TestBoards:
         over = threading.Event()
 
         def slow(converter: Converter) -> None:
-            over.wait(4.0 if compiling else 60.0)
+            busy_until(over, 2.5 if compiling else 60.0)
             try_out(converter)
 
         monkeypatch.setattr(Converter, "try_out", slow)
@@ -951,6 +959,33 @@ class TestBoards:
             if not compiling:
                 life.enter_context(pytest.raises(ProtocolError, match="was not set up within 2 s"))
             Skin(described(), timeout=2.0).close()
+        over.set()
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="no clock tells a thread's processor time")
+    def test_waiting_for_a_busy_machine_is_not_taken_for_a_wrong_description(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """A set-up that gets little of the processor, as while a robot boots, may take ten times ``timeout``."""
+        try_out = Converter.try_out
+
+        def starved(converter: Converter) -> None:
+            time.sleep(2.5)
+            try_out(converter)
+
+        monkeypatch.setattr(Converter, "try_out", starved)
+        Skin(described(), timeout=2.0).close()
+
+    @pytest.mark.skipif(sys.platform != "linux", reason="no clock tells a thread's processor time")
+    def test_a_set_up_that_waits_for_ever_ends(self) -> None:
+        over = threading.Event()
+
+        def stuck() -> Converter:
+            over.wait(60.0)
+            raise AssertionError
+
+        began = time.monotonic()
+        assert _within(0.02, stuck) is None
+        assert 0.02 * PATIENCE * 0.9 < time.monotonic() - began < 30.0
         over.set()
 
     def test_a_board_without_a_known_readout_asks_for_it(self) -> None:
@@ -1031,7 +1066,7 @@ class TestDescriptions:
         released = threading.Event()
 
         def stall(*_: object) -> None:
-            released.wait(60)
+            busy_until(released, 60.0)
 
         monkeypatch.setattr("ohmskin.driver._convert.CountReader.__call__", stall)
         port = described(frame(0))

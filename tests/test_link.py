@@ -403,7 +403,7 @@ def test_a_port_without_permission_names_the_group(
         (["{scene}", "--tcp", "192.0.2.1:1"], "192.0.2.1:1: cannot listen there"),
         (["{scene}", "--link", "{tmp}/a", "--tcp", ":0"], "--link, --tcp and --rfc2217 exclude each other"),
         (["{scene}", "--duration", "-1"], "-1.0 is not in the range x>0"),
-        (["{scene}", "--duration", "nan"], "duration is nan s; expected more than 0"),
+        (["{scene}", "--duration", "nan"], "duration is nan; expected a number, in s"),
         (["{scene}", "--clock", "slow"], "'slow' is not one of 'real', 'fast'"),
         (["{scene}", "--seed", "-3"], "-3 is not in the range x>=0"),
     ],

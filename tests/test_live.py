@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from collections import Counter
 from typing import Any
 
@@ -177,6 +178,26 @@ def test_outputs_that_come_back_from_a_limit_are_read_where_the_next_frame_confi
     counts = adc_codes(design, scan(design, released).volts)
     assert (read(counts).reason == Reason.SATURATED).all()
     assert read(counts).valid.all()
+
+
+@pytest.mark.parametrize(("circuit", "idle_rows"), CIRCUITS)
+def test_a_pickled_reader_goes_on_with_the_noise_that_it_has_measured(circuit: str, idle_rows: str) -> None:
+    design, rng = board(circuit, 4, 4, 12, idle_rows=idle_rows), np.random.default_rng(0)
+    assert design.adc is not None
+    read = CountReader(design, accuracy=0.4)
+    for number, cells in enumerate(pressed((4, 4), rng, 12, 2e3)):
+        noisy = scan(design, cells).volts + rng.normal(scale=2.0 * design.adc.step, size=cells.shape)
+        counts = adc_codes(design, noisy)
+        read(counts)
+        if number == 7:
+            there = pickle.loads(pickle.dumps(read))
+            assert there.noise_volts == pytest.approx(read.noise_volts, rel=0.3)
+            assert there.noise_volts > design.adc.step
+        if number > 7:
+            gone_on = there(counts)
+            assert gone_on.valid.mean() >= 0.5
+            error = relative_error(gone_on.resistance, cells)
+            assert (error <= 5.0 / 3.0 * gone_on.uncertainty)[gone_on.valid].all()
 
 
 def test_a_design_without_a_converter_is_refused() -> None:

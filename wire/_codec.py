@@ -38,6 +38,8 @@ MAX_DESCRIPTION = 2**20
 
 _HEADER = struct.Struct("<BBIIQ")  # type, version, boot id, sequence number, time in us
 _CRC = struct.Struct("<I")
+_INTACT = 0x2144DF1C
+"""CRC-32 of any bytes that their own CRC-32 follows, in little-endian order: its residue"""
 _FRAME = struct.Struct("<HHH")  # rows, columns, flags
 _PIECE = struct.Struct("<II")  # offset, total
 _IDENTITY = struct.Struct("<HHBBII")  # rows, columns, ADC bits, streaming, period in us, bytes of description
@@ -107,12 +109,10 @@ def decode(stuffed: bytes, received_at: float = math.nan) -> Packet | BadCommand
         raise ProtocolError(f"not COBS: {error}") from error
     if len(raw) < _HEADER.size + _CRC.size:
         raise ProtocolError(f"{len(raw)} bytes, shorter than any packet")
-    (crc,) = _CRC.unpack_from(raw, len(raw) - _CRC.size)
-    body = raw[: -_CRC.size]
-    if zlib.crc32(body) != crc:
+    if zlib.crc32(raw) != _INTACT:
         raise ProtocolError("checksum does not match")
-    kind, version, boot_id, sequence, time_us = _HEADER.unpack_from(body)
-    payload = body[_HEADER.size :]
+    kind, version, boot_id, sequence, time_us = _HEADER.unpack_from(raw)
+    payload = raw[_HEADER.size : -_CRC.size]
     if kind >= _FIRST_COMMAND:
         return _read_command(kind, version, sequence, time_us, payload)
     if version != VERSION:
@@ -147,7 +147,8 @@ class PacketDecoder:
                 continue
             self._collect(piece, found)
             self._finish(found, received_at)
-        self._collect(rest, found)
+        if rest:
+            self._collect(rest, found)
         return found
 
     def _collect(self, piece: bytes, found: list[Packet | BadCommand | Corrupt]) -> None:

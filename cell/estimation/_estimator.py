@@ -74,7 +74,7 @@ class Estimator:
         self._per_ohm = 1 / rest_resistance_ohm
         cells, full_kpa = self._per_ohm.size, inversion.full_scale_kpa
         self._noise = NoiseMeter(cells, conditions.noise or 0.0)
-        self._shared_noise = SharedNoise(shape, self._noise)
+        self._shared_noise = SharedNoise(shape, self._noise, inversion.side)
         self._remembered = Remembered(inversion, cells)
         self._sleep = Sleep(cells, inversion.full_scale_r)
         self._gaps = Gaps(cells, full_kpa, conditions)
@@ -124,7 +124,8 @@ class Estimator:
     def _loops(self) -> tuple[Loop[..., Any], ...]:
         """All that a frame calls."""
         noise = *noise_meter.LOOPS, *shared_noise.LOOPS
-        return *loops.ALL, *smoothing.LOOPS, *noise, *tremor.LOOPS, *self.inversion.loops_used()
+        falls = tremor.LOOPS_OF_FALLS if self.inversion.steepness_kpa[1] > 0.0 else ()
+        return *loops.ALL, *smoothing.LOOPS, *noise, *tremor.LOOPS, *falls, *self.inversion.loops_used()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Continue from a pickle, perhaps in a process without machine code."""
@@ -156,9 +157,9 @@ class Estimator:
         r = self._reading = np.empty(resistance.size)
         known = self._known = self._normalise(resistance.ravel(), r)
         before = self._pressure.copy() if self._gaps.concern(dt, self._usual_s or dt, known) else None
-        watched = blurred = None
+        watched = blurred = loaded = None
         if self._shared_noise.ratio and not exact:
-            r, watched = self._shared_noise.subtract(dt, r, known, self._sleep.awake)
+            r, watched, loaded = self._shared_noise.subtract(dt, r, known, self._sleep.awake)
             self._reading, blurred = r, self._shared_noise.mean_std
         self._watched = r if watched is None else watched
         if not exact:
@@ -166,9 +167,11 @@ class Estimator:
         if not self._begun:
             self._start(r, known)
         if not exact:
-            woken = self._sleep.watch(dt, r, watched, blurred)
+            woken = self._sleep.watch(dt, r, watched, blurred, loaded)
             if woken is not None:
                 self._remembered.wake(woken)
+            if loaded is not None:
+                self._remembered.interrupt(loaded)
         if self._remembered.stale or known is not None or self._gaps.open:
             self._choose(known)
         block = self._remembered.block

@@ -15,7 +15,7 @@ from ._deviation import Deviation, total
 from ._inversion import Inversion
 from ._noise import RECENT, WINDOW, NoiseMeter
 from ._remembered import Block
-from ._rows import PRESSURE
+from ._rows import NOISE, PRESSURE, READING
 from ._smoothing import LEAST_NOISE, Looked
 from ._sparks import Sparks
 from ._tremor import Tremor
@@ -35,6 +35,8 @@ class Following:
     ) -> None:
         self._inversion, self._noise, self._tremor = inversion, noise, tremor
         self._sparks, self._deviation = sparks, deviation
+        self._fall_kpa = float(inversion.steepness_kpa[1])
+        """pressure per r of a fast fall; 0: fast falls are answered as all loads are"""
         self._smoothed_for = (-1.0, -1.0)
         self._smoothed_by = smoothing.gains_for(1.0, 1.0)
         self.compiled = False
@@ -85,6 +87,8 @@ class Following:
         block.line_before = line.copy()
         looked = Looked(reading, noise, smooth.std, block.line_before)
         memory = block.memory = self._inversion.advance(block.memory, dt, smooth.level, smooth.std, looked.doubt)
+        if self._fall_kpa:
+            self._tremor.doubt_falls(cells, memory, looked, self._fall_kpa)
         if self._sparks.cells.size:
             self._accept_taps(block)
         if frame % RECENT == 0:
@@ -108,18 +112,18 @@ class Following:
         self, block: Block, dt: float, r: FloatArray, frame: int, pressure: FloatArray
     ) -> None:
         cells, line, taken = block.cells, block.line, block.taken
-        reading, noise, _, std = taken
         loops.take.code(r, self._noise.at_rest, cells, line, taken, LEAST_NOISE)
         if self._sparks.cells.size:
-            self._sparks.put_back(block, dt, reading, noise)
+            self._sparks.put_back(block, dt, taken[READING], taken[NOISE])
         gains = self._gains(dt).rows
         beside = block.line_before, cells, self._noise.on_line, self._noise.looks_next
         if smoothing.advance_each.code(line, *beside, dt, gains, taken, block.begun, self._sparks.large_r):
-            self._sparks.remember(block, block.begun, reading, noise)
+            self._sparks.remember(block, block.begun, taken[READING], taken[NOISE])
         if self._sparks.cells.size:
             self._sparks.recognise_taps(dt, r)
-        doubt = Looked(reading, noise, std, line).doubt
-        memory = block.memory = self._inversion.advance_compiled(block.memory, taken, dt, doubt)
+        memory = block.memory = self._inversion.advance_compiled(block.memory, taken, line, dt)
+        if self._fall_kpa:
+            self._tremor.doubt_falls_compiled(cells, memory, taken, line, self._fall_kpa)
         if self._sparks.cells.size:
             self._accept_taps(block)
         if frame % RECENT == 0:

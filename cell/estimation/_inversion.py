@@ -17,7 +17,8 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from . import _loops as loops
-from ._rows import GAIN, SMOOTHED, STD
+from ._rows import GAIN, NOISE, READING, SMOOTHED, STD
+from ._smoothing import Looked
 
 LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
@@ -198,14 +199,18 @@ class Inversion(ABC):
         """All loops that :meth:`advance_compiled` calls."""
         return ()
 
-    def advance_compiled(
-        self, memory: FloatArray, taken: FloatArray, dt_s: float, doubt: Callable[[], FloatArray]
-    ) -> FloatArray:
+    def advance_compiled(self, memory: FloatArray, taken: FloatArray, line: FloatArray, dt_s: float) -> FloatArray:
         """:meth:`advance` by machine code, where an inversion has loops for that.
 
-        ``taken`` (4, m) are the readings of the frame, rows as in :mod:`._rows`.
+        Args:
+            memory: (rows, m) of the cells.
+            taken: (4, m) readings of the frame, rows as in :mod:`._rows`.
+            line: (ROWS, m) memory of the smoothing after the readings.
+            dt_s: seconds since the last frame.
         """
-        return self.advance(memory, dt_s, taken[SMOOTHED], taken[STD], doubt)
+        std = taken[STD]
+        doubt = Looked(taken[READING], taken[NOISE], std, line).doubt
+        return self.advance(memory, dt_s, taken[SMOOTHED], std, doubt)
 
 
 def credible_readings(steepest: float) -> tuple[float, float]:

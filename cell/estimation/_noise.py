@@ -162,6 +162,7 @@ class NoiseMeter:
         """Take the part (n,) of shared noise that the readings have from now on, as :attr:`excess`."""
         self.excess = excess
         if self._looks:
+            self._find_typical()
             self._state_std()
 
     def _blurred(self, r: FloatArray) -> FloatArray:
@@ -296,15 +297,20 @@ class NoiseMeter:
         middle = median(self._variance[:: 1 + self._variance.size // ENOUGH])
         if self._variance.size >= MANY:
             np.minimum(self._variance, ABOVE_POOL * middle + LEAST**2, out=self._variance)
-        self.own = self.typical = middle**0.5
-        if self._shared:
-            self.typical *= (1.0 + median(self.excess[:: 1 + self.excess.size // ENOUGH])) ** 0.5
+        self.own = middle**0.5
+        self._find_typical()
         if self._looks > SOON:
             risen = self._variance.size >= MANY and median(self._crowd[:: 1 + self._crowd.size // ENOUGH]) > ALL_CROWDED
             self._passes_below = -1.0 if risen else CROWDED
         if self._looks > KNOWN:
             least = max(self.own, self.typical_resolution, LEAST)
             self.quiet = min(FORGET * self.quiet, least)
+
+    def _find_typical(self) -> None:
+        """Renew the noise of the median cell, with what shared noise adds to its own."""
+        self.typical = self.own
+        if self._shared:
+            self.typical *= (1.0 + median(self.excess[:: 1 + self.excess.size // ENOUGH])) ** 0.5
 
     def beside_parabola(self, cells: IntArray) -> FloatArray:
         """(m,) variance of the last :data:`WINDOW` readings of ``cells`` about parabolas, over the board's noise.

@@ -9,6 +9,12 @@ subtracted from all cells of the column. A load on all cells of a column moves t
 sleeping cell is taken of readings from which nothing was subtracted, and such a load wakes the cells as if nobody had
 known of shared noise.
 
+Another cell of the column may be held meanwhile, and would seem to be released while the load that comes is taken for
+noise. But noise is white from frame to frame, and a load is not: a cumulative sum (Page's CUSUM) of what sleeping cells
+have in common, in the direction of loads, tells within a few frames. Then nothing is subtracted any more, and the
+cells wake. As long as that is in doubt, only so much is subtracted from a cell that is awake as brings it back to its
+last reading: noise moves that cell, a load on others does not.
+
 The estimator is told of the circuit by two numbers only: the deviations of a conductance by the steps of its own
 reading, and by those of all readings (:meth:`._estimator.Estimator.resolve`). Noise takes the same ways as steps. That
 the columns do share it is tested first. Readings of a divider with floating rows depend on one another as well, but in
@@ -39,11 +45,19 @@ MOVED = 0.1
 REFUTED = 0.25
 """of the variance that is supposed to be shared, over own: if less is found, the readings depend on one another in
 another way"""
+ALLOWED = 0.75
+"""standard deviations that the mean departure of sleeping cells may have without adding to the sum that tells loads"""
+LOADED = 6.0
+"""standard deviations of the sum beyond which they are loaded; noise alone comes there once in 10 000 frames"""
+DOUBTED = 0.5
+"""those from which they may be"""
+AT_ONCE, CERTAIN = 5.0, 2.0 * LOADED
+"""standard deviations of a mean departure that is a load by itself, and the sum that it makes"""
 
 TESTS, OWN, SHARED = range(3)
 """places of the test's sums"""
 
-_ONE = np.array(1.0)
+_ZERO, _ONE = np.array(0.0), np.array(1.0)
 
 
 class _Tellers(NamedTuple):
@@ -59,16 +73,23 @@ class _Tellers(NamedTuple):
     """(columns,) the number, at least 1"""
     others_divisor: FloatArray
     """(rows, columns) the others, at least 1"""
+    per_std: FloatArray
+    """(columns,) own noise over the noise of their mean"""
+    allowed: FloatArray
+    """(columns,) :data:`ALLOWED`, infinite where the mean is not trusted"""
 
 
 class SharedNoise:
     """Takes shared noise out of the readings of n cells, and tells the noise meter what is left of it."""
 
-    def __init__(self, shape: tuple[int, ...], noise: NoiseMeter) -> None:
-        """``shape`` is (rows, columns). Cells of an array with another number of axes share nothing."""
+    def __init__(self, shape: tuple[int, ...], noise: NoiseMeter, side: float = 1.0) -> None:
+        """``shape`` is (rows, columns). Cells of an array with another number of axes share nothing.
+
+        ``side`` is the sign that a load gives to r.
+        """
         cells, self._has_columns = math.prod(shape), len(shape) == 2
         self._shape = (shape[0], shape[1]) if self._has_columns else (cells, 1)
-        self._noise = noise
+        self._noise, self._side = noise, side
         self.ratio = 0.0
         """variance of the shared noise over that of the own noise of a cell at rest; 0: nothing is shared"""
         self._test = np.zeros(3)
@@ -77,6 +98,11 @@ class SharedNoise:
         """(n,) mean of the readings of sleeping cells"""
         self._counts = np.full(self._shape[1], -1.0)
         """(columns,) sleeping cells in the last frame; negative: not known"""
+        self._sums = np.zeros(self._shape[1])
+        """(columns,) departures of the mean of sleeping cells in the direction of loads, summed up; standard deviations
+        of its noise. Beyond :data:`LOADED` the cells are to wake"""
+        self._per_std = np.zeros(self._shape[0] + 1)
+        """by number of cells: own noise over the noise of their mean, 0 where that is not trusted"""
         self._weights = np.zeros(0)
         """by number of cells: share of their mean that is shared noise"""
         self._tell_now = np.zeros(0, dtype=np.bool_)
@@ -106,6 +132,8 @@ class SharedNoise:
         trusted = (cells >= LEAST_CELLS) & (self._test[TESTS] >= TESTED)
         self._weights = np.where(trusted, cells * ratio / (cells * ratio + 1.0), 0.0)
         self._left = np.where(trusted, ratio / (cells * ratio + 1.0), ratio)
+        self._per_std = np.where(trusted, np.sqrt(cells / np.maximum(cells * ratio + 1.0, 1.0)), 0.0)
+        self._tell_now = np.zeros(0, dtype=np.bool_)  # the tellers are made anew
         self._counts[:] = -1.0
 
     def sleep(self, cells: IntArray, mean: FloatArray) -> None:
@@ -114,7 +142,7 @@ class SharedNoise:
 
     def subtract(
         self, dt_s: float, r: FloatArray, known: BoolArray | None, awake: BoolArray
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> tuple[FloatArray, FloatArray, IntArray | None]:
         """Take the shared noise out of readings.
 
         Args:
@@ -124,7 +152,8 @@ class SharedNoise:
             awake: (n,) which cells do not sleep.
 
         Returns:
-            (n,) readings without shared noise; and (n,) the same, but those of sleeping cells as they were read.
+            (n,) readings without shared noise; (n,) the same, but those of sleeping cells as they were read; and (m,)
+            sleeping cells that are to wake, since what they have in common is a load. None: no cells.
         """
         read = self._all_read if known is None else known
         own = self._noise.own
@@ -133,26 +162,46 @@ class SharedNoise:
         testing = self._test[TESTS] < TESTED
         by = self._by_machine_code if self.compiled else self._by_array_operations
         changed, without, watched = by(r, read, awake, testing, near, far, share)
+        loaded = None
         if testing and self._test[TESTS] >= TESTED:
             refuted = self._test[SHARED] < REFUTED * self.ratio * self._test[OWN]
             self._share(0.0 if refuted else self.ratio)
         elif changed:
-            self._tell(read, awake)
-        return without, watched
+            tell = ~awake & read
+            beyond = self._sums > LOADED
+            if np.count_nonzero(beyond):
+                of_column = np.tile(beyond, self._shape[0])
+                loaded = np.flatnonzero(tell & of_column)
+                tell &= ~of_column
+            self._tell(tell)
+        return without, watched, loaded
 
     def _by_machine_code(
         self, r: FloatArray, read: BoolArray, awake: BoolArray, testing: bool, near: float, far: float, share: float
     ) -> tuple[bool, FloatArray, FloatArray]:
         without, watched = np.empty((2, r.size))
         least_variance = self._least_variance if testing else math.inf
-        kept = self._reference, self._weights, self._counts, self._test
-        changed = subtract_each.code(r, read, awake, *kept, least_variance, near, far, share, without, watched)
+        kept = self._reference, self._weights, self._counts, self._test, self._sums
+        limits, scales = (least_variance, near, far, share, self._side_per_noise), (self._per_std, self._last)
+        changed = subtract_each.code(r, read, awake, *kept, *limits, *scales, without, watched)
         return changed, without, watched
 
     @property
     def _least_variance(self) -> float:
         """Of the readings of a column that tell something: others stay at one code of the ADC."""
         return MOVED * self._noise.typical_resolution**2
+
+    @property
+    def _side_per_noise(self) -> float:
+        """Sign that a load gives to r, over own noise: no less than the steps of the ADC make."""
+        return self._side / max(self._noise.own, self._noise.typical_resolution)
+
+    @property
+    def _last(self) -> FloatArray:
+        """(n,) readings of the last frame, without shared noise."""
+        ring, newest = self._noise.window
+        last: FloatArray = ring[newest]
+        return last
 
     def _by_array_operations(
         self, r: FloatArray, read: BoolArray, awake: BoolArray, testing: bool, near: float, far: float, share: float
@@ -176,13 +225,43 @@ class SharedNoise:
         without = r + _ONE
         without *= common.ravel()
         np.subtract(r, without, out=without)
+        mean = total / of.divisor
+        most = self._add_up(mean, of)
+        if most > DOUBTED:
+            self._keep(without, r, awake)
+        if most > LOADED:
+            np.copyto(without.reshape(self._shape), r.reshape(self._shape), where=self._sums > LOADED)
         if read is not self._all_read:
             np.copyto(without, r, where=~read)
         if testing:
-            self._take_test(of.counted > 0.0, of.number, second, total / of.divisor)
-        changed = not np.array_equal(of.number, self._counts)
+            self._take_test(of.counted > 0.0, of.number, second, mean)
+        changed = most > LOADED or not np.array_equal(of.number, self._counts)
         self._counts[:] = of.number
         return changed, without, np.where(awake, without, r)
+
+    def _add_up(self, mean: FloatArray, of: _Tellers) -> float:
+        """Add the ``mean`` departure (columns,) of sleeping cells to the sums; the largest of these."""
+        off = mean * of.per_std
+        off *= self._side_per_noise
+        self._sums += off
+        self._sums -= of.allowed
+        np.maximum(self._sums, _ZERO, out=self._sums)
+        most = self._sums.item(self._sums.argmax())
+        if most > AT_ONCE - ALLOWED:
+            np.copyto(self._sums, CERTAIN, where=off > AT_ONCE)
+            most = self._sums.item(self._sums.argmax())
+        return most
+
+    def _keep(self, without: FloatArray, r: FloatArray, awake: BoolArray) -> None:
+        """Let cells that are ``awake`` (n,) keep their last readings where sleeping ones may be loaded.
+
+        As far as these are between the readings ``r`` (n,) and those ``without`` shared noise (n,), which are changed.
+        """
+        cells = (awake.reshape(self._shape) & (self._sums > DOUBTED)).ravel().nonzero()[0]
+        if cells.size:
+            own, read = without.take(cells), r.take(cells)
+            kept = np.maximum(self._last.take(cells), np.minimum(own, read))
+            without[cells] = np.minimum(kept, np.maximum(own, read))
 
     def _tellers_of(self, tell: BoolArray) -> _Tellers:
         """The cells (n,) that tell of shared noise, and what follows from which they are."""
@@ -191,7 +270,9 @@ class SharedNoise:
             count = np.add.accumulate(counted)[-1]
             others = count - counted
             divisors = np.maximum(count, 1.0), np.maximum(others, 1.0)
-            self._tell_now, self._tellers = tell, _Tellers(counted, count, others.astype(np.intp), *divisors)
+            per_std = self._per_std.take(count.astype(np.intp))
+            noise = per_std, np.where(per_std > 0.0, ALLOWED, np.inf)
+            self._tell_now, self._tellers = tell, _Tellers(counted, count, others.astype(np.intp), *divisors, *noise)
         return self._tellers
 
     def _take_test(self, tells: BoolArray, count: FloatArray, off: FloatArray, mean: FloatArray) -> None:
@@ -204,10 +285,10 @@ class SharedNoise:
         for column in np.flatnonzero(tell):
             self._test += 1.0, own[column], shared[column]
 
-    def _tell(self, read: BoolArray, awake: BoolArray) -> None:
-        """Tell the noise meter what is left of the shared noise."""
-        tells = (~awake & read).reshape(self._shape)
-        others = (self._counts - tells).ravel().astype(np.intp)
+    def _tell(self, tell: BoolArray) -> None:
+        """Tell the noise meter what is left of the shared noise where the cells ``tell`` (n,) of it."""
+        tells = tell.reshape(self._shape)
+        others = (np.count_nonzero(tells, axis=0) - tells).ravel()
         left = self._left.take(others)
         self.mean_std = np.sqrt((1.0 + self.ratio) / (1.0 + left))
         self._noise.leave(left)
@@ -217,6 +298,7 @@ class SharedNoise:
         return {
             "shared_reference": self._reference,
             "shared_counts": self._counts,
+            "shared_sums": self._sums,
             "shared_of_array": np.array([self.ratio, *self._test]),
         }
 
@@ -225,7 +307,7 @@ class SharedNoise:
         self._reference = state["shared_reference"]
         ratio, self._test = float(state["shared_of_array"][0]), state["shared_of_array"][1:].copy()
         self._begin(ratio)
-        self._counts = state["shared_counts"]
+        self._counts, self._sums = state["shared_counts"], state["shared_sums"]
         self.mean_std = np.sqrt((1.0 + ratio) / (1.0 + self._noise.excess))
 
 
@@ -238,10 +320,14 @@ def subtract_each(
     weights: Row,
     counts: Row,
     test: Row,
+    sums: Row,
     least_variance: float,
     near: float,
     far: float,
     share: float,
+    side_per_noise: float,
+    per_std: Row,
+    last: Row,
     without: Row,
     watched: Row,
 ) -> bool:
@@ -255,15 +341,19 @@ def subtract_each(
         weights: (rows + 1,) by number of cells, share of their mean that is shared noise.
         counts: (columns,) sleeping cells in the last frame, changed.
         test: (3,) the test's sums, changed.
+        sums: (columns,) departures in the direction of loads, summed up, changed.
         least_variance: of readings of a column that are tested; infinite: none are.
         near: departure from the mean beyond which a reading counts for no more.
         far: the same, from the reference.
         share: of a reading in the reference.
+        side_per_noise: sign that a load gives to r, over own noise.
+        per_std: (rows + 1,) by number of cells, own noise over the noise of their mean; 0: not trusted.
+        last: (n,) readings of the last frame without shared noise.
         without: (n,) readings without shared noise.
         watched: (n,) the same, but of sleeping cells as they were read.
 
     Returns:
-        Whether other numbers of cells sleep than in the last frame.
+        Whether other numbers of cells sleep than in the last frame, or some are to wake.
     """
     columns, changed = counts.size, False
     for column in range(columns):
@@ -278,6 +368,11 @@ def subtract_each(
             if read[i] and not awake[i]:
                 total += min(max(r[i] - reference[i], low), high)
         mean, own_variance = total / max(count, 1), 0.0
+        off = mean * per_std[count] * side_per_noise
+        sums[column] = max(sums[column] + off - ALLOWED, 0.0) if per_std[count] > 0.0 else 0.0
+        if off > AT_ONCE:
+            sums[column] = CERTAIN
+        doubted, loaded = sums[column] > DOUBTED, sums[column] > LOADED
         for i in range(column, r.size, columns):
             others, rest, asleep = count, total, not awake[i]
             if asleep and read[i]:
@@ -289,8 +384,10 @@ def subtract_each(
                 off -= mean
                 own_variance += off * off
             own = r[i]
-            if read[i]:
+            if read[i] and not loaded:
                 own -= (r[i] + 1.0) * (rest / max(others, 1) * weights[others])
+                if doubted and not asleep:
+                    own = min(max(last[i], min(own, r[i])), max(own, r[i]))
             without[i] = own
             watched[i] = r[i] if asleep else own
         own_variance /= max(count - 1, 1)
@@ -298,7 +395,7 @@ def subtract_each(
             test[TESTS] += 1.0
             test[OWN] += own_variance
             test[SHARED] += mean * mean - own_variance / count
-        changed |= counts[column] != count
+        changed |= loaded or counts[column] != count
         counts[column] = count
     return changed
 

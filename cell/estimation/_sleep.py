@@ -46,7 +46,12 @@ class Sleep:
         """whether the loops are there as machine code"""
 
     def watch(
-        self, dt: float, r: FloatArray, watched: FloatArray | None = None, blurred: FloatArray | None = None
+        self,
+        dt: float,
+        r: FloatArray,
+        watched: FloatArray | None = None,
+        blurred: FloatArray | None = None,
+        loaded: IntArray | None = None,
     ) -> IntArray | None:
         """Take readings (n,), ``dt`` after the last ones.
 
@@ -56,6 +61,7 @@ class Sleep:
             watched: as they were read, of which the mean is taken, and a single one may wake its cell, too; None: the
                 same.
             blurred: (n,) standard deviation of the noise of those, over that of ``r``; None: the same.
+            loaded: (k,) sleeping cells that wake in any case; None: none.
 
         Returns:
             (m,) sleeping cells whose reading, or the mean of their readings, has left what noise does; they are awake
@@ -70,13 +76,15 @@ class Sleep:
             share = -math.expm1(-dt / WATCH_S)
             averaged = math.sqrt(share / (2 - share))
             may_wake |= self._renew_means(averaged, blurred)
-        if not may_wake:
+        if not may_wake and loaded is None:
             return None
         left: BoolArray = np.abs(r) > self.wake_at
         if watched is not r:
             left |= np.abs(watched) > self.wake_at * blurred
         if averaged is not None:
             left |= np.abs(self.mean) > self.band + averaged * blurred * (self.wake_at - self.band)
+        if loaded is not None:
+            left[loaded] = True
         if not np.count_nonzero(left):
             return None
         cells = np.flatnonzero(left)

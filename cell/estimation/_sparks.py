@@ -87,7 +87,9 @@ class Sparks:
             loaded = block.memory[PRESSURE, place] > LARGE_JUMP * self._inversion.full_scale_kpa
             jumped &= ~(loaded & (jump < 0) & (reading > -CLEAR * noise))
         if self.cells.size:
-            jumped &= ~np.isin(block.cells[place], self.cells)
+            kept = np.zeros(self._noise.at_rest.size, dtype=np.bool_)  # in a tenth of the time of numpy.isin
+            kept[self.cells] = True
+            jumped &= ~kept[block.cells[place]]
         jumped &= size > SUDDEN * np.abs(self._noise.change_before(block.cells[place]))
         if np.count_nonzero(jumped):
             self._add(block, place[jumped], jump[jumped])
@@ -118,9 +120,8 @@ class Sparks:
 
     def recognise_taps(self, dt: float, r: FloatArray) -> None:
         """Look for jumps that are loads, by the readings ``r`` (n,) of all cells ``dt`` after the last ones."""
-        noise = smoothing.noise_of(r[np.newaxis], self._noise.at_rest)  # of lines that end in the readings
         off = r[self.cells] - self._line[smoothing.LEVEL]
-        self._taps.look(self.cells, self._age_s, self._jump, off, dt, self._inversion.side, r, noise)
+        self._taps.look(self.cells, self._age_s, self._jump, off, dt, self._inversion.side, r, self._noise.at_rest)
 
     def taps(self) -> IntArray:
         """Indices of cells that have jumped just now, under a load."""

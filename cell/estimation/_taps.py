@@ -21,6 +21,8 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray, scatter
+from . import _smoothing as smoothing
+from ._noise import ENOUGH
 
 SHARED = 0.05
 """share of a jump by which a neighbour moves with it. Crosstalk by leads that nobody mentions is far less"""
@@ -99,7 +101,7 @@ class Taps:
         dt_s: float,
         side: float,
         reading: FloatArray,
-        noise: FloatArray,
+        noise_at_rest: FloatArray,
     ) -> None:
         """Find out which jumps are loads, in every frame in which there are any.
 
@@ -111,11 +113,12 @@ class Taps:
             dt_s: since the last frame.
             side: 1 where a load raises the resistance, -1 where it lowers it.
             reading: (n,) normalised resistances r of all cells.
-            noise: (n,) their standard deviations.
+            noise_at_rest: (n,) standard deviations of readings of cells at rest.
         """
         young = ~self.known & (age_s <= max(TOGETHER_S, dt_s) * _SOON)
         if not np.count_nonzero(young):
             return
+        noise = smoothing.noise_of(reading[np.newaxis], noise_at_rest)  # of lines that end in the readings
         size = np.abs(jump)
         lasts = np.abs(off) > LASTS * size
         young &= lasts & (jump * side > 0)
@@ -139,16 +142,20 @@ class Taps:
             self.known |= young & ((self._beside(loads, cells) > 0) & with_it).any(axis=0)
 
     def _unrest(self, reading: FloatArray, noise: FloatArray) -> float:
-        """Scatter of all readings (n,) since the jump over their noise (n,), at least 1.
+        """Scatter of the readings (n,) since the jump over their noise (n,), at least 1; of :data:`ENOUGH` of them.
 
         A finger moves fewer than half of the cells, so the median is that of cells without a load. Where it is large,
         the noise has just grown, or the whole skin moves.
         """
-        return max(scatter((reading - self._before) / np.maximum(noise, TINY)), 1.0)
+        some = slice(None, None, 1 + reading.size // ENOUGH)
+        return max(scatter((reading[some] - self._before[some]) / np.maximum(noise[some], TINY)), 1.0)
 
     def _beside(self, values: FloatArray, cells: IntArray) -> FloatArray:
         """(4, m) what ``values`` (n,) has for the neighbours of ``cells`` (m,); NaN where there is none."""
-        return np.append(values, np.nan)[self._neighbours[:, cells]]
+        places = self._neighbours[:, cells]
+        beside: FloatArray = values.take(places, mode="clip")  # of the last cell where there is none
+        beside[places == values.size] = np.nan
+        return beside
 
     def _lines(
         self, cells: IntArray, size: FloatArray, moved: FloatArray, noise: FloatArray

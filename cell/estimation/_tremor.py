@@ -5,6 +5,10 @@ fast rise by more than a fast fall, or breaks chains both ways, so that such mot
 tells of it is that the readings scatter more than the board's noise about a smooth curve. An edge of a load does so as
 well, for one window of readings or two. A rise is therefore in doubt for the time being while one window shows motion,
 and for good where several windows in a row do.
+
+Before a window is full, single readings tell: a load that falls within a frame leaves its reading below the line of
+those before, by little, since a fast fall is answered by little. What the cell would keep of such a fall, if the load
+came back, is in doubt from that frame on (a test of the normalised residual). Later windows confirm it, or it fades.
 """
 
 from __future__ import annotations
@@ -16,7 +20,8 @@ import numpy as np
 from ...arrays import FloatArray, IntArray
 from ...compiled import FixedRow, Places, Row, Rows, loop
 from ._noise import CROSSED
-from ._rows import GAIN, NOISE, PRESSURE
+from ._rows import GAIN, NOISE, PRESSURE, READING, STD
+from ._smoothing import LEVEL, Looked
 
 HIDES, SURELY_HIDES = 1.25, 1.6
 """variance of a cell's readings beside smooth motion, over that of the board's noise, in two windows: from the first
@@ -29,10 +34,16 @@ them do not differ from noise. From slips of a few standard deviations of the no
 SUSPICION = 0.5
 """of a rise that is in doubt for the time being: its standard deviation"""
 
-_SUSPICION, _ZERO, _ONE = np.array(SUSPICION), np.array(0.0), np.array(1.0)
-# As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
 FADES = 0.5
 """share of such a doubt that the next window leaves, if nothing tells more"""
+MAY_FALL, FALLS = 1.75, 2.75
+"""standard deviations of what noise leaves between a reading and its line, by which a reading is below: from the first
+on, the load may have fallen, and from the second on, it most likely has. Noise alone exceeds them in 4 and 0.3 % of
+all frames"""
+FALLEN = 1.5
+"""of what a fall would leave behind: how much of it is in doubt. Noise may hide a part of the fall"""
+_SUSPICION, _MAY_FALL2, _ZERO, _ONE = (np.array(x) for x in (SUSPICION, MAY_FALL * MAY_FALL, 0.0, 1.0))
+# As arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
 
 
 def _share(ratio: FloatArray, low: float, high: float) -> FloatArray:
@@ -80,6 +91,35 @@ class Tremor:
         squared = np.maximum(beside - _ONE, _ONE)
         self._amplitude[cells] = np.sqrt(np.minimum(squared, CROSSED, out=squared))
         self._renew()
+
+    def doubt_falls(self, cells: IntArray, memory: FloatArray, looked: Looked, fall_kpa: float) -> None:
+        """Doubt what the memory (rows, m) would keep of falls that readings ``looked`` at may be the only ones to show.
+
+        ``fall_kpa`` is the pressure per r of a fast fall. Between a reading and the line that it has been taken into,
+        noise leaves its own variance less that of the line; the share that is left of a sudden change is as large.
+        """
+        below = looked.line[LEVEL] - looked.reading
+        squared = np.abs(below)
+        squared *= below
+        left = looked.noise * looked.noise
+        left -= looked.std * looked.std  # 0 where a line begins
+        fell = (squared > left * _MAY_FALL2).nonzero()[0]
+        if fell.size:
+            fell = fell[left[fell] > _ZERO]
+        if not fell.size:
+            return
+        below, left, noise2 = below[fell], left[fell], looked.noise[fell] ** 2
+        kept_kpa = below * noise2 / left * np.maximum(fall_kpa - memory[GAIN, fell], 0.0) * FALLEN
+        kept_kpa *= _share(below / np.sqrt(left), MAY_FALL, FALLS)
+        self._waiting_kpa[cells[fell]] += np.minimum(kept_kpa, np.maximum(memory[PRESSURE, fell], 0.0))
+        self.suspicious = True
+
+    def doubt_falls_compiled(
+        self, cells: IntArray, memory: FloatArray, taken: FloatArray, line: FloatArray, fall_kpa: float
+    ) -> None:
+        """:meth:`doubt_falls` by machine code, for readings ``taken`` (4, m) into a ``line`` (ROWS, m)."""
+        found = doubt_each_fall.code(cells, memory, taken, line, fall_kpa, self._waiting_kpa)
+        self.suspicious = self.suspicious or found
 
     def end_window(
         self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray, beside: FloatArray, unrest: FloatArray
@@ -133,7 +173,7 @@ class Tremor:
         self, cells: IntArray, memory: FloatArray, taken: FloatArray, seeming: float, added: FloatArray
     ) -> None:
         """Add :meth:`variance` to ``added`` (m,) by machine code, from the memory and the readings (4, m) of cells."""
-        kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa
+        kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa, self._edge_kpa, self._looked_at
         doubt_rises.code(cells, memory, taken, seeming, *kept, added)
 
     def end_window_compiled(
@@ -164,12 +204,21 @@ class Tremor:
         self._risen_from[cells] = self._looked_at[cells] = self._edge_kpa[cells] = 0.0
 
     def _seeming_rise(self, cells: IntArray, pressure_kpa: FloatArray, most_kpa: FloatArray) -> FloatArray:
-        """(m,) kPa by which pressures have risen in this window; 0 where they rose faster, which is a load."""
+        """(m,) kPa by which pressures have risen in this window beside loads.
+
+        What rose faster than motion within the noise may seem to is a load: an edge. Its steepest part is in no doubt,
+        and of the rest no more than is in doubt already.
+        """
         rise: FloatArray = pressure_kpa - self._risen_from.take(cells, mode="clip")
         np.maximum(rise, _ZERO, out=rise)
         most = self._amplitude.take(cells, mode="clip")
         most *= most_kpa
-        np.copyto(rise, _ZERO, where=~(rise < most))
+        fast = np.flatnonzero(~(rise < most))
+        if fast.size:
+            some = cells[fast]
+            steepest = np.maximum(self._edge_kpa[some], pressure_kpa[fast] - self._looked_at[some])
+            beside_edge = np.maximum(rise[fast] - steepest, 0.0)
+            rise[fast] = np.minimum(np.minimum(beside_edge, most[fast]), self._waiting_kpa[some])
         return rise
 
     def state(self) -> dict[str, FloatArray]:
@@ -213,6 +262,14 @@ def look_each(
 
 
 @loop
+def seeming_rise(rise: float, most_kpa: float, steepest: float, waiting: float) -> float:
+    """:meth:`Tremor._seeming_rise` of one cell, which has risen by ``rise``, and by the ``steepest`` between looks."""
+    if rise < most_kpa:
+        return max(rise, 0.0)
+    return min(max(rise - steepest, 0.0), most_kpa, waiting)
+
+
+@loop
 def doubt_rises(
     cells: Places,
     memory: Rows,
@@ -222,16 +279,35 @@ def doubt_rises(
     amplitude: Row,
     suspicion: Row,
     waiting_kpa: Row,
+    edge_kpa: Row,
+    looked_at: Row,
     added: Row,
 ) -> None:
     """:meth:`Tremor.variance` as a loop over cells. ``seeming`` is the rise in a window, per noise and squared gain."""
     for i in range(cells.size):
-        cell, gain = cells[i], memory[GAIN, i]
-        rise = max(memory[PRESSURE, i] - risen_from[cell], 0.0)
-        most_kpa = seeming * taken[NOISE, i] * (gain * gain)
-        std = rise * suspicion[cell] if rise < amplitude[cell] * most_kpa else 0.0
-        std = (std + waiting_kpa[cell]) * SUSPICION
+        cell, gain, pressure = cells[i], memory[GAIN, i], memory[PRESSURE, i]
+        most_kpa = amplitude[cell] * (seeming * taken[NOISE, i] * (gain * gain))
+        steepest = max(edge_kpa[cell], pressure - looked_at[cell])
+        rise = seeming_rise(pressure - risen_from[cell], most_kpa, steepest, waiting_kpa[cell])
+        std = (rise * suspicion[cell] + waiting_kpa[cell]) * SUSPICION
         added[i] += std * std
+
+
+@loop
+def doubt_each_fall(cells: Places, memory: Rows, taken: Rows, line: Rows, fall_kpa: float, waiting_kpa: Row) -> bool:
+    """:meth:`Tremor.doubt_falls` as a loop over cells; whether one is in doubt."""
+    found = False
+    for i in range(cells.size):
+        below, noise, std = line[LEVEL, i] - taken[READING, i], taken[NOISE, i], taken[STD, i]
+        noise2 = noise * noise
+        left = noise2 - std * std
+        if not (below * below > left * (MAY_FALL * MAY_FALL) and below > 0.0 and left > 0.0):
+            continue
+        kept_kpa = below * noise2 / left * max(fall_kpa - memory[GAIN, i], 0.0) * FALLEN
+        kept_kpa *= min(max((below / math.sqrt(left) - MAY_FALL) / (FALLS - MAY_FALL), 0.0), 1.0)
+        waiting_kpa[cells[i]] += min(kept_kpa, max(memory[PRESSURE, i], 0.0))
+        found = True
+    return found
 
 
 @loop
@@ -263,9 +339,8 @@ def end_window_each(
             unrest = 0.0
         beside_before[cell] = present
         most_kpa = seeming * taken[NOISE, i] * (gain * gain)
-        rise, waiting = max(pressure - risen_from[cell], 0.0), waiting_kpa[cell]
-        if not rise < amplitude[cell] * most_kpa:
-            rise = 0.0
+        waiting = waiting_kpa[cell]
+        rise = seeming_rise(pressure - risen_from[cell], amplitude[cell] * most_kpa, edge_kpa[cell], waiting)
         found |= unrest > HIDES
         sure = min(max((unrest - HIDES) / (SURELY_HIDES - HIDES), 0.0), 1.0)
         by_two = sure * (rise if rise < most_kpa else 0.0)
@@ -285,3 +360,5 @@ def end_window_each(
 
 
 LOOPS = look_each, doubt_rises, end_window_each
+LOOPS_OF_FALLS = (doubt_each_fall,)
+"""those that only cells need which answer fast rises and fast falls differently"""

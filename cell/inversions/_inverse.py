@@ -297,9 +297,7 @@ class AsymmetricInversion(Inversion):
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
-    def advance_compiled(
-        self, memory: FloatArray, taken: FloatArray, dt_s: float, doubt: Callable[[], FloatArray]
-    ) -> FloatArray:
+    def advance_compiled(self, memory: FloatArray, taken: FloatArray, line: FloatArray, dt_s: float) -> FloatArray:
         numbers, cells = self._model_numbers, memory.shape[1]
         if self._crossed.size != cells:
             self._of, self._crossed = np.empty((loops.ROWS, cells)), np.empty(cells, dtype=np.intp)

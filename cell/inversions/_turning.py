@@ -25,8 +25,6 @@ from ..estimation import (
     REST_VARIANCE,
     RESTED,
     SIGMAS,
-    SMOOTHED,
-    STD,
     UNKNOWN,
     USUAL,
     VARIANCE,
@@ -130,6 +128,8 @@ AGAIN = 0.5
 """share by which the other hypothesis begins anew at a frame, within one standard deviation of the extreme.
 Beginning at every extreme would take noise for part of the press, beginning late would miss some of the release; half
 and half, the two errors about cancel"""
+_LIMITED = *range(STATE.start, STATE.stop), TURNED, EXTREME
+"""rows that change where a pressure is limited"""
 
 EARLIER, MIDWAY = 0.7, 0.5
 """standard deviation over what an earlier turn would make: none of that is wrong, or all (the root mean square). And
@@ -258,7 +258,7 @@ class TurningInversion(Inversion):
         of.hypotheses[...] = of.change
         both = of.both
         if both.item(both.argmin()) < self._lowest or both.item(both.argmax()) > self._usual:
-            self._limit(of, weights)
+            self._limit(of.memory, weights)
 
     def _take_turns(self, of: Rows, std: FloatArray, weights: TurnWeights) -> bool:
         """Take over the other hypothesis where the pressure has turned, and confirm earlier turns.
@@ -488,21 +488,20 @@ class TurningInversion(Inversion):
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
-    def advance_compiled(
-        self, memory: FloatArray, taken: FloatArray, dt_s: float, doubt: Callable[[], FloatArray]
-    ) -> FloatArray:
+    def advance_compiled(self, memory: FloatArray, taken: FloatArray, line: FloatArray, dt_s: float) -> FloatArray:
         w, of, numbers = self._weights.of(dt_s), self._beside, self._turns
-        r, std = taken[SMOOTHED], taken[STD]
         if memory is not of.memory:
             of = self._beside = Beside(memory)
-        loops.take.code(memory, r)
+        loops.take.code(memory, taken)
         w.step.dot(of.state, of.change)
-        if loops.step.code(memory, of.change, numbers):
-            self._limit(Rows(memory), w)
         if w is not of.weights:
             loops.take_gains.code(memory, w.by_model, of.rows, numbers)
             of.weights = w
-        found = loops.take_turns.code(memory, std, w.by_model, w.recovery_fade, of.rows, of.flags, numbers)
+        beside = of.change, taken, w.by_model, of.rows, of.flags, numbers
+        found = loops.step_and_turn.code(memory, *beside, False)
+        if found & loops.BEYOND:
+            self._limit(memory, w)
+            found = loops.step_and_turn.code(memory, *beside, True)
         if found & loops.PULLED:
             loops.correct.code(memory, taken, w.by_model, numbers)
         self._taken_over.dot(of.state, of.change)
@@ -601,7 +600,7 @@ class TurningInversion(Inversion):
         Under a load that rises this is no more than a share of what the recovery model has gone back by, and none where
         the pressure has gone back by more than noise in the last three frames.
         """
-        shared = np.subtract(of.extreme, of.recovery_kpa, of.spare)
+        shared: FloatArray = np.subtract(of.extreme, of.recovery_kpa, of.spare)
         shared -= self._clear_fall_kpa
         np.maximum(shared, self._none, out=shared)
         shared *= self._shared_fall
@@ -755,11 +754,20 @@ class TurningInversion(Inversion):
         bend *= bend
         return bend
 
-    def _limit(self, of: Rows, weights: TurnWeights) -> None:
-        """Keep pressures within :data:`LOADS`, and what is remembered with them; changes the state.
+    def _limit(self, memory: FloatArray, weights: TurnWeights) -> None:
+        """Keep pressures within :data:`LOADS`, and what is remembered with them; changes the state of few cells.
 
         Where the memory is in doubt, a pressure beyond full scale is an error of the memory rather than a load.
         """
+        pressures = memory[STATE][:2]
+        some = np.flatnonzero(((pressures < self._lowest) | (pressures > self._usual)).any(axis=0))
+        of = Rows(memory.take(some, axis=1))
+        self._limit_each(of, weights)
+        for row in _LIMITED:  # one by one: NumPy takes far longer for all at once where there are many cells
+            memory[row, some] = of.memory[row]
+
+    def _limit_each(self, of: Rows, weights: TurnWeights) -> None:
+        """:meth:`_limit` of cells that have a pressure beyond the usual."""
         m, state = self.model, of.state
         excess = np.clip(of.pressures, self._lowest, self._highest) - of.pressures
         state[:6] += weights.ramp[:, None] * np.tile(excess, (3, 1))

@@ -48,18 +48,19 @@ other hypothesis begins anew; standard deviations by which an extreme counts for
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
 those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, of :mod:`._recovery`, and how far
 small pressures must go back for a turn; how far the peak goes down as an error of the memory fades; those of
-``_doubt_falls`` and of ``_late``; of :func:`refutes`, and of :func:`seeming_kpa`; of :func:`earlier_kpa` and :func:`follow_earlier_turn`"""
-UNCONFIRMED, PULLED = 1, 2
+``_doubt_falls`` and of ``_late``; of :func:`refutes`, of :func:`seeming_kpa`, and of :func:`earlier_kpa` and
+:func:`follow_earlier_turn`"""
+UNCONFIRMED, PULLED, BEYOND = 1, 2, 4
 
 
 @loop
-def take(memory: Rows, r: FixedRow) -> None:
-    """Keep the pressures of the last frames, and take readings (m,)."""
-    for i in range(r.size):
+def take(memory: Rows, taken: Rows) -> None:
+    """Keep the pressures of the last frames, and take readings ``taken`` (4, m)."""
+    for i in range(memory.shape[1]):
         memory[THIRD_LAST, i] = memory[BEFORE_LAST, i]
         memory[BEFORE_LAST, i] = memory[LAST, i]
         memory[LAST, i] = memory[PRESSURE, i]
-        memory[STATE_END - 1, i] = r[i]
+        memory[STATE_END - 1, i] = taken[SMOOTHED, i]
 
 
 @loop
@@ -257,36 +258,30 @@ def refutes(memory: Rows, i: int, std: float, by_model: FixedRows, numbers: Fixe
 
 
 @loop
-def take_turns(
-    memory: Rows,
-    std: FixedRow,
-    by_model: FixedRows,
-    recovery_fade: float,
-    of: Rows,
-    flags: FlagRows,
-    numbers: FixedRow,
-) -> int:
-    """Take over the other hypothesis where the pressure has turned (m,), and confirm earlier turns.
+def take_turns(memory: Rows, taken: Rows, by_model: FixedRows, of: Rows, flags: FlagRows, numbers: FixedRow) -> int:
+    """Take over the other hypothesis where the pressure has turned, and confirm earlier turns.
 
-    For ``recovery_fade`` see :class:`._paper_steps.TurnWeights`.
+    Readings are ``taken`` (4, m).
 
     Returns:
         Sum of UNCONFIRMED if a cell had turned unconfirmed, and of PULLED if one needs a pull.
     """
     found = 0
-    for i in range(std.size):
+    recovery_fade = math.sqrt(by_model[2, 1])
+    for i in range(memory.shape[1]):
+        std = taken[STD, i]
         memory[EARLIER_KPA, i] *= recovery_fade
-        turned = look(memory, i, std[i], of, numbers)
-        taken, rises, refuted = memory[LEFT, i] < FAR, memory[SIGN, i] > 0.0, False
-        if (taken or turned) and taken == rises:
-            refuted = refutes(memory, i, std[i], by_model, numbers)
+        turned = look(memory, i, std, of, numbers)
+        unconfirmed, rises, refuted = memory[LEFT, i] < FAR, memory[SIGN, i] > 0.0, False
+        if (unconfirmed or turned) and unconfirmed == rises:
+            refuted = refutes(memory, i, std, by_model, numbers)
             if refuted:
                 turned = rises
-        if taken or turned:
+        if unconfirmed or turned:
             found |= UNCONFIRMED
         if turned:
-            turn(memory, i, std[i], by_model, of, numbers)
-            look(memory, i, std[i], of, numbers)
+            turn(memory, i, std, by_model, of, numbers)
+            look(memory, i, std, of, numbers)
         if refuted:
             memory[PEAK, i] = of[AHEAD, i] - of[UNSURE, i]
             memory[EXTREME, i] = of[AHEAD, i] - of[UNSURE, i] * numbers[LESS]
@@ -302,6 +297,27 @@ def take_turns(
         if memory[PRESSURE, i] < numbers[PULLED_KPA]:
             found |= PULLED
     return found
+
+
+@loop
+def step_and_turn(
+    memory: Rows,
+    after: Rows,
+    taken: Rows,
+    by_model: FixedRows,
+    of: Rows,
+    flags: FlagRows,
+    numbers: FixedRow,
+    limited: bool,
+) -> int:
+    """:func:`step`, unless its pressures are ``limited`` already, and :func:`take_turns`.
+
+    Returns:
+        What the latter does, or BEYOND where pressures are to be limited before.
+    """
+    if not limited and step(memory, after, numbers):
+        return BEYOND
+    return take_turns(memory, taken, by_model, of, flags, numbers)
 
 
 @loop
@@ -400,4 +416,4 @@ def begin_anew(
         memory[VARIANCE, i] = of[SPARE, i] + memory[TURNED, i]
 
 
-ALL = take, step, take_gains, take_turns, correct, begin_anew
+ALL = take, take_gains, step_and_turn, correct, begin_anew

@@ -6,9 +6,11 @@ at the end of a step instead of inside it, which is an order of magnitude faster
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray, FloatArray, scatter
 from ...compiled import Rows, loop
 from . import _lag as lag
 
@@ -259,7 +261,7 @@ def _recursion(into: FloatArray, keep: float, before: float = 0.0) -> FloatArray
 
 def white_noise(signal: FloatArray) -> float:
     """Standard deviation of what changes from sample to sample: robust second differences of (n,)."""
-    return float(np.median(np.abs(np.diff(signal, 2))) / 0.6745 / np.sqrt(6)) if len(signal) > 2 else 0.0
+    return scatter(np.diff(signal, 2)) / math.sqrt(6.0) if len(signal) > 2 else 0.0
 
 
 def step_noise(signal: FloatArray) -> float:

@@ -105,11 +105,11 @@ class PortFields(NamedTuple):
     column_share: FloatArray
     """(N, M)"""
 
-    def of_row(self, row: int) -> FloatArray:
-        """(M, N + M) fields of the readings of one selected row."""
-        fields: FloatArray = self.row_share[row, :, None] * self.of_rows[row]
-        fields += self.column_share[row, :, None] * self.of_columns
-        return fields
+    def of_some(self, rows: slice) -> FloatArray:
+        """(K M, N + M) fields of the readings of K selected rows."""
+        fields: FloatArray = self.row_share[rows, :, None] * self.of_rows[rows, None]
+        fields += self.column_share[rows, :, None] * self.of_columns
+        return fields.reshape(-1, fields.shape[-1])
 
 
 class QuickFields(NamedTuple):

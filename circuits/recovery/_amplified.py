@@ -98,6 +98,7 @@ class AmplifiedLive:
             self._turned_all if every else turn(found.valid),
             self._turned_no_reason if every else turn(found.reason),
             lambda: (turn(found.uncertainty), turn(found.own)),
+            every=every or None,
         )
 
     def _read(self, volts: FloatArray, limited: BoolArray | None, faint: BoolArray | None, noise: float) -> LiveReading:
@@ -116,7 +117,11 @@ class AmplifiedLive:
             valid = transfer >= levels.least
             if np.count_nonzero(valid) == valid.size:
                 return LiveReading(
-                    np.reciprocal(conductance), self._all, self._no_reason, partial(levels.uncertainties, transfer)
+                    np.reciprocal(conductance),
+                    self._all,
+                    self._no_reason,
+                    partial(levels.uncertainties, transfer),
+                    every=True,
                 )
         disturbance = None
         if unknown is not None:
@@ -146,7 +151,7 @@ class AmplifiedLive:
         if found is None:
             return None
         resistance, uncertainties = found
-        return LiveReading(resistance, self._all, self._no_reason, uncertainties)
+        return LiveReading(resistance, self._all, self._no_reason, uncertainties, every=True)
 
     def _cells(self, volts: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None]:
         """What a frame's outputs (N, M) in V say of the cells, within the frame's budget.

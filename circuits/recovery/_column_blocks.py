@@ -183,7 +183,9 @@ class ColumnBlocks:
         with np.errstate(invalid="ignore"):  # an endless resistance behind a column without conductance
             slopes = board.circuit.column_slopes(board, crosspoint, crosspoint.sum(axis=0))
         assert slopes is not None
-        by_own, by_sum = np.nan_to_num(slopes[0] / self._noise), np.nan_to_num(slopes[1] / self._noise)
+        by_own, by_sum = slopes[0] / self._noise, slopes[1] / self._noise
+        if not (np.isfinite(by_own).all() and np.isfinite(by_sum).all()):
+            by_own, by_sum = np.nan_to_num(by_own), np.nan_to_num(by_sum)
         # S of a crosspoint that its own reading can tell from none
         tells = self._tells & (by_own != 0.0)
         least = np.divide(1.0, np.abs(by_own), out=np.zeros(board.shape), where=tells)

@@ -257,6 +257,9 @@ class CoupledLive:
         by_readings = self._uncertainty.by_readings(frame, fit, base, own, by_shifts)
         others: FloatArray = base.others
         by_columns = by_lost
+        if self._convergence.astray:  # no cell of the frame is valid, however certain it is
+            fitted = by_readings + others + doubt
+            return _Open(others + by_columns, fitted, fitted + by_columns)
         if self._is_divider and isinstance(by_columns, np.ndarray):
             # That is a change of crosspoints, of which a cell is a small part beside heavy leads.
             leads = np.where(np.isfinite(self._parts.leads), self._parts.leads, 0.0)

@@ -14,7 +14,6 @@ import numpy as np
 from ...arrays import FloatArray
 from .._board import Board
 from .._grid import exact_ports
-from .._sensitivity import basis_drops
 from ._normal_matrix import Meter
 from ._quick_model import QuickModel
 
@@ -35,36 +34,40 @@ def derivatives(board: Board, cells: FloatArray, model: QuickModel, meter: Meter
         After each instalment of the work but the last.
 
     """
-    by_row = model.derivatives(cells)
-    if by_row is not None:
+    by_rows = model.derivatives(cells)
+    if by_rows is not None:
         try:
-            yield from _quick_derivatives(by_row, meter, out)
+            yield from _quick_derivatives(by_rows, meter, out)
         except np.linalg.LinAlgError:  # parts of the grid that nothing is connected to
-            by_row = None
-    if by_row is None:
-        yield from _exact_derivatives(board, cells, meter, out)
+            by_rows = None
+    if by_rows is None:
+        yield from _exact_derivatives(board, cells, model, meter, out)
 
 
-def _quick_derivatives(by_row: Iterator[FloatArray], meter: Meter, out: FloatArray) -> Iterator[None]:
+def _quick_derivatives(by_rows: Iterator[FloatArray], meter: Meter, out: FloatArray) -> Iterator[None]:
     size, written = len(out), 0
-    for some in by_row:
+    for some in by_rows:
         if meter.is_full(_PER_ENTRY * some.size):
             yield
         out[written : written + len(some)] = some.reshape(len(some), size)
         written += len(some)
 
 
-def _exact_derivatives(board: Board, cells: FloatArray, meter: Meter, out: FloatArray) -> Iterator[None]:
+def _exact_derivatives(
+    board: Board, cells: FloatArray, model: QuickModel, meter: Meter, out: FloatArray
+) -> Iterator[None]:
     ports = exact_ports(board, cells).value
     reading = board.circuit.read(board, ports)
     yield
-    drops = basis_drops(board, cells)
+    branches = model.branches(cells)
     rows, columns = board.shape
     result = out.reshape(rows, columns, rows, columns)
     yield
     for group in board.circuit.sensitivity_groups(board, ports, reading):
         if meter.is_full(_PER_ENTRY * group.forward[..., 0].size * cells.size):
             yield
-        forward = np.tensordot(group.forward, drops, axes=1)
-        adjoint = np.tensordot(group.adjoint, drops, axes=1)
+        forward, adjoint = (
+            branches.across(field.reshape(-1, rows + columns)).reshape(*field.shape[:-1], rows, columns)
+            for field in (group.forward, group.adjoint)
+        )
         result[np.ix_(group.rows, group.columns)] = -forward * adjoint

@@ -19,7 +19,10 @@ Where F(b G) < b G at all cells, no solution is above the found one by b at most
 1 ohm, and likewise for all factors below 1. The largest factor that is left is where F starts from, in a sequence
 which falls to the largest solution, cell by cell. Other sets with cells of less than 1 ohm are not enclosed.
 
-Idle lines above the sensed column bring current into it instead. Their S counts as it has been found.
+Idle lines above the sensed column bring current into it instead, as they do by an offset while a poor conductor is
+read. The sequence counts their S as it has been found. Where others may be far away, S is enclosed with them, and so is
+what it makes of such a reading. The same holds for current that reaches the column by detours: over a column's own
+wire, other rows and their cells.
 """
 
 from __future__ import annotations
@@ -79,12 +82,10 @@ class FollowerSolutions:
                 return None
             if self._last is not None and np.abs(self._last[0] - known.log).max() <= _ALIKE:
                 return self._last[1]
-            found = self._law(frame, known).changes()
+            (found,) = self._law(frame, known).changes()
         else:
-            law = self._law(frame, known)
-            found = law.changes()
-            conceivable = found is not None or law.drifted(_DRIFTED).changes() is not None
-            self._kept = base, conceivable
+            found, drifted = self._law(frame, known).changes(1.0, _DRIFTED)
+            self._kept = base, found is not None or drifted is not None
         change = None if found is None else _ALIKE_MARGIN * found.ravel()
         self._last = known.log, change
         return change
@@ -95,13 +96,14 @@ class FollowerSolutions:
         conductance = np.minimum(board.cell_conductance(known.cells), _LARGEST_SIEMENS)
         column = known.volts.reshape(shape) / board.loop_share - board.level - board.offset
         sign = float(np.sign(board.drive))
-        below = np.maximum(sign * (board.inverse_gain * column - board.follower_lift), 0.0)
+        below = sign * (board.inverse_gain * column - board.follower_lift)
         current = np.maximum(sign * (column / board.reference + board.bias), _LEAST)
         counts: BoolArray = ~self._parts.gone.reshape(shape)
         if frame.ignored is not None:
             counts = counts & ~frame.ignored.reshape(shape)
         error = np.minimum(frame.error * frame.slope, _LARGEST_ERROR).reshape(shape)
-        return _Law(self._row, self._column, conductance, np.minimum(below / current, _BOUNDLESS), error, counts)
+        per_siemens = np.clip(below / current, -_BOUNDLESS, _BOUNDLESS)
+        return _Law(self._row, self._column, conductance, per_siemens, error, counts)
 
 
 class _Law:
@@ -122,97 +124,151 @@ class _Law:
             row: ohm from crosspoints to the rows' drivers.
             column: ohm from crosspoints to the columns' ends.
             conductance: S of the cells.
-            per_siemens: 1/S, current to idle lines per siemens over that of the reference resistor.
+            per_siemens: 1/S, current to idle lines per siemens over that of the reference resistor; negative where
+                it comes from idle lines.
             error: relative, by a cell's own reading.
             counts: cells whose readings count; the others stay as they are.
 
         """
-        self._row, self._column, self._cells, self._per_siemens = row, column, conductance, per_siemens
-        self._counts, self._error = counts, error
-        self._wide = 1.0 + error
-        self._found = self._demand(conductance)
-
-    def drifted(self, factor: float) -> _Law:
-        """The same for other readings, those of cells that all conduct so many times as well."""
-        cells = factor * self._cells
-        return _Law(self._row, self._column, cells, self._per_siemens, self._error, self._counts)
+        self._row, self._column, self._cells = row, column, conductance
+        self._taken, self._brought = np.maximum(per_siemens, 0.0), np.maximum(-per_siemens, 0.0)
+        self._counts, self._wide = counts, 1.0 + error
 
     def _demand(self, cells: FloatArray) -> FloatArray:
         """Conductance G that the readings demand beside cells (..., N, M) in S, but for a factor of each reading."""
         row, column = self._row, self._column
-        to_ends = cells / (1.0 + cells * column)
-        to_columns = to_ends.sum(axis=-1, keepdims=True) - to_ends  # g, from a row to the other columns' ends
         to_drivers = cells / (1.0 + cells * row)
         to_rows = to_drivers.sum(axis=-2, keepdims=True) - to_drivers  # h, from a column to the other rows' drivers
-        by_row, by_column = 1.0 + row * to_columns, 1.0 + column * to_rows
+        by_row, by_column = self._by_row(cells), 1.0 + column * to_rows
         attenuation = by_row * by_column + cells * (row * by_column + column * by_row)
-        demand: FloatArray = attenuation * (1.0 + self._idle_share(cells, by_row))
+        demand: FloatArray = attenuation * (1.0 + self._taken * self._to_idle_lines(cells, by_row))
         return demand
 
-    def _idle_share(self, cells: FloatArray, by_row: FloatArray) -> FloatArray:
-        """Current of a column to idle lines over that of its reference resistor, beside cells (..., N, M) in S.
+    def _to_idle_lines(self, cells: FloatArray, by_row: FloatArray) -> FloatArray:
+        """S of a column to idle lines beside cells (..., N, M) in S: to other rows, and by way of these other columns.
 
-        It reaches idle lines by other rows, and by way of these other columns.
+        Args:
+            cells: S.
+            by_row: (..., N, M), see :meth:`_by_row`.
+
         """
         behind = self._row / by_row
         into = (cells / (1.0 + cells * behind)).sum(axis=-2, keepdims=True)
-        share: FloatArray = self._per_siemens * (into / (1.0 + self._column * into))
-        return share
+        siemens: FloatArray = into / (1.0 + self._column * into)
+        return siemens
 
-    def _most_cells(self) -> FloatArray:
-        """S, the most that cells may conduct."""
-        return np.where(self._counts, np.maximum(_MOST_SIEMENS, (1.0 + _NEAR) * self._cells), self._cells)
+    def _by_row(self, cells: FloatArray) -> FloatArray:
+        """1 + r g (..., N, M), with g from a row to the other columns' ends, beside cells (..., N, M) in S."""
+        to_ends = cells / (1.0 + cells * self._column)
+        by_row: FloatArray = 1.0 + self._row * (to_ends.sum(axis=-1, keepdims=True) - to_ends)
+        return by_row
 
-    def _draws_on_idle_lines(self) -> bool:
-        """Whether idle lines take a notable current; without it conductances between terminals have one solution."""
-        most = self._most_cells()
-        to_ends = most / (1.0 + most * self._column)
-        by_row = 1.0 + self._row * (to_ends.sum(axis=-1, keepdims=True) - to_ends)
-        share = self._idle_share(most, by_row)
+    def _draws_on_idle_lines(self, most: FloatArray) -> bool:
+        """Whether idle lines take a notable current; without it conductances between terminals have one solution.
+
+        Args:
+            most: (..., N, M) S, what cells conduct at most.
+
+        """
+        share = self._taken * self._to_idle_lines(most, self._by_row(most))
         return bool((share > _NOTABLE).any(where=self._counts))
 
-    def changes(self) -> FloatArray | None:
-        """Largest relative change of the cells to those of another solution; None where there is no other one."""
-        if not self._draws_on_idle_lines():
-            return None
-        above, below = self._above(), self._below()
-        if above is None:
-            return below
-        return above if below is None else np.maximum(above, below)
+    def _by_idle_lines_above(self, cells: FloatArray, factors: FloatArray) -> FloatArray:
+        """Relative change (K, 2, N, M) of cells to whose readings idle lines bring current, if others change.
 
-    def _above(self) -> FloatArray | None:
-        """Largest relative change upwards; None where no solution is far above the one that has been found."""
-        counts, cells = self._counts, np.maximum(self._cells, _LEAST)
-        most = np.where(counts, self._most_cells() / cells, 1.0)
-        for _ in range(_TRIALS):
-            logarithm = np.log(most)
-            times = np.exp(_PARTS[:, None, None] * logarithm)
-            ratio = self._demand(times * self._cells) / self._found / times * self._wide
-            # At the cell that is farthest above, another solution would demand as much.
-            possible = ((ratio >= 1.0 - _SLACK) & counts & (times > 1.0 + _NEAR)).any(axis=(-2, -1))
-            if not possible.any():
-                return None
-            most = np.exp(_PARTS[np.flatnonzero(possible)[-1]] * logarithm)
-            for _ in range(_ROUNDS):
-                demanded = self._demand(most * self._cells) / self._found * self._wide
-                most = np.where(counts, np.clip(demanded, 1.0 + _SLACK, most), most)
-        change: FloatArray = np.maximum(most / self._wide - 1.0, 0.0)
-        return change if (change > _NEAR).any() else None
+        Args:
+            cells: (K, 1, N, M) S.
+            factors: (K, 2, N, M) of them, the others.
 
-    def _below(self) -> FloatArray | None:
-        """Largest relative change downwards; None where no solution is far below the one that has been found."""
-        counts = self._counts
-        least = np.where(counts, _LEAST_FACTOR, 1.0)
+        """
+        others, brought = factors * cells, self._brought
+        now = self._to_idle_lines(cells, self._by_row(cells))
+        then = self._to_idle_lines(others, self._by_row(others))
+        change: FloatArray = brought * np.abs(then - now) / np.maximum(1.0 - brought * now, _LEAST)
+        return change
+
+    def _by_detours(self, cells: FloatArray, factors: FloatArray) -> FloatArray:
+        """Relative change (K, 2, N, M) of cells by current that detours bring to their readings, if others change.
+
+        A driven row lifts the columns, by their own wire, these lift other rows, and those feed the sensed column. What
+        comes so is not the cell's.
+
+        Args:
+            cells: (K, 1, N, M) S.
+            factors: (K, 2, N, M) of them, the others.
+
+        """
+        to_columns = self._lifts(factors * cells) - self._lifts(cells)
+        change: FloatArray = np.maximum(to_columns, 0.0) / np.maximum(cells, _LEAST) * self._demand(cells)
+        return change
+
+    def _lifts(self, cells: FloatArray) -> FloatArray:
+        """S (..., N, M) at most from rows to columns by detours, beside cells (..., N, M) in S."""
+        columns = self._column * (cells / (1.0 + cells * (self._row + self._column)))  # V per volt
+        rows = self._row * cells
+        rows = rows / (1.0 + rows.sum(axis=-1, keepdims=True))
+        lifted = columns @ np.swapaxes(rows, -1, -2)  # of other rows by each driven one
+        lifted *= 1.0 - np.eye(lifted.shape[-1])
+        into: FloatArray = lifted @ (cells / (1.0 + cells * self._column))
+        return into
+
+    def changes(self, *times: float) -> list[FloatArray | None]:
+        """Largest relative change of the cells to those of another solution; None where there is no other one.
+
+        Args:
+            times: for readings of cells that all conduct so many times as well as those that were found; 1 without it.
+
+        Returns:
+            For each of ``times``. All are narrowed as long as there is another solution for the first of them.
+
+        """
+        # Axes: the readings, then solutions above and below, then the cells.
+        cells = np.array(times or (1.0,))[:, None, None, None] * self._cells
+        counts, most = self._counts, np.maximum(_MOST_SIEMENS, (1.0 + _NEAR) * cells)
+        most = np.where(counts, most, cells)
+        if not self._draws_on_idle_lines(most):
+            return [None] * len(cells)
+        above = most / np.maximum(cells, _LEAST)
+        limits = np.concatenate([above, np.full(above.shape, _LEAST_FACTOR)], axis=1)
+        far, enclosed = self._enclosed(cells, np.where(counts, limits, 1.0))
+        change = np.maximum(np.maximum(enclosed / self._wide - 1.0, 1.0 - enclosed * self._wide), 0.0)
+        if far.any():
+            change += self._by_detours(cells, enclosed)
+            if self._brought.any():
+                change += self._by_idle_lines_above(cells, enclosed)
+        largest = change.max(axis=1, where=far[..., None, None], initial=0.0)
+        return [each if (each > _NEAR).any() else None for each in largest]
+
+    def _enclosed(self, cells: FloatArray, factors: FloatArray) -> tuple[BoolArray, FloatArray]:
+        """Enclose the solutions above and below those that were found.
+
+        Args:
+            cells: (K, 1, N, M) S, found for K sets of readings.
+            factors: (K, 2, N, M) of them, the largest and the least that are looked at.
+
+        Returns:
+            (K, 2), whether there may be a solution far away on that side; and (K, 2, N, M), factors within which it is.
+
+        """
+        counts, side = self._counts, np.array([1.0, -1.0])[:, None, None]  # of the logarithms
+        found, wide = self._demand(cells), self._wide**side
+        demanded_at_most, near = wide / found, (1.0 + _NEAR) ** side
+        beside = np.where(counts, (1.0 + _SLACK) ** side, 1.0)
+        each = np.indices(factors.shape[:2])
+        far = np.ones(factors.shape[:2], dtype=np.bool_)
         for _ in range(_TRIALS):
-            logarithm = np.log(least)
-            times = np.exp(_PARTS[:, None, None] * logarithm)
-            ratio = self._demand(times * self._cells) / self._found / times / self._wide
-            possible = ((ratio <= 1.0 + _SLACK) & counts & (times < 1.0 / (1.0 + _NEAR))).any(axis=(-2, -1))
-            if not possible.any():
-                return None
-            least = np.exp(_PARTS[np.flatnonzero(possible)[-1]] * logarithm)
+            logarithm = np.log(factors)
+            times = np.exp(_PARTS[:, None, None, None, None] * logarithm)
+            ratio = self._demand(times * cells) * demanded_at_most / times
+            # At the cell that is farthest off, another solution would demand as much.
+            beyond = (side * ratio >= side / (1.0 + _SLACK) ** side) & (side * times > side * near)
+            possible = beyond.any(axis=(-2, -1), where=counts)
+            far &= possible.any(axis=0)
+            if not far[0].any():
+                break
+            last = len(_PARTS) - 1 - possible[::-1].argmax(axis=0)
+            factors = times[last, *each]
             for _ in range(_ROUNDS):
-                demanded = self._demand(least * self._cells) / self._found / self._wide
-                least = np.where(counts, np.clip(demanded, least, 1.0 - _SLACK), least)
-        change: FloatArray = np.maximum(1.0 - least * self._wide, 0.0)
-        return change if (change > _NEAR).any() else None
+                demanded = self._demand(factors * cells) * demanded_at_most
+                factors = np.clip(demanded, np.minimum(beside, factors), np.maximum(beside, factors))
+        return far, factors

@@ -257,24 +257,27 @@ class Linearised:
 
     def renew(self, at: Known) -> bool:
         """Derivatives at these cells, or a further instalment of them. True if the base has just become new."""
-        base, loss, new = self.base, self._loss(at), False
+        base, loss = self.base, self._loss(at)
         columns_serve = loss <= _HEAVY and not self._stuck
-        if columns_serve or not self._has_matrix:
-            if not base.whole or base.is_far(at.log):
-                self._base, new = self._by_lines(at, loss), True
-            if not self.base.whole and not self.base.coarse:
-                self._renewal = None
-                return new
+        by_lines = (columns_serve or not self._has_matrix) and (not base.whole or base.is_far(at.log))
+        if by_lines and not self._is_coarse(loss):
+            self._base, self._renewal = self._by_lines(at, loss), None
+            return True
         if self._renewal is None:
             self._renewal = self._by_matrix(at)
         made = next(self._renewal)
-        if made is None:
-            return new
-        self._renewal = None
-        if columns_serve and made.is_far(at.log):
-            return new  # made for cells that are no more
-        self._base = made
-        return True
+        if made is not None:
+            self._renewal = None
+            if not (columns_serve and made.is_far(at.log)):  # else made for cells that are no more
+                self._base = made
+                return True
+        if by_lines:
+            self._base = self._by_lines(at, loss)
+        return by_lines
+
+    def _is_coarse(self, loss: float) -> bool:
+        """Whether the whole matrix is to follow derivatives by single lines, which neglect such a loss."""
+        return loss > _LIGHT and self._has_matrix
 
     def _loss(self, at: Known) -> float:
         """Share of a voltage in the lines, as far as steps by single lines neglect it; inf: there are no such steps."""
@@ -306,14 +309,13 @@ class Linearised:
                 compiled=self._compiled,
             )
         step = self.columns.at(at.cells, prior, self._parts.hidden.reshape(shape))
-        coarse = loss > _LIGHT and self._has_matrix
         std, others, floor = step.std.ravel(), step.others.ravel(), step.floor.ravel()
         linear = at.log < floor
         steps = ColumnSteps.of(step, linear, _STRIDE, _LINEAR_STRIDE) if self._compiled else None
         return Base(
             *(at.log, step.solve, std, slope, others, floor, linear),
             whole=False,
-            coarse=coarse,
+            coarse=self._is_coarse(loss),
             by_columns=steps,
             compiled=self._compiled,
         )

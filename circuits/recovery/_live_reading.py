@@ -105,11 +105,15 @@ class LiveReading:
         covered: float | None = None,
         alike: float = 1.0,
         by_readings: Callable[[], FloatArray] | None = None,
+        *,
+        every: bool | None = None,
     ) -> None:
         """Keep values, and how to compute the uncertainties should somebody ask for them.
 
         ``by_readings`` gives :attr:`by_readings`; None: other readings do not count, as behind virtual grounds.
+        ``every`` says whether every cell is valid, where that is known beforehand.
         """
+        self._every = every
         self._by_readings = by_readings
         self.alike = alike
         """standard deviation by ADC steps, which may err alike in many readings, over that of independent errors"""
@@ -125,6 +129,11 @@ class LiveReading:
         """a :class:`Reason` each"""
         self._uncertainties = uncertainties
         self._known: tuple[FloatArray, FloatArray] | None = None
+
+    @property
+    def every(self) -> bool:
+        """Whether every cell is valid."""
+        return bool(np.count_nonzero(self.valid) == self.valid.size) if self._every is None else self._every
 
     @property
     def _computed(self) -> tuple[FloatArray, FloatArray]:

@@ -25,6 +25,7 @@ from ..solvers import has_ideal_lines, port_conductances
 from ._lines import LineResistance
 from ._port_derivatives import AnyLines, Branches, IdealLines, PortDerivatives
 
+_AT_ONCE = 4096  # derivatives that are made together, if those of one row are fewer
 _LIGHT = 0.25  # largest loss in the lines for which sweeps are good to a percent
 
 
@@ -65,7 +66,7 @@ class QuickModel:
         return read_exactly(self._board, cells)[0].volts
 
     def derivatives(self, cells: FloatArray) -> Iterator[FloatArray] | None:
-        """Derivatives (M, N, M) in V/S of the readings of each selected row by all crosspoints, row by row.
+        """Derivatives (K M, N, M) in V/S of the readings of the next K selected rows by all crosspoints.
 
         Args:
             cells: (N, M) ohm.
@@ -80,7 +81,7 @@ class QuickModel:
         fields = self._board.circuit.quick_fields(self._board, self._network(conductance))
         if fields is None:
             return None
-        return _products(fields, self._branches(cells, conductance))
+        return _products(fields, self.branches(cells))
 
     def products(self, cells: FloatArray) -> PortDerivatives | None:
         """The same derivatives without their matrix.
@@ -93,12 +94,17 @@ class QuickModel:
             return None
         conductance = self._board.cell_conductance(cells)
         fields = self._board.circuit.quick_fields(self._board, self._network(conductance))
-        return None if fields is None else PortDerivatives(fields, self._branches(cells, conductance))
+        return None if fields is None else PortDerivatives(fields, self.branches(cells))
 
-    def _branches(self, cells: FloatArray, conductance: FloatArray) -> Branches:
+    def branches(self, cells: FloatArray) -> Branches:
+        """Voltages across the crosspoints for potentials of the grid's ports, for ``cells`` (N, M) in ohm, no shorts.
+
+        They are in closed form with ideal lines, by sweeps over light lines, and by a sparse factorisation elsewhere.
+        """
+        conductance = self._board.cell_conductance(cells)
         if self.is_quick:
             return IdealLines(conductance, self._lead)
-        light = self._lines.finite and self._lines.loss(conductance) <= _LIGHT
+        light = self.has_network and self._lines.finite and self._lines.loss(conductance) <= _LIGHT
         return AnyLines(self._lines.swept_drops(conductance) if light else basis_drops(self._board, cells))
 
     def _network(self, conductance: FloatArray) -> QuickNetwork:
@@ -113,6 +119,9 @@ class QuickModel:
 
 
 def _products(fields: QuickFields, branches: Branches) -> Iterator[FloatArray]:
-    for row in range(len(fields.forward.of_rows)):
-        derivative = branches.across(fields.forward.of_row(row)) * branches.across(fields.adjoint.of_row(row))
+    rows, columns = fields.forward.row_share.shape
+    some = max(1, _AT_ONCE // (rows * columns**2))
+    for row in range(0, rows, some):
+        forward, adjoint = (branches.across(each.of_some(slice(row, row + some))) for each in fields)
+        derivative = forward * adjoint
         yield np.negative(derivative, out=derivative)

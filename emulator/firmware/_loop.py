@@ -19,7 +19,7 @@ from contextlib import contextmanager, nullcontext
 from math import inf
 from pathlib import Path
 
-from ...errors import InputError
+from ...checks import positive
 from .._faults import Line, Schedule, may_lose
 from .._hand import Hand
 from .._ports import Port
@@ -74,13 +74,12 @@ def emulate_firmware(
         stop: ends the run.
 
     Raises:
-        InputError: no firmware fits the scene, or the truth file cannot be written.
+        InputError: the duration is not above 0, no firmware fits the scene, or the truth file cannot be written.
         MissingExtra: the engine cannot run here.
         LinkError: the port or the emulated processor failed.
 
     """
-    if not duration_s > 0:
-        raise InputError(f"duration is {duration_s} s; expected more than 0")
+    duration_s = positive("duration", duration_s, "s")
     outcome = Outcome()
     with nullcontext() if truth is None else TruthFile(truth, scene.skin.design.array.shape) as file:
         record = None if file is None else file.append
