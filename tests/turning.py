@@ -160,7 +160,7 @@ class OneCell:
         self.doubt *= fade
         is_apart = paper.EITHER * abs(self.other.pressure - now.pressure)
         if self.rising:
-            fallen = paper.FALLEN * (self.peak - now.pressure)
+            fallen = paper.FALLEN * (self.peak - now.pressure) if held else 0.0
             is_apart += paper.EARLIER * self._turned_earlier(fallen, unsure)
         is_apart *= is_apart
         lost = was_apart - is_apart

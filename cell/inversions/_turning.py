@@ -405,7 +405,7 @@ class TurningInversion(Inversion):
         apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
         np.abs(apart, out=apart)
         apart *= self._either
-        fallen = (of.memory[PEAK] - of.pressure) * FALLEN
+        fallen = (of.memory[PEAK] - of.pressure) * FALLEN * of.held  # a fast fall is a release
         earlier = self._earlier_kpa(of.memory, of.unsure * self._per_less, fallen)
         earlier *= self._by_earlier
         earlier *= of.rises

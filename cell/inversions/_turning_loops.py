@@ -400,7 +400,7 @@ def begin_anew(
         memory[TURNED, i] *= of[FADE, i]
         apart = abs(memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]
         if memory[SIGN, i] > 0.0:
-            fallen = (memory[PEAK, i] - memory[PRESSURE, i]) * numbers[FALLEN]
+            fallen = (memory[PEAK, i] - memory[PRESSURE, i]) * numbers[FALLEN] if flags[HELD, i] else 0.0
             apart += earlier_kpa(memory, i, noise, fallen, numbers) * numbers[EARLIER]
         apart *= apart
         of[SPARE, i] = apart
