@@ -507,14 +507,18 @@ def test_a_skin_that_comes_off_a_limit_takes_no_slow_frame(family: str, number: 
         "divider twofold:170000369",
         "divider twofold:170000659",
         "loaded twofold:170000973",
-        "open loaded events:201040000001",
+        "open loaded twofold:170000042",  # floating rows
         "loaded twofold:170000198",  # a column that was left out too long kept the others from settling
         "divider twofold:170000236",  # steps by which the cells never came near
         "loaded twofold:170000355",
     ],
 )
 def test_steps_that_lead_nowhere_are_given_up_for_another_start(stream: str) -> None:
-    """After columns of a few ohm, the cells exist, and nothing valid is wrong on the way there."""
+    """After columns of a few ohm, the cells exist, and nothing valid is wrong on the way there.
+
+    The streams settle with every rounding of the linear algebra: tried with OPENBLAS_CORETYPE=Haswell, Zen, SkylakeX
+    and Sandybridge.
+    """
     family, number = stream.split(":")
     tally = _live_hunt.LiveTally()
     _live_hunt.check(family, int(number), tally)
