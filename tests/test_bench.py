@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import logging
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -13,10 +14,9 @@ import pytest
 
 from ohmskin import bench
 from ohmskin.bench import _estimators as benchmark
-from ohmskin.bench import _honesty
+from ohmskin.bench import _hard_cases, _honesty, _light_taps, _rest
 from ohmskin.bench import _memory as memory
 from ohmskin.bench import _peers as peers
-from ohmskin.bench._hard_cases import hard_cases, hard_table
 from ohmskin.bench._reference import reference_volts
 from ohmskin.circuits import METHODS
 from ohmskin.cli import run
@@ -116,6 +116,9 @@ def test_the_estimators_have_a_table_of_their_own(
 ) -> None:
     row = benchmark.Row("foam", "play", rmse_percent=12.5, microseconds=0.25, is_default=True)
     monkeypatch.setattr(benchmark, "estimators", lambda: [row])
+    monkeypatch.setattr(_hard_cases, "hard_cases", lambda: [])
+    monkeypatch.setattr(_rest, "rests", partial(_rest.rests, _rest.CASES[:1], seeds=1))
+    monkeypatch.setattr(_light_taps, "light_taps", partial(_light_taps.light_taps, _light_taps.CASES[:1]))
     monkeypatch.setattr(_honesty, "honesty", lambda: [])
     monkeypatch.setattr(_honesty, "elsewhere", lambda: [])
     assert run(["bench", "--estimators"]) == 0
@@ -125,10 +128,10 @@ def test_the_estimators_have_a_table_of_their_own(
 
 
 def test_the_default_stands_taps_in_the_table_of_hard_cases() -> None:
-    rows = hard_cases()
+    rows = _hard_cases.hard_cases()
     default = {row.case: row for row in rows if row.is_default}
     assert set(default) == {row.case for row in rows}
     assert default["0.1 mV of noise"].rest_kpa < 0.2
     assert default["10 mV"].rest_kpa < 0.5
     assert all(row.within_two_std > 0.95 for row in default.values())
-    assert hard_table(rows).count("default") == len(default)
+    assert _hard_cases.hard_table(rows).count("default") == len(default)

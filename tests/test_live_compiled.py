@@ -111,6 +111,7 @@ def test_streams_of_the_hunt_read_alike(family: str, monkeypatch: pytest.MonkeyP
     [
         ("inverting-amplifier", {"rows": 8, "columns": 8, "row_lead": 5.0, "column_lead": 5.0}, {}),
         ("row-amplifier", {"rows": 5, "columns": 9, "row_lead": 8.0, "column_lead": 3.0}, {}),
+        ("inverting-amplifier", {"rows": 20, "columns": 16, "row_segment": 0.5, "column_segment": 0.5}, {}),
         ("inverting-amplifier", {"rows": 6, "columns": 4}, {}),
         ("inverting-amplifier", {"rows": 1, "columns": 1}, {}),
         ("inverting-amplifier", {"rows": 7, "columns": 5}, {"open_loop_gain": 2e4, "offset_voltage": 2e-3}),

@@ -9,15 +9,20 @@ K are the resistances of shared wire of :mod:`..solvers._attenuation`; the sum i
 attenuation for light lines. A *base* (:class:`Base`) is one evaluation of line attenuation, corrected by what it misses
 of an exact solution nearby (:class:`AttenuationBases`). The certificate bounds the terms left out
 (:class:`Relinearisation`).
+
+The loops do as the array operations beside them, which a frame that moves its base would otherwise spend most of its
+time on. They add up sums over cells in another order.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, read_only
+from ...compiled import FixedRow, FixedRows, Rows, loop
 from ..solvers import AttenuatedFrame
 from ._amplified_board import FAR, LEAST_SHARE, ZERO, AmplifiedBoard, above_floor
 from ._heavy_leads import Propagation
@@ -50,6 +55,11 @@ class Base(NamedTuple):
     propagation: Propagation | None = None
     """of errors of the readings, where the leads are heavy; else :meth:`.AmplifiedBoard.by_lines` says enough"""
 
+    @property
+    def missing_per_moved(self) -> float:
+        """S by which other cells' current changes per share by which gains move."""
+        return 0.0 if self.shift is None else 2.0 * self.missing / self.loss
+
     def own_part(self, transfer: FloatArray) -> FloatArray:
         """S (N, M) of transfer conductances that is the cells' own current: an ADC step is a share of that."""
         return transfer if self.shift is None else np.maximum(transfer + self.shift / self.gain, 0.0)
@@ -66,6 +76,16 @@ class Relinearisation:
     def __init__(self, board: AmplifiedBoard) -> None:
         """For the bases of one board."""
         self._board = board
+        self._relinearise = _relinearise.machine_code()
+        self._none = read_only(np.zeros(board.board.shape))
+        """no shift, and no error of a base"""
+        self._resistances = (
+            read_only(board.farthest_driver),
+            read_only(board.farthest_amplifier),
+            read_only(np.broadcast_to(board.board.row_ohms, board.board.shape)),
+            read_only(board.behind),
+        )
+        self._tolerance = read_only(board.tolerance)
 
     def __call__(self, base: Base, transfer: FloatArray) -> tuple[FloatArray, FloatArray | None]:
         """Conductances (N, M) in S, and the certificate.
@@ -74,6 +94,8 @@ class Relinearisation:
         tolerance.
         """
         board = self._board
+        if self._relinearise is not None:
+            return self._by_loop(self._relinearise, base, transfer)
         conductance = base.gain * transfer
         if base.shift is not None:
             conductance += base.shift
@@ -100,6 +122,31 @@ class Relinearisation:
             off = off + drift
         return conductance, None if (off <= board.tolerance).all() else off
 
+    def _by_loop(
+        self, relinearise: Callable[..., bool], base: Base, transfer: FloatArray
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """As :meth:`__call__`, by machine code."""
+        board, none = self._board, self._none
+        conductance, off = np.empty(transfer.shape), np.empty(transfer.shape)
+        certain = relinearise(
+            np.ascontiguousarray(transfer),
+            np.ascontiguousarray(base.gain),
+            none if base.shift is None else np.ascontiguousarray(base.shift),
+            np.ascontiguousarray(base.conductance),
+            none if base.off is None else np.ascontiguousarray(base.off),
+            base.model_error,
+            *self._resistances,
+            self._tolerance,
+            base.off is None,
+            board.source_spread,
+            board.least_tolerance,
+            base.loss,
+            base.missing_per_moved,
+            conductance,
+            off,
+        )
+        return conductance, None if certain else off
+
     def _first_order(self, conductance: FloatArray, change: FloatArray) -> FloatArray:
         """Conductances (N, M) in S with the gains after a ``change`` (N, M) in S from the base."""
         gain = self._board.drop_along_rows(change)
@@ -116,7 +163,7 @@ class Relinearisation:
         """
         left_out = transfer * moved * (SECOND_ORDER * (base.loss + moved))
         if base.shift is not None:
-            left_out = left_out + moved * (2.0 * base.missing / base.loss)
+            left_out = left_out + moved * base.missing_per_moved
         return left_out
 
     def _drift_between_columns(self, base: Base, size: FloatArray, moved: float) -> FloatArray | None:
@@ -208,5 +255,107 @@ class _Anchor(NamedTuple):
         The bound follows what is missed within a factor that depends little on the conductances (1.1 to 3 on ordinary
         boards); half of the change is allowed for what it does not follow.
         """
-        missing = self.missing * (bound / self.bound)
-        return missing, 0.5 * np.abs(missing - self.missing)
+        missing = bound / self.bound
+        missing *= self.missing
+        off = missing - self.missing
+        np.abs(off, out=off)
+        off *= 0.5
+        return missing, off
+
+
+@loop
+def lost_along_lines(change: Rows, row_ohms: FixedRows, behind: FixedRows, lost: Rows) -> None:
+    """Write the changes (N, M) of gains to first order in a ``change`` (N, M) in S, which is used up.
+
+    As :meth:`.AmplifiedBoard.drop_along_rows` and :meth:`.AmplifiedBoard.drop_along_columns` together.
+    """
+    rows, columns = change.shape
+    flow = np.zeros(columns)
+    for i in range(rows):
+        for j in range(columns):
+            flow[j] += change[i, j]
+            lost[i, j] = behind[i, j] * flow[j]
+    for i in range(rows - 2, -1, -1):
+        for j in range(columns):
+            lost[i, j] += lost[i + 1, j]
+    for i in range(rows):
+        current = 0.0
+        for j in range(columns - 1, -1, -1):
+            current += change[i, j]
+            change[i, j] = current
+        along = 0.0
+        for j in range(columns):
+            along += row_ohms[i, j] * change[i, j]
+            lost[i, j] = along + lost[i, j]
+
+
+@loop
+def _relinearise(
+    transfer: FixedRows,
+    gain: FixedRows,
+    shift: FixedRows,
+    base_conductance: FixedRows,
+    base_off: FixedRows,
+    model_error: FixedRow,
+    farthest_driver: FixedRow,
+    farthest_amplifier: FixedRow,
+    row_ohms: FixedRows,
+    behind: FixedRows,
+    tolerance: FixedRow,
+    base_is_certain: bool,
+    source_spread: float,
+    least_tolerance: float,
+    loss: float,
+    missing_per_moved: float,
+    conductance: Rows,
+    off: Rows,
+) -> bool:
+    """Write conductances (N, M) and S (N, M) by which T may be off; True, and no S, where that is below the tolerance.
+
+    As :class:`Relinearisation`.
+    """
+    rows, columns = transfer.shape
+    change, by_row, by_column = np.empty((rows, columns)), np.zeros(rows), np.zeros(columns)
+    drift, changed, standing = np.zeros(columns), np.zeros(columns), np.zeros(columns)
+    most_transfer = 0.0
+    for i in range(rows):
+        for j in range(columns):
+            conductance[i, j] = max(gain[i, j] * transfer[i, j] + shift[i, j], 0.0)
+            change[i, j] = conductance[i, j] - base_conductance[i, j]
+            size = abs(change[i, j])
+            by_row[i] += size * farthest_driver[j]
+            by_column[j] += size * farthest_amplifier[i]
+            most_transfer = max(most_transfer, transfer[i, j])
+    moved = by_row.max() + by_column.max()
+    drifts = False
+    if source_spread > 0.0:
+        for i in range(rows):
+            for j in range(columns):
+                changed[j] += abs(change[i, j])
+                standing[j] += base_conductance[i, j]
+        for j in range(columns):
+            drift[j] = source_spread * (loss * changed[j] + moved * (standing[j] + changed[j]))
+            drifts |= not drift[j] <= model_error[j]
+        if not drifts:
+            drift[:] = 0.0
+    near = moved <= FAR
+    if near:
+        lost = off
+        lost_along_lines(change, row_ohms, behind, lost)
+        for i in range(rows):
+            for j in range(columns):
+                conductance[i, j] = lost[i, j] * conductance[i, j] + conductance[i, j]
+        if base_is_certain and not drifts:
+            left_out = most_transfer * moved * (SECOND_ORDER * (loss + moved)) + moved * missing_per_moved
+            if left_out <= least_tolerance:
+                return True
+    certain = True
+    for i in range(rows):
+        for j in range(columns):
+            by_lines = by_row[i] + by_column[j]
+            left_out = transfer[i, j] * by_lines
+            if near:
+                left_out = left_out * (SECOND_ORDER * (loss + by_lines)) + by_lines * missing_per_moved
+            off[i, j] = left_out + base_off[i, j] + drift[j]
+            certain &= off[i, j] <= tolerance[j]
+    return certain

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import FloatArray
+from ...arrays import FloatArray, read_only
+from ...compiled import FixedRow, FixedRows, Rows, loop
 from ._amplified_base import Base
 from ._amplified_board import SIMILAR_MARGIN, ZERO, AmplifiedBoard
 from ._heavy_leads import Propagation
@@ -54,6 +55,9 @@ class ReadingErrors:
     def __init__(self, board: AmplifiedBoard, rule: ValidityRule) -> None:
         """For one board, before its first frame."""
         self._board, self._rule = board, rule
+        self._of_light_lines = _of_light_lines.machine_code()
+        self._wire = read_only(board.to_driver), read_only(board.to_amplifier)
+        self._half_step = read_only(board.half_step)
         self._kept: Levels | None = None
 
     def __call__(self, gain: FloatArray, noise: float, base: Base | None) -> Levels:
@@ -98,6 +102,10 @@ class ReadingErrors:
     def _others_of_light_lines(self, gain: FloatArray, own_noise: FloatArray) -> FloatArray:
         """Relative uncertainty (N, M) by other readings, whose noise is ``own_noise`` (M,) in S."""
         board = self._board
+        if self._of_light_lines is not None:
+            by_loop = np.empty(board.board.shape)
+            self._of_light_lines(board.for_all(gain), self._half_step, own_noise, *self._wire, by_loop)
+            return by_loop
         # Quantisation errors of neighbours may all have the same sign; noise adds up by its squares.
         others = board.by_lines(board.half_step * gain)
         if own_noise.any():
@@ -131,3 +139,29 @@ class ReadingErrors:
 
 def _similar_gains(before: FloatArray, gain: FloatArray) -> bool:
     return bool((np.abs(gain - before) <= SIMILAR_GAINS * before).all())
+
+
+@loop
+def _of_light_lines(
+    gain: FixedRows,
+    half_step: FixedRow,
+    own_noise: FixedRow,
+    to_driver: FixedRows,
+    to_amplifier: FixedRows,
+    others: Rows,
+) -> None:
+    """Write the relative uncertainties (N, M) by other readings, as :meth:`ReadingErrors._others_of_light_lines`."""
+    rows, columns = gain.shape
+    by_row, by_column = np.zeros(rows), np.zeros(columns)
+    noise_by_row, noise_by_column = np.zeros(rows), np.zeros(columns)
+    for i in range(rows):
+        for j in range(columns):
+            step, noise = half_step[j] * gain[i, j], own_noise[j] * gain[i, j]
+            by_row[i] += to_driver[i, j] * step
+            by_column[j] += to_amplifier[i, j] * step
+            along, down = to_driver[i, j] * noise, to_amplifier[i, j] * noise
+            noise_by_row[i] += along * along
+            noise_by_column[j] += down * down
+    for i in range(rows):
+        for j in range(columns):
+            others[i, j] = by_row[i] + by_column[j] + np.sqrt(noise_by_row[i] + noise_by_column[j])

@@ -17,7 +17,7 @@ import numpy as np
 
 from ...arrays import AnyArray, FloatArray, read_only
 from ...compiled import FixedRow, FixedRows, Rows, loop
-from ._amplified_base import SECOND_ORDER, Base
+from ._amplified_base import SECOND_ORDER, Base, lost_along_lines
 from ._amplified_board import FAR, LEAST_SHARE, AmplifiedBoard
 from ._amplified_errors import SIMILAR_GAINS, Levels
 
@@ -126,9 +126,10 @@ class _OfBase(NamedTuple):
         none = np.zeros(board.board.shape)
         shift = none if base.shift is None else base.shift
         between = none[0] if base.between is None else base.between
+        blocks = np.array([base.gain, shift, base.conductance])
         columns = np.array([between, base.conductance.sum(axis=0), base.model_error])
-        missing = 0.0 if base.shift is None else 2.0 * base.missing / base.loss
-        return cls(read_only(np.array([base.gain, shift, base.conductance])), read_only(columns), missing)
+        blocks.flags.writeable = columns.flags.writeable = False
+        return cls(blocks, columns, base.missing_per_moved)
 
 
 class _OfLevels(NamedTuple):
@@ -147,8 +148,11 @@ class _OfLevels(NamedTuple):
 
     @classmethod
     def of(cls, levels: Levels, shape: tuple[int, int]) -> _OfLevels:
-        fields = (levels.least, levels.own, levels.others, levels.by_leads)
-        return cls(read_only(levels.gain), *(read_only(np.broadcast_to(field, shape)) for field in fields))
+        fields = (np.broadcast_to(field, shape) for field in (levels.least, levels.own, levels.others, levels.by_leads))
+        own = [np.ascontiguousarray(field) for field in (levels.gain, *fields)]  # no copy of what is whole already
+        for field in own:
+            field.flags.writeable = False
+        return cls(*own)
 
 
 @loop
@@ -224,27 +228,14 @@ def _about_base(
             drift = source_spread * (loss * changed + moved * (base_columns[_SUM, j] + changed))
             if not drift <= base_columns[_MODEL_ERROR, j]:
                 return False
-    flow = np.zeros(columns)
-    drop = np.empty((rows, columns))
+    lost = np.empty((rows, columns))
+    lost_along_lines(change, row_ohms, behind, lost)
     for i in range(rows):
         for j in range(columns):
-            flow[j] += change[i, j]
-            drop[i, j] = behind[i, j] * flow[j]
-    for i in range(rows - 2, -1, -1):
-        for j in range(columns):
-            drop[i, j] += drop[i + 1, j]
-    for i in range(rows):
-        current = 0.0
-        for j in range(columns - 1, -1, -1):
-            current += change[i, j]
-            change[i, j] = current
-        along = 0.0
-        for j in range(columns):
-            along += row_ohms[i, j] * change[i, j]
             transfer[i, j] = max(transfer[i, j] + base[_SHIFT, i, j] / base[_GAIN, i, j], 0.0)
             if not transfer[i, j] >= least[i, j]:
                 return False
-            resistance[i, j] = 1.0 / ((along + drop[i, j]) * conductance[i, j] + conductance[i, j])
+            resistance[i, j] = 1.0 / (lost[i, j] * conductance[i, j] + conductance[i, j])
     return True
 
 

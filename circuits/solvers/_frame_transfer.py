@@ -225,14 +225,16 @@ def _attenuate(
         for j in range(1, columns):
             profile[i, j] *= profile[i, j - 1]
         lowest = min(lowest, profile[i, columns - 1])
-    for j in range(columns):
-        rest = 0.0
-        for i in range(rows):
-            above[i, j] = rest + cells[i, j]
+    for i in range(rows):  # all columns abreast, as they lie in memory
+        for j in range(columns):
+            above[i, j] = cells[i, j]
+            if i > 0:
+                above[i, j] += above[i - 1, j] * gain[i - 1, j]
             gain[i, j] = 1.0 / (column[i, j] * above[i, j] + 1.0)
-            rest = above[i, j] * gain[i, j]
-        for i in range(rows - 2, -1, -1):
+    for i in range(rows - 2, -1, -1):
+        for j in range(columns):
             gain[i, j] *= gain[i + 1, j]
+    for j in range(columns):
         least = min(least, gain[0, j])
     if not (lowest > 0.0 and least > 0.0):
         return False
