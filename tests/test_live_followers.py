@@ -29,7 +29,8 @@ def law_of_alike(conductance: float, *, lead: float, per_siemens: float) -> _Law
     """Readings of 4 x 4 cells that are all alike, with leads at the rows only."""
     row, all_cells = np.full((4, 4), lead), np.ones((4, 4))
     return _Law(
-        row, np.zeros((4, 4)), conductance * all_cells, per_siemens * all_cells, 1e-6 * all_cells, all_cells > 0
+        *(row, np.zeros((4, 4)), np.zeros(4)),
+        *(conductance * all_cells, per_siemens * all_cells, 1e-6 * all_cells, all_cells > 0),
     )
 
 
@@ -58,6 +59,37 @@ def test_the_enclosure_holds_the_second_solution_of_cells_that_are_alike() -> No
         (change,) = law_of_alike(here, lead=lead, per_siemens=per_siemens).changes()
         assert change is not None
         assert (change >= 0.99 * abs(there / here - 1.0)).all()
+
+
+@pytest.mark.parametrize("resistance", [2.0, 50.0])
+def test_a_column_s_conductance_to_idle_rows_is_at_least_that_of_the_ladder(resistance: float) -> None:
+    """A column of six cells, 0.5 ohm between crosspoints, against its continued fraction."""
+    segment, lead, end, ones = 0.5, 20.0, 5.0, np.ones((6, 1))
+    siemens = 0.0
+    for _ in range(6):  # from the crosspoint that is farthest from the column's end
+        siemens = siemens / (1.0 + segment * siemens) + 1.0 / (resistance + lead)
+    siemens /= 1.0 + end * siemens
+    wire = segment * np.arange(5.0, -1.0, -1.0)[:, None]
+    law = _Law(lead * ones, wire, np.array([end]), ones / resistance, ones, 1e-6 * ones, ones > 0)
+    found = law._to_idle_lines(ones / resistance, ones)
+    assert (siemens <= found).all()
+    assert (found <= 1.1 * siemens).all()
+
+
+def test_a_press_to_a_few_ohm_beside_segments_leaves_no_wrong_cell() -> None:
+    """Valid cells of 2 ohm were read as some hundred: the wire lessened what the column's other cells take."""
+    shape, design = (5, 6), board(5, 6, 50.0)
+    readout = {"reference_resistance": 3e3, "open_loop_gain": 1e3, "offset_voltage": 0.0}
+    design = design.replace(array={"column_lead": 0.0, "row_segment": 0.5, "column_segment": 0.5}, readout=readout)
+    random = np.random.default_rng(1)
+    rest, pressed = 10 ** random.uniform(4.6, 5.0, shape), random.uniform(2.0, 2.5, shape)
+    read, valid = CountReader(design), 0
+    for cells in [rest] * 2 + [pressed] * 6 + [rest] * 2:
+        reading = read(adc_codes(design, scan(design, cells).volts))
+        known = reading.valid
+        valid += int(known.sum())
+        assert (np.abs(reading.resistance / cells - 1.0) <= reading.uncertainty)[known].all()
+    assert valid > 0
 
 
 @pytest.mark.parametrize(("lead", "per_siemens"), [(50.0, 0.0), (0.0, 100.0), (5.0, 1.0)])

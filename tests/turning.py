@@ -34,6 +34,7 @@ class OneCell:
         self.rising = True
         self.extreme = self.peak = p
         self.left: float | None = None
+        self.earlier, self.earlier_least, self.earlier_from = 0.0, 0.0, 0.0
         self.doubt = self.variance = 0.0
         self.rest_variance = self.drift = self.last_drift = 0.0
         self.rested, self.taken_off = False, 0.0
@@ -52,6 +53,7 @@ class OneCell:
                 if self.rising and other.pressure <= paper.USUAL * self.full:
                     self.extreme = paper.REFUTED
             now, other = self._believable(now, self.rising, r), self._believable(other, not self.rising, r)
+        self.earlier *= np.exp(-dt * (1 + m.e1_kpa / m.e2_kpa) / m.t2_s)
         seeming = self.drift
         if self.rising:
             rise_r, fall_r = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
@@ -75,7 +77,11 @@ class OneCell:
         if refuted:
             turned = self.rising
         if turned:
-            late = 0.0 if self.left is not None else self._late(now, other, std * gains[self.rising])
+            late, earlier = 0.0, 0.0
+            if self.left is None:
+                late = self._late(now, other, std * gains[self.rising])
+            if self.left is None and self.rising:
+                earlier = paper.MIDWAY * self._turned_earlier(0.0, std * gains[True])
             now, other = other, now
             self.rising = not self.rising
             again, left = self.left is not None, self.left
@@ -88,7 +94,8 @@ class OneCell:
             fast = max(1.0, abs(now.pressure - self.last) / (paper.FAST * paper.TURN * self.full))
             way = max(way - paper.SURE * unsure, 0.0)
             unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full / fast
-            now = self._without_delay(now, late)
+            now = self._without_delay(now, max(late, earlier))
+            self.earlier -= max(late, earlier)
             ahead = sign * max(now.pressure, 0)
             self.extreme = left if again else ahead - paper.LESS * unsure
             self.peak = left if again else ahead - unsure
@@ -136,10 +143,13 @@ class OneCell:
         if self.left is not None:
             share = 0.0
         begun = self._begun(now.pressure, r, now.x3)
+        if self.rising:
+            self.earlier += share * (now.pressure - other.pressure)
         self.other = Hypothesis(
             *(old + share * (new - old) for old, new in zip(vars(other).values(), vars(begun).values(), strict=True))
         )
         self.now = now
+        self._follow_earlier_turn(gains[self.rising] * std)
         self.peak = max(self.peak, ahead - unsure)
         self.extreme = max(self.extreme, ahead - paper.LESS * unsure)
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
@@ -148,7 +158,11 @@ class OneCell:
         if held:
             self.peak -= paper.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), paper.TURN * self.full)
         self.doubt *= fade
-        is_apart = (paper.EITHER * (self.other.pressure - now.pressure)) ** 2
+        is_apart = paper.EITHER * abs(self.other.pressure - now.pressure)
+        if self.rising:
+            fallen = paper.FALLEN * (self.peak - now.pressure) if held else 0.0
+            is_apart += paper.EARLIER * self._turned_earlier(fallen, unsure)
+        is_apart *= is_apart
         lost = was_apart - is_apart
         least = max(paper.LOST * unsure, paper.NEAR * self.full) ** 2
         if lost > paper.GONE * was_apart and was_apart > least and not confirmed:
@@ -216,6 +230,26 @@ class OneCell:
             settled = now.settled + late * (1 + m.etau2_kpa / m.eu1_kpa)
             return Hypothesis(now.pressure + late, settled, now.x2, now.x3)
         return Hypothesis(now.pressure - late, now.settled, now.x2 + late / m.e1_kpa, now.x3)
+
+    def _follow_earlier_turn(self, unsure: float) -> None:
+        """Begin the hypothesis anew that the load turned earlier, where its pressure has risen."""
+        m = self.model
+        recovery = self.other.pressure if self.rising else self.now.pressure
+        self.earlier = min(self.earlier, recovery)
+        self.earlier_least = min(self.earlier_least, recovery - self.earlier)
+        by_noise = paper.SURE * unsure * m.e1_kpa * (1 / m.eu1_kpa + 1 / m.etau2_kpa)
+        risen = recovery - self.earlier - self.earlier_least - by_noise
+        if risen > 0:
+            self.earlier_from = self.now.pressure
+        if risen > self._turn_from(self.extreme) or self.rising == (self.left is not None):
+            self.earlier, self.earlier_least, self.earlier_from = 0.0, recovery, self.now.pressure
+
+    def _turned_earlier(self, fallen: float, unsure: float) -> float:
+        """By how much the pressure would be less if the load had turned earlier; none if it seems constant."""
+        grown = max(self.peak - self.earlier_from, fallen, 0.0)
+        least = paper.GROWN_SIGMAS * unsure + paper.GROWN_ERRORS * np.sqrt(self.doubt)
+        least += paper.GROWN * paper.LIGHT_TURN * self.full
+        return max(self.earlier, 0.0) * grown**2 / (grown**2 + least**2)
 
     def _turn_from(self, extreme: float) -> float:
         """How far an exact pressure must go back for a turn."""

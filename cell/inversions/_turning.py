@@ -37,7 +37,19 @@ from . import _recovery as recovery
 from . import _sway as sway
 from . import _turning_loops as loops
 from ._paper_steps import TurnWeights, step_weights, taken_over, turn_weights
-from ._turning_loops import BEFORE_LAST, EXTREME, LAST, LEFT, PEAK, SIGN, TAKEN_OFF_KPA, THIRD_LAST, TURNED
+from ._turning_loops import (
+    BEFORE_LAST,
+    EARLIER_FROM_KPA,
+    EARLIER_KPA,
+    EXTREME,
+    LAST,
+    LEFT,
+    PEAK,
+    SIGN,
+    TAKEN_OFF_KPA,
+    THIRD_LAST,
+    TURNED,
+)
 from ._turning_rows import (
     CONFIRMED_FALL,
     CONFIRMED_RISE,
@@ -119,6 +131,14 @@ and half, the two errors about cancel"""
 _LIMITED = *range(STATE.start, STATE.stop), TURNED, EXTREME
 """rows that change where a pressure is limited"""
 
+EARLIER, MIDWAY = 0.7, 0.5
+"""standard deviation over what an earlier turn would make: none of that is wrong, or all (the root mean square). And
+share of it that is taken back when a turn is noticed"""
+GROWN, GROWN_SIGMAS, GROWN_ERRORS, FALLEN = 0.5, 1.5, 0.2, 2.0
+"""light turns, standard deviations of the smoothed noise, and of the memory, by which the pressure must have grown for
+an earlier turn to be as likely as none; and how much more a fall counts than growth. Constant loads are common. A load
+that falls at just the rate that makes the rising model's pressure constant is not"""
+
 
 class TurningInversion(Inversion):
     """The exact inverse of the paper's cell, changed from one model to the other where the *pressure* turns.
@@ -141,6 +161,7 @@ class TurningInversion(Inversion):
         *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
         *("rest_variance", "rested", "drift", "drift_end", "taken_off"),
         *sway.NAMES,
+        *("earlier", "earlier_least", "earlier_from"),
     )
     recovers = True
 
@@ -170,7 +191,7 @@ class TurningInversion(Inversion):
             np.array(x) for x in (SURE, LESS, AGAIN, EITHER, FAR)
         )
         self._none, self._one, self._two = np.array(0.0), np.array(1.0), np.array(2.0)
-        self._goes_back = np.array(GOES_BACK)
+        self._goes_back, self._by_earlier, self._per_less = (np.array(x) for x in (GOES_BACK, EARLIER, 1.0 / LESS))
         self._missed_by_bend = np.array(BETWEEN * self._bend)
         self._turn_kpa, self._light_kpa, self._flat_kpa, self._exact_kpa = (
             np.array(share * full_scale_kpa) for share in (TURN, LIGHT_TURN, FLAT, EXACTLY)
@@ -180,6 +201,8 @@ class TurningInversion(Inversion):
         self._fast_r = np.array([[1 / model.eu1_kpa + 1 / model.etau2_kpa], [1 / model.e1_kpa]])
         """r per kPa of a fast change, in the rising and in the recovery model"""
         self._shared_fall = np.array(SHARED_FALL * self._fast_r[1, 0] / self._fast_r[0, 0])
+        self._sure_of_fall = np.array(SURE * self._fast_r[0, 0] / self._fast_r[1, 0])
+        self._grown_kpa = np.array(GROWN * LIGHT_TURN * full_scale_kpa)
         self._clear_fall_kpa, self._falling = np.array(CLEAR_FALL * full_scale_kpa), np.array(FALLING)
         self._held_kpa_per_s = HELD * full_scale_kpa
         self._smooth_kpa, self._away_kpa = SMOOTH * self._turn_kpa, np.array(AWAY * full_scale_kpa)
@@ -244,6 +267,7 @@ class TurningInversion(Inversion):
             Whether a turn was unconfirmed before. Then ``of.confirmed`` marks those that no longer are.
         """
         of.take_gains(weights)
+        of.earlier *= weights.recovery_fade
         self._look(of, std)
         gone_back = np.subtract(of.extreme, of.ahead, of.spare)
         turned = np.greater(gone_back, of.threshold, of.where)
@@ -321,11 +345,52 @@ class TurningInversion(Inversion):
         for pair in of.changes_by_model:
             np.multiply(pair, of.share, pair)
         of.hypotheses += of.change
+        self._follow_earlier_turn(of)
         np.subtract(of.ahead, of.unsure, of.spare)
         np.maximum(of.peak, of.spare, out=of.peak)
         of.unsure *= self._less
         of.ahead -= of.unsure
         np.maximum(of.extreme, of.ahead, out=of.extreme)
+
+    def _follow_earlier_turn(self, of: Rows) -> None:
+        """Follow a third hypothesis: that a load turned earlier which the rising model says to grow.
+
+        Where a held load lets r drift faster in the recovery model, a load that begins to fall slowly bends r by less
+        than that, and the rising model takes it for one that goes on slowly. The other hypothesis, which begins anew
+        at each new extreme, forgets how far the load has fallen. The third one began when r bent. It differs from the
+        other hypothesis by ``of.earlier`` kPa, which fade as errors of the recovery model do (the slow branch
+        neglected). No load falls and rises at the same time: where the pressure of this hypothesis rises by more than
+        a turn and noise, it begins anew, too. A press that rises quickly therefore begins it at each frame. By how much
+        the rising model's pressure grows counts from where this hypothesis last seemed to rise.
+        """
+        np.multiply(of.change[RECOVERY], of.rises, of.spare)
+        of.earlier += of.spare
+        np.minimum(of.earlier, of.recovery_kpa, out=of.earlier)  # no load falls below none
+        fallen = np.subtract(of.recovery_kpa, of.earlier, of.spare)
+        np.minimum(of.earlier_least, fallen, out=of.earlier_least)
+        fallen -= of.earlier_least
+        np.multiply(of.unsure, self._sure_of_fall, of.nearby)
+        fallen -= of.nearby
+        rises = np.greater(fallen, self._none, of.where)
+        np.copyto(of.earlier_from, of.pressure, where=rises)
+        self._turn_from(of.extreme, of.nearby)
+        anew = np.greater(fallen, of.nearby, of.where)
+        anew |= (of.sign < self._none) == (of.left >= self._far)
+        np.copyto(of.earlier, self._none, where=anew)
+        np.copyto(of.earlier_least, of.recovery_kpa, where=anew)
+        np.copyto(of.earlier_from, of.pressure, where=anew)
+
+    def _earlier_kpa(self, memory: FloatArray, unsure: FloatArray, fallen: FloatArray) -> FloatArray:
+        """(m,) kPa by which an earlier turn would make the pressure less, as far as the load does not seem constant.
+
+        ``unsure`` (m,) is the standard deviation of the pressures by noise. By ``fallen`` (m,) the pressure has gone
+        back, which no constant load does either.
+        """
+        grown = np.maximum(np.maximum(memory[PEAK] - memory[EARLIER_FROM_KPA], fallen), self._none)
+        grown /= unsure * GROWN_SIGMAS + np.sqrt(memory[TURNED]) * GROWN_ERRORS + self._grown_kpa
+        grown *= grown
+        kpa: FloatArray = np.maximum(memory[EARLIER_KPA], self._none) * (grown / (grown + self._one))
+        return kpa
 
     def _renew_variance(self, of: Rows, *, unconfirmed: bool) -> None:
         """Either hypothesis may be right until the pressure has turned: their distance counts as deviation."""
@@ -338,7 +403,13 @@ class TurningInversion(Inversion):
         of.variance -= of.doubt  # by which the hypotheses were apart in the last frame
         of.doubt *= of.fade
         apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
+        np.abs(apart, out=apart)
         apart *= self._either
+        fallen = (of.memory[PEAK] - of.pressure) * FALLEN * of.held  # a fast fall is a release
+        earlier = self._earlier_kpa(of.memory, of.unsure * self._per_less, fallen)
+        earlier *= self._by_earlier
+        earlier *= of.rises
+        apart += earlier
         apart *= apart
         # Whether the variance is large, and little of it is left.
         np.maximum(apart, self._clear_kpa2, out=of.nearby)
@@ -407,6 +478,13 @@ class TurningInversion(Inversion):
             loops.SHARED_FALL: self._shared_fall,
             loops.CLEAR_FALL_KPA: self._clear_fall_kpa,
             loops.FALLING: FALLING,
+            loops.EARLIER: EARLIER,
+            loops.MIDWAY: MIDWAY,
+            loops.GROWN_KPA: self._grown_kpa,
+            loops.GROWN_SIGMAS: GROWN_SIGMAS,
+            loops.GROWN_ERRORS: GROWN_ERRORS,
+            loops.FALLEN: FALLEN,
+            loops.SURE_OF_FALL: self._sure_of_fall,
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
@@ -562,6 +640,8 @@ class TurningInversion(Inversion):
         again = left < self._far
         noise = std.take(turned) if std.size > 1 else std
         late = self._late(some, noise)
+        earlier = self._earlier_kpa(some, noise * some[GAIN], self._none) * MIDWAY
+        np.copyto(earlier, self._none, where=again | (sign < self._none))
         np.negative(sign, sign)
         some[IN_FORCE] = some[IN_FORCE][::-1].copy()
         gain = weights.by_model[0].dot(some[IN_FORCE])
@@ -581,8 +661,9 @@ class TurningInversion(Inversion):
         doubt = np.minimum(doubt * doubt + by_noise, self._most_kpa2)
         some[TURNED] = some[VARIANCE] = doubt  # the distance of the hypotheses is in it
         recovery.begin(some, by_noise, self._most_rested_kpa2)
-        if np.count_nonzero(late):
-            pressure = self._take_delay_back(some, pressure, late)
+        if np.count_nonzero(late) or np.count_nonzero(earlier):
+            some[EARLIER_KPA] -= np.maximum(late, earlier)
+            pressure = self._take_delay_back(some, pressure, late, earlier)
         now = sign * np.maximum(pressure, self._none)
         some[EXTREME] = now - unsure * self._less
         some[PEAK] = now - unsure
@@ -618,22 +699,30 @@ class TurningInversion(Inversion):
         late: FloatArray = np.where(smooth, np.minimum(error, way), self._none)
         return late
 
-    def _take_delay_back(self, memory: FloatArray, pressure: FloatArray, late: FloatArray) -> FloatArray:
-        """Correct the ``pressure`` (m,) of the hypothesis taken over by ``late`` (m,) kPa; changes its ``memory``.
+    def _take_delay_back(
+        self, memory: FloatArray, pressure: FloatArray, late: FloatArray, earlier: FloatArray
+    ) -> FloatArray:
+        """Correct the ``pressure`` (m,) of the hypothesis taken over; changes its ``memory``.
+
+        It is corrected by ``late`` (m,) kPa, or by what an ``earlier`` (m,) turn makes likely, whichever is more. The
+        deviation counts the latter already.
 
         Returns:
             (m,) kPa.
         """
         m, state = self.model, memory[STATE]
         rises = memory[SIGN] > self._none
+        by_bend = late * MAY_BEND
+        late = np.maximum(late, earlier)
         corrected: FloatArray = pressure + memory[SIGN] * late
         np.copyto(state[RISING], corrected, where=rises)
         np.copyto(state[RECOVERY], corrected, where=~rises)
         state[2] += np.where(rises, late * (1 + m.etau2_kpa / m.eu1_kpa), self._none)
         state[3] += np.where(rises, self._none, late / m.e1_kpa)
         memory[PRESSURE] = corrected
-        doubt = np.sqrt(memory[TURNED]) + late * MAY_BEND
-        memory[TURNED] = memory[VARIANCE] = np.minimum(doubt * doubt, self._most_kpa2)
+        doubt = np.sqrt(memory[TURNED]) + by_bend
+        np.copyto(memory[TURNED], np.minimum(doubt * doubt, self._most_kpa2), where=late > self._none)
+        memory[VARIANCE] = memory[TURNED]
         return corrected
 
     def _unseen(self, memory: FloatArray, pressure: FloatArray, gain: FloatArray, unsure: FloatArray) -> FloatArray:

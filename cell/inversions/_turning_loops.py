@@ -20,6 +20,9 @@ RISING_IN_FORCE, RECOVERY_IN_FORCE = 11, 12
 RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 14, 15, 16, 17, 18, 20
 """rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
 DRIFT_KPA, DRIFT_END_KPA, TAKEN_OFF_KPA = 22, 23, 24
+EARLIER_KPA, EARLIER_LEAST_KPA, EARLIER_FROM_KPA = 41, 42, 43
+"""rows behind those of :mod:`._sway`: by how much the recovery hypothesis would be less if the load had turned earlier,
+the least pressure since then by that account, and the pressure when it began"""
 """rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
 seem to turn, now and at last; pressure that was subtracted since the release"""
 UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
@@ -38,13 +41,15 @@ HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2, LIGHT_KPA, 
 GOES_BACK, STEPS, STILL, FALL = range(37, 41)
 RISE_R, FALL_R, SMOOTH_KPA, AWAY_KPA, MAY_BEND = range(41, 46)
 SHARED, CLEAR_RISE_KPA, SHARED_FALL, CLEAR_FALL_KPA, FALLING = range(46, 51)
+EARLIER, MIDWAY, GROWN_KPA, GROWN_SIGMAS, GROWN_ERRORS, FALLEN, SURE_OF_FALL = range(51, 58)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
 difference of the hypotheses; share of a variance that a new beginning leaves, and in kPa^2 the least that counts. Then
 those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, of :mod:`._recovery`, and how far
 small pressures must go back for a turn; how far the peak goes down as an error of the memory fades; those of
-``_doubt_falls`` and of ``_late``; of :func:`refutes`, and of :func:`seeming_kpa`"""
+``_doubt_falls`` and of ``_late``; of :func:`refutes`, of :func:`seeming_kpa`, and of :func:`earlier_kpa` and
+:func:`follow_earlier_turn`"""
 UNCONFIRMED, PULLED, BEYOND = 1, 2, 4
 
 
@@ -120,10 +125,40 @@ def late_kpa(memory: Rows, i: int, noise: float, numbers: FixedRow) -> float:
 
 
 @loop
+def earlier_kpa(memory: Rows, i: int, unsure: float, fallen: float, numbers: FixedRow) -> float:
+    """By how much an earlier turn would make the pressure of cell ``i`` less, if it does not seem constant."""
+    grown = max(memory[PEAK, i] - memory[EARLIER_FROM_KPA, i], fallen, 0.0)
+    errors = math.sqrt(memory[TURNED, i]) * numbers[GROWN_ERRORS]
+    grown /= unsure * numbers[GROWN_SIGMAS] + errors + numbers[GROWN_KPA]
+    grown *= grown
+    return float(max(memory[EARLIER_KPA, i], 0.0) * (grown / (grown + 1.0)))
+
+
+@loop
+def follow_earlier_turn(memory: Rows, i: int, forgotten_kpa: float, of: Rows, numbers: FixedRow) -> None:
+    """Follow the hypothesis that the load of cell ``i`` turned earlier; the other one began ``forgotten_kpa`` anew."""
+    recovery = memory[RECOVERY_KPA, i]
+    earlier = min(memory[EARLIER_KPA, i] + forgotten_kpa, recovery)
+    fallen = recovery - earlier
+    memory[EARLIER_KPA, i] = earlier
+    memory[EARLIER_LEAST_KPA, i] = min(memory[EARLIER_LEAST_KPA, i], fallen)
+    fallen = fallen - memory[EARLIER_LEAST_KPA, i] - of[UNSURE, i] * numbers[SURE_OF_FALL]
+    if fallen > 0.0:
+        memory[EARLIER_FROM_KPA, i] = memory[PRESSURE, i]
+    turned = (memory[SIGN, i] < 0.0) == (memory[LEFT, i] >= FAR)
+    if turned or fallen > turn_from(memory[EXTREME, i], numbers):
+        memory[EARLIER_KPA, i], memory[EARLIER_LEAST_KPA, i] = 0.0, recovery
+        memory[EARLIER_FROM_KPA, i] = memory[PRESSURE, i]
+
+
+@loop
 def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
     """Take over the other hypothesis in cell ``i``."""
     left, extreme = memory[LEFT, i], memory[EXTREME, i]
     late = late_kpa(memory, i, noise, numbers) if left >= FAR else 0.0
+    earlier = 0.0
+    if left >= FAR and memory[SIGN, i] > 0.0:
+        earlier = earlier_kpa(memory, i, noise * memory[GAIN, i], 0.0, numbers) * numbers[MIDWAY]
     sign = -memory[SIGN, i]
     rising, recovery = memory[RECOVERY_IN_FORCE, i], memory[RISING_IN_FORCE, i]
     memory[SIGN, i], memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i] = sign, rising, recovery
@@ -149,9 +184,11 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
     rest_variance = max(turned - by_noise, 0.0) * numbers[PART] + min(by_noise, turned)
     memory[REST_VARIANCE, i] = rest_variance if turned < numbers[MOST_RESTED_KPA2] else 0.0
     memory[DRIFT_END_KPA, i] = math.sqrt(min(turned, numbers[MOST_RESTED_KPA2])) * numbers[DRIFTS]
-    if late > 0.0:
+    if max(late, earlier) > 0.0:
         doubt = math.sqrt(turned) + late * numbers[MAY_BEND]
         memory[TURNED, i] = memory[VARIANCE, i] = min(doubt * doubt, numbers[MOST_KPA2])
+        late = max(late, earlier)
+        memory[EARLIER_KPA, i] -= late
         pressure += sign * late
         memory[PRESSURE, i] = pressure
         if sign > 0.0:
@@ -230,8 +267,10 @@ def take_turns(memory: Rows, taken: Rows, by_model: FixedRows, of: Rows, flags: 
         Sum of UNCONFIRMED if a cell had turned unconfirmed, and of PULLED if one needs a pull.
     """
     found = 0
+    recovery_fade = math.sqrt(by_model[2, 1])
     for i in range(memory.shape[1]):
         std = taken[STD, i]
+        memory[EARLIER_KPA, i] *= recovery_fade
         turned = look(memory, i, std, of, numbers)
         unconfirmed, rises, refuted = memory[LEFT, i] < FAR, memory[SIGN, i] > 0.0, False
         if (unconfirmed or turned) and unconfirmed == rises:
@@ -347,10 +386,11 @@ def begin_anew(
         for row in range(0, 6, 2):
             memory[RISING_KPA + row, i] += anew[row, i] * rising
             memory[RECOVERY_KPA + row, i] += anew[row + 1, i] * recovery
+        follow_earlier_turn(memory, i, anew[1, i] * recovery, of, numbers)
     for i in range(memory.shape[1]):
-        ahead, unsure = of[AHEAD, i], of[UNSURE, i]
-        memory[PEAK, i] = max(memory[PEAK, i], ahead - unsure)
-        unsure *= numbers[LESS]
+        ahead, noise = of[AHEAD, i], of[UNSURE, i]
+        memory[PEAK, i] = max(memory[PEAK, i], ahead - noise)
+        unsure = noise * numbers[LESS]
         of[UNSURE, i] = unsure
         memory[EXTREME, i] = max(memory[EXTREME, i], ahead - unsure)
         error_kpa = min(math.sqrt(memory[TURNED, i]), numbers[TURN_KPA])
@@ -358,7 +398,10 @@ def begin_anew(
             memory[PEAK, i] -= (1.0 - of[FADE, i]) * error_kpa * numbers[GOES_BACK]
         memory[VARIANCE, i] -= memory[TURNED, i]  # by which the hypotheses were apart in the last frame
         memory[TURNED, i] *= of[FADE, i]
-        apart = (memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]
+        apart = abs(memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]
+        if memory[SIGN, i] > 0.0:
+            fallen = (memory[PEAK, i] - memory[PRESSURE, i]) * numbers[FALLEN] if flags[HELD, i] else 0.0
+            apart += earlier_kpa(memory, i, noise, fallen, numbers) * numbers[EARLIER]
         apart *= apart
         of[SPARE, i] = apart
         # Whether the variance is large, and little of it is left.

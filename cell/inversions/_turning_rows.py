@@ -7,7 +7,7 @@ import numpy as np
 from ...arrays import FloatArray
 from . import _turning_loops as loops
 from ._paper_steps import TurnWeights
-from ._turning_loops import BEFORE_LAST, DRIFT_KPA, LAST, LEFT, THIRD_LAST, TURNED
+from ._turning_loops import BEFORE_LAST, DRIFT_KPA, EARLIER_FROM_KPA, EARLIER_KPA, LAST, LEFT, THIRD_LAST, TURNED
 
 SURE = 3.0
 """standard deviations of the smoothed noise by which a pressure must have gone back for a turn"""
@@ -53,6 +53,7 @@ class Rows:
         self.third_last = memory[THIRD_LAST]
         self.doubt, self.sign, self.extreme, self.peak, self.left = memory[TURNED : LEFT + 1]
         self.in_force, self.drift = memory[IN_FORCE], memory[DRIFT_KPA]
+        self.earlier, self.earlier_least, self.earlier_from = memory[EARLIER_KPA : EARLIER_FROM_KPA + 1]
         self.state = memory[STATE]
         self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]
         self.both = self.pressures.reshape(-1)
@@ -71,6 +72,8 @@ class Rows:
         of pressures that are known exactly"""
         self._gain, self.other_gain, self.fade = self.of_model
         self.flags = np.empty((loops.FLAGS, cells), dtype=np.bool_)
+        self.rises = memory[IN_FORCE.start + RISING]
+        """1 where the rising model is in force, else none"""
         self.where, self.held, self.confirmed = self.flags
         self.none = np.zeros(cells, dtype=np.bool_)
         self._weights: TurnWeights | None = None

@@ -58,8 +58,8 @@ class FollowerSolutions:
         self._parts = parts
         self._row = np.where(np.isfinite(lines.to_driver), lines.to_driver, 0.0)  # (N, M) ohm
         to_end = np.where(np.isfinite(lines.to_end), lines.to_end, 0.0)
-        lead = np.where(np.isfinite(board.column_lead), board.column_lead, 0.0)
-        self._column = to_end + lead  # (N, M) ohm
+        self._wire = to_end  # (N, M) ohm
+        self._lead = np.where(np.isfinite(board.column_lead), board.column_lead, 0.0)  # (M,) ohm
         self.applies = board.circuit.drives_idle_lines
         """whether the circuit has followers that hold idle lines"""
         self._kept: tuple[Base | None, bool] = None, False  # whether others are conceivable while a base serves
@@ -103,7 +103,7 @@ class FollowerSolutions:
             counts = counts & ~frame.ignored.reshape(shape)
         error = np.minimum(frame.error * frame.slope, _LARGEST_ERROR).reshape(shape)
         per_siemens = np.clip(below / current, -_BOUNDLESS, _BOUNDLESS)
-        return _Law(self._row, self._column, conductance, per_siemens, error, counts)
+        return _Law(self._row, self._wire, self._lead, conductance, per_siemens, error, counts)
 
 
 class _Law:
@@ -112,7 +112,8 @@ class _Law:
     def __init__(
         self,
         row: FloatArray,
-        column: FloatArray,
+        wire: FloatArray,
+        lead: FloatArray,
         conductance: FloatArray,
         per_siemens: FloatArray,
         error: FloatArray,
@@ -122,7 +123,8 @@ class _Law:
 
         Args:
             row: ohm from crosspoints to the rows' drivers.
-            column: ohm from crosspoints to the columns' ends.
+            wire: ohm from crosspoints to their columns' last ones.
+            lead: ohm (M,) from there to the columns' ends.
             conductance: S of the cells.
             per_siemens: 1/S, current to idle lines per siemens over that of the reference resistor; negative where
                 it comes from idle lines.
@@ -130,7 +132,8 @@ class _Law:
             counts: cells whose readings count; the others stay as they are.
 
         """
-        self._row, self._column, self._cells = row, column, conductance
+        self._row, self._wire, self._lead, self._cells = row, wire, lead, conductance
+        self._column = wire + lead  # (N, M) ohm from crosspoints to the columns' ends
         self._taken, self._brought = np.maximum(per_siemens, 0.0), np.maximum(-per_siemens, 0.0)
         self._counts, self._wide = counts, 1.0 + error
 
@@ -145,16 +148,19 @@ class _Law:
         return demand
 
     def _to_idle_lines(self, cells: FloatArray, by_row: FloatArray) -> FloatArray:
-        """S of a column to idle lines beside cells (..., N, M) in S: to other rows, and by way of these other columns.
+        """S (..., 1, M) of columns to idle lines at most: to other rows, and by way of these to other columns.
+
+        Each crosspoint counts with the wire of its own distance to the column's end. That other crosspoints share
+        this wire, and take some of the voltage, can only lessen S.
 
         Args:
-            cells: S.
+            cells: (..., N, M) S.
             by_row: (..., N, M), see :meth:`_by_row`.
 
         """
-        behind = self._row / by_row
+        behind = self._row / by_row + self._wire
         into = (cells / (1.0 + cells * behind)).sum(axis=-2, keepdims=True)
-        siemens: FloatArray = into / (1.0 + self._column * into)
+        siemens: FloatArray = into / (1.0 + self._lead * into)
         return siemens
 
     def _by_row(self, cells: FloatArray) -> FloatArray:
