@@ -87,7 +87,7 @@ def creeping() -> Unknown:
 
 @cache
 def short_presses() -> tuple[CalibrationResult, np.ndarray, np.ndarray, np.ndarray, float]:
-    """A minute of short presses to learn from, then a hold of 15 minutes: found, time, load, readings, seconds learned."""
+    """A minute of short presses to learn from, then a hold of 15 minutes: found, time, load, read, seconds learned."""
     rng = np.random.default_rng(2)
     points = [(0.0, 0.0), (5.0, 0.0)]
     while points[-1][0] < 60:
