@@ -87,10 +87,10 @@ def creeping() -> Unknown:
 
 @cache
 def short_presses() -> tuple[CalibrationResult, np.ndarray, np.ndarray, np.ndarray, float]:
-    """100 s of short presses to learn from, then a hold of 15 minutes: found, time, load, readings, seconds learned."""
+    """A minute of short presses to learn from, then a hold of 15 minutes: found, time, load, read, seconds learned."""
     rng = np.random.default_rng(2)
     points = [(0.0, 0.0), (5.0, 0.0)]
-    while points[-1][0] < 100:
+    while points[-1][0] < 60:
         level = rng.uniform(0.4, 1.0)
         for seconds, to in ((rng.uniform(0.5, 2), level), (rng.uniform(0.5, 3), level), (rng.uniform(0.5, 2), 0.0)):
             points.append((points[-1][0] + seconds, to))

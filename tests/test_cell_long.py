@@ -200,7 +200,7 @@ def test_readings_with_gaps_are_within_the_stated_error(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["static", "inverse", "play", "distilled"])
 def test_a_hold_far_longer_than_any_recorded_is_doubted_more(name: str) -> None:
-    """15 minutes of creep after 100 s of short presses: the sd grows with the hold, covers the error, falls at rest."""
+    """15 minutes of creep after a minute of presses: the sd grows with the hold, covers the error, falls at rest."""
     found, time, load, read, head_s = cells.short_presses()
     estimator = found.cell.estimator((), name)
     assert found.cell.estimators is not None

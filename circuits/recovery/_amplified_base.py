@@ -270,23 +270,21 @@ def lost_along_lines(change: Rows, row_ohms: FixedRows, behind: FixedRows, lost:
     As :meth:`.AmplifiedBoard.drop_along_rows` and :meth:`.AmplifiedBoard.drop_along_columns` together.
     """
     rows, columns = change.shape
-    flow = np.zeros(columns)
+    flow, below = np.zeros(columns), np.zeros(columns)
     for i in range(rows):
         for j in range(columns):
             flow[j] += change[i, j]
             lost[i, j] = behind[i, j] * flow[j]
-    for i in range(rows - 2, -1, -1):
-        for j in range(columns):
-            lost[i, j] += lost[i + 1, j]
-    for i in range(rows):
+    for i in range(rows - 1, -1, -1):
         current = 0.0
         for j in range(columns - 1, -1, -1):
             current += change[i, j]
             change[i, j] = current
         along = 0.0
         for j in range(columns):
+            below[j] += lost[i, j]
             along += row_ohms[i, j] * change[i, j]
-            lost[i, j] = along + lost[i, j]
+            lost[i, j] = along + below[j]
 
 
 @loop
