@@ -30,7 +30,6 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Flags, Row, loop
-from . import _shared_steps as shared_steps
 from ._noise import NoiseMeter
 
 LEAST_CELLS = 3
@@ -163,7 +162,6 @@ class SharedNoise:
         testing = self._test[TESTS] < TESTED
         by = self._by_machine_code if self.compiled else self._by_array_operations
         changed, without, watched = by(r, read, awake, testing, near, far, share)
-        self._keep_held(without, watched, read, awake)
         loaded = None
         if testing and self._test[TESTS] >= TESTED:
             refuted = self._test[SHARED] < REFUTED * self.ratio * self._test[OWN]
@@ -177,18 +175,6 @@ class SharedNoise:
                 tell &= ~of_column
             self._tell(tell)
         return without, watched, loaded
-
-    def _keep_held(self, without: FloatArray, watched: FloatArray, read: BoolArray, awake: BoolArray) -> None:
-        """Take steps that no sleeping cells tell out of the readings of held cells, see :mod:`._shared_steps`."""
-        resolution = self._noise.typical_resolution
-        scales = max(self._noise.own, resolution), resolution * math.sqrt(1.0 + self.ratio), self._side
-        kept = without, self._last, self._reference, read, awake
-        if self.compiled:
-            shared_steps.keep_each.code(*kept, self._counts, self._per_std, *scales, watched)
-        elif np.count_nonzero(awake):
-            untold = self._per_std.take(self._counts.astype(np.intp)) == 0.0
-            cells = shared_steps.keep(*kept, untold, *scales)
-            watched[cells] = without[cells]
 
     def _by_machine_code(
         self, r: FloatArray, read: BoolArray, awake: BoolArray, testing: bool, near: float, far: float, share: float
@@ -414,4 +400,4 @@ def subtract_each(
     return changed
 
 
-LOOPS = (subtract_each, *shared_steps.LOOPS)
+LOOPS = (subtract_each,)
