@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from needs import need
 
 from ohmskin.arrays import FloatArray
 from ohmskin.bench.boards import design
@@ -118,8 +119,8 @@ def on_divider(
     rest = CELL.rest_resistance_ohm * np.exp(random.normal(0.0, 0.1, (8, 8)))
     ohms = loaded(load) * rest / CELL.rest_resistance_ohm
     read, estimator = CountReader(board), CELL.estimator((8, 8), rest_resistance_ohm=rest)
-    if compiled and not estimator.compile():
-        pytest.skip("needs numba")
+    if compiled:
+        need(None if estimator.compile() else "needs numba")
     pressure, std = np.empty((2, *load.shape))
     for n, ohm in enumerate(ohms):
         volts = scan(board, ohm).volts

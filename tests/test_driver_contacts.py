@@ -12,6 +12,7 @@ import pytest
 from boards import DESIGN, Wire, lossless, scene
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from needs import need
 
 from ohmskin.arrays import FloatArray
 from ohmskin.driver import Contact, ContactTracker
@@ -279,8 +280,7 @@ def test_machine_code_labels_and_parts_as_array_operations_do(
 ) -> None:
     """Few levels: many cells are equal, so that ties are broken alike."""
     compiled, rng = watershed.Segments(shape), np.random.default_rng(seed)
-    if not compiled.compiled:
-        pytest.skip("no machine code")
+    need(None if compiled.compiled else "needs numba")
     plain = watershed.Segments(shape)
     plain.compiled = False
     touched = rng.random(shape) < share

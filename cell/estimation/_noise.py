@@ -413,6 +413,15 @@ class NoiseMeter:
 
 
 @loop
+def recent_mean(ring: Rows, newest: int, cell: int) -> float:
+    """:meth:`NoiseMeter.mean_of_recent` of one cell; its last reading is in row ``newest`` of the ``ring`` (k, n)."""
+    total = ring[newest, cell]
+    for age in range(1, RECENT):
+        total += ring[(newest - age) % ring.shape[0], cell]
+    return float(total * (1.0 / RECENT))
+
+
+@loop
 def average(
     squares: Row,
     r: Row,

@@ -7,6 +7,7 @@ left half plane): errors of what is remembered fade in the material's own time.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +46,26 @@ def step_weights(model: PaperModel, dt_s: float) -> StepWeights:
     # An error of the memory fades as the inverse's zeros say; the slow branch holds a few percent of it only.
     zeros = np.array([1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1), 1 + m.e1_kpa / m.e2_kpa]) / np.array([m.tu_s, m.t2_s])
     return StepWeights(free, ramps[:, None], answer, np.array([rising, falling]), np.exp(-2 * dt_s * zeros))
+
+
+def borne_before(model: PaperModel, age_s: float) -> tuple[float, float]:
+    """By how much more the two branches bore ``age_s`` ago, if they only fade; bounded, lest it overflows."""
+    return math.exp(min(age_s / model.t2_s, 50.0)), math.exp(min(age_s / model.t3_s, 50.0))
+
+
+class Constants(NamedTuple):
+    """Numbers that depend on the time between frames, by their places."""
+
+    row: FloatArray
+    """for machine code"""
+    each: tuple[FloatArray, ...]
+    """the same numbers, as arrays without axes"""
+
+
+def numbered(numbers: dict[int, float]) -> Constants:
+    """The ``numbers`` of places from 0 on."""
+    row = np.array([numbers[place] for place in range(len(numbers))])
+    return Constants(row, tuple(np.array(number) for number in row))
 
 
 class TurnWeights(NamedTuple):

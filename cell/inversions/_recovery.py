@@ -15,17 +15,14 @@ turn: the model of a rising load would take the recovery for a load that grows.
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple
-
 import numpy as np
 
 from ...arrays import FloatArray
 from ...compiled import FixedRow, Places, Rows, loop
-from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED
+from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, recent_mean
 from ..estimation import GAIN as GAIN_ROW
 from ..materials import PaperModel
-from ._paper_steps import step_weights
+from ._paper_steps import Constants, borne_before, numbered, step_weights
 from ._turning_loops import (
     DRIFT_END_KPA,
     DRIFT_KPA,
@@ -80,24 +77,16 @@ _ZERO, _FAR, _BEFORE, _OLD, _PER_READING = (np.array(x) for x in (0.0, FAR, RECE
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
-class Constants(NamedTuple):
-    """What :func:`look` takes, for one time between frames; places as above."""
-
-    row: FloatArray
-    each: tuple[FloatArray, ...]
-    """the same numbers, as arrays without axes"""
-
-
 def constants(model: PaperModel, dt_s: float) -> Constants:
-    """The constants for frames ``dt_s`` apart."""
+    """What :func:`look` takes, for frames ``dt_s`` apart; places as above."""
     weights = step_weights(model, dt_s)
     gain_kpa, (rising_fade, fade) = float(weights.gain[-1]), weights.fade.tolist()
-    age_s = 0.5 * (RECENT - 1) * dt_s
+    back_2, back_3 = borne_before(model, 0.5 * (RECENT - 1) * dt_s)
     numbers = {
         GAIN: gain_kpa,
         FADES: fade**RECENT,
-        BACK_2: math.exp(min(age_s / model.t2_s, 50.0)),
-        BACK_3: math.exp(min(age_s / model.t3_s, 50.0)),
+        BACK_2: back_2,
+        BACK_3: back_3,
         DRIFT_SHARE: 1.0 - fade ** (RECENT / 2),  # errors fade as the root of their variance
         RISING_DRIFT_SHARE: 1.0 - rising_fade ** (RECENT / 2),
         BOUND: REST_SIGMAS**2,
@@ -107,8 +96,7 @@ def constants(model: PaperModel, dt_s: float) -> Constants:
         LATELY: PEAK_FADES,
         BEYOND: OVERSHOOT,
     }
-    row = np.array([numbers[place] for place in range(len(numbers))])
-    return Constants(row, tuple(np.array(number) for number in row))
+    return numbered(numbers)
 
 
 def look(
@@ -190,8 +178,6 @@ def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, ce
         cells: (m,) indices.
         numbers: :func:`constants`.
     """
-    size = ring.shape[0]
-    second, third, fourth = (newest - 1) % size, (newest - 2) % size, (newest - 3) % size
     gain = numbers[GAIN]
     for i in range(cells.size):
         memory[PEAK, i] += (memory[EXTREME, i] - memory[PEAK, i]) * numbers[LATELY]
@@ -204,8 +190,7 @@ def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, ce
         memory[REST_VARIANCE, i] *= numbers[FADES]
         if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and line[COUNT, i] >= RECENT - 1.0):
             continue
-        cell, shown, x3 = cells[i], memory[PRESSURE, i], memory[RECOVERY_X3, i]
-        mean = (ring[newest, cell] + ring[second, cell] + ring[third, cell] + ring[fourth, cell]) * (1.0 / RECENT)
+        shown, x3, mean = memory[PRESSURE, i], memory[RECOVERY_X3, i], recent_mean(ring, newest, cells[i])
         remembered = memory[X2, i] * numbers[BACK_2] + x3 * numbers[BACK_3]
         pressure = (mean - remembered) * gain
         by_noise = taken[NOISE, i] * gain

@@ -15,15 +15,14 @@ under a light load that is held the resistance falls faster than it. Both begin 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
 from ...arrays import FloatArray
 from ...compiled import FixedRow, Places, Rows, loop
-from ..estimation import FAR, NOISE, PRESSURE, RECENT, VARIANCE
+from ..estimation import FAR, NOISE, PRESSURE, RECENT, VARIANCE, recent_mean
 from ..materials import PaperModel
-from ._paper_steps import step_weights
+from ._paper_steps import Constants, borne_before, numbered, step_weights
 from ._turning_loops import EXTREME, LEFT, RECOVERY_KPA, RECOVERY_X3, REFUTED, SIGN, STATE_END, TURNED, X2
 
 FLAT = 0.3
@@ -53,30 +52,21 @@ PER_KPA, PER_KPA_2, PER_KPA_3, PER_KPA_AT_ONCE = range(5, 9)
 """r per kPa of a load for ever: all of it; what the two branches bear; what comes at once"""
 
 
-class Constants(NamedTuple):
-    """What :func:`look` takes, for one time between frames; places as above."""
-
-    row: FloatArray
-    each: tuple[FloatArray, ...]
-    """the same numbers, as arrays without axes"""
-
-
 def constants(model: PaperModel, dt_s: float) -> Constants:
-    """The constants for frames ``dt_s`` apart."""
-    age_s, look_s = 0.5 * (RECENT - 1) * dt_s, RECENT * dt_s
+    """What :func:`look` takes, for frames ``dt_s`` apart; places as above."""
+    look_s, (back_2, back_3) = RECENT * dt_s, borne_before(model, 0.5 * (RECENT - 1) * dt_s)
     numbers = {
         GAIN_KPA: float(step_weights(model, dt_s).gain[-1]),
         FADES_2: math.exp(-look_s / model.t2_s),
         FADES_3: math.exp(-look_s / model.t3_s),
-        BACK_2: math.exp(min(age_s / model.t2_s, 50.0)),
-        BACK_3: math.exp(min(age_s / model.t3_s, 50.0)),
-        PER_KPA: 1.0 / model.e1_kpa + 1.0 / model.e2_kpa + 1.0 / model.e3_kpa,
+        BACK_2: back_2,
+        BACK_3: back_3,
+        PER_KPA: model.gain_per_kpa,
         PER_KPA_2: 1.0 / model.e2_kpa,
         PER_KPA_3: 1.0 / model.e3_kpa,
         PER_KPA_AT_ONCE: 1.0 / model.e1_kpa,
     }
-    row = np.array([numbers[place] for place in range(len(numbers))])
-    return Constants(row, tuple(np.array(number) for number in row))
+    return numbered(numbers)
 
 
 def begin(memory: FloatArray) -> None:
@@ -165,8 +155,6 @@ def look_each(
         full_scale_kpa: of the cells.
         numbers: :func:`constants`.
     """
-    size = ring.shape[0]
-    second, third, fourth = (newest - 1) % size, (newest - 2) % size, (newest - 3) % size
     for i in range(cells.size):
         pressure = memory[PRESSURE, i]
         x2, x3 = memory[STILL_X2, i] * numbers[FADES_2], memory[STILL_X3, i] * numbers[FADES_3]
@@ -178,8 +166,7 @@ def look_each(
                 memory[STILL_X2, i] = memory[X2, i] - load * numbers[PER_KPA_2]
                 memory[STILL_X3, i] = memory[RECOVERY_X3, i] - load * numbers[PER_KPA_3]
             continue
-        cell, load = cells[i], memory[STILL_KPA, i]
-        mean = (ring[newest, cell] + ring[second, cell] + ring[third, cell] + ring[fourth, cell]) * (1.0 / RECENT)
+        load, mean = memory[STILL_KPA, i], recent_mean(ring, newest, cells[i])
         off = mean - load * numbers[PER_KPA] - x2 * numbers[BACK_2] - x3 * numbers[BACK_3]
         off *= numbers[GAIN_KPA]
         by_noise = taken[NOISE, i] * (SURE / math.sqrt(RECENT)) * numbers[GAIN_KPA]

@@ -23,7 +23,7 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray
 from ...compiled import FixedRow, Places, Rows, loop
-from ..estimation import NOISE, PRESSURE, RECENT, VARIANCE
+from ..estimation import NOISE, PRESSURE, RECENT, VARIANCE, recent_mean
 from ..materials import PaperModel
 from ._turning_loops import SIGN, TURNED
 
@@ -176,11 +176,8 @@ def look_each(
         lengths: (SCALES,) :data:`LOOKS_IN_BLOCK`.
         kpa_per_r: :func:`kpa_kept`.
     """
-    size = ring.shape[0]
-    second, third, fourth = (newest - 1) % size, (newest - 2) % size, (newest - 3) % size
     for i in range(cells.size):
-        cell = cells[i]
-        mean = (ring[newest, cell] + ring[second, cell] + ring[third, cell] + ring[fourth, cell]) * (1.0 / RECENT)
+        mean = recent_mean(ring, newest, cells[i])
         looks, since = memory[LOOKS, i] + 1.0, memory[SINCE, i] + 1.0
         half = memory[HALF, i]
         memory[HALF, i], memory[LOOKS, i], memory[SINCE, i] = mean, looks, since
