@@ -283,7 +283,7 @@ class _Scales:
 
     def _all_hangs_most(self) -> FloatArray:
         """Largest p (N, M) of all columns."""
-        most = self._hangs.copy()
+        most: FloatArray = self._hangs.copy()
         most[:, self._columns] = self._hangs_most
         return most
 
@@ -334,7 +334,7 @@ class _Scales:
     def _together(self, change: FloatArray) -> FloatArray:
         """Sum (N,) of changes (N, K) by each column. Those by errors of readings add up as independent ones do."""
         if self._all_suspect:
-            return np.asarray(change.sum(axis=1))
+            return np.asarray(change.sum(axis=1), dtype=np.float64)
         suspect, others = change[:, self._suspect], change[:, ~self._suspect]
         together: FloatArray = suspect.sum(axis=1) + np.sqrt(np.einsum("ij,ij->i", others, others))
         return together
@@ -342,7 +342,7 @@ class _Scales:
     def _lifted(self, change: FloatArray, share: FloatArray) -> FloatArray:
         """Change (N, N) of the rows' potentials by changes (N, K) of p, given the columns' potentials (N, K)."""
         if self._all_suspect:
-            return np.asarray(change @ share.T)
+            return np.asarray(change @ share.T, dtype=np.float64)
         suspect, others = self._suspect, ~self._suspect
         by_suspects = change[:, suspect] @ share[:, suspect].T
         by_others = np.sqrt(change[:, others] ** 2 @ (share[:, others] ** 2).T)

@@ -84,8 +84,7 @@ class LineResistance:
         """(N M, N + M): voltages across the crosspoints per volt at each port."""
         system = self._shared * conductance.ravel()
         system.flat[:: len(system) + 1] += 1.0
-        drops: FloatArray = np.linalg.solve(system, self._from_ports)
-        return drops
+        return np.asarray(np.linalg.solve(system, self._from_ports), dtype=np.float64)
 
     def loss(self, conductance: FloatArray) -> float:
         """Largest share of a voltage that is lost along a line with cells (N, M) in S, to first order."""
