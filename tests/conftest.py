@@ -11,6 +11,7 @@ from hypothesis import settings
 
 from ohmskin import compiled
 from ohmskin.driver import Skin, discover
+from ohmskin.verification import _chain, _report
 
 pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point is older than the source
 
@@ -46,3 +47,10 @@ def _patient_driver() -> Iterator[None]:
         for waiting in (Skin.__init__, Skin.open.__func__, discover):  # type: ignore[attr-defined]
             patch.setitem(waiting.__kwdefaults__, "timeout", PATIENCE_S)
         yield
+
+
+@pytest.fixture
+def quick_verification(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Presses are followed at 10 frames per second of board time, not 50, and reports are without their error budget."""
+    monkeypatch.setattr(_chain, "FASTEST_HZ", 10.0)
+    monkeypatch.setattr(_report, "error_budget", lambda _: None)

@@ -159,7 +159,9 @@ def test_every_command_starts(clean: Path, tmp_path: Path) -> None:
 
 
 def test_the_demo_runs_without_ngspice(clean: Path, tmp_path: Path) -> None:
-    _run(clean / "ohmskin", "verify", "-o", "report", cwd=tmp_path, exit_code=3)
+    """All but the claims that calibrate a cell, which takes a minute without Numba."""
+    only = ",".join([*(f"D{k}" for k in range(1, 21)), "P3", *(f"P{k}" for k in range(10, 15))])
+    _run(clean / "ohmskin", "verify", "-o", "report", "--only", only, cwd=tmp_path, exit_code=3)
     report = json.loads((tmp_path / "report" / "report.json").read_text())
     for claim in report["claims"]:
         assert claim["outcome"] != "fail"
