@@ -522,8 +522,9 @@ class Skin:
 
         Raises:
             InputError: the skin seems to be loaded (resistances far from the data sheet, or unlike each other, or
-                changing, or unlike those of the tare or calibration in use); no cell has a valid reading; or
-                ``frames`` or ``drift`` is not positive.
+                changing, or unlike those of the tare or calibration in use), or noise alone may let it seem so (the
+                message says how many frames tell); no cell has a valid reading; or ``frames`` or ``drift`` is not
+                positive.
             LinkTimeout, LinkError, ProtocolError: as for :meth:`read`.
 
         """

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import zipfile
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -29,6 +30,10 @@ DRIFT = 0.01
 """relative change of a resistance during the tare that a resting cell may show"""
 DRIFT_STDS = 5.0
 """and so many standard errors, for noisy readings"""
+NOISE_SHARE = 0.5
+"""of :data:`SPREAD`, that noise may take up; the rest is for manufacture"""
+TYPICAL_READINGS = 4
+"""readings of a cell that the noise of all cells is worth"""
 MOST_BYTES = 2**26
 """size limit of a file: a tare of 1024 x 1024 cells fits"""
 LATEST_S = 4e9
@@ -56,6 +61,8 @@ class Tare:
     """s since the epoch, of the last frame"""
     remarks: tuple[str, ...] = ()
     """signs that the skin was loaded; a tare that has any was forced"""
+    frames_advised: int = 0
+    """frames of which the mean would tell, where noise alone may be the cause of these signs; else 0"""
 
     @property
     def taken_at(self) -> datetime:
@@ -174,18 +181,20 @@ class RestReadings:
         expected = np.ones_like(mean) if calibrated_ohm is None else calibrated_ohm
         typical = float(np.median((mean / expected)[measured]))
         otherwise = typical * expected if cell is None or calibrated_ohm is not None else cell.rest_resistance_ohm
-        remarks = [
-            remark
-            for remark in (
-                _far_from_sheet(typical, cell) if calibrated_ohm is None else _far_from_calibration(typical),
-                _unlike_others(mean, typical * expected, measured, cell),
-                ""
-                if earlier is None
-                else _changed_since(earlier, mean, std / np.sqrt(np.maximum(readings, 1)), cell, drift),
-                self._changing(mean, std, readings),
-            )
-            if remark
-        ]
+        unlike = _unlike_others(mean, typical * expected, measured, cell)
+        signs = (
+            _far_from_sheet(typical, cell) if calibrated_ohm is None else _far_from_calibration(typical),
+            unlike,
+            ""
+            if earlier is None
+            else _changed_since(earlier, mean, std / np.sqrt(np.maximum(readings, 1)), cell, drift),
+            self._changing(mean, std, readings),
+        )
+        remarks = tuple(sign for sign in signs if sign)
+        frames_advised = 0
+        if remarks == (unlike,) and not (cell is not None and isinstance(cell.model, ContactModel)):
+            ratio = np.where(measured, mean / (typical * expected), 1.0)
+            frames_advised = self._frames_to_tell(ratio, deviation / np.where(measured, mean, 1.0), readings)
         return Tare(
             rest_resistance_ohm=np.where(measured, mean, otherwise),
             measured=measured,
@@ -194,8 +203,36 @@ class RestReadings:
             lost=lost,
             serial_number=serial_number,
             wall_time=wall_time,
-            remarks=tuple(remarks),
+            remarks=remarks,
+            frames_advised=frames_advised,
         )
+
+    def _frames_to_tell(self, ratio: FloatArray, deviation: FloatArray, readings: FloatArray) -> int:
+        """Frames in which noise lets no cell differ from the others by more than its share of :data:`SPREAD`.
+
+        Args:
+            ratio: (rows, columns) of the cells to what is usual for them.
+            deviation: (frames, rows, columns) of the readings from their mean, relative; 0 where not valid.
+            readings: (rows, columns) that are valid.
+
+        Returns:
+            Their number, rounded up to two digits; 0 where noise is not enough to explain the ratios.
+
+        """
+        squares, told = (deviation**2).sum(axis=0), np.maximum(readings - 1, 0)
+        variance = squares.sum() / max(told.sum(), 1)
+        # A cell of few readings tells its own noise badly.
+        own = np.sqrt((squares + TYPICAL_READINGS * variance) / (told + TYPICAL_READINGS))
+        beyond = np.abs(ratio - 1) - SPREAD
+        unlike = beyond > 0
+        # Boards measure currents, whose noise is that of a conductance: in a resistance it grows with that.
+        if (beyond > DRIFT_STDS * own * ratio / np.sqrt(np.maximum(readings, 1)))[unlike].any():
+            return 0
+        enough = float((DRIFT_STDS * own[unlike].max() / (NOISE_SHARE * SPREAD)) ** 2)
+        # Cells whose readings are seldom valid rule. A column's are so together, in some columns ten times as often.
+        frames = len(self.time_s) * max(enough / float(readings[readings > 0].min()), 2.0)
+        digits = max(math.floor(math.log10(frames)) - 1, 0)
+        return math.ceil(frames * 10.0**-digits) * int(10.0**digits)
 
     def _changing(self, mean: FloatArray, std: FloatArray, readings: FloatArray) -> str:
         """A remark where a resistance has a trend: a load that comes or goes, or a cell that recovers from one."""
@@ -208,8 +245,12 @@ class RestReadings:
         change = np.abs(steady[-half:].mean(axis=0) - steady[:half].mean(axis=0))
         # Noise from frame to frame, from differences of neighbours, so that a trend does not count as noise.
         noise = np.sqrt((np.diff(steady, axis=0) ** 2).mean(axis=0) / 2)
+        # Few frames tell the noise of one cell badly: none is taken to be less noisy than the median cell.
+        every = readings == frames
+        if every.any():
+            noise = np.maximum(noise, mean * np.median((noise / np.maximum(mean, 1e-300))[every]))
         limit = np.maximum(DRIFT * mean, DRIFT_STDS * noise * np.sqrt(2 / half))
-        moving = (readings == frames) & (change > limit)
+        moving = every & (change > limit)
         if not moving.any():
             return ""
         worst = _worst(np.where(moving, change / np.maximum(mean, 1e-300), 0.0))

@@ -54,6 +54,11 @@ class Tares:
         """
         with self._lock, self._next_frames(frames, timeout_s, waiting=waiting) as taken:
             tare = self._made_of(taken, serial_number, drift)
+            if tare.frames_advised and not force:
+                raise InputError(
+                    f"{board}: no tare, though noise may be why {tare.remarks[0]}. "
+                    f"Take more frames, tare({tare.frames_advised}), or tare(force=True)"
+                )
             if tare.remarks and not force:
                 raise InputError(
                     f"{board}: no tare, the skin seems to be loaded: {'; '.join(tare.remarks)}. "

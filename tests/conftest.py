@@ -51,6 +51,6 @@ def _patient_driver() -> Iterator[None]:
 
 @pytest.fixture
 def quick_verification(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Presses are followed at 10 frames per second of board time, not 50, and reports are without their error budget."""
+    """Presses are followed at 10 frames per second of board time, not 50; reports are without their error budget."""
     monkeypatch.setattr(_chain, "FASTEST_HZ", 10.0)
     monkeypatch.setattr(_report, "error_budget", lambda _: None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import warnings
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -14,6 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from ohmskin.bench._driver import design
+from ohmskin.bench._paced_port import PacedPort, frame_packets
 from ohmskin.cell import Cell, ContactModel, M10Model
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.config import parse
@@ -52,8 +55,51 @@ def test_an_unloaded_skin_is_tared(noise: float, spread: float) -> None:
     np.testing.assert_allclose(tare.std_ohm, readings.std(axis=0, ddof=1), atol=1e-9)
 
 
-def test_noise_seldom_looks_like_a_load() -> None:
-    assert sum(bool(tare_of(at_rest(0.02, 0.1, seed=seed)).remarks) for seed in range(50)) <= 1
+@pytest.mark.parametrize(("noise", "frames"), [(0.02, 40), (0.05, 8)])
+def test_noise_seldom_looks_like_a_load(noise: float, frames: int) -> None:
+    """Nor in few frames, which tell the noise of a single cell badly."""
+    assert sum(bool(tare_of(at_rest(noise, 0.1, frames, seed=seed)).remarks) for seed in range(50)) <= 1
+
+
+@pytest.mark.parametrize("valid", [1.0, 0.3])
+def test_noise_that_hides_a_load_asks_for_more_frames(valid: float) -> None:
+    """As many as are enough, also where only some readings are valid."""
+    advised, frames = [], round(3 / valid)
+    for seed in range(10):
+        random, readings = np.random.default_rng(seed), at_rest(0.2, 0.1, frames=1500, seed=seed)
+        readings[random.random(readings.shape) > valid] = np.nan
+        few = tare_of(readings[:frames])
+        if few.remarks:
+            assert "differ" in few.remarks[0]
+            advised.append(few.frames_advised)
+            assert tare_of(readings[frames : frames + few.frames_advised]).remarks == ()
+    assert len(advised) >= 3
+    assert min(advised) >= 2 * frames
+
+
+def test_a_press_beyond_the_noise_asks_for_no_more_frames() -> None:
+    readings = at_rest(0.2, 0.0, frames=20)
+    readings[:, 2, 5] *= 2.0
+    tare = tare_of(readings)
+    assert len(tare.remarks) == 1
+    assert tare.frames_advised == 0
+
+
+def test_a_divider_in_noise_says_how_many_frames_tell() -> None:
+    """16 x 12 cells in 10 mV: one reading of twenty is valid, and known to a fifth or so."""
+    board = design(16, "voltage-divider", "ground", 12).replace(array={"columns": 12})
+    rng = np.random.default_rng(5)
+    volts = scan(board, REST * np.exp(rng.normal(0.0, 0.05, (16, 12)))).volts
+    codes = adc_codes(board, volts + 0.01 * rng.standard_normal((500, 16, 12)))
+    port = PacedPort(frame_packets(codes, 100.0), 1e-3, board)
+    port.work(60.0)
+    with warnings.catch_warnings(), Skin(port, design=board, cell=CELL, delivery="lossless", timeout=60.0) as skin:
+        warnings.simplefilter("ignore", RuntimeWarning)  # few valid cells
+        said = r"no tare, though noise may be why 1 cell differs .* tare\((\d+)\), or tare\(force=True\)$"
+        with pytest.raises(InputError, match=said) as caught:
+            skin.tare()
+        frames = int(re.search(r"tare\((\d+)\)", str(caught.value))[1])
+        assert skin.tare(frames).remarks == ()
 
 
 def test_one_pressed_cell_is_noticed() -> None:

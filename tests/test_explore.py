@@ -15,7 +15,7 @@ from verified import AMPLIFIED, complete
 from ohmskin.cell import Percolation
 from ohmskin.circuits import Design, Requirement
 from ohmskin.cli import run
-from ohmskin.verification import Subject, Variation, explore, prototype, remedies, verify
+from ohmskin.verification import Subject, Variation, prototype, remedies, verify
 from ohmskin.verification._explore import AVERAGING, KNOWN_FRACTION, _combinations, _judged, _scaled, pareto
 
 FIGURES = st.lists(st.tuples(*[st.floats(0, 10, allow_nan=False)] * 3), min_size=1, max_size=12)
