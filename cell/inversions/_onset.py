@@ -26,7 +26,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import FixedRow, Places, Rows, loop
+from ...compiled import Places, Row, Rows, loop
 from ..estimation import FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE, recent_mean
 from ..materials import PaperModel, lag
 from ._paper_steps import Constants, borne_before, numbered, step_weights
@@ -76,7 +76,7 @@ NAMES = (
     *("expected_x2", "expected_x3", "pull_kpa", "clear_kpa"),
 )
 """names of the rows of the memory, from :data:`._turning_loops.MAY_BEAR_KPA` on"""
-BEGUN_KPA, EARLIEST_SETTLED, BEGUN_SETTLED, EXPECTED_X2, EXPECTED_X3, PULL_KPA, CLEAR_KPA = range(52, 59)
+BEGUN_KPA, EARLIEST_SETTLED, BEGUN_SETTLED, EXPECTED_X2, EXPECTED_X3, PULL_KPA, CLEAR_KPA = range(53, 60)
 """rows: the rising model that began at the moment, beside the one that began with the recovery; the second states of
 the latter and of the former; what the branches bear if nothing has risen since the moment; the pull, and what it was
 when it became clear, else none"""
@@ -218,7 +218,7 @@ def look_each(
     newest: int,
     cells: Places,
     full_scale_kpa: float,
-    numbers: FixedRow,
+    numbers: Row,
 ) -> None:
     """:func:`look` as a loop over cells, which takes the mean of the readings itself.
 

@@ -15,6 +15,7 @@ from ._turning_loops import (
     LAST,
     LEFT,
     MAY_BEAR_KPA,
+    RECENT_EXTREME,
     THIRD_LAST,
     TURNED,
 )
@@ -64,6 +65,7 @@ class Rows:
         self.doubt, self.sign, self.extreme, self.peak, self.left = memory[TURNED : LEFT + 1]
         self.in_force, self.drift = memory[IN_FORCE], memory[DRIFT_KPA]
         self.earlier, self.earlier_least, self.earlier_from = memory[EARLIER_KPA : EARLIER_FROM_KPA + 1]
+        self.recent_extreme = memory[RECENT_EXTREME]
         self.may_bear = memory[MAY_BEAR_KPA]
         self.state = memory[STATE]
         self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]
