@@ -124,7 +124,8 @@ class Estimator:
     def _loops(self) -> tuple[Loop[..., Any], ...]:
         """All that a frame calls."""
         noise = *noise_meter.LOOPS, *shared_noise.LOOPS
-        return *loops.ALL, *smoothing.LOOPS, *noise, *tremor.LOOPS, *self.inversion.loops_used()
+        falls = tremor.LOOPS_OF_FALLS if self.inversion.steepness_kpa[1] > 0.0 else ()
+        return *loops.ALL, *smoothing.LOOPS, *noise, *tremor.LOOPS, *falls, *self.inversion.loops_used()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Continue from a pickle, perhaps in a process without machine code."""

@@ -398,4 +398,6 @@ def doubt_each(
     return found
 
 
-LOOPS = look_each, doubt_rises, end_window_each, doubt_each_fall, doubt_each
+LOOPS = look_each, doubt_rises, end_window_each, doubt_each
+LOOPS_OF_FALLS = (doubt_each_fall,)
+"""those that only cells need which answer fast rises and fast falls differently"""
