@@ -23,6 +23,8 @@ DRIFT_KPA, DRIFT_END_KPA, TAKEN_OFF_KPA = 22, 23, 24
 EARLIER_KPA, EARLIER_LEAST_KPA, EARLIER_FROM_KPA = 41, 42, 43
 """rows behind those of :mod:`._sway`: by how much the recovery hypothesis would be less if the load had turned earlier,
 the least pressure since then by that account, and the pressure when it began"""
+RECENT_EXTREME = 49
+"""row behind those of :mod:`._still`: the extreme, which fades as fast as an error of the memory may"""
 """rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
 seem to turn, now and at last; pressure that was subtracted since the release"""
 UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
@@ -41,7 +43,7 @@ HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2, LIGHT_KPA, 
 GOES_BACK, STEPS, STILL, FALL = range(37, 41)
 RISE_R, FALL_R, SMOOTH_KPA, AWAY_KPA, MAY_BEND = range(41, 46)
 SHARED, CLEAR_RISE_KPA, SHARED_FALL, CLEAR_FALL_KPA, FALLING = range(46, 51)
-EARLIER, MIDWAY, GROWN_KPA, GROWN_SIGMAS, GROWN_ERRORS, FALLEN, SURE_OF_FALL = range(51, 58)
+EARLIER, MIDWAY, GROWN_KPA, GROWN_SIGMAS, GROWN_ERRORS, FALLEN, SURE_OF_FALL, CREEPS = range(51, 59)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
@@ -49,7 +51,8 @@ difference of the hypotheses; share of a variance that a new beginning leaves, a
 those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, of :mod:`._recovery`, and how far
 small pressures must go back for a turn; how far the peak goes down as an error of the memory fades; those of
 ``_doubt_falls`` and of ``_late``; of :func:`refutes`, of :func:`seeming_kpa`, and of :func:`earlier_kpa` and
-:func:`follow_earlier_turn`"""
+:func:`follow_earlier_turn`; share of what a held pressure may seem to go back by in three frames that a recent extreme
+fades by in one"""
 REFUTED = 0.5 * FAR
 """kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
 is a turn, and below the extreme that means "none", so that the turn is certain"""
@@ -147,7 +150,7 @@ def follow_earlier_turn(memory: Rows, i: int, forgotten_kpa: float, of: Rows, nu
     memory[EARLIER_LEAST_KPA, i] = min(memory[EARLIER_LEAST_KPA, i], fallen)
     fallen = fallen - memory[EARLIER_LEAST_KPA, i] - of[UNSURE, i] * numbers[SURE_OF_FALL]
     if fallen > 0.0:
-        memory[EARLIER_FROM_KPA, i] = memory[PRESSURE, i]
+        memory[EARLIER_FROM_KPA, i] += memory[PRESSURE, i] - memory[LAST, i]
     turned = (memory[SIGN, i] < 0.0) == (memory[LEFT, i] >= FAR)
     if turned or fallen > turn_from(memory[EXTREME, i], numbers):
         memory[EARLIER_KPA, i], memory[EARLIER_LEAST_KPA, i] = 0.0, recovery
@@ -205,6 +208,7 @@ def turn(memory: Rows, i: int, noise: float, by_model: Rows, of: Rows, numbers: 
         memory[EXTREME, i], memory[PEAK, i], memory[LEFT, i] = left, left, FAR
     else:
         memory[EXTREME, i], memory[PEAK, i], memory[LEFT, i] = now - numbers[LESS] * unsure, now - unsure, extreme
+    memory[RECENT_EXTREME, i] = memory[EXTREME, i]
 
 
 @loop
@@ -241,13 +245,18 @@ def look(memory: Rows, i: int, std: float, of: Rows, numbers: Row) -> bool:
     noise = of[OTHER_GAIN, i] * std
     memory[PRESSURE, i] = pressure
     of[UNSURE, i], of[AHEAD, i], of[SPARE, i], of[NOISE, i] = unsure, ahead, back, noise
-    least = turn_from(memory[EXTREME, i], numbers) + seeming_kpa(memory, i, unsure, numbers)
+    seeming = seeming_kpa(memory, i, unsure, numbers)
     if numbers[STEPS] > 0.0 and sign > 0.0:
         scale = memory[STATE_END - 1, i] + 1.0
         by_steps = scale * scale * numbers[STEPS]
         if other > max(by_steps, std) * of[OTHER_GAIN, i] * numbers[STILL]:
-            least += max(by_steps - std, 0.0) * memory[GAIN, i] * numbers[FALL]
-    gone_back = memory[EXTREME, i] - ahead > unsure * numbers[SURE] + least
+            seeming += max(by_steps - std, 0.0) * memory[GAIN, i] * numbers[FALL]
+    least = turn_from(memory[EXTREME, i], numbers) + unsure * numbers[SURE]
+    gone_back = memory[EXTREME, i] - ahead > least + seeming
+    least = numbers[LIGHT_KPA] + unsure * numbers[FALLING]
+    if sign > 0.0:
+        least += seeming
+    gone_back |= memory[RECENT_EXTREME, i] - ahead > least
     return bool(gone_back or back < noise)
 
 
@@ -288,6 +297,7 @@ def take_turns(memory: Rows, taken: Rows, by_model: Rows, of: Rows, flags: FlagR
         if refuted:
             memory[PEAK, i] = of[AHEAD, i] - of[UNSURE, i]
             memory[EXTREME, i] = of[AHEAD, i] - of[UNSURE, i] * numbers[LESS]
+            memory[RECENT_EXTREME, i] = memory[EXTREME, i]
         # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
         least = of[NOISE, i] * of[CONFIRMING_SIGMAS, i]
         least += turn_from(memory[LEFT, i], numbers) * of[CONFIRMING_TURNS, i]
@@ -353,9 +363,8 @@ def keep(memory: Rows, of: Rows, flags: FlagRows, numbers: Row) -> None:
         lost = 0.0
         if flags[WHERE, i] and memory[VARIANCE, i] > by_noise * by_noise:
             lost = memory[VARIANCE, i] - of[SPARE, i]
-        doubt = memory[TURNED, i]
-        doubt += lost + math.sqrt(doubt * lost)
-        memory[TURNED, i] = min(doubt, numbers[MOST_LOST_KPA2])
+        doubt = math.sqrt(memory[TURNED, i]) + math.sqrt(max(lost, 0.0))
+        memory[TURNED, i] = min(doubt * doubt, numbers[MOST_LOST_KPA2])
 
 
 @loop
@@ -396,9 +405,11 @@ def begin_anew(
         unsure = noise * numbers[LESS]
         of[UNSURE, i] = unsure
         memory[EXTREME, i] = max(memory[EXTREME, i], ahead - unsure)
-        error_kpa = min(math.sqrt(memory[TURNED, i]), numbers[TURN_KPA])
+        error_kpa, fades = math.sqrt(memory[TURNED, i]), 1.0 - of[FADE, i]
+        recent = memory[RECENT_EXTREME, i] - (fades * error_kpa + held_kpa * numbers[CREEPS])
+        memory[RECENT_EXTREME, i] = max(recent, ahead - unsure)
         if flags[HELD, i]:
-            memory[PEAK, i] -= (1.0 - of[FADE, i]) * error_kpa * numbers[GOES_BACK]
+            memory[PEAK, i] -= fades * min(error_kpa, numbers[TURN_KPA]) * numbers[GOES_BACK]
         memory[VARIANCE, i] -= memory[TURNED, i]  # by which the hypotheses were apart in the last frame
         memory[TURNED, i] *= of[FADE, i]
         apart = abs(memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]
