@@ -324,10 +324,13 @@ class Converter:
         self._judged += 1
         if self._judged <= UNSETTLED_FRAMES:
             return
-        self._reasons += np.bincount(reading.reason.ravel(), minlength=len(Reason))
-        uncertain = reading.reason == Reason.UNCERTAIN
-        if uncertain.any():
-            self._surest = min(self._surest, float(reading.uncertainty[uncertain].min()))
+        if reading.all_valid:
+            self._reasons[Reason.VALID] += reading.valid.size
+        else:
+            self._reasons += np.bincount(reading.reason.ravel(), minlength=len(Reason))
+            uncertain = reading.reason == int(Reason.UNCERTAIN)
+            if uncertain.any():
+                self._surest = min(self._surest, float(reading.uncertainty[uncertain].min()))
         if self._judged < SOON:
             return
         self._judged = None

@@ -25,8 +25,9 @@ from ..cell import Cell
 from ..compiled import FixedRows, Row, Rows, loop
 from ._reading import Reading
 
-LOOK_EVERY = 8
-"""frames from one look at the spread of the cells to the next"""
+LOOK_EVERY, LOOK_AT = 8, 3
+"""frames from one look at the spread of the cells to the next; and which of them has it. Estimators look back at their
+readings in every fourth frame, from the first on: both in one would make a long frame"""
 LEAST_CELLS = 4
 """with fewer readings no spread is measured"""
 CAUTION = 1.17
@@ -129,7 +130,9 @@ class SystematicError:
     def _look(self, reading: Reading) -> None:
         """Measure the spread of the cells every few frames, and keep the least: loads only add to it."""
         self._frames += 1
-        if (self._frames - 1) % LOOK_EVERY == 0:
+        if self.rest_spread == 0.0:
+            return
+        if self._frames == 1 or self._frames % LOOK_EVERY == LOOK_AT:
             share = reading.steps_std_share * HALF_STEP
             # Beside much noise no part of it is left to steps, not even where it is infinite.
             self._measure(reading.resistance, share * reading.uncertainty if share else np.zeros(reading.valid.shape))
