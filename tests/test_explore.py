@@ -152,9 +152,12 @@ def test_the_fraction_of_the_best_resolution_is_that_of_this_readout() -> None:
         assert kpa[fraction] == pytest.approx(result.measurement.value, rel=1e-6)
 
 
+SMALL = AMPLIFIED.replace("rows = 3", "rows = 2").replace("columns = 3", "columns = 2")
+
+
 def test_the_command_writes_a_table_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "design.toml"
-    file.write_text(complete(AMPLIFIED) + '[[requirement]]\nid = "R"\nquantity = "crosstalk"\nmax = 0.5\n')
+    file.write_text(complete(SMALL) + '[[requirement]]\nid = "R"\nquantity = "crosstalk"\nmax = 0.3\n')
     assert run(["explore", str(file), "-o", str(tmp_path / "out"), "--points", "3"]) == 0
     with (tmp_path / "out" / "explore.csv").open() as table:
         rows = list(csv.DictReader(table))
