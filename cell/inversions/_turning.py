@@ -143,7 +143,7 @@ GROWN, GROWN_SIGMAS, GROWN_ERRORS, FALLEN = 0.5, 1.5, 0.2, 2.0
 """light turns, standard deviations of the smoothed noise, and of the memory, by which the pressure must have grown for
 an earlier turn to be as likely as none; and how much more a fall counts than growth. Constant loads are common. A load
 that falls at just the rate that makes the rising model's pressure constant is not"""
-GROWN_RELEASED = 2.0
+GROWN_RELEASED = 1.5
 """the third of these in recovery: errors of the memory are largest there, and fade"""
 
 
