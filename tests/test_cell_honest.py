@@ -121,7 +121,7 @@ def test_errors_of_drawn_paper_cells_are_within_the_stated_deviations() -> None:
         assert np.mean([one.rmse_percent for one in several]) < 5.0
 
 
-def test_cells_that_answer_late_are_as_honest() -> None:
+def test_paper_cells_that_answer_late_are_as_honest() -> None:
     """What turns leave adds up under loads without a rest: to 8 % of full scale, which was 15 while turns were late."""
     found = judged_by_load((shape.cell(full_kpa=20.0, rest_ohm=1e4), (60.0, 0.1)) for shape in CORNERS)
     sines = found.pop("sine")
