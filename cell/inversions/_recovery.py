@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import FixedRow, Places, Rows, loop
+from ...compiled import Places, Row, Rows, loop
 from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, recent_mean
 from ..estimation import GAIN as GAIN_ROW
 from ..materials import PaperModel
@@ -168,7 +168,7 @@ def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> No
 
 
 @loop
-def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, cells: Places, numbers: FixedRow) -> None:
+def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, cells: Places, numbers: Row) -> None:
     """:func:`look` as a loop over cells, which takes the mean of the readings itself.
 
     Args:

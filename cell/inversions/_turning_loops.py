@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ...compiled import FixedRow, FixedRows, FlagRows, Rows, loop
+from ...compiled import FlagRows, Row, Rows, loop
 from ..estimation import FAR, GAIN, PRESSURE, READING, REST_VARIANCE, RESTED, SMOOTHED, STD, VARIANCE
 from ..estimation import NOISE as READING_NOISE
 
@@ -70,7 +70,7 @@ def take(memory: Rows, taken: Rows) -> None:
 
 
 @loop
-def step(memory: Rows, after: Rows, numbers: FixedRow) -> bool:
+def step(memory: Rows, after: Rows, numbers: Row) -> bool:
     """Take hypotheses ``after`` (6, m) the step; whether a pressure is beyond its limits."""
     beyond = False
     for row in range(after.shape[0]):
@@ -83,7 +83,7 @@ def step(memory: Rows, after: Rows, numbers: FixedRow) -> bool:
 
 
 @loop
-def take_gains_of(memory: Rows, i: int, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+def take_gains_of(memory: Rows, i: int, by_model: Rows, of: Rows, numbers: Row) -> None:
     """Write into ``of`` (ROWS, m), for cell ``i``, what depends on its hypothesis in force and on the time step."""
     rising, recovery = memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i]
     memory[GAIN, i] = by_model[0, 0] * rising + by_model[0, 1] * recovery
@@ -95,14 +95,14 @@ def take_gains_of(memory: Rows, i: int, by_model: FixedRows, of: Rows, numbers: 
 
 
 @loop
-def take_gains(memory: Rows, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+def take_gains(memory: Rows, by_model: Rows, of: Rows, numbers: Row) -> None:
     """:func:`take_gains_of` all cells."""
     for i in range(memory.shape[1]):
         take_gains_of(memory, i, by_model, of, numbers)
 
 
 @loop
-def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, unsure: float, numbers: FixedRow) -> float:
+def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, unsure: float, numbers: Row) -> float:
     """Standard deviation that turns between two frames leave in the ``pressure`` of cell ``i``."""
     last, before, third, sign = memory[LAST, i], memory[BEFORE_LAST, i], memory[THIRD_LAST, i], memory[SIGN, i]
     there = max(sign * (third - before), sign * (before - last), 0.0)
@@ -112,7 +112,7 @@ def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, unsure: float
 
 
 @loop
-def late_kpa(memory: Rows, i: int, noise: float, numbers: FixedRow) -> float:
+def late_kpa(memory: Rows, i: int, noise: float, numbers: Row) -> float:
     """By how much the pressure of the model that cell ``i`` leaves was off when it turned."""
     sign, extreme = memory[SIGN, i], memory[EXTREME, i]
     unsure = noise * memory[GAIN, i]
@@ -131,7 +131,7 @@ def late_kpa(memory: Rows, i: int, noise: float, numbers: FixedRow) -> float:
 
 
 @loop
-def earlier_kpa(memory: Rows, i: int, unsure: float, fallen: float, numbers: FixedRow) -> float:
+def earlier_kpa(memory: Rows, i: int, unsure: float, fallen: float, numbers: Row) -> float:
     """By how much an earlier turn would make the pressure of cell ``i`` less, if it does not seem constant."""
     grown = max(memory[PEAK, i] - memory[EARLIER_FROM_KPA, i], fallen, 0.0)
     errors = numbers[GROWN_ERRORS]
@@ -153,9 +153,7 @@ def sign_before(memory: Rows, i: int) -> float:
 
 
 @loop
-def follow_earlier_turn(
-    memory: Rows, i: int, forgotten_kpa: float, confirmed: bool, of: Rows, numbers: FixedRow
-) -> None:
+def follow_earlier_turn(memory: Rows, i: int, forgotten_kpa: float, confirmed: bool, of: Rows, numbers: Row) -> None:
     """Follow the hypothesis that the load of cell ``i`` turned earlier.
 
     The other one began ``forgotten_kpa`` anew; a turn has just been ``confirmed``.
@@ -183,7 +181,7 @@ def follow_earlier_turn(
 
 
 @loop
-def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+def turn(memory: Rows, i: int, noise: float, by_model: Rows, of: Rows, numbers: Row) -> None:
     """Take over the other hypothesis in cell ``i``."""
     left, extreme = memory[LEFT, i], memory[EXTREME, i]
     late = late_kpa(memory, i, noise, numbers) if left >= FAR else 0.0
@@ -237,13 +235,13 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
 
 
 @loop
-def turn_from(extreme: float, numbers: FixedRow) -> float:
+def turn_from(extreme: float, numbers: Row) -> float:
     """How far an exact pressure in kPa must go back from ``extreme`` for a turn."""
     return float(min(abs(extreme) * numbers[TURN_SHARE] + numbers[LIGHT_KPA], numbers[TURN_KPA]))
 
 
 @loop
-def seeming_kpa(memory: Rows, i: int, unsure: float, numbers: FixedRow) -> float:
+def seeming_kpa(memory: Rows, i: int, unsure: float, numbers: Row) -> float:
     """By how much the pressure of cell ``i`` may seem to go back though the load has not turned.
 
     Its noise is ``unsure``.
@@ -258,7 +256,7 @@ def seeming_kpa(memory: Rows, i: int, unsure: float, numbers: FixedRow) -> float
 
 
 @loop
-def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
+def look(memory: Rows, i: int, std: float, of: Rows, numbers: Row) -> bool:
     """Look at the hypothesis in force in cell ``i``; whether it has turned, or an earlier turn was noise."""
     rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
     pressure = rising * memory[RISING_IN_FORCE, i] + recovery * memory[RECOVERY_IN_FORCE, i]
@@ -286,7 +284,7 @@ def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
 
 
 @loop
-def refutes(memory: Rows, i: int, std: float, by_model: FixedRows, numbers: FixedRow) -> bool:
+def refutes(memory: Rows, i: int, std: float, by_model: Rows, numbers: Row) -> bool:
     """Whether the recovery model did not share the rise of cell ``i``, which is taken over or is to be."""
     begun = memory[LEFT, i] if memory[LEFT, i] < FAR else memory[EXTREME, i]  # the pressure then, sign turned
     rise, shared = begun + memory[RISING_KPA, i], begun + memory[RECOVERY_KPA, i]
@@ -295,7 +293,7 @@ def refutes(memory: Rows, i: int, std: float, by_model: FixedRows, numbers: Fixe
 
 
 @loop
-def take_turns(memory: Rows, taken: Rows, by_model: FixedRows, of: Rows, flags: FlagRows, numbers: FixedRow) -> int:
+def take_turns(memory: Rows, taken: Rows, by_model: Rows, of: Rows, flags: FlagRows, numbers: Row) -> int:
     """Take over the other hypothesis where the pressure has turned, and confirm earlier turns.
 
     Readings are ``taken`` (4, m).
@@ -342,10 +340,10 @@ def step_and_turn(
     memory: Rows,
     after: Rows,
     taken: Rows,
-    by_model: FixedRows,
+    by_model: Rows,
     of: Rows,
     flags: FlagRows,
-    numbers: FixedRow,
+    numbers: Row,
     limited: bool,
 ) -> int:
     """:func:`step`, unless its pressures are ``limited`` already, and :func:`take_turns`.
@@ -359,7 +357,7 @@ def step_and_turn(
 
 
 @loop
-def correct(memory: Rows, taken: Rows, by_model: FixedRows, numbers: FixedRow) -> None:
+def correct(memory: Rows, taken: Rows, by_model: Rows, numbers: Row) -> None:
     """Let the hypothesis in force remember less where it needs a pull, for readings ``taken`` (4, m)."""
     pull = numbers[PULL] * by_model[0, 1]
     for i in range(memory.shape[1]):
@@ -381,7 +379,7 @@ def correct(memory: Rows, taken: Rows, by_model: FixedRows, numbers: FixedRow) -
 
 
 @loop
-def keep(memory: Rows, of: Rows, flags: FlagRows, numbers: FixedRow) -> None:
+def keep(memory: Rows, of: Rows, flags: FlagRows, numbers: Row) -> None:
     """Keep the doubt where the other hypothesis has begun anew though it was apart by more than noise."""
     for i in range(memory.shape[1]):
         by_noise = of[UNSURE, i] * numbers[LOST_SIGMAS]
@@ -400,7 +398,7 @@ def begin_anew(
     flags: FlagRows,
     held_kpa: float,
     unconfirmed: bool,
-    numbers: FixedRow,
+    numbers: Row,
 ) -> None:
     """Begin the other hypothesis anew near the extreme, and tell how far apart both are.
 
@@ -423,7 +421,7 @@ def begin_anew(
         for row in range(0, 6, 2):
             memory[RISING_KPA + row, i] += anew[row, i] * rising
             memory[RECOVERY_KPA + row, i] += anew[row + 1, i] * recovery
-        confirmed = unconfirmed and flags[CONFIRMED, i]
+        confirmed = bool(unconfirmed and flags[CONFIRMED, i])
         follow_earlier_turn(memory, i, anew[0, i] * rising + anew[1, i] * recovery, confirmed, of, numbers)
     for i in range(memory.shape[1]):
         ahead, noise = of[AHEAD, i], of[UNSURE, i]
