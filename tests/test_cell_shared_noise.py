@@ -126,7 +126,7 @@ def on_divider(
         volts = scan(board, ohm).volts
         reading = read(adc_codes(board, volts + noise_v * random.standard_normal((8, 8))))
         if n == 5:
-            estimator.resolve(reading.step_std, reading.resistance, reading.all_steps_std)
+            estimator.resolve(*reading.resolution)
         pressure[n] = estimator.step(DT_S, reading.for_estimation)
         std[n] = estimator.std_kpa
     return pressure, std

@@ -193,7 +193,13 @@ class Estimator:
         """Whether :meth:`resolve` has been called."""
         return self._noise.typical_resolution > 0.0
 
-    def resolve(self, step_std: ArrayLike, resistance_ohm: ArrayLike, all_steps_std: ArrayLike | None = None) -> None:
+    def resolve(
+        self,
+        step_std: ArrayLike,
+        resistance_ohm: ArrayLike,
+        all_steps_std: ArrayLike | None = None,
+        scales_columns: bool = False,
+    ) -> None:
         """Take the resolution of the readings, which the readings themselves do not show where noise is small.
 
         Args:
@@ -203,6 +209,8 @@ class Estimator:
             all_steps_std: (shape) as ``step_std``, by the steps of all readings that a conductance follows from, as in
                 a column of a divider. A load that is held must not seem to fall when one of these steps. None: no
                 more than ``step_std``.
+            scales_columns: whether steps of other readings scale all conductances of a column alike, as on a divider
+                whose idle rows are driven.
         """
         at_rest, found = self._at_rest(step_std, resistance_ohm)
         if not found.any():
@@ -214,7 +222,7 @@ class Estimator:
             if of_all < MORE * np.median(at_rest[found]):
                 of_all = 0.0  # as behind virtual grounds: the noise of own readings tells all
         self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])), of_all)
-        self._shared_noise.suppose(float(np.median(at_rest[found])), of_all)
+        self._shared_noise.suppose(float(np.median(at_rest[found])), of_all, scales_columns=scales_columns)
         self.inversion.take_steps(of_all)
 
     def _at_rest(self, relative_std: ArrayLike, resistance_ohm: ArrayLike) -> tuple[FloatArray, BoolArray]:

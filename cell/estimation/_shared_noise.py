@@ -30,6 +30,7 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Flags, Row, loop
+from . import _shared_steps as shared_steps
 from ._noise import NoiseMeter
 
 LEAST_CELLS = 3
@@ -92,6 +93,10 @@ class SharedNoise:
         self._noise, self._side = noise, side
         self.ratio = 0.0
         """variance of the shared noise over that of the own noise of a cell at rest; 0: nothing is shared"""
+        self._held_s = np.zeros(cells)
+        """(n,) for how long cells have been held, see :mod:`._shared_steps`"""
+        self._scales_columns = False
+        """whether the circuit lets errors of readings scale all conductances of a column alike"""
         self._test = np.zeros(3)
         """columns that have been tested so far, and sums of their variances: of own noise, and of shared noise"""
         self._reference = np.zeros(cells)
@@ -116,8 +121,12 @@ class SharedNoise:
         self.compiled = False
         """whether the loop is there as machine code"""
 
-    def suppose(self, own_std: float, all_std: float) -> None:
-        """Take the deviations of r at rest by the steps of own readings, and by those of all; of none: 0."""
+    def suppose(self, own_std: float, all_std: float, *, scales_columns: bool = False) -> None:
+        """Take the deviations of r at rest by the steps of own readings, and by those of all; of none: 0.
+
+        ``scales_columns`` says that steps of other readings scale all conductances of a column alike.
+        """
+        self._scales_columns = scales_columns
         if self._has_columns and not self._test[TESTS] and all_std > own_std:
             self._share(all_std * all_std / (own_std * own_std) - 1.0)
 
@@ -162,6 +171,8 @@ class SharedNoise:
         testing = self._test[TESTS] < TESTED
         by = self._by_machine_code if self.compiled else self._by_array_operations
         changed, without, watched = by(r, read, awake, testing, near, far, share)
+        if self._scales_columns:
+            self._keep_held(dt_s, without, watched, read, awake)
         loaded = None
         if testing and self._test[TESTS] >= TESTED:
             refuted = self._test[SHARED] < REFUTED * self.ratio * self._test[OWN]
@@ -175,6 +186,20 @@ class SharedNoise:
                 tell &= ~of_column
             self._tell(tell)
         return without, watched, loaded
+
+    def _keep_held(
+        self, dt_s: float, without: FloatArray, watched: FloatArray, read: BoolArray, awake: BoolArray
+    ) -> None:
+        """Take steps that no sleeping cells tell out of the readings of held cells, see :mod:`._shared_steps`."""
+        resolution = self._noise.typical_resolution
+        scales = max(self._noise.own, resolution), resolution * math.sqrt(1.0 + self.ratio), self._side, dt_s
+        kept = without, self._last, self._reference, self._held_s, read, awake
+        if self.compiled:
+            shared_steps.keep_each.code(*kept, self._counts, self._per_std, *scales, watched)
+            return
+        untold = self._per_std.take(self._counts.astype(np.intp)) == 0.0
+        cells = shared_steps.keep(*kept, untold, *scales)
+        watched[cells] = without[cells]
 
     def _by_machine_code(
         self, r: FloatArray, read: BoolArray, awake: BoolArray, testing: bool, near: float, far: float, share: float
@@ -297,15 +322,17 @@ class SharedNoise:
         """What is remembered, by name."""
         return {
             "shared_reference": self._reference,
+            "shared_held_s": self._held_s,
             "shared_counts": self._counts,
             "shared_sums": self._sums,
-            "shared_of_array": np.array([self.ratio, *self._test]),
+            "shared_of_array": np.array([self.ratio, self._scales_columns, *self._test]),
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a saved :meth:`state`."""
-        self._reference = state["shared_reference"]
-        ratio, self._test = float(state["shared_of_array"][0]), state["shared_of_array"][1:].copy()
+        self._reference, self._held_s = state["shared_reference"], state["shared_held_s"]
+        ratio, scales_columns = state["shared_of_array"][:2].tolist()
+        self._scales_columns, self._test = bool(scales_columns), state["shared_of_array"][2:].copy()
         self._begin(ratio)
         self._counts, self._sums = state["shared_counts"], state["shared_sums"]
         self.mean_std = np.sqrt((1.0 + ratio) / (1.0 + self._noise.excess))
@@ -400,4 +427,4 @@ def subtract_each(
     return changed
 
 
-LOOPS = (subtract_each,)
+LOOPS = (subtract_each, *shared_steps.LOOPS)
