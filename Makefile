@@ -24,8 +24,9 @@ demo: $(VENV)/demo.stamp
 	 if [ $$code = 3 ]; then echo "Some checks could not be run here; the report says which and why."; exit 0; fi; \
 	 exit $$code
 
+# Bytecode is kept, in images too that switch it off: hundreds of programs that the tests start would compile all again.
 test: system-test-packages $(VENV)/dev.stamp $(LOOP)/node_modules/.package-lock.json lint
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
+	PYTHONDONTWRITEBYTECODE= OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
 
 lint: $(VENV)/dev.stamp
 	$(BIN)/ruff check .

@@ -282,6 +282,7 @@ class Converter:
             self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
         if gap_s > KEEP_STATE_S:
             self._estimator = self._new_estimator()
+        _read_only(reading.resistance)
         pressure, std = self._estimate(gap_s, reading)
         rise = None
         if self._estimator is not None and self.contacts.asked:
@@ -292,7 +293,7 @@ class Converter:
         return Measurement(
             _read_only(reading.valid),
             _read_only(reading.reason),
-            _read_only(reading.resistance),
+            reading.resistance,
             pressure,
             std,
             view,
@@ -323,10 +324,13 @@ class Converter:
         self._judged += 1
         if self._judged <= UNSETTLED_FRAMES:
             return
-        self._reasons += np.bincount(reading.reason.ravel(), minlength=len(Reason))
-        uncertain = reading.reason == Reason.UNCERTAIN
-        if uncertain.any():
-            self._surest = min(self._surest, float(reading.uncertainty[uncertain].min()))
+        if reading.all_valid:
+            self._reasons[Reason.VALID] += reading.valid.size
+        else:
+            self._reasons += np.bincount(reading.reason.ravel(), minlength=len(Reason))
+            uncertain = reading.reason == int(Reason.UNCERTAIN)
+            if uncertain.any():
+                self._surest = min(self._surest, float(reading.uncertainty[uncertain].min()))
         if self._judged < SOON:
             return
         self._judged = None
@@ -391,14 +395,12 @@ class Converter:
 
 def _std(
     of_estimate: Callable[[], FloatArray],
-    systematic: Callable[[FloatArray], FloatArray],
+    systematic: Callable[[FloatArray, FloatArray], FloatArray],
     pressure_kpa: FloatArray,
     calibration: Calibration | None,
 ) -> FloatArray:
     """The estimator's standard deviation, and what it cannot see: unknown rest resistances and ADC steps."""
-    variance = of_estimate()
-    variance += systematic(pressure_kpa)
-    std: FloatArray = np.sqrt(variance)
+    std = systematic(pressure_kpa, of_estimate())
     return std if calibration is None else calibration.applied_std(pressure_kpa, std)
 
 

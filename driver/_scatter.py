@@ -39,7 +39,7 @@ from scipy.linalg.lapack import dsyev
 from scipy.special import chdtri
 
 from ..arrays import FloatArray, median
-from ..compiled import FixedRows, Row, Rows, loop
+from ..compiled import Row, Rows, loop
 
 FORGET = 0.95
 """share of a noise that is still assumed a frame later, once it has been seen for long"""
@@ -321,7 +321,7 @@ def cut_sum(change: FloatArray, most: float) -> float:
 
 
 @loop
-def _cut_sum(change: FixedRows, most: float) -> float:
+def _cut_sum(change: Rows, most: float) -> float:
     """As :func:`cut_sum`."""
     rows, columns = change.shape
     total = 0.0
@@ -357,9 +357,7 @@ def _quietest_of_two(change: FloatArray, before: FloatArray) -> FloatArray:
 
 
 @loop
-def _changes_of(
-    volts: FixedRows, last: FixedRows, before: FixedRows, most: float, change: Rows, quietest: Rows, sums: Row
-) -> None:
+def _changes_of(volts: Rows, last: Rows, before: Rows, most: float, change: Rows, quietest: Rows, sums: Row) -> None:
     """Write the change (N, M) of the readings, its quietest sum with the one ``before``, and ``sums``.
 
     These are the cut sums of both, and the largest change.

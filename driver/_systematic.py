@@ -22,11 +22,12 @@ import numpy as np
 
 from ..arrays import BoolArray, FloatArray, scatter
 from ..cell import Cell
-from ..compiled import FixedRow, FixedRows, Rows, loop
+from ..compiled import FixedRows, Row, Rows, loop
 from ._reading import Reading
 
-LOOK_EVERY = 8
-"""frames from one look at the spread of the cells to the next"""
+LOOK_EVERY, LOOK_AT = 8, 3
+"""frames from one look at the spread of the cells to the next; and which of them has it. Estimators look back at their
+readings in every fourth frame, from the first on: both in one would make a long frame"""
 LEAST_CELLS = 4
 """with fewer readings no spread is measured"""
 CAUTION = 1.17
@@ -68,8 +69,6 @@ class SystematicError:
             for row, slope in enumerate((by_reading, by_rest)):
                 self._slopes_squared[row] = np.interp(self._pressure, pressure[order], slope[order]) ** 2
         self._of_valid_cells = _of_valid_cells.machine_code()
-        for table in (self._pressure, self._slopes_squared):
-            table.flags.writeable = False
         self.rest_spread: float | None = None
         """relative standard deviation of the cells' rest resistances about that of the data sheet: the least that was
         seen, and what so few cells leave open"""
@@ -85,7 +84,7 @@ class SystematicError:
         """The pressure that an unloaded cell shows when its rest resistance is off by ``relative``."""
         return relative * self._kpa_of_rest
 
-    def take(self, reading: Reading, *, rest_known: bool) -> Callable[[FloatArray], FloatArray]:
+    def take(self, reading: Reading, *, rest_known: bool) -> Callable[[FloatArray, FloatArray], FloatArray]:
         """Take the next frame.
 
         Args:
@@ -93,8 +92,9 @@ class SystematicError:
             rest_known: the rest resistances were measured, by a tare or a calibration.
 
         Returns:
-            A function from pressures in kPa (rows, columns) that were estimated from this reading and earlier ones, NaN
-            where there is none yet, to their variance in kPa^2. It may be called at any time, in any thread.
+            A function of pressures in kPa (rows, columns) that were estimated from this reading and earlier ones, NaN
+            where there is none yet, and of the estimator's variances in kPa^2, contiguous, which it changes. It gives
+            the standard deviation in kPa by both, and may be called at any time, in any thread.
 
         """
         self._steps = _Steps.of(reading, self._steps)
@@ -102,19 +102,22 @@ class SystematicError:
         if not rest_known and self._tabulated:
             self._look(reading)
             spread = self.rest_spread or 0.0
-        return partial(self._variance, self._steps, spread)
+        return partial(self._std, self._steps, spread)
 
-    def _variance(self, steps: _Steps, spread: float, pressure_kpa: FloatArray) -> FloatArray:
+    def _std(self, steps: _Steps, spread: float, pressure_kpa: FloatArray, variance_kpa2: FloatArray) -> FloatArray:
         if steps.earlier is None and self._of_valid_cells is not None:
             by_steps, by_noise = steps.reading.std_shares
-            found = np.empty(pressure_kpa.shape)
-            uncertainty = np.ascontiguousarray(steps.reading.uncertainty)
-            own = np.ascontiguousarray(steps.reading.own_uncertainty)
+            uncertainty, own = _whole(steps.reading.uncertainty), _whole(steps.reading.own_uncertainty)
             pressure, slopes = np.ascontiguousarray(pressure_kpa), self._slopes_squared
             self._of_valid_cells(
-                uncertainty, own, by_steps, by_noise, pressure, self._pressure, slopes, spread * spread, found
+                uncertainty, own, by_steps, by_noise, pressure, self._pressure, slopes, spread * spread, variance_kpa2
             )
-            return found
+            return variance_kpa2
+        variance_kpa2 += self._variance(steps, spread, pressure_kpa)
+        return np.sqrt(variance_kpa2, out=variance_kpa2)
+
+    def _variance(self, steps: _Steps, spread: float, pressure_kpa: FloatArray) -> FloatArray:
+        """(rows, columns) kPa^2 by array operations."""
         place = self._pressure.searchsorted(pressure_kpa)  # NaN is beyond the end
         by_reading, by_rest = self._slopes_squared.take(place, axis=1, mode="clip")
         variance: FloatArray = steps.relative_variance()
@@ -127,7 +130,9 @@ class SystematicError:
     def _look(self, reading: Reading) -> None:
         """Measure the spread of the cells every few frames, and keep the least: loads only add to it."""
         self._frames += 1
-        if (self._frames - 1) % LOOK_EVERY == 0:
+        if self.rest_spread == 0.0:
+            return
+        if self._frames == 1 or self._frames % LOOK_EVERY == LOOK_AT:
             share = reading.steps_std_share * HALF_STEP
             # Beside much noise no part of it is left to steps, not even where it is infinite.
             self._measure(reading.resistance, share * reading.uncertainty if share else np.zeros(reading.valid.shape))
@@ -136,17 +141,18 @@ class SystematicError:
         """Measure the spread in resistances, whose relative errors by half an ADC step are ``half_steps``."""
         deviation = np.log(resistance_ohm / self._rest_ohm)
         before, self._before = self._before, deviation
-        sizes = _sizes(deviation)
+        away = np.abs(deviation)
+        sizes = _finite(away)
         if sizes.size < LEAST_CELLS:
             return
         cells = sizes.size
-        if np.count_nonzero(np.abs(deviation) <= half_steps) >= EXPLAINED * cells:
+        if np.count_nonzero(away <= half_steps) >= EXPLAINED * cells:
             # Equal cells read so, too: ADC steps, which are counted by themselves, explain what they differ by.
             self.rest_spread = 0.0
             return
         variance = scatter(sizes) ** 2
         if before is not None:
-            changes = _sizes(deviation - before)
+            changes = _finite(np.abs(deviation - before))
             if changes.size >= LEAST_CELLS:
                 variance -= scatter(changes) ** 2 / 2
         # Few cells may by chance be more alike than those of other skins.
@@ -198,17 +204,19 @@ class _Steps(NamedTuple):
 
 @loop
 def _of_valid_cells(
-    uncertainty: FixedRows,
-    own: FixedRows,
+    uncertainty: Rows,
+    own: Rows,
     by_steps: float,
     by_noise: float,
     pressure: FixedRows,
-    table: FixedRow,
-    slopes_squared: FixedRows,
+    table: Row,
+    slopes_squared: Rows,
     rest_variance: float,
     variance: Rows,
 ) -> None:
-    """As :meth:`SystematicError._variance`, for a frame whose cells (N, M) are all valid.
+    """As :meth:`SystematicError._std`, for a frame whose cells (N, M) are all valid.
+
+    Standard deviations take the place of the estimator's ``variance``.
 
     The place in the ``table`` of evenly spaced pressures is guessed by their spacing, and put right by the table.
     """
@@ -227,12 +235,16 @@ def _of_valid_cells(
             steps = uncertainty[i, j] * by_steps
             others = (uncertainty[i, j] - own[i, j]) * by_noise
             found = (steps * steps + others * others) * slopes_squared[0, place]
-            variance[i, j] = found + slopes_squared[1, place] * rest_variance
+            variance[i, j] = math.sqrt(variance[i, j] + (found + slopes_squared[1, place] * rest_variance))
 
 
-def _sizes(values: FloatArray) -> FloatArray:
-    """The finite absolute values."""
-    sizes: FloatArray = np.abs(values)
+def _whole(values: FloatArray) -> FloatArray:
+    """The values, contiguous and not write-protected, as loops look at them soonest; a copy where they are not."""
+    return values if values.flags.carray else values.copy()
+
+
+def _finite(sizes: FloatArray) -> FloatArray:
+    """The finite ones of absolute values."""
     return sizes if math.isfinite(sizes.item(sizes.argmax())) else sizes[np.isfinite(sizes)]  # argmax finds NaN, too
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from collections.abc import Iterator
 
@@ -10,6 +11,7 @@ from hypothesis import settings
 
 from ohmskin import compiled
 from ohmskin.driver import Skin, discover
+from ohmskin.verification import _chain, _report
 
 pytest_plugins = ["ohmskin.hil.plugin"]  # also where the installed entry point is older than the source
 
@@ -30,7 +32,9 @@ def _boards_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterato
 
     And machine code is compiled before: a board whose cable is pulled after a second does not wait for the compiler.
     """
-    compiled.load()
+    loops = compiled._offered
+    odd = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 2
+    compiled.load(*(reversed(loops) if odd else loops))  # two workers meet in the middle: each compiles half
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OHMSKIN_RUNTIME_DIR", str(tmp_path_factory.mktemp("boards")))
         yield
@@ -43,3 +47,10 @@ def _patient_driver() -> Iterator[None]:
         for waiting in (Skin.__init__, Skin.open.__func__, discover):  # type: ignore[attr-defined]
             patch.setitem(waiting.__kwdefaults__, "timeout", PATIENCE_S)
         yield
+
+
+@pytest.fixture
+def quick_verification(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Presses are followed at 10 frames per second of board time, not 50; reports are without their error budget."""
+    monkeypatch.setattr(_chain, "FASTEST_HZ", 10.0)
+    monkeypatch.setattr(_report, "error_budget", lambda _: None)

@@ -148,9 +148,14 @@ def test_a_skin_that_is_pressed_reads_alike(
         kpa = random.uniform(-1.0, 30.0, shape)
         kpa.flat[frame % kpa.size] = [np.nan, 0.0, 1e9, -1e9][frame % 4]
         known = frame % 3 > 0
-        variance = pair.systematic.take(found, rest_known=known)(kpa)
-        reference = pair.reference.take(expected, rest_known=known)(kpa)
-        np.testing.assert_allclose(variance, reference, rtol=1e-9)
+        std_of, reference = (
+            systematic.take(reading, rest_known=known)
+            for systematic, reading in ((pair.systematic, found), (pair.reference, expected))
+        )
+        std = std_of(kpa, np.zeros(shape))
+        np.testing.assert_allclose(std, reference(kpa, np.zeros(shape)), rtol=5e-10)
+        of_estimate = random.uniform(0.0, 1.0, shape)
+        np.testing.assert_allclose(std_of(kpa, of_estimate.copy()) ** 2, std**2 + of_estimate, rtol=1e-12)
     assert pair.served > FRAMES / 10
 
 

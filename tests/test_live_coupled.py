@@ -9,15 +9,24 @@ import numpy as np
 import pytest
 
 from ohmskin.arrays import FloatArray
-from ohmskin.bench import _live_hunt
+from ohmskin.bench import _live_hunt, _live_streams
 from ohmskin.circuits import Design, Reason, adc_codes, scan, sensitivity
-from ohmskin.circuits.recovery import _derivatives, _linearised, _normal_matrix, _sheet_model
+from ohmskin.circuits._sensitivity import basis_drops
+from ohmskin.circuits.recovery import (
+    _derivatives,
+    _linearised,
+    _lines,
+    _normal_matrix,
+    _quick_model,
+    _sheet_model,
+)
 from ohmskin.circuits.recovery._column_blocks import ColumnBlocks, beyond_linear
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
 from ohmskin.circuits.recovery._frame_budget import ANEW_EFFORT, NODE_EFFORT, Budget
 from ohmskin.circuits.recovery._lines import LineResistance
 from ohmskin.circuits.recovery._node_blocks import NodeBlocks
 from ohmskin.circuits.recovery._quick_model import QuickModel
+from ohmskin.circuits.solvers import port_conductances
 from ohmskin.driver import CountReader
 from ohmskin.errors import InputError
 
@@ -58,9 +67,12 @@ FAULTS = (
 )
 
 
-@pytest.mark.parametrize("segment", [0.0, 0.5, 8.0])
+@pytest.mark.parametrize(("segment", "small"), [(0.0, 144), (0.5, 0), (8.0, 0), (8.0, 144)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_derivatives_are_those_of_the_adjoint_method(kind: str, segment: float) -> None:
+def test_derivatives_are_those_of_the_adjoint_method(
+    kind: str, segment: float, small: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(_lines, "_SMALL", small)
     design = board(kind, 5, 4, row_segment=segment, column_segment=segment, fault=FAULTS)
     cells = 10 ** np.random.default_rng(1).uniform(2.8, 4.3, (5, 4))
     there = design.board
@@ -73,6 +85,51 @@ def test_derivatives_are_those_of_the_adjoint_method(kind: str, segment: float) 
         exact = exact.swapaxes(0, 1)[::-1, ::-1].swapaxes(-1, -2)[..., ::-1, ::-1]
     # A crosspoint's branch holds the cell with what is in series; sensitivities are by the cell without a shunt.
     np.testing.assert_allclose(found, exact.reshape(20, 20), rtol=2e-3, atol=1e-4 * np.abs(exact).max())
+
+
+UNEQUAL = {"row_lead": [0.0, 5.0, 80.0, 5.0, 1.0], "column_segment": 0.0}
+
+
+@pytest.mark.parametrize("cells", [(0.0, 6.0), (-3.0, 2.0), (8.0, 14.0)])
+@pytest.mark.parametrize("lines", [{}, {"row_lead": 0.0, "column_segment": 20.0}, UNEQUAL])
+def test_small_grids_are_one_system_of_equations(lines: dict[str, Any], cells: tuple[float, float]) -> None:
+    """Against nested dissection and a sparse factorisation; ideal wires and open cells included."""
+    there = board("open divider", 5, 4, **({"row_segment": 0.5, "column_segment": 0.5} | lines), fault=FAULTS).board
+    ohm = 10 ** np.random.default_rng(3).uniform(*cells, (5, 4))
+    ohm[3], ohm[0, 2] = np.inf, np.inf
+    conductance, system = there.cell_conductance(ohm), LineResistance(there)
+    assert system.can_solve(conductance)
+    exact = port_conductances(conductance, there.lines).value
+    # A row of open cells is joined to nothing, not even by rounding.
+    np.testing.assert_allclose(system.ports(conductance), exact, rtol=1e-11, atol=1e-13 * exact.max())
+    assert not system.ports(conductance)[3].any()
+    np.testing.assert_allclose(system.drops(conductance), basis_drops(there, ohm), rtol=1e-9, atol=1e-11)
+
+
+def test_shorts_and_broken_lines_are_left_to_solvers_that_are_exact_for_them() -> None:
+    there, cells = board("divider", 3, 3, row_segment=0.5).board, np.full((3, 3), 1e3)
+    assert LineResistance(there).can_solve(1.0 / cells)
+    cells[0, 1] = 1e-9
+    assert not LineResistance(there).can_solve(1.0 / cells)
+    broken = board("divider", 3, 3, row_segment=0.5, fault=({"kind": "broken-row", "place": [1, 1]},)).board
+    assert not LineResistance(broken).can_solve(np.full((3, 3), 1e-3))
+
+
+def test_segments_of_small_boards_need_no_sparse_matrix(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Streams whose slowest frames took 13 and 14 usual ones, half of them for such a matrix."""
+
+    def refused(*_: object) -> None:
+        raise AssertionError("one dense system gives ports and fields")
+
+    monkeypatch.setattr(_quick_model, "basis_drops", refused)
+    monkeypatch.setattr(_quick_model, "port_conductances", refused)
+    for number in (170000699, 170000809):
+        found = _live_streams.stream("divider twofold", number)
+        assert found is not None
+        assert found.design.array.row_segment
+        read = CountReader(found.design)
+        for counts in found.counts:
+            read(counts)
 
 
 @pytest.mark.parametrize("column_lead", [0.0, 50.0, 1e3])
@@ -210,6 +267,15 @@ def test_the_normal_matrix_is_inverted_in_instalments_of_bounded_work(
     assert sum(spent) == 2 * size**3  # nothing is left out of the account
     if size == 200:
         assert instalments > 20
+
+
+def test_a_normal_matrix_that_rounding_makes_singular_has_an_inverse() -> None:
+    """Cells that readings cannot tell from each other, beside a prior far below the last digit."""
+    normal = _normal_matrix.NormalMatrix(np.full((6, 6), 1e9), np.full(6, 3.0))
+    for _ in normal.instalments(_normal_matrix.Meter(6)):
+        pass
+    assert np.isfinite(normal.inverse).all()
+    assert (np.diagonal(normal.inverse) > 0.0).all()
 
 
 def counted(monkeypatch: pytest.MonkeyPatch, *methods: tuple[type, str]) -> Counter[str]:

@@ -56,7 +56,7 @@ def held(
             if not estimator.resolved:
                 estimator.resolve(*reading.resolution)
             pressure[n] = estimator.step(1.0 / RATE_HZ, reading.for_estimation)
-            std[n] = np.sqrt(estimator.std_kpa**2 + systematic.take(reading, rest_known=True)(pressure[n]))
+            std[n] = systematic.take(reading, rest_known=True)(pressure[n], estimator.std_kpa**2)
         plays.append((edge[:, None] * load[ROWS, COLUMNS], pressure[:, ROWS, COLUMNS], std[:, ROWS, COLUMNS]))
     found = [np.concatenate(parts, axis=1)[judged] for parts in zip(*plays, strict=True)]
     return found[0], found[1], found[2]

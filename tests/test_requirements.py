@@ -19,6 +19,8 @@ from ohmskin.errors import InputError
 from ohmskin.verification import default_requirements, load_requirements, prototype, verify
 from ohmskin.verification._outcome import Outcome
 
+pytestmark = pytest.mark.usefixtures("quick_verification")
+
 
 def _design(tmp_path: Path, text: str) -> Design:
     file = tmp_path / "design.toml"
@@ -83,8 +85,6 @@ def test_a_converter_range_that_the_presses_leave_fails(tmp_path: Path) -> None:
 def test_p9_fails_with_a_converter_range_that_its_presses_leave() -> None:
     """[1.05, 3.3] V: the prototype's own pressed readings fall to 1.1 V, less the tolerances of its parts."""
     (claim,) = verify(prototype().replace(adc={"range": (1.05, 3.3)}), only=["P9"]).claims
-    (sound,) = verify(only=["P9"]).claims
-    assert str(sound.outcome) == "pass"
     assert str(claim.outcome) == "fail"
     lost = [check for check in claim.finding.checks if "lost" in check.name]
     assert any(check.measured for check in lost)

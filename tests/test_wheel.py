@@ -58,9 +58,17 @@ def wheel(built: Path) -> Path:
 @pytest.fixture(scope="module")
 def clean(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The bin folder of a new environment with the wheel and the extra `report`, without `spice`."""
-    home = tmp_path_factory.mktemp("clean")
-    _run(sys.executable, "-m", "venv", home)
-    _run(home / "bin" / "python", "-m", "pip", "install", "-q", "--disable-pip-version-check", f"{wheel}[report]")
+    return _environment(tmp_path_factory.mktemp("clean"), f"{wheel}[report]")
+
+
+def _environment(home: Path, *packages: str) -> Path:
+    """The bin folder of a new virtual environment with these packages, installed by the pip of this one.
+
+    Modules become bytecode when they are first imported: most of what NumPy and SciPy bring is never.
+    """
+    _run(sys.executable, "-m", "venv", "--without-pip", home)
+    pip = [sys.executable, "-m", "pip", "--python", home / "bin" / "python", "install", "-q", "--no-compile"]
+    _run(*pip, "--disable-pip-version-check", *packages)
     return home / "bin"
 
 
@@ -115,14 +123,13 @@ def test_make_restores_the_links(built: Path, tmp_path: Path) -> None:
 def test_the_command_line_works_with_the_lowest_versions_that_the_metadata_allows(wheel: Path, tmp_path: Path) -> None:
     if sys.version_info[:2] != LOWEST_PYTHON:
         pytest.skip("the lowest versions are made for Python {}.{}".format(*LOWEST_PYTHON))
-    home, limits = tmp_path / "lowest", tmp_path / "limits.txt"
+    limits = tmp_path / "limits.txt"
     limits.write_text("\n".join(_lowest_versions()))
-    _run(sys.executable, "-m", "venv", home)
-    packages = [f"{wheel}[report]", "hypothesis", "pytest", "pytest-timeout"]
-    pip = [home / "bin" / "python", "-m", "pip", "install", "-q", "--disable-pip-version-check"]
-    _run(*pip, "-c", limits, *packages)
+    lowest = _environment(
+        tmp_path / "lowest", "-c", str(limits), f"{wheel}[report]", "hypothesis", "pytest", "pytest-timeout"
+    )
     tests = [ROOT / "tests" / name for name in ("test_cli.py", "test_cell_cli.py", "test_files.py")]
-    pytest_alone = [home / "bin" / "python", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
+    pytest_alone = [lowest / "python", "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider"]
     # An old matplotlib calls what a newer pyparsing deprecates.
     _run(*pytest_alone, "-W", "ignore::DeprecationWarning", *tests, cwd=ROOT)
 
@@ -145,12 +152,16 @@ def test_the_wheel_holds_no_tests(wheel: Path) -> None:
 
 def test_every_command_starts(clean: Path, tmp_path: Path) -> None:
     assert _run(clean / "ohmskin", "--help", cwd=tmp_path).startswith("Usage: ohmskin")
+    code = "from ohmskin.cli import run; [run([command, '--help']) for command in __import__('sys').argv[1:]]"
+    said = _run(clean / "python", "-c", code, *COMMANDS, cwd=tmp_path)
     for command in COMMANDS:
-        assert _run(clean / "ohmskin", command, "--help", cwd=tmp_path).startswith(f"Usage: ohmskin {command}")
+        assert f"Usage: ohmskin {command} " in said
 
 
 def test_the_demo_runs_without_ngspice(clean: Path, tmp_path: Path) -> None:
-    _run(clean / "ohmskin", "verify", "-o", "report", cwd=tmp_path, exit_code=3)
+    """All but the claims that calibrate a cell, which takes a minute without Numba."""
+    only = ",".join([*(f"D{k}" for k in range(1, 21)), "P3", *(f"P{k}" for k in range(10, 15))])
+    _run(clean / "ohmskin", "verify", "-o", "report", "--only", only, cwd=tmp_path, exit_code=3)
     report = json.loads((tmp_path / "report" / "report.json").read_text())
     for claim in report["claims"]:
         assert claim["outcome"] != "fail"

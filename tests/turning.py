@@ -33,7 +33,7 @@ class OneCell:
         self.now = Hypothesis(p, p, p / model.e2_kpa, p / model.e3_kpa)
         self.other = Hypothesis(p, p, p / model.e2_kpa, p / model.e3_kpa)
         self.rising = True
-        self.extreme = self.peak = p
+        self.extreme = self.recent_extreme = self.peak = p
         self.left: float | None = None
         self.earlier, self.earlier_least, self.earlier_from = 0.0, 0.0, 0.0
         self.doubt = self.variance = 0.0
@@ -63,8 +63,10 @@ class OneCell:
             seeming = min(seeming, paper.SHARED_FALL * fall_r / rise_r * fall)
             if self.third_last - now.pressure > paper.FALLING * std * gains[True]:
                 seeming = 0.0
-        threshold = paper.SURE * std * gains[self.rising] + self._turn_from(self.extreme) + seeming
-        turned = self.extreme - self._ahead(now) > threshold
+        unsure = std * gains[self.rising]
+        turned = self.extreme - self._ahead(now) > paper.SURE * unsure + self._turn_from(self.extreme) + seeming
+        least = paper.FALLING * unsure + paper.LIGHT_TURN * self.full + (seeming if self.rising else 0.0)
+        turned = turned or self.recent_extreme - self._ahead(now) > least
         if self.left is not None:
             direction = 1.0 if self.rising else -1.0
             turned = turned or -direction * other.pressure > self.left - std * gains[not self.rising]
@@ -101,6 +103,7 @@ class OneCell:
             ahead = sign * max(now.pressure, 0)
             self.extreme = left if again else ahead - paper.LESS * unsure
             self.peak = left if again else ahead - unsure
+            self.recent_extreme = self.extreme
             before = self.variance
             if self.rested:
                 before = min(before, self.rest_variance + recovery.LIGHT * before + self.taken_off**2)
@@ -121,6 +124,7 @@ class OneCell:
         ahead = self._ahead(now)
         if refuted:
             self.extreme, self.peak = ahead - paper.LESS * unsure, ahead - unsure
+            self.recent_extreme = self.extreme
         confirmed = False
         if self.left is not None:
             back = self.left + (1.0 if self.rising else -1.0) * other.pressure
@@ -157,6 +161,8 @@ class OneCell:
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         was_apart = self.variance - self.doubt
         fade = np.exp(-2 * dt * rate)
+        self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt) + paper.CREEP * self.full * dt
+        self.recent_extreme = max(self.recent_extreme, ahead - paper.LESS * unsure)
         if held:
             self.peak -= paper.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), paper.TURN * self.full)
         self.doubt *= fade
@@ -168,7 +174,7 @@ class OneCell:
         lost = was_apart - is_apart
         least = max(paper.LOST * unsure, paper.NEAR * self.full) ** 2
         if lost > paper.GONE * was_apart and was_apart > least and not confirmed:
-            self.doubt = min(self.doubt + lost + np.sqrt(self.doubt * lost), (paper.MOST_LOST * self.full) ** 2)
+            self.doubt = min((np.sqrt(self.doubt) + np.sqrt(lost)) ** 2, (paper.MOST_LOST * self.full) ** 2)
         self.variance = self.doubt + is_apart
         return now.pressure
 
@@ -211,6 +217,7 @@ class OneCell:
         self.now = self._begun(self.now.pressure - error, self.r, self.now.x3)
         self.other = self._begun(self.now.pressure, self.r, self.now.x3)
         self.extreme, self.peak = min(self.extreme + error, 0.0), min(self.peak + error, 0.0)
+        self.recent_extreme = min(self.recent_extreme + error, 0.0)
 
     def _compare(self, dt: float, mean: float, noise: float) -> None:
         """The load may be what it was before."""
@@ -270,7 +277,7 @@ class OneCell:
         by_noise = paper.SURE * unsure * m.e1_kpa * (1 / m.eu1_kpa + 1 / m.etau2_kpa)
         risen = recovery - self.earlier - self.earlier_least - by_noise
         if risen > 0:
-            self.earlier_from = self.now.pressure
+            self.earlier_from += self.now.pressure - self.last
         if risen > self._turn_from(self.extreme) or self.rising == (self.left is not None):
             self.earlier, self.earlier_least, self.earlier_from = 0.0, recovery, self.now.pressure
 

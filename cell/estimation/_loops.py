@@ -15,7 +15,7 @@ from ._smoothing import LEVEL
 
 
 @loop
-def read(resistance: FixedRow, per_ohm: FixedRow, r: Row, low: float, high: float) -> bool:
+def read(resistance: FixedRow, per_ohm: Row, r: Row, low: float, high: float) -> bool:
     """Normalise resistances (n,) to ``r`` (n,); whether all are within ``low`` and ``high``."""
     for i in range(r.size):
         r[i] = resistance[i] * per_ohm[i] - 1.0
@@ -89,7 +89,7 @@ FAR = 1e12
 
 
 @loop
-def interpolated(x: float, at: FixedRow, values: FixedRow) -> float:
+def interpolated(x: float, at: Row, values: Row) -> float:
     """:func:`numpy.interp` of one number."""
     last = at.size - 1
     if x >= at[last]:
@@ -115,9 +115,9 @@ def show(
     line: Rows,
     taken: Rows,
     added: Row,
-    numbers: FixedRow,
-    rest_at_kpa: FixedRow,
-    rest_variance: FixedRow,
+    numbers: Row,
+    rest_at_kpa: Row,
+    rest_variance: Row,
     cells: Places,
     pressure: Row,
     variance: Row,
@@ -219,9 +219,9 @@ def watch_over(
     mean: Row,
     noise_at_rest: Row,
     band: float,
-    numbers: FixedRow,
-    rest_at_kpa: FixedRow,
-    rest_variance: FixedRow,
+    numbers: Row,
+    rest_at_kpa: Row,
+    rest_variance: Row,
     wake_at: Row,
     per_reading: Row,
     hidden_kpa: Row,

@@ -18,7 +18,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray, IntArray
-from ...compiled import FixedRow, Places, Row, Rows, loop
+from ...compiled import Places, Row, Rows, loop
 from ._noise import CROSSED
 from ._rows import GAIN, NOISE, PRESSURE, READING, STD
 from ._smoothing import LEVEL, Looked
@@ -240,7 +240,7 @@ class Tremor:
 def look_each(
     cells: Places,
     memory: Rows,
-    beside: FixedRow,
+    beside: Row,
     suspicion: Row,
     amplitude: Row,
     waiting_kpa: Row,
@@ -316,7 +316,7 @@ def end_window_each(
     memory: Rows,
     taken: Rows,
     seeming: float,
-    beside: FixedRow,
+    beside: Row,
     beside_before: Row,
     risen_from: Row,
     amplitude: Row,

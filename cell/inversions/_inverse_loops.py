@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ...compiled import FixedRow, Places, Rows, loop
+from ...compiled import Places, Row, Rows, loop
 from ..estimation import GAIN, PRESSURE, SMOOTHED, STD, VARIANCE
 
 LOAD, BRANCH, BROKEN, ANCHOR, MOVED, BEFORE, ERROR, MISSED, WENT_UP, FURTHEST = 3, 4, 6, 7, 8, 9, 10, 13, 14, 15
@@ -39,9 +39,7 @@ def root(b: float, slope: float, change: float) -> float:
 
 
 @loop
-def solve(
-    memory: Rows, taken: Rows, gone: FixedRow, ramp: FixedRow, numbers: FixedRow, of: Rows, crossed: Places
-) -> int:
+def solve(memory: Rows, taken: Rows, gone: Row, ramp: Row, numbers: Row, of: Rows, crossed: Places) -> int:
     """Steps of the load without change-over, into ``of``; how many cells have one, of which ``crossed`` tells.
 
     ``gone`` and ``ramp`` (5,) are the weights of the rising and the falling branches and of the broken chains.
@@ -103,9 +101,7 @@ def solve(
 
 
 @loop
-def change_over(
-    memory: Rows, i: int, j: int, step: float, dt_s: float, numbers: FixedRow, of: Rows
-) -> tuple[float, float]:
+def change_over(memory: Rows, i: int, j: int, step: float, dt_s: float, numbers: Row, of: Rows) -> tuple[float, float]:
     """:meth:`._inverse._ChangeOver.branches` of cell ``i`` and branch ``j``: where it ends, and its derivative."""
     alpha = numbers[ALPHA + j]
     target = alpha * memory[LOAD, i]
@@ -127,7 +123,7 @@ def change_over(
 
 
 @loop
-def solve_crossed(memory: Rows, crossed: Places, count: int, dt_s: float, numbers: FixedRow, of: Rows) -> None:
+def solve_crossed(memory: Rows, crossed: Places, count: int, dt_s: float, numbers: Row, of: Rows) -> None:
     """:meth:`._inverse.AsymmetricInversion._solved`, for the first ``count`` of the cells ``crossed``."""
     b, accuracy = numbers[B], numbers[ACCURACY]
     bend = 0.0
@@ -192,7 +188,7 @@ def solve_crossed(memory: Rows, crossed: Places, count: int, dt_s: float, number
 
 
 @loop
-def finish(memory: Rows, taken: Rows, heals: float, numbers: FixedRow, of: Rows) -> None:
+def finish(memory: Rows, taken: Rows, heals: float, numbers: Row, of: Rows) -> None:
     """The memory after the steps, its limits and its errors: the rest of ``advance``, ``_limit`` and ``_err``."""
     a, b, k, full_kpa = numbers[A], numbers[B], numbers[K], numbers[FULL_KPA]
     for i in range(memory.shape[1]):

@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import FixedRow, Places, Rows, loop
+from ...compiled import Places, Row, Rows, loop
 from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, recent_mean
 from ..estimation import GAIN as GAIN_ROW
 from ..materials import PaperModel
@@ -29,6 +29,7 @@ from ._turning_loops import (
     EXTREME,
     LEFT,
     PEAK,
+    RECENT_EXTREME,
     RECOVERY_KPA,
     RECOVERY_X3,
     RISING_KPA,
@@ -146,6 +147,7 @@ def look(
     some[RISING_X3] = x3
     some[EXTREME] = np.minimum(some[EXTREME] + error, _ZERO)
     some[PEAK] = np.minimum(some[PEAK] + error, _ZERO)
+    some[RECENT_EXTREME] = np.minimum(some[RECENT_EXTREME] + error, _ZERO)
     memory[:, rests] = some
 
 
@@ -166,7 +168,7 @@ def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> No
 
 
 @loop
-def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, cells: Places, numbers: FixedRow) -> None:
+def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, cells: Places, numbers: Row) -> None:
     """:func:`look` as a loop over cells, which takes the mean of the readings itself.
 
     Args:
@@ -210,6 +212,7 @@ def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, ce
         memory[RISING_X3, i] = x3
         memory[EXTREME, i] = min(memory[EXTREME, i] + error, 0.0)
         memory[PEAK, i] = min(memory[PEAK, i] + error, 0.0)
+        memory[RECENT_EXTREME, i] = min(memory[RECENT_EXTREME, i] + error, 0.0)
 
 
 LOOPS = (look_each,)

@@ -19,7 +19,7 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import FixedRow, Places, Rows, loop
+from ...compiled import Places, Row, Rows, loop
 from ..estimation import FAR, NOISE, PRESSURE, RECENT, VARIANCE, recent_mean
 from ..materials import PaperModel
 from ._paper_steps import Constants, borne_before, numbered, step_weights
@@ -142,7 +142,7 @@ def look_each(
     newest: int,
     cells: Places,
     full_scale_kpa: float,
-    numbers: FixedRow,
+    numbers: Row,
 ) -> None:
     """:func:`look` as a loop over cells, which takes the mean of the readings itself.
 

@@ -22,7 +22,7 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import FixedRow, Places, Rows, loop
+from ...compiled import Places, Row, Rows, loop
 from ..estimation import NOISE, PRESSURE, RECENT, VARIANCE, recent_mean
 from ..materials import PaperModel
 from ._turning_loops import SIGN, TURNED
@@ -163,7 +163,7 @@ def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, ends: B
 
 @loop
 def look_each(
-    memory: Rows, taken: Rows, ring: Rows, newest: int, cells: Places, lengths: FixedRow, kpa_per_r: float
+    memory: Rows, taken: Rows, ring: Rows, newest: int, cells: Places, lengths: Row, kpa_per_r: float
 ) -> None:
     """:func:`look` as a loop over cells, which takes the mean of the readings itself.
 

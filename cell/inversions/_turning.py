@@ -46,6 +46,7 @@ from ._turning_loops import (
     LAST,
     LEFT,
     PEAK,
+    RECENT_EXTREME,
     REFUTED,
     SIGN,
     TAKEN_OFF_KPA,
@@ -116,7 +117,12 @@ much is remembered, the resistance under a load that is held falls so fast that 
 release, while the rising model is almost constant. A release takes both models back"""
 FALLING = 6.0
 """standard deviations of the smoothed noise by which a pressure that goes back in three frames is that of a load that
-falls, whatever the share: smooth loads of little noise turn so"""
+falls, whatever the share: smooth loads of little noise turn so. By as many, and :data:`LIGHT_TURN`, a pressure must
+have gone back from a recent extreme for a turn"""
+CREEP = 0.003
+"""of full scale: what a recent extreme fades by in a second, beside what an error of two standard deviations of the
+memory fades by. A load that goes back faster has turned, however large it is: holds by a hand waver by less than what
+makes a turn otherwise"""
 FLAT, HELD = 0.003, 0.03
 """of full scale: by how much a pressure that is held may seem to go back, and by how much in a second. A load that goes
 back faster has turned: the other hypothesis began at its extreme, and is not to begin again later"""
@@ -162,6 +168,7 @@ class TurningInversion(Inversion):
         *sway.NAMES,
         *("earlier", "earlier_least", "earlier_from"),
         *still.NAMES,
+        "recent_extreme",
     )
     recovers = True
 
@@ -204,7 +211,7 @@ class TurningInversion(Inversion):
         self._sure_of_fall = np.array(SURE * self._fast_r[0, 0] / self._fast_r[1, 0])
         self._grown_kpa = np.array(GROWN * LIGHT_TURN * full_scale_kpa)
         self._clear_fall_kpa, self._falling = np.array(CLEAR_FALL * full_scale_kpa), np.array(FALLING)
-        self._held_kpa_per_s = HELD * full_scale_kpa
+        self._held_kpa_per_s, self._creeps = HELD * full_scale_kpa, CREEP / (3.0 * HELD)
         self._smooth_kpa, self._away_kpa = SMOOTH * self._turn_kpa, np.array(AWAY * full_scale_kpa)
         # What is below zero is an error that fades, and no turn.
         self._least_kpa = np.array(self._lowest if self.exact else 0.0)
@@ -229,7 +236,7 @@ class TurningInversion(Inversion):
         p = r / m.gain_per_kpa
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[GAIN], memory[SIGN], memory[LEFT] = p, self._begin_gain, 1.0, FAR
-        memory[EXTREME], memory[PEAK], memory[LAST : THIRD_LAST + 1] = p, p, p
+        memory[[EXTREME, PEAK, RECENT_EXTREME]] = memory[LAST : THIRD_LAST + 1] = p
         memory[IN_FORCE.start + RISING] = 1.0
         sway.begin(memory, r)
         still.begin(memory)
@@ -247,8 +254,9 @@ class TurningInversion(Inversion):
         unconfirmed = self._take_turns(of, std, w)
         if not self.exact and of.pressure.item(of.pressure.argmin()) < -NEAR * self.full_scale_kpa:
             self._correct(of, std, doubt(), w)
-        self._begin_anew(of, self._held_kpa(dt_s), unconfirmed=unconfirmed)
-        self._renew_variance(of, unconfirmed=unconfirmed)
+        held_kpa = self._held_kpa(dt_s)
+        self._begin_anew(of, held_kpa, unconfirmed=unconfirmed)
+        self._renew_variance(of, held_kpa, unconfirmed=unconfirmed)
         return memory
 
     def _predict(self, of: Rows, r: FloatArray, weights: TurnWeights) -> None:
@@ -271,8 +279,7 @@ class TurningInversion(Inversion):
         of.take_gains(weights)
         of.earlier *= weights.recovery_fade
         self._look(of, std)
-        gone_back = np.subtract(of.extreme, of.ahead, of.spare)
-        turned = np.greater(gone_back, of.threshold, of.where)
+        turned = self._gone_back_by_turn(of)
         unconfirmed = bool(of.left.item(of.left.argmin()) < FAR)
         if unconfirmed:
             # Back at the extreme that was left: the turn was noise.
@@ -289,6 +296,7 @@ class TurningInversion(Inversion):
         if np.count_nonzero(refuted):
             np.copyto(of.peak, of.ahead - of.unsure, where=refuted)
             np.copyto(of.extreme, of.ahead - of.unsure * self._less, where=refuted)
+            np.copyto(of.recent_extreme, of.extreme, where=refuted)
         if unconfirmed:
             # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
             noise *= of.confirming_sigmas
@@ -363,7 +371,7 @@ class TurningInversion(Inversion):
         other hypothesis by ``of.earlier`` kPa, which fade as errors of the recovery model do (the slow branch
         neglected). No load falls and rises at the same time: where the pressure of this hypothesis rises by more than
         a turn and noise, it begins anew, too. A press that rises quickly therefore begins it at each frame. By how much
-        the rising model's pressure grows counts from where this hypothesis last seemed to rise.
+        the rising model's pressure grows counts from there, but for frames in which this hypothesis seems to rise.
         """
         np.multiply(of.change[RECOVERY], of.rises, of.spare)
         of.earlier += of.spare
@@ -374,7 +382,7 @@ class TurningInversion(Inversion):
         np.multiply(of.unsure, self._sure_of_fall, of.nearby)
         fallen -= of.nearby
         rises = np.greater(fallen, self._none, of.where)
-        np.copyto(of.earlier_from, of.pressure, where=rises)
+        np.add(of.earlier_from, of.pressure - of.last, of.earlier_from, where=rises)
         self._turn_from(of.extreme, of.nearby)
         anew = np.greater(fallen, of.nearby, of.where)
         anew |= (of.sign < self._none) == (of.left >= self._far)
@@ -394,10 +402,17 @@ class TurningInversion(Inversion):
         kpa: FloatArray = np.maximum(memory[EARLIER_KPA], self._none) * (grown / (grown + self._one))
         return kpa
 
-    def _renew_variance(self, of: Rows, *, unconfirmed: bool) -> None:
-        """Either hypothesis may be right until the pressure has turned: their distance counts as deviation."""
+    def _renew_variance(self, of: Rows, held_kpa: float, *, unconfirmed: bool) -> None:
+        """Either hypothesis may be right until the pressure has turned: their distance counts as deviation.
+
+        Extremes fade as errors of the memory may. For ``held_kpa`` see :meth:`_held_kpa`.
+        """
         np.subtract(self._one, of.fade, of.nearby)
         np.sqrt(of.doubt, of.spare)
+        fades = np.multiply(of.nearby, of.spare, of.threshold)
+        fades += held_kpa * self._creeps
+        of.recent_extreme -= fades
+        np.maximum(of.recent_extreme, of.ahead, out=of.recent_extreme)
         of.nearby *= np.minimum(of.spare, self._turn_kpa, out=of.spare)
         of.nearby *= self._goes_back
         of.nearby *= of.held
@@ -487,6 +502,7 @@ class TurningInversion(Inversion):
             loops.GROWN_ERRORS: GROWN_ERRORS,
             loops.FALLEN: FALLEN,
             loops.SURE_OF_FALL: self._sure_of_fall,
+            loops.CREEPS: self._creeps,
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 
@@ -514,16 +530,17 @@ class TurningInversion(Inversion):
     def _keep(self, of: Rows, apart: FloatArray, begun: BoolArray) -> None:
         """Where the other hypothesis has ``begun`` anew though it was apart by more than noise, the doubt stays.
 
-        The pressure then went back and forth by too little for two turns to be noticed. Changes ``of.doubt``. On a
-        coarse converter that may happen at each step at rest, so the doubt has an end: full scale. Half of it would be
-        the deviation of any load, but a memory that is lost shows up to 1.1 times full scale where there is no load.
+        The pressure then went back and forth by too little for two turns to be noticed. What that leaves is always of
+        the same sign, and adds up like amounts rather than like variances. Changes ``of.doubt``. On a coarse converter
+        that may happen at each step at rest, so the doubt has an end: full scale. Half of it would be the deviation of
+        any load, but a memory that is lost shows up to 1.1 times full scale where there is no load.
         """
         lost = of.variance - apart
         by_noise = of.unsure * (LOST / LESS)
         begun &= of.variance > by_noise**2
         np.copyto(lost, 0.0, where=~begun)
-        of.doubt += lost + np.sqrt(of.doubt * lost)
-        np.minimum(of.doubt, self._lost_at_most_kpa2, out=of.doubt)
+        kept = np.sqrt(of.doubt) + np.sqrt(np.maximum(lost, 0.0))
+        np.minimum(kept * kept, self._lost_at_most_kpa2, out=of.doubt)
 
     def recover(self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray) -> None:
         """See :func:`._recovery.look`, :func:`._still.look` and :func:`._sway.look`."""
@@ -585,19 +602,31 @@ class TurningInversion(Inversion):
 
     def _look(self, of: Rows, std: FloatArray) -> None:
         """Of the hypothesis in force: pressure, its standard deviation by noise, how far it is ahead in its direction,
-        and how far it must go back for a turn.
+        and how far it may seem to have gone back without a turn, as threshold.
         """
         np.multiply(of.pressures, of.in_force, of.share)
         np.add(of.rising_share, of.recovery_share, of.pressure)
         np.multiply(std, of.gain, of.unsure)
-        np.multiply(of.unsure, self._sure, of.threshold)
-        self._turn_from(of.extreme, of.ahead)
-        of.ahead += self._seeming(of)
-        of.threshold += of.ahead
+        of.threshold[...] = self._seeming(of)
         if self._steps > 0.0:
             self._doubt_falls(of, std)
         np.maximum(of.pressure, self._least_kpa, out=of.ahead)
         of.ahead *= of.sign
+
+    def _gone_back_by_turn(self, of: Rows) -> BoolArray:
+        """(m,) where pressures have gone back by a turn, from the extreme or, by less, from the recent one.
+
+        In recovery the latter fades as the error of the memory does, so that this may seem no turn twice.
+        """
+        self._turn_from(of.extreme, of.nearby)
+        of.nearby += np.multiply(of.unsure, self._sure, of.spare)
+        of.nearby += of.threshold
+        turned: BoolArray = np.greater(np.subtract(of.extreme, of.ahead, of.spare), of.nearby, of.where)
+        np.multiply(of.unsure, self._falling, of.nearby)
+        of.nearby += self._light_kpa
+        of.nearby += np.multiply(of.threshold, of.rises, of.spare)
+        turned |= np.greater(np.subtract(of.recent_extreme, of.ahead, of.spare), of.nearby, of.held)
+        return turned
 
     def _seeming(self, of: Rows) -> FloatArray:
         """(m,) kPa by which pressures may seem to go back though the load has not turned.
@@ -676,6 +705,7 @@ class TurningInversion(Inversion):
             np.copyto(some[EXTREME], left, where=again)
             np.copyto(some[PEAK], left, where=again)
             np.copyto(extreme, FAR, where=again)
+        some[RECENT_EXTREME] = some[EXTREME]
         some[LEFT] = extreme
         memory[:, turned] = some
 

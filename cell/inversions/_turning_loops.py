@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from ...compiled import FixedRow, FixedRows, FlagRows, Rows, loop
+from ...compiled import FlagRows, Row, Rows, loop
 from ..estimation import FAR, GAIN, PRESSURE, READING, REST_VARIANCE, RESTED, SMOOTHED, STD, VARIANCE
 from ..estimation import NOISE as READING_NOISE
 
@@ -23,6 +23,8 @@ DRIFT_KPA, DRIFT_END_KPA, TAKEN_OFF_KPA = 22, 23, 24
 EARLIER_KPA, EARLIER_LEAST_KPA, EARLIER_FROM_KPA = 41, 42, 43
 """rows behind those of :mod:`._sway`: by how much the recovery hypothesis would be less if the load had turned earlier,
 the least pressure since then by that account, and the pressure when it began"""
+RECENT_EXTREME = 49
+"""row behind those of :mod:`._still`: the extreme, which fades as fast as an error of the memory may"""
 """rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
 seem to turn, now and at last; pressure that was subtracted since the release"""
 UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
@@ -41,7 +43,7 @@ HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2, LIGHT_KPA, 
 GOES_BACK, STEPS, STILL, FALL = range(37, 41)
 RISE_R, FALL_R, SMOOTH_KPA, AWAY_KPA, MAY_BEND = range(41, 46)
 SHARED, CLEAR_RISE_KPA, SHARED_FALL, CLEAR_FALL_KPA, FALLING = range(46, 51)
-EARLIER, MIDWAY, GROWN_KPA, GROWN_SIGMAS, GROWN_ERRORS, FALLEN, SURE_OF_FALL = range(51, 58)
+EARLIER, MIDWAY, GROWN_KPA, GROWN_SIGMAS, GROWN_ERRORS, FALLEN, SURE_OF_FALL, CREEPS = range(51, 59)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
@@ -49,7 +51,8 @@ difference of the hypotheses; share of a variance that a new beginning leaves, a
 those of ``_turn``, ``_correct`` and ``_keep`` of :class:`._turning.TurningInversion`, of :mod:`._recovery`, and how far
 small pressures must go back for a turn; how far the peak goes down as an error of the memory fades; those of
 ``_doubt_falls`` and of ``_late``; of :func:`refutes`, of :func:`seeming_kpa`, and of :func:`earlier_kpa` and
-:func:`follow_earlier_turn`"""
+:func:`follow_earlier_turn`; share of what a held pressure may seem to go back by in three frames that a recent extreme
+fades by in one"""
 REFUTED = 0.5 * FAR
 """kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
 is a turn, and below the extreme that means "none", so that the turn is certain"""
@@ -67,7 +70,7 @@ def take(memory: Rows, taken: Rows) -> None:
 
 
 @loop
-def step(memory: Rows, after: Rows, numbers: FixedRow) -> bool:
+def step(memory: Rows, after: Rows, numbers: Row) -> bool:
     """Take hypotheses ``after`` (6, m) the step; whether a pressure is beyond its limits."""
     beyond = False
     for row in range(after.shape[0]):
@@ -80,7 +83,7 @@ def step(memory: Rows, after: Rows, numbers: FixedRow) -> bool:
 
 
 @loop
-def take_gains_of(memory: Rows, i: int, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+def take_gains_of(memory: Rows, i: int, by_model: Rows, of: Rows, numbers: Row) -> None:
     """Write into ``of`` (ROWS, m), for cell ``i``, what depends on its hypothesis in force and on the time step."""
     rising, recovery = memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i]
     memory[GAIN, i] = by_model[0, 0] * rising + by_model[0, 1] * recovery
@@ -92,14 +95,14 @@ def take_gains_of(memory: Rows, i: int, by_model: FixedRows, of: Rows, numbers: 
 
 
 @loop
-def take_gains(memory: Rows, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+def take_gains(memory: Rows, by_model: Rows, of: Rows, numbers: Row) -> None:
     """:func:`take_gains_of` all cells."""
     for i in range(memory.shape[1]):
         take_gains_of(memory, i, by_model, of, numbers)
 
 
 @loop
-def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, unsure: float, numbers: FixedRow) -> float:
+def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, unsure: float, numbers: Row) -> float:
     """Standard deviation that turns between two frames leave in the ``pressure`` of cell ``i``."""
     last, before, third, sign = memory[LAST, i], memory[BEFORE_LAST, i], memory[THIRD_LAST, i], memory[SIGN, i]
     there = max(sign * (third - before), sign * (before - last), 0.0)
@@ -109,7 +112,7 @@ def unseen_kpa(memory: Rows, i: int, pressure: float, gain: float, unsure: float
 
 
 @loop
-def late_kpa(memory: Rows, i: int, noise: float, numbers: FixedRow) -> float:
+def late_kpa(memory: Rows, i: int, noise: float, numbers: Row) -> float:
     """By how much the pressure of the model that cell ``i`` leaves was off when it turned."""
     sign, extreme = memory[SIGN, i], memory[EXTREME, i]
     unsure = noise * memory[GAIN, i]
@@ -128,7 +131,7 @@ def late_kpa(memory: Rows, i: int, noise: float, numbers: FixedRow) -> float:
 
 
 @loop
-def earlier_kpa(memory: Rows, i: int, unsure: float, fallen: float, numbers: FixedRow) -> float:
+def earlier_kpa(memory: Rows, i: int, unsure: float, fallen: float, numbers: Row) -> float:
     """By how much an earlier turn would make the pressure of cell ``i`` less, if it does not seem constant."""
     grown = max(memory[PEAK, i] - memory[EARLIER_FROM_KPA, i], fallen, 0.0)
     errors = math.sqrt(memory[TURNED, i]) * numbers[GROWN_ERRORS]
@@ -138,7 +141,7 @@ def earlier_kpa(memory: Rows, i: int, unsure: float, fallen: float, numbers: Fix
 
 
 @loop
-def follow_earlier_turn(memory: Rows, i: int, forgotten_kpa: float, of: Rows, numbers: FixedRow) -> None:
+def follow_earlier_turn(memory: Rows, i: int, forgotten_kpa: float, of: Rows, numbers: Row) -> None:
     """Follow the hypothesis that the load of cell ``i`` turned earlier; the other one began ``forgotten_kpa`` anew."""
     recovery = memory[RECOVERY_KPA, i]
     earlier = min(memory[EARLIER_KPA, i] + forgotten_kpa, recovery)
@@ -147,7 +150,7 @@ def follow_earlier_turn(memory: Rows, i: int, forgotten_kpa: float, of: Rows, nu
     memory[EARLIER_LEAST_KPA, i] = min(memory[EARLIER_LEAST_KPA, i], fallen)
     fallen = fallen - memory[EARLIER_LEAST_KPA, i] - of[UNSURE, i] * numbers[SURE_OF_FALL]
     if fallen > 0.0:
-        memory[EARLIER_FROM_KPA, i] = memory[PRESSURE, i]
+        memory[EARLIER_FROM_KPA, i] += memory[PRESSURE, i] - memory[LAST, i]
     turned = (memory[SIGN, i] < 0.0) == (memory[LEFT, i] >= FAR)
     if turned or fallen > turn_from(memory[EXTREME, i], numbers):
         memory[EARLIER_KPA, i], memory[EARLIER_LEAST_KPA, i] = 0.0, recovery
@@ -155,7 +158,7 @@ def follow_earlier_turn(memory: Rows, i: int, forgotten_kpa: float, of: Rows, nu
 
 
 @loop
-def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numbers: FixedRow) -> None:
+def turn(memory: Rows, i: int, noise: float, by_model: Rows, of: Rows, numbers: Row) -> None:
     """Take over the other hypothesis in cell ``i``."""
     left, extreme = memory[LEFT, i], memory[EXTREME, i]
     late = late_kpa(memory, i, noise, numbers) if left >= FAR else 0.0
@@ -205,16 +208,17 @@ def turn(memory: Rows, i: int, noise: float, by_model: FixedRows, of: Rows, numb
         memory[EXTREME, i], memory[PEAK, i], memory[LEFT, i] = left, left, FAR
     else:
         memory[EXTREME, i], memory[PEAK, i], memory[LEFT, i] = now - numbers[LESS] * unsure, now - unsure, extreme
+    memory[RECENT_EXTREME, i] = memory[EXTREME, i]
 
 
 @loop
-def turn_from(extreme: float, numbers: FixedRow) -> float:
+def turn_from(extreme: float, numbers: Row) -> float:
     """How far an exact pressure in kPa must go back from ``extreme`` for a turn."""
     return float(min(abs(extreme) * numbers[TURN_SHARE] + numbers[LIGHT_KPA], numbers[TURN_KPA]))
 
 
 @loop
-def seeming_kpa(memory: Rows, i: int, unsure: float, numbers: FixedRow) -> float:
+def seeming_kpa(memory: Rows, i: int, unsure: float, numbers: Row) -> float:
     """By how much the pressure of cell ``i`` may seem to go back though the load has not turned.
 
     Its noise is ``unsure``.
@@ -229,7 +233,7 @@ def seeming_kpa(memory: Rows, i: int, unsure: float, numbers: FixedRow) -> float
 
 
 @loop
-def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
+def look(memory: Rows, i: int, std: float, of: Rows, numbers: Row) -> bool:
     """Look at the hypothesis in force in cell ``i``; whether it has turned, or an earlier turn was noise."""
     rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
     pressure = rising * memory[RISING_IN_FORCE, i] + recovery * memory[RECOVERY_IN_FORCE, i]
@@ -241,18 +245,23 @@ def look(memory: Rows, i: int, std: float, of: Rows, numbers: FixedRow) -> bool:
     noise = of[OTHER_GAIN, i] * std
     memory[PRESSURE, i] = pressure
     of[UNSURE, i], of[AHEAD, i], of[SPARE, i], of[NOISE, i] = unsure, ahead, back, noise
-    least = turn_from(memory[EXTREME, i], numbers) + seeming_kpa(memory, i, unsure, numbers)
+    seeming = seeming_kpa(memory, i, unsure, numbers)
     if numbers[STEPS] > 0.0 and sign > 0.0:
         scale = memory[STATE_END - 1, i] + 1.0
         by_steps = scale * scale * numbers[STEPS]
         if other > max(by_steps, std) * of[OTHER_GAIN, i] * numbers[STILL]:
-            least += max(by_steps - std, 0.0) * memory[GAIN, i] * numbers[FALL]
-    gone_back = memory[EXTREME, i] - ahead > unsure * numbers[SURE] + least
+            seeming += max(by_steps - std, 0.0) * memory[GAIN, i] * numbers[FALL]
+    least = turn_from(memory[EXTREME, i], numbers) + unsure * numbers[SURE]
+    gone_back = memory[EXTREME, i] - ahead > least + seeming
+    least = numbers[LIGHT_KPA] + unsure * numbers[FALLING]
+    if sign > 0.0:
+        least += seeming
+    gone_back |= memory[RECENT_EXTREME, i] - ahead > least
     return bool(gone_back or back < noise)
 
 
 @loop
-def refutes(memory: Rows, i: int, std: float, by_model: FixedRows, numbers: FixedRow) -> bool:
+def refutes(memory: Rows, i: int, std: float, by_model: Rows, numbers: Row) -> bool:
     """Whether the recovery model did not share the rise of cell ``i``, which is taken over or is to be."""
     begun = memory[LEFT, i] if memory[LEFT, i] < FAR else memory[EXTREME, i]  # the pressure then, sign turned
     rise, shared = begun + memory[RISING_KPA, i], begun + memory[RECOVERY_KPA, i]
@@ -261,7 +270,7 @@ def refutes(memory: Rows, i: int, std: float, by_model: FixedRows, numbers: Fixe
 
 
 @loop
-def take_turns(memory: Rows, taken: Rows, by_model: FixedRows, of: Rows, flags: FlagRows, numbers: FixedRow) -> int:
+def take_turns(memory: Rows, taken: Rows, by_model: Rows, of: Rows, flags: FlagRows, numbers: Row) -> int:
     """Take over the other hypothesis where the pressure has turned, and confirm earlier turns.
 
     Readings are ``taken`` (4, m).
@@ -288,6 +297,7 @@ def take_turns(memory: Rows, taken: Rows, by_model: FixedRows, of: Rows, flags: 
         if refuted:
             memory[PEAK, i] = of[AHEAD, i] - of[UNSURE, i]
             memory[EXTREME, i] = of[AHEAD, i] - of[UNSURE, i] * numbers[LESS]
+            memory[RECENT_EXTREME, i] = memory[EXTREME, i]
         # The pressure went back by what would be a turn in the model that was left, too: no noise does both.
         least = of[NOISE, i] * of[CONFIRMING_SIGMAS, i]
         least += turn_from(memory[LEFT, i], numbers) * of[CONFIRMING_TURNS, i]
@@ -307,10 +317,10 @@ def step_and_turn(
     memory: Rows,
     after: Rows,
     taken: Rows,
-    by_model: FixedRows,
+    by_model: Rows,
     of: Rows,
     flags: FlagRows,
-    numbers: FixedRow,
+    numbers: Row,
     limited: bool,
 ) -> int:
     """:func:`step`, unless its pressures are ``limited`` already, and :func:`take_turns`.
@@ -324,7 +334,7 @@ def step_and_turn(
 
 
 @loop
-def correct(memory: Rows, taken: Rows, by_model: FixedRows, numbers: FixedRow) -> None:
+def correct(memory: Rows, taken: Rows, by_model: Rows, numbers: Row) -> None:
     """Let the hypothesis in force remember less where it needs a pull, for readings ``taken`` (4, m)."""
     pull = numbers[PULL] * by_model[0, 1]
     for i in range(memory.shape[1]):
@@ -346,16 +356,15 @@ def correct(memory: Rows, taken: Rows, by_model: FixedRows, numbers: FixedRow) -
 
 
 @loop
-def keep(memory: Rows, of: Rows, flags: FlagRows, numbers: FixedRow) -> None:
+def keep(memory: Rows, of: Rows, flags: FlagRows, numbers: Row) -> None:
     """Keep the doubt where the other hypothesis has begun anew though it was apart by more than noise."""
     for i in range(memory.shape[1]):
         by_noise = of[UNSURE, i] * numbers[LOST_SIGMAS]
         lost = 0.0
         if flags[WHERE, i] and memory[VARIANCE, i] > by_noise * by_noise:
             lost = memory[VARIANCE, i] - of[SPARE, i]
-        doubt = memory[TURNED, i]
-        doubt += lost + math.sqrt(doubt * lost)
-        memory[TURNED, i] = min(doubt, numbers[MOST_LOST_KPA2])
+        doubt = math.sqrt(memory[TURNED, i]) + math.sqrt(max(lost, 0.0))
+        memory[TURNED, i] = min(doubt * doubt, numbers[MOST_LOST_KPA2])
 
 
 @loop
@@ -366,7 +375,7 @@ def begin_anew(
     flags: FlagRows,
     held_kpa: float,
     unconfirmed: bool,
-    numbers: FixedRow,
+    numbers: Row,
 ) -> None:
     """Begin the other hypothesis anew near the extreme, and tell how far apart both are.
 
@@ -396,9 +405,11 @@ def begin_anew(
         unsure = noise * numbers[LESS]
         of[UNSURE, i] = unsure
         memory[EXTREME, i] = max(memory[EXTREME, i], ahead - unsure)
-        error_kpa = min(math.sqrt(memory[TURNED, i]), numbers[TURN_KPA])
+        error_kpa, fades = math.sqrt(memory[TURNED, i]), 1.0 - of[FADE, i]
+        recent = memory[RECENT_EXTREME, i] - (fades * error_kpa + held_kpa * numbers[CREEPS])
+        memory[RECENT_EXTREME, i] = max(recent, ahead - unsure)
         if flags[HELD, i]:
-            memory[PEAK, i] -= (1.0 - of[FADE, i]) * error_kpa * numbers[GOES_BACK]
+            memory[PEAK, i] -= fades * min(error_kpa, numbers[TURN_KPA]) * numbers[GOES_BACK]
         memory[VARIANCE, i] -= memory[TURNED, i]  # by which the hypotheses were apart in the last frame
         memory[TURNED, i] *= of[FADE, i]
         apart = abs(memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]

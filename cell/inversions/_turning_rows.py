@@ -7,7 +7,17 @@ import numpy as np
 from ...arrays import FloatArray
 from . import _turning_loops as loops
 from ._paper_steps import TurnWeights
-from ._turning_loops import BEFORE_LAST, DRIFT_KPA, EARLIER_FROM_KPA, EARLIER_KPA, LAST, LEFT, THIRD_LAST, TURNED
+from ._turning_loops import (
+    BEFORE_LAST,
+    DRIFT_KPA,
+    EARLIER_FROM_KPA,
+    EARLIER_KPA,
+    LAST,
+    LEFT,
+    RECENT_EXTREME,
+    THIRD_LAST,
+    TURNED,
+)
 
 SURE = 3.0
 """standard deviations of the smoothed noise by which a pressure must have gone back for a turn"""
@@ -54,6 +64,7 @@ class Rows:
         self.doubt, self.sign, self.extreme, self.peak, self.left = memory[TURNED : LEFT + 1]
         self.in_force, self.drift = memory[IN_FORCE], memory[DRIFT_KPA]
         self.earlier, self.earlier_least, self.earlier_from = memory[EARLIER_KPA : EARLIER_FROM_KPA + 1]
+        self.recent_extreme = memory[RECENT_EXTREME]
         self.state = memory[STATE]
         self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]
         self.both = self.pressures.reshape(-1)

@@ -145,11 +145,11 @@ class AmplifiedLive:
         if levels is None:
             return None
         if self._board.independent_columns:
-            found = self._loops.independent(levels, volts)
+            found = self._loops.independent(levels, volts if volts.flags.writeable else volts.copy())
         elif base is None or base.off is not None or self._heavy or base.loss > HEAVY or levels.gain is not base.gain:
             return None
         else:
-            found = self._loops.about(base, levels, volts)
+            found = self._loops.about(base, levels, volts if volts.flags.writeable else volts.copy())
         if found is None:
             return None
         resistance, uncertainties = found

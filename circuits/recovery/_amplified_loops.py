@@ -15,18 +15,19 @@ from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from ...arrays import AnyArray, FloatArray, read_only
-from ...compiled import FixedRow, FixedRows, Rows, loop
+from ...arrays import AnyArray, FloatArray
+from ...compiled import Row, Rows, loop
 from ._amplified_base import SECOND_ORDER, Base, lost_along_lines
 from ._amplified_board import FAR, LEAST_SHARE, AmplifiedBoard
 from ._amplified_errors import SIMILAR_GAINS, Levels
 
-_Blocks = Annotated[AnyArray, "Array(float64, 3, 'C', readonly=True)"]
+_Blocks = Annotated[AnyArray, "float64[:, :, ::1]"]
 UsualFrame = tuple[FloatArray, Callable[[], tuple[FloatArray, FloatArray]]]
 """resistances (N, M) in ohm, and what computes relative uncertainties and the part by a cell's own reading"""
 _SCALE, _CONSTANT, _PER_SUM, _FARTHEST_DRIVER, _RESISTANCE = range(5)  # rows of the board's constants
 _GAIN, _SHIFT, _CONDUCTANCE = range(3)  # blocks of a base
 _BETWEEN, _SUM, _MODEL_ERROR = range(3)  # rows of a base's columns
+_LEAST, _OWN, _BY_LEADS, _OTHERS = range(4)  # blocks of levels
 
 
 class UsualFrames:
@@ -41,10 +42,11 @@ class UsualFrames:
         self.compiled = None not in (self._about_base, self._independent, self._uncertainties)
         """there is machine code"""
         constants = (board.scale, board.constant, board.per_sum, board.farthest_driver, board.to_amplifier[0])
-        self._constants = read_only(np.array([np.broadcast_to(values, board.board.shape[1:]) for values in constants]))
-        self._farthest_amplifier = read_only(board.farthest_amplifier)
-        self._row_ohms = read_only(np.broadcast_to(board.board.row_ohms, board.board.shape))
-        self._behind = read_only(board.behind)
+        # Copies of its own, since arrays that nobody may write to take a loop twice as long to look at.
+        self._constants = np.array([np.broadcast_to(values, board.board.shape[1:]) for values in constants])
+        self._farthest_amplifier = np.array(board.farthest_amplifier)
+        self._row_ohms = np.array(np.broadcast_to(board.board.row_ohms, board.board.shape), order="C")
+        self._behind = np.array(board.behind, order="C")
         self._base: Base | None = None
         self._of_base = _OfBase.none()
         self._levels: Levels | None = None
@@ -73,7 +75,7 @@ class UsualFrames:
             self._behind,
             of_base.blocks,
             of_base.columns,
-            of_levels.least,
+            of_levels.blocks,
             board.has_sources,
             board.source_spread,
             board.least_tolerance,
@@ -90,7 +92,7 @@ class UsualFrames:
         transfer, resistance = np.empty(volts.shape), np.empty(volts.shape)
         assert self._independent is not None
         usual = self._independent(
-            volts, self._constants, of_levels.gain, of_levels.least, self._board.has_sources, transfer, resistance
+            volts, self._constants, of_levels.gain, of_levels.blocks, self._board.has_sources, transfer, resistance
         )
         return (resistance, partial(self._uncertain, of_levels, transfer)) if usual else None
 
@@ -98,7 +100,7 @@ class UsualFrames:
         """Relative uncertainties (N, M) and the part by a cell's own reading: :meth:`.Levels.uncertainties`."""
         uncertainty, own = np.empty(transfer.shape), np.empty(transfer.shape)
         assert self._uncertainties is not None
-        self._uncertainties(transfer, levels.own, levels.by_leads, levels.others, uncertainty, own)
+        self._uncertainties(transfer, levels.blocks, uncertainty, own)
         return uncertainty, own
 
     def _of(self, levels: Levels) -> _OfLevels:
@@ -128,35 +130,31 @@ class _OfBase(NamedTuple):
         between = none[0] if base.between is None else base.between
         blocks = np.array([base.gain, shift, base.conductance])
         columns = np.array([between, base.conductance.sum(axis=0), base.model_error])
-        blocks.flags.writeable = columns.flags.writeable = False
         return cls(blocks, columns, base.missing_per_moved)
 
 
 class _OfLevels(NamedTuple):
-    """What the loops need of levels: their fields, (N, M) and not to be written to."""
+    """What the loops need of levels."""
 
     gain: FloatArray
     """as it is"""
-    least: FloatArray
-    own: FloatArray
-    others: FloatArray
-    by_leads: FloatArray
+    blocks: AnyArray
+    """(4, N, M) least transfer conductance of a valid cell in S, and what its uncertainty is made of"""
 
     @classmethod
     def none(cls) -> _OfLevels:
-        return cls(*(np.zeros((0, 0)) for _ in range(5)))
+        return cls(np.zeros(0), np.zeros((4, 0, 0)))
 
     @classmethod
     def of(cls, levels: Levels, shape: tuple[int, int]) -> _OfLevels:
-        fields = (np.broadcast_to(field, shape) for field in (levels.least, levels.own, levels.others, levels.by_leads))
-        own = [np.ascontiguousarray(field) for field in (levels.gain, *fields)]  # no copy of what is whole already
-        for field in own:
-            field.flags.writeable = False
-        return cls(*own)
+        blocks = np.empty((4, *shape))
+        for block, field in zip(blocks, (levels.least, levels.own, levels.by_leads, levels.others), strict=True):
+            block[...] = field
+        return cls(np.array(levels.gain, order="C"), blocks)
 
 
 @loop
-def _transfer(volts: FixedRows, constants: FixedRows, between: FixedRow, has_sources: bool, transfer: Rows) -> None:
+def _transfer(volts: Rows, constants: Rows, between: Row, has_sources: bool, transfer: Rows) -> None:
     """Write the transfer conductances (N, M) in S: :meth:`.AmplifiedBoard.transfer`."""
     rows, columns = volts.shape
     scale, constant = constants[_SCALE], constants[_CONSTANT]
@@ -178,14 +176,14 @@ def _transfer(volts: FixedRows, constants: FixedRows, between: FixedRow, has_sou
 
 @loop
 def _about_base(
-    volts: FixedRows,
-    constants: FixedRows,
-    farthest_amplifier: FixedRow,
-    row_ohms: FixedRows,
-    behind: FixedRows,
+    volts: Rows,
+    constants: Rows,
+    farthest_amplifier: Row,
+    row_ohms: Rows,
+    behind: Rows,
     base: _Blocks,
-    base_columns: FixedRows,
-    least: FixedRows,
+    base_columns: Rows,
+    levels: _Blocks,
     has_sources: bool,
     source_spread: float,
     least_tolerance: float,
@@ -233,7 +231,7 @@ def _about_base(
     for i in range(rows):
         for j in range(columns):
             transfer[i, j] = max(transfer[i, j] + base[_SHIFT, i, j] / base[_GAIN, i, j], 0.0)
-            if not transfer[i, j] >= least[i, j]:
+            if not transfer[i, j] >= levels[_LEAST, i, j]:
                 return False
             resistance[i, j] = 1.0 / (lost[i, j] * conductance[i, j] + conductance[i, j])
     return True
@@ -241,10 +239,10 @@ def _about_base(
 
 @loop
 def _independent_columns(
-    volts: FixedRows,
-    constants: FixedRows,
-    level_gain: FixedRow,
-    least: FixedRows,
+    volts: Rows,
+    constants: Rows,
+    level_gain: Row,
+    levels: _Blocks,
     has_sources: bool,
     transfer: Rows,
     resistance: Rows,
@@ -260,20 +258,18 @@ def _independent_columns(
         if not abs(gain - level_gain[j]) <= SIMILAR_GAINS * level_gain[j]:
             return False
         for i in range(rows):
-            if not transfer[i, j] >= least[i, j]:
+            if not transfer[i, j] >= levels[_LEAST, i, j]:
                 return False
             resistance[i, j] = 1.0 / (transfer[i, j] * gain)
     return True
 
 
 @loop
-def _uncertainties(
-    transfer: FixedRows, own: FixedRows, by_leads: FixedRows, others: FixedRows, uncertainty: Rows, own_share: Rows
-) -> None:
+def _uncertainties(transfer: Rows, levels: _Blocks, uncertainty: Rows, own_share: Rows) -> None:
     """Write relative uncertainties (N, M) and the cells' own share of them: :meth:`.Levels.uncertainties`."""
     rows, columns = transfer.shape
     for i in range(rows):
         for j in range(columns):
-            reading = max(transfer[i, j], own[i, j])
-            own_share[i, j] = own[i, j] / reading
-            uncertainty[i, j] = own_share[i, j] + by_leads[i, j] / reading + others[i, j]
+            reading = max(transfer[i, j], levels[_OWN, i, j])
+            own_share[i, j] = levels[_OWN, i, j] / reading
+            uncertainty[i, j] = own_share[i, j] + levels[_BY_LEADS, i, j] / reading + levels[_OTHERS, i, j]

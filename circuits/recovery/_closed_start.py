@@ -37,8 +37,9 @@ class ClosedStart:
             apparent = self._columns.crosspoints(signal)
         else:
             apparent = self._board.circuit.apparent_conductance(self._board, signal)
-        conducting = apparent[apparent > 0]
-        typical = float(np.median(conducting)) if conducting.size else _NO_CELLS
+        conducting = np.sort(apparent[apparent > 0])
+        middle = conducting[(conducting.size - 1) // 2 : conducting.size // 2 + 1]  # np.median takes ten times as long
+        typical = float(middle.sum()) / middle.size if middle.size else _NO_CELLS
         most = _LARGEST * float(apparent.max(initial=0.0)) or 1.0
         apparent = np.minimum(cell_alone(self._board, apparent, self._shunt), most)
         seen = apparent > _NEARLY_OPEN * typical

@@ -40,7 +40,7 @@ def beyond_linear(std: FloatArray) -> FloatArray:
     hardly known may add to the current of its lines is therefore more than the derivatives say. Errors of better known
     cells have both signs, and their second order averages out.
     """
-    std = np.clip(_DEVIATIONS * (std - _KNOWN), 1e-3, 4.0)
+    std = np.minimum(np.maximum(_DEVIATIONS * (std - _KNOWN), 1e-3), 4.0)
     more: FloatArray = (np.expm1(std) / std) ** 2 - 1.0
     return more
 
@@ -147,10 +147,10 @@ class ColumnBlocks:
         share = crosspoint / np.maximum(crosspoint.sum(axis=0), least)
         scale_std = std[crosspoint.argmax(axis=0), np.arange(std.shape[1])]
         between = (self._lead[:, None] * crosspoint).T @ conductance  # S (M, M), from column to column
-        np.fill_diagonal(between, 0.0)
+        between.flat[:: len(between) + 1] = 0.0
         variance = (share * scale_std) ** 2 @ between**2
         by_cells = share**2 @ ((self._lead[:, None] * crosspoint * std) ** 2).T  # (N, N), of a row by another one
-        np.fill_diagonal(by_cells, 0.0)
+        by_cells.flat[:: len(by_cells) + 1] = 0.0
         variance += by_cells @ conductance**2
         lifted: FloatArray = np.sqrt(variance) / np.maximum(conductance, least)
         return lifted
@@ -223,7 +223,7 @@ class ColumnBlocks:
         if lead.any():
             std = np.hypot(std, self._lifted(crosspoint, conductance, std))
         others = np.zeros(board.shape)
-        for i, j in np.argwhere(hidden):
+        for i, j in np.argwhere(hidden) if np.count_nonzero(hidden) else ():
             weight = np.array([[first[j], both[j]], [both[j], second[j]]])
             vectors = np.stack([driven[:, j], second_vector[:, j]])
             shared = -free[:, j] * (vectors.T @ weight @ vectors[:, i]) * free[i, j]

@@ -216,7 +216,7 @@ class _Scales:
             suspect: (K,) those which may have any scale, as far as the first look tells.
 
         """
-        self._suspect = suspect
+        self._suspect, self._all_suspect = suspect, bool(suspect.all())
         self._load, self._cells, self._told, self._columns = load, conductance, told, columns
         through = lead * conductance
         self._left = 1.0 / (1.0 + through.sum(axis=1))  # (N,) share of its own driver in a row's potential
@@ -278,10 +278,14 @@ class _Scales:
 
     def _beside(self, each: int) -> _Beside:
         """All other columns, whose rows change the shape of one column."""
-        number = self._columns[each]
-        most = self._hangs.copy()
-        most[:, self._columns] = self._hangs_most
+        number, most = self._columns[each], self._all_hangs_most()
         return _Beside(*(np.delete(values, number, axis=1) for values in (self._hangs, most, self._told.share)))
+
+    def _all_hangs_most(self) -> FloatArray:
+        """Largest p (N, M) of all columns."""
+        most: FloatArray = self._hangs.copy()
+        most[:, self._columns] = self._hangs_most
+        return most
 
     def changes(self) -> FloatArray:
         """Largest relative change (N, M) of the cells within all possible scales, by the fourth law."""
@@ -297,7 +301,7 @@ class _Scales:
         own_least = np.maximum(own_least, np.minimum(own, of_columns.min(axis=1)))
         own_least = np.maximum(own_least, _NOT_LEFT)[:, None]
         for each in (lift, lift_most, lift_least):
-            np.fill_diagonal(each, 0.0)
+            each.flat[:: len(each) + 1] = 0.0  # as np.fill_diagonal, which takes several times as long
         told = cells * own[:, None] + lift.T @ cells  # S: (h + T) y
         least: FloatArray = np.zeros_like(cells)
         most = cells
@@ -320,21 +324,25 @@ class _Scales:
         most = self._most * (left / left_least)[:, None]
         least = self._least * (left / left_most)[:, None]
         changes: FloatArray = np.maximum(most - 1.0, 1.0 - least)
-        for each in np.flatnonzero(self._suspect).tolist():
-            # What rows carry to other columns counts most in cells that conduct little beside the column's others.
-            cells, (hangs, hangs_most, share) = self._cells[:, self._columns[each]], self._beside(each)
-            carried = (cells * most[:, each]) @ hangs_most - self._least[each] * (cells @ hangs)
-            changes[:, each] += share @ np.maximum(carried, 0.0) / np.maximum(cells * left_least, _LEAST)
+        # What rows carry to other columns counts most in cells that conduct little beside the column's others.
+        cells = self._cells[:, self._columns]
+        carried = self._all_hangs_most().T @ (cells * most) - self._least * (self._hangs.T @ cells)  # (M, K)
+        carried[self._columns, np.arange(len(self._columns))] = 0.0
+        changes += self._told.share @ np.maximum(carried, 0.0) / np.maximum(cells * left_least[:, None], _LEAST)
         return changes
 
     def _together(self, change: FloatArray) -> FloatArray:
         """Sum (N,) of changes (N, K) by each column. Those by errors of readings add up as independent ones do."""
+        if self._all_suspect:
+            return np.asarray(change.sum(axis=1), dtype=np.float64)
         suspect, others = change[:, self._suspect], change[:, ~self._suspect]
         together: FloatArray = suspect.sum(axis=1) + np.sqrt(np.einsum("ij,ij->i", others, others))
         return together
 
     def _lifted(self, change: FloatArray, share: FloatArray) -> FloatArray:
         """Change (N, N) of the rows' potentials by changes (N, K) of p, given the columns' potentials (N, K)."""
+        if self._all_suspect:
+            return np.asarray(change @ share.T, dtype=np.float64)
         suspect, others = self._suspect, ~self._suspect
         by_suspects = change[:, suspect] @ share[:, suspect].T
         by_others = np.sqrt(change[:, others] ** 2 @ (share[:, others] ** 2).T)

@@ -1,15 +1,21 @@
-"""Shared wire of a plain grid's lines, and the fields inside the grid by sweeps over them.
+"""Shared wire of a plain grid's lines, and the fields inside the grid by the lines' equations.
 
-Newton's method needs no exact derivatives. On light lines the fields inside the grid therefore come from a few sweeps
-of the lines' equations, instead of a sparse factorisation:
+These are
 
     u = e_row - (G (u - w)) K_row,        w = e_column + K_column (G (u - w)),
 
 with u and w the potentials along the rows and the columns, e those of the ports, and K the resistances of shared wire.
-Each sweep gains the factor that the lines' losses are.
+For the voltages d = u - w across the crosspoints they are one system, (I + K G) d = e_row - e_column, which needs no
+node per crosspoint and takes wires of 0 ohm as they are. Small grids solve it with a dense matrix, at a fraction of the
+cost of a sparse factorisation or of a nested dissection.
+
+On larger grids Newton's method needs no exact derivatives. If their lines are light, the fields come from a few sweeps
+of the equations. Each sweep gains the factor that the lines' losses are.
 """
 
 from __future__ import annotations
+
+from functools import cached_property
 
 import numpy as np
 
@@ -17,6 +23,8 @@ from ...arrays import FloatArray
 from .._board import Board
 
 _SWEEPS = 4
+_SMALL = 144  # cells up to which the dense system is solved: beyond, a nested dissection is quicker
+_MOST_LOST = 1e6  # voltage along a line over that across a cell, up to which rounding leaves ten digits
 
 
 class LineResistance:
@@ -36,6 +44,47 @@ class LineResistance:
         """(N, M) ohm of wire between a crosspoint and its row's driver, or its column's last crosspoint"""
         self.to_ends = to_driver + to_end
         """(N, M) ohm of wire in series with each cell, up to the grid's ports"""
+
+    @cached_property
+    def _shared(self) -> FloatArray:
+        """K (N M, N M) in ohm."""
+        rows, columns = self.to_ends.shape
+        shared = np.zeros((rows, columns, rows, columns))
+        row, column = np.arange(rows), np.arange(columns)
+        shared[row, :, row, :] = self.row
+        shared[:, column, :, column] += self.column
+        return shared.reshape(rows * columns, -1)
+
+    @cached_property
+    def _from_ports(self) -> FloatArray:
+        """(N M, N + M): e_row - e_column per volt at each port."""
+        rows, columns = self.to_ends.shape
+        drops = np.zeros((rows, columns, rows + columns))
+        drops[np.arange(rows), :, np.arange(rows)] = 1.0
+        drops[:, np.arange(columns), rows + np.arange(columns)] = -1.0
+        return drops.reshape(rows * columns, -1)
+
+    def can_solve(self, conductance: FloatArray) -> bool:
+        """Whether :meth:`drops` and :meth:`ports` serve, at cells (N, M) in S."""
+        return self.finite and conductance.size <= _SMALL and float((self.to_ends * conductance).max()) <= _MOST_LOST
+
+    def drops(self, conductance: FloatArray) -> FloatArray:
+        """As :func:`.basis_drops`, for crosspoints (N, M) in S."""
+        drops = self._drops(conductance)
+        return drops.T.reshape(-1, *conductance.shape)
+
+    def ports(self, conductance: FloatArray) -> FloatArray:
+        """Conductances (N + M, N + M) in S between the ports, zero on the diagonal, for crosspoints (N, M) in S."""
+        between = -self._from_ports.T @ (conductance.reshape(-1, 1) * self._drops(conductance))
+        between.flat[:: len(between) + 1] = 0.0
+        ports: FloatArray = np.maximum(between, 0.0, out=between)
+        return ports
+
+    def _drops(self, conductance: FloatArray) -> FloatArray:
+        """(N M, N + M): voltages across the crosspoints per volt at each port."""
+        system = self._shared * conductance.ravel()
+        system.flat[:: len(system) + 1] += 1.0
+        return np.asarray(np.linalg.solve(system, self._from_ports), dtype=np.float64)
 
     def loss(self, conductance: FloatArray) -> float:
         """Largest share of a voltage that is lost along a line with cells (N, M) in S, to first order."""

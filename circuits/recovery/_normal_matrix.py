@@ -3,7 +3,8 @@
 With J (n, n) the derivatives in standard deviations of a reading and s the prior's standard deviations, the inverse of
 the normal matrix P = (J'J + 1/s^2)^-1 holds the posterior covariance, and a step is P J' r. P is found by sweeping
 (block Gauss-Jordan elimination, which needs no pivoting for positive definite matrices). All work is done on panels of
-a few rows, so that it can be interrupted anywhere.
+a few rows, so that it can be interrupted anywhere. What fits into one instalment is done at once by Cholesky's method,
+which takes a third to a half of that time.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dpotri
 
 from ...arrays import FloatArray
 
@@ -50,6 +52,12 @@ class NormalMatrix:
     def instalments(self, meter: Meter) -> Iterator[None]:
         """Work, and yield when an instalment is full."""
         size, matrix = len(self._prior), self.inverse
+        at_once = 2 * size**3
+        if at_once <= meter.limit:
+            if meter.is_full(at_once):
+                yield
+            if self._invert():
+                return
         for block in _slices(size, _BLOCK):
             some = self._jacobian[block]
             yield from _add_product(matrix, some.T, some, meter)
@@ -66,6 +74,20 @@ class NormalMatrix:
             matrix[block] = beside.T
             matrix[block, block] = -inner
         np.negative(matrix, out=matrix)
+
+    def _invert(self) -> bool:
+        """The whole work by Cholesky's method. False where rounding has made the matrix another than a definite one."""
+        matrix = self._jacobian.T @ self._jacobian
+        matrix.flat[:: len(matrix) + 1] += self._prior**-2.0
+        factor, failed = dpotrf(matrix.T, clean=False, overwrite_a=True)
+        if not failed:
+            inverse, failed = dpotri(factor, overwrite_c=True)
+        if failed:
+            return False
+        # Of symmetric matrices LAPACK writes one triangle.
+        self.inverse = np.triu(inverse)
+        self.inverse += np.triu(inverse, 1).T
+        return True
 
     def step(self, residual: FloatArray) -> FloatArray:
         """Change (n,) of the unknowns for residuals (n,) in standard deviations."""

@@ -6,8 +6,9 @@ closed form: row i with the lead r_i and cells of the sum S_i passes
     D_ij = g_ij / (1 + r_i S_i)        from its terminal to column j,
     C_jk = sum_i r_i D_ij g_ik         from column to column.
 
-Other lines are reduced to their ports exactly (:func:`..solvers.port_conductances`), at about ten times the cost. What
-the readout makes of either network is the circuit's to say (:meth:`.ReadoutCircuit.quick_outputs`).
+Small grids with other lines take one dense system of equations (:meth:`.LineResistance.ports`). Larger ones are reduced
+to their ports by nested dissection (:func:`..solvers.port_conductances`), at about ten times the cost of ideal lines.
+What the readout makes of either network is the circuit's to say (:meth:`.ReadoutCircuit.quick_outputs`).
 """
 
 from __future__ import annotations
@@ -99,11 +100,14 @@ class QuickModel:
     def branches(self, cells: FloatArray) -> Branches:
         """Voltages across the crosspoints for potentials of the grid's ports, for ``cells`` (N, M) in ohm, no shorts.
 
-        They are in closed form with ideal lines, by sweeps over light lines, and by a sparse factorisation elsewhere.
+        They are in closed form with ideal lines, by a dense system on small grids, by sweeps over light lines, and by
+        a sparse factorisation elsewhere.
         """
         conductance = self._board.cell_conductance(cells)
         if self.is_quick:
             return IdealLines(conductance, self._lead)
+        if self.has_network and self._lines.can_solve(conductance):
+            return AnyLines(self._lines.drops(conductance))
         light = self.has_network and self._lines.finite and self._lines.loss(conductance) <= _LIGHT
         return AnyLines(self._lines.swept_drops(conductance) if light else basis_drops(self._board, cells))
 
@@ -111,7 +115,10 @@ class QuickModel:
         if self.is_quick:
             return QuickNetwork.of_ideal_lines(conductance, self._lead, compiled=self._compiled)
         rows = len(conductance)
-        ports = port_conductances(conductance, self._board.lines).value
+        if self._lines.can_solve(conductance):
+            ports = self._lines.ports(conductance)
+        else:
+            ports = port_conductances(conductance, self._board.lines).value
         return QuickNetwork(ports[:rows, rows:], ports[rows:, rows:], ports[:rows, :rows])
 
     def _quick(self, conductance: FloatArray) -> FloatArray | None:

@@ -42,6 +42,8 @@ Flags = Annotated[BoolArray, "boolean[::1]"]
 FlagRows = Annotated[BoolArray, "boolean[:, ::1]"]
 Codes = Annotated[CodeArray, "uint32[::1]"]
 # The same for arrays that the loop does not write to, and that nobody may write to (flags.writeable is False).
+# Only for such arrays: to find out that an array is not of exactly the stated type takes a call 0.3 us, and to look at
+# one that nobody may write to 0.1 us more than at another.
 FixedRow = Annotated[FloatArray, "Array(float64, 1, 'C', readonly=True)"]
 FixedRows = Annotated[FloatArray, "Array(float64, 2, 'C', readonly=True)"]
 FixedFlags = Annotated[BoolArray, "Array(boolean, 1, 'C', readonly=True)"]
