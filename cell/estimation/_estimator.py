@@ -42,7 +42,7 @@ from ._held import Held
 from ._inversion import Inversion
 from ._noise import NoiseMeter
 from ._remembered import Remembered
-from ._rows import PRESSURE
+from ._rows import GAIN, PRESSURE
 from ._shared_noise import SharedNoise
 from ._sleep import Sleep
 from ._sparks import Sparks
@@ -88,6 +88,8 @@ class Estimator:
         """(n,) r of the last frame; never changes again"""
         self._watched = self._reading
         """(n,) the same, those of sleeping cells with noise that others share; never changes again"""
+        self._by_shared: FloatArray | None = None
+        """(n,) kPa^2 by loads that may have been taken for shared noise; never changes again; None: of no cell"""
         self._known: BoolArray | None = None
         """(n,) cells that the last frame has read; None: all"""
         self._readings = np.zeros(cells)
@@ -162,6 +164,7 @@ class Estimator:
             r, watched, loaded = self._shared_noise.subtract(dt, r, known, self._sleep.awake)
             self._reading, blurred = r, self._shared_noise.mean_std
         self._watched = r if watched is None else watched
+        self._by_shared = None
         if not exact:
             self._noise.update(r, known)
         if not self._begun:
@@ -177,6 +180,8 @@ class Estimator:
         block = self._remembered.block
         if block.cells.size:
             self._following.advance(block, dt, r, self._frames, self._pressure)
+            if watched is not None:
+                self._by_shared = self._variance_by_shared(r)
         if before is None:
             self._gaps.pass_by(dt)
         else:
@@ -187,6 +192,16 @@ class Estimator:
         if self._frames % SETTLE_EVERY == 0 and not exact:
             self._rest()
         return self._shown()
+
+    def _variance_by_shared(self, r: FloatArray) -> FloatArray | None:
+        """(n,) kPa^2 by a load that may have been taken out of the readings ``r`` (n,) as noise; None: of no cell."""
+        block, doubt = self._remembered.block, self._shared_noise.doubt(r, self._sleep.awake)
+        if doubt is None:
+            return None
+        of_all, variance = np.zeros(r.size), np.zeros(r.size)
+        of_all[doubt[0]] = doubt[1]
+        variance[block.cells] = (of_all[block.cells] * block.memory[GAIN]) ** 2
+        return variance
 
     @property
     def resolved(self) -> bool:
@@ -244,7 +259,7 @@ class Estimator:
         The function holds what it needs, so that a step whose standard deviation nobody asks for hardly pays for it.
         """
         by_gaps = self._gaps.variance if self._gaps.doubtful else None
-        return self._deviation.of_last_step(self.shape, self._watched, by_gaps, self._held.variance)
+        return self._deviation.of_last_step(self.shape, self._watched, by_gaps, self._held.variance, self._by_shared)
 
     def rise_of_last_step(self) -> tuple[FloatArray, FloatArray]:
         """How far the last readings are from rest, and how far noise alone may carry them.
