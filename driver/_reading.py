@@ -104,6 +104,11 @@ class Reading:
         return self.std_shares[1]
 
     @property
+    def uncertainties(self) -> tuple[FloatArray, FloatArray]:
+        """:attr:`uncertainty` and :attr:`own_uncertainty`."""
+        return (self.uncertainty, self.own_uncertainty) if self._found is None else self._found.uncertainties
+
+    @property
     def own_uncertainty(self) -> FloatArray:
         """The part of :attr:`uncertainty` that comes from the cell's own reading."""
         return np.full(self.resistance.shape, np.inf) if self._found is None else self._found.own

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from collections import OrderedDict
 from dataclasses import dataclass
 
 import numpy as np
@@ -92,7 +93,7 @@ class FrameStream:
         self._time_s = 0.0
         self._usual_us = 0.0
         """board time from one frame number to the next, by the last two frames; 0: not known"""
-        self._recent: dict[tuple[int | None, int | None, int | None], None] = {}
+        self._recent: OrderedDict[tuple[int | None, int | None, int | None], None] = OrderedDict()
         """boot ids, sequence numbers and times of the last numbered frames, in order: a dict, for a quick look-up"""
         self._in_step = True
 
@@ -128,7 +129,7 @@ class FrameStream:
         self._begun, self._expected, self._boot_id = past.begun, past.expected, past.boot_id
         self._latest_us, self._latest_monotonic = past.latest_us, past.latest_monotonic
         self._time_s, self._usual_us, self._in_step = past.time_s, past.usual_us, past.in_step
-        self._recent = dict.fromkeys(past.recent)
+        self._recent = OrderedDict.fromkeys(past.recent)
         self.counters.lost = 0 if past.numbered else None
         self.clock.restore(past.clock)
         self._arrivals.restore(past.arrivals)
@@ -200,7 +201,7 @@ class FrameStream:
     def _remember(self, stamp: tuple[int | None, int | None, int | None]) -> None:
         self._recent[stamp] = None
         if len(self._recent) > REMEMBERED:
-            del self._recent[next(iter(self._recent))]
+            self._recent.popitem(last=False)
 
     def _succession(self, packet: FramePacket) -> _Succession:
         """What a packet is after the one before: the table of this class."""

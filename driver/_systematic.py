@@ -107,7 +107,7 @@ class SystematicError:
     def _std(self, steps: _Steps, spread: float, pressure_kpa: FloatArray, variance_kpa2: FloatArray) -> FloatArray:
         if steps.earlier is None and self._of_valid_cells is not None:
             by_steps, by_noise = steps.reading.std_shares
-            uncertainty, own = _whole(steps.reading.uncertainty), _whole(steps.reading.own_uncertainty)
+            uncertainty, own = map(_whole, steps.reading.uncertainties)
             pressure, slopes = np.ascontiguousarray(pressure_kpa), self._slopes_squared
             self._of_valid_cells(
                 uncertainty, own, by_steps, by_noise, pressure, self._pressure, slopes, spread * spread, variance_kpa2

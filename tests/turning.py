@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from ohmskin.cell import PaperModel
+from ohmskin.cell.inversions import _onset as onset
 from ohmskin.cell.inversions import _recovery as recovery
 from ohmskin.cell.inversions import _still as still
 from ohmskin.cell.inversions import _sway as sway
@@ -39,7 +40,7 @@ class OneCell:
         self.doubt = self.variance = 0.0
         self.rest_variance = self.drift = self.last_drift = 0.0
         self.rested, self.taken_off = False, 0.0
-        self.still = Still()
+        self.still, self.onset = Still(), Onset()
         self.sway = Sway(r)
         self.last = self.before_last = self.third_last = p
 
@@ -86,6 +87,7 @@ class OneCell:
                 late = self._late(now, other, std * gains[self.rising])
             if self.left is None and self.rising:
                 earlier = paper.MIDWAY * self._turned_earlier(0.0, std * gains[True])
+            noticed = self.left is None and self.extreme < paper.REFUTED
             now, other = other, now
             self.rising = not self.rising
             again, left = self.left is not None, self.left
@@ -98,6 +100,10 @@ class OneCell:
             fast = max(1.0, abs(now.pressure - self.last) / (paper.FAST * paper.TURN * self.full))
             way = max(way - paper.SURE * unsure, 0.0)
             unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full / fast
+            if noticed and self.rising:
+                unseen += self._hidden(now.pressure, other.pressure)
+            self.onset.looks = 0 if noticed and not self.rising else self.onset.looks
+            self.onset.may_bear = 0.0
             now = self._without_delay(now, max(late, earlier))
             self.earlier -= max(late, earlier)
             ahead = sign * max(now.pressure, 0)
@@ -159,7 +165,7 @@ class OneCell:
         self.peak = max(self.peak, ahead - unsure)
         self.extreme = max(self.extreme, ahead - paper.LESS * unsure)
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
-        was_apart = self.variance - self.doubt
+        was_apart = self.variance - self.doubt - self.onset.may_bear**2
         fade = np.exp(-2 * dt * rate)
         self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt) + paper.CREEP * self.full * dt
         self.recent_extreme = max(self.recent_extreme, ahead - paper.LESS * unsure)
@@ -175,13 +181,14 @@ class OneCell:
         least = max(paper.LOST * unsure, paper.NEAR * self.full) ** 2
         if lost > paper.GONE * was_apart and was_apart > least and not confirmed:
             self.doubt = min((np.sqrt(self.doubt) + np.sqrt(lost)) ** 2, (paper.MOST_LOST * self.full) ** 2)
-        self.variance = self.doubt + is_apart
+        self.variance = self.doubt + is_apart + self.onset.may_bear**2
         return now.pressure
 
     def recover(self, dt: float, mean: float, noise: float, count: int) -> None:
         """Take the ``mean`` of the last four readings, each uncertain by ``noise``."""
         self._rest(dt, mean, noise, count)
         self._compare(dt, mean, noise)
+        self._begin(dt, mean, noise)
         m = self.model
         rise, fall = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
         kept = self.sway.look(mean, noise, self.rising) * (1 / fall - 1 / rise)
@@ -234,17 +241,77 @@ class OneCell:
         bears = was.x2 * np.exp(ago / m.t2_s) + was.x3 * np.exp(ago / m.t3_s)
         off = gain * (mean - was.load * (1 / m.e1_kpa + 1 / m.e2_kpa + 1 / m.e3_kpa) - bears)
         growth = p - was.pressure
-        alike = was.off is not None and abs(off - was.off) <= still.FLAT * max(growth, 0) + noise_kpa
+        light = was.pressure <= was.load + still.LIGHT_TOUCH * self.full and self.onset.looks >= 0
+        flat, clear = (still.FLAT, still.CLEAR) if light else (still.FLAT_PRESS, still.CLEAR_PRESS)
+        alike = was.off is not None and abs(off - was.off) <= flat * max(growth, 0) + noise_kpa
         if not alike or abs(off) > still.LIGHT_TOUCH * self.full + noise_kpa:
             was.off, was.pressure = off, p
             return
         doubt = max(self.doubt, (still.EITHER * max(growth - noise_kpa, 0)) ** 2)
         self.variance += doubt - self.doubt
         self.doubt = doubt
-        if growth > max(still.CLEAR * self.full, noise_kpa / still.FLAT):
+        if growth > max(clear * self.full, noise_kpa / flat):
             x3 = was.x3 + was.load / m.e3_kpa
             self.other = Hypothesis(was.load, self.other.settled, self.r - was.load / m.e1_kpa - x3, x3)
             self.extreme = paper.REFUTED
+
+    def _begin(self, dt: float, mean: float, noise: float) -> None:
+        """A load may have begun to rise while the cell recovers."""
+        m, seen, ago = self.model, self.onset, 1.5 * dt
+        seen.x2, seen.x3 = seen.x2 * np.exp(-4 * dt / m.t2_s), seen.x3 * np.exp(-4 * dt / m.t3_s)
+        for load in (seen.earliest, seen.begun):
+            load.rise(m, 4 * dt, self.r)
+        gain = self._solved(Hypothesis(0, 0, 0, 0), False, dt, 1.0).pressure
+        bound = recovery.REST_SIGMAS**2 * (self.rest_variance + (gain * noise) ** 2)
+        if self.rising or self.left is not None or not (self.now.pressure**2 < bound or seen.looks > 0):
+            return
+        seen.looks = abs(seen.looks) + 1
+        if seen.looks < paper.SETTLES:
+            return
+        by_model, by_noise = self.rest_variance + onset.MODEL * self.doubt, (gain * noise) ** 2 / 4
+        weight = max(by_model / (by_model + by_noise), onset.AVERAGED)
+        expected = seen.x2 * np.exp(ago / m.t2_s) + seen.x3 * np.exp(ago / m.t3_s)
+        seen.pull += weight * (gain * (expected - mean) - seen.pull)
+        none, load_kpa = onset.NONE * self.full, seen.begun.pressure
+        by_noise = by_noise * weight / (2 - weight) + none**2
+        unsure = np.sqrt(by_model + by_noise)
+        sigmas = seen.pull / unsure
+        likely = np.clip((sigmas - onset.SOME_SIGMAS) / (onset.CLEAR_SIGMAS - onset.SOME_SIGMAS), 0, 1)
+        may_bear = np.sqrt(likely) * max(load_kpa - max(self.now.pressure, 0), 0)
+        if seen.looks == paper.SETTLES:
+            seen.earliest, seen.clear_pull = Rise(0.0, -m.etau2_kpa * (self.now.x2 + self.now.x3)), 0.0
+        if seen.looks == paper.SETTLES or seen.pull <= none + onset.COINCIDENCE * load_kpa or load_kpa < -unsure:
+            if seen.clear_pull > 0:
+                doubt = max(self.doubt, (onset.EITHER * max(load_kpa, 0)) ** 2)
+                self.variance += doubt - self.doubt
+                self.doubt = doubt
+            seen.x2, seen.x3, seen.pull, seen.clear_pull = self.now.x2, self.now.x3, 0.0, 0.0
+            seen.begun = Rise(0.0, -m.etau2_kpa * (seen.x2 + seen.x3))
+            may_bear = 0.0
+        elif sigmas > onset.CLEAR_SIGMAS and seen.clear_pull == 0:
+            seen.clear_pull = seen.pull
+        elif (
+            sigmas > onset.CLEAR_SIGMAS
+            and seen.pull > seen.clear_pull + onset.MORE_SIGMAS * np.sqrt(by_noise)
+            and load_kpa > onset.CLEAR * self.full
+        ):
+            self.other = Hypothesis(load_kpa, seen.begun.settled, self.other.x2, self.now.x3)
+            self.extreme, self.rested, seen.looks = paper.REFUTED, False, -seen.looks
+            self.doubt += (onset.EITHER * load_kpa) ** 2
+            self.variance, seen.may_bear = self.doubt, 0.0
+            seen.found += 1
+            return
+        self.variance += may_bear**2 - seen.may_bear**2
+        seen.may_bear = may_bear
+
+    def _hidden(self, pressure: float, recovers: float) -> float:
+        """By how much a rise may be larger that may have begun earlier."""
+        m, rise = self.model, pressure + self.extreme
+        if self.onset.looks < paper.SETTLES or rise <= 0:
+            return 0.0
+        fast = m.e1_kpa * (1 / m.eu1_kpa + 1 / m.etau2_kpa)
+        hidden = np.clip(1 - (recovers + self.extreme) / rise / fast, 0, 1)
+        return float(paper.HIDDEN_SHARE * hidden**2 * max(self.onset.earliest.pressure - pressure, 0))
 
     def _late(self, left: Hypothesis, other: Hypothesis, unsure: float) -> float:
         """By how much the pressure was off when the model that is left turned, if the load is a parabola in time."""
@@ -324,6 +391,36 @@ class OneCell:
             p = (r - x2 - x3) / (1 / m.e1_kpa + ramp[1] / e2 + ramp[2] / e3)
         p = float(np.clip(p, paper.LOADS[0] * self.full, paper.LOADS[1] * self.full))
         return Hypothesis(p, settled + ramp[0] * p, x2 + ramp[1] / e2 * p, x3 + ramp[2] / e3 * p)
+
+
+@dataclass
+class Rise:
+    """The rising model from some moment on: pressure in kPa, and its second state."""
+
+    pressure: float = 0.0
+    settled: float = 0.0
+
+    def rise(self, model: PaperModel, dt: float, r: float) -> None:
+        """Take the next reading."""
+        gone, ramp = lag.weights(dt, model.tu_s)
+        settled = self.settled + (self.pressure - self.settled) * gone - self.pressure * ramp
+        self.pressure = (r + settled / model.etau2_kpa) / (1 / model.eu1_kpa + (1 - ramp) / model.etau2_kpa)
+        self.settled = settled + ramp * self.pressure
+
+
+@dataclass
+class Onset:
+    """When a load may have begun to rise, what the branches bear if none has, and the pull that this needs."""
+
+    looks: int = 0
+    earliest: Rise = field(default_factory=Rise)
+    begun: Rise = field(default_factory=Rise)
+    x2: float = 0.0
+    x3: float = 0.0
+    pull: float = 0.0
+    clear_pull: float = 0.0
+    may_bear: float = 0.0
+    found: int = 0
 
 
 @dataclass

@@ -56,6 +56,8 @@ _KNOWN_FLAGS = sum(flag.value for flag in Flag)
 _NO_FLAGS = Flag.NONE
 _FIRST_COMMAND = 0x80
 """packet types from here on go from host to board"""
+_Header = tuple[int, int, int, float]
+"""what every packet of a board keeps: sequence number, time in us, boot id, and when its last byte came"""
 
 
 def encode(packet: Packet) -> bytes:
@@ -121,7 +123,7 @@ def decode(stuffed: bytes, received_at: float = math.nan) -> Packet | BadCommand
     if read is None:
         raise ProtocolError(f"unknown packet type 0x{kind:02x}")
     try:
-        return read(_Header(sequence, time_us, boot_id, received_at), payload)
+        return read((sequence, time_us, boot_id, received_at), payload)
     except InputError as error:
         raise ProtocolError(str(error)) from error
 
@@ -177,33 +179,25 @@ def _decoded(stretch: bytes, received_at: float) -> Packet | BadCommand | Corrup
         return Corrupt(len(stretch), str(error))
 
 
-class _Header:
-    """The fields of the header that every packet of a board keeps."""
-
-    __slots__ = ("boot_id", "received_at", "sequence", "time_us")
-
-    def __init__(self, sequence: int, time_us: int, boot_id: int, received_at: float) -> None:
-        self.sequence, self.time_us = sequence, time_us
-        self.boot_id, self.received_at = boot_id, received_at
-
-
 def _read_frame(header: _Header, payload: bytes) -> FramePacket:
+    sequence, time_us, boot_id, received_at = header
     if len(payload) < _FRAME.size:
         raise ProtocolError(f"frame with {len(payload)} bytes of payload, expected at least {_FRAME.size}")
     rows, columns, flags = _FRAME.unpack_from(payload)
     return FramePacket(
-        header.sequence,
-        header.time_us,
+        sequence,
+        time_us,
         rows,
         columns,
         payload[_FRAME.size :],
         Flag(flags & _KNOWN_FLAGS) if flags else _NO_FLAGS,
-        header.boot_id,
-        received_at=header.received_at,
+        boot_id,
+        received_at=received_at,
     )
 
 
 def _read_piece(header: _Header, payload: bytes) -> DescriptionPiece:
+    sequence, time_us, boot_id, received_at = header
     if len(payload) <= _PIECE.size:
         raise ProtocolError(f"piece of a description with {len(payload)} bytes, expected more than {_PIECE.size}")
     offset, total = _PIECE.unpack_from(payload)
@@ -212,9 +206,7 @@ def _read_piece(header: _Header, payload: bytes) -> DescriptionPiece:
         raise ProtocolError(f"description of {total} bytes; at most {MAX_DESCRIPTION} are taken")
     if offset + len(data) > total:
         raise ProtocolError(f"description of {total} bytes with a piece that ends at {offset + len(data)}")
-    return DescriptionPiece(
-        header.sequence, header.time_us, offset, total, data, header.boot_id, received_at=header.received_at
-    )
+    return DescriptionPiece(sequence, time_us, offset, total, data, boot_id, received_at=received_at)
 
 
 def _write_identity(identity: Identity) -> bytes:
@@ -233,6 +225,7 @@ def _write_identity(identity: Identity) -> bytes:
 
 
 def _read_identity(header: _Header, payload: bytes) -> Identity:
+    sequence, time_us, boot_id, received_at = header
     if len(payload) < _IDENTITY.size:
         raise ProtocolError(f"identity with {len(payload)} bytes of payload, expected at least {_IDENTITY.size}")
     rows, columns, adc_bits, streaming, period_us, description_bytes = _IDENTITY.unpack_from(payload)
@@ -245,8 +238,8 @@ def _read_identity(header: _Header, payload: bytes) -> Identity:
     except UnicodeDecodeError as error:
         raise ProtocolError(f"identity with a text that is not UTF-8: {error}") from error
     return Identity(
-        header.sequence,
-        header.time_us,
+        sequence,
+        time_us,
         rows,
         columns,
         adc_bits,
@@ -255,9 +248,9 @@ def _read_identity(header: _Header, payload: bytes) -> Identity:
         description_bytes,
         serial_number,
         firmware,
-        header.boot_id,
+        boot_id,
         streaming == _OVER,
-        received_at=header.received_at,
+        received_at=received_at,
     )
 
 
@@ -268,6 +261,7 @@ def _write_self_test(result: SelfTest) -> bytes:
 
 
 def _read_self_test(header: _Header, payload: bytes) -> SelfTest:
+    sequence, time_us, boot_id, received_at = header
     if len(payload) < _SELF_TEST.size:
         raise ProtocolError(f"self-test with {len(payload)} bytes of payload, expected at least {_SELF_TEST.size}")
     rows, columns, references = _SELF_TEST.unpack_from(payload)
@@ -280,17 +274,18 @@ def _read_self_test(header: _Header, payload: bytes) -> SelfTest:
     except ValueError as error:
         raise ProtocolError(f"self-test with a line state that is not known: {error}") from error
     return SelfTest(
-        header.sequence,
-        header.time_us,
+        sequence,
+        time_us,
         tuple(lines[:rows]),
         tuple(lines[rows:]),
         tuple(_REFERENCE.iter_unpack(payload[lines_end:])),
-        header.boot_id,
-        received_at=header.received_at,
+        boot_id,
+        received_at=received_at,
     )
 
 
 def _read_reply(header: _Header, payload: bytes) -> Reply:
+    sequence, time_us, boot_id, received_at = header
     if len(payload) != _REPLY.size:
         raise ProtocolError(f"reply with {len(payload)} bytes of payload, expected {_REPLY.size}")
     order, status, command_sequence = _REPLY.unpack(payload)
@@ -299,13 +294,13 @@ def _read_reply(header: _Header, payload: bytes) -> Reply:
     except ValueError as error:
         raise ProtocolError(f"reply with status {status}, which is not known") from error
     return Reply(
-        header.sequence,
-        header.time_us,
+        sequence,
+        time_us,
         order,
         found,
         command_sequence,
-        header.boot_id,
-        received_at=header.received_at,
+        boot_id,
+        received_at=received_at,
     )
 
 

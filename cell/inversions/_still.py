@@ -23,7 +23,18 @@ from ...compiled import Places, Row, Rows, loop
 from ..estimation import FAR, NOISE, PRESSURE, RECENT, VARIANCE, recent_mean
 from ..materials import PaperModel
 from ._paper_steps import Constants, borne_before, numbered, step_weights
-from ._turning_loops import EXTREME, LEFT, RECOVERY_KPA, RECOVERY_X3, REFUTED, SIGN, STATE_END, TURNED, X2
+from ._turning_loops import (
+    EXTREME,
+    LEFT,
+    LOOKS_AT_REST,
+    RECOVERY_KPA,
+    RECOVERY_X3,
+    REFUTED,
+    SIGN,
+    STATE_END,
+    TURNED,
+    X2,
+)
 
 FLAT = 0.3
 """share of the growth by which the readings may leave the prediction, as the recovery model answers that"""
@@ -36,7 +47,10 @@ CLEAR = 0.01
 """of full scale: growth that is refuted. Of a growth that noise hides more than :data:`FLAT` of, nothing can be said"""
 EITHER = 0.5
 """standard deviation over the growth that is in doubt"""
-_ZERO, _FAR, _EITHER, _FLAT, _SURE = (np.array(x) for x in (0.0, FAR, EITHER, FLAT, SURE / math.sqrt(RECENT)))
+FLAT_PRESS, CLEAR_PRESS = 0.05, 0.1
+"""as :data:`FLAT` and :data:`CLEAR`, of growth that began beyond a light touch or was found by :mod:`._onset`: a load
+may rise for a while by about as much as the recovery fades, but hardly by just as much for long"""
+_ZERO, _FAR, _EITHER, _SURE = (np.array(x) for x in (0.0, FAR, EITHER, SURE / math.sqrt(RECENT)))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 NAMES = ("still_kpa", "still_x2", "still_x3", "off_kpa_before", "pressure_before")
@@ -111,8 +125,11 @@ def look(
     off *= numbers[GAIN_KPA]
     by_noise = noise * _SURE
     by_noise *= numbers[GAIN_KPA]
+    light = pressure_before <= load + LIGHT_TOUCH * full_scale_kpa
+    light &= memory[LOOKS_AT_REST] >= _ZERO
+    flat, clear = np.where(light, FLAT, FLAT_PRESS), np.where(light, CLEAR, CLEAR_PRESS)
     growth = pressure - pressure_before
-    alike = np.abs(off - off_before) <= np.maximum(growth, _ZERO) * _FLAT + by_noise
+    alike = np.abs(off - off_before) <= np.maximum(growth, _ZERO) * flat + by_noise
     alike &= np.abs(off) <= by_noise + LIGHT_TOUCH * full_scale_kpa
     anew = rising & ~alike
     np.copyto(off_before, off, where=anew)
@@ -124,8 +141,8 @@ def look(
     np.maximum(in_doubt, _ZERO, out=in_doubt)
     memory[TURNED] += in_doubt
     memory[VARIANCE] += in_doubt
-    refuted = growth > CLEAR * full_scale_kpa
-    refuted &= growth * _FLAT > by_noise
+    refuted = growth > clear * full_scale_kpa
+    refuted &= growth * flat > by_noise
     if np.count_nonzero(refuted):
         x3 = x3 + load * numbers[PER_KPA_3]
         np.copyto(memory[RECOVERY_KPA], load, where=refuted)
@@ -170,8 +187,10 @@ def look_each(
         off = mean - load * numbers[PER_KPA] - x2 * numbers[BACK_2] - x3 * numbers[BACK_3]
         off *= numbers[GAIN_KPA]
         by_noise = taken[NOISE, i] * (SURE / math.sqrt(RECENT)) * numbers[GAIN_KPA]
+        light = memory[PRESSURE_BEFORE, i] <= load + LIGHT_TOUCH * full_scale_kpa and memory[LOOKS_AT_REST, i] >= 0.0
+        flat, clear = (FLAT, CLEAR) if light else (FLAT_PRESS, CLEAR_PRESS)
         growth = pressure - memory[PRESSURE_BEFORE, i]
-        alike = abs(off - memory[OFF_BEFORE, i]) <= max(growth, 0.0) * FLAT + by_noise
+        alike = abs(off - memory[OFF_BEFORE, i]) <= max(growth, 0.0) * flat + by_noise
         if not (alike and abs(off) <= by_noise + LIGHT_TOUCH * full_scale_kpa):
             memory[OFF_BEFORE, i], memory[PRESSURE_BEFORE, i] = off, pressure
             continue
@@ -179,7 +198,7 @@ def look_each(
         in_doubt = max(in_doubt * in_doubt - memory[TURNED, i], 0.0)
         memory[TURNED, i] += in_doubt
         memory[VARIANCE, i] += in_doubt
-        if growth > CLEAR * full_scale_kpa and growth * FLAT > by_noise:
+        if growth > clear * full_scale_kpa and growth * flat > by_noise:
             x3 = x3 + load * numbers[PER_KPA_3]
             memory[RECOVERY_KPA, i], memory[RECOVERY_X3, i], memory[EXTREME, i] = load, x3, REFUTED
             memory[X2, i] = memory[STATE_END - 1, i] - load * numbers[PER_KPA_AT_ONCE] - x3

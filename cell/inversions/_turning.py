@@ -33,6 +33,7 @@ from ..estimation import (
     credible_readings,
 )
 from ..materials import ByStep, PaperModel, lag
+from . import _onset as onset
 from . import _recovery as recovery
 from . import _still as still
 from . import _sway as sway
@@ -42,12 +43,17 @@ from ._turning_loops import (
     BEFORE_LAST,
     EARLIER_FROM_KPA,
     EARLIER_KPA,
+    EARLIEST_KPA,
     EXTREME,
+    HIDDEN_SHARE,
     LAST,
     LEFT,
+    LOOKS_AT_REST,
+    MAY_BEAR_KPA,
     PEAK,
     RECENT_EXTREME,
     REFUTED,
+    SETTLES,
     SIGN,
     TAKEN_OFF_KPA,
     THIRD_LAST,
@@ -169,6 +175,7 @@ class TurningInversion(Inversion):
         *("earlier", "earlier_least", "earlier_from"),
         *still.NAMES,
         "recent_extreme",
+        *onset.NAMES,
     )
     recovers = True
 
@@ -207,6 +214,8 @@ class TurningInversion(Inversion):
         self._clear_rise_kpa = CLEAR_RISE * full_scale_kpa
         self._fast_r = np.array([[1 / model.eu1_kpa + 1 / model.etau2_kpa], [1 / model.e1_kpa]])
         """r per kPa of a fast change, in the rising and in the recovery model"""
+        self._shared_by_fast = np.array(self._fast_r[1, 0] / self._fast_r[0, 0])
+        """pressure of the rising model after a fast change, over that of the recovery model"""
         self._shared_fall = np.array(SHARED_FALL * self._fast_r[1, 0] / self._fast_r[0, 0])
         self._sure_of_fall = np.array(SURE * self._fast_r[0, 0] / self._fast_r[1, 0])
         self._grown_kpa = np.array(GROWN * LIGHT_TURN * full_scale_kpa)
@@ -221,6 +230,7 @@ class TurningInversion(Inversion):
         self._doubted_load_kpa2 = np.array((DOUBTED_LOAD * full_scale_kpa) ** 2)
         self._recovery = ByStep(recovery.constants, model)
         self._still = ByStep(still.constants, model)
+        self._onset = ByStep(onset.constants, model)
         self._kept_kpa = sway.kpa_kept(model)
         self._fast_kpa, self._round_kpa = np.array(FAST * TURN * full_scale_kpa), np.array(ROUND * full_scale_kpa)
         self._most_rested_kpa2 = np.array((recovery.MOST * full_scale_kpa) ** 2)
@@ -417,7 +427,7 @@ class TurningInversion(Inversion):
         of.nearby *= self._goes_back
         of.nearby *= of.held
         of.peak -= of.nearby
-        of.variance -= of.doubt  # by which the hypotheses were apart in the last frame
+        of.variance -= of.doubt + of.may_bear * of.may_bear  # by which the hypotheses were apart in the last frame
         of.doubt *= of.fade
         apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
         np.abs(apart, out=apart)
@@ -437,9 +447,10 @@ class TurningInversion(Inversion):
         if np.count_nonzero(begun):
             self._keep(of, apart, begun)
         np.add(apart, of.doubt, of.variance)
+        of.variance += of.may_bear * of.may_bear
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
-        return *loops.ALL, *recovery.LOOPS, *still.LOOPS, *sway.LOOPS
+        return *loops.ALL, *recovery.LOOPS, *still.LOOPS, *onset.LOOPS, *sway.LOOPS
 
     def _numbers_of_turns(self) -> FloatArray:
         """What the loops take."""
@@ -543,9 +554,10 @@ class TurningInversion(Inversion):
         np.minimum(kept * kept, self._lost_at_most_kpa2, out=of.doubt)
 
     def recover(self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray) -> None:
-        """See :func:`._recovery.look`, :func:`._still.look` and :func:`._sway.look`."""
+        """See :func:`._recovery.look`, :func:`._still.look`, :func:`._onset.look` and :func:`._sway.look`."""
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
         still.look(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).each)
+        onset.look(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).each)
         sway.look(memory, mean, noise, self._kept_kpa)
 
     def recover_compiled(
@@ -558,10 +570,12 @@ class TurningInversion(Inversion):
         newest: int,
         cells: IntArray,
     ) -> None:
-        """See :func:`._recovery.look_each`, :func:`._still.look_each` and :func:`._sway.look_each`."""
+        """See :func:`._recovery.look_each`, and those of :mod:`._still`, :mod:`._onset` and :mod:`._sway`."""
         recovery.look_each.code(memory, taken, line, ring, newest, cells, self._recovery.of(dt_s).row)
         numbers = self._still.of(dt_s).row
         still.look_each.code(memory, taken, ring, newest, cells, self.full_scale_kpa, numbers)
+        numbers = self._onset.of(dt_s).row
+        onset.look_each.code(memory, taken, ring, newest, cells, self.full_scale_kpa, numbers)
         sway.look_each.code(memory, taken, ring, newest, cells, sway.LOOKS_IN_BLOCK, self._kept_kpa)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
@@ -689,6 +703,10 @@ class TurningInversion(Inversion):
         np.copyto(before, rested, where=some[RESTED] > self._none)
         rounded = self._fast_kpa / np.maximum(np.abs(pressure - some[LAST]), self._fast_kpa)
         unseen = self._unseen(some, pressure, gain, unsure) + rounded * self._round_kpa
+        noticed = ~again & (extreme < REFUTED)
+        unseen += np.where(noticed & (sign > self._none), self._hidden(some, pressure, extreme), self._none)
+        np.copyto(some[LOOKS_AT_REST], self._none, where=noticed & (sign < self._none))
+        some[MAY_BEAR_KPA] = 0.0
         by_noise = noise * weights.by_model[0, RECOVERY]
         by_noise *= by_noise
         doubt = np.sqrt(before) + unseen
@@ -708,6 +726,19 @@ class TurningInversion(Inversion):
         some[RECENT_EXTREME] = some[EXTREME]
         some[LEFT] = extreme
         memory[:, turned] = some
+
+    def _hidden(self, memory: FloatArray, pressure: FloatArray, extreme: FloatArray) -> FloatArray:
+        """(m,) standard deviation in kPa of rises that may have begun earlier, see :mod:`._onset`.
+
+        The load of released cells has risen from ``-extreme`` (m,) to ``pressure`` (m,).
+        """
+        rise = pressure + extreme
+        rises = (rise > self._none) & (memory[LOOKS_AT_REST] >= SETTLES)
+        shared = (memory[STATE][1] + extreme) / np.where(rises, rise, self._one) * self._shared_by_fast
+        hidden = np.minimum(np.maximum(self._one - shared, self._none), self._one)
+        kpa = hidden * hidden * np.maximum(memory[EARLIEST_KPA] - pressure, self._none) * HIDDEN_SHARE
+        found: FloatArray = np.where(rises, kpa, self._none)
+        return found
 
     def _late(self, memory: FloatArray, noise: FloatArray) -> FloatArray:
         """(m,) kPa by which the pressure of the model that is left was off when it turned, for readings with ``noise``.
@@ -853,6 +884,7 @@ class TurningInversion(Inversion):
         share = np.where(apart, 0.0, held[IN_FORCE][::-1])
         state[:6] += (self._taken_over @ state) * np.tile(share, (3, 1))
         still.hold(held, 1.0 - gone[1], 1.0 - gone[2])
+        onset.begin_anew(held)
         sway.begin_anew(held, np.ones(held.shape[1], dtype=np.bool_))
         return held
 

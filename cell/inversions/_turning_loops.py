@@ -27,6 +27,12 @@ RECENT_EXTREME = 49
 """row behind those of :mod:`._still`: the extreme, which fades as fast as an error of the memory may"""
 """rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
 seem to turn, now and at last; pressure that was subtracted since the release"""
+MAY_BEAR_KPA, LOOKS_AT_REST, EARLIEST_KPA = 50, 51, 52
+"""rows of :mod:`._onset`: standard deviation by a load that may have begun to rise while the cell recovers; looks since
+the recovering cell was taken for one at rest, negative where such a load was taken over; the load if it began then"""
+HIDDEN_SHARE, SETTLES = 0.7, 7.0
+"""standard deviation over what a rise that was hidden would make; looks from which what a cell at rest remembers is
+known: by then the smoothing has passed the release"""
 UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
 NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_TURNS = range(6, 10)
 GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
@@ -158,6 +164,17 @@ def follow_earlier_turn(memory: Rows, i: int, forgotten_kpa: float, of: Rows, nu
 
 
 @loop
+def hidden_kpa(memory: Rows, i: int, pressure: float, extreme: float, numbers: Row) -> float:
+    """Standard deviation in kPa of cell ``i``, whose rise from ``-extreme`` to ``pressure`` may have begun earlier."""
+    rise = pressure + extreme
+    if memory[LOOKS_AT_REST, i] < SETTLES or rise <= 0.0:
+        return 0.0
+    shared = (memory[RECOVERY_KPA, i] + extreme) / rise * (numbers[FALL_R] / numbers[RISE_R])
+    hidden = min(max(1.0 - shared, 0.0), 1.0)
+    return float(hidden * hidden * max(memory[EARLIEST_KPA, i] - pressure, 0.0) * HIDDEN_SHARE)
+
+
+@loop
 def turn(memory: Rows, i: int, noise: float, by_model: Rows, of: Rows, numbers: Row) -> None:
     """Take over the other hypothesis in cell ``i``."""
     left, extreme = memory[LEFT, i], memory[EXTREME, i]
@@ -180,6 +197,12 @@ def turn(memory: Rows, i: int, noise: float, by_model: Rows, of: Rows, numbers: 
         before = min(before, memory[REST_VARIANCE, i] + left_over)
     rounded = numbers[FAST_KPA] / max(abs(pressure - memory[LAST, i]), numbers[FAST_KPA]) * numbers[ROUND_KPA]
     unseen = unseen_kpa(memory, i, pressure, gain, unsure, numbers) + rounded
+    if left >= FAR and extreme < REFUTED:
+        if sign > 0.0:
+            unseen += hidden_kpa(memory, i, pressure, extreme, numbers)
+        else:
+            memory[LOOKS_AT_REST, i] = 0.0
+    memory[MAY_BEAR_KPA, i] = 0.0
     doubt = math.sqrt(before) + unseen
     by_noise = by_model[0, 1] * noise
     by_noise *= by_noise
@@ -410,7 +433,8 @@ def begin_anew(
         memory[RECENT_EXTREME, i] = max(recent, ahead - unsure)
         if flags[HELD, i]:
             memory[PEAK, i] -= fades * min(error_kpa, numbers[TURN_KPA]) * numbers[GOES_BACK]
-        memory[VARIANCE, i] -= memory[TURNED, i]  # by which the hypotheses were apart in the last frame
+        may_bear = memory[MAY_BEAR_KPA, i] * memory[MAY_BEAR_KPA, i]
+        memory[VARIANCE, i] -= memory[TURNED, i] + may_bear  # by which the hypotheses were apart in the last frame
         memory[TURNED, i] *= of[FADE, i]
         apart = abs(memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]
         if memory[SIGN, i] > 0.0:
@@ -427,7 +451,8 @@ def begin_anew(
     if begun_anywhere:
         keep(memory, of, flags, numbers)
     for i in range(memory.shape[1]):
-        memory[VARIANCE, i] = of[SPARE, i] + memory[TURNED, i]
+        may_bear = memory[MAY_BEAR_KPA, i] * memory[MAY_BEAR_KPA, i]
+        memory[VARIANCE, i] = of[SPARE, i] + memory[TURNED, i] + may_bear
 
 
 ALL = take, take_gains, step_and_turn, correct, begin_anew

@@ -14,6 +14,7 @@ from ._turning_loops import (
     EARLIER_KPA,
     LAST,
     LEFT,
+    MAY_BEAR_KPA,
     RECENT_EXTREME,
     THIRD_LAST,
     TURNED,
@@ -65,6 +66,7 @@ class Rows:
         self.in_force, self.drift = memory[IN_FORCE], memory[DRIFT_KPA]
         self.earlier, self.earlier_least, self.earlier_from = memory[EARLIER_KPA : EARLIER_FROM_KPA + 1]
         self.recent_extreme = memory[RECENT_EXTREME]
+        self.may_bear = memory[MAY_BEAR_KPA]
         self.state = memory[STATE]
         self.hypotheses, self.pressures, self.r = self.state[:6], self.state[:2], self.state[6]
         self.both = self.pressures.reshape(-1)

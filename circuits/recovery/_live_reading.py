@@ -136,7 +136,8 @@ class LiveReading:
         return bool(np.count_nonzero(self.valid) == self.valid.size) if self._every is None else self._every
 
     @property
-    def _computed(self) -> tuple[FloatArray, FloatArray]:
+    def uncertainties(self) -> tuple[FloatArray, FloatArray]:
+        """:attr:`uncertainty` and :attr:`own`."""
         if self._known is None:
             self._known = self._uncertainties()
         return self._known
@@ -148,12 +149,12 @@ class LiveReading:
         Half an ADC step and :data:`SIGMAS` standard deviations of the noise of every reading, what the computation
         leaves open, and what cells that are not known can make of this one.
         """
-        return self._computed[0]
+        return self.uncertainties[0]
 
     @property
     def own(self) -> FloatArray:
         """The part of :attr:`uncertainty` that comes from the cell's own reading: no other reading lessens it."""
-        return self._computed[1]
+        return self.uncertainties[1]
 
     @property
     def by_readings(self) -> FloatArray:

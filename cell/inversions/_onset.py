@@ -1,0 +1,298 @@
+"""Slow presses of cells that recover: quickest change detection of the moment at which the load began to rise.
+
+Under a load the paper's cell forgets sooner than at rest. A small load therefore lets the resistance of a cell that
+still recovers fall *faster*: the recovery model would need a pull, which passes for an error of what it remembers, and
+is taken out of its memory again and again. Only a fast press raises the resistance by more than that.
+
+Two hypotheses are compared while a cell recovers. Under the first one it bears nothing: the readings follow what it
+remembered when they last gave no sign of a load, as far as that memory is known and noise allows. Under the second one
+a load has risen since that moment, at whatever rate. The statistic is the pull that the first hypothesis needs
+altogether. Where it needs none, the moment is moved to the present, as in Page's test (CUSUM). An error of the memory
+needs a pull once, while a load needs more and more of it. Where the pull is clear, the second hypothesis is taken over.
+Before, its load counts as standard deviation in proportion to how likely it has become.
+
+At some rate, a load raises the resistance by just what the cell forgets sooner. Such a load is hidden: the readings are
+those of a cell at rest until the rate changes. When it emerges, the rising model begins too late. The less of the rise
+the recovery model shares, the nearer the rate is to the hidden one, and the more likely the load began before. Its
+pressure is then between that of the rising model and what it would be if the load had begun with the recovery.
+
+T. L. Lai: "Sequential changepoint detection in quality control and dynamical systems", J. R. Statist. Soc. B 57 (1995).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from ...compiled import Places, Row, Rows, loop
+from ..estimation import FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE, recent_mean
+from ..materials import PaperModel, lag
+from ._paper_steps import Constants, borne_before, numbered, step_weights
+from ._recovery import REST_SIGMAS
+from ._turning_loops import (
+    EARLIEST_KPA,
+    EXTREME,
+    LEFT,
+    LOOKS_AT_REST,
+    MAY_BEAR_KPA,
+    RECOVERY_X3,
+    REFUTED,
+    RISING_KPA,
+    RISING_X3,
+    SETTLED,
+    SETTLES,
+    SIGN,
+    STATE_END,
+    TURNED,
+    X2,
+)
+
+MODEL = 0.06
+"""share of the variance of the memory that no averaging of readings removes: its error fades otherwise than the filter
+of :mod:`._recovery` reckons with. Of rests after taps in up to 3 mV none needs a pull of :data:`CLEAR_SIGMAS` then"""
+SOME_SIGMAS, CLEAR_SIGMAS, MORE_SIGMAS = 0.5, 3.0, 4.0
+"""standard deviations of the pull from which a load is possible, and from which the pull is clear; and those of noise
+by which it must grow after that for the load to be taken over. A light touch that has ended leaves a pull, too"""
+AVERAGED = 0.25
+"""least weight of the last look in the pull: a pull is averaged as long as noise makes more of it than the memory"""
+COINCIDENCE = 0.25
+"""of the load: a pull that is no larger is none. The load would have to follow the hidden rate for all the time"""
+NONE, CLEAR = 0.002, 0.01
+"""of full scale: a pull that is none, and a load that is worth taking over"""
+EITHER = 0.6
+"""standard deviation over a load that is taken over, since it may have begun later, and over one that is hidden after a
+clear pull"""
+BOUND = REST_SIGMAS**2
+PER_SIGMA = 1.0 / (CLEAR_SIGMAS - SOME_SIGMAS)
+_ZERO, _ONE, _FAR, _REFUTED, _SETTLES, _AVERAGED, _PER_SIGMA, _BOUND = (
+    np.array(x) for x in (0.0, 1.0, FAR, REFUTED, SETTLES, AVERAGED, PER_SIGMA, BOUND)
+)
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
+
+NAMES = (
+    *("may_bear_kpa", "looks_at_rest", "earliest_kpa", "begun_kpa", "earliest_settled", "begun_settled"),
+    *("expected_x2", "expected_x3", "pull_kpa", "clear_kpa"),
+)
+"""names of the rows of the memory, from :data:`._turning_loops.MAY_BEAR_KPA` on"""
+BEGUN_KPA, EARLIEST_SETTLED, BEGUN_SETTLED, EXPECTED_X2, EXPECTED_X3, PULL_KPA, CLEAR_KPA = range(53, 60)
+"""rows: the rising model that began at the moment, beside the one that began with the recovery; the second states of
+the latter and of the former; what the branches bear if nothing has risen since the moment; the pull, and what it was
+when it became clear, else none"""
+
+GAIN_KPA, FADES_2, FADES_3, BACK_2, BACK_3, GONE, RAMP, RISING_GAIN_KPA = range(8)
+"""places of what depends on the time between frames: kPa per r in recovery; share of what the branches bear that is
+left at the next look; by how much more they bore when the mean of the readings was right; weights of the rising model
+from one look to the next, and kPa per r then. And a constant:"""
+ETAU2_KPA = 8
+"""of the model"""
+
+
+def constants(model: PaperModel, dt_s: float) -> Constants:
+    """What :func:`look` takes, for frames ``dt_s`` apart; places as above."""
+    look_s, (back_2, back_3) = RECENT * dt_s, borne_before(model, 0.5 * (RECENT - 1) * dt_s)
+    gone, ramp = (float(weight) for weight in lag.weights(look_s, model.tu_s))
+    numbers = {
+        GAIN_KPA: float(step_weights(model, dt_s).gain[-1]),
+        FADES_2: math.exp(-look_s / model.t2_s),
+        FADES_3: math.exp(-look_s / model.t3_s),
+        BACK_2: back_2,
+        BACK_3: back_3,
+        GONE: gone,
+        RAMP: ramp,
+        RISING_GAIN_KPA: float(step_weights(model, look_s).gain[0]),
+        ETAU2_KPA: model.etau2_kpa,
+    }
+    return numbered(numbers)
+
+
+def begin_anew(memory: FloatArray) -> None:
+    """Forget when loads may have begun in m cells; changes their ``memory`` (rows, m)."""
+    memory[VARIANCE] -= memory[MAY_BEAR_KPA] * memory[MAY_BEAR_KPA]
+    memory[MAY_BEAR_KPA : LOOKS_AT_REST + 1] = 0.0
+
+
+def look(
+    memory: FloatArray, mean: FloatArray, noise: FloatArray, full_scale_kpa: float, numbers: tuple[FloatArray, ...]
+) -> None:
+    """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``memory`` (rows, m).
+
+    Args:
+        memory: of the cells.
+        mean: (m,) of those readings.
+        noise: (m,) standard deviation of one of them.
+        full_scale_kpa: of the cells.
+        numbers: :func:`constants`, each.
+    """
+    looks = memory[LOOKS_AT_REST]
+    recovers = memory[LEFT] >= _FAR
+    recovers &= memory[SIGN] < _ZERO
+    by_noise = noise * numbers[GAIN_KPA]
+    by_noise *= by_noise
+    bound = (memory[REST_VARIANCE] + by_noise) * _BOUND
+    recovers &= (memory[PRESSURE] * memory[PRESSURE] < bound) | (looks > _ZERO)
+    np.copyto(looks, np.abs(looks) + _ONE, where=recovers)
+    memory[EXPECTED_X2] *= numbers[FADES_2]
+    memory[EXPECTED_X3] *= numbers[FADES_3]
+    pressures, settled = memory[EARLIEST_KPA : BEGUN_KPA + 1], memory[EARLIEST_SETTLED : BEGUN_SETTLED + 1]
+    settled += (pressures - settled) * numbers[GONE] - pressures * numbers[RAMP]
+    pressures[...] = (memory[STATE_END - 1] + settled / numbers[ETAU2_KPA]) * numbers[RISING_GAIN_KPA]
+    settled += pressures * numbers[RAMP]
+    rests = (recovers & (looks >= _SETTLES)).nonzero()[0]
+    if not rests.size:
+        return
+    some = memory.take(rests, axis=1)
+    _compare(some, mean[rests], noise[rests], full_scale_kpa, numbers)
+    memory[:, rests] = some
+
+
+def _compare(
+    memory: FloatArray, mean: FloatArray, noise: FloatArray, full_scale_kpa: float, numbers: tuple[FloatArray, ...]
+) -> None:
+    """Compare the two hypotheses, and take over the second one where it is clear; as :func:`look`, of some cells."""
+    load = memory[BEGUN_KPA]
+    by_model = memory[REST_VARIANCE] + memory[TURNED] * MODEL
+    by_noise = noise * numbers[GAIN_KPA]
+    by_noise *= by_noise
+    by_noise *= 1.0 / RECENT
+    weight = np.maximum(by_model / (by_model + by_noise), _AVERAGED)
+    last = (memory[EXPECTED_X2] * numbers[BACK_2] + memory[EXPECTED_X3] * numbers[BACK_3] - mean) * numbers[GAIN_KPA]
+    pull = memory[PULL_KPA] + (last - memory[PULL_KPA]) * weight
+    none = NONE * full_scale_kpa
+    by_noise = by_noise * (weight / (2.0 - weight)) + none * none
+    unsure = np.sqrt(by_model + by_noise)
+    settles = memory[LOOKS_AT_REST] == _SETTLES
+    anew = settles | (pull <= load * COINCIDENCE + none) | (load < -unsure)
+    likely = np.minimum(np.maximum((pull / unsure - SOME_SIGMAS) * _PER_SIGMA, _ZERO), _ONE)
+    may_bear = np.sqrt(likely) * np.maximum(load - np.maximum(memory[PRESSURE], _ZERO), _ZERO)
+    clear, clear_before = ~anew & (pull > unsure * CLEAR_SIGMAS), memory[CLEAR_KPA]
+    more = clear & (clear_before > _ZERO) & (pull > clear_before + np.sqrt(by_noise) * MORE_SIGMAS)
+    more &= load > CLEAR * full_scale_kpa
+    np.copyto(may_bear, _ZERO, where=anew | more)
+    hidden = anew & (clear_before > _ZERO) & ~settles
+    memory[VARIANCE] += may_bear * may_bear - memory[MAY_BEAR_KPA] * memory[MAY_BEAR_KPA]
+    memory[MAY_BEAR_KPA] = may_bear
+    if np.count_nonzero(hidden):
+        doubt = np.where(hidden, np.maximum(load, _ZERO) * EITHER, _ZERO)
+        doubt = np.maximum(doubt * doubt, memory[TURNED])
+        memory[VARIANCE] += doubt - memory[TURNED]
+        memory[TURNED] = doubt
+    memory[CLEAR_KPA] = np.where(anew, _ZERO, np.where(clear & (clear_before == _ZERO), pull, clear_before))
+    memory[PULL_KPA] = np.where(anew, _ZERO, pull)
+    forgotten = (memory[X2] + memory[RECOVERY_X3]) * -numbers[ETAU2_KPA]
+    for begins, begun_kpa, begun_settled in (
+        (settles, EARLIEST_KPA, EARLIEST_SETTLED),
+        (anew, BEGUN_KPA, BEGUN_SETTLED),
+    ):
+        np.copyto(memory[begun_kpa], _ZERO, where=begins)
+        np.copyto(memory[begun_settled], forgotten, where=begins)
+    np.copyto(memory[EXPECTED_X2], memory[X2], where=anew)
+    np.copyto(memory[EXPECTED_X3], memory[RECOVERY_X3], where=anew)
+    if np.count_nonzero(more):
+        _take_over(memory, more)
+
+
+def _take_over(memory: FloatArray, risen: BoolArray) -> None:
+    """Let a load bear on those of m cells where it has ``risen`` (m,); changes their ``memory`` (rows, m)."""
+    doubt = memory[BEGUN_KPA] * EITHER
+    doubt = memory[TURNED] + doubt * doubt
+    for row, value in (
+        (RISING_KPA, memory[BEGUN_KPA]),
+        (SETTLED, memory[BEGUN_SETTLED]),
+        (RISING_X3, memory[RECOVERY_X3]),
+        (EXTREME, _REFUTED),
+        (RESTED, _ZERO),
+        (LOOKS_AT_REST, -memory[LOOKS_AT_REST]),
+        (TURNED, doubt),
+        (VARIANCE, doubt),
+    ):
+        np.copyto(memory[row], value, where=risen)
+
+
+@loop
+def look_each(
+    memory: Rows,
+    taken: Rows,
+    ring: Rows,
+    newest: int,
+    cells: Places,
+    full_scale_kpa: float,
+    numbers: Row,
+) -> None:
+    """:func:`look` as a loop over cells, which takes the mean of the readings itself.
+
+    Args:
+        memory: (rows, m), changed.
+        taken: (4, m) readings of the frame.
+        ring: (k, n) the last readings of all cells.
+        newest: row of the last of them.
+        cells: (m,) indices.
+        full_scale_kpa: of the cells.
+        numbers: :func:`constants`.
+    """
+    none, etau2_kpa = NONE * full_scale_kpa, numbers[ETAU2_KPA]
+    for i in range(cells.size):
+        looks = memory[LOOKS_AT_REST, i]
+        by_noise = taken[NOISE, i] * numbers[GAIN_KPA]
+        by_noise *= by_noise
+        bound = (memory[REST_VARIANCE, i] + by_noise) * BOUND
+        rests = memory[PRESSURE, i] * memory[PRESSURE, i] < bound or looks > 0.0
+        recovers = rests and memory[LEFT, i] >= FAR and memory[SIGN, i] < 0.0
+        if recovers:
+            looks = abs(looks) + 1.0
+            memory[LOOKS_AT_REST, i] = looks
+        memory[EXPECTED_X2, i] *= numbers[FADES_2]
+        memory[EXPECTED_X3, i] *= numbers[FADES_3]
+        r = memory[STATE_END - 1, i]
+        for model in range(2):
+            load, settled = memory[EARLIEST_KPA + model, i], memory[EARLIEST_SETTLED + model, i]
+            settled += (load - settled) * numbers[GONE] - load * numbers[RAMP]
+            load = (r + settled / etau2_kpa) * numbers[RISING_GAIN_KPA]
+            memory[EARLIEST_KPA + model, i] = load
+            memory[EARLIEST_SETTLED + model, i] = settled + load * numbers[RAMP]
+        if not (recovers and looks >= SETTLES):
+            continue
+        load, mean = memory[BEGUN_KPA, i], recent_mean(ring, newest, cells[i])
+        by_model = memory[REST_VARIANCE, i] + memory[TURNED, i] * MODEL
+        by_noise *= 1.0 / RECENT
+        weight = max(by_model / (by_model + by_noise), AVERAGED)
+        last = memory[EXPECTED_X2, i] * numbers[BACK_2] + memory[EXPECTED_X3, i] * numbers[BACK_3] - mean
+        pull = memory[PULL_KPA, i] + (last * numbers[GAIN_KPA] - memory[PULL_KPA, i]) * weight
+        by_noise = by_noise * (weight / (2.0 - weight)) + none * none
+        unsure = math.sqrt(by_model + by_noise)
+        may_bear2 = memory[MAY_BEAR_KPA, i] * memory[MAY_BEAR_KPA, i]
+        if looks == SETTLES or pull <= load * COINCIDENCE + none or load < -unsure:
+            settled = (memory[X2, i] + memory[RECOVERY_X3, i]) * -etau2_kpa
+            if looks == SETTLES:
+                memory[EARLIEST_KPA, i], memory[EARLIEST_SETTLED, i] = 0.0, settled
+            memory[BEGUN_KPA, i], memory[BEGUN_SETTLED, i], memory[PULL_KPA, i] = 0.0, settled, 0.0
+            memory[EXPECTED_X2, i], memory[EXPECTED_X3, i] = memory[X2, i], memory[RECOVERY_X3, i]
+            memory[VARIANCE, i] += 0.0 - may_bear2
+            if memory[CLEAR_KPA, i] > 0.0 and looks > SETTLES:
+                doubt = max(load, 0.0) * EITHER
+                doubt = max(doubt * doubt, memory[TURNED, i])
+                memory[VARIANCE, i] += doubt - memory[TURNED, i]
+                memory[TURNED, i] = doubt
+            memory[CLEAR_KPA, i] = memory[MAY_BEAR_KPA, i] = 0.0
+            continue
+        memory[PULL_KPA, i] = pull
+        clear, clear_before = pull > unsure * CLEAR_SIGMAS, memory[CLEAR_KPA, i]
+        if clear and clear_before == 0.0:
+            memory[CLEAR_KPA, i] = pull
+        more = clear and clear_before > 0.0 and pull > clear_before + math.sqrt(by_noise) * MORE_SIGMAS
+        if more and load > CLEAR * full_scale_kpa:
+            doubt = load * EITHER
+            doubt = memory[TURNED, i] + doubt * doubt
+            memory[RISING_KPA, i], memory[SETTLED, i] = load, memory[BEGUN_SETTLED, i]
+            memory[RISING_X3, i], memory[EXTREME, i] = memory[RECOVERY_X3, i], REFUTED
+            memory[RESTED, i], memory[LOOKS_AT_REST, i], memory[MAY_BEAR_KPA, i] = 0.0, -looks, 0.0
+            memory[TURNED, i] = memory[VARIANCE, i] = doubt
+            continue
+        likely = min(max((pull / unsure - SOME_SIGMAS) * PER_SIGMA, 0.0), 1.0)
+        may_bear = math.sqrt(likely) * max(load - max(memory[PRESSURE, i], 0.0), 0.0)
+        memory[VARIANCE, i] += may_bear * may_bear - may_bear2
+        memory[MAY_BEAR_KPA, i] = may_bear
+
+
+LOOPS = (look_each,)
