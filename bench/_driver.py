@@ -196,7 +196,7 @@ def _measured(board: Design, cell: Cell, name: str | None, saturated: int, frame
             reading = read(event.counts)
             solved = process_time()
             if not estimator.resolved:
-                estimator.resolve(reading.step_std, reading.resistance, reading.all_steps_std)
+                estimator.resolve(*reading.resolution)
             estimator.step(1.0 / FRAME_RATE_HZ if number else 0.0, reading.for_estimation)
             estimated = process_time()
             port.work(_APART_S)  # the next frame comes

@@ -142,7 +142,7 @@ def _on_divider(
         volts = scan(board, ohm[n]).volts
         reading = read(adc_codes(board, volts + 1e-3 * case.noise_mv * random.standard_normal((8, 8))))
         if n == RESOLVED_AFTER:
-            estimator.resolve(reading.step_std, reading.resistance, reading.all_steps_std)
+            estimator.resolve(*reading.resolution)
         pressure[n] = estimator.step(1.0 / case.rate_hz, reading.for_estimation)
         std[n] = estimator.std_kpa
     row, column = light

@@ -88,7 +88,8 @@ class Sheet(Section):
     @model_validator(mode="after")
     def _apart(self) -> Self:
         if self.electrode_width > self.pitch:
-            raise ValueError(f"electrode_width {self.electrode_width} m exceeds the pitch {self.pitch} m")
+            usual = "" if "electrode_width" in self.model_fields_set else " (left out; name it as well)"
+            raise ValueError(f"electrode_width {self.electrode_width} m{usual} exceeds the pitch {self.pitch} m")
         return self
 
 

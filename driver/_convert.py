@@ -307,7 +307,7 @@ class Converter:
             unknown = np.full(reading.valid.shape, np.nan)
             return unknown, Later(unknown.copy)
         if not estimator.resolved:
-            estimator.resolve(reading.step_std, reading.resistance, reading.all_steps_std)
+            estimator.resolve(*reading.resolution)
         common = estimator.step(gap_s, reading.resistance if reading.all_valid else reading.for_estimation)
         systematic = self._systematic.take(reading, rest_known=self._rest_known)
         std = Later(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))

@@ -49,6 +49,8 @@ class Reading:
     """standard deviation of the readings' noise in ADC steps"""
     _most_noise: float = 0.0
     """relative uncertainty up to which a noisy reading serves for estimation, valid or not; 0: none"""
+    _scales_columns: bool = False
+    """whether errors of other readings are one factor of all conductances of a column"""
 
     @property
     def steps_share(self) -> float:
@@ -140,6 +142,11 @@ class Reading:
         if self._found is None:
             return np.full(self.resistance.shape, np.nan)
         return _STEP_STD / self._covered_steps * self._found.by_readings
+
+    @property
+    def resolution(self) -> tuple[FloatArray, FloatArray, FloatArray, bool]:
+        """What :meth:`ohmskin.cell.Estimator.resolve` takes, in its order; computed when asked for."""
+        return self.step_std, self.resistance, self.all_steps_std, self._scales_columns
 
     @property
     def uncertainty(self) -> FloatArray:
@@ -371,6 +378,7 @@ class CountReader:
             found.alike,
             noise / self._step,
             self._most_noise,
+            self._recover.scales_columns,
         )
 
 

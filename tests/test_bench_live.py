@@ -10,7 +10,7 @@ import pytest
 
 from ohmskin import bench
 from ohmskin.bench import knowable
-from ohmskin.bench._driver import CASES, design, packets_of, pressed
+from ohmskin.bench._driver import CASES, design, driver, live_estimators, packets_of, pressed
 from ohmskin.bench._paced_port import PacedPort
 from ohmskin.cell import Cell
 from ohmskin.circuits import adc_codes, scan
@@ -106,6 +106,8 @@ def test_the_report_has_a_section_of_the_live_path(monkeypatch: pytest.MonkeyPat
 def test_the_command_prints_all_three(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("ohmskin.bench._driver.calibrated_example", Cell.example)
     monkeypatch.setattr("ohmskin.bench._driver.CASES", CASES[:2])
+    for measured in (driver, live_estimators):
+        monkeypatch.setitem(measured.__kwdefaults__, "frames", 120)
     assert run(["bench", "--driver", "--size", "2", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)
     assert sum("saturated_cells" in row for row in rows) == 1 + 3  # seven saturated cells are more than there are

@@ -132,9 +132,9 @@ def test_machine_code_does_what_array_operations_do(
 
 
 def share(estimator: Estimator, own_std: float) -> None:
-    """Tell of noise that columns share, three times as large as that of a cell itself."""
+    """Tell of noise and steps that scale columns, three times as large as those of a cell itself."""
     own = np.full(estimator.shape, own_std)
-    estimator.resolve(own, np.full(estimator.shape, EXAMPLE.rest_resistance_ohm), 3.0 * own)
+    estimator.resolve(own, np.full(estimator.shape, EXAMPLE.rest_resistance_ohm), 3.0 * own, scales_columns=True)
 
 
 @pytest.mark.parametrize("shares", [True, False])

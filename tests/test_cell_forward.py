@@ -101,8 +101,9 @@ def test_any_time_step_gives_the_same_answer(kind: str, corners: list[tuple[floa
 
 @pytest.mark.parametrize("dt", [1e-4, 1e-2, 1.0, 10.0])
 def test_sampling_from_a_tenth_of_a_millisecond_to_ten_seconds(dt: float) -> None:
-    time = np.arange(0, round(10 / dt) + 1) * dt
-    load = 15.5 * time / 10
+    seconds = min(10.0, 2e4 * dt)
+    time = np.arange(0, round(seconds / dt) + 1) * dt
+    load = 15.5 * time / seconds
     assert run(EXAMPLE, time, load)[-1] == pytest.approx(run(EXAMPLE, time[[0, -1]], load[[0, -1]])[-1], rel=1e-9)
 
 

@@ -252,3 +252,50 @@ def test_a_load_that_relaxes_slowly_reads_as_one_that_rises() -> None:
     assert (error / std)[time > 9.0].max() < 2.0
     assert error[time > 9.0].max() < 0.08 * FULL
     assert error[-1] < 0.02 * FULL
+
+
+def judged(load: np.ndarray, dt: float, noise: float) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (n, cells) of the default in kPa and over their deviations, for loads (n, cells) in kPa."""
+    cells = load.shape[1:]
+    read = EXAMPLE.forward(cells).run(np.full(len(load), dt), load)
+    read *= 1.0 + noise * np.random.default_rng(0).standard_normal(load.shape)
+    estimator = EXAMPLE.estimator(cells)
+    shown, std = np.array([(estimator.step(dt, ohms), estimator.std_kpa) for ohms in read]).swapaxes(0, 1)
+    return np.abs(shown - load), np.abs(shown - load) / std
+
+
+@pytest.mark.parametrize(("noise", "rms"), [(1e-4, 0.033), (1e-3, 0.036)])
+def test_holds_that_waver_are_followed(noise: float, rms: float) -> None:
+    """A finger never holds still: loads go to and fro by 1 to 3 %, which is less than errors of the memory may be.
+
+    The cell answers a rise by more than a fall, and keeps a part of each turn that is not noticed. An error of the
+    memory fades slowly, though, and a load that goes back does not.
+    """
+    dt, share = 0.01, np.array([0.01, 0.01, 0.02, 0.02, 0.03, 0.03])
+    time = np.arange(1, 2000) * dt
+    steps = np.random.default_rng(3).standard_normal((len(time), share.size))
+    wavers = np.zeros_like(steps)
+    for before, now, step in zip(wavers[:-1], wavers[1:], steps[1:], strict=True):
+        now[:] = before * np.exp(-dt) + step * np.sqrt(-np.expm1(-2.0 * dt))  # Ornstein-Uhlenbeck, 1 s
+    smooth = np.apply_along_axis(np.convolve, 0, wavers, np.ones(20) / 20, "same")
+    load = 0.6 * FULL * np.interp(time, [1.0, 1.1], [0.0, 1.0])[:, None] * (1.0 + share * smooth)
+    error, over = judged(load, dt, noise)
+    found = np.sqrt((error**2).mean()) / FULL
+    within = f"{100 * (over < 2).mean():.0f} % within 2 sd, worst {over.max():.1f}"
+    print(f"noise {noise:g}: error {100 * found:.1f} % FS rms, {within}")
+    assert found < rms
+    assert (over < 2).mean() > 0.9
+    assert over.max() < 5.0
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-3])
+def test_a_load_that_grows_slowly_after_it_fell_is_within_the_deviations(noise: float) -> None:
+    """The cell still recovers from the fall, and the load that grows reads as one that goes on falling."""
+    dt, per_s = 0.01, FULL * np.array([0.002, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.05])
+    time = np.arange(1, 1400) * dt
+    held = np.interp(time, [0.5, 0.6, 3.0, 3.1], [0.0, 0.85 * FULL, 0.85 * FULL, 0.3 * FULL])
+    error, over = judged(held[:, None] + per_s * np.clip(time - 3.1, 0.0, 9.0)[:, None], dt, noise)
+    within = f"{100 * (over < 2).mean():.0f} % within 2 sd, worst {over.max():.1f}"
+    print(f"noise {noise:g}: error {100 * error.max() / FULL:.0f} % FS, {within}")
+    assert (over < 2).mean() > 0.95
+    assert over.max() < 5.0

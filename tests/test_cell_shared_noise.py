@@ -10,8 +10,9 @@ from ohmskin.arrays import FloatArray
 from ohmskin.bench.boards import design
 from ohmskin.cell import Cell, Estimator
 from ohmskin.cell.estimation._noise import NoiseMeter
-from ohmskin.cell.estimation._shared_noise import LEAST_CELLS, SharedNoise
+from ohmskin.cell.estimation._shared_noise import LEAST_CELLS, LOOPS, SharedNoise
 from ohmskin.circuits import adc_codes, scan
+from ohmskin.compiled import load as load_loops
 from ohmskin.driver import CountReader
 
 CELL = Cell.example()
@@ -74,6 +75,37 @@ def test_what_is_left_is_what_the_sleeping_cells_cannot_tell(asleep: int, presse
     assert error.std() == pytest.approx(OWN * scale * np.sqrt(scale**2 + left), rel=0.05)
 
 
+@pytest.mark.parametrize("compiled", [False, True])
+def test_a_load_that_may_have_been_taken_for_noise_is_in_doubt(compiled: bool) -> None:
+    """By 1.5 deviations of the mean of seven sleeping cells. The eighth one, which is pressed, doubts it."""
+    if compiled and not load_loops(*LOOPS):
+        pytest.skip("needs numba")
+    rows, columns, pressed, load = 8, 400, 0.5, 1.5 * SHARED
+    own, shared = noise(44, rows, columns)
+    meter = NoiseMeter(rows * columns)
+    found = SharedNoise((rows, columns), meter)
+    found.suppose(1.0, float(np.hypot(1.0, SHARED / OWN)))
+    found.compiled, meter.own = compiled, OWN
+    awake = np.zeros((rows, columns), dtype=np.bool_)
+    for reading in (own + shared)[:40]:
+        found.subtract(DT_S, reading.ravel(), None, awake.ravel())
+    awake[7] = True
+    r = pressed * awake
+    quiet, doubts = np.zeros(rows * columns), []
+    for n in range(40, 44):
+        reading = r + load * (1.0 - awake) + (1.0 + r) * (own[n] + shared[n])
+        without, _, _ = found.subtract(DT_S, reading.ravel(), None, awake.ravel())
+        doubt = quiet.copy()
+        told = found.doubt(without, awake.ravel())
+        assert told is not None
+        doubt[told[0]] = told[1]
+        doubts.append(doubt.reshape(rows, columns))
+    assert not np.any(np.array(doubts)[:, :7])
+    last = doubts[-1][7][doubts[-1][7] > 0.0] / (1.0 + pressed)
+    assert last.size > columns / 3
+    assert 0.7 * load < np.median(last) < 1.3 * load
+
+
 @pytest.mark.parametrize("kpa", [3.0, 9.0])
 @pytest.mark.parametrize("columns", [1, 8])
 def test_a_load_on_whole_columns_is_no_noise(columns: int, kpa: float) -> None:
@@ -126,7 +158,7 @@ def on_divider(
         volts = scan(board, ohm).volts
         reading = read(adc_codes(board, volts + noise_v * random.standard_normal((8, 8))))
         if n == 5:
-            estimator.resolve(reading.step_std, reading.resistance, reading.all_steps_std)
+            estimator.resolve(*reading.resolution)
         pressure[n] = estimator.step(DT_S, reading.for_estimation)
         std[n] = estimator.std_kpa
     return pressure, std

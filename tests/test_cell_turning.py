@@ -39,7 +39,7 @@ def loads(kind: str, rng: np.random.Generator, dt: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("kind", ["steps", "presses", "slow ramps"])
-@settings(max_examples=8)
+@settings(max_examples=5)
 @given(seed=st.integers(0, 2**32 - 1), dt=st.sampled_from([0.02, 0.1]))
 def test_any_load_is_found(kind: str, seed: int, dt: float) -> None:
     """Without noise to 1.5 % of full scale, most of it until a turn is noticed; steps exactly."""

@@ -135,7 +135,7 @@ class TestOwners:
 
     def test_a_recording_goes_on_though_nobody_holds_the_skin(self, tmp_path: Path) -> None:
         port, path = PtyPort(), tmp_path / "alone.mcap"
-        with running(scene(board={"frame_rate": 200.0}), port):
+        with running(scene(board={"frame_rate": 400.0}), port):
             skin = Skin.open(port.name, timeout=30.0, record=path)
             reader, recording, held = skin._reader, skin.recorder, weakref.ref(skin)
             del skin
@@ -151,7 +151,7 @@ class TestOwners:
     @pytest.mark.parametrize("how", ["callback", "async", "frames", "iteration"])
     def test_a_skin_that_a_reader_needs_stays_open(self, how: str) -> None:
         port = PtyPort()
-        with running(scene(board={"frame_rate": 200.0}), port, duration_s=1e6):
+        with running(scene(board={"frame_rate": 400.0}), port, duration_s=1e6):
             if how == "callback":
                 seen: list[Frame] = []
                 calls = Skin.open(port.name, timeout=30.0).on_frame(seen.append)
@@ -493,7 +493,7 @@ class TestReaders:
         port = {"tcp": TcpPort, "rfc2217": Rfc2217Port}[kind].at(":0") if kind in ("tcp", "rfc2217") else PtyPort()
         name = f"ohmskin://{EXAMPLES / 'fingers.toml'}" if kind == "ohmskin" else port.name
         with running(scene(board={"frame_rate": 400.0}), port):
-            for k in range(12):
+            for k in range(6):
                 if k == 2:
                     before = threading.active_count(), len(os.listdir("/proc/self/fd"))
                 with contextlib.suppress(ZeroDivisionError), Skin.open(name, timeout=60.0) as skin:

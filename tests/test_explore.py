@@ -16,7 +16,16 @@ from ohmskin.cell import Percolation
 from ohmskin.circuits import Design, Requirement
 from ohmskin.cli import run
 from ohmskin.verification import Subject, Variation, prototype, remedies, verify
-from ohmskin.verification._explore import AVERAGING, KNOWN_FRACTION, _combinations, _judged, _scaled, pareto
+from ohmskin.verification._explore import (
+    AVERAGING,
+    KNOWN_FRACTION,
+    _combinations,
+    _judge,
+    _judged,
+    _more_bits,
+    _scaled,
+    pareto,
+)
 
 FIGURES = st.lists(st.tuples(*[st.floats(0, 10, allow_nan=False)] * 3), min_size=1, max_size=12)
 
@@ -132,6 +141,19 @@ def test_remedies_of_other_quantities_mend_and_not_by_more_than_needed(
         assert remedy.line.startswith("R: ")
 
 
+def test_bits_mend_a_reading_as_far_as_steps_spoil_it() -> None:
+    subject = Subject(prototype().replace(array={"rows": 2, "columns": 2}, adc={"bits": 7}))
+    for limit, bits in ((0.8, 9), (0.35, None)):  # leads and offsets leave 0.38 % of crosstalk
+        asked = Requirement(id="R", quantity="crosstalk", max=limit)
+        missed = _judge(subject, asked)
+        assert missed is not None
+        found = _more_bits(subject, asked, missed)
+        assert (found and found.factor) == bits
+        for fewer in range(8, bits or 8):
+            coarse = subject.design.replace(adc={"bits": fewer})
+            assert verify(coarse, requirements=(asked,)).outcome == "fail"
+
+
 def test_the_fraction_of_the_best_resolution_is_that_of_this_readout() -> None:
     """P1: the law's own trade-off, found again by judging each mixture through the whole design."""
     subject = Subject(prototype())
@@ -152,9 +174,12 @@ def test_the_fraction_of_the_best_resolution_is_that_of_this_readout() -> None:
         assert kpa[fraction] == pytest.approx(result.measurement.value, rel=1e-6)
 
 
+SMALL = AMPLIFIED.replace("rows = 3", "rows = 2").replace("columns = 3", "columns = 2")
+
+
 def test_the_command_writes_a_table_and_a_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "design.toml"
-    file.write_text(complete(AMPLIFIED) + '[[requirement]]\nid = "R"\nquantity = "crosstalk"\nmax = 0.5\n')
+    file.write_text(complete(SMALL) + '[[requirement]]\nid = "R"\nquantity = "crosstalk"\nmax = 0.3\n')
     assert run(["explore", str(file), "-o", str(tmp_path / "out"), "--points", "3"]) == 0
     with (tmp_path / "out" / "explore.csv").open() as table:
         rows = list(csv.DictReader(table))

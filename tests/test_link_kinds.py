@@ -247,7 +247,7 @@ def test_a_soak_that_finds_something_says_so(scene_file: Path) -> None:
 
 def test_unplugging_hangs_up_on_the_host_and_plugging_in_serves_it_again() -> None:
     what = scene(
-        link_fault=[{"kind": "unplug", "at_s": 4.0, "duration_s": 0.3}],
+        link_fault=[{"kind": "unplug", "at_s": 2.5, "duration_s": 0.3}],
         board={"frame_rate": 100.0, "serial_number": "U7"},
     )
     port = TcpPort.at(":0")

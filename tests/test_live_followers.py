@@ -92,6 +92,23 @@ def test_a_press_to_a_few_ohm_beside_segments_leaves_no_wrong_cell() -> None:
     assert valid > 0
 
 
+def test_what_hard_presses_bring_through_an_open_cell_by_other_lines_is_in_the_uncertainty() -> None:
+    """Its output is below the range, so that it may conduct a little; 24 bits showed cells 3 to 9 uncertainties off."""
+    design = board(5, 7, 20.0).replace(
+        readout={"reference_resistance": 8.6e3, "open_loop_gain": 300.0, "offset_voltage": -5e-3}, adc={"bits": 24}
+    )
+    rest = 2e5 * np.random.default_rng(0).uniform(0.7, 1.4, (5, 7))
+    pressed = rest.copy()
+    pressed[:, 6], pressed[4, 3] = [200.0, 1066.0, 64.0, 190.0, 194.0], np.inf
+    read = CountReader(design)
+    for cells in [rest] * 2 + [pressed] * 4:
+        reading = read(adc_codes(design, scan(design, cells).volts))
+    known = reading.valid
+    assert known.sum() == 34
+    assert (np.abs(reading.resistance / cells - 1.0) <= reading.uncertainty)[known].all()
+    assert (reading.uncertainty[known] <= 1e-3).all()
+
+
 @pytest.mark.parametrize(("lead", "per_siemens"), [(50.0, 0.0), (0.0, 100.0), (5.0, 1.0)])
 def test_cells_that_are_alike_have_one_solution_with_light_leads_or_good_followers(
     lead: float, per_siemens: float

@@ -273,7 +273,7 @@ def test_an_ill_conditioned_frame_is_not_called_read() -> None:
     assert holds(recovery, cells).all()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(CIRCUITS), st.integers(0, 2), st.booleans())
 def test_what_is_called_read_is_right(seed: int, circuit: str, faults: int, limited: bool) -> None:
     """Random designs with heavy lines, finite gains, offsets, faults, shorted, open and saturated cells; readings from

@@ -78,6 +78,15 @@ def test_a_slab_under_full_electrodes_is_resistivity_times_thickness_over_area()
     assert unit_resistance(sheet) == pytest.approx(0.002 / 0.01**2, rel=1e-12)
 
 
+def test_a_pitch_alone_that_is_below_the_usual_strip_asks_for_the_strip() -> None:
+    with pytest.raises(
+        ValueError, match=r"electrode_width 0.01905 m \(left out; name it as well\) exceeds the pitch 0.006 m"
+    ):
+        Sheet(pitch=0.006)
+    with pytest.raises(ValueError, match=r"electrode_width 0.007 m exceeds the pitch 0.006 m"):
+        Sheet(pitch=0.006, electrode_width=0.007)
+
+
 def test_a_single_cell_knows_no_neighbours() -> None:
     design = in_one_piece(amplifier(1, 1, lead=10.0, open_loop_gain=1e4))
     cells = np.array([[4.7e3]])

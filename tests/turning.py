@@ -56,7 +56,8 @@ class OneCell:
                 if self.rising and other.pressure <= paper.USUAL * self.full:
                     self.extreme = paper.REFUTED
             now, other = self._believable(now, self.rising, r), self._believable(other, not self.rising, r)
-        self.earlier *= np.exp(-dt * (1 + m.e1_kpa / m.e2_kpa) / m.t2_s)
+        rates = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s, (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
+        self.earlier *= np.exp(-dt * rates[self.rising == (self.left is None)])
         seeming = self.drift
         if self.rising:
             rise_r, fall_r = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
@@ -155,13 +156,12 @@ class OneCell:
         if self.left is not None:
             share = 0.0
         begun = self._begun(now.pressure, r, now.x3)
-        if self.rising:
-            self.earlier += share * (now.pressure - other.pressure)
+        self.earlier += share * direction * (now.pressure - other.pressure)
         self.other = Hypothesis(
             *(old + share * (new - old) for old, new in zip(vars(other).values(), vars(begun).values(), strict=True))
         )
         self.now = now
-        self._follow_earlier_turn(gains[self.rising] * std)
+        self._follow_earlier_turn(gains[self.rising] * std, confirmed)
         self.peak = max(self.peak, ahead - unsure)
         self.extreme = max(self.extreme, ahead - paper.LESS * unsure)
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
@@ -173,8 +173,8 @@ class OneCell:
             self.peak -= paper.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), paper.TURN * self.full)
         self.doubt *= fade
         is_apart = paper.EITHER * abs(self.other.pressure - now.pressure)
-        if self.rising:
-            fallen = paper.FALLEN * (self.peak - now.pressure) if held else 0.0
+        if self.left is None:
+            fallen = paper.FALLEN * (self.peak - direction * now.pressure) if held else 0.0
             is_apart += paper.EARLIER * self._turned_earlier(fallen, unsure)
         is_apart *= is_apart
         lost = was_apart - is_apart
@@ -335,23 +335,29 @@ class OneCell:
             return Hypothesis(now.pressure + late, settled, now.x2, now.x3)
         return Hypothesis(now.pressure - late, now.settled, now.x2 + late / m.e1_kpa, now.x3)
 
-    def _follow_earlier_turn(self, unsure: float) -> None:
-        """Begin the hypothesis anew that the load turned earlier, where its pressure has risen."""
+    def _follow_earlier_turn(self, unsure: float, confirmed: bool) -> None:
+        """Begin the hypothesis anew that the load turned earlier, where its pressure has gone on as before."""
         m = self.model
-        recovery = self.other.pressure if self.rising else self.now.pressure
-        self.earlier = min(self.earlier, recovery)
-        self.earlier_least = min(self.earlier_least, recovery - self.earlier)
-        by_noise = paper.SURE * unsure * m.e1_kpa * (1 / m.eu1_kpa + 1 / m.etau2_kpa)
-        risen = recovery - self.earlier - self.earlier_least - by_noise
-        if risen > 0:
-            self.earlier_from += self.now.pressure - self.last
-        if risen > self._turn_from(self.extreme) or self.rising == (self.left is not None):
-            self.earlier, self.earlier_least, self.earlier_from = 0.0, recovery, self.now.pressure
+        ratio = m.e1_kpa * (1 / m.eu1_kpa + 1 / m.etau2_kpa)
+        rose = self.rising == (self.left is None)
+        recovery, rising = (self.other, self.now) if self.rising else (self.now, self.other)
+        other = recovery.pressure if rose else -rising.pressure
+        sign = 1.0 if rose else -1.0
+        self.earlier = min(self.earlier, other + (0.0 if rose else paper.USUAL * self.full))
+        self.earlier_least = min(self.earlier_least, other - self.earlier)
+        gone_on = other - self.earlier - self.earlier_least - paper.SURE * unsure * ratio**sign
+        if gone_on > 0:
+            self.earlier_from += sign * (self.now.pressure - self.last)
+        if confirmed or gone_on > self._turn_from(self.extreme) * min(1.0, ratio**sign):
+            self.earlier, self.earlier_least, self.earlier_from = 0.0, other, sign * self.now.pressure
 
     def _turned_earlier(self, fallen: float, unsure: float) -> float:
         """By how much the pressure would be less if the load had turned earlier; none if it seems constant."""
         grown = max(self.peak - self.earlier_from, fallen, 0.0)
-        least = paper.GROWN_SIGMAS * unsure + paper.GROWN_ERRORS * np.sqrt(self.doubt)
+        if self.rested and not self.rising:
+            return 0.0
+        errors = paper.GROWN_ERRORS if self.rising else paper.GROWN_RELEASED
+        least = paper.GROWN_SIGMAS * unsure + errors * np.sqrt(self.doubt)
         least += paper.GROWN * paper.LIGHT_TURN * self.full
         return max(self.earlier, 0.0) * grown**2 / (grown**2 + least**2)
 

@@ -466,9 +466,16 @@ def _remedy(subject: Subject, requirement: Requirement, key: str, direction: str
 def _more_bits(subject: Subject, requirement: Requirement, missed: _Judged) -> Remedy | None:
     adc = subject.design.adc
     assert adc is not None
-    for bits in range(adc.bits + 1, MOST_BITS + 1):
+
+    def at(bits: int) -> _Judged | None:
         changed = subject.design.replace(adc={"bits": bits})
-        there = _judge(replace(subject, design=changed, memo={}), requirement)
+        return _judge(replace(subject, design=changed, memo={}), requirement)
+
+    # Each look at a reading is a search for a corner; a coarser converter does not help where the finest does not.
+    if requirement.quantity in TARGETS and ((finest := at(MOST_BITS)) is None or not finest.kept):
+        return None
+    for bits in range(adc.bits + 1, MOST_BITS + 1):
+        there = at(bits)
         if there is None:
             return None
         if there.kept:

@@ -42,7 +42,7 @@ from ._held import Held
 from ._inversion import Inversion
 from ._noise import NoiseMeter
 from ._remembered import Remembered
-from ._rows import PRESSURE
+from ._rows import GAIN, PRESSURE
 from ._shared_noise import SharedNoise
 from ._sleep import Sleep
 from ._sparks import Sparks
@@ -88,6 +88,8 @@ class Estimator:
         """(n,) r of the last frame; never changes again"""
         self._watched = self._reading
         """(n,) the same, those of sleeping cells with noise that others share; never changes again"""
+        self._by_shared: FloatArray | None = None
+        """(n,) kPa^2 by loads that may have been taken for shared noise; never changes again; None: of no cell"""
         self._known: BoolArray | None = None
         """(n,) cells that the last frame has read; None: all"""
         self._readings = np.zeros(cells)
@@ -162,6 +164,7 @@ class Estimator:
             r, watched, loaded = self._shared_noise.subtract(dt, r, known, self._sleep.awake)
             self._reading, blurred = r, self._shared_noise.mean_std
         self._watched = r if watched is None else watched
+        self._by_shared = None
         if not exact:
             self._noise.update(r, known)
         if not self._begun:
@@ -177,6 +180,8 @@ class Estimator:
         block = self._remembered.block
         if block.cells.size:
             self._following.advance(block, dt, r, self._frames, self._pressure)
+            if watched is not None:
+                self._by_shared = self._variance_by_shared(r)
         if before is None:
             self._gaps.pass_by(dt)
         else:
@@ -188,12 +193,28 @@ class Estimator:
             self._rest()
         return self._shown()
 
+    def _variance_by_shared(self, r: FloatArray) -> FloatArray | None:
+        """(n,) kPa^2 by a load that may have been taken out of the readings ``r`` (n,) as noise; None: of no cell."""
+        block, doubt = self._remembered.block, self._shared_noise.doubt(r, self._sleep.awake)
+        if doubt is None:
+            return None
+        of_all, variance = np.zeros(r.size), np.zeros(r.size)
+        of_all[doubt[0]] = doubt[1]
+        variance[block.cells] = (of_all[block.cells] * block.memory[GAIN]) ** 2
+        return variance
+
     @property
     def resolved(self) -> bool:
         """Whether :meth:`resolve` has been called."""
         return self._noise.typical_resolution > 0.0
 
-    def resolve(self, step_std: ArrayLike, resistance_ohm: ArrayLike, all_steps_std: ArrayLike | None = None) -> None:
+    def resolve(
+        self,
+        step_std: ArrayLike,
+        resistance_ohm: ArrayLike,
+        all_steps_std: ArrayLike | None = None,
+        scales_columns: bool = False,
+    ) -> None:
         """Take the resolution of the readings, which the readings themselves do not show where noise is small.
 
         Args:
@@ -203,6 +224,8 @@ class Estimator:
             all_steps_std: (shape) as ``step_std``, by the steps of all readings that a conductance follows from, as in
                 a column of a divider. A load that is held must not seem to fall when one of these steps. None: no
                 more than ``step_std``.
+            scales_columns: whether steps of other readings scale all conductances of a column alike, as on a divider
+                whose idle rows are driven.
         """
         at_rest, found = self._at_rest(step_std, resistance_ohm)
         if not found.any():
@@ -214,7 +237,7 @@ class Estimator:
             if of_all < MORE * np.median(at_rest[found]):
                 of_all = 0.0  # as behind virtual grounds: the noise of own readings tells all
         self._noise.resolve(np.where(found, at_rest, np.median(at_rest[found])), of_all)
-        self._shared_noise.suppose(float(np.median(at_rest[found])), of_all)
+        self._shared_noise.suppose(float(np.median(at_rest[found])), of_all, scales_columns=scales_columns)
         self.inversion.take_steps(of_all)
 
     def _at_rest(self, relative_std: ArrayLike, resistance_ohm: ArrayLike) -> tuple[FloatArray, BoolArray]:
@@ -236,7 +259,7 @@ class Estimator:
         The function holds what it needs, so that a step whose standard deviation nobody asks for hardly pays for it.
         """
         by_gaps = self._gaps.variance if self._gaps.doubtful else None
-        return self._deviation.of_last_step(self.shape, self._watched, by_gaps, self._held.variance)
+        return self._deviation.of_last_step(self.shape, self._watched, by_gaps, self._held.variance, self._by_shared)
 
     def rise_of_last_step(self) -> tuple[FloatArray, FloatArray]:
         """How far the last readings are from rest, and how far noise alone may carry them.

@@ -13,7 +13,9 @@ Another cell of the column may be held meanwhile, and would seem to be released 
 noise. But noise is white from frame to frame, and a load is not: a cumulative sum (Page's CUSUM) of what sleeping cells
 have in common, in the direction of loads, tells within a few frames. Then nothing is subtracted any more, and the
 cells wake. As long as that is in doubt, only so much is subtracted from a cell that is awake as brings it back to its
-last reading: noise moves that cell, a load on others does not.
+last reading: noise moves that cell, a load on others does not. What such a load would make of the shared part is in
+doubt meanwhile (:meth:`SharedNoise.doubt`): the mean departure since the sum began to rise, which is the estimate of a
+change's size that belongs to Page's test.
 
 The estimator is told of the circuit by two numbers only: the deviations of a conductance by the steps of its own
 reading, and by those of all readings (:meth:`._estimator.Estimator.resolve`). Noise takes the same ways as steps. That
@@ -30,6 +32,7 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Flags, Row, loop
+from . import _shared_steps as shared_steps
 from ._noise import NoiseMeter
 
 LEAST_CELLS = 3
@@ -49,8 +52,9 @@ ALLOWED = 0.75
 """standard deviations that the mean departure of sleeping cells may have without adding to the sum that tells loads"""
 LOADED = 6.0
 """standard deviations of the sum beyond which they are loaded; noise alone comes there once in 10 000 frames"""
-DOUBTED = 0.5
-"""those from which they may be"""
+DOUBTED, LIKELY = 0.5, 3.0
+"""those from which they may be, and those from which they most likely are: a load of 1.5 deviations makes such a sum
+exp(1.5 LIKELY) times as probable as noise does (log-likelihood ratio)"""
 AT_ONCE, CERTAIN = 5.0, 2.0 * LOADED
 """standard deviations of a mean departure that is a load by itself, and the sum that it makes"""
 
@@ -92,6 +96,10 @@ class SharedNoise:
         self._noise, self._side = noise, side
         self.ratio = 0.0
         """variance of the shared noise over that of the own noise of a cell at rest; 0: nothing is shared"""
+        self._held_s = np.zeros(cells)
+        """(n,) for how long cells have been held, see :mod:`._shared_steps`"""
+        self._scales_columns = False
+        """whether the circuit lets errors of readings scale all conductances of a column alike"""
         self._test = np.zeros(3)
         """columns that have been tested so far, and sums of their variances: of own noise, and of shared noise"""
         self._reference = np.zeros(cells)
@@ -101,6 +109,8 @@ class SharedNoise:
         self._sums = np.zeros(self._shape[1])
         """(columns,) departures of the mean of sleeping cells in the direction of loads, summed up; standard deviations
         of its noise. Beyond :data:`LOADED` the cells are to wake"""
+        self._frames = np.zeros(self._shape[1])
+        """(columns,) since the sum was zero"""
         self._per_std = np.zeros(self._shape[0] + 1)
         """by number of cells: own noise over the noise of their mean, 0 where that is not trusted"""
         self._weights = np.zeros(0)
@@ -116,8 +126,12 @@ class SharedNoise:
         self.compiled = False
         """whether the loop is there as machine code"""
 
-    def suppose(self, own_std: float, all_std: float) -> None:
-        """Take the deviations of r at rest by the steps of own readings, and by those of all; of none: 0."""
+    def suppose(self, own_std: float, all_std: float, *, scales_columns: bool = False) -> None:
+        """Take the deviations of r at rest by the steps of own readings, and by those of all; of none: 0.
+
+        ``scales_columns`` says that steps of other readings scale all conductances of a column alike.
+        """
+        self._scales_columns = scales_columns
         if self._has_columns and not self._test[TESTS] and all_std > own_std:
             self._share(all_std * all_std / (own_std * own_std) - 1.0)
 
@@ -162,6 +176,8 @@ class SharedNoise:
         testing = self._test[TESTS] < TESTED
         by = self._by_machine_code if self.compiled else self._by_array_operations
         changed, without, watched = by(r, read, awake, testing, near, far, share)
+        if self._scales_columns:
+            self._keep_held(dt_s, without, watched, read, awake)
         loaded = None
         if testing and self._test[TESTS] >= TESTED:
             refuted = self._test[SHARED] < REFUTED * self.ratio * self._test[OWN]
@@ -176,12 +192,26 @@ class SharedNoise:
             self._tell(tell)
         return without, watched, loaded
 
+    def _keep_held(
+        self, dt_s: float, without: FloatArray, watched: FloatArray, read: BoolArray, awake: BoolArray
+    ) -> None:
+        """Take steps that no sleeping cells tell out of the readings of held cells, see :mod:`._shared_steps`."""
+        resolution = self._noise.typical_resolution
+        scales = max(self._noise.own, resolution), resolution * math.sqrt(1.0 + self.ratio), self._side, dt_s
+        kept = without, self._last, self._reference, self._held_s, read, awake
+        if self.compiled:
+            shared_steps.keep_each.code(*kept, self._counts, self._per_std, *scales, watched)
+            return
+        untold = self._per_std.take(self._counts.astype(np.intp)) == 0.0
+        cells = shared_steps.keep(*kept, untold, *scales)
+        watched[cells] = without[cells]
+
     def _by_machine_code(
         self, r: FloatArray, read: BoolArray, awake: BoolArray, testing: bool, near: float, far: float, share: float
     ) -> tuple[bool, FloatArray, FloatArray]:
         without, watched = np.empty((2, r.size))
         least_variance = self._least_variance if testing else math.inf
-        kept = self._reference, self._weights, self._counts, self._test, self._sums
+        kept = self._reference, self._weights, self._counts, self._test, self._sums, self._frames
         limits, scales = (least_variance, near, far, share, self._side_per_noise), (self._per_std, self._last)
         changed = subtract_each.code(r, read, awake, *kept, *limits, *scales, without, watched)
         return changed, without, watched
@@ -246,6 +276,8 @@ class SharedNoise:
         self._sums += off
         self._sums -= of.allowed
         np.maximum(self._sums, _ZERO, out=self._sums)
+        self._frames += _ONE
+        self._frames *= self._sums > _ZERO
         most = self._sums.item(self._sums.argmax())
         if most > AT_ONCE - ALLOWED:
             np.copyto(self._sums, CERTAIN, where=off > AT_ONCE)
@@ -262,6 +294,30 @@ class SharedNoise:
             own, read = without.take(cells), r.take(cells)
             kept = np.maximum(self._last.take(cells), np.minimum(own, read))
             without[cells] = np.minimum(kept, np.maximum(own, read))
+
+    def doubt(self, r: FloatArray, awake: BoolArray) -> tuple[IntArray, FloatArray] | None:
+        """What a load on sleeping cells, of which nobody knows yet, may have taken from the readings of others.
+
+        Args:
+            r: (n,) readings of the last frame, without shared noise.
+            awake: (n,) which cells do not sleep.
+
+        Returns:
+            (m,) cells, and (m,) standard deviations of their r; None: of no cell.
+        """
+        undecided = (self._sums > DOUBTED) & (self._sums <= LOADED)
+        if not np.count_nonzero(undecided):
+            return None
+        cells = (awake.reshape(self._shape) & undecided).ravel().nonzero()[0]
+        if not cells.size:
+            return None
+        column = cells % self._shape[1]
+        sums = self._sums.take(column)
+        noises = sums / self._frames.take(column) + ALLOWED
+        noises *= np.minimum(sums * (1.0 / LIKELY), _ONE) / abs(self._side_per_noise)
+        noises /= self._per_std.take(self._counts.take(column).astype(np.intp))
+        noises *= r.take(cells) + 1.0
+        return cells, noises
 
     def _tellers_of(self, tell: BoolArray) -> _Tellers:
         """The cells (n,) that tell of shared noise, and what follows from which they are."""
@@ -297,17 +353,20 @@ class SharedNoise:
         """What is remembered, by name."""
         return {
             "shared_reference": self._reference,
+            "shared_held_s": self._held_s,
             "shared_counts": self._counts,
             "shared_sums": self._sums,
-            "shared_of_array": np.array([self.ratio, *self._test]),
+            "shared_frames": self._frames,
+            "shared_of_array": np.array([self.ratio, self._scales_columns, *self._test]),
         }
 
     def restore(self, state: dict[str, FloatArray]) -> None:
         """Continue from a saved :meth:`state`."""
-        self._reference = state["shared_reference"]
-        ratio, self._test = float(state["shared_of_array"][0]), state["shared_of_array"][1:].copy()
+        self._reference, self._held_s = state["shared_reference"], state["shared_held_s"]
+        ratio, scales_columns = state["shared_of_array"][:2].tolist()
+        self._scales_columns, self._test = bool(scales_columns), state["shared_of_array"][2:].copy()
         self._begin(ratio)
-        self._counts, self._sums = state["shared_counts"], state["shared_sums"]
+        self._counts, self._sums, self._frames = (state[f"shared_{name}"] for name in ("counts", "sums", "frames"))
         self.mean_std = np.sqrt((1.0 + ratio) / (1.0 + self._noise.excess))
 
 
@@ -321,6 +380,7 @@ def subtract_each(
     counts: Row,
     test: Row,
     sums: Row,
+    frames: Row,
     least_variance: float,
     near: float,
     far: float,
@@ -342,6 +402,7 @@ def subtract_each(
         counts: (columns,) sleeping cells in the last frame, changed.
         test: (3,) the test's sums, changed.
         sums: (columns,) departures in the direction of loads, summed up, changed.
+        frames: (columns,) since a sum was zero, changed.
         least_variance: of readings of a column that are tested; infinite: none are.
         near: departure from the mean beyond which a reading counts for no more.
         far: the same, from the reference.
@@ -370,6 +431,7 @@ def subtract_each(
         mean, own_variance = total / max(count, 1), 0.0
         off = mean * per_std[count] * side_per_noise
         sums[column] = max(sums[column] + off - ALLOWED, 0.0) if per_std[count] > 0.0 else 0.0
+        frames[column] = frames[column] + 1.0 if sums[column] > 0.0 else 0.0
         if off > AT_ONCE:
             sums[column] = CERTAIN
         doubted, loaded = sums[column] > DOUBTED, sums[column] > LOADED
@@ -400,4 +462,4 @@ def subtract_each(
     return changed
 
 
-LOOPS = (subtract_each,)
+LOOPS = (subtract_each, *shared_steps.LOOPS)

@@ -78,8 +78,8 @@ class TurnWeights(NamedTuple):
     by_model: FloatArray
     """(3, 2) in the rising and in the recovery model: pressure per r, the same of the other model, and the share of a
     variance of the memory that is left after the step"""
-    recovery_fade: float
-    """share of an error of the memory that is left after the step in the recovery model"""
+    fades: tuple[float, float]
+    """share of an error of the memory that is left after the step in the rising and in the recovery model"""
 
 
 def turn_weights(model: PaperModel, dt_s: float) -> TurnWeights:
@@ -97,7 +97,8 @@ def turn_weights(model: PaperModel, dt_s: float) -> TurnWeights:
         step[one], ramp[one] = pressure, 1.0
         for row in present[1:]:
             step[state[row]], ramp[state[row]] = after[row - 1], w.ramp[row - 1, 0]
-    return TurnWeights(step, ramp, np.array([w.gain, w.gain[::-1], w.fade]), float(np.sqrt(w.fade[1])))
+    rising, recovery = np.sqrt(w.fade).tolist()
+    return TurnWeights(step, ramp, np.array([w.gain, w.gain[::-1], w.fade]), (rising, recovery))
 
 
 def taken_over(model: PaperModel) -> FloatArray:

@@ -149,6 +149,8 @@ GROWN, GROWN_SIGMAS, GROWN_ERRORS, FALLEN = 0.5, 1.5, 0.2, 2.0
 """light turns, standard deviations of the smoothed noise, and of the memory, by which the pressure must have grown for
 an earlier turn to be as likely as none; and how much more a fall counts than growth. Constant loads are common. A load
 that falls at just the rate that makes the rising model's pressure constant is not"""
+GROWN_RELEASED = 1.5
+"""the third of these in recovery: errors of the memory are largest there, and fade"""
 
 
 class TurningInversion(Inversion):
@@ -217,7 +219,8 @@ class TurningInversion(Inversion):
         self._shared_by_fast = np.array(self._fast_r[1, 0] / self._fast_r[0, 0])
         """pressure of the rising model after a fast change, over that of the recovery model"""
         self._shared_fall = np.array(SHARED_FALL * self._fast_r[1, 0] / self._fast_r[0, 0])
-        self._sure_of_fall = np.array(SURE * self._fast_r[0, 0] / self._fast_r[1, 0])
+        self._bend_ratio = float(self._fast_r[0, 0] / self._fast_r[1, 0])
+        """of r answers to a fast rise and to a fast fall"""
         self._grown_kpa = np.array(GROWN * LIGHT_TURN * full_scale_kpa)
         self._clear_fall_kpa, self._falling = np.array(CLEAR_FALL * full_scale_kpa), np.array(FALLING)
         self._held_kpa_per_s, self._creeps = HELD * full_scale_kpa, CREEP / (3.0 * HELD)
@@ -287,7 +290,8 @@ class TurningInversion(Inversion):
             Whether a turn was unconfirmed before. Then ``of.confirmed`` marks those that no longer are.
         """
         of.take_gains(weights)
-        of.earlier *= weights.recovery_fade
+        rising_fade, recovery_fade = weights.fades
+        of.earlier *= np.where(self._rose_before(of), recovery_fade, rising_fade)
         self._look(of, std)
         turned = self._gone_back_by_turn(of)
         unconfirmed = bool(of.left.item(of.left.argmin()) < FAR)
@@ -365,51 +369,66 @@ class TurningInversion(Inversion):
         for pair in of.changes_by_model:
             np.multiply(pair, of.share, pair)
         of.hypotheses += of.change
-        self._follow_earlier_turn(of)
+        self._follow_earlier_turn(of, unconfirmed=unconfirmed)
         np.subtract(of.ahead, of.unsure, of.spare)
         np.maximum(of.peak, of.spare, out=of.peak)
         of.unsure *= self._less
         of.ahead -= of.unsure
         np.maximum(of.extreme, of.ahead, out=of.extreme)
 
-    def _follow_earlier_turn(self, of: Rows) -> None:
-        """Follow a third hypothesis: that a load turned earlier which the rising model says to grow.
+    def _rose_before(self, of: Rows) -> BoolArray:
+        """(m,) where the pressure rose before a turn that is not confirmed yet, or does if there is none."""
+        rose: BoolArray = (of.sign > self._none) == (of.left >= self._far)
+        return rose
+
+    def _follow_earlier_turn(self, of: Rows, *, unconfirmed: bool) -> None:
+        """Follow a third hypothesis: that a load turned earlier, which the model in force says to go on.
 
         Where a held load lets r drift faster in the recovery model, a load that begins to fall slowly bends r by less
         than that, and the rising model takes it for one that goes on slowly. The other hypothesis, which begins anew
         at each new extreme, forgets how far the load has fallen. The third one began when r bent. It differs from the
-        other hypothesis by ``of.earlier`` kPa, which fade as errors of the recovery model do (the slow branch
-        neglected). No load falls and rises at the same time: where the pressure of this hypothesis rises by more than
-        a turn and noise, it begins anew, too. A press that rises quickly therefore begins it at each frame. By how much
-        the rising model's pressure grows counts from there, but for frames in which this hypothesis seems to rise.
+        other hypothesis by ``of.earlier`` kPa, which fade as errors of its model do (the slow branch neglected). No
+        load falls and rises at the same time: where the pressure of this hypothesis rises by more than a turn and
+        noise, it begins anew, too. A press that rises quickly therefore begins it at each frame. By how much the rising
+        model's pressure grows counts from there, but for frames in which this hypothesis seems to rise. In recovery
+        all this holds with rises and falls exchanged.
         """
-        np.multiply(of.change[RECOVERY], of.rises, of.spare)
-        of.earlier += of.spare
-        np.minimum(of.earlier, of.recovery_kpa, out=of.earlier)  # no load falls below none
-        fallen = np.subtract(of.recovery_kpa, of.earlier, of.spare)
-        np.minimum(of.earlier_least, fallen, out=of.earlier_least)
-        fallen -= of.earlier_least
-        np.multiply(of.unsure, self._sure_of_fall, of.nearby)
-        fallen -= of.nearby
-        rises = np.greater(fallen, self._none, of.where)
-        np.add(of.earlier_from, of.pressure - of.last, of.earlier_from, where=rises)
+        rose = self._rose_before(of)
+        sign = np.where(rose, 1.0, -1.0)
+        forgotten = np.add(of.change[RISING], of.change[RECOVERY], of.spare)
+        forgotten *= sign
+        of.earlier += forgotten
+        other = np.where(rose, of.recovery_kpa, -of.rising_kpa)
+        # no load falls below none, or rises beyond the usual
+        np.minimum(of.earlier, other + np.where(rose, 0.0, self._usual), out=of.earlier)
+        ahead = np.subtract(other, of.earlier, of.spare)
+        np.minimum(of.earlier_least, ahead, out=of.earlier_least)
+        ahead -= of.earlier_least
+        ahead -= of.unsure * np.where(rose, SURE * self._bend_ratio, SURE / self._bend_ratio)
+        way = (of.pressure - of.last) * sign
+        np.add(of.earlier_from, way, of.earlier_from, where=np.greater(ahead, self._none, of.where))
         self._turn_from(of.extreme, of.nearby)
-        anew = np.greater(fallen, of.nearby, of.where)
-        anew |= (of.sign < self._none) == (of.left >= self._far)
+        of.nearby *= np.where(rose, 1.0, 1.0 / self._bend_ratio)
+        anew = np.greater(ahead, of.nearby, of.where)
+        if unconfirmed:
+            anew |= of.confirmed
         np.copyto(of.earlier, self._none, where=anew)
-        np.copyto(of.earlier_least, of.recovery_kpa, where=anew)
-        np.copyto(of.earlier_from, of.pressure, where=anew)
+        np.copyto(of.earlier_least, other, where=anew)
+        np.copyto(of.earlier_from, of.pressure * sign, where=anew)
 
     def _earlier_kpa(self, memory: FloatArray, unsure: FloatArray, fallen: FloatArray) -> FloatArray:
-        """(m,) kPa by which an earlier turn would make the pressure less, as far as the load does not seem constant.
+        """(m,) kPa by which an earlier turn would take the pressure back, as far as the load does not seem constant.
 
         ``unsure`` (m,) is the standard deviation of the pressures by noise. By ``fallen`` (m,) the pressure has gone
-        back, which no constant load does either.
+        back, which no constant load does either. Cells that are taken for cells at rest bear none.
         """
         grown = np.maximum(np.maximum(memory[PEAK] - memory[EARLIER_FROM_KPA], fallen), self._none)
-        grown /= unsure * GROWN_SIGMAS + np.sqrt(memory[TURNED]) * GROWN_ERRORS + self._grown_kpa
+        released = memory[SIGN] < self._none
+        errors = np.where(released, GROWN_RELEASED, GROWN_ERRORS)
+        grown /= unsure * GROWN_SIGMAS + np.sqrt(memory[TURNED]) * errors + self._grown_kpa
         grown *= grown
         kpa: FloatArray = np.maximum(memory[EARLIER_KPA], self._none) * (grown / (grown + self._one))
+        np.copyto(kpa, self._none, where=released & (memory[RESTED] > self._none))
         return kpa
 
     def _renew_variance(self, of: Rows, held_kpa: float, *, unconfirmed: bool) -> None:
@@ -432,10 +451,11 @@ class TurningInversion(Inversion):
         apart = np.subtract(of.rising_kpa, of.recovery_kpa, of.spare)
         np.abs(apart, out=apart)
         apart *= self._either
-        fallen = (of.memory[PEAK] - of.pressure) * FALLEN * of.held  # a fast fall is a release
+        fallen = (of.peak - of.pressure * of.sign) * FALLEN * of.held  # a fast fall is a release
         earlier = self._earlier_kpa(of.memory, of.unsure * self._per_less, fallen)
         earlier *= self._by_earlier
-        earlier *= of.rises
+        if unconfirmed:
+            np.copyto(earlier, self._none, where=of.left < self._far)
         apart += earlier
         apart *= apart
         # Whether the variance is large, and little of it is left.
@@ -512,8 +532,9 @@ class TurningInversion(Inversion):
             loops.GROWN_SIGMAS: GROWN_SIGMAS,
             loops.GROWN_ERRORS: GROWN_ERRORS,
             loops.FALLEN: FALLEN,
-            loops.SURE_OF_FALL: self._sure_of_fall,
+            loops.BEND_RATIO: self._bend_ratio,
             loops.CREEPS: self._creeps,
+            loops.GROWN_RELEASED: GROWN_RELEASED,
         }
         return np.array([float(numbers[place]) for place in range(len(numbers))])
 

@@ -21,8 +21,8 @@ RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 1
 """rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
 DRIFT_KPA, DRIFT_END_KPA, TAKEN_OFF_KPA = 22, 23, 24
 EARLIER_KPA, EARLIER_LEAST_KPA, EARLIER_FROM_KPA = 41, 42, 43
-"""rows behind those of :mod:`._sway`: by how much the recovery hypothesis would be less if the load had turned earlier,
-the least pressure since then by that account, and the pressure when it began"""
+"""rows behind those of :mod:`._sway`: by how much the other hypothesis would be further back if the load had turned
+earlier; its least since then by that account, and the pressure when it began, both times the sign before that turn"""
 RECENT_EXTREME = 49
 """row behind those of :mod:`._still`: the extreme, which fades as fast as an error of the memory may"""
 """rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
@@ -49,7 +49,7 @@ HIDDEN, PER_SIGMAS, FAST_KPA, LIGHT, PART, DRIFTS, MOST_RESTED_KPA2, LIGHT_KPA, 
 GOES_BACK, STEPS, STILL, FALL = range(37, 41)
 RISE_R, FALL_R, SMOOTH_KPA, AWAY_KPA, MAY_BEND = range(41, 46)
 SHARED, CLEAR_RISE_KPA, SHARED_FALL, CLEAR_FALL_KPA, FALLING = range(46, 51)
-EARLIER, MIDWAY, GROWN_KPA, GROWN_SIGMAS, GROWN_ERRORS, FALLEN, SURE_OF_FALL, CREEPS = range(51, 59)
+EARLIER, MIDWAY, GROWN_KPA, GROWN_SIGMAS, GROWN_ERRORS, FALLEN, BEND_RATIO, CREEPS, GROWN_RELEASED = range(51, 60)
 """places of the estimator's numbers: limits of pressures; standard deviations and kPa that make a turn; what is no turn
 below; a pressure that needs a pull. kPa within which a pressure is near its extreme, and at it; share by which the
 other hypothesis begins anew; standard deviations by which an extreme counts for less; standard deviation over the
@@ -140,27 +140,50 @@ def late_kpa(memory: Rows, i: int, noise: float, numbers: Row) -> float:
 def earlier_kpa(memory: Rows, i: int, unsure: float, fallen: float, numbers: Row) -> float:
     """By how much an earlier turn would make the pressure of cell ``i`` less, if it does not seem constant."""
     grown = max(memory[PEAK, i] - memory[EARLIER_FROM_KPA, i], fallen, 0.0)
-    errors = math.sqrt(memory[TURNED, i]) * numbers[GROWN_ERRORS]
+    errors = numbers[GROWN_ERRORS]
+    if memory[SIGN, i] < 0.0:
+        if memory[RESTED, i] > 0.0:
+            return 0.0
+        errors = numbers[GROWN_RELEASED]
+    errors *= math.sqrt(memory[TURNED, i])
     grown /= unsure * numbers[GROWN_SIGMAS] + errors + numbers[GROWN_KPA]
     grown *= grown
     return float(max(memory[EARLIER_KPA, i], 0.0) * (grown / (grown + 1.0)))
 
 
 @loop
-def follow_earlier_turn(memory: Rows, i: int, forgotten_kpa: float, of: Rows, numbers: Row) -> None:
-    """Follow the hypothesis that the load of cell ``i`` turned earlier; the other one began ``forgotten_kpa`` anew."""
-    recovery = memory[RECOVERY_KPA, i]
-    earlier = min(memory[EARLIER_KPA, i] + forgotten_kpa, recovery)
-    fallen = recovery - earlier
+def sign_before(memory: Rows, i: int) -> float:
+    """1 if the pressure of cell ``i`` rose before an unconfirmed turn, or does if there is none; else -1."""
+    sign = memory[SIGN, i]
+    return float(-sign if memory[LEFT, i] < FAR else sign)
+
+
+@loop
+def follow_earlier_turn(memory: Rows, i: int, forgotten_kpa: float, confirmed: bool, of: Rows, numbers: Row) -> None:
+    """Follow the hypothesis that the load of cell ``i`` turned earlier.
+
+    The other one began ``forgotten_kpa`` anew; a turn has just been ``confirmed``.
+    """
+    sign, ratio = sign_before(memory, i), numbers[BEND_RATIO]
+    least = turn_from(memory[EXTREME, i], numbers)
+    by_noise = of[UNSURE, i] * numbers[SURE]
+    if sign > 0.0:
+        other = most = memory[RECOVERY_KPA, i]
+        by_noise *= ratio
+    else:
+        other, most = -memory[RISING_KPA, i], numbers[USUAL] - memory[RISING_KPA, i]
+        by_noise /= ratio
+        least /= ratio
+    earlier = min(memory[EARLIER_KPA, i] + forgotten_kpa * sign, most)
+    ahead = other - earlier
     memory[EARLIER_KPA, i] = earlier
-    memory[EARLIER_LEAST_KPA, i] = min(memory[EARLIER_LEAST_KPA, i], fallen)
-    fallen = fallen - memory[EARLIER_LEAST_KPA, i] - of[UNSURE, i] * numbers[SURE_OF_FALL]
-    if fallen > 0.0:
-        memory[EARLIER_FROM_KPA, i] += memory[PRESSURE, i] - memory[LAST, i]
-    turned = (memory[SIGN, i] < 0.0) == (memory[LEFT, i] >= FAR)
-    if turned or fallen > turn_from(memory[EXTREME, i], numbers):
-        memory[EARLIER_KPA, i], memory[EARLIER_LEAST_KPA, i] = 0.0, recovery
-        memory[EARLIER_FROM_KPA, i] = memory[PRESSURE, i]
+    memory[EARLIER_LEAST_KPA, i] = min(memory[EARLIER_LEAST_KPA, i], ahead)
+    ahead -= memory[EARLIER_LEAST_KPA, i] + by_noise
+    if ahead > 0.0:
+        memory[EARLIER_FROM_KPA, i] += (memory[PRESSURE, i] - memory[LAST, i]) * sign
+    if confirmed or ahead > least:
+        memory[EARLIER_KPA, i], memory[EARLIER_LEAST_KPA, i] = 0.0, other
+        memory[EARLIER_FROM_KPA, i] = memory[PRESSURE, i] * sign
 
 
 @loop
@@ -302,10 +325,10 @@ def take_turns(memory: Rows, taken: Rows, by_model: Rows, of: Rows, flags: FlagR
         Sum of UNCONFIRMED if a cell had turned unconfirmed, and of PULLED if one needs a pull.
     """
     found = 0
-    recovery_fade = math.sqrt(by_model[2, 1])
+    rising_fade, recovery_fade = math.sqrt(by_model[2, 0]), math.sqrt(by_model[2, 1])
     for i in range(memory.shape[1]):
         std = taken[STD, i]
-        memory[EARLIER_KPA, i] *= recovery_fade
+        memory[EARLIER_KPA, i] *= recovery_fade if sign_before(memory, i) > 0.0 else rising_fade
         turned = look(memory, i, std, of, numbers)
         unconfirmed, rises, refuted = memory[LEFT, i] < FAR, memory[SIGN, i] > 0.0, False
         if (unconfirmed or turned) and unconfirmed == rises:
@@ -421,7 +444,8 @@ def begin_anew(
         for row in range(0, 6, 2):
             memory[RISING_KPA + row, i] += anew[row, i] * rising
             memory[RECOVERY_KPA + row, i] += anew[row + 1, i] * recovery
-        follow_earlier_turn(memory, i, anew[1, i] * recovery, of, numbers)
+        confirmed = bool(unconfirmed and flags[CONFIRMED, i])
+        follow_earlier_turn(memory, i, anew[0, i] * rising + anew[1, i] * recovery, confirmed, of, numbers)
     for i in range(memory.shape[1]):
         ahead, noise = of[AHEAD, i], of[UNSURE, i]
         memory[PEAK, i] = max(memory[PEAK, i], ahead - noise)
@@ -437,8 +461,10 @@ def begin_anew(
         memory[VARIANCE, i] -= memory[TURNED, i] + may_bear  # by which the hypotheses were apart in the last frame
         memory[TURNED, i] *= of[FADE, i]
         apart = abs(memory[RISING_KPA, i] - memory[RECOVERY_KPA, i]) * numbers[EITHER]
-        if memory[SIGN, i] > 0.0:
-            fallen = (memory[PEAK, i] - memory[PRESSURE, i]) * numbers[FALLEN] if flags[HELD, i] else 0.0
+        if memory[LEFT, i] >= FAR:
+            fallen = 0.0
+            if flags[HELD, i]:
+                fallen = (memory[PEAK, i] - memory[SIGN, i] * memory[PRESSURE, i]) * numbers[FALLEN]
             apart += earlier_kpa(memory, i, noise, fallen, numbers) * numbers[EARLIER]
         apart *= apart
         of[SPARE, i] = apart

@@ -57,6 +57,8 @@ FIRST_EVALUATIONS = 8, 3
 class AmplifiedLive:
     """Amplifiers that hold all columns of a plain grid, rows grounded."""
 
+    scales_columns = False
+
     def __init__(self, board: Board, rule: ValidityRule) -> None:
         """For a board whose circuit has ends (:meth:`.ReadoutCircuit.ends`) and whose design has a converter."""
         self._rule = rule

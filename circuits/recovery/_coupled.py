@@ -87,6 +87,7 @@ class CoupledLive:
         self._shorts = PossibleShorts(parts)
         self._uncertainty = FitUncertainty(parts)
         self._is_divider = not (board.floating or board.circuit.has_amplifiers)
+        self.scales_columns = self._is_divider and columns.applies and not board.turned
         self._scales = ColumnScales(parts)
         self._solutions = FollowerSolutions(parts)
         self._below = BelowRange(parts)

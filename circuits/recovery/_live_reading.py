@@ -169,6 +169,10 @@ class LiveReading:
 class LiveRecovery(Protocol):
     """Frame after frame of one board."""
 
+    scales_columns: bool
+    """whether errors of readings reach other cells as one factor of all conductances of their column: dividers whose
+    idle rows are driven, where all readings of a column together tell how much of the drive is left for it"""
+
     def __call__(
         self,
         volts: FloatArray,
