@@ -122,17 +122,6 @@ class Following:
         if self._sparks.cells.size:
             self._sparks.recognise_taps(dt, r)
         memory = block.memory = self._inversion.advance_compiled(block.memory, taken, line, dt)
-        added = np.zeros(cells.size)
-        if self._sparks.cells.size or frame % RECENT == 0:
-            self._doubt_by_machine_code(block, dt, frame, added)
-        else:
-            fall_kpa, seeming = self._fall_kpa, self._inversion.seeming
-            self._tremor.doubt_compiled(cells, memory, taken, line, fall_kpa, seeming, added)
-        self._deviation.show_compiled(block, added, pressure)
-
-    def _doubt_by_machine_code(self, block: Block, dt: float, frame: int, added: FloatArray) -> None:
-        """Add what is in doubt to ``added`` (m,) in kPa^2, in a frame with jumps or a look at the last readings."""
-        cells, line, taken, memory = block.cells, block.line, block.taken, block.memory
         if self._fall_kpa:
             self._tremor.doubt_falls_compiled(cells, memory, taken, line, self._fall_kpa)
         if self._sparks.cells.size:
@@ -141,10 +130,12 @@ class Following:
             if self._inversion.recovers:
                 self._inversion.recover_compiled(memory, taken, dt, line, *self._noise.window, cells)
             self._look_for_tremor_compiled(block, ends_window=frame % WINDOW == 0)
+        added = np.zeros(cells.size)
         if self._tremor.suspicious:
             self._tremor.add_variance(cells, memory, taken, self._inversion.seeming, added)
         if self._sparks.cells.size:
             added += self._sparks.variance(block, memory)
+        self._deviation.show_compiled(block, added, pressure)
 
     def _accept_taps(self, block: Block) -> None:
         """Let taps be no motion within the noise."""

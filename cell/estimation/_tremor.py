@@ -176,21 +176,6 @@ class Tremor:
         kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa, self._edge_kpa, self._looked_at
         doubt_rises.code(cells, memory, taken, seeming, *kept, added)
 
-    def doubt_compiled(
-        self,
-        cells: IntArray,
-        memory: FloatArray,
-        taken: FloatArray,
-        line: FloatArray,
-        fall_kpa: float,
-        seeming: float,
-        added: FloatArray,
-    ) -> None:
-        """:meth:`doubt_falls_compiled` and :meth:`add_variance`, in a frame in which nothing comes between them."""
-        kept = self._risen_from, self._amplitude, self._suspicion, self._waiting_kpa, self._edge_kpa, self._looked_at
-        found = doubt_each.code(cells, memory, taken, line, fall_kpa, seeming, *kept, added)
-        self.suspicious = self.suspicious or found
-
     def end_window_compiled(
         self,
         cells: IntArray,
@@ -374,30 +359,6 @@ def end_window_each(
     return found
 
 
-@loop
-def doubt_each(
-    cells: Places,
-    memory: Rows,
-    taken: Rows,
-    line: Rows,
-    fall_kpa: float,
-    seeming: float,
-    risen_from: Row,
-    amplitude: Row,
-    suspicion: Row,
-    waiting_kpa: Row,
-    edge_kpa: Row,
-    looked_at: Row,
-    added: Row,
-) -> bool:
-    """:func:`doubt_each_fall`, unless fast falls are answered as all loads are, and :func:`doubt_rises`."""
-    found = fall_kpa != 0.0 and doubt_each_fall(cells, memory, taken, line, fall_kpa, waiting_kpa)
-    doubt_rises(
-        cells, memory, taken, seeming, risen_from, amplitude, suspicion, waiting_kpa, edge_kpa, looked_at, added
-    )
-    return found
-
-
-LOOPS = look_each, doubt_rises, end_window_each, doubt_each
+LOOPS = look_each, doubt_rises, end_window_each
 LOOPS_OF_FALLS = (doubt_each_fall,)
 """those that only cells need which answer fast rises and fast falls differently"""
