@@ -123,6 +123,19 @@ def test_a_light_touch_on_a_cell_that_recovers_leaves_no_load(cell: Cell) -> Non
     assert worst < 3.5
 
 
+@CELLS
+@pytest.mark.parametrize("share", [0.97, 0.88, 0.7])
+def test_a_reading_below_rest_leaves_no_load_beyond_the_deviation(cell: Cell, share: float) -> None:
+    """No load leaves a resistance below that at rest: what a bad line or a low supply does to the memory is in doubt."""
+    time = np.arange(0, 8, DT)
+    read = cell.rest_resistance_ohm * np.where((time > 2) & (time < 3), share, 1.0)[:, None]
+    read = read * (1 + 5e-4 * np.random.default_rng(0).standard_normal((len(time), COUNT)))
+    pressure, std = estimated(cell, read)
+    after = time > 3.1
+    assert (np.abs(pressure) < 2 * std)[after].all()
+    assert (pressure[-1] < 0.5 * pressure[after][0] + 0.01 * cell.full_scale_kpa).all()
+
+
 @pytest.mark.parametrize("volts", [1e-3, 3e-3])
 def test_a_press_right_after_taps_stays_for_as_long_as_it_is_held(volts: float) -> None:
     """Presses to 10 to 60 % of full scale, from 0.1 to 1.9 s after the last of eight taps on, held for 4 s.

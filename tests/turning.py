@@ -148,6 +148,9 @@ class OneCell:
                 now = Hypothesis(allowed, begun.settled, now.x2, now.x3)
             else:
                 now = Hypothesis(allowed, now.settled, begun.x2, now.x3)
+            missing = max((allowed / self.model.e1_kpa - r) * gains[True], 0.0)
+            more = max(min(missing, paper.MOST_LOST * self.full) ** 2 - self.doubt, 0.0)
+            self.doubt, self.variance = self.doubt + more, self.variance + more
         direction = 1.0 if self.rising else -1.0
         held = direction * (self.third_last - now.pressure) < 3 * dt * paper.HELD * self.full
         below = self.peak - ahead

@@ -875,6 +875,10 @@ class TurningInversion(Inversion):
         """Where the hypothesis in force needs a pull, let it remember less instead; changes state and pressure.
 
         In recovery noise that the smoothing passes on makes up for a pull of :data:`SURE` deviations.
+
+        No load leaves a resistance below that at rest. A reading that is lower nevertheless (a bad line, a cell that
+        has become warm) makes a memory that no load has made, and a reading at rest again shows a load then. What is
+        missing counts as standard deviation.
         """
         m = self.model
         allowed = -PULL_SIGMAS * weights.by_model[0, RECOVERY] * doubt - NEAR * self.full_scale_kpa
@@ -889,6 +893,11 @@ class TurningInversion(Inversion):
         state[np.where(rising, 0, 1), pulled] = p
         state[2, pulled[rising]] = (p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * r)[rising]
         state[3, pulled[~rising]] = (r - p / m.e1_kpa - state[5, pulled])[~rising]
+        missing = np.maximum((p / m.e1_kpa - r) * weights.by_model[0, RISING], self._none)
+        doubt = of.doubt[pulled]
+        more = np.maximum(np.minimum(missing * missing, self._lost_at_most_kpa2), doubt) - doubt
+        of.doubt[pulled] += more
+        of.variance[pulled] += more
 
     def hold(self, memory: FloatArray, dt_s: float | FloatArray) -> FloatArray:
         m = self.model

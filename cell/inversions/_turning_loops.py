@@ -399,6 +399,11 @@ def correct(memory: Rows, taken: Rows, by_model: Rows, numbers: Row) -> None:
         else:
             memory[RECOVERY_KPA, i] = allowed
             memory[X2, i] = r - allowed / numbers[E1_KPA] - memory[RECOVERY_X3, i]
+        missing = (allowed / numbers[E1_KPA] - r) * by_model[0, 0]
+        if missing > 0.0:
+            doubt = memory[TURNED, i]
+            memory[TURNED, i] = max(min(missing * missing, numbers[MOST_LOST_KPA2]), doubt)
+            memory[VARIANCE, i] += memory[TURNED, i] - doubt
 
 
 @loop
