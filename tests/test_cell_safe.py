@@ -126,7 +126,7 @@ def test_a_light_touch_on_a_cell_that_recovers_leaves_no_load(cell: Cell) -> Non
 @CELLS
 @pytest.mark.parametrize("share", [0.97, 0.88, 0.7])
 def test_a_reading_below_rest_leaves_no_load_beyond_the_deviation(cell: Cell, share: float) -> None:
-    """No load leaves a resistance below that at rest: what a bad line or a low supply does to the memory is in doubt."""
+    """No load leaves a resistance below that at rest: what a bad line or low supply does to the memory is in doubt."""
     time = np.arange(0, 8, DT)
     read = cell.rest_resistance_ohm * np.where((time > 2) & (time < 3), share, 1.0)[:, None]
     read = read * (1 + 5e-4 * np.random.default_rng(0).standard_normal((len(time), COUNT)))
