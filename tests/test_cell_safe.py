@@ -123,6 +123,27 @@ def test_a_light_touch_on_a_cell_that_recovers_leaves_no_load(cell: Cell) -> Non
     assert worst < 3.5
 
 
+@pytest.mark.parametrize(("hertz", "share", "noise"), [(2, 0.02, 1e-3), (5, 0.02, 2e-4), (5, 0.005, 1e-3)])
+def test_chains_that_a_tremor_breaks_unseen_are_in_the_deviation(hertz: float, share: float, noise: float) -> None:
+    """20 s of 40 % of full scale with a tremor about as large as the noise, on an m10 cell; beside it no tremor."""
+    dt, cell = 0.01, EXAMPLE.replace(model=SAFE_M10)
+    time = np.arange(dt, 24, dt)[:, None]
+    phase = np.linspace(0, np.pi, COUNT // 2, endpoint=False)
+    tremor = np.hstack([share * np.sqrt(2) * np.sin(2 * np.pi * hertz * time + phase), np.zeros_like(time + phase)])
+    held = np.interp(time, [1, 1.4, 23.4, 23.6], [0, 1, 1, 0])
+    load = 0.4 * cell.full_scale_kpa * held * (1 + tremor * (time > 1.5))
+    read = cell.forward((COUNT,)).run(np.full(len(time), dt), load) * (
+        1 + noise * np.random.default_rng(1).standard_normal(load.shape)
+    )
+    pressure, std = estimated(cell, read, dt=dt)
+    late = (time[:, 0] > 2) & (time[:, 0] < 23)
+    within = (np.abs(pressure - load) < 2 * std)[late].mean(axis=0)
+    print(f"{100 * within.min():.1f} % within 2 sd; sd {100 * np.median(std[late], axis=0) / cell.full_scale_kpa} % FS")
+    assert within[: COUNT // 2].mean() > 0.85
+    assert (within[COUNT // 2 :] > 0.95).all()
+    assert (std[late][:, COUNT // 2 :].max(axis=0) < 0.02 * cell.full_scale_kpa).all()
+
+
 @CELLS
 @pytest.mark.parametrize("share", [0.97, 0.88, 0.7])
 def test_a_reading_below_rest_leaves_no_load_beyond_the_deviation(cell: Cell, share: float) -> None:

@@ -7,18 +7,32 @@ with a rise of resistance has no such cell; there the inverse is refused.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from ...errors import InputError
-from ..estimation import DOUBT, GAIN, LOADS, PRESSURE, USUAL, VARIANCE, WINDOW, Inversion, credible_readings
+from ..estimation import (
+    DOUBT,
+    GAIN,
+    LOADS,
+    NOISE,
+    PRESSURE,
+    RECENT,
+    USUAL,
+    VARIANCE,
+    WINDOW,
+    Inversion,
+    credible_readings,
+)
 from ..materials import AsymmetricModel, ByStep, M10Model, as_m10, lag
 from . import _inverse_loops as loops
+from . import _unseen_path as unseen_path
 
 LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST = (
     3,
@@ -35,6 +49,8 @@ LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST
 """rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last two steps of the
 load, variances in r of what is remembered of the branches and of the broken chains, the r of chains that may have
 broken unseen, 1 if the load left its play upwards, else 0, and the load up to which chains have broken then"""
+UNSEEN = slice(16, 16 + len(unseen_path.NAMES))
+"""rows of :mod:`._unseen_path`"""
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
 """the first, of a bend of the load (its change of change between frames), makes the standard deviation of a lag over
 ramp (1 - ramp), as the load may go straight or by a step. The others, of its way in the frame after a turn, make the
@@ -144,6 +160,7 @@ class AsymmetricInversion(Inversion):
     rows = (
         *("pressure", "gain", "variance", "load", "branch1", "branch2", "broken", "anchor", "moved", "moved_before"),
         *("error1", "error2", "broken_error", "missed", "went_up", "furthest"),
+        *unseen_path.NAMES,
     )
 
     def __init__(
@@ -176,6 +193,7 @@ class AsymmetricInversion(Inversion):
         self._model_numbers = self._numbers_of_inverse()
         self._of, self._crossed = np.empty((loops.ROWS, 0)), np.empty(0, dtype=np.intp)
         self.seeming = WINDOW * self.model.k / full_scale_kpa
+        self.recovers = self.model.k > 0 and not exact
 
     def begin(self, r: FloatArray) -> FloatArray:
         m = self.model
@@ -184,6 +202,7 @@ class AsymmetricInversion(Inversion):
         memory = np.zeros((len(self.rows), *r.shape))
         memory[PRESSURE], memory[LOAD], memory[BRANCHES] = s * self.full_scale_kpa, s, self._alpha * s
         memory[GAIN], memory[ANCHOR], memory[WENT_UP], memory[FURTHEST] = self.full_scale_kpa / slope, s, 1.0, s
+        unseen_path.begin(memory[UNSEEN], r)
         return memory
 
     def advance(
@@ -342,6 +361,30 @@ class AsymmetricInversion(Inversion):
     def miss(self, memory: FloatArray, rise_kpa: FloatArray) -> None:
         """Motion within the noise breaks chains, which seems to be a load that rises."""
         memory[MISSED] += rise_kpa / memory[GAIN]
+
+    def recover(self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray) -> None:
+        """Count as standard deviation what chains loads may break that tremble (:mod:`._unseen_path`)."""
+        m, load = self.model, memory[LOAD]
+        kept = math.exp(-RECENT * dt_s / m.tau_s)
+        way, counted = unseen_path.look(memory[UNSEEN], mean, noise, memory[BROKEN], kept)
+        slope = np.maximum(m.a + 2 * m.b * load, 0.05 * self.full_scale_r)
+        # A load of none has nothing to go back.
+        trembles = load > STILL_SIGMAS * noise / self.full_scale_r
+        memory[MISSED] += np.where(trembles, np.maximum(m.k * way / slope - counted, 0.0), 0.0)
+
+    def recover_compiled(
+        self,
+        memory: FloatArray,
+        taken: FloatArray,
+        dt_s: float,
+        line: FloatArray,
+        ring: FloatArray,
+        newest: int,
+        cells: IntArray,
+    ) -> None:
+        """:meth:`recover` by array operations, since it is only one frame of four that has them."""
+        mean = sum(ring[(newest - age) % len(ring)].take(cells) for age in range(RECENT)) * (1.0 / RECENT)
+        self.recover(memory, dt_s, mean, taken[NOISE], line[0])
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.
