@@ -308,14 +308,14 @@ def test_faults_of_the_line_are_counted_and_survived(tmp_path: Path) -> None:
 
 def test_a_stall_ends_though_more_waits_than_the_converter_holds(tmp_path: Path) -> None:
     """At the fast clock, where board time otherwise stands still until the host has read."""
-    stalled = scene(link_fault=[{"kind": "stall", "at_s": 0.5, "duration_s": 1.2}])
+    stalled = scene(link_fault=[{"kind": "stall", "at_s": 0.5, "duration_s": 2.0}])
     with (
         PtyPort() as port,
-        running_firmware(stalled, port, clock="fast", duration_s=2.2),
+        running_firmware(stalled, port, clock="fast", duration_s=3.0),
         Skin.open(port.name, delivery="lossless") as skin,
     ):
         frames = list(skin)
-    assert frames[-1].device_time > 1.7
+    assert frames[-1].device_time > 2.5
     assert sum(frame.lost_before for frame in frames) > 0
 
 
@@ -325,7 +325,7 @@ def test_the_end_of_a_finite_run_is_an_end_and_no_pulled_cable(loss: float, tmp_
     truth = tmp_path / "truth.npz"
     with (
         PtyPort() as port,
-        running_firmware(scene(line={"packet_loss": loss}), port, clock="fast", duration_s=4.0, truth=truth),
+        running_firmware(scene(line={"packet_loss": loss}), port, clock="fast", duration_s=6.0, truth=truth),
         Skin.open(port.name, delivery="lossless", timeout=60.0) as skin,
     ):
         first, *others = skin  # a LinkError, if the end were not told
