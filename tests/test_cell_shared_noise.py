@@ -78,8 +78,7 @@ def test_what_is_left_is_what_the_sleeping_cells_cannot_tell(asleep: int, presse
 @pytest.mark.parametrize("compiled", [False, True])
 def test_a_load_that_may_have_been_taken_for_noise_is_in_doubt(compiled: bool) -> None:
     """By 1.5 deviations of the mean of seven sleeping cells. The eighth one, which is pressed, doubts it."""
-    if compiled and not load_loops(*LOOPS):
-        pytest.skip("needs numba")
+    need("needs numba" if compiled and not load_loops(*LOOPS) else None)
     rows, columns, pressed, load = 8, 400, 0.5, 1.5 * SHARED
     own, shared = noise(44, rows, columns)
     meter = NoiseMeter(rows * columns)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from needs import need
 
 from ohmskin.arrays import FloatArray
 from ohmskin.bench.boards import design
@@ -48,8 +49,7 @@ def held(
         tare = round(TARE_S * RATE_HZ)
         rest_ohm = np.mean([read(frame).resistance for frame in codes[:tare]], axis=0)
         estimator = cell.estimator((8, 8), rest_resistance_ohm=rest_ohm)
-        if compiled and not estimator.compile():
-            pytest.skip("needs numba")
+        need("needs numba" if compiled and not estimator.compile() else None)
         pressure, std = np.empty((2, len(codes), 8, 8))
         for n, frame in enumerate(codes[tare:], tare):
             reading = read(frame)
@@ -116,8 +116,7 @@ LONG = round(2.0 * _shared_steps.HELD_S / DT_S)
 
 def kept(readings: FloatArray, compiled: bool) -> FloatArray:
     """(frames, 8) what is left of the ``readings`` (frames, 8) of a column that is awake, frame by frame."""
-    if compiled and not load_loops(*_shared_steps.LOOPS):
-        pytest.skip("needs numba")
+    need("needs numba" if compiled and not load_loops(*_shared_steps.LOOPS) else None)
     rest, held_s, every, none = np.zeros(8), np.zeros(8), np.ones(8, dtype=np.bool_), np.zeros(1)
     found, last, scales = [], readings[0], (OWN, STEPS, 1.0, DT_S)
     for reading in readings:

@@ -17,8 +17,9 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from . import _loops as loops
+from ._noise import recent_means
 from ._rows import GAIN, NOISE, READING, SMOOTHED, STD
-from ._smoothing import Looked
+from ._smoothing import COUNT, Looked
 
 LOADS = (-0.5, 3.0)
 """times full scale beyond which no load is looked for"""
@@ -173,7 +174,7 @@ class Inversion(ABC):
 
     # -- machine code ------------------------------------------------------------------------------------------------
 
-    def recover_compiled(  # noqa: B027 - as recover
+    def recover_compiled(
         self,
         memory: FloatArray,
         taken: FloatArray,
@@ -183,7 +184,7 @@ class Inversion(ABC):
         newest: int,
         cells: IntArray,
     ) -> None:
-        """:meth:`recover` by machine code.
+        """:meth:`recover` by machine code, where an inversion has loops for that.
 
         Args:
             memory: (rows, m) of the cells, changed.
@@ -194,6 +195,7 @@ class Inversion(ABC):
             newest: row of the last of them.
             cells: (m,) indices.
         """
+        self.recover(memory, dt_s, recent_means(ring, newest, cells), taken[NOISE], line[COUNT])
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
         """All loops that :meth:`advance_compiled` calls."""

@@ -346,12 +346,7 @@ class NoiseMeter:
 
     def mean_of_recent(self, cells: IntArray) -> FloatArray:
         """(m,) mean of the last :data:`RECENT` readings of ``cells``."""
-        ring, newest = self.window
-        total: FloatArray = ring[newest].take(cells)
-        for age in range(1, RECENT):
-            total += ring[(newest - age) % WINDOW].take(cells)
-        total *= 1.0 / RECENT
-        return total
+        return recent_means(*self.window, cells)
 
     def unrest(self, cells: IntArray, present: FloatArray) -> FloatArray:
         """(m,) the lesser of the last two windows' variances, since a single edge is in one of them only.
@@ -412,9 +407,18 @@ class NoiseMeter:
         self.resolve(state["noise_resolution"], by_all)
 
 
+def recent_means(ring: FloatArray, newest: int, cells: IntArray) -> FloatArray:
+    """(m,) mean of the last :data:`RECENT` readings of ``cells``; the last is in row ``newest`` of ``ring`` (k, n)."""
+    total: FloatArray = ring[newest].take(cells)
+    for age in range(1, RECENT):
+        total += ring[(newest - age) % len(ring)].take(cells)
+    total *= 1.0 / RECENT
+    return total
+
+
 @loop
 def recent_mean(ring: Rows, newest: int, cell: int) -> float:
-    """:meth:`NoiseMeter.mean_of_recent` of one cell; its last reading is in row ``newest`` of the ``ring`` (k, n)."""
+    """:func:`recent_means` of one cell."""
     total = ring[newest, cell]
     for age in range(1, RECENT):
         total += ring[(newest - age) % ring.shape[0], cell]

@@ -5,8 +5,10 @@
 :mod:`._turning`      the paper's cell, by two hypotheses about when the pressure last turned
 :mod:`._recovery`     the same cell at rest: a Kalman filter of what it remembers
 :mod:`._still`        the same cell after a light touch: whether the load is again what it was
+:mod:`._onset`        the same cell under presses that rise slowly while it recovers: Page's test
 :mod:`._sway`         the same cell under light loads that go to and fro within the noise
 :mod:`._inverse`      ``asymmetric`` and ``m10`` cells, by Newton's method
+:mod:`._unseen_path`  ``m10`` cells under loads that tremble: chains that break unseen
 :mod:`._switched`     the paper's own estimator (P8), the baseline
 :mod:`._learned`      linear maps of the memories in :mod:`._features`, as calibration learned them
 ====================  ==========================================================================================

@@ -14,14 +14,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray, IntArray
+from ...arrays import BoolArray, FloatArray
 from ...compiled import Loop
 from ...errors import InputError
 from ..estimation import (
     DOUBT,
     GAIN,
     LOADS,
-    NOISE,
     PRESSURE,
     RECENT,
     USUAL,
@@ -49,7 +48,7 @@ LOAD, BRANCHES, BROKEN, ANCHOR, MOVED, BEFORE, ERRORS, MISSED, WENT_UP, FURTHEST
 """rows of the memory: the anchor is the load behind a play as wide as the noise; then come the last two steps of the
 load, variances in r of what is remembered of the branches and of the broken chains, the r of chains that may have
 broken unseen, 1 if the load left its play upwards, else 0, and the load up to which chains have broken then"""
-UNSEEN = slice(16, 16 + len(unseen_path.NAMES))
+UNSEEN = slice(FURTHEST + 1, FURTHEST + 1 + len(unseen_path.NAMES))
 """rows of :mod:`._unseen_path`"""
 BETWEEN, AROUND, TO_AND_FRO = 0.58, 0.5, 0.6
 """the first, of a bend of the load (its change of change between frames), makes the standard deviation of a lag over
@@ -371,20 +370,6 @@ class AsymmetricInversion(Inversion):
         # A load of none has nothing to go back.
         trembles = load > STILL_SIGMAS * noise / self.full_scale_r
         memory[MISSED] += np.where(trembles, np.maximum(m.k * way / slope - counted, 0.0), 0.0)
-
-    def recover_compiled(
-        self,
-        memory: FloatArray,
-        taken: FloatArray,
-        dt_s: float,
-        line: FloatArray,
-        ring: FloatArray,
-        newest: int,
-        cells: IntArray,
-    ) -> None:
-        """:meth:`recover` by array operations, since it is only one frame of four that has them."""
-        mean = sum(ring[(newest - age) % len(ring)].take(cells) for age in range(RECENT)) * (1.0 / RECENT)
-        self.recover(memory, dt_s, mean, taken[NOISE], line[0])
 
     def _limit(self, memory: FloatArray, r: FloatArray, std: FloatArray) -> None:
         """Keep loads within what is believed, and correct the memory to the reading ``r`` (n,) instead.

@@ -57,7 +57,9 @@ def begin(rows: FloatArray, r: FloatArray) -> None:
     rows[UP:BROKEN_BEFORE] = 0.5  # what noise makes
 
 
-def look(rows: FloatArray, mean: FloatArray, noise: FloatArray, broken: FloatArray, kept: float) -> FloatArray:
+def look(
+    rows: FloatArray, mean: FloatArray, noise: FloatArray, broken: FloatArray, kept: float
+) -> tuple[FloatArray, FloatArray]:
     """Take the last :data:`..estimation._noise.RECENT` readings of m cells; changes their ``rows``.
 
     Args:
@@ -68,8 +70,8 @@ def look(rows: FloatArray, mean: FloatArray, noise: FloatArray, broken: FloatArr
         kept: share of these that have not healed since the last look.
 
     Returns:
-        (2, m) r by which readings have gone to and fro since the last look, as far as noise lets it be told; and r of
-        the chains that the inverse has counted for that.
+        (m,) r by which readings have gone to and fro since the last look, as far as noise lets it be told; and (m,) r
+        of the chains that the inverse has counted for that.
 
     """
     rows[1:LOOKS] = rows[: LOOKS - 1]
@@ -87,4 +89,4 @@ def look(rows: FloatArray, mean: FloatArray, noise: FloatArray, broken: FloatArr
     excess = np.maximum(2.0 * np.minimum(ups, downs) - 1.0, 0.0)
     told = np.clip((excess - MAY) / (DOES - MAY), 0.0, 1.0)
     way = (told * np.sqrt(excess * variance) / _LENGTHS).max(axis=0) * WAY
-    return np.stack([way, np.maximum(rows[BREAKS], 0.0)])
+    return way, np.maximum(rows[BREAKS], 0.0)

@@ -144,12 +144,14 @@ class AmplifiedLive:
         levels, base = self._errors.kept_for(noise), self._base
         if levels is None:
             return None
+        if not volts.flags.writeable:
+            volts = volts.copy()  # of exactly the type that the loops take
         if self._board.independent_columns:
-            found = self._loops.independent(levels, volts if volts.flags.writeable else volts.copy())
+            found = self._loops.independent(levels, volts)
         elif base is None or base.off is not None or self._heavy or base.loss > HEAVY or levels.gain is not base.gain:
             return None
         else:
-            found = self._loops.about(base, levels, volts if volts.flags.writeable else volts.copy())
+            found = self._loops.about(base, levels, volts)
         if found is None:
             return None
         resistance, uncertainties = found
