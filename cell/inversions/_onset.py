@@ -31,24 +31,27 @@ from ..estimation import FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, VA
 from ..materials import PaperModel, lag
 from ._paper_steps import Constants, borne_before, numbered, step_weights
 from ._recovery import REST_SIGMAS
-from ._turning_loops import (
-    EARLIEST_KPA,
+from ._turning_rows import (
     EXTREME,
     LEFT,
     LOOKS_AT_REST,
     MAY_BEAR_KPA,
+    RECOVERY_KPA,
     RECOVERY_X3,
     REFUTED,
     RISING_KPA,
     RISING_X3,
     SETTLED,
-    SETTLES,
     SIGN,
     STATE_END,
     TURNED,
     X2,
 )
 
+SETTLES = 7.0
+"""looks from which what a cell at rest remembers is known: by then the smoothing has passed the release"""
+HIDDEN_SHARE = 0.7
+"""standard deviation over what a rise that was hidden would make"""
 MODEL = 0.06
 """share of the variance of the memory that no averaging of readings removes: its error fades otherwise than the filter
 of :mod:`._recovery` reckons with. Of rests after taps in up to 3 mV none needs a pull of :data:`CLEAR_SIGMAS` then"""
@@ -75,11 +78,10 @@ NAMES = (
     *("may_bear_kpa", "looks_at_rest", "earliest_kpa", "begun_kpa", "earliest_settled", "begun_settled"),
     *("expected_x2", "expected_x3", "pull_kpa", "clear_kpa"),
 )
-"""names of the rows of the memory, from :data:`._turning_loops.MAY_BEAR_KPA` on"""
-BEGUN_KPA, EARLIEST_SETTLED, BEGUN_SETTLED, EXPECTED_X2, EXPECTED_X3, PULL_KPA, CLEAR_KPA = range(53, 60)
-"""rows: the rising model that began at the moment, beside the one that began with the recovery; the second states of
-the latter and of the former; what the branches bear if nothing has risen since the moment; the pull, and what it was
-when it became clear, else none"""
+"""names of the rows of the memory, from :data:`._turning_rows.MAY_BEAR_KPA` on"""
+EARLIEST_KPA, BEGUN_KPA, EARLIEST_SETTLED, BEGUN_SETTLED, EXPECTED_X2, EXPECTED_X3, PULL_KPA, CLEAR_KPA = range(52, 60)
+"""rows: the rising model that began with the recovery, and the one that began at the moment; their second states; what
+the branches bear if nothing has risen since the moment; the pull, and what it was when it became clear, else none"""
 
 GAIN_KPA, FADES_2, FADES_3, BACK_2, BACK_3, GONE, RAMP, RISING_GAIN_KPA = range(8)
 """places of what depends on the time between frames: kPa per r in recovery; share of what the branches bear that is
@@ -208,6 +210,35 @@ def _take_over(memory: FloatArray, risen: BoolArray) -> None:
         (VARIANCE, doubt),
     ):
         np.copyto(memory[row], value, where=risen)
+
+
+def hidden_kpa(memory: FloatArray, pressure: FloatArray, extreme: FloatArray, share: FloatArray) -> FloatArray:
+    """(m,) standard deviation in kPa of rises that have just been noticed, and may have begun earlier.
+
+    Args:
+        memory: (rows, m) of the cells.
+        pressure: (m,) to which their load has risen.
+        extreme: (m,) from which it has risen, with its sign turned.
+        share: pressure of the rising model after a fast change, over that of the recovery model.
+    """
+    rise = pressure + extreme
+    rises = (rise > _ZERO) & (memory[LOOKS_AT_REST] >= _SETTLES)
+    shared = (memory[RECOVERY_KPA] + extreme) / np.where(rises, rise, _ONE) * share
+    hidden = np.minimum(np.maximum(_ONE - shared, _ZERO), _ONE)
+    kpa = hidden * hidden * np.maximum(memory[EARLIEST_KPA] - pressure, _ZERO) * HIDDEN_SHARE
+    found: FloatArray = np.where(rises, kpa, _ZERO)
+    return found
+
+
+@loop
+def hidden_kpa_of(memory: Rows, i: int, pressure: float, extreme: float, share: float) -> float:
+    """:func:`hidden_kpa` of cell ``i``."""
+    rise = pressure + extreme
+    if memory[LOOKS_AT_REST, i] < SETTLES or rise <= 0.0:
+        return 0.0
+    shared = (memory[RECOVERY_KPA, i] + extreme) / rise * share
+    hidden = min(max(1.0 - shared, 0.0), 1.0)
+    return float(hidden * hidden * max(memory[EARLIEST_KPA, i] - pressure, 0.0) * HIDDEN_SHARE)
 
 
 @loop
