@@ -101,7 +101,7 @@ def constants(model: PaperModel, dt_s: float) -> Constants:
     """What :func:`look` takes, for frames ``dt_s`` apart; places as above."""
     look_s, (back_2, back_3) = RECENT * dt_s, borne_before(model, 0.5 * (RECENT - 1) * dt_s)
     gone, ramp = (float(weight) for weight in lag.weights(look_s, model.tu_s))
-    rising_gain_kpa = float(step_weights(model, look_s).gain[0])
+    unseen = HIDES_S / (1.0 / model.eu1_kpa + 1.0 / model.etau2_kpa)
     numbers = {
         GAIN_KPA: float(step_weights(model, dt_s).gain[-1]),
         FADES_2: math.exp(-look_s / model.t2_s),
@@ -110,10 +110,10 @@ def constants(model: PaperModel, dt_s: float) -> Constants:
         BACK_3: back_3,
         GONE: gone,
         RAMP: ramp,
-        RISING_GAIN_KPA: rising_gain_kpa,
-        # Near none a load p lets r' + r / tu be p' / rising_gain, and at rest r forgets as the branches do.
-        HIDDEN_2: HIDES_S * rising_gain_kpa * (1.0 / model.tu_s - 1.0 / model.t2_s),
-        HIDDEN_3: HIDES_S * rising_gain_kpa * (1.0 / model.tu_s - 1.0 / model.t3_s),
+        RISING_GAIN_KPA: float(step_weights(model, look_s).gain[0]),
+        # A load p near none makes r' = p' (1 / Eu1 + 1 / etau2) - r / Tu, and at rest each branch makes r' = -r / T.
+        HIDDEN_2: unseen * (1.0 / model.tu_s - 1.0 / model.t2_s),
+        HIDDEN_3: unseen * (1.0 / model.tu_s - 1.0 / model.t3_s),
         LASTS: math.exp(-look_s / LASTS_S),
         ETAU2_KPA: model.etau2_kpa,
     }
