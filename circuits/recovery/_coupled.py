@@ -68,6 +68,10 @@ class _Open(NamedTuple):
     all: FloatArray
     """by everything"""
 
+    def besides(self, change: FloatArray | None) -> _Open:
+        """What is open where other columns may change the cells by as much (n,) more; None: they do not."""
+        return self if change is None else self._replace(others=self.others + change, all=self.all + change)
+
 
 class CoupledLive:
     """Cells of boards on which each reading depends on many cells, frame after frame."""
@@ -158,6 +162,9 @@ class CoupledLive:
             by_lost = self._rows.change(frame, selection.lost_rows, selection.at_limit, conductance)
         left = self._left_open(frame, fit, by_lost, doubt)
         beside = self._disturbed(frame, fit, selection, left.fitted, short)
+        # Other sets of cells are enclosed where that may tell of some cell.
+        if not self._convergence.astray and np.any((left.all <= 1.0) & ~beside.ravel()):
+            left = left.besides(self._other_cells(frame, fit))
         return self._reading(frame, fit, selection, left, beside)
 
     def _budget_of_frame(self) -> Budget:
@@ -276,18 +283,21 @@ class CoupledLive:
             leads = np.where(np.isfinite(self._parts.leads), self._parts.leads, 0.0)
             with np.errstate(over="ignore"):  # what is boundless stays so
                 by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
-        if self._scales.applies:
-            by_scales = self._scales.disturb(frame, fit.known, base, self._uncertainty.covered(frame))
-            by_columns = by_columns if by_scales is None else by_columns + by_scales
-        if self._solutions.applies:
-            by_solutions = self._solutions.change(frame, fit.known, base)
-            by_columns = by_columns if by_solutions is None else by_columns + by_solutions
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base)
         if self._broken.beyond is not None:
             others = others + self._broken.change(frame.volts, base)
         fitted = by_readings + others + doubt
         return _Open(others + by_columns, fitted, fitted + by_columns)
+
+    def _other_cells(self, frame: Frame, fit: Fit) -> FloatArray | None:
+        """Largest relative change (n,) of the cells to others, far from these, that give the readings; None: none."""
+        base = self._linearised.base
+        if self._scales.applies:
+            return self._scales.disturb(frame, fit.known, base, self._uncertainty.covered(frame))
+        if self._solutions.applies:
+            return self._solutions.change(frame, fit.known, base)
+        return None
 
     def _disturbed(
         self, frame: Frame, fit: Fit, selection: Selection, uncertainty: FloatArray, short: BoolArray | None
