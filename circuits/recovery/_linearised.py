@@ -214,7 +214,7 @@ class Linearised:
 
     @property
     def spread(self) -> FloatArray | float:
-        """(n,) standard deviations of the logarithms by rounding, as the linear model has them; 0: there is none yet."""
+        """(n,) standard deviations of the logarithms by rounding, by the linear model; 0: there is none yet."""
         return 0.0 if self._base is None else self._base.std
 
     @property
