@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
 from ohmskin.arrays import FloatArray
+from ohmskin.bench import _live_streams
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.circuits.recovery._column_scales import ColumnScales
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
@@ -141,3 +144,22 @@ def test_a_hard_press_on_light_leads_has_one_scale() -> None:
     readings = read_after_rest(design, rest, pressed)
     assert readings[-1].valid.all()
     assert known_well(readings[-1], pressed)
+
+
+@pytest.mark.parametrize("number", [170000016, 170000092])
+def test_scales_are_bounded_only_where_a_cell_is_known_otherwise(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Frames without a valid cell took 10 to 13 usual ones, most of them for such bounds."""
+    found = _live_streams.stream("loaded twofold", number)
+    assert found is not None
+    asked, disturb = [0], ColumnScales.disturb
+
+    def counting(*given: Any) -> FloatArray | None:
+        asked[0] += 1
+        return disturb(*given)
+
+    monkeypatch.setattr(ColumnScales, "disturb", counting)
+    read = CountReader(found.design)
+    for counts in found.counts:
+        before, any_valid = asked[0], read(counts).valid.any()
+        assert any_valid == (asked[0] > before)
+    assert asked[0]

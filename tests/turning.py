@@ -286,7 +286,9 @@ class OneCell:
         unsure = np.sqrt(by_model + by_noise)
         sigmas = seen.pull / unsure
         likely = np.clip((sigmas - onset.SOME_SIGMAS) / (onset.CLEAR_SIGMAS - onset.SOME_SIGMAS), 0, 1)
-        may_bear = np.sqrt(likely) * max(load_kpa - max(self.now.pressure, 0), 0)
+        lasts, shown = seen.may_bear * np.exp(-4 * dt / onset.LASTS_S), max(self.now.pressure, 0)
+        may_bear = max(lasts, np.sqrt(likely) * max(load_kpa - shown, 0))
+        hidden = onset.HIDDEN * max(min(self._rises_unseen(onset.HIDES_S), seen.earliest.pressure) - shown, 0)
         if seen.looks == onset.SETTLES:
             seen.earliest, seen.clear_pull = Rise(0.0, -m.etau2_kpa * (self.now.x2 + self.now.x3)), 0.0
         if seen.looks == onset.SETTLES or seen.pull <= none + onset.COINCIDENCE * load_kpa or load_kpa < -unsure:
@@ -296,9 +298,9 @@ class OneCell:
                 self.doubt = doubt
             seen.x2, seen.x3, seen.pull, seen.clear_pull = self.now.x2, self.now.x3, 0.0, 0.0
             seen.begun = Rise(0.0, -m.etau2_kpa * (seen.x2 + seen.x3))
-            may_bear = 0.0
+            may_bear = lasts
         elif sigmas > onset.CLEAR_SIGMAS and seen.clear_pull == 0:
-            seen.clear_pull = seen.pull
+            seen.clear_pull, may_bear = seen.pull, max(may_bear, hidden)
         elif (
             sigmas > onset.CLEAR_SIGMAS
             and seen.pull > seen.clear_pull + onset.MORE_SIGMAS * np.sqrt(by_noise)
@@ -306,12 +308,21 @@ class OneCell:
         ):
             self.other = Hypothesis(load_kpa, seen.begun.settled, self.other.x2, self.now.x3)
             self.extreme, self.rested, seen.looks = rows.REFUTED, False, -seen.looks
-            self.doubt += (onset.EITHER * load_kpa) ** 2
+            self.doubt += (onset.EITHER * load_kpa) ** 2 + hidden**2
             self.variance, seen.may_bear = self.doubt, 0.0
             seen.found += 1
             return
+        elif sigmas > onset.CLEAR_SIGMAS:
+            may_bear = max(may_bear, hidden)
         self.variance += may_bear**2 - seen.may_bear**2
         seen.may_bear = may_bear
+
+    def _rises_unseen(self, seconds: float) -> float:
+        """KPa of a load that rises while the readings go on as at rest, from the first microsecond on."""
+        m, x2, x3, begin_s = self.model, self.now.x2, self.now.x3, 1e-6
+        load = Rise(0.0, -m.etau2_kpa * (x2 + x3))
+        load.rise(m, begin_s, x2 * np.exp(-begin_s / m.t2_s) + x3 * np.exp(-begin_s / m.t3_s))
+        return load.pressure * seconds / begin_s
 
     def _hidden(self, pressure: float, recovers: float) -> float:
         """By how much a rise may be larger that may have begun earlier."""

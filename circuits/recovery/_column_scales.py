@@ -265,21 +265,16 @@ class _Scales:
             current=float(self._current[each]),
             beside=self._beside(each),
         )
-        self._least[each] = law.last_possible(_TO_OPEN, 0.0)
-        largest = min(law.largest, _LARGEST) * (1.0 - _NOT_LEFT)
-        if largest > 1.0:
-            upwards = 1.0 / (1.0 / largest + (1.0 - 1.0 / largest) * _TO_SHORT)
-            self._most[each] = law.last_possible(upwards, largest)
-        else:
-            self._most[each] = 1.0
+        self._least[each], self._most[each] = law.possible_scales()
         self._hangs_least[:, each] = self._least[each] * own
         most = np.minimum(self._most[each] * (own + self._hidden[:, each]), self._hangs_most[:, each])
         self._hangs_most[:, each] = np.maximum(most, own)
 
     def _beside(self, each: int) -> _Beside:
         """All other columns, whose rows change the shape of one column."""
-        number, most = self._columns[each], self._all_hangs_most()
-        return _Beside(*(np.delete(values, number, axis=1) for values in (self._hangs, most, self._told.share)))
+        number, hangs, most = self._columns[each], self._hangs.copy(), self._all_hangs_most()
+        hangs[:, number] = most[:, number] = 0.0
+        return _Beside(hangs, most, self._told.share)
 
     def _all_hangs_most(self) -> FloatArray:
         """Largest p (N, M) of all columns."""
@@ -354,11 +349,11 @@ class _Beside(NamedTuple):
     """The other columns. Rows that hang on two columns carry current from one to the other."""
 
     hangs: FloatArray
-    """(N, M - 1) p"""
+    """(N, M) p; 0 in the column itself"""
     hangs_most: FloatArray
-    """(N, M - 1) the same at most"""
+    """(N, M) the same at most; 0 in the column itself"""
     share: FloatArray
-    """(N, M - 1) y"""
+    """(N, M) y"""
 
 
 class _CurrentLaw(NamedTuple):
@@ -388,26 +383,19 @@ class _CurrentLaw(NamedTuple):
         """The scale of a short, which leaves nothing of a row's potential to its driver."""
         return float((self.left_most / np.maximum(self.hangs, _LEAST)).min())
 
-    def last_possible(self, scales: FloatArray, end: float) -> float:
-        """The possible scale that is farthest from 1.
-
-        Args:
-            scales: (P,) from 1 on outwards.
-            end: what is returned if the last of them is possible.
-
-        """
-        low, high = np.clip(self._excess(scales), -_BOUNDLESS, _BOUNDLESS)
-        possible = (low <= 0.0) & (high >= 0.0)
-        side = np.where(possible, 0.0, np.sign(low + high))
-        last = np.flatnonzero(possible | np.append(np.diff(side) != 0.0, False))
-        place = int(last[-1]) if last.size else 0
-        if place + 1 == len(scales):
-            return end
-        # From there to the next one, the bound that is nearer to 0 crosses it.
-        bound = low if low[place + 1] > 0.0 else high
-        before, after = float(bound[place]), float(bound[place + 1])
-        part = before / (before - after) if before * after < 0.0 else 1.0
-        return float(scales[place] + part * (scales[place + 1] - scales[place]))
+    def possible_scales(self) -> tuple[float, float]:
+        """The least and the largest possible scale, searched for from 1 on down to none and up to that of a short."""
+        largest = min(self.largest, _LARGEST) * (1.0 - _NOT_LEFT)
+        scales, down = _TO_OPEN, len(_TO_OPEN)
+        if largest > 1.0:
+            scales = np.concatenate([scales, 1.0 / (1.0 / largest + (1.0 - 1.0 / largest) * _TO_SHORT)])
+        low, high = self._excess(scales)
+        np.clip(low, -_BOUNDLESS, _BOUNDLESS, out=low)
+        np.clip(high, -_BOUNDLESS, _BOUNDLESS, out=high)
+        least = _last_possible(scales[:down], low[:down], high[:down], 0.0)
+        if largest <= 1.0:
+            return least, 1.0
+        return least, _last_possible(scales[down:], low[down:], high[down:], largest)
 
     def _excess(self, scales: FloatArray) -> tuple[FloatArray, FloatArray]:
         """S, least and most current (P,) into the column beyond that of its load, at scales (P,)."""
@@ -423,3 +411,26 @@ class _CurrentLaw(NamedTuple):
         per_driven = by_most / np.maximum(self.driven, _LEAST) / scale
         distorted = ((per_driven * (np.abs(self.rise) + self.error)) @ share * carried).sum(axis=1)
         return excess_low - distorted, excess_high + distorted
+
+
+def _last_possible(scales: FloatArray, low: FloatArray, high: FloatArray, end: float) -> float:
+    """The possible scale that is farthest from 1.
+
+    Args:
+        scales: (P,) from 1 on outwards.
+        low: S, least excess (P,) at these scales.
+        high: S, most excess (P,).
+        end: what is returned if the last of them is possible.
+
+    """
+    possible = (low <= 0.0) & (high >= 0.0)
+    side = np.where(possible, 0.0, np.sign(low + high))
+    last = np.flatnonzero(possible | np.append(np.diff(side) != 0.0, False))
+    place = int(last[-1]) if last.size else 0
+    if place + 1 == len(scales):
+        return end
+    # From there to the next one, the bound that is nearer to 0 crosses it.
+    bound = low if low[place + 1] > 0.0 else high
+    before, after = float(bound[place]), float(bound[place + 1])
+    part = before / (before - after) if before * after < 0.0 else 1.0
+    return float(scales[place] + part * (scales[place + 1] - scales[place]))

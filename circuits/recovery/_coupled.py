@@ -4,6 +4,7 @@ A frame goes through the stages of :meth:`CoupledLive._read`:
 
 ======================================  ================================================================
 readings at limits are left out         :mod:`._readings_at_limits`
+what lines that broke do to the others  :mod:`._broken_lines`
 a start                                 the last frame's cells, or :mod:`._closed_start`
 steps within the frame's budget         :mod:`._gauss_newton`, :mod:`._linearised`, :mod:`._frame_budget`
 how well the cells give the readings    :meth:`CoupledLive._judge_misfit`
@@ -19,7 +20,7 @@ What does not change from frame to frame, and the circuit model, are in :mod:`._
 from __future__ import annotations
 
 from functools import partial
-from math import inf
+from math import hypot, inf
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._board import Board
 from ._below_range import BelowRange
+from ._broken_lines import BrokenLines
 from ._closed_start import ClosedStart
 from ._column_scales import ColumnScales
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
@@ -66,6 +68,10 @@ class _Open(NamedTuple):
     all: FloatArray
     """by everything"""
 
+    def besides(self, change: FloatArray | None) -> _Open:
+        """What is open where other columns may change the cells by as much (n,) more; None: they do not."""
+        return self if change is None else self._replace(others=self.others + change, all=self.all + change)
+
 
 class CoupledLive:
     """Cells of boards on which each reading depends on many cells, frame after frame."""
@@ -91,6 +97,7 @@ class CoupledLive:
         self._scales = ColumnScales(parts)
         self._solutions = FollowerSolutions(parts)
         self._below = BelowRange(parts)
+        self._broken = BrokenLines(parts)
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
         self._known: Known | None = None  # where the last frame ended
@@ -130,6 +137,11 @@ class CoupledLive:
         selection = self._limits.select(signal, limited, error, self._convergence)
         if not selection.tells:
             return self._nothing(selection.at_limit)
+        read = volts
+        if self._broken.applies and self._settled is not None and self._broken.change_notably(signal):
+            spread = self._linearised.spread * hypot(1.0, noise / self._parts.noise)
+            volts = self._broken.without(read, self._settled, spread)
+            signal = np.abs(volts - self._parts.board.level)
         frame = self._parts.frame(volts, signal, noise, selection.ignored)
         known, by_lost = self._usual_start(frame, selection, budget)
         start = self._nearer_start(frame, known, budget)
@@ -143,11 +155,16 @@ class CoupledLive:
         self._steps.settle(fit)
         if not self._convergence.astray:
             self._settled = fit.known.log
+            if self._broken.applies:
+                self._broken.remember(read, error)
         if selection.lost_rows is not None:
             conductance = 1.0 / fit.known.cells
             by_lost = self._rows.change(frame, selection.lost_rows, selection.at_limit, conductance)
         left = self._left_open(frame, fit, by_lost, doubt)
         beside = self._disturbed(frame, fit, selection, left.fitted, short)
+        # Other sets of cells are enclosed where that may tell of some cell.
+        if not self._convergence.astray and np.any((left.all <= 1.0) & ~beside.ravel()):
+            left = left.besides(self._other_cells(frame, fit))
         return self._reading(frame, fit, selection, left, beside)
 
     def _budget_of_frame(self) -> Budget:
@@ -266,16 +283,21 @@ class CoupledLive:
             leads = np.where(np.isfinite(self._parts.leads), self._parts.leads, 0.0)
             with np.errstate(over="ignore"):  # what is boundless stays so
                 by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
-        if self._scales.applies:
-            by_scales = self._scales.disturb(frame, fit.known, base, self._uncertainty.covered(frame))
-            by_columns = by_columns if by_scales is None else by_columns + by_scales
-        if self._solutions.applies:
-            by_solutions = self._solutions.change(frame, fit.known, base)
-            by_columns = by_columns if by_solutions is None else by_columns + by_solutions
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base)
+        if self._broken.beyond is not None:
+            others = others + self._broken.change(frame.volts, base)
         fitted = by_readings + others + doubt
         return _Open(others + by_columns, fitted, fitted + by_columns)
+
+    def _other_cells(self, frame: Frame, fit: Fit) -> FloatArray | None:
+        """Largest relative change (n,) of the cells to others, far from these, that give the readings; None: none."""
+        base = self._linearised.base
+        if self._scales.applies:
+            return self._scales.disturb(frame, fit.known, base, self._uncertainty.covered(frame))
+        if self._solutions.applies:
+            return self._solutions.change(frame, fit.known, base)
+        return None
 
     def _disturbed(
         self, frame: Frame, fit: Fit, selection: Selection, uncertainty: FloatArray, short: BoolArray | None
@@ -291,6 +313,8 @@ class CoupledLive:
 
         """
         beside = selection.beside
+        if self._broken.beyond is not None:  # what still comes through a break is no cell's reading
+            beside = beside | (self._broken.beyond & (frame.signal > frame.error))
         if short is not None:  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
         if not self._convergence.astray:

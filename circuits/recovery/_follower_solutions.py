@@ -46,6 +46,7 @@ _ALIKE, _ALIKE_MARGIN = 0.05, 1.25  # change of logarithms while a result is kep
 _NOTABLE = 0.02  # share of a reading's current
 _ROUNDS = 8  # of the sequence, between two trials
 _TRIALS = 4
+_STILL = 1e-3  # relative change of factors by a round or a trial after which others hardly narrow them any more
 _LEAST_FACTOR = 1e-4  # below the found solution
 
 
@@ -273,8 +274,19 @@ class _Law:
             if not far[0].any():
                 break
             last = len(_PARTS) - 1 - possible[::-1].argmax(axis=0)
-            factors = times[last, *each]
+            before, factors = factors, times[last, *each]
             for _ in range(_ROUNDS):
-                demanded = self._demand(factors * cells) * demanded_at_most
-                factors = np.clip(demanded, np.minimum(beside, factors), np.maximum(beside, factors))
+                wider = factors
+                factors = self._demand(wider * cells)
+                factors *= demanded_at_most
+                np.clip(factors, np.minimum(beside, wider), np.maximum(beside, wider), out=factors)
+                if _alike(factors, wider):
+                    break
+            if _alike(factors, before):
+                break
         return far, factors
+
+
+def _alike(factors: FloatArray, before: FloatArray) -> bool:
+    """Whether no factor differs notably from what it was before."""
+    return bool((np.abs(factors - before) <= _STILL * before).all())
