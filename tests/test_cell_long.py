@@ -288,6 +288,22 @@ def test_holds_that_waver_are_followed(noise: float, rms: float) -> None:
     assert over.max() < 5.0
 
 
+@pytest.mark.parametrize(("dt", "share", "rms"), [(0.01, 0.01, 0.05), (0.005, 0.01, 0.05), (0.005, 0.02, 0.08)])
+def test_holds_that_tremble_by_less_than_a_turn_do_not_grow(dt: float, share: float, rms: float) -> None:
+    """Sines of 1.5 to 8 Hz: means of the readings tell how far they go, and with it what the cell keeps of them."""
+    time, hertz = np.arange(1, round(12.0 / dt)) * dt, np.geomspace(1.5, 8.0, 6)
+    tremor = share * np.sqrt(2) * np.sin(2 * np.pi * hertz * time[:, None] + hertz) * (time > 1.5)[:, None]
+    held = 0.4 * FULL * np.interp(time, [1.0, 1.3, 10.0, 10.2], [0.0, 1.0, 1.0, 0.0])
+    error, over = judged(held[:, None] * (1.0 + tremor), dt, 1e-3)
+    trembles = (time > 4.0) & (time < 10.0)
+    found = np.sqrt((error[trembles] ** 2).mean()) / FULL
+    left = error[time > 11.5].max() / FULL
+    print(f"error {100 * found:.1f} % FS rms, {100 * (over < 2).mean():.0f} % within 2 sd, {100 * left:.1f} % left")
+    assert found < rms
+    assert (over < 2).mean() > 0.93
+    assert left < 0.04
+
+
 @pytest.mark.parametrize("noise", [1e-4, 1e-3])
 def test_a_load_that_grows_slowly_after_it_fell_is_within_the_deviations(noise: float) -> None:
     """The cell still recovers from the fall, and the load that grows reads as one that goes on falling."""

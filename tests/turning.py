@@ -18,6 +18,7 @@ from ohmskin.cell.inversions import _sway as sway
 from ohmskin.cell.inversions import _takeover as takeover
 from ohmskin.cell.inversions import _turning_rows as rows
 from ohmskin.cell.inversions import _turns as turns
+from ohmskin.cell.inversions import _way as way
 from ohmskin.cell.materials import _lag as lag
 
 
@@ -198,12 +199,51 @@ class OneCell:
         self._rest(dt, mean, noise, count)
         self._compare(dt, mean, noise)
         self._begin(dt, mean, noise)
-        m = self.model
-        rise, fall = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
-        kept = self.sway.look(mean, noise, self.rising) * (1 / fall - 1 / rise)
-        doubt = min((np.sqrt(self.doubt) + kept) ** 2, max(self.doubt, max(self.now.pressure, 0.0) ** 2))
-        self.variance += doubt - self.doubt
-        self.doubt = doubt
+        self._take_back(
+            dt, *self.sway.look(dt, mean, noise, self.rising, self._fast_r()[0] * self.full, self._leaps(dt, noise))
+        )
+
+    def _leaps(self, dt: float, noise: float) -> bool:
+        """Whether the pressure has just gone further than unnoticed."""
+        gain = self._solved(Hypothesis(0, 0, 0, 0), self.rising, dt, 1.0).pressure
+        apart = max(abs(self.now.pressure - self.last), abs(self.last - self.third_last))
+        return bool(apart > sway.EDGE * noise * gain + sway.LARGEST * self.full)
+
+    def _fast_r(self) -> tuple[float, float]:
+        """R per kPa of a fast rise and of a fast fall."""
+        return 1 / self.model.eu1_kpa + 1 / self.model.etau2_kpa, 1 / self.model.e1_kpa
+
+    def _take_back(self, dt: float, unseen: float, most: float, told: float) -> None:
+        """Subtract what an ``unseen`` way of r makes of the pressure, of a way that is ``told`` and is ``most``."""
+        m, now, (rise, fall) = self.model, self.now, self._fast_r()
+        p, x3 = now.pressure, now.x3
+        x2 = self.r - p / m.e1_kpa - x3 if self.rising else now.x2
+        settled = now.settled if self.rising else p * (1 + m.etau2_kpa / m.eu1_kpa) - m.etau2_kpa * self.r
+        recovers = (p / m.e2_kpa - x2) / m.t2_s + (p / m.e3_kpa - x3) / m.t3_s
+        sinks = (settled - p) / m.etau2_kpa / m.tu_s
+        # Half of the way goes each way; so does half of the time, in which r drifts as the other model says.
+        drifts = (recovers / fall - sinks / rise) * 4 * dt / 2 * (1 if self.rising else -1)
+        kept = (1 / fall - 1 / rise) / 2
+        shown = 0.0 if self.rested else max(p, 0.0)
+        kpa = unseen * kept + drifts * min(unseen / told, 1.0) if unseen > 0 else 0.0
+        kpa = min(max(kpa, 0.0), shown)
+        for one in (self.now, self.other):
+            one.pressure -= kpa
+            one.settled -= kpa * (1 + m.etau2_kpa / m.eu1_kpa)
+            one.x2 += kpa / m.e1_kpa
+        self.last, self.before_last, self.third_last = self.last - kpa, self.before_last - kpa, self.third_last - kpa
+        ahead = kpa if self.rising else -kpa
+        self.extreme, self.peak = self.extreme - ahead, self.peak - ahead
+        self.recent_extreme -= ahead
+        if self.left is not None:
+            ahead = -ahead
+            self.left -= ahead
+        self.earlier_least, self.earlier_from = self.earlier_least - ahead, self.earlier_from - ahead
+        more = max(most - unseen, 0.0) * kept + sway.UNSURE * kpa
+        if more > 0:
+            doubt = min((np.sqrt(self.doubt) + more) ** 2, max(self.doubt, shown**2))
+            self.variance += doubt - self.doubt
+            self.doubt = doubt
 
     def _rest(self, dt: float, mean: float, noise: float, count: int) -> None:
         """A released cell is at rest."""
@@ -461,52 +501,80 @@ class Still:
 
 
 class Sway:
-    """What a cell may keep of a load that goes to and fro within the noise, in r: blocks of readings compared."""
+    """The way of a load that goes to and fro unnoticed, in r."""
 
     def __init__(self, r: float) -> None:
-        self.first, self.means, self.since, self.rising = r, [], 0, True
-        self.sides = {(length, side): 0.0 for length in (2, 4, 8) for side in (1, -1)}
-        self.drifts = dict.fromkeys((2, 4, 8), 0.0)
+        self.last, self.extreme, self.rising, self.held = r, r, True, 10**6
+        self.unexplained, self.told, self.may, self.way = 0.0, 0.0, 0.0, Way()
 
-    def look(self, mean: float, noise: float, rising: bool) -> float:
-        """Take the ``mean`` of the last four readings, each uncertain by ``noise``."""
-        self.means.append(mean)
-        self.since += 1
-        looks = len(self.means)
-        if looks % 2:
-            return 0.0
-        jumped = False
-        if rising != self.rising:
-            self.since = 0
-            for length in (2, 4, 8):
-                both = min(self.sides[length, 1], self.sides[length, -1])
-                self.sides[length, 1] = self.sides[length, -1] = both
-            self.drifts = dict.fromkeys(self.drifts, 0.0)
-        self.rising = rising
-        for length in (2, 4, 8):
-            if looks % length:
-                continue
-            before = np.mean(self.means[-2 * length : -length]) if looks > length else self.first
-            change = np.mean(self.means[-length:]) - before - self.drifts[length]
-            size = change**2 / (noise**2 / (4 * length))
-            jumped |= size > sway.JUMP
-            if self.since >= 2 * length:
-                self.drifts[length] += sway.SHARE * change
+    def look(self, dt: float, mean: float, noise: float, rising: bool, full_r: float, leaps: bool) -> tuple[float, ...]:
+        """Take the ``mean`` of the last four readings: the way less that of turns, at most that, and all of it."""
+        turned, explained = rising != self.rising, 0.0
+        if turned or (mean > self.extreme if rising else mean < self.extreme):
+            explained, self.extreme = mean - self.extreme, mean
+        self.unexplained += mean - self.last - explained
+        self.last, self.rising = mean, rising
+        self.held += 1
+        if leaps or abs(explained) > way.CLEAR * noise / np.sqrt(2) + sway.LARGEST * full_r:
+            self.held = 0
+            self.way.forget()
+        told, untold = self.way.look(dt, self.unexplained, noise, sway.LARGEST * full_r)
+        back = abs(explained) if turned else 0.0
+        owed = way.MEMORY_S / (4 * dt)
+        if self.held < owed:
+            told = untold = 0.0
+        of_told = float(np.clip(self.told + told - back, -owed * told, owed * told))
+        most = float(np.clip(self.may + told + untold - back, -owed * (told + untold), owed * (told + untold)))
+        self.told, self.may = min(of_told, 0.0), min(most, 0.0)
+        return max(of_told, 0.0), max(most, 0.0), told
+
+
+class Way:
+    """Means of successive blocks of readings compared, of one, two, four and eight looks."""
+
+    def __init__(self) -> None:
+        self.seen: list[float] = []
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin with what noise makes."""
+        self.bends = dict.fromkeys((1, 2, 4, 8), 1.0)
+        self.sides = {(length, side, order): 0.5 for length in (1, 2, 4, 8) for side in (1, -1) for order in (1, 2)}
+
+    def look(self, dt: float, mean: float, noise: float, largest: float) -> tuple[float, float]:
+        """Take the ``mean`` of four readings, uncertain by ``noise`` each: way that is told, and what may be beside."""
+        self.seen.append(mean)
+        told, may, rest, rest_of_may = 0.0, 0.0, 1.0, 1.0
+        for length, hidden in zip((1, 2, 4, 8), way.HIDDEN, strict=True):
+            share = float(np.clip(4 * dt * length / way.MEMORY_S, *way.SHARES))
+            if len(self.seen) % length == 0:
+                self._compare(length, share, noise, largest)
+            up, down, up_again, down_again = (self.sides[length, side, order] for order in (1, 2) for side in (1, -1))
+            clear = (2 * min(up_again, down_again) - 1) / (way.OF_SIDES * np.sqrt(share))
+            moved = max(min(up + down, way.SIDE * min(up, down)) - 1, 0.0) * noise**2 / (2 * length)
+            bent = min(max(self.bends[length] - 1, 0.0) * noise**2 * 3 / (2 * length), 4 * moved)
+            this = float(np.sqrt(moved + way.BEND * bent)) * way.WAY / length
+            sure = float(np.clip((clear - way.TOLD) / (way.DOES - way.TOLD), 0, 1))
+            perhaps = float(np.clip((clear - way.MAY) / (way.TOLD - way.MAY), 0, 1))
+            told, rest = told + rest * sure * this, rest * (1 - sure)
+            may, rest_of_may = may + rest_of_may * perhaps * this * hidden, rest_of_may * (1 - perhaps)
+        return told, max(may - told, 0.0)
+
+    def _compare(self, length: int, share: float, noise: float, largest: float) -> None:
+        ends = (len(self.seen), len(self.seen) - length, len(self.seen) - 2 * length)
+        newest, last, before = (np.mean(self.seen[end - length : end]) if end > 0 else 0.0 for end in ends)
+        for order, change, variance in (
+            (1, newest - last, noise**2 / (2 * length)),
+            (2, newest - 2 * last + before, noise**2 * 3 / (2 * length)),
+        ):
+            size = min(abs(change) / np.sqrt(variance), largest / np.sqrt(variance) + way.CLEAR) ** 2
+            if order == 2:
+                self.bends[length] = self._counted(self.bends[length], size, share)
+                size = min(size, way.MOST)
             for side in (1, -1):
-                excess = (min(size, sway.MOST) if side * change > 0 else 0.0) - 1
-                if self.since >= 2 * length:
-                    self.sides[length, side] += sway.SHARE * (excess - self.sides[length, side])
-        if jumped:
-            self._begin_anew()
-        return max(self._kept(length, noise) for length in (2, 4, 8))
+                counts = size if side * change > 0 else 0.0
+                self.sides[length, side, order] = self._counted(self.sides[length, side, order], counts, share)
 
-    def _begin_anew(self) -> None:
-        self.since, self.sides, self.drifts = 0, dict.fromkeys(self.sides, 0.0), dict.fromkeys(self.drifts, 0.0)
-
-    def _kept(self, length: int, noise: float) -> float:
-        up, down = self.sides[length, 1], self.sides[length, -1]
-        if min(up, down) <= sway.BOTH:
-            return 0.0
-        excess = (up + down) / 2
-        sure = np.clip((excess - sway.MAY) / (sway.DOES - sway.MAY), 0, 1)
-        return float(sway.KEPT * sure * np.sqrt(excess * noise**2 / (4 * length)) * 2 / length)
+    @staticmethod
+    def _counted(before: float, size: float, share: float) -> float:
+        return float(before + min((size - before) * share, way.GROWS * before + way.AT_ONCE))

@@ -55,7 +55,7 @@ _ZERO, _FAR, _EITHER, _SURE = (np.array(x) for x in (0.0, FAR, EITHER, SURE / ma
 
 NAMES = ("still_kpa", "still_x2", "still_x3", "off_kpa_before", "pressure_before")
 """names of the rows of the memory"""
-STILL_KPA, STILL_X2, STILL_X3, OFF_BEFORE, PRESSURE_BEFORE = range(44, 49)
+STILL_KPA, STILL_X2, STILL_X3, OFF_BEFORE, PRESSURE_BEFORE = range(28, 33)
 """rows: the load that may be the same again; r that the two branches bear beyond what they would under it for ever.
 Then, from when the comparison began: how far the readings were from the prediction, and the pressure"""
 

@@ -1,87 +1,124 @@
-"""Light loads that go to and fro within the noise, told by the Allan variance of the readings.
+"""Loads of the paper's cell that go to and fro unnoticed: what an inverse keeps of that is taken back.
 
-Taps that go back by less than noise does are never noticed as turns. The paper's cell answers a rise by more than a
-fall, so that an inverse keeps a part of each tap, and the parts add up. What tells of such taps is that means of
-successive blocks of readings differ, both up and down, by more than noise lets them: half the mean square of these
-differences is the Allan variance, and that of white noise is known. Blocks of several lengths are compared, since
-nobody knows how fast the taps are.
+Motion that goes back by less than a turn, or than noise does, is never noticed as turns. The paper's cell answers a
+rise by more than a fall, so that r climbs with each to and fro. An inverse that goes by one of its two models takes
+that for a load which grows. How far readings go to and fro tells by how much r climbs (:mod:`._way`). Motion that the
+inverse has noticed is left out: r beyond the largest since the load turned is a rise, and r below it, once a turn is
+noticed, a fall. Presses and taps leave nothing then but the ways by which turns are noticed late. Meanwhile r drifts as
+either model says, half of the time each.
 
-A load that rises, and one that falls, moves the means to one side only. What an inverse keeps of taps does so, too, and
-would hide the taps: from each difference the mean of the late ones is subtracted, the drift.
-
-Turns that are noticed leave nothing behind: blocks before one are not compared with those after it. What both sides
-have in common is kept over a turn, since of light taps some are noticed and others are not. What may have been kept of
-motion that remains is added to the standard deviation of the memory, up to the pressure that is shown: what is kept of
-a tap is never less than none.
+What the rest makes of the pressure is subtracted from both hypotheses and from what they are compared with, so that it
+is no turn. A share of it counts as standard deviation, since the way is known to about as much, and so does the way
+that there may be beside what is told from noise. All that errs to one side, and adds up like amounts. A load that grows
+is not touched: it goes one way.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from ...arrays import BoolArray, FloatArray
+from ...arrays import FloatArray
 from ...compiled import Places, Row, Rows, loop
-from ..estimation import NOISE, PRESSURE, RECENT, VARIANCE, recent_mean
+from ..estimation import FAR, GAIN, NOISE, PRESSURE, RECENT, RESTED, VARIANCE, recent_mean
 from ..materials import PaperModel
-from ._turning_rows import SIGN, TURNED
-
-SCALES = 3
-"""lengths of blocks: two, four and eight times the readings of which the noise meter takes the mean"""
-SHARE = 1.0 / 16.0
-"""of a block in the mean square"""
-MOST = 10.0
-"""times the variance of noise: no squared difference of two blocks counts for more"""
-JUMP = 1e4
-"""times that variance: a difference that cannot pass unnoticed, as after a bad contact"""
-BOTH = 0.2
-"""times that variance: excess that differences to either side must have"""
-MAY, DOES = 0.4, 0.8
-"""times that variance: mean excess of both sides from which a load may go to and fro, and from which it does"""
-KEPT = 2.0
-"""times the size of such motion, for each block: how much of it the cell may keep. It may also have begun unnoticed"""
-
-NAMES = (
-    *("half_block", "looks", "looks_since_turn", "sign_before"),
-    *("mean_8", "mean_16", "mean_32", "up_8", "up_16", "up_32", "down_8", "down_16", "down_32"),
-    *("drift_8", "drift_16", "drift_32"),
+from . import _way as way
+from ._paper_steps import numbered
+from ._turning_rows import (
+    BEFORE_LAST,
+    EARLIER_FROM_KPA,
+    EARLIER_LEAST_KPA,
+    EXTREME,
+    LAST,
+    LEFT,
+    PEAK,
+    RECENT_EXTREME,
+    RECOVERY_KPA,
+    RECOVERY_X3,
+    RISING_KPA,
+    RISING_X3,
+    SETTLED,
+    SIGN,
+    STATE_END,
+    THIRD_LAST,
+    TURNED,
+    X2,
 )
-"""names of the rows of the memory"""
-HALF, LOOKS, SINCE, SIGN_BEFORE, MEAN, UP, DOWN, DRIFT = 25, 26, 27, 28, 29, 32, 35, 38
-"""rows: mean of the readings at the last look; looks; looks since a turn was noticed last, or a jump; 1 where the load
-rose at the last look, -1 where it fell. Then three rows each, one for each length: mean of the last block; mean square
-of the differences upwards, and downwards, over the variance of noise, less what noise alone makes; mean difference"""
-_MEANS, _UPS, _DOWNS = slice(MEAN, MEAN + SCALES), slice(UP, UP + SCALES), slice(DOWN, DOWN + SCALES)
-_DRIFTS = slice(DRIFT, DRIFT + SCALES)
-_OF_MOTION = slice(UP, DRIFT + SCALES)
-LOOKS_IN_BLOCK = np.array([2.0, 4.0, 8.0])
-"""(SCALES,) powers of two"""
-_LOOKS = LOOKS_IN_BLOCK[:, None]
-_BEFORE_END = _LOOKS.astype(np.intp) - 1
-"""bits of the number of looks that are 0 at the end of a block"""
-_FRESH = 2.0 * _LOOKS
-"""looks since a turn from which a block and the one before it tell of no motion before the turn"""
-_PER_BLOCK = 1.0 / (RECENT * _LOOKS)
-"""(SCALES, 1) variance of the mean of a block, over that of a reading"""
-_PER_SHORTEST = _LOOKS[0] / _LOOKS
-_ZERO, _HALF, _ONE = (np.array(x) for x in (0.0, 0.5, 1.0))
-_SHARE, _MOST, _JUMP, _BOTH = (np.array(x) for x in (SHARE, MOST, JUMP, BOTH))
+from ._way import forget_of, look_of
+
+UNSURE = 0.3
+"""standard deviation over what is subtracted"""
+LARGEST = 0.04
+"""of full scale: how far a load may go without a turn that is noticed; what goes further from one look to the next
+is an edge. After one nothing is told for as long as the way is remembered"""
+HELD_FOR_EVER = 1e6
+"""looks"""
+
+NAMES = (*way.NAMES, "sign_before", "last_r", "extreme_r", "unexplained_r", "held", "told", "may")
+"""names of the rows of the memory: those of :mod:`._way`, then 1 where the load rose at the last look, -1 where it
+fell; r then, and the largest since the load turned, or the least; r less all by which it went beyond these; looks
+since an edge; the way that is told, and that which may be, less that of turns"""
+WAY = 44
+SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R, HELD, BALANCE, MOST = range(WAY + way.ROWS, WAY + len(NAMES))
+"""rows, behind those of :mod:`._onset`"""
+_WAY = slice(WAY, WAY + way.ROWS)
+RISE_R, FALL_R, PER_E1, PER_E2, PER_E3, ETAU2_KPA, SETTLED_PER_KPA, OF_U, OF_2, OF_3 = range(10)
+OWED, LARGEST_R, LARGEST_KPA = range(10, 13)
+"""places of the numbers: r per kPa of a fast rise and of a fast fall; constants of the model; shares of the lags that
+pass from one look to the next; looks that the way counts for, and how far a load may go unnoticed, in r
+and in kPa"""
+EDGE = way.CLEAR * math.sqrt(2.0 / RECENT)
+"""standard deviations of a reading"""
+_EDGE = np.array(EDGE)
+_ZERO, _HALF, _ONE, _UNSURE = (np.array(x) for x in (0.0, 0.5, 1.0, UNSURE))
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
 
 
-def kpa_kept(model: PaperModel) -> float:
-    """KPa that an inverse keeps of a load that goes to and fro unnoticed, per r that the reading goes."""
-    rise_r, fall_r = 1.0 / model.eu1_kpa + 1.0 / model.etau2_kpa, 1.0 / model.e1_kpa
-    return (rise_r - fall_r) / (rise_r * fall_r)
+class Constants(NamedTuple):
+    """Numbers that depend on the time between frames."""
+
+    row: FloatArray
+    """for machine code"""
+    each: tuple[FloatArray, ...]
+    """the same numbers, as arrays without axes"""
+    way: way.Constants
+
+
+def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constants:
+    """The numbers for frames that follow each other after ``dt_s``."""
+    m, between_s = model, RECENT * dt_s
+    numbers = numbered(
+        {
+            RISE_R: 1 / m.eu1_kpa + 1 / m.etau2_kpa,
+            FALL_R: 1 / m.e1_kpa,
+            PER_E1: 1 / m.e1_kpa,
+            PER_E2: 1 / m.e2_kpa,
+            PER_E3: 1 / m.e3_kpa,
+            ETAU2_KPA: m.etau2_kpa,
+            SETTLED_PER_KPA: 1 + m.etau2_kpa / m.eu1_kpa,
+            OF_U: between_s / m.tu_s,
+            OF_2: between_s / m.t2_s,
+            OF_3: between_s / m.t3_s,
+            OWED: way.MEMORY_S / between_s,
+            LARGEST_R: LARGEST * full_scale_kpa * (1 / m.eu1_kpa + 1 / m.etau2_kpa),
+            LARGEST_KPA: LARGEST * full_scale_kpa,
+        }
+    )
+    return Constants(numbers.row, numbers.each, way.constants(dt_s))
 
 
 def begin(memory: FloatArray, r: FloatArray) -> None:
     """Begin with cells whose reading has been ``r`` (m,) for ever; changes their ``memory`` (rows, m)."""
-    memory[HALF], memory[_MEANS], memory[SIGN_BEFORE] = r, r, memory[SIGN]
+    way.begin(memory[_WAY])
+    memory[SIGN_BEFORE] = memory[SIGN]
+    memory[[LAST_R, EXTREME_R]] = r
+    memory[UNEXPLAINED_R : MOST + 1] = 0.0
+    memory[HELD] = HELD_FOR_EVER
 
 
-def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, kpa_per_r: float) -> None:
+def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, numbers: Constants) -> None:
     """Take the last readings of m cells; changes their ``memory`` (rows, m).
 
     To be called every :data:`..estimation._noise.RECENT` frames.
@@ -90,80 +127,89 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, kpa_per_r: flo
         memory: of the cells.
         mean: (m,) of as many readings.
         noise: (m,) standard deviation of one of them.
-        kpa_per_r: :func:`kpa_kept`.
+        numbers: :func:`constants`.
     """
-    memory[LOOKS : SINCE + 1] += _ONE
-    ends: BoolArray = memory[LOOKS].astype(np.intp) & _BEFORE_END == 0
-    if np.count_nonzero(ends[0]):
-        turned = memory[SIGN] != memory[SIGN_BEFORE]
-        turned &= ends[0]
+    sign, extreme, unexplained = memory[SIGN], memory[EXTREME_R], memory[UNEXPLAINED_R]
+    balance = memory[BALANCE : MOST + 1]
+    turned = sign != memory[SIGN_BEFORE]
+    gone = mean - extreme
+    ahead = gone * sign > _ZERO
+    ahead |= turned
+    gone *= ahead
+    np.copyto(extreme, mean, where=ahead)
+    unexplained += mean - memory[LAST_R]
+    unexplained -= gone
+    memory[LAST_R], memory[SIGN_BEFORE] = mean, sign
+    held, largest = memory[HELD], numbers.row[LARGEST_R]
+    held += _ONE
+    edges = np.abs(gone) > noise * _EDGE + largest
+    recent = memory[LAST : THIRD_LAST + 1]
+    apart = np.maximum(np.abs(memory[PRESSURE] - recent[0]), np.abs(recent[0] - recent[2]))
+    edges |= apart > noise * _EDGE * memory[GAIN] + numbers.each[LARGEST_KPA]
+    if np.count_nonzero(edges):
+        np.copyto(held, _ZERO, where=edges)
+        way.forget(memory[_WAY], edges)
+    found = way.look(memory[_WAY], unexplained, noise, largest, numbers.way)
+    if found is not None:
+        found *= held >= numbers.each[OWED]
+    if found is None:
+        balance[...] = _ZERO
+    else:
+        found[1] += found[0]
+        balance += found
         if np.count_nonzero(turned):
-            np.copyto(memory[SIGN_BEFORE], memory[SIGN], where=turned)
-            np.copyto(memory[SINCE], _ZERO, where=turned)
-            both = np.minimum(memory[_UPS], memory[_DOWNS])
-            np.copyto(memory[_UPS], both, where=turned)
-            np.copyto(memory[_DOWNS], both, where=turned)
-            np.copyto(memory[_DRIFTS], _ZERO, where=turned)
-        _end_blocks(memory, mean, noise, ends, kpa_per_r)
-    memory[HALF] = mean
+            balance -= np.abs(gone) * turned
+        most = found * numbers.each[OWED]
+        np.minimum(np.maximum(balance, -most, out=balance), most, out=balance)
+        unseen = np.maximum(balance, _ZERO)
+        balance -= unseen
+        _take_back(memory, unseen, found[0], numbers.each)
 
 
-def begin_anew(memory: FloatArray, cells: BoolArray) -> None:
-    """Compare only readings from now on in those ``cells`` (m,) that are marked; changes their ``memory`` (rows, m)."""
-    np.copyto(memory[SINCE], _ZERO, where=cells)
-    np.copyto(memory[_OF_MOTION], _ZERO, where=cells)
-
-
-def _end_blocks(memory: FloatArray, mean: FloatArray, noise: FloatArray, ends: BoolArray, kpa_per_r: float) -> None:
-    """Compare the blocks that end with those before, where ``ends`` (SCALES, m); doubt what cells may have kept."""
-    means, shorter = memory[_MEANS], memory[HALF]
-    block = np.empty_like(means)
-    for scale in range(SCALES):
-        np.add(shorter, mean, block[scale])
-        block[scale] *= _HALF
-        shorter, mean = means[scale], block[scale]
-    variance = noise * noise * _PER_BLOCK
-    change = block - means
-    np.copyto(means, block, where=ends)
-    counts = memory[SINCE] >= _FRESH
-    counts &= ends
-    drift = memory[_DRIFTS]
-    change -= drift
-    np.copyto(drift, change * _SHARE + drift, where=counts)
-    size = change * change
-    size /= variance
-    jumped = (size > _JUMP) & ends if size.item(size.argmax()) > JUMP else None
-    np.minimum(size, _MOST, out=size)
-    ups, downs = memory[_UPS], memory[_DOWNS]
-    for side, moved in ((ups, change > _ZERO), (downs, change < _ZERO)):
-        beyond = np.zeros_like(size)
-        np.copyto(beyond, size, where=moved)
-        beyond -= _ONE
-        beyond -= side
-        beyond *= _SHARE
-        beyond += side
-        np.copyto(side, beyond, where=counts)
-    if jumped is not None:
-        begin_anew(memory, np.logical_or.reduce(jumped))
-    sways = np.minimum(ups, downs) > _BOTH
-    sways &= ends[0]
-    if not np.count_nonzero(sways):
-        return
-    excess = (ups + downs) * _HALF
-    share = np.minimum(np.maximum((excess - MAY) * (1.0 / (DOES - MAY)), _ZERO), _ONE)
-    size = share * np.sqrt(np.maximum(excess, _ZERO) * variance) * _PER_SHORTEST
-    kept = np.where(sways, size, _ZERO).max(axis=0) * (KEPT * kpa_per_r)
-    before, shown = memory[TURNED], np.maximum(memory[PRESSURE], 0.0)
-    after = np.sqrt(before) + kept
-    after = np.minimum(after * after, np.maximum(before, shown * shown))
-    after = np.where(kept > 0.0, after, before)  # the square of a root is not always what it was
-    memory[VARIANCE] += after - before
+def _take_back(memory: FloatArray, unseen: FloatArray, told: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
+    """Subtract what the way of r makes that is ``unseen`` (2, m), as it is told and as it may be, of a way ``told``
+    (m,) in all.
+    """
+    rise, fall, per_e1, per_e2, per_e3, etau2, settled_per_kpa, of_u, of_2, of_3 = numbers[: OF_3 + 1]
+    way, most = unseen
+    sign, pressure, r = memory[SIGN], memory[PRESSURE], memory[STATE_END - 1]
+    rises = sign > _ZERO
+    share = np.minimum(way / np.where(way > _ZERO, told, _ONE), _ONE)
+    x3 = np.where(rises, memory[RISING_X3], memory[RECOVERY_X3])
+    x2 = np.where(rises, r - pressure * per_e1 - x3, memory[X2])
+    settled = np.where(rises, memory[SETTLED], pressure * settled_per_kpa - r * etau2)
+    recovers = (pressure * per_e2 - x2) * of_2 + (pressure * per_e3 - x3) * of_3
+    sinks = (settled - pressure) / etau2 * of_u
+    drifts = np.where(rises, recovers / fall - sinks / rise, sinks / rise - recovers / fall)
+    kept = _HALF * (rise - fall) / (rise * fall)
+    kpa = way * kept + drifts * share * _HALF
+    shown = np.where(memory[RESTED] > _ZERO, _ZERO, np.maximum(pressure, _ZERO))
+    kpa = np.minimum(np.maximum(kpa, _ZERO), shown)
+    for row in (PRESSURE, LAST, BEFORE_LAST, THIRD_LAST, RISING_KPA, RECOVERY_KPA):
+        memory[row] -= kpa
+    memory[SETTLED] -= kpa * settled_per_kpa
+    memory[X2] += kpa * per_e1
+    ahead = sign * kpa
+    for row in (EXTREME, PEAK, RECENT_EXTREME):
+        memory[row] -= ahead
+    unconfirmed = memory[LEFT] < FAR
+    np.negative(ahead, out=ahead, where=unconfirmed)
+    for row in (EARLIER_LEAST_KPA, EARLIER_FROM_KPA):
+        memory[row] -= ahead
+    memory[LEFT] -= np.where(unconfirmed, ahead, _ZERO)
+    doubt = memory[TURNED]
+    after = np.sqrt(doubt)
+    more = np.maximum(most - way, _ZERO) * kept + kpa * _UNSURE
+    after += more
+    after = np.minimum(after * after, np.maximum(doubt, shown * shown))
+    after = np.where(more > _ZERO, after, doubt)  # the square of a root is not always what it was
+    memory[VARIANCE] += after - doubt
     memory[TURNED] = after
 
 
 @loop
 def look_each(
-    memory: Rows, taken: Rows, ring: Rows, newest: int, cells: Places, lengths: Row, kpa_per_r: float
+    memory: Rows, taken: Rows, ring: Rows, newest: int, cells: Places, numbers: Row, way_numbers: Rows
 ) -> None:
     """:func:`look` as a loop over cells, which takes the mean of the readings itself.
 
@@ -173,58 +219,82 @@ def look_each(
         ring: (k, n) the last readings of all cells.
         newest: row of the last of them.
         cells: (m,) indices.
-        lengths: (SCALES,) :data:`LOOKS_IN_BLOCK`.
-        kpa_per_r: :func:`kpa_kept`.
+        numbers: :func:`constants`.
+        way_numbers: of them those of :mod:`._way`.
     """
+    owed = numbers[OWED]
     for i in range(cells.size):
-        mean = recent_mean(ring, newest, cells[i])
-        looks, since = memory[LOOKS, i] + 1.0, memory[SINCE, i] + 1.0
-        half = memory[HALF, i]
-        memory[HALF, i], memory[LOOKS, i], memory[SINCE, i] = mean, looks, since
-        if looks % lengths[0] != 0.0:
-            continue
-        if memory[SIGN, i] != memory[SIGN_BEFORE, i]:
-            memory[SIGN_BEFORE, i], memory[SINCE, i], since = memory[SIGN, i], 0.0, 0.0
-            for scale in range(SCALES):
-                both = min(memory[UP + scale, i], memory[DOWN + scale, i])
-                memory[UP + scale, i], memory[DOWN + scale, i], memory[DRIFT + scale, i] = both, both, 0.0
-        noise2, shorter, jumped = taken[NOISE, i] * taken[NOISE, i], half, False
-        for scale in range(SCALES):
-            mean = (shorter + mean) * 0.5
-            if looks % lengths[scale] != 0.0:
-                break
-            shorter = memory[MEAN + scale, i]
-            memory[MEAN + scale, i] = mean
-            drift = memory[DRIFT + scale, i]
-            change = mean - shorter - drift
-            beyond = change * change / (noise2 * (1.0 / (RECENT * lengths[scale])))
-            jumped |= beyond > JUMP
-            if since >= 2.0 * lengths[scale]:
-                memory[DRIFT + scale, i] = change * SHARE + drift
-                beyond = min(beyond, MOST)
-                up, down = memory[UP + scale, i], memory[DOWN + scale, i]
-                memory[UP + scale, i] += ((beyond if change > 0.0 else 0.0) - 1.0 - up) * SHARE
-                memory[DOWN + scale, i] += ((beyond if change < 0.0 else 0.0) - 1.0 - down) * SHARE
-        if jumped:
-            memory[SINCE, i] = 0.0
-            for row in range(UP, DRIFT + SCALES):
-                memory[row, i] = 0.0
-            continue
-        kept = 0.0
-        for scale in range(SCALES):
-            up, down = memory[UP + scale, i], memory[DOWN + scale, i]
-            if not min(up, down) > BOTH:
-                continue
-            excess = (up + down) * 0.5
-            share = min(max((excess - MAY) * (1.0 / (DOES - MAY)), 0.0), 1.0)
-            motion = share * math.sqrt(max(excess, 0.0) * (noise2 * (1.0 / (RECENT * lengths[scale]))))
-            kept = max(kept, motion * (lengths[0] / lengths[scale]))
-        if kept > 0.0:
-            before, shown = memory[TURNED, i], max(memory[PRESSURE, i], 0.0)
-            after = math.sqrt(before) + kept * (KEPT * kpa_per_r)
-            after = min(after * after, max(before, shown * shown))
-            memory[VARIANCE, i] += after - before
-            memory[TURNED, i] = after
+        mean, sign = recent_mean(ring, newest, cells[i]), memory[SIGN, i]
+        gone, back, turned = mean - memory[EXTREME_R, i], 0.0, sign != memory[SIGN_BEFORE, i]
+        unexplained = memory[UNEXPLAINED_R, i] + (mean - memory[LAST_R, i])
+        if turned or gone * sign > 0.0:
+            memory[EXTREME_R, i] = mean
+            unexplained -= gone
+            back = abs(gone) if turned else 0.0
+        else:
+            gone = 0.0
+        memory[LAST_R, i], memory[SIGN_BEFORE, i], memory[UNEXPLAINED_R, i] = mean, sign, unexplained
+        held = memory[HELD, i] + 1.0
+        apart = max(abs(memory[PRESSURE, i] - memory[LAST, i]), abs(memory[LAST, i] - memory[THIRD_LAST, i]))
+        edge = apart > taken[NOISE, i] * EDGE * memory[GAIN, i] + numbers[LARGEST_KPA]
+        if edge or abs(gone) > taken[NOISE, i] * EDGE + numbers[LARGEST_R]:
+            held = 0.0
+            forget_of(memory, WAY, i)
+        memory[HELD, i] = held
+        told, untold = look_of(memory, WAY, i, unexplained, taken[NOISE, i], numbers[LARGEST_R], way_numbers)
+        if held < owed:
+            told, untold = 0.0, 0.0
+        may = told + untold
+        way = min(max(memory[BALANCE, i] + told - back, -owed * told), owed * told)
+        most = min(max(memory[MOST, i] + may - back, -owed * may), owed * may)
+        memory[BALANCE, i], memory[MOST, i] = min(way, 0.0), min(most, 0.0)
+        if max(way, most) > 0.0:
+            take_back_of(memory, i, max(way, 0.0), max(most, 0.0), told, numbers)
+
+
+@loop
+def take_back_of(memory: Rows, i: int, way: float, most: float, told: float, numbers: Row) -> None:
+    """:func:`_take_back` of cell ``i``."""
+    rise, fall, etau2 = numbers[RISE_R], numbers[FALL_R], numbers[ETAU2_KPA]
+    sign, pressure, r = memory[SIGN, i], memory[PRESSURE, i], memory[STATE_END - 1, i]
+    if sign > 0.0:
+        x3, settled = memory[RISING_X3, i], memory[SETTLED, i]
+        x2 = r - pressure * numbers[PER_E1] - x3
+    else:
+        x3, x2 = memory[RECOVERY_X3, i], memory[X2, i]
+        settled = pressure * numbers[SETTLED_PER_KPA] - r * etau2
+    recovers = (pressure * numbers[PER_E2] - x2) * numbers[OF_2] + (pressure * numbers[PER_E3] - x3) * numbers[OF_3]
+    share = min(way / told, 1.0) if way > 0.0 else 0.0
+    sinks = (settled - pressure) / etau2 * numbers[OF_U]
+    drifts = recovers / fall - sinks / rise if sign > 0.0 else sinks / rise - recovers / fall
+    kept = 0.5 * (rise - fall) / (rise * fall)
+    kpa = way * kept + drifts * share * 0.5
+    shown = 0.0 if memory[RESTED, i] > 0.0 else max(pressure, 0.0)
+    kpa = min(max(kpa, 0.0), shown)
+    more = max(most - way, 0.0) * kept + kpa * UNSURE
+    if not more > 0.0:
+        return
+    memory[PRESSURE, i] -= kpa
+    for row in range(LAST, THIRD_LAST + 1):
+        memory[row, i] -= kpa
+    memory[RISING_KPA, i] -= kpa
+    memory[RECOVERY_KPA, i] -= kpa
+    memory[SETTLED, i] -= kpa * numbers[SETTLED_PER_KPA]
+    memory[X2, i] += kpa * numbers[PER_E1]
+    ahead = sign * kpa
+    memory[EXTREME, i] -= ahead
+    memory[PEAK, i] -= ahead
+    memory[RECENT_EXTREME, i] -= ahead
+    if memory[LEFT, i] < FAR:
+        ahead = -ahead
+        memory[LEFT, i] -= ahead
+    memory[EARLIER_LEAST_KPA, i] -= ahead
+    memory[EARLIER_FROM_KPA, i] -= ahead
+    doubt = memory[TURNED, i]
+    after = math.sqrt(doubt) + more
+    after = min(after * after, max(doubt, shown * shown))
+    memory[VARIANCE, i] += after - doubt
+    memory[TURNED, i] = after
 
 
 LOOPS = (look_each,)

@@ -19,6 +19,7 @@ The numbers of these rooms are in one row, each at a place that its room names.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -95,11 +96,11 @@ class TurningInversion(Inversion):
         *("pressure", "gain", "variance", "last", "before_last", "third_last"),
         *("turned", "sign", "extreme", "peak", "left_extreme", "is_rising", "is_recovery", *HYPOTHESES),
         *("rest_variance", "rested", "drift", "drift_end", "taken_off"),
-        *sway.NAMES,
         *("earlier", "earlier_least", "earlier_from"),
         *still.NAMES,
         "recent_extreme",
         *onset.NAMES,
+        *sway.NAMES,
     )
     recovers = True
 
@@ -127,7 +128,7 @@ class TurningInversion(Inversion):
         self._recovery = ByStep(recovery.constants, model)
         self._still = ByStep(still.constants, model)
         self._onset = ByStep(onset.constants, model)
-        self._kept_kpa = sway.kpa_kept(model)
+        self._sway = ByStep(partial(sway.constants, full_scale_kpa=full_scale_kpa), model)
 
     def _numbers_of(self, steps: float) -> Constants:
         """The numbers of all rooms; ``steps`` as :data:`._turns.STEPS`."""
@@ -234,7 +235,7 @@ class TurningInversion(Inversion):
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
         still.look(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).each)
         onset.look(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).each)
-        sway.look(memory, mean, noise, self._kept_kpa)
+        sway.look(memory, mean, noise, self._sway.of(dt_s))
 
     def recover_compiled(
         self,
@@ -252,7 +253,8 @@ class TurningInversion(Inversion):
         still.look_each.code(memory, taken, ring, newest, cells, self.full_scale_kpa, numbers)
         numbers = self._onset.of(dt_s).row
         onset.look_each.code(memory, taken, ring, newest, cells, self.full_scale_kpa, numbers)
-        sway.look_each.code(memory, taken, ring, newest, cells, sway.LOOKS_IN_BLOCK, self._kept_kpa)
+        of = self._sway.of(dt_s)
+        sway.look_each.code(memory, taken, ring, newest, cells, of.row, of.way.rows)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
         released: BoolArray = memory[SIGN] < self._none
@@ -319,7 +321,7 @@ class TurningInversion(Inversion):
         state[:6] += (self._taken_over @ state) * np.tile(share, (3, 1))
         still.hold(held, 1.0 - gone[1], 1.0 - gone[2])
         onset.begin_anew(held)
-        sway.begin_anew(held, np.ones(held.shape[1], dtype=np.bool_))
+        sway.begin(held, state[6])
         return held
 
     def settled(self, memory: FloatArray, band: float) -> BoolArray:

@@ -22,13 +22,13 @@ RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 1
 DRIFT_KPA, DRIFT_END_KPA, TAKEN_OFF_KPA = 22, 23, 24
 """rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
 seem to turn, now and at last; pressure that was subtracted since the release"""
-EARLIER_KPA, EARLIER_LEAST_KPA, EARLIER_FROM_KPA = 41, 42, 43
-"""rows of :mod:`._earlier`, behind those of :mod:`._sway`: by how much the other hypothesis would be further back if
+EARLIER_KPA, EARLIER_LEAST_KPA, EARLIER_FROM_KPA = 25, 26, 27
+"""rows of :mod:`._earlier`: by how much the other hypothesis would be further back if
 the load had turned earlier; its least since then by that account, and the pressure when it began, both times the sign
 before that turn"""
-RECENT_EXTREME = 49
+RECENT_EXTREME = 33
 """row behind those of :mod:`._still`: the extreme, which fades as fast as an error of the memory may"""
-MAY_BEAR_KPA, LOOKS_AT_REST = 50, 51
+MAY_BEAR_KPA, LOOKS_AT_REST = 34, 35
 """first rows of :mod:`._onset`: standard deviation by a load that may have begun to rise while the cell recovers; looks
 since the recovering cell was taken for one at rest, negative where such a load was taken over"""
 
