@@ -311,7 +311,7 @@ def test_motion_that_has_just_begun_is_in_the_deviation(kind: str, load: honesty
     """No window of readings is full of it: a load that falls within a frame is told by that frame's reading alone."""
     cell = {"example": EXAMPLE, **honesty.uncalibrated()}[kind]
     found = [honesty.judged(cell, kind, load, 10.0, seed=seed) for seed in seeds]
-    assert max(one.worst for one in found) < 6.0
+    assert max(one.worst for one in found) < 7.0
     assert beyond_three(found) < 0.001
 
 

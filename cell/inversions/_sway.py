@@ -118,7 +118,7 @@ def begin(memory: FloatArray, r: FloatArray) -> None:
     memory[HELD] = HELD_FOR_EVER
 
 
-def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, numbers: Constants) -> None:
+def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, steps: float, numbers: Constants) -> None:
     """Take the last readings of m cells; changes their ``memory`` (rows, m).
 
     To be called every :data:`..estimation._noise.RECENT` frames.
@@ -127,8 +127,12 @@ def look(memory: FloatArray, mean: FloatArray, noise: FloatArray, numbers: Const
         memory: of the cells.
         mean: (m,) of as many readings.
         noise: (m,) standard deviation of one of them.
+        steps: standard deviation of r at rest by steps of the ADC, of any reading that the resistance follows from.
         numbers: :func:`constants`.
     """
+    if steps > 0.0:
+        scale = memory[STATE_END - 1] + _ONE
+        noise = np.maximum(noise, scale * scale * steps)
     sign, extreme, unexplained = memory[SIGN], memory[EXTREME_R], memory[UNEXPLAINED_R]
     balance = memory[BALANCE : MOST + 1]
     turned = sign != memory[SIGN_BEFORE]
@@ -209,7 +213,7 @@ def _take_back(memory: FloatArray, unseen: FloatArray, told: FloatArray, numbers
 
 @loop
 def look_each(
-    memory: Rows, taken: Rows, ring: Rows, newest: int, cells: Places, numbers: Row, way_numbers: Rows
+    memory: Rows, taken: Rows, ring: Rows, newest: int, cells: Places, steps: float, numbers: Row, way_numbers: Rows
 ) -> None:
     """:func:`look` as a loop over cells, which takes the mean of the readings itself.
 
@@ -219,12 +223,16 @@ def look_each(
         ring: (k, n) the last readings of all cells.
         newest: row of the last of them.
         cells: (m,) indices.
+        steps: as for :func:`look`.
         numbers: :func:`constants`.
         way_numbers: of them those of :mod:`._way`.
     """
     owed = numbers[OWED]
     for i in range(cells.size):
-        mean, sign = recent_mean(ring, newest, cells[i]), memory[SIGN, i]
+        mean, sign, noise = recent_mean(ring, newest, cells[i]), memory[SIGN, i], taken[NOISE, i]
+        if steps > 0.0:
+            scale = memory[STATE_END - 1, i] + 1.0
+            noise = max(noise, scale * scale * steps)
         gone, back, turned = mean - memory[EXTREME_R, i], 0.0, sign != memory[SIGN_BEFORE, i]
         unexplained = memory[UNEXPLAINED_R, i] + (mean - memory[LAST_R, i])
         if turned or gone * sign > 0.0:
@@ -236,12 +244,12 @@ def look_each(
         memory[LAST_R, i], memory[SIGN_BEFORE, i], memory[UNEXPLAINED_R, i] = mean, sign, unexplained
         held = memory[HELD, i] + 1.0
         apart = max(abs(memory[PRESSURE, i] - memory[LAST, i]), abs(memory[LAST, i] - memory[THIRD_LAST, i]))
-        edge = apart > taken[NOISE, i] * EDGE * memory[GAIN, i] + numbers[LARGEST_KPA]
-        if edge or abs(gone) > taken[NOISE, i] * EDGE + numbers[LARGEST_R]:
+        edge = apart > noise * EDGE * memory[GAIN, i] + numbers[LARGEST_KPA]
+        if edge or abs(gone) > noise * EDGE + numbers[LARGEST_R]:
             held = 0.0
             forget_of(memory, WAY, i)
         memory[HELD, i] = held
-        told, untold = look_of(memory, WAY, i, unexplained, taken[NOISE, i], numbers[LARGEST_R], way_numbers)
+        told, untold = look_of(memory, WAY, i, unexplained, noise, numbers[LARGEST_R], way_numbers)
         if held < owed:
             told, untold = 0.0, 0.0
         may = told + untold

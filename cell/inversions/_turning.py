@@ -114,6 +114,7 @@ class TurningInversion(Inversion):
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._of = MemoryRows(np.zeros((len(self.rows), 0)))
         self._beside = Beside(self._of.memory)
+        self._steps = 0.0
         self._numbers = self._numbers_of(steps=0.0)
         # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
         self._none, self._far, self._two, self._sure = (np.array(x) for x in (0.0, FAR, 2.0, SURE))
@@ -141,6 +142,7 @@ class TurningInversion(Inversion):
 
     def take_steps(self, std: float) -> None:
         """As :meth:`.Inversion.take_steps`: for falls of loads that are held, see :data:`._turns.STILL`."""
+        self._steps = std
         self._numbers = self._numbers_of(std)
 
     def begin(self, r: FloatArray) -> FloatArray:
@@ -235,7 +237,7 @@ class TurningInversion(Inversion):
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
         still.look(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).each)
         onset.look(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).each)
-        sway.look(memory, mean, noise, self._sway.of(dt_s))
+        sway.look(memory, mean, noise, self._steps, self._sway.of(dt_s))
 
     def recover_compiled(
         self,
@@ -254,7 +256,7 @@ class TurningInversion(Inversion):
         numbers = self._onset.of(dt_s).row
         onset.look_each.code(memory, taken, ring, newest, cells, self.full_scale_kpa, numbers)
         of = self._sway.of(dt_s)
-        sway.look_each.code(memory, taken, ring, newest, cells, of.row, of.way.rows)
+        sway.look_each.code(memory, taken, ring, newest, cells, self._steps, of.row, of.way.rows)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
         released: BoolArray = memory[SIGN] < self._none
