@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 import warnings
 from dataclasses import replace
 from itertools import islice
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import DESIGN, Script, Wire, lossless, scene
+from boards import DESIGN, Script, Wire, frame, gone, identity, lossless, scene, sheet
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -327,14 +328,28 @@ def test_a_drift_that_cannot_be_is_refused(drift: float) -> None:
         skin.tare(2, drift=drift)
 
 
-def test_a_tare_of_another_board_or_shape_is_refused() -> None:
+def test_a_tare_of_another_shape_is_refused() -> None:
     tare = tare_of(at_rest(0.0, 0.0))
-    with lossless(Wire(Board(scene(contact=[])))) as skin:
-        with pytest.raises(InputError, match="a tare of 8 x 8 cells; this skin has 3 x 2"):
-            skin.use_tare(tare)
-        next(skin)
-        with pytest.raises(InputError, match="a tare of board A1; this is board EMULATED"):
+    shapes = "a tare of 8 x 8 cells; this skin has 3 x 2"
+    with lossless(Wire(Board(scene(contact=[])))) as skin, pytest.raises(InputError, match=shapes):
+        skin.use_tare(tare)
+
+
+def test_a_tare_of_another_board_is_refused_also_where_the_board_describes_itself_first() -> None:
+    script = Script(sheet(), frame(0), frame(1))
+    with lossless(script) as skin:
+        assert skin.serial_number == ""
+        later = threading.Timer(0.1, script.say, [identity(serial_number="B2")])
+        later.start()
+        with pytest.raises(InputError, match="a tare of board A1; this is board B2"):
             skin.use_tare(tare_of(np.full((5, 3, 2), REST)))
+        later.join()
+
+
+def test_a_tare_is_used_where_the_board_never_says_who_it_is() -> None:
+    with lossless(Script(sheet(), frame(0), last=gone)) as skin:
+        skin.use_tare(tare_of(np.full((5, 3, 2), REST)))
+        assert skin.tared is not None
 
 
 def conversation(numbers: list[int]) -> list[bytes]:
