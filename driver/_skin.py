@@ -7,6 +7,7 @@ import os
 import weakref
 from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
+from time import monotonic
 from types import TracebackType
 from typing import NoReturn, Self
 
@@ -23,7 +24,7 @@ from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._opening import QUEUE, Delivery, Link, Opening
 from ._past import Past
-from ._port import Arrival, BytePort, refuse_missing, usb_serial_number
+from ._port import Arrival, BytePort, has_gone, refuse_missing, usb_serial_number
 from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
@@ -240,7 +241,13 @@ class Skin:
             Recording.check(record, overwrite=overwrite)
         if played is None:
             finder = _finder(name, asked, baudrate)
+            began_s = monotonic()
             compiled.load()  # while no frames come
+            if has_gone(finder.name):
+                raise LinkError(
+                    f"{finder.name}: the port has gone in the {monotonic() - began_s:.0f} s in which machine code was "
+                    "prepared, which is kept for the next time. Plug the board in, or start the emulation, again"
+                )
             opened, reopen = finder.open(), finder.open_again
         else:
             opened, reopen = played, played.reopen
@@ -516,8 +523,9 @@ class Skin:
         """Take the skin for unloaded now: the mean of the next ``frames`` becomes each cell's rest resistance.
 
         This removes what differs from cell to cell, and the steady part of what the design does not mention. A cell
-        without a valid reading keeps the rest resistance of the calibration, else of the data sheet. The frames taken
-        are not iterated over; frames lost meanwhile count in the next frame's ``lost_before``.
+        without a valid reading keeps the rest resistance of the calibration, else of the data sheet; where noise may be
+        why, a ``RuntimeWarning`` and the result's ``covers`` say how many frames would measure it. The frames taken are
+        not iterated over; frames lost meanwhile count in the next frame's ``lost_before``.
 
         Args:
             frames: to average.

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import threading
+import warnings
 from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from ..circuits import Reason
 from ..errors import InputError
 from ._calibration import Calibration
 from ._convert import Converter
@@ -62,7 +64,7 @@ class Tares:
         """
         with self._lock, self._next_frames(frames, timeout_s, waiting=waiting) as taken:
             tare = self._made_of(taken, serial_number(), drift)
-            if tare.frames_advised and not force:
+            if tare.remarks and tare.frames_advised and not force:
                 raise InputError(
                     f"{board}: no tare, though noise may be why {tare.remarks[0]}. "
                     f"Take more frames, tare({tare.frames_advised}), or tare(force=True)"
@@ -74,6 +76,8 @@ class Tares:
                 )
             self._used.append(tare)
             self._apply()
+        if tare.frames_advised and not tare.remarks:
+            warnings.warn(f"{board}: a tare with {tare.covers}", RuntimeWarning, stacklevel=3)
         return tare
 
     def use(self, tare: Tare | None, *, serial_number: str) -> None:
@@ -128,6 +132,7 @@ class Tares:
         readings = RestReadings(
             np.array([frame.resistance for frame in taken]),
             np.array([frame.monotonic_time for frame in taken]),
+            2 * np.count_nonzero([frame.reason == Reason.UNCERTAIN for frame in taken], axis=0) > len(taken),
         )
         return readings.tare(
             self._converter.cell,

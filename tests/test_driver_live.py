@@ -979,6 +979,18 @@ class TestBoards:
             Skin(described(), timeout=2.0).close()
         over.set()
 
+    def test_a_port_that_goes_while_the_compiler_works_is_told_in_one_sentence(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """As a finite emulation does on a busy machine: no traceback of the operating system comes before."""
+        port = tmp_path / "skin"
+        port.touch()
+        monkeypatch.setattr("ohmskin.compiled.load", port.unlink)
+        said = "the port has gone in the 0 s in which machine code was prepared, which is kept for the next time"
+        with pytest.raises(LinkError, match=said) as caught:
+            Skin.open(port)
+        assert caught.value.__cause__ is caught.value.__context__ is None
+
     @pytest.mark.skipif(sys.platform != "linux", reason="no clock tells a thread's processor time")
     def test_waiting_for_a_busy_machine_is_not_taken_for_a_wrong_description(
         self, monkeypatch: pytest.MonkeyPatch

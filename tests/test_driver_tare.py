@@ -35,8 +35,8 @@ def taken(resistance: np.ndarray, step_s: float = 0.02) -> RestReadings:
     return RestReadings(resistance, step_s * np.arange(len(resistance)))
 
 
-def tare_of(resistance: np.ndarray, cell: Cell | None = CELL) -> Tare:
-    return taken(resistance).tare(cell, lost=0, serial_number="A1", wall_time=1.0)
+def tare_of(resistance: np.ndarray, cell: Cell | None = CELL, noisy: np.ndarray | None = None) -> Tare:
+    return replace(taken(resistance), noisy=noisy).tare(cell, lost=0, serial_number="A1", wall_time=1.0)
 
 
 def at_rest(noise: float, spread: float, frames: int = 40, seed: int = 3) -> np.ndarray:
@@ -103,6 +103,41 @@ def test_a_divider_in_noise_says_how_many_frames_tell() -> None:
         assert skin.tare(frames).remarks == ()
 
 
+@pytest.mark.parametrize("valid", [0.3, 0.02])
+def test_cells_that_noise_hides_ask_for_more_frames(valid: float) -> None:
+    """As many as show nearly all of them, and none where all have been measured or no noise hides them."""
+    random, readings = np.random.default_rng(1), at_rest(1e-3, 0.05, frames=3000)
+    readings[random.random(readings.shape) > valid] = np.nan
+    few = readings[: round(0.5 / valid)]  # the usual cell has half a reading
+    tare = tare_of(few, noisy=np.ones((8, 8), dtype=np.bool_))
+    assert not tare.measured.all()
+    assert f"{tare.measured.sum()} of 64 cells measured, noise hides the others" in tare.covers
+    assert f"tare({tare.frames_advised}) covers" in repr(tare)
+    after = tare_of(readings[: tare.frames_advised], noisy=np.ones((8, 8), dtype=np.bool_))
+    assert after.measured.mean() > 0.98
+    assert tare_of(few).frames_advised == 0, "open cells"
+    assert tare_of(at_rest(1e-3, 0.05), noisy=np.ones((8, 8), dtype=np.bool_)).frames_advised == 0
+
+
+def test_a_tare_that_leaves_noisy_cells_out_says_so() -> None:
+    """16 x 12 cells of a divider in 14 mV: of readings whose noise is known, one of fifty is valid."""
+    board = design(16, "voltage-divider", "ground", 12).replace(
+        array={"columns": 12}, readout={"reference_resistance": 4.7e3}
+    )
+    rng = np.random.default_rng(1)
+    volts = scan(board, np.full((16, 12), 1.8 * REST)).volts
+    codes = adc_codes(board, volts + 0.014 * rng.standard_normal((40, 16, 12)))
+    port = PacedPort(frame_packets(codes, 100.0), 1e-3, board)
+    port.work(60.0)
+    said = r"a tare with \d+ of 192 cells measured, noise hides the others; tare\(\d+\) covers nearly all"
+    with Skin(port, design=board, cell=CELL, delivery="lossless", timeout=60.0) as skin:
+        for _ in range(12):
+            skin.read(60.0)
+        with pytest.warns(RuntimeWarning, match=said):
+            tare = skin.tare()
+    assert 0 < tare.measured.sum() < 192
+
+
 def test_one_pressed_cell_is_noticed() -> None:
     readings = at_rest(1e-3, 0.1)
     readings[:, 2, 5] *= 1.6
@@ -152,10 +187,11 @@ def test_a_tare_prints_as_one_line_without_its_arrays() -> None:
     readings[:, 1, 2] = np.nan
     plain = taken(readings).tare(CELL, lost=None, serial_number="A\n1", wall_time=1.7e9)
     assert repr(plain) == (
-        "<Tare of 2 x 3 cells: 5 measured over 5 frames, typically 10000 ohm; 2023-11-14 22:13 UTC; board A\\n1>"
+        "<Tare of 2 x 3 cells over 5 frames, typically 10000 ohm: 5 of 6 cells measured; "
+        "2023-11-14 22:13 UTC; board A\\n1>"
     )
     loaded = replace(plain, remarks=("one", "two"), serial_number="", measured=np.zeros((2, 3), dtype=np.bool_))
-    assert repr(loaded) == "<Tare of 2 x 3 cells: 0 measured over 5 frames; 2023-11-14 22:13 UTC; 2 remarks>"
+    assert repr(loaded) == "<Tare of 2 x 3 cells over 5 frames: 0 of 6 cells measured; 2023-11-14 22:13 UTC; 2 remarks>"
 
 
 @pytest.mark.parametrize("wall_time", [np.nan, np.inf, -1.0, 1e300])
