@@ -140,9 +140,12 @@ class Skin:
             raise
         try:
             self._converter = link.introduce()
-        except BaseException:
             if self._recorder is not None:
-                self._recorder.close()
+                self._recorder.keep()
+        except BaseException:
+            link.reader.stop()
+            if self._recorder is not None:
+                self._recorder.discard()
             raise
         self._reader, self._mailbox, self._counters = link.reader, link.mailbox, link.counters
         self.settings = opening.settings
