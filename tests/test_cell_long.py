@@ -292,6 +292,7 @@ def test_holds_that_waver_are_followed(noise: float, rms: float) -> None:
 def test_a_load_that_grows_slowly_after_it_fell_is_within_the_deviations(noise: float) -> None:
     """The cell still recovers from the fall, and the load that grows reads as one that goes on falling."""
     dt, per_s = 0.01, FULL * np.array([0.002, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.05])
+    per_s = np.tile(per_s, 5)  # single draws of noise have 92 to 98 % within two deviations
     time = np.arange(1, 1400) * dt
     held = np.interp(time, [0.5, 0.6, 3.0, 3.1], [0.0, 0.85 * FULL, 0.85 * FULL, 0.3 * FULL])
     error, over = judged(held[:, None] + per_s * np.clip(time - 3.1, 0.0, 9.0)[:, None], dt, noise)
