@@ -322,8 +322,7 @@ def test_a_load_that_fell_twice_and_grows_slowly_is_no_rest() -> None:
     per_s = FULL * np.array([0.002, 0.004, 0.006, 0.01])
     load = held[:, None] + per_s * np.clip(time - 10.1, 0.0, None)[:, None]
     error, over = judged(load, dt, 1e-4, EXAMPLE.replace(model=model))
-    print(
-        f"error {100 * error.max() / FULL:.0f} % FS, {100 * (over < 2).mean():.0f} % within 2 sd, worst {over.max():.1f}"
-    )
+    within = f"{100 * (over < 2).mean():.0f} % within 2 sd, worst {over.max():.1f}"
+    print(f"error {100 * error.max() / FULL:.0f} % FS, {within}")
     assert (over < 2).mean() > 0.95
     assert over.max() < 4.0
