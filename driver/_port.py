@@ -449,10 +449,15 @@ def refuse_missing(name: str) -> None:
         if not os.path.isfile(unquote(parts.netloc + parts.path)):
             raise LinkError(f"{name}: no such scene")
     elif "://" not in name:
-        if not os.path.exists(name):
+        if has_gone(name):
             raise LinkError(f"{name}: {_why_not_opened(name, FileNotFoundError(errno.ENOENT, 'no such port'))}")
         if not os.access(name, os.R_OK | os.W_OK):
             raise LinkError(f"{name}: {_why_not_opened(name, PermissionError(errno.EACCES, 'permission denied'))}")
+
+
+def has_gone(name: str) -> bool:
+    """Whether there is no device of that name now; of addresses (``socket://...``) nobody can say without opening."""
+    return "://" not in name and not os.path.exists(name)
 
 
 def _open_serial(name: str, baudrate: int, dtr: bool | None, rts: bool | None) -> serial.SerialBase:

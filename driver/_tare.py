@@ -34,6 +34,8 @@ NOISE_SHARE = 0.5
 """of :data:`SPREAD`, that noise may take up; the rest is for manufacture"""
 TYPICAL_READINGS = 4
 """readings of a cell that the noise of all cells is worth"""
+ENOUGH_READINGS = 8.0
+"""of the usual noisy cell in a tare that covers nearly all: of as many events one cell in 3000 sees none (Poisson)"""
 MOST_BYTES = 2**26
 """size limit of a file: a tare of 1024 x 1024 cells fits"""
 LATEST_S = 4e9
@@ -62,7 +64,15 @@ class Tare:
     remarks: tuple[str, ...] = ()
     """signs that the skin was loaded; a tare that has any was forced"""
     frames_advised: int = 0
-    """frames of which the mean would tell, where noise alone may be the cause of these signs; else 0"""
+    """frames that would do, where noise alone may be the cause of these signs, or of cells without a reading; else 0"""
+
+    @property
+    def covers(self) -> str:
+        """How many of the cells have been measured, and how many frames would measure those that noise hides."""
+        told = f"{int(self.measured.sum())} of {count_of(self.measured.size, 'cell')} measured"
+        if self.remarks or not self.frames_advised:
+            return told
+        return f"{told}, noise hides the others; tare({self.frames_advised}) covers nearly all"
 
     @property
     def taken_at(self) -> datetime:
@@ -77,7 +87,7 @@ class Tare:
         board = f"; board {printable(self.serial_number)}" if self.serial_number else ""
         forced = f"; {count_of(len(self.remarks), 'remark')}" if self.remarks else ""
         return (
-            f"<Tare of {rows} x {columns} cells: {known.size} measured over {count_of(self.frames, 'frame')}{typical}; "
+            f"<Tare of {rows} x {columns} cells over {count_of(self.frames, 'frame')}{typical}: {self.covers}; "
             f"{self.taken_at:%Y-%m-%d %H:%M} UTC{board}{forced}>"
         )
 
@@ -143,6 +153,8 @@ class RestReadings:
     """(frames, rows, columns); NaN where not valid"""
     time_s: FloatArray
     """(frames,) increasing"""
+    noisy: BoolArray | None = None
+    """(rows, columns) cells that noise alone keeps from being valid in most frames; None: nowhere"""
 
     def tare(
         self,
@@ -195,6 +207,8 @@ class RestReadings:
         if remarks == (unlike,) and not (cell is not None and isinstance(cell.model, ContactModel)):
             ratio = np.where(measured, mean / (typical * expected), 1.0)
             frames_advised = self._frames_to_tell(ratio, deviation / np.where(measured, mean, 1.0), readings)
+        elif not remarks:
+            frames_advised = self._frames_to_cover(measured)
         return Tare(
             rest_resistance_ohm=np.where(measured, mean, otherwise),
             measured=measured,
@@ -230,9 +244,20 @@ class RestReadings:
             return 0
         enough = float((DRIFT_STDS * own[unlike].max() / (NOISE_SHARE * SPREAD)) ** 2)
         # Cells whose readings are seldom valid rule. A column's are so together, in some columns ten times as often.
-        frames = len(self.time_s) * max(enough / float(readings[readings > 0].min()), 2.0)
-        digits = max(math.floor(math.log10(frames)) - 1, 0)
-        return math.ceil(frames * 10.0**-digits) * int(10.0**digits)
+        return _two_digits(len(self.time_s) * max(enough / float(readings[readings > 0].min()), 2.0))
+
+    def _frames_to_cover(self, measured: BoolArray) -> int:
+        """Frames in which nearly all cells that noise hides have readings, rounded up to two digits; 0: it hides none.
+
+        Valid readings of such cells are rare and independent events. The share of the cells that saw none tells how
+        many the usual cell has seen.
+        """
+        if self.noisy is None or not (self.noisy & ~measured).any():
+            return 0
+        noisy = np.count_nonzero(self.noisy)
+        unseen = np.count_nonzero(self.noisy & ~measured)
+        seen = -math.log(min(unseen, noisy - 0.5) / noisy)  # readings of the usual cell
+        return _two_digits(len(self.time_s) * max(ENOUGH_READINGS / max(seen, 0.5 / noisy), 2.0))
 
     def _changing(self, mean: FloatArray, std: FloatArray, readings: FloatArray) -> str:
         """A remark where a resistance has a trend: a load that comes or goes, or a cell that recovers from one."""
@@ -258,6 +283,12 @@ class RestReadings:
             f"the resistance of {_cells(moving)} is changing, most at cell {worst} by "
             f"{100 * change[worst] / mean[worst]:.1f} % in {self.time_s[-1] - self.time_s[0]:.2g} s"
         )
+
+
+def _two_digits(number: float) -> int:
+    """A number of at least 1, rounded up to two digits."""
+    digits = max(math.floor(math.log10(number)) - 1, 0)
+    return math.ceil(number * 10.0**-digits) * int(10.0**digits)
 
 
 def _far_from_sheet(typical_ohm: float, cell: Cell | None) -> str:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Iterator
+import warnings
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from ..circuits import Reason
 from ..errors import InputError
 from ._calibration import Calibration
 from ._convert import Converter
@@ -38,14 +40,22 @@ class Tares:
         return self._used[-1]
 
     def take(
-        self, frames: int, timeout_s: float, *, serial_number: str, board: str, drift: float, force: bool, waiting: bool
+        self,
+        frames: int,
+        timeout_s: float,
+        *,
+        serial_number: Callable[[], str],
+        board: str,
+        drift: float,
+        force: bool,
+        waiting: bool,
     ) -> Tare:
         """Make a tare of the next frames, and use it; arguments and errors as for :meth:`.Skin.tare`.
 
         Args:
             frames: to average.
             timeout_s: for each frame.
-            serial_number: of the board; empty where it does not say.
+            serial_number: says that of the board, once the frames have come; empty where it does not say.
             board: how messages call the board.
             drift: relative change since the tare or calibration in use that is no load.
             force: use the tare in spite of signs of a load.
@@ -53,8 +63,8 @@ class Tares:
 
         """
         with self._lock, self._next_frames(frames, timeout_s, waiting=waiting) as taken:
-            tare = self._made_of(taken, serial_number, drift)
-            if tare.frames_advised and not force:
+            tare = self._made_of(taken, serial_number(), drift)
+            if tare.remarks and tare.frames_advised and not force:
                 raise InputError(
                     f"{board}: no tare, though noise may be why {tare.remarks[0]}. "
                     f"Take more frames, tare({tare.frames_advised}), or tare(force=True)"
@@ -66,6 +76,8 @@ class Tares:
                 )
             self._used.append(tare)
             self._apply()
+        if tare.frames_advised and not tare.remarks:
+            warnings.warn(f"{board}: a tare with {tare.covers}", RuntimeWarning, stacklevel=3)
         return tare
 
     def use(self, tare: Tare | None, *, serial_number: str) -> None:
@@ -120,6 +132,7 @@ class Tares:
         readings = RestReadings(
             np.array([frame.resistance for frame in taken]),
             np.array([frame.monotonic_time for frame in taken]),
+            2 * np.count_nonzero([frame.reason == Reason.UNCERTAIN for frame in taken], axis=0) > len(taken),
         )
         return readings.tare(
             self._converter.cell,

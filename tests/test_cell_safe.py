@@ -175,11 +175,12 @@ def test_a_press_that_rises_slowly_while_a_cell_recovers_is_no_rest(own: bool, v
 
     They let the resistance of a cell that recovers fall faster. Without the test of ``_onset.py`` half to three
     quarters are taken for rest, with 35 to 63 % of the errors within two deviations.
+    Where a press has been hidden before its pull is clear, that must be in the deviation, too (90 % without it).
     """
     cell = uncalibrated()["paper"] if own else EXAMPLE
     lost, z = pressed_after_taps(cell, volts, np.tile([0.5, 1.0, 1.5, 2.0, 2.5, 3.0], COUNT))
     assert lost < (5 if own else 16)
-    assert np.mean(z < 2) > (0.97 if own else 0.87)
+    assert np.mean(z < 2) > (0.97 if own else 0.92)
     assert z.max() < 20
 
 

@@ -12,9 +12,10 @@ from ohmskin.cell import PaperModel
 from ohmskin.cell.estimation._conditions import Conditions
 from ohmskin.cell.estimation._estimator import Estimator
 from ohmskin.cell.estimation._inversion import Inversion
+from ohmskin.cell.inversions import _doubts as doubts
 from ohmskin.cell.inversions._switched import SwitchedInversion
 from ohmskin.cell.inversions._turning import TurningInversion
-from ohmskin.cell.inversions._turning_rows import Rows
+from ohmskin.cell.inversions._turning_rows import MemoryRows
 
 MODEL = EXAMPLE.model
 assert isinstance(MODEL, PaperModel)
@@ -160,8 +161,9 @@ def written_out_alike(load: np.ndarray, dt: float, noise: float, rng: np.random.
 def test_a_doubt_ends_at_full_scale() -> None:
     """Steps of a coarse converter look like turns, at rest too: their doubts must not add up without end."""
     inversion = TurningInversion(MODEL, FULL, exact=False)
-    rows = Rows(inversion.begin(np.zeros(1)))
+    rows = MemoryRows(inversion.begin(np.zeros(1)))
+    rows.unsure[:] = 0.0
     for _ in range(50):
         rows.variance[:] = FULL**2
-        inversion._keep(rows, np.zeros(1), np.array([True]))
+        doubts._keep(rows, np.zeros(1), np.array([True]), inversion._numbers.each)
     assert np.sqrt(rows.doubt) == pytest.approx(FULL)

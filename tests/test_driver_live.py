@@ -35,7 +35,7 @@ from ohmskin.driver._opening import PATIENCE, _within
 from ohmskin.driver._port import DescriptorPort, UrlPort
 from ohmskin.driver._reader import Reader
 from ohmskin.driver._reading import Reading
-from ohmskin.driver._reconnect import attempts
+from ohmskin.driver._reconnect import PortFinder, attempts
 from ohmskin.driver._stream import RawFrame
 from ohmskin.emulator import Board, PtyPort, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
@@ -865,6 +865,24 @@ class TestBoards:
             with pytest.raises(LinkError, match="board left is there; expected right"):
                 Skin.open(names[1], serial_number="right")
 
+    @pytest.mark.parametrize(("asked", "refused"), [("A1", True), ("B2", False), ("USB-7", False)])
+    def test_a_board_at_a_named_port_must_say_the_serial_number_before_it_is_taken(
+        self, monkeypatch: pytest.MonkeyPatch, asked: str, refused: bool
+    ) -> None:
+        """Its own or that of its USB device; also where its description comes first."""
+        script = Script(sheet(), frame(0))
+        monkeypatch.setattr(PortFinder, "open", lambda _: script)
+        monkeypatch.setattr("ohmskin.driver._skin.usb_serial_number", lambda _: "USB-7")
+        later = threading.Timer(0.1, script.say, [identity(serial_number="B2")])
+        later.start()
+        if refused:
+            with pytest.raises(LinkError, match="board B2 is there; expected A1"):
+                Skin.open("/dev/null", serial_number=asked)
+        else:
+            with Skin.open("/dev/null", serial_number=asked) as skin:
+                assert skin.serial_number == "B2"
+        later.join()
+
     def test_a_board_that_starts_anew_whenever_its_port_is_opened_is_waited_for(
         self, monkeypatch: pytest.MonkeyPatch
     ) -> None:
@@ -960,6 +978,18 @@ class TestBoards:
                 life.enter_context(pytest.raises(ProtocolError, match="was not set up within 2 s"))
             Skin(described(), timeout=2.0).close()
         over.set()
+
+    def test_a_port_that_goes_while_the_compiler_works_is_told_in_one_sentence(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """As a finite emulation does on a busy machine: no traceback of the operating system comes before."""
+        port = tmp_path / "skin"
+        port.touch()
+        monkeypatch.setattr("ohmskin.compiled.load", port.unlink)
+        said = "the port has gone in the 0 s in which machine code was prepared, which is kept for the next time"
+        with pytest.raises(LinkError, match=said) as caught:
+            Skin.open(port)
+        assert caught.value.__cause__ is caught.value.__context__ is None
 
     @pytest.mark.skipif(sys.platform != "linux", reason="no clock tells a thread's processor time")
     def test_waiting_for_a_busy_machine_is_not_taken_for_a_wrong_description(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import threading
 import warnings
 from dataclasses import replace
 from itertools import islice
@@ -10,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from boards import DESIGN, Script, Wire, lossless, scene
+from boards import DESIGN, Script, Wire, frame, gone, identity, lossless, scene, sheet
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -34,8 +35,8 @@ def taken(resistance: np.ndarray, step_s: float = 0.02) -> RestReadings:
     return RestReadings(resistance, step_s * np.arange(len(resistance)))
 
 
-def tare_of(resistance: np.ndarray, cell: Cell | None = CELL) -> Tare:
-    return taken(resistance).tare(cell, lost=0, serial_number="A1", wall_time=1.0)
+def tare_of(resistance: np.ndarray, cell: Cell | None = CELL, noisy: np.ndarray | None = None) -> Tare:
+    return replace(taken(resistance), noisy=noisy).tare(cell, lost=0, serial_number="A1", wall_time=1.0)
 
 
 def at_rest(noise: float, spread: float, frames: int = 40, seed: int = 3) -> np.ndarray:
@@ -102,6 +103,41 @@ def test_a_divider_in_noise_says_how_many_frames_tell() -> None:
         assert skin.tare(frames).remarks == ()
 
 
+@pytest.mark.parametrize("valid", [0.3, 0.02])
+def test_cells_that_noise_hides_ask_for_more_frames(valid: float) -> None:
+    """As many as show nearly all of them, and none where all have been measured or no noise hides them."""
+    random, readings = np.random.default_rng(1), at_rest(1e-3, 0.05, frames=3000)
+    readings[random.random(readings.shape) > valid] = np.nan
+    few = readings[: round(0.5 / valid)]  # the usual cell has half a reading
+    tare = tare_of(few, noisy=np.ones((8, 8), dtype=np.bool_))
+    assert not tare.measured.all()
+    assert f"{tare.measured.sum()} of 64 cells measured, noise hides the others" in tare.covers
+    assert f"tare({tare.frames_advised}) covers" in repr(tare)
+    after = tare_of(readings[: tare.frames_advised], noisy=np.ones((8, 8), dtype=np.bool_))
+    assert after.measured.mean() > 0.98
+    assert tare_of(few).frames_advised == 0, "open cells"
+    assert tare_of(at_rest(1e-3, 0.05), noisy=np.ones((8, 8), dtype=np.bool_)).frames_advised == 0
+
+
+def test_a_tare_that_leaves_noisy_cells_out_says_so() -> None:
+    """16 x 12 cells of a divider in 14 mV: of readings whose noise is known, one of fifty is valid."""
+    board = design(16, "voltage-divider", "ground", 12).replace(
+        array={"columns": 12}, readout={"reference_resistance": 4.7e3}
+    )
+    rng = np.random.default_rng(1)
+    volts = scan(board, np.full((16, 12), 1.8 * REST)).volts
+    codes = adc_codes(board, volts + 0.014 * rng.standard_normal((40, 16, 12)))
+    port = PacedPort(frame_packets(codes, 100.0), 1e-3, board)
+    port.work(60.0)
+    said = r"a tare with \d+ of 192 cells measured, noise hides the others; tare\(\d+\) covers nearly all"
+    with Skin(port, design=board, cell=CELL, delivery="lossless", timeout=60.0) as skin:
+        for _ in range(12):
+            skin.read(60.0)
+        with pytest.warns(RuntimeWarning, match=said):
+            tare = skin.tare()
+    assert 0 < tare.measured.sum() < 192
+
+
 def test_one_pressed_cell_is_noticed() -> None:
     readings = at_rest(1e-3, 0.1)
     readings[:, 2, 5] *= 1.6
@@ -151,10 +187,11 @@ def test_a_tare_prints_as_one_line_without_its_arrays() -> None:
     readings[:, 1, 2] = np.nan
     plain = taken(readings).tare(CELL, lost=None, serial_number="A\n1", wall_time=1.7e9)
     assert repr(plain) == (
-        "<Tare of 2 x 3 cells: 5 measured over 5 frames, typically 10000 ohm; 2023-11-14 22:13 UTC; board A\\n1>"
+        "<Tare of 2 x 3 cells over 5 frames, typically 10000 ohm: 5 of 6 cells measured; "
+        "2023-11-14 22:13 UTC; board A\\n1>"
     )
     loaded = replace(plain, remarks=("one", "two"), serial_number="", measured=np.zeros((2, 3), dtype=np.bool_))
-    assert repr(loaded) == "<Tare of 2 x 3 cells: 0 measured over 5 frames; 2023-11-14 22:13 UTC; 2 remarks>"
+    assert repr(loaded) == "<Tare of 2 x 3 cells over 5 frames: 0 of 6 cells measured; 2023-11-14 22:13 UTC; 2 remarks>"
 
 
 @pytest.mark.parametrize("wall_time", [np.nan, np.inf, -1.0, 1e300])
@@ -327,14 +364,28 @@ def test_a_drift_that_cannot_be_is_refused(drift: float) -> None:
         skin.tare(2, drift=drift)
 
 
-def test_a_tare_of_another_board_or_shape_is_refused() -> None:
+def test_a_tare_of_another_shape_is_refused() -> None:
     tare = tare_of(at_rest(0.0, 0.0))
-    with lossless(Wire(Board(scene(contact=[])))) as skin:
-        with pytest.raises(InputError, match="a tare of 8 x 8 cells; this skin has 3 x 2"):
-            skin.use_tare(tare)
-        next(skin)
-        with pytest.raises(InputError, match="a tare of board A1; this is board EMULATED"):
+    shapes = "a tare of 8 x 8 cells; this skin has 3 x 2"
+    with lossless(Wire(Board(scene(contact=[])))) as skin, pytest.raises(InputError, match=shapes):
+        skin.use_tare(tare)
+
+
+def test_a_tare_of_another_board_is_refused_also_where_the_board_describes_itself_first() -> None:
+    script = Script(sheet(), frame(0), frame(1))
+    with lossless(script) as skin:
+        assert skin.serial_number == ""
+        later = threading.Timer(0.1, script.say, [identity(serial_number="B2")])
+        later.start()
+        with pytest.raises(InputError, match="a tare of board A1; this is board B2"):
             skin.use_tare(tare_of(np.full((5, 3, 2), REST)))
+        later.join()
+
+
+def test_a_tare_is_used_where_the_board_never_says_who_it_is() -> None:
+    with lossless(Script(sheet(), frame(0), last=gone)) as skin:
+        skin.use_tare(tare_of(np.full((5, 3, 2), REST)))
+        assert skin.tared is not None
 
 
 def conversation(numbers: list[int]) -> list[bytes]:

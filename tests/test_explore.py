@@ -19,8 +19,10 @@ from ohmskin.verification import Subject, Variation, prototype, remedies, verify
 from ohmskin.verification._explore import (
     AVERAGING,
     KNOWN_FRACTION,
+    MOST_BITS,
     _combinations,
     _judge,
+    _Judged,
     _judged,
     _more_bits,
     _scaled,
@@ -152,6 +154,21 @@ def test_bits_mend_a_reading_as_far_as_steps_spoil_it() -> None:
         for fewer in range(8, bits or 8):
             coarse = subject.design.replace(adc={"bits": fewer})
             assert verify(coarse, requirements=(asked,)).outcome == "fail"
+
+
+def test_no_converter_is_judged_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    subject, looks = Subject(prototype()), list[int]()
+
+    def judge(subject: Subject, requirement: Requirement) -> _Judged:
+        assert subject.design.adc is not None
+        looks.append(subject.design.adc.bits)
+        return _Judged(1.0, "%", looks[-1] == MOST_BITS)
+
+    monkeypatch.setattr("ohmskin.verification._explore._judge", judge)
+    found = _more_bits(subject, Requirement(id="R", quantity="crosstalk", max=1.0), _Judged(2.0, "%", False))
+    assert found is not None
+    assert found.factor == MOST_BITS
+    assert sorted(looks) == list(range(looks[1], MOST_BITS + 1))
 
 
 def test_the_fraction_of_the_best_resolution_is_that_of_this_readout() -> None:

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from ohmskin.circuits.solvers import _banded as banded
-from ohmskin.circuits.solvers import _dissection as dissection
 from ohmskin.circuits.solvers import _elimination as elimination
+from ohmskin.circuits.solvers._dissection_plan import plan
 from ohmskin.circuits.solvers._exact import _transfer_error as transfer_error
 from ohmskin.circuits.solvers._exact import exact_transfer
 from ohmskin.circuits.solvers._ports import Lines, Stream, port_conductances, transfer_conductances
@@ -156,7 +156,7 @@ def test_a_tree_follows_shorts_that_move_all_ideal_wires() -> None:
 
 @given(st.integers(1, 300), st.integers(1, 300))
 def test_plans_cover_each_crosspoint_once_and_little_else(rows: int, columns: int) -> None:
-    work = dissection.plan(rows, columns)
+    work = plan(rows, columns)
     for length, leaf, count in [(rows, work.leaf.rows, work.down), (columns, work.leaf.columns, work.along)]:
         assert count & (count - 1) == 0
         assert length <= leaf * count < length + count

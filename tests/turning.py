@@ -7,11 +7,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ohmskin.cell import PaperModel
+from ohmskin.cell.estimation import DOUBT, LOADS, UNKNOWN, USUAL
+from ohmskin.cell.inversions import _doubts as doubts
+from ohmskin.cell.inversions import _earlier as third
+from ohmskin.cell.inversions import _limits as limits
 from ohmskin.cell.inversions import _onset as onset
 from ohmskin.cell.inversions import _recovery as recovery
 from ohmskin.cell.inversions import _still as still
 from ohmskin.cell.inversions import _sway as sway
-from ohmskin.cell.inversions import _turning as paper
+from ohmskin.cell.inversions import _takeover as takeover
+from ohmskin.cell.inversions import _turning_rows as rows
+from ohmskin.cell.inversions import _turns as turns
 from ohmskin.cell.materials import _lag as lag
 
 
@@ -50,24 +56,24 @@ class OneCell:
         self.third_last, self.before_last, self.last = self.before_last, self.last, self.now.pressure
         gains = {rising: self._solved(Hypothesis(0, 0, 0, 0), rising, dt, 1.0).pressure for rising in (True, False)}
         now, other = self._solved(self.now, self.rising, dt, r), self._solved(self.other, not self.rising, dt, r)
-        if self.variance > (paper.DOUBT * self.full) ** 2:
-            if now.pressure > paper.USUAL * self.full:
-                self.doubt = max(self.doubt, (paper.UNKNOWN * self.full) ** 2)
-                if self.rising and other.pressure <= paper.USUAL * self.full:
-                    self.extreme = paper.REFUTED
+        if self.variance > (DOUBT * self.full) ** 2:
+            if now.pressure > USUAL * self.full:
+                self.doubt = max(self.doubt, (UNKNOWN * self.full) ** 2)
+                if self.rising and other.pressure <= USUAL * self.full:
+                    self.extreme = rows.REFUTED
             now, other = self._believable(now, self.rising, r), self._believable(other, not self.rising, r)
         rates = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s, (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         self.earlier *= np.exp(-dt * rates[self.rising == (self.left is None)])
         seeming = self.drift
         if self.rising:
             rise_r, fall_r = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
-            fall = max(self.extreme - other.pressure - paper.CLEAR_FALL * self.full, 0.0)
-            seeming = min(seeming, paper.SHARED_FALL * fall_r / rise_r * fall)
-            if self.third_last - now.pressure > paper.FALLING * std * gains[True]:
+            fall = max(self.extreme - other.pressure - turns.CLEAR_FALL * self.full, 0.0)
+            seeming = min(seeming, turns.SHARED_FALL * fall_r / rise_r * fall)
+            if self.third_last - now.pressure > turns.FALLING * std * gains[True]:
                 seeming = 0.0
         unsure = std * gains[self.rising]
-        turned = self.extreme - self._ahead(now) > paper.SURE * unsure + self._turn_from(self.extreme) + seeming
-        least = paper.FALLING * unsure + paper.LIGHT_TURN * self.full + (seeming if self.rising else 0.0)
+        turned = self.extreme - self._ahead(now) > rows.SURE * unsure + self._turn_from(self.extreme) + seeming
+        least = turns.FALLING * unsure + turns.LIGHT_TURN * self.full + (seeming if self.rising else 0.0)
         turned = turned or self.recent_extreme - self._ahead(now) > least
         if self.left is not None:
             direction = 1.0 if self.rising else -1.0
@@ -77,9 +83,9 @@ class OneCell:
             rising, recovers = (now, other) if self.rising else (other, now)
             begun = self.extreme if self.left is None else self.left  # the pressure then, with its sign turned
             rise = begun + rising.pressure
-            clear = rise > paper.CLEAR_RISE * self.full + paper.SURE * std * gains[True]
-            seeming = paper.LESS * std * gains[False]
-            refuted = clear and begun + recovers.pressure < paper.SHARED * rise + seeming
+            clear = rise > turns.CLEAR_RISE * self.full + rows.SURE * std * gains[True]
+            seeming = turns.LESS * std * gains[False]
+            refuted = clear and begun + recovers.pressure < turns.SHARED * rise + seeming
         if refuted:
             turned = self.rising
         if turned:
@@ -87,8 +93,8 @@ class OneCell:
             if self.left is None:
                 late = self._late(now, other, std * gains[self.rising])
             if self.left is None and self.rising:
-                earlier = paper.MIDWAY * self._turned_earlier(0.0, std * gains[True])
-            noticed = self.left is None and self.extreme < paper.REFUTED
+                earlier = third.MIDWAY * self._turned_earlier(0.0, std * gains[True])
+            noticed = self.left is None and self.extreme < rows.REFUTED
             now, other = other, now
             self.rising = not self.rising
             again, left = self.left is not None, self.left
@@ -96,11 +102,11 @@ class OneCell:
             self.left = None if again else self.extreme
             sign = 1.0 if self.rising else -1.0
             there = max(sign * (self.third_last - self.before_last), sign * (self.before_last - self.last), 0.0)
-            way = min(paper.JUST_BEGUN * there, max(abs(now.pressure - self.last), paper.HALF * there))
+            way = min(takeover.JUST_BEGUN * there, max(abs(now.pressure - self.last), takeover.HALF * there))
             bend = 1 / m.eu1_kpa + 1 / m.etau2_kpa - 1 / m.e1_kpa
-            fast = max(1.0, abs(now.pressure - self.last) / (paper.FAST * paper.TURN * self.full))
-            way = max(way - paper.SURE * unsure, 0.0)
-            unseen = paper.BETWEEN * way * bend * gains[self.rising] + paper.ROUND * self.full / fast
+            fast = max(1.0, abs(now.pressure - self.last) / (takeover.FAST * turns.TURN * self.full))
+            way = max(way - rows.SURE * unsure, 0.0)
+            unseen = takeover.BETWEEN * way * bend * gains[self.rising] + takeover.ROUND * self.full / fast
             if noticed and self.rising:
                 unseen += self._hidden(now.pressure, other.pressure)
             self.onset.looks = 0 if noticed and not self.rising else self.onset.looks
@@ -108,7 +114,7 @@ class OneCell:
             now = self._without_delay(now, max(late, earlier))
             self.earlier -= max(late, earlier)
             ahead = sign * max(now.pressure, 0)
-            self.extreme = left if again else ahead - paper.LESS * unsure
+            self.extreme = left if again else ahead - turns.LESS * unsure
             self.peak = left if again else ahead - unsure
             self.recent_extreme = self.extreme
             before = self.variance
@@ -116,7 +122,7 @@ class OneCell:
                 before = min(before, self.rest_variance + recovery.LIGHT * before + self.taken_off**2)
             by_noise = (gains[False] * std) ** 2
             self.doubt = (np.sqrt(before) + unseen) ** 2 + by_noise
-            self.doubt = min(self.doubt, (paper.UNKNOWN * self.full) ** 2)
+            self.doubt = min(self.doubt, (UNKNOWN * self.full) ** 2)
             self.variance = self.doubt
             lost = self.doubt >= (recovery.MOST * self.full) ** 2
             usual = recovery.PART * max(self.doubt - by_noise, 0.0) + min(by_noise, self.doubt)
@@ -125,23 +131,23 @@ class OneCell:
             error = min(np.sqrt(self.doubt), recovery.MOST * self.full)
             self.last_drift = recovery.DRIFTS * error
             if late > 0:
-                doubt_kpa = np.sqrt(self.doubt) + paper.MAY_BEND * late
-                self.doubt = self.variance = min(doubt_kpa**2, (paper.UNKNOWN * self.full) ** 2)
+                doubt_kpa = np.sqrt(self.doubt) + takeover.MAY_BEND * late
+                self.doubt = self.variance = min(doubt_kpa**2, (UNKNOWN * self.full) ** 2)
         unsure = std * gains[self.rising]
         ahead = self._ahead(now)
         if refuted:
-            self.extreme, self.peak = ahead - paper.LESS * unsure, ahead - unsure
+            self.extreme, self.peak = ahead - turns.LESS * unsure, ahead - unsure
             self.recent_extreme = self.extreme
         confirmed = False
         if self.left is not None:
             back = self.left + (1.0 if self.rising else -1.0) * other.pressure
-            times = paper.CONFIRMED_RISE if self.rising else paper.CONFIRMED_FALL
-            shares = not self.rising or back >= paper.SHARED * (self.left + now.pressure)
-            if shares and back >= times * (paper.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
+            times = rows.CONFIRMED_RISE if self.rising else rows.CONFIRMED_FALL
+            shares = not self.rising or back >= turns.SHARED * (self.left + now.pressure)
+            if shares and back >= times * (rows.SURE * std * gains[not self.rising] + self._turn_from(self.left)):
                 self.left, confirmed = None, True
-        allowed = -paper.PULL_SIGMAS * gains[False] * doubt - paper.NEAR * self.full
+        allowed = -limits.PULL_SIGMAS * gains[False] * doubt - limits.NEAR * self.full
         if not self.rising:
-            allowed = min(allowed, -paper.SURE * gains[False] * std)
+            allowed = min(allowed, -rows.SURE * gains[False] * std)
         if not self.exact and now.pressure < allowed:
             begun = self._begun(allowed, r, now.x3)
             if self.rising:
@@ -149,13 +155,13 @@ class OneCell:
             else:
                 now = Hypothesis(allowed, now.settled, begun.x2, now.x3)
             missing = max((allowed / self.model.e1_kpa - r) * gains[True], 0.0)
-            more = max(min(missing, paper.MOST_LOST * self.full) ** 2 - self.doubt, 0.0)
+            more = max(min(missing, limits.MOST_LOST * self.full) ** 2 - self.doubt, 0.0)
             self.doubt, self.variance = self.doubt + more, self.variance + more
         direction = 1.0 if self.rising else -1.0
-        held = direction * (self.third_last - now.pressure) < 3 * dt * paper.HELD * self.full
+        held = direction * (self.third_last - now.pressure) < 3 * dt * doubts.HELD_PER_S * self.full
         below = self.peak - ahead
-        share = paper.AGAIN if below < max(unsure, paper.FLAT * self.full if held else 0.0) else 0.0
-        share = 1.0 if below <= paper.EXACTLY * self.full else share
+        share = doubts.AGAIN if below < max(unsure, doubts.FLAT * self.full if held else 0.0) else 0.0
+        share = 1.0 if below <= turns.EXACTLY * self.full else share
         if self.left is not None:
             share = 0.0
         begun = self._begun(now.pressure, r, now.x3)
@@ -166,24 +172,24 @@ class OneCell:
         self.now = now
         self._follow_earlier_turn(gains[self.rising] * std, confirmed)
         self.peak = max(self.peak, ahead - unsure)
-        self.extreme = max(self.extreme, ahead - paper.LESS * unsure)
+        self.extreme = max(self.extreme, ahead - turns.LESS * unsure)
         rate = (1 - 1 / (m.etau2_kpa / m.eu1_kpa + 1)) / m.tu_s if self.rising else (1 + m.e1_kpa / m.e2_kpa) / m.t2_s
         was_apart = self.variance - self.doubt - self.onset.may_bear**2
         fade = np.exp(-2 * dt * rate)
-        self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt) + paper.CREEP * self.full * dt
-        self.recent_extreme = max(self.recent_extreme, ahead - paper.LESS * unsure)
+        self.recent_extreme -= (1 - fade) * np.sqrt(self.doubt) + doubts.CREEP * self.full * dt
+        self.recent_extreme = max(self.recent_extreme, ahead - turns.LESS * unsure)
         if held:
-            self.peak -= paper.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), paper.TURN * self.full)
+            self.peak -= doubts.GOES_BACK * (1 - fade) * min(np.sqrt(self.doubt), turns.TURN * self.full)
         self.doubt *= fade
-        is_apart = paper.EITHER * abs(self.other.pressure - now.pressure)
+        is_apart = doubts.EITHER * abs(self.other.pressure - now.pressure)
         if self.left is None:
-            fallen = paper.FALLEN * (self.peak - direction * now.pressure) if held else 0.0
-            is_apart += paper.EARLIER * self._turned_earlier(fallen, unsure)
+            fallen = third.FALLEN * (self.peak - direction * now.pressure) if held else 0.0
+            is_apart += third.EARLIER * self._turned_earlier(fallen, unsure)
         is_apart *= is_apart
         lost = was_apart - is_apart
-        least = max(paper.LOST * unsure, paper.NEAR * self.full) ** 2
-        if lost > paper.GONE * was_apart and was_apart > least and not confirmed:
-            self.doubt = min((np.sqrt(self.doubt) + np.sqrt(lost)) ** 2, (paper.MOST_LOST * self.full) ** 2)
+        least = max(doubts.LOST * unsure, limits.NEAR * self.full) ** 2
+        if lost > doubts.GONE * was_apart and was_apart > least and not confirmed:
+            self.doubt = min((np.sqrt(self.doubt) + np.sqrt(lost)) ** 2, (limits.MOST_LOST * self.full) ** 2)
         self.variance = self.doubt + is_apart + self.onset.may_bear**2
         return now.pressure
 
@@ -256,7 +262,7 @@ class OneCell:
         if growth > max(clear * self.full, noise_kpa / flat):
             x3 = was.x3 + was.load / m.e3_kpa
             self.other = Hypothesis(was.load, self.other.settled, self.r - was.load / m.e1_kpa - x3, x3)
-            self.extreme = paper.REFUTED
+            self.extreme = rows.REFUTED
 
     def _begin(self, dt: float, mean: float, noise: float) -> None:
         """A load may have begun to rise while the cell recovers."""
@@ -269,7 +275,7 @@ class OneCell:
         if self.rising or self.left is not None or not (self.now.pressure**2 < bound or seen.looks > 0):
             return
         seen.looks = abs(seen.looks) + 1
-        if seen.looks < paper.SETTLES:
+        if seen.looks < onset.SETTLES:
             return
         by_model, by_noise = self.rest_variance + onset.MODEL * self.doubt, (gain * noise) ** 2 / 4
         weight = max(by_model / (by_model + by_noise), onset.AVERAGED)
@@ -280,53 +286,68 @@ class OneCell:
         unsure = np.sqrt(by_model + by_noise)
         sigmas = seen.pull / unsure
         likely = np.clip((sigmas - onset.SOME_SIGMAS) / (onset.CLEAR_SIGMAS - onset.SOME_SIGMAS), 0, 1)
-        may_bear = np.sqrt(likely) * max(load_kpa - max(self.now.pressure, 0), 0)
-        if seen.looks == paper.SETTLES:
+        lasts, shown = seen.may_bear * np.exp(-4 * dt / onset.LASTS_S), max(self.now.pressure, 0)
+        may_bear = max(lasts, np.sqrt(likely) * max(load_kpa - shown, 0))
+        held_kpa = self.other.pressure + self.earlier
+        was_held = -self.earlier_from > onset.HELD * held_kpa
+        risen = max(load_kpa, held_kpa) if was_held else load_kpa
+        hidden = onset.HIDDEN * max(min(self._rises_unseen(onset.HIDES_S), seen.earliest.pressure) - shown, 0)
+        if seen.looks == onset.SETTLES:
             seen.earliest, seen.clear_pull = Rise(0.0, -m.etau2_kpa * (self.now.x2 + self.now.x3)), 0.0
-        if seen.looks == paper.SETTLES or seen.pull <= none + onset.COINCIDENCE * load_kpa or load_kpa < -unsure:
+        if seen.looks == onset.SETTLES or seen.pull <= none + onset.COINCIDENCE * load_kpa or load_kpa < -unsure:
             if seen.clear_pull > 0:
                 doubt = max(self.doubt, (onset.EITHER * max(load_kpa, 0)) ** 2)
                 self.variance += doubt - self.doubt
                 self.doubt = doubt
             seen.x2, seen.x3, seen.pull, seen.clear_pull = self.now.x2, self.now.x3, 0.0, 0.0
             seen.begun = Rise(0.0, -m.etau2_kpa * (seen.x2 + seen.x3))
-            may_bear = 0.0
+            may_bear = lasts
         elif sigmas > onset.CLEAR_SIGMAS and seen.clear_pull == 0:
-            seen.clear_pull = seen.pull
+            seen.clear_pull, may_bear = seen.pull, max(may_bear, hidden)
         elif (
             sigmas > onset.CLEAR_SIGMAS
             and seen.pull > seen.clear_pull + onset.MORE_SIGMAS * np.sqrt(by_noise)
-            and load_kpa > onset.CLEAR * self.full
+            and risen > onset.CLEAR * self.full
         ):
-            self.other = Hypothesis(load_kpa, seen.begun.settled, self.other.x2, self.now.x3)
-            self.extreme, self.rested, seen.looks = paper.REFUTED, False, -seen.looks
-            self.doubt += (onset.EITHER * load_kpa) ** 2
+            settled = risen + m.etau2_kpa * (risen / m.eu1_kpa - self.r)
+            self.other = Hypothesis(risen, settled, self.other.x2, self.now.x3)
+            self.extreme, self.rested, seen.looks = rows.REFUTED, False, -seen.looks
+            self.doubt += (onset.EITHER * risen) ** 2 + hidden**2
             self.variance, seen.may_bear = self.doubt, 0.0
             seen.found += 1
             return
+        elif sigmas > onset.CLEAR_SIGMAS:
+            may_bear = max(may_bear, hidden)
         self.variance += may_bear**2 - seen.may_bear**2
         seen.may_bear = may_bear
+
+    def _rises_unseen(self, seconds: float) -> float:
+        """KPa of a load that rises while the readings go on as at rest, from the first microsecond on."""
+        m, x2, x3, begin_s = self.model, self.now.x2, self.now.x3, 1e-6
+        load = Rise(0.0, -m.etau2_kpa * (x2 + x3))
+        load.rise(m, begin_s, x2 * np.exp(-begin_s / m.t2_s) + x3 * np.exp(-begin_s / m.t3_s))
+        return load.pressure * seconds / begin_s
 
     def _hidden(self, pressure: float, recovers: float) -> float:
         """By how much a rise may be larger that may have begun earlier."""
         m, rise = self.model, pressure + self.extreme
-        if self.onset.looks < paper.SETTLES or rise <= 0:
+        if self.onset.looks < onset.SETTLES or rise <= 0:
             return 0.0
         fast = m.e1_kpa * (1 / m.eu1_kpa + 1 / m.etau2_kpa)
         hidden = np.clip(1 - (recovers + self.extreme) / rise / fast, 0, 1)
-        return float(paper.HIDDEN_SHARE * hidden**2 * max(self.onset.earliest.pressure - pressure, 0))
+        return float(onset.HIDDEN_SHARE * hidden**2 * max(self.onset.earliest.pressure - pressure, 0))
 
     def _late(self, left: Hypothesis, other: Hypothesis, unsure: float) -> float:
         """By how much the pressure was off when the model that is left turned, if the load is a parabola in time."""
         m, sign = self.model, 1.0 if self.rising else -1.0
         rise_r, fall_r = 1 / m.eu1_kpa + 1 / m.etau2_kpa, 1 / m.e1_kpa
         left_r, other_r = (rise_r, fall_r) if self.rising else (fall_r, rise_r)
-        away = paper.AWAY * self.full < abs(self.extreme) and self.extreme < paper.USUAL * self.full
-        if not away or unsure >= paper.SMOOTH * paper.TURN * self.full:
+        away = takeover.AWAY * self.full < abs(self.extreme) and self.extreme < USUAL * self.full
+        if not away or unsure >= takeover.SMOOTH * turns.TURN * self.full:
             return 0.0
         gone, way = (self.extreme + unsure - sign * one.pressure for one in (left, other))
         by_drift = way * other_r / left_r - gone
-        if by_drift <= paper.SURE * unsure:
+        if by_drift <= rows.SURE * unsure:
             return 0.0
         return min(by_drift**2 * (left_r + other_r) / (4 * other_r * gone), way)
 
@@ -346,9 +367,9 @@ class OneCell:
         recovery, rising = (self.other, self.now) if self.rising else (self.now, self.other)
         other = recovery.pressure if rose else -rising.pressure
         sign = 1.0 if rose else -1.0
-        self.earlier = min(self.earlier, other + (0.0 if rose else paper.USUAL * self.full))
+        self.earlier = min(self.earlier, other + (0.0 if rose else USUAL * self.full))
         self.earlier_least = min(self.earlier_least, other - self.earlier)
-        gone_on = other - self.earlier - self.earlier_least - paper.SURE * unsure * ratio**sign
+        gone_on = other - self.earlier - self.earlier_least - rows.SURE * unsure * ratio**sign
         if gone_on > 0:
             self.earlier_from += sign * (self.now.pressure - self.last)
         if confirmed or gone_on > self._turn_from(self.extreme) * min(1.0, ratio**sign):
@@ -359,22 +380,22 @@ class OneCell:
         grown = max(self.peak - self.earlier_from, fallen, 0.0)
         if self.rested and not self.rising:
             return 0.0
-        errors = paper.GROWN_ERRORS if self.rising else paper.GROWN_RELEASED
-        least = paper.GROWN_SIGMAS * unsure + errors * np.sqrt(self.doubt)
-        least += paper.GROWN * paper.LIGHT_TURN * self.full
+        errors = third.GROWN_ERRORS if self.rising else third.GROWN_RELEASED
+        least = third.GROWN_SIGMAS * unsure + errors * np.sqrt(self.doubt)
+        least += third.GROWN * turns.LIGHT_TURN * self.full
         return max(self.earlier, 0.0) * grown**2 / (grown**2 + least**2)
 
     def _turn_from(self, extreme: float) -> float:
         """How far an exact pressure must go back for a turn."""
-        return min(paper.LIGHT_TURN * self.full + paper.TURN_SHARE * abs(extreme), paper.TURN * self.full)
+        return min(turns.LIGHT_TURN * self.full + turns.TURN_SHARE * abs(extreme), turns.TURN * self.full)
 
     def _ahead(self, hypothesis: Hypothesis) -> float:
-        least = paper.LOADS[0] * self.full if self.exact else 0.0
+        least = LOADS[0] * self.full if self.exact else 0.0
         return (1 if self.rising else -1) * max(hypothesis.pressure, least)
 
     def _believable(self, hypothesis: Hypothesis, rising: bool, r: float) -> Hypothesis:
         """The same with a pressure that is not beyond the usual."""
-        most = paper.USUAL * self.full
+        most = USUAL * self.full
         if hypothesis.pressure <= most:
             return hypothesis
         begun = self._begun(most, r, hypothesis.x3)
@@ -398,7 +419,7 @@ class OneCell:
             p = (r + settled / m.etau2_kpa) / (1 / m.eu1_kpa + (1 - ramp[0]) / m.etau2_kpa)
         else:  # r = p/E1 + x2 + x3
             p = (r - x2 - x3) / (1 / m.e1_kpa + ramp[1] / e2 + ramp[2] / e3)
-        p = float(np.clip(p, paper.LOADS[0] * self.full, paper.LOADS[1] * self.full))
+        p = float(np.clip(p, LOADS[0] * self.full, LOADS[1] * self.full))
         return Hypothesis(p, settled + ramp[0] * p, x2 + ramp[1] / e2 * p, x3 + ramp[2] / e3 * p)
 
 

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cache
 from math import inf
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -467,6 +468,7 @@ def _more_bits(subject: Subject, requirement: Requirement, missed: _Judged) -> R
     adc = subject.design.adc
     assert adc is not None
 
+    @cache
     def at(bits: int) -> _Judged | None:
         changed = subject.design.replace(adc={"bits": bits})
         return _judge(replace(subject, design=changed, memo={}), requirement)

@@ -133,7 +133,8 @@ class LiveSource(Source):
         finally:
             self._taring = False
         self._tares += 1
-        return {"kind": "tared", "text": f"tared over {tare.frames} frames", "remarks": list(tare.remarks)}
+        text = f"tared over {tare.frames} frames" + ("" if tare.measured.all() else f": {tare.covers}")
+        return {"kind": "tared", "text": text, "remarks": list(tare.remarks)}
 
     async def undo_tare(self) -> Told:
         """Go back to the tare that was in use before the last one made here."""

@@ -2,7 +2,7 @@
 
 ====================  ==========================================================================================
 :mod:`._static`       without memory: the equilibrium curve of a model, or the calibrated cubic
-:mod:`._turning`      the paper's cell, by two hypotheses about when the pressure last turned
+:mod:`._turning`      the paper's cell, by two hypotheses about when the pressure last turned; its rooms are named there
 :mod:`._recovery`     the same cell at rest: a Kalman filter of what it remembers
 :mod:`._still`        the same cell after a light touch: whether the load is again what it was
 :mod:`._onset`        the same cell under presses that rise slowly while it recovers: Page's test

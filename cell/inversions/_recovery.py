@@ -15,15 +15,17 @@ turn: the model of a rising load would take the recovery for a load that grows.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from ...arrays import FloatArray
 from ...compiled import Places, Row, Rows, loop
-from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, recent_mean
+from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE, recent_mean
 from ..estimation import GAIN as GAIN_ROW
 from ..materials import PaperModel
 from ._paper_steps import Constants, borne_before, numbered, step_weights
-from ._turning_loops import (
+from ._turning_rows import (
     DRIFT_END_KPA,
     DRIFT_KPA,
     EXTREME,
@@ -151,6 +153,15 @@ def look(
     memory[:, rests] = some
 
 
+def variance_at_turn(memory: FloatArray) -> FloatArray:
+    """(m,) kPa^2 of the memory of cells that have just turned, less what a rest has averaged away."""
+    variance = memory[VARIANCE]
+    left_over = variance * LIGHT + memory[TAKEN_OFF_KPA] * memory[TAKEN_OFF_KPA]
+    rested = np.minimum(variance, memory[REST_VARIANCE] + left_over)
+    found: FloatArray = np.where(memory[RESTED] > _ZERO, rested, variance)
+    return found
+
+
 def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> None:
     """Begin anew in m cells that have just turned; changes their ``memory`` (rows, m).
 
@@ -165,6 +176,27 @@ def begin(memory: FloatArray, by_noise: FloatArray, most_kpa2: FloatArray) -> No
     usual += np.minimum(by_noise, turned)
     np.copyto(memory[REST_VARIANCE], usual, where=turned < most_kpa2)
     memory[DRIFT_END_KPA] = np.sqrt(np.minimum(turned, most_kpa2)) * DRIFTS
+
+
+@loop
+def variance_at_turn_of(memory: Rows, i: int) -> float:
+    """:func:`variance_at_turn` of cell ``i``."""
+    variance = memory[VARIANCE, i]
+    if memory[RESTED, i] > 0.0:
+        taken_off = memory[TAKEN_OFF_KPA, i]
+        left_over = variance * LIGHT + taken_off * taken_off
+        variance = min(variance, memory[REST_VARIANCE, i] + left_over)
+    return float(variance)
+
+
+@loop
+def begin_of(memory: Rows, i: int, by_noise: float, most_kpa2: float) -> None:
+    """:func:`begin` in cell ``i``."""
+    turned = memory[TURNED, i]
+    memory[RESTED, i], memory[DRIFT_KPA, i], memory[TAKEN_OFF_KPA, i] = 0.0, 0.0, 0.0
+    usual = max(turned - by_noise, 0.0) * PART + min(by_noise, turned)
+    memory[REST_VARIANCE, i] = usual if turned < most_kpa2 else 0.0
+    memory[DRIFT_END_KPA, i] = math.sqrt(min(turned, most_kpa2)) * DRIFTS
 
 
 @loop

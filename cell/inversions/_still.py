@@ -23,7 +23,7 @@ from ...compiled import Places, Row, Rows, loop
 from ..estimation import FAR, NOISE, PRESSURE, RECENT, VARIANCE, recent_mean
 from ..materials import PaperModel
 from ._paper_steps import Constants, borne_before, numbered, step_weights
-from ._turning_loops import (
+from ._turning_rows import (
     EXTREME,
     LEFT,
     LOOKS_AT_REST,

@@ -25,7 +25,7 @@ from ...arrays import BoolArray, FloatArray
 from ...compiled import Places, Row, Rows, loop
 from ..estimation import NOISE, PRESSURE, RECENT, VARIANCE, recent_mean
 from ..materials import PaperModel
-from ._turning_loops import SIGN, TURNED
+from ._turning_rows import SIGN, TURNED
 
 SCALES = 3
 """lengths of blocks: two, four and eight times the readings of which the noise meter takes the mean"""

@@ -1,37 +1,61 @@
-"""Memory rows of :class:`._turning.TurningInversion` by name, and scratch arrays, so that a frame allocates few."""
+"""The memory of :class:`._turning.TurningInversion`: its rows by number and by name, and what a frame writes beside it.
+
+Rows that only one of :mod:`._sway`, :mod:`._still`, :mod:`._onset` and :mod:`._recovery` uses are named there.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ...arrays import FloatArray
-from . import _turning_loops as loops
+from ...compiled import Rows, loop
+from ..estimation import FAR, GAIN, PRESSURE, SMOOTHED
 from ._paper_steps import TurnWeights
-from ._turning_loops import (
-    BEFORE_LAST,
-    DRIFT_KPA,
-    EARLIER_FROM_KPA,
-    EARLIER_KPA,
-    LAST,
-    LEFT,
-    MAY_BEAR_KPA,
-    RECENT_EXTREME,
-    THIRD_LAST,
-    TURNED,
-)
 
-SURE = 3.0
-"""standard deviations of the smoothed noise by which a pressure must have gone back for a turn"""
-CONFIRMED_RISE, CONFIRMED_FALL = 2.0, 1.0
-"""turns by which the model that was left must have gone back by its own account, too; until then the turn may yet be
-found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
+LAST, BEFORE_LAST, THIRD_LAST, TURNED, SIGN, EXTREME, PEAK, LEFT = range(3, 11)
+"""rows: the pressures of the last three frames; variance from turns not known to the point, which fades; 1 rising, -1
+in recovery; the largest sign times pressure since the last turn, less some standard deviations of noise and less one;
+the extreme that was left at an unconfirmed turn, else :data:`FAR`"""
+RISING_IN_FORCE, RECOVERY_IN_FORCE = 11, 12
+RISING_KPA, RECOVERY_KPA, SETTLED, X2, RISING_X3, RECOVERY_X3, STATE_END = 13, 14, 15, 16, 17, 18, 20
+"""rows of the state: it begins with the pressures of the two hypotheses, and ends with the reading"""
+DRIFT_KPA, DRIFT_END_KPA, TAKEN_OFF_KPA = 22, 23, 24
+"""rows of :mod:`._recovery`, beside two of :mod:`..estimation._loops`: by how much a fading error may let the pressure
+seem to turn, now and at last; pressure that was subtracted since the release"""
+EARLIER_KPA, EARLIER_LEAST_KPA, EARLIER_FROM_KPA = 41, 42, 43
+"""rows of :mod:`._earlier`, behind those of :mod:`._sway`: by how much the other hypothesis would be further back if
+the load had turned earlier; its least since then by that account, and the pressure when it began, both times the sign
+before that turn"""
+RECENT_EXTREME = 49
+"""row behind those of :mod:`._still`: the extreme, which fades as fast as an error of the memory may"""
+MAY_BEAR_KPA, LOOKS_AT_REST = 50, 51
+"""first rows of :mod:`._onset`: standard deviation by a load that may have begun to rise while the cell recovers; looks
+since the recovering cell was taken for one at rest, negative where such a load was taken over"""
 
-IN_FORCE, STATE = slice(11, 13), slice(13, 20)
+IN_FORCE, STATE = slice(RISING_IN_FORCE, RECOVERY_IN_FORCE + 1), slice(RISING_KPA, STATE_END)
 """1 in the row of the hypothesis in force; the state of both hypotheses, :data:`HYPOTHESES`"""
 RISING, RECOVERY = 0, 1
 HYPOTHESES = ("rising_pressure", "recovery_pressure", "settled", "x2", "rising_x3", "recovery_x3", "r")
 """pressure, own state, and slow branch of the rising and of the recovery model in turn; the reading of both"""
 
+UNSURE, THRESHOLD, SPARE, NOISE, AHEAD, NEARBY = range(6)
+NOT_RISING, NOT_RECOVERY, CONFIRMING_SIGMAS, CONFIRMING_TURNS = range(6, 10)
+GAIN_IN_FORCE, OTHER_GAIN, FADE = range(10, 13)
+BESIDE = 13
+"""rows beside the memory: intermediate results; 1 in the row of the hypothesis that is not in force; how far that one
+must have gone back for a turn to be certain, in standard deviations, and in turns of pressures that are known exactly;
+what depends on the hypothesis in force. Then the number of rows"""
+WHERE, HELD, CONFIRMED, FLAGS = range(4)
+"""rows of flags, and their number"""
+
+REFUTED = 0.5 * FAR
+"""kPa: stands for the extreme of a hypothesis that the reading refutes. It is beyond all pressures, so that any of them
+is a turn, and below the extreme that means "none", so that the turn is certain"""
+SURE = 3.0
+"""standard deviations of the smoothed noise by which a pressure must have gone back for a turn"""
+CONFIRMED_RISE, CONFIRMED_FALL = 2.0, 1.0
+"""turns by which the model that was left must have gone back by its own account, too; until then the turn may yet be
+found to have been noise. A cell that seems to be pressed again while it recovers more likely bears no load"""
 
 _CONFIRMED = np.array([CONFIRMED_FALL, CONFIRMED_RISE])
 _ZERO, _SURE = np.array(0.0), np.array(SURE)
@@ -44,7 +68,7 @@ class Beside:
         cells = memory.shape[1]
         self.memory, self.state = memory, memory[STATE]
         self.change = np.empty((6, cells))
-        self.rows, self.flags = np.empty((loops.ROWS, cells)), np.empty((loops.FLAGS, cells), dtype=np.bool_)
+        self.rows, self.flags = np.empty((BESIDE, cells)), np.empty((FLAGS, cells), dtype=np.bool_)
         self.weights: TurnWeights | None = None
         """that ``rows`` were made with; None: with none"""
 
@@ -53,7 +77,7 @@ class Beside:
         return type(self), (self.memory,)
 
 
-class Rows:
+class MemoryRows:
     """The rows of one ``memory`` (rows, m) by name, and arrays for intermediate results."""
 
     def __init__(self, memory: FloatArray) -> None:
@@ -75,25 +99,28 @@ class Rows:
         self.share = np.empty((2, cells))
         self.rising_share, self.recovery_share = self.share
         self.rising_kpa, self.recovery_kpa = self.pressures
-        self.beside = np.empty((loops.ROWS, cells))
-        """what follows from the memory, rows as in :mod:`._turning_loops`"""
-        self.unsure, self.threshold, self.spare, self.noise, self.ahead, self.nearby = self.beside[:6]
-        self.not_in_force, self.of_model = self.beside[6:8], self.beside[10:]
+        self.beside = np.empty((BESIDE, cells))
+        self.unsure, self.threshold, self.spare, self.noise, self.ahead, self.nearby = self.beside[: NEARBY + 1]
+        self.not_in_force, self.of_model = self.beside[NOT_RISING : NOT_RECOVERY + 1], self.beside[GAIN_IN_FORCE:]
         self.not_rising, self.not_recovery = self.not_in_force
-        self.confirming_sigmas, self.confirming_turns = self.beside[8:10]
-        """how far the model that was left must have gone back for a turn to be certain: standard deviations, and turns
-        of pressures that are known exactly"""
+        self.confirming_sigmas, self.confirming_turns = self.beside[CONFIRMING_SIGMAS : CONFIRMING_TURNS + 1]
         self._gain, self.other_gain, self.fade = self.of_model
-        self.flags = np.empty((loops.FLAGS, cells), dtype=np.bool_)
-        self.rises = memory[IN_FORCE.start + RISING]
+        self.flags = np.empty((FLAGS, cells), dtype=np.bool_)
+        self.rises = memory[RISING_IN_FORCE]
         """1 where the rising model is in force, else none"""
         self.where, self.held, self.confirmed = self.flags
         self.none = np.zeros(cells, dtype=np.bool_)
         self._weights: TurnWeights | None = None
 
-    def __reduce__(self) -> tuple[type[Rows], tuple[FloatArray]]:
+    def __reduce__(self) -> tuple[type[MemoryRows], tuple[FloatArray]]:
         """For pickle and copy: rows of the memory are parts of it, which would become arrays of their own."""
         return type(self), (self.memory,)
+
+    def take(self, r: FloatArray) -> None:
+        """Keep the pressures of the last frames, and take the readings ``r`` (m,)."""
+        self.before[...] = self.until_before
+        self.last[...] = self.pressure
+        self.r[...] = r
 
     def take_gains(self, weights: TurnWeights, *, anew: bool = False) -> None:
         """What depends on the hypothesis in force; ``anew``: another one may be in force than in the last frame."""
@@ -106,3 +133,32 @@ class Rows:
             self.confirming_turns[...] = _CONFIRMED.take(self.sign > _ZERO)
             np.multiply(self.confirming_turns, _SURE, self.confirming_sigmas)
         self._weights = weights
+
+
+@loop
+def take_each(memory: Rows, taken: Rows) -> None:
+    """:meth:`MemoryRows.take` as a loop over cells, for readings ``taken`` (4, m)."""
+    for i in range(memory.shape[1]):
+        memory[THIRD_LAST, i] = memory[BEFORE_LAST, i]
+        memory[BEFORE_LAST, i] = memory[LAST, i]
+        memory[LAST, i] = memory[PRESSURE, i]
+        memory[STATE_END - 1, i] = taken[SMOOTHED, i]
+
+
+@loop
+def take_gains_of(memory: Rows, i: int, by_model: Rows, of: Rows) -> None:
+    """Write into ``of`` (BESIDE, m), for cell ``i``, what depends on its hypothesis in force and on the time step."""
+    rising, recovery = memory[RISING_IN_FORCE, i], memory[RECOVERY_IN_FORCE, i]
+    memory[GAIN, i] = by_model[0, 0] * rising + by_model[0, 1] * recovery
+    of[OTHER_GAIN, i] = by_model[1, 0] * rising + by_model[1, 1] * recovery
+    of[FADE, i] = by_model[2, 0] * rising + by_model[2, 1] * recovery
+    of[NOT_RISING, i], of[NOT_RECOVERY, i] = recovery, rising
+    turns = CONFIRMED_RISE if memory[SIGN, i] > 0.0 else CONFIRMED_FALL
+    of[CONFIRMING_SIGMAS, i], of[CONFIRMING_TURNS, i] = turns * SURE, turns
+
+
+@loop
+def take_gains_each(memory: Rows, by_model: Rows, of: Rows) -> None:
+    """:meth:`MemoryRows.take_gains` as a loop over cells."""
+    for i in range(memory.shape[1]):
+        take_gains_of(memory, i, by_model, of)

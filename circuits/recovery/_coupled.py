@@ -4,6 +4,7 @@ A frame goes through the stages of :meth:`CoupledLive._read`:
 
 ======================================  ================================================================
 readings at limits are left out         :mod:`._readings_at_limits`
+what lines that broke do to the others  :mod:`._broken_lines`
 a start                                 the last frame's cells, or :mod:`._closed_start`
 steps within the frame's budget         :mod:`._gauss_newton`, :mod:`._linearised`, :mod:`._frame_budget`
 how well the cells give the readings    :meth:`CoupledLive._judge_misfit`
@@ -19,7 +20,7 @@ What does not change from frame to frame, and the circuit model, are in :mod:`._
 from __future__ import annotations
 
 from functools import partial
-from math import inf
+from math import hypot, inf
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,7 @@ from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._board import Board
 from ._below_range import BelowRange
+from ._broken_lines import BrokenLines
 from ._closed_start import ClosedStart
 from ._column_scales import ColumnScales
 from ._coupled_board import Compared, CoupledBoard, Frame, Known
@@ -95,6 +97,7 @@ class CoupledLive:
         self._scales = ColumnScales(parts)
         self._solutions = FollowerSolutions(parts)
         self._below = BelowRange(parts)
+        self._broken = BrokenLines(parts)
         self._convergence = Convergence()
         self._steps = GaussNewton(parts, self._linearised, self._convergence)
         self._known: Known | None = None  # where the last frame ended
@@ -134,6 +137,11 @@ class CoupledLive:
         selection = self._limits.select(signal, limited, error, self._convergence)
         if not selection.tells:
             return self._nothing(selection.at_limit)
+        read = volts
+        if self._broken.applies and self._settled is not None and self._broken.change_notably(signal):
+            spread = self._linearised.spread * hypot(1.0, noise / self._parts.noise)
+            volts = self._broken.without(read, self._settled, spread)
+            signal = np.abs(volts - self._parts.board.level)
         frame = self._parts.frame(volts, signal, noise, selection.ignored)
         known, by_lost = self._usual_start(frame, selection, budget)
         start = self._nearer_start(frame, known, budget)
@@ -147,6 +155,8 @@ class CoupledLive:
         self._steps.settle(fit)
         if not self._convergence.astray:
             self._settled = fit.known.log
+            if self._broken.applies:
+                self._broken.remember(read, error)
         if selection.lost_rows is not None:
             conductance = 1.0 / fit.known.cells
             by_lost = self._rows.change(frame, selection.lost_rows, selection.at_limit, conductance)
@@ -275,6 +285,8 @@ class CoupledLive:
                 by_columns = by_columns * (1.0 + leads / fit.known.cells).ravel()
         if frame.bottom is not None:
             others = others + self._below(frame, fit.known, base)
+        if self._broken.beyond is not None:
+            others = others + self._broken.change(frame.volts, base)
         fitted = by_readings + others + doubt
         return _Open(others + by_columns, fitted, fitted + by_columns)
 
@@ -301,6 +313,8 @@ class CoupledLive:
 
         """
         beside = selection.beside
+        if self._broken.beyond is not None:  # what still comes through a break is no cell's reading
+            beside = beside | (self._broken.beyond & (frame.signal > frame.error))
         if short is not None:  # its lines carry what no derivative tells
             beside = beside | short.any(axis=1, keepdims=True) | short.any(axis=0, keepdims=True)
         if not self._convergence.astray:

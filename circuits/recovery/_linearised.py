@@ -213,6 +213,11 @@ class Linearised:
         return self._base
 
     @property
+    def spread(self) -> FloatArray | float:
+        """(n,) standard deviations of the logarithms by rounding, by the linear model; 0: there is none yet."""
+        return 0.0 if self._base is None else self._base.std
+
+    @property
     def under_way(self) -> bool:
         """Whether instalments of a new base have been made, and more are to come."""
         return self._renewal is not None

@@ -1,0 +1,295 @@
+"""Whether the pressure of the paper's cell has turned, as the model in force sees it, and whether a turn was none.
+
+A pressure has turned when it has gone back from its extreme by more than noise and what fades in the memory make of a
+load that is held. That the other hypothesis is then taken over is not the end of it: until the model that was left has
+gone back, too, by its own account, the turn may yet be found to have been noise. A rise that the recovery model does
+not share is no rise, and is refuted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from ...compiled import Row, Rows, loop
+from ..estimation import FAR, GAIN, LOADS, PRESSURE
+from ..materials import PaperModel
+from ._paper_steps import TurnWeights
+from ._turning_rows import (
+    AHEAD,
+    CONFIRMING_SIGMAS,
+    CONFIRMING_TURNS,
+    DRIFT_KPA,
+    EXTREME,
+    LEFT,
+    NOISE,
+    NOT_RECOVERY,
+    NOT_RISING,
+    OTHER_GAIN,
+    PEAK,
+    RECENT_EXTREME,
+    RECOVERY_IN_FORCE,
+    RECOVERY_KPA,
+    RISING_IN_FORCE,
+    RISING_KPA,
+    SIGN,
+    SPARE,
+    STATE_END,
+    SURE,
+    THIRD_LAST,
+    UNSURE,
+    MemoryRows,
+)
+
+TURN, LIGHT_TURN, TURN_SHARE = 0.01, 0.002, 0.02
+"""how far a pressure that is known exactly must have gone back for a turn: the second of full scale and the third of
+the extreme, but no more than the first of full scale. Errors of the memory grow with the load, and look like turns as
+they fade. Near none, a larger limit would miss light taps, and the paper's cell keeps a part of each that is missed"""
+EXACTLY = 1e-9
+"""of full scale: rounding"""
+LESS = 2.0
+"""standard deviations of the smoothed noise by which an extreme counts for less. The largest of many readings is too
+large by about as many; with more, the end of a tap of few frames would be missed"""
+STILL = 1.5
+"""standard deviations of the reading by which a load that seems to have fallen must be above none. Such a fall may be
+steps of the ADC, of any reading that the resistance follows from; most loads that fall are released"""
+SHARED, CLEAR_RISE = 0.2, 0.05
+"""share of a rise by which the recovery model must have risen, too, or else the rise is refuted; and how large, of full
+scale, a rise must be to be refuted. Where a cell recovers under a light hold, the rising model takes the recovery for a
+load that grows, while the recovery model is almost constant. A press raises both models by about as much. A press of
+some seconds that begins while the cell recovers raises them less alike: a share of 0.5 would refute some of these"""
+SHARED_FALL, CLEAR_FALL = 0.3, 0.02
+"""share of a fall of the recovery model, as the rising model answers it, up to which a fall of the rising model may be
+an error of its memory that fades, or a line that overshot; and the fall, of full scale, from which this is so. Where
+much is remembered, the resistance under a load that is held falls so fast that the recovery model takes it for a
+release, while the rising model is almost constant. A release takes both models back"""
+FALLING = 6.0
+"""standard deviations of the smoothed noise by which a pressure that goes back in three frames is that of a load that
+falls, whatever the share: smooth loads of little noise turn so. By as many, and :data:`LIGHT_TURN`, a pressure must
+have gone back from a recent extreme for a turn"""
+
+TURN_KPA, LIGHT_KPA, LEAST_KPA, EXACT_KPA, CLEAR_RISE_KPA, CLEAR_FALL_KPA, FALL_SHARE, STEPS = range(10, 18)
+"""places of numbers, behind those of :mod:`._limits`: what makes a turn, and a light one; the least pressure, below
+which nothing turns; rounding; rises and falls that are clear; :data:`SHARED_FALL` as the recovery model answers it; and
+the standard deviation of r at rest by the steps of all readings that it follows from, 0: unknown"""
+_ZERO, _FAR, _SURE, _LESS, _TURN_SHARE, _SHARED, _FALLING = (
+    np.array(x) for x in (0.0, FAR, SURE, LESS, TURN_SHARE, SHARED, FALLING)
+)
+# As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
+
+
+def fast_r(model: PaperModel) -> tuple[float, float]:
+    """R per kPa of a fast change, in the rising and in the recovery model."""
+    return 1 / model.eu1_kpa + 1 / model.etau2_kpa, 1 / model.e1_kpa
+
+
+def numbers_of(model: PaperModel, full_scale_kpa: float, *, exact: bool, steps: float) -> dict[int, float]:
+    """Numbers of the places above; ``exact``: readings are taken as they are; ``steps`` as :data:`STEPS`."""
+    rise_r, fall_r = fast_r(model)
+    return {
+        TURN_KPA: TURN * full_scale_kpa,
+        LIGHT_KPA: LIGHT_TURN * full_scale_kpa,
+        # What is below zero is an error that fades, and no turn.
+        LEAST_KPA: LOADS[0] * full_scale_kpa if exact else 0.0,
+        EXACT_KPA: EXACTLY * full_scale_kpa,
+        CLEAR_RISE_KPA: CLEAR_RISE * full_scale_kpa,
+        CLEAR_FALL_KPA: CLEAR_FALL * full_scale_kpa,
+        FALL_SHARE: SHARED_FALL * fall_r / rise_r,
+        STEPS: steps,
+    }
+
+
+def turn_from(extreme: FloatArray, limit: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
+    """Write into ``limit`` (m,) how far exact pressures in kPa must go back from ``extreme`` (m,) for a turn."""
+    np.abs(extreme, out=limit)
+    limit *= _TURN_SHARE
+    limit += numbers[LIGHT_KPA]
+    np.minimum(limit, numbers[TURN_KPA], out=limit)
+
+
+def look(of: MemoryRows, std: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
+    """Look at the hypothesis in force, for readings that noise leaves ``std`` (m,) in.
+
+    Writes the pressure, its standard deviation by noise, how far it is ahead in its direction, and how far it may seem
+    to have gone back without a turn, as threshold.
+    """
+    np.multiply(of.pressures, of.in_force, of.share)
+    np.add(of.rising_share, of.recovery_share, of.pressure)
+    np.multiply(std, of.gain, of.unsure)
+    of.threshold[...] = _seeming(of, numbers)
+    if numbers[STEPS].item() > 0.0:
+        _doubt_falls(of, std, numbers[STEPS])
+    np.maximum(of.pressure, numbers[LEAST_KPA], out=of.ahead)
+    of.ahead *= of.sign
+
+
+def _seeming(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> FloatArray:
+    """(m,) kPa by which pressures may seem to go back though the load has not turned.
+
+    Under a load that rises this is no more than a share of what the recovery model has gone back by, and none where the
+    pressure has gone back by more than noise in the last three frames.
+    """
+    shared: FloatArray = np.subtract(of.extreme, of.recovery_kpa, of.spare)
+    shared -= numbers[CLEAR_FALL_KPA]
+    np.maximum(shared, _ZERO, out=shared)
+    shared *= numbers[FALL_SHARE]
+    np.minimum(shared, of.drift, out=shared)
+    falls = np.subtract(of.third_last, of.pressure, of.nearby)
+    np.copyto(shared, _ZERO, where=np.greater(falls, of.unsure * _FALLING, of.where))
+    np.copyto(shared, of.drift, where=np.less(of.sign, _ZERO, of.where))
+    return shared
+
+
+def _doubt_falls(of: MemoryRows, std: FloatArray, steps: FloatArray) -> None:
+    """Let a load that seems to fall, and not to none, fall by more than steps of the ADC; changes the threshold."""
+    other = (of.pressures * of.not_in_force).sum(axis=0)
+    scale = of.r + 1.0
+    by_steps = scale * scale * steps
+    falls = (of.sign > 0.0) & (other > np.maximum(by_steps, std) * of.other_gain * STILL)
+    of.threshold += np.where(falls, np.maximum(by_steps - std, 0.0) * of.gain * (SURE + LESS), 0.0)
+
+
+def gone_back(of: MemoryRows, numbers: tuple[FloatArray, ...]) -> BoolArray:
+    """(m,) where pressures have gone back by a turn, from the extreme or, by less, from the recent one.
+
+    In recovery the latter fades as the error of the memory does, so that this may seem no turn twice.
+    """
+    turn_from(of.extreme, of.nearby, numbers)
+    of.nearby += np.multiply(of.unsure, _SURE, of.spare)
+    of.nearby += of.threshold
+    turned: BoolArray = np.greater(np.subtract(of.extreme, of.ahead, of.spare), of.nearby, of.where)
+    np.multiply(of.unsure, _FALLING, of.nearby)
+    of.nearby += numbers[LIGHT_KPA]
+    of.nearby += np.multiply(of.threshold, of.rises, of.spare)
+    turned |= np.greater(np.subtract(of.recent_extreme, of.ahead, of.spare), of.nearby, of.held)
+    return turned
+
+
+def other_gone_back(of: MemoryRows, std: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """How far the other hypothesis is behind the extreme that was left, and its standard deviation by noise."""
+    np.multiply(of.pressures, of.not_in_force, of.share)
+    back = np.add(of.rising_share, of.recovery_share, of.spare)
+    back *= of.sign
+    back += of.left
+    return back, np.multiply(of.other_gain, std, of.noise)
+
+
+def refuted(
+    of: MemoryRows, turned: BoolArray, std: FloatArray, weights: TurnWeights, numbers: tuple[FloatArray, ...]
+) -> BoolArray:
+    """(m,) where a rise is refuted that has just ``turned`` the pressure (m,), or is not confirmed yet.
+
+    The recovery model then does not share the rise (:data:`SHARED`). The largest of many noisy pressures makes a
+    turn, so that the share seems larger than it is by :data:`LESS` deviations. The recovery model stays in force,
+    or comes back into force, with all that it remembers. The rising model begins anew where the pressure is. By
+    how much the two differed stays in the standard deviation.
+    """
+    taken = of.left < _FAR
+    refuted: BoolArray = taken | turned
+    refuted &= taken == (of.sign > _ZERO)
+    begun = np.where(taken, of.left, of.extreme)  # the pressure then, with its sign turned
+    rise, shared = begun + of.rising_kpa, begun + of.recovery_kpa
+    rising_gain, recovery_gain = weights.by_model[0]
+    refuted &= shared < rise * _SHARED + std * (LESS * recovery_gain)
+    refuted &= rise > numbers[CLEAR_RISE_KPA] + std * (SURE * rising_gain)
+    return refuted
+
+
+def begin_at_refuted(of: MemoryRows, refuted: BoolArray) -> None:
+    """Take the pressure for the extreme where a rise was ``refuted`` (m,)."""
+    np.copyto(of.peak, of.ahead - of.unsure, where=refuted)
+    np.copyto(of.extreme, of.ahead - of.unsure * _LESS, where=refuted)
+    np.copyto(of.recent_extreme, of.extreme, where=refuted)
+
+
+def confirm(of: MemoryRows, back: FloatArray, noise: FloatArray, numbers: tuple[FloatArray, ...]) -> None:
+    """Confirm turns of which the model that was left says so, too: no noise goes back by what is a turn in both.
+
+    ``back`` and ``noise`` (m,) are those of :func:`other_gone_back`. Marks in ``of.confirmed`` what was confirmed.
+    """
+    noise *= of.confirming_sigmas
+    turn_from(of.left, of.nearby, numbers)
+    of.nearby *= of.confirming_turns
+    noise += of.nearby
+    confirmed = np.greater_equal(back, noise, of.confirmed)
+    confirmed &= of.left < _FAR
+    rise = np.add(of.left, of.rising_kpa, of.nearby)
+    rise *= _SHARED
+    confirmed &= np.greater_equal(back, rise, of.held) | (of.sign < _ZERO)
+    np.copyto(of.left, _FAR, where=confirmed)
+
+
+@loop
+def turn_from_of(extreme: float, numbers: Row) -> float:
+    """:func:`turn_from` of one cell."""
+    return float(min(abs(extreme) * TURN_SHARE + numbers[LIGHT_KPA], numbers[TURN_KPA]))
+
+
+@loop
+def seeming_of(memory: Rows, i: int, unsure: float, numbers: Row) -> float:
+    """By how much the pressure of cell ``i``, of noise ``unsure``, may seem to go back though it has not turned."""
+    drift = memory[DRIFT_KPA, i]
+    if memory[SIGN, i] > 0.0:
+        shared = memory[EXTREME, i] - memory[RECOVERY_KPA, i] - numbers[CLEAR_FALL_KPA]
+        drift = min(drift, max(shared, 0.0) * numbers[FALL_SHARE])
+        if memory[THIRD_LAST, i] - memory[PRESSURE, i] > unsure * FALLING:
+            drift = 0.0
+    return float(drift)
+
+
+@loop
+def look_of(memory: Rows, i: int, std: float, of: Rows, numbers: Row) -> bool:
+    """:func:`look` at cell ``i``; whether it has gone back by a turn, or an earlier turn was noise."""
+    rising, recovery = memory[RISING_KPA, i], memory[RECOVERY_KPA, i]
+    pressure = rising * memory[RISING_IN_FORCE, i] + recovery * memory[RECOVERY_IN_FORCE, i]
+    sign = memory[SIGN, i]
+    unsure = std * memory[GAIN, i]
+    ahead = max(pressure, numbers[LEAST_KPA]) * sign
+    other = rising * of[NOT_RISING, i] + recovery * of[NOT_RECOVERY, i]
+    back = other * sign + memory[LEFT, i]
+    noise = of[OTHER_GAIN, i] * std
+    memory[PRESSURE, i] = pressure
+    of[UNSURE, i], of[AHEAD, i], of[SPARE, i], of[NOISE, i] = unsure, ahead, back, noise
+    seeming = seeming_of(memory, i, unsure, numbers)
+    if numbers[STEPS] > 0.0 and sign > 0.0:
+        scale = memory[STATE_END - 1, i] + 1.0
+        by_steps = scale * scale * numbers[STEPS]
+        if other > max(by_steps, std) * of[OTHER_GAIN, i] * STILL:
+            seeming += max(by_steps - std, 0.0) * memory[GAIN, i] * (SURE + LESS)
+    least = turn_from_of(memory[EXTREME, i], numbers) + unsure * SURE
+    gone_back = memory[EXTREME, i] - ahead > least + seeming
+    least = numbers[LIGHT_KPA] + unsure * FALLING
+    if sign > 0.0:
+        least += seeming
+    gone_back |= memory[RECENT_EXTREME, i] - ahead > least
+    return bool(gone_back or back < noise)
+
+
+@loop
+def refuted_of(memory: Rows, i: int, std: float, by_model: Rows, numbers: Row) -> bool:
+    """Whether the recovery model did not share the rise of cell ``i``, which is taken over or is to be."""
+    begun = memory[LEFT, i] if memory[LEFT, i] < FAR else memory[EXTREME, i]  # the pressure then, sign turned
+    rise, shared = begun + memory[RISING_KPA, i], begun + memory[RECOVERY_KPA, i]
+    clear = rise > numbers[CLEAR_RISE_KPA] + std * (SURE * by_model[0, 0])
+    return bool(clear and shared < rise * SHARED + std * (LESS * by_model[0, 1]))
+
+
+@loop
+def begin_at_refuted_of(memory: Rows, i: int, of: Rows) -> None:
+    """:func:`begin_at_refuted` in cell ``i``."""
+    memory[PEAK, i] = of[AHEAD, i] - of[UNSURE, i]
+    memory[EXTREME, i] = of[AHEAD, i] - of[UNSURE, i] * LESS
+    memory[RECENT_EXTREME, i] = memory[EXTREME, i]
+
+
+@loop
+def confirm_of(memory: Rows, i: int, of: Rows, numbers: Row) -> bool:
+    """:func:`confirm` of cell ``i``, whose turn is unconfirmed, after :func:`look_of`."""
+    least = of[NOISE, i] * of[CONFIRMING_SIGMAS, i]
+    least += turn_from_of(memory[LEFT, i], numbers) * of[CONFIRMING_TURNS, i]
+    shared = (memory[LEFT, i] + memory[RISING_KPA, i]) * SHARED
+    shares = of[SPARE, i] >= shared or memory[SIGN, i] < 0.0
+    confirmed = of[SPARE, i] >= least and shares
+    if confirmed:
+        memory[LEFT, i] = FAR
+    return bool(confirmed)

@@ -1,0 +1,189 @@
+"""Lines that break while a board is read: fault detection and isolation by comparing hypotheses (Isermann 2006).
+
+Cells beyond a complete break of their line have no reading any more, but conduct. Where idle lines float they tie the
+lines that they lie on to each other: of a divider whose idle columns float, the cells of a broken row join its columns,
+which stand near the drive while they are not read, so that each column's readings grow. Cells of the other rows then
+read as if they conducted better, in an 8 x 8 array by 8/7 at rest, and far more where the broken row's cells do.
+
+One frame does not tell that from a row whose cells are open. The frame before does: a break changes the readings of the
+other lines, contacts that open do not. Where all readings from one place of a line to its end fall at once, both
+hypotheses say what the other readings become of the cells as they last were. A break is taken for one where it comes
+at least twice as near.
+
+Of a broken line the readings of all others are then brought to what they would be if its cells were open, by the ratio
+of two models at the last cells (deferred correction). The cells that nobody reads are taken to be as they last were.
+What the correction changes counts as uncertainty of the others, which allows for anything from open cells to about
+twice the conductance.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+
+from ...arrays import BoolArray, FloatArray
+from ...errors import SolverError
+from .._exact import read_exactly
+from ._coupled_board import CoupledBoard
+from ._linearised import Base
+
+_FELL = 0.25  # share of its last reading below which a cell may be beyond a break
+_RENEWED = 8  # frames between notes of the usual readings, after as many first ones
+_CLEAR = 8.0  # times its error that a reading must have been for that, so that noise alone does not take it there
+_LEAST_CELLS = 2  # beyond a break that tie lines
+_NEARER = 0.5  # of the distance between readings and open cells, at which a break explains them
+_OPEN = -46.0  # logarithm of a conductance that is none: 1e-20 S
+_SERVES = 0.05  # change of a logarithm up to which the correction is kept, which changes far less
+_NOISE = 5.0  # standard deviations of a logarithm up to which likewise: noise is not to come back by the correction
+
+
+class BrokenLines:
+    """The lines of one board that have broken since it was first read. Arrays are (N, M) in line coordinates."""
+
+    def __init__(self, parts: CoupledBoard) -> None:
+        """For a board."""
+        board, circuit = parts.board, parts.board.circuit
+        self._parts = parts
+        self._columns_tie = board.floating
+        self._rows_tie = not circuit.has_amplifiers and circuit.columns_one_by_one(board)
+        sound = parts.sheet is None and not board.faults and not circuit.drives_idle_lines
+        self.applies = sound and (self._columns_tie or self._rows_tie)
+        """whether cells beyond a break would change other readings"""
+        self._before = np.full(parts.shape, -inf)  # V below which a reading has fallen
+        self._age = 0  # frames that have settled
+        self.beyond: BoolArray | None = None
+        """cells beyond breaks; None: no line is broken"""
+        self._held: FloatArray = np.zeros(parts.shape)  # logarithms of conductances, where a cell is beyond a break
+        self._broken = board
+        self._ratio: FloatArray = np.ones(parts.shape)  # of readings, with open cells to those beyond a break
+        self._at: FloatArray | None = None  # (n,) logarithms for which that holds
+
+    def change_notably(self, signal: FloatArray) -> bool:
+        """Whether readings, in V from the reference voltage, are to be taken :meth:`without` what breaks do to them."""
+        return self.beyond is not None or bool(np.count_nonzero(signal < self._before) >= _LEAST_CELLS)
+
+    def without(self, volts: FloatArray, last: FloatArray, std: FloatArray | float) -> FloatArray:
+        """Readings in V as they would be if the cells beyond breaks were open.
+
+        Args:
+            volts: the readings of a frame.
+            last: (n,) logarithms of the conductances of the last frame that has settled.
+            std: (n,) standard deviations of these by rounding and noise.
+
+        """
+        signal = volts - self._parts.board.level
+        self._look(signal, np.abs(signal) < self._before, last.reshape(self._parts.shape))
+        if self.beyond is None:
+            return volts
+        if self._at is None or bool((np.abs(last - self._at) > np.maximum(_SERVES, _NOISE * std)).any()):
+            self._take_ratio(last)
+        corrected: FloatArray = self._parts.board.level + signal * self._ratio
+        return corrected
+
+    def remember(self, volts: FloatArray, error: float) -> None:
+        """Note the readings in V, which may be off by ``error``, of a frame that has settled; some frames suffice."""
+        self._age += 1
+        if self._age % _RENEWED and self._age > _RENEWED:
+            return
+        signal = np.abs(volts - self._parts.board.level)
+        before = np.where(signal > _CLEAR * error, _FELL * signal, -inf)
+        self._before = before if self.beyond is None else np.where(self.beyond, self._before, before)
+
+    def change(self, volts: FloatArray, base: Base) -> FloatArray:
+        """Relative change (n,) of the conductances by what has been taken out of the readings, in V."""
+        signal = volts - self._parts.board.level
+        changed: FloatArray = np.expm1(np.abs(base.step((signal * (1.0 - 1.0 / self._ratio)).ravel())))
+        return changed
+
+    def _look(self, signal: FloatArray, low: BoolArray, last: FloatArray) -> None:
+        """Find the lines that are broken now, given the readings and those that have fallen (``low``)."""
+        beyond = self._ends_of_lines(low)
+        known = np.zeros_like(low) if self.beyond is None else self.beyond
+        if np.array_equal(beyond, known):
+            return
+        held = np.where(known, self._held, last)
+        if (beyond & ~known).any() and not self._breaks(signal, beyond, low, held):
+            beyond &= known
+            self._before[low & ~known] = -inf  # these contacts have opened
+        self._held, self._at = held, None
+        self.beyond = beyond if beyond.any() else None
+        if self.beyond is not None:
+            self._break(beyond)
+
+    def _ends_of_lines(self, low: BoolArray) -> BoolArray:
+        """Cells from some place to the far end of their line, none of which is read."""
+        silent = low | (self._before == -inf)  # of the latter nothing is known
+        found = np.zeros_like(low)
+        if self._rows_tie:
+            found |= np.logical_and.accumulate(silent[:, ::-1], axis=1)[:, ::-1] & _several(low, axis=1)
+        if self._columns_tie:
+            found |= np.logical_and.accumulate(silent, axis=0) & _several(low, axis=0)
+        return found if not found.all() else np.zeros_like(low)
+
+    def _breaks(self, signal: FloatArray, beyond: BoolArray, low: BoolArray, cells: FloatArray) -> bool:
+        """Whether other readings have become what they become by a break, rather than by open cells.
+
+        Args:
+            signal: V of a frame.
+            beyond: cells that a break would cut off.
+            low: readings that have fallen.
+            cells: logarithms of the conductances before.
+
+        """
+        self._break(beyond)
+        try:
+            if_broken = self._through_breaks(cells)
+        except SolverError:
+            return False
+        if_open = self._if_open(cells, beyond)
+        others = ~(beyond | low)
+        by_break, by_opening = (float(np.abs(signal - volts)[others].sum()) for volts in (if_broken, if_open))
+        return by_break < _NEARER * by_opening
+
+    def _break(self, beyond: BoolArray) -> None:
+        """Make the board whose lines are broken where cells ``beyond`` begin."""
+        board = self._parts.board
+        row_ohms, column_ohms, column_lead = board.row_ohms.copy(), board.column_ohms.copy(), board.column_lead.copy()
+        if self._rows_tie:
+            to_end = np.logical_and.accumulate(beyond[:, ::-1], axis=1)[:, ::-1]
+            for row in np.flatnonzero(to_end.sum(axis=1) >= _LEAST_CELLS):
+                row_ohms[row, to_end[row].argmax()] = inf
+        if self._columns_tie:
+            count = np.logical_and.accumulate(beyond, axis=0).sum(axis=0)
+            for column in np.flatnonzero(count >= _LEAST_CELLS):
+                if count[column] < len(beyond):
+                    column_ohms[count[column], column] = inf
+                else:
+                    column_lead[column] = inf
+        self._broken = replace(board, row_ohms=row_ohms, column_ohms=column_ohms, column_lead=column_lead)
+
+    def _take_ratio(self, last: FloatArray) -> None:
+        """Compare the models of the sound board and of the broken one at logarithms (n,) of conductances."""
+        assert self.beyond is not None, "a line is broken"
+        cells = np.where(self.beyond, self._held, last.reshape(self._parts.shape))
+        try:
+            through = self._through_breaks(cells)
+        except SolverError:
+            return
+        if_open = self._if_open(cells, self.beyond)
+        self._at, tells = last, (through != 0.0) & ~self.beyond
+        self._ratio = np.divide(if_open, through, out=np.ones_like(through), where=tells)
+
+    def _through_breaks(self, cells: FloatArray) -> FloatArray:
+        """V of the broken board, for logarithms of conductances."""
+        volts: FloatArray = read_exactly(self._broken, np.exp(-cells))[0].volts - self._parts.board.level
+        return volts
+
+    def _if_open(self, cells: FloatArray, open_cells: BoolArray) -> FloatArray:
+        """V of the sound board with open cells, for logarithms of conductances."""
+        log = np.where(open_cells, _OPEN, cells).ravel()
+        volts: FloatArray = self._parts.at(log).volts.reshape(cells.shape) - self._parts.board.level
+        return volts
+
+
+def _several(low: BoolArray, axis: int) -> BoolArray:
+    """Whether lines along an axis have several such cells."""
+    several: BoolArray = low.sum(axis=axis, keepdims=True) >= _LEAST_CELLS
+    return several
