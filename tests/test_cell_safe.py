@@ -295,6 +295,17 @@ def test_a_skin_at_rest_sleeps_and_wakes() -> None:
     assert np.flatnonzero(found > 1.0).tolist() == [4]
 
 
+def test_most_cells_of_a_skin_at_rest_sleep_within_ten_frames() -> None:
+    """A slow reader of 4,096 cells got frames that were 2.4 periods old while all of them were followed."""
+    rng, estimator = np.random.default_rng(3), EXAMPLE.estimator((200,))
+    pressed = np.arange(200) % 10 == 0
+    for _ in range(10):
+        estimator.step(0.01, 1e4 * np.where(pressed, 1.3, 1.0) * (1 + 1e-3 * rng.standard_normal(200)))
+    asleep = ~estimator._sleep.awake
+    assert not asleep[pressed].any()
+    assert np.count_nonzero(asleep) >= 0.7 * np.count_nonzero(~pressed)
+
+
 @pytest.mark.parametrize("frames", [300, 319])  # just after, and long after, the last look at cells that sleep
 def test_a_cell_whose_sleep_was_saved_wakes_at_the_first_press(frames: int) -> None:
     rng = np.random.default_rng(2)
