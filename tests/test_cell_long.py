@@ -250,7 +250,7 @@ def test_a_load_that_relaxes_slowly_reads_as_one_that_rises() -> None:
     assert error[grip].max() < 0.13 * FULL
     assert (error / std)[grip].max() < 2.5
     assert (error / std)[time > 9.0].max() < 2.0
-    assert error[time > 9.0].max() < 0.08 * FULL
+    assert error[time > 9.0].max() < 0.04 * FULL  # 5 % where nothing is taken back when the turn is noticed
     assert error[-1] < 0.02 * FULL
 
 
@@ -292,6 +292,7 @@ def test_holds_that_waver_are_followed(noise: float, rms: float) -> None:
 def test_a_load_that_grows_slowly_after_it_fell_is_within_the_deviations(noise: float) -> None:
     """The cell still recovers from the fall, and the load that grows reads as one that goes on falling."""
     dt, per_s = 0.01, FULL * np.array([0.002, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.05])
+    per_s = np.tile(per_s, 5)  # single draws of noise have 92 to 98 % within two deviations
     time = np.arange(1, 1400) * dt
     held = np.interp(time, [0.5, 0.6, 3.0, 3.1], [0.0, 0.85 * FULL, 0.85 * FULL, 0.3 * FULL])
     error, over = judged(held[:, None] + per_s * np.clip(time - 3.1, 0.0, 9.0)[:, None], dt, noise)

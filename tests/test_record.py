@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import csv
 import json
+import re
+import signal
 import subprocess
 import sys
 import threading
@@ -531,6 +533,19 @@ def test_a_board_that_does_not_introduce_itself_leaves_no_recording_and_replaces
     with pytest.raises(ProtocolError, match="no description within"):
         Skin(Script(b"no packet"), timeout=0.1, record=file, overwrite=True)
     assert [path.read_bytes() for path in tmp_path.iterdir()] == ([] if before is None else [before])
+
+
+def test_a_recording_that_is_interrupted_says_what_it_holds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a duration, that is how it ends."""
+    file, port = tmp_path / "press.mcap", PtyPort()
+    with running(scene(), port), monkeypatch.context() as patch:
+        patch.setattr(Skin, "read", lambda skin, _: next(skin) and signal.raise_signal(signal.SIGINT))
+        assert run(["record", port.name, "-o", str(file)]) == 130
+    said, interrupted = capsys.readouterr().err.splitlines()
+    assert re.search(r"press\.mcap: [1-9]\d* frames, 0 lost, 0 reconnects", said)
+    assert interrupted == "ohmskin: interrupted"
 
 
 def test_the_command_keeps_a_recording_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

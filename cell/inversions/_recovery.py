@@ -20,8 +20,8 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import Places, Row, Rows, loop
-from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE, recent_mean
+from ...compiled import Row, Rows, loop
+from ..estimation import FAR, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE
 from ..estimation import GAIN as GAIN_ROW
 from ..materials import PaperModel
 from ._paper_steps import Constants, borne_before, numbered, step_weights
@@ -202,34 +202,24 @@ def begin_of(memory: Rows, i: int, by_noise: float, most_kpa2: float) -> None:
 
 
 @loop
-def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, cells: Places, numbers: Row) -> None:
-    """:func:`look` as a loop over cells, which takes the mean of the readings itself.
-
-    Args:
-        memory: (rows, m), changed.
-        taken: (4, m) readings of the frame.
-        line: (ROWS, m) memory of the smoothing.
-        ring: (k, n) the last readings of all cells.
-        newest: row of the last of them.
-        cells: (m,) indices.
-        numbers: :func:`constants`.
-    """
+def look_each(memory: Rows, mean: Row, noise: Row, count: Row, numbers: Row) -> None:
+    """:func:`look` as a loop over cells."""
     gain = numbers[GAIN]
-    for i in range(cells.size):
+    for i in range(mean.size):
         memory[PEAK, i] += (memory[EXTREME, i] - memory[PEAK, i]) * numbers[LATELY]
         drift_end = memory[DRIFT_END_KPA, i] + max(memory[TAKEN_OFF_KPA, i], 0.0)
         rising = memory[SIGN, i] > 0.0
         share = numbers[RISING_DRIFT_SHARE] if rising else numbers[DRIFT_SHARE]
         memory[DRIFT_KPA, i] += (drift_end - memory[DRIFT_KPA, i]) * share
-        if rising and line[COUNT, i] >= OLD:
-            memory[DRIFT_KPA, i] = max(memory[DRIFT_KPA, i], taken[NOISE, i] * memory[GAIN_ROW, i] * numbers[BEYOND])
+        if rising and count[i] >= OLD:
+            memory[DRIFT_KPA, i] = max(memory[DRIFT_KPA, i], noise[i] * memory[GAIN_ROW, i] * numbers[BEYOND])
         memory[REST_VARIANCE, i] *= numbers[FADES]
-        if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and line[COUNT, i] >= RECENT - 1.0):
+        if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and count[i] >= RECENT - 1.0):
             continue
-        shown, x3, mean = memory[PRESSURE, i], memory[RECOVERY_X3, i], recent_mean(ring, newest, cells[i])
+        shown, x3 = memory[PRESSURE, i], memory[RECOVERY_X3, i]
         remembered = memory[X2, i] * numbers[BACK_2] + x3 * numbers[BACK_3]
-        pressure = (mean - remembered) * gain
-        by_noise = taken[NOISE, i] * gain
+        pressure = (mean[i] - remembered) * gain
+        by_noise = noise[i] * gain
         by_noise = by_noise * by_noise * (1.0 / RECENT)
         bound = (memory[REST_VARIANCE, i] + by_noise) * numbers[BOUND]
         if not (pressure * pressure < bound and shown * shown < bound):
