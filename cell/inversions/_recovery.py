@@ -30,6 +30,7 @@ from ._turning_rows import (
     DRIFT_KPA,
     EXTREME,
     LEFT,
+    MAY_BEAR_KPA,
     PEAK,
     RECENT_EXTREME,
     RECOVERY_KPA,
@@ -55,8 +56,8 @@ RESTED_SIGMAS = 5.0
 cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows in every
 frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""
 LIGHT = 0.1
-"""share of the variance of the memory that a rest leaves, beside the square of what was subtracted: the released cell
-may have borne a light load after all"""
+"""share of the variance of the memory that a rest leaves, beside the squares of what was subtracted and of a load that
+may have begun (:mod:`._onset`): the released cell may have borne a light load after all"""
 DRIFTS = 2.0
 """standard deviations of the memory's error that may seem to be a turn as the error fades"""
 OVERSHOOT = 3.0
@@ -157,6 +158,7 @@ def variance_at_turn(memory: FloatArray) -> FloatArray:
     """(m,) kPa^2 of the memory of cells that have just turned, less what a rest has averaged away."""
     variance = memory[VARIANCE]
     left_over = variance * LIGHT + memory[TAKEN_OFF_KPA] * memory[TAKEN_OFF_KPA]
+    left_over += memory[MAY_BEAR_KPA] * memory[MAY_BEAR_KPA]
     rested = np.minimum(variance, memory[REST_VARIANCE] + left_over)
     found: FloatArray = np.where(memory[RESTED] > _ZERO, rested, variance)
     return found
@@ -184,7 +186,7 @@ def variance_at_turn_of(memory: Rows, i: int) -> float:
     variance = memory[VARIANCE, i]
     if memory[RESTED, i] > 0.0:
         taken_off = memory[TAKEN_OFF_KPA, i]
-        left_over = variance * LIGHT + taken_off * taken_off
+        left_over = variance * LIGHT + taken_off * taken_off + memory[MAY_BEAR_KPA, i] * memory[MAY_BEAR_KPA, i]
         variance = min(variance, memory[REST_VARIANCE, i] + left_over)
     return float(variance)
 
