@@ -6,7 +6,7 @@ import numpy as np
 
 from ohmskin.circuits import Design
 from ohmskin.circuits.readouts import VoltageFeedback
-from ohmskin.circuits.readouts import _voltage_feedback as feedback
+from ohmskin.circuits.readouts import _pulled_rows as pulled
 
 
 def readout(random: np.random.Generator) -> Design:
@@ -41,12 +41,12 @@ def test_rows_that_are_ruled_out_have_no_second_solution() -> None:
         signal = board.drive * (random.uniform(0.0, 1.0, board.shape) ** random.choice([0.1, 1.0, 6.0]))
         lift = board.loop_share * board.offset - board.inverse_gain * board.level
         least = 10 ** random.uniform(-5, -2)
-        rows = feedback._PulledRows.of(circuit, board, lead, signal, lift, least)
-        together = feedback._rows_together(rows, board, signal, lift, least)
+        rows = pulled.PulledRows.of(board, lead, signal, lift, least, circuit.apparent_conductance(board, signal))
+        together = pulled._rows_together(rows, board, signal, lift, least)
         if rows.second_solutions() is not None or together:
             pulled_at += 1
-            assert feedback._pulls_anywhere(board, float(lead.max()), signal, lift, least)
+            assert pulled._pulls_anywhere(board, float(lead.max()), signal, lift, least)
         else:
-            ruled_out += not feedback._pulls_anywhere(board, float(lead.max()), signal, lift, least)
+            ruled_out += not pulled._pulls_anywhere(board, float(lead.max()), signal, lift, least)
     assert ruled_out > 50
     assert pulled_at > 20

@@ -6,6 +6,7 @@
 :mod:`._row_amplifier`             the same with rows sensed and columns driven
 :mod:`._voltage_divider`           load resistors (the paper's figure 13)
 :mod:`._voltage_feedback`          a load, and a follower that drives all idle lines
+:mod:`._pulled_rows`               rows of shorts that imitate ordinary cells behind a follower
 :mod:`._ends`                      columns that end in a Thevenin equivalent
 :mod:`._linear`                    outputs as a linear function of transfer conductances
 :mod:`._adjoint`                   what the derivatives of readings are made of

@@ -14,39 +14,16 @@ import numpy as np
 
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...errors import SolverError
-from .._parts import LEAST_SHORT_OHM, Parts
+from .._parts import Parts
 from ..solvers import ULP, siemens
 from ._adjoint import SensitivityGroup, TiedPorts
 from ._cards import CardWriter
 from ._circuit import Contradiction, Reading
 from ._ends import sum_of_others, terminate
+from ._pulled_rows import imitated
 from ._quick import QuickFields, QuickNetwork, behind_leads
 from ._rounding import conductance_into_rows
 from ._voltage_divider import VoltageDivider
-
-_CAPPED = 2.0  # times the conductance of a short that a cell may seem to have, by rounding of the readings
-_FAR_ABOVE = 3.0  # times the usual conductance above which a cell is no ordinary one
-_WELL_ABOVE = 10.0  # the same over that of Rref
-_ROUGHLY = 0.7  # of an offset's effect that shows in any case
-_UNNOTICED = 0.1  # share of a reading's error by which other cells may shift it
-_LEAST_DROP = 1e-6  # share of the drive between a driver and the column
-_LEAST_LEFT = 0.01  # share of the drive that a row's lead leaves
-_LEAST_PULLED = 0.1  # share of a cell's drop that the follower takes in a second solution
-_HARDLY_ANY = 2.0  # times a signal that is none that shorts may leave of an ordinary cell's
-_LIFTED = 4.0  # times a follower's offset that ordinary cells beside shorts may read
-_NEAR = 0.02  # of the drive: by how much joined columns may read more than what the offsets alone lift, if that is more
-_LEAST_NONE = 0.1  # share of a board's readings that shorts in several rows leave nothing of
-_HALVINGS = 6  # of the interval that a second solution is in
-_ROUNDS = 8  # of leaving out columns that a second solution cannot be right in
-_MOST_MORE = 1e6  # times as conductive as they seem may all cells of a row be
-_GROWTH = np.concatenate([[1.0], np.geomspace(1.5, _MOST_MORE, 24)])
-
-
-class _Joined(NamedTuple):
-    """S (N, M) from each column to the others by way of a row that has a second solution; 0 in other rows."""
-
-    least: FloatArray
-    most: FloatArray
 
 
 class _Balance(NamedTuple):
@@ -79,269 +56,6 @@ class _Balance(NamedTuple):
         current = self.driven * board.drive - board.bias + self.idle * board.follower_lift
         volts: FloatArray = current / self.slope
         return volts
-
-
-class _PulledRows(NamedTuple):
-    """Rows whose crosspoints the follower pulls at, through cells of a few ohm.
-
-    Idle columns stand at the follower's output, beside the potential V of the sensed column by a share
-    e = 1 / (1 + A) - Vos A / (1 + A) / V of V. With r the row's lead, G the sum of its conductances g, z = r G, and
-    a = drive / V - 1, the balance of currents at the row's crosspoints is
-
-        a = (1 + z) / (Rref g) + (z - r g) e.
-
-    All g that follow from a given z have to sum up to z / r. A second z does so as well as that of ordinary cells.
-    """
-
-    lead: FloatArray
-    """(N,) ohm, r"""
-    apparent: FloatArray
-    """(N, M) S of each cell, if it were alone"""
-    column: FloatArray
-    """(N, M) V, towards the drive"""
-    drop: FloatArray
-    """(N, M) a, the least that it may be"""
-    drop_most: FloatArray
-    """(N, M) and the most"""
-    pulled: FloatArray
-    """(N, M) e, the most that it may be"""
-    pulled_least: FloatArray
-    """(N, M) and the least"""
-    first: FloatArray
-    """(N,) 1 + z of ordinary cells"""
-    largest: FloatArray
-    """(N,) 1 + z up to which most other cells are still ordinary ones"""
-    reference: FloatArray
-    """(M,) ohm, Rref"""
-    most: FloatArray
-    """(N, M) S that a cell has at most with its column's lead"""
-
-    @classmethod
-    def of(
-        cls,
-        circuit: VoltageFeedback,
-        board: Parts,
-        lead: FloatArray,
-        signal: FloatArray,
-        lift: FloatArray,
-        least: float,
-    ) -> _PulledRows:
-        """For readings.
-
-        Args:
-            circuit: the circuit.
-            board: parts of the readout.
-            lead: (N,) ohm between each row's driver and its cells.
-            signal: (N, M) V above the reference.
-            lift: (M,) V of the follower above its column where that is at the reference.
-            least: V of a signal that is none.
-
-        """
-        drive = abs(board.drive)
-        column = _column_potential(board, signal)
-        surely = np.maximum(column - least, 0.0)
-        column = np.maximum(column, least)
-        lifted = lift * np.sign(board.drive)
-        lowest = np.maximum(surely, _LEAST_DROP * drive)
-        above, below = lifted / (column + least), lifted / lowest
-        apparent = circuit.apparent_conductance(board, signal)
-        most = np.broadcast_to(_CAPPED / (board.column_lead + LEAST_SHORT_OHM), signal.shape[1:])
-        largest = np.full(len(signal), inf)
-        if len(signal) > 1:
-            # Followers divide the readings of the other rows' cells by so much at most.
-            with np.errstate(divide="ignore", invalid="ignore"):
-                usual = np.maximum(_usual(surely) - np.abs(lift) / board.inverse_gain, 0.0)
-                joined = _WELL_ABOVE * (drive / usual - 1.0) / board.reference / board.inverse_gain
-                # The best conductor of a row joins its column to others no better than they are joined to the row.
-                largest = 1.0 + lead * (joined.sum() + most.max())
-        first = 1.0 / np.maximum(1.0 - lead * apparent.sum(axis=1), _LEAST_LEFT)
-        return cls(
-            lead=lead,
-            apparent=apparent,
-            column=column,
-            drop=np.maximum(drive / (column + least) - 1.0, _LEAST_DROP),
-            drop_most=np.maximum(drive / lowest - 1.0, _LEAST_DROP),
-            pulled=board.inverse_gain - np.minimum(above, below),
-            pulled_least=board.inverse_gain - np.maximum(above, below),
-            first=first,
-            largest=np.minimum(np.fmin(largest, 1.0 + lead * most.sum()), _MOST_MORE),
-            reference=np.broadcast_to(board.reference, signal.shape[1:]),
-            most=np.broadcast_to(most, signal.shape),
-        )
-
-    def second_solutions(self) -> _Joined | None:
-        """By how much rows that have a second solution join columns; None where no row has one."""
-        # Far below this share of a cell's drop, what the follower pulls changes hardly anything.
-        share = np.maximum(2.0 / self.first - 1.0, _LEAST_PULLED)
-        rows = np.flatnonzero(((self.pulled / self.drop).max(axis=1) * self.largest > share) & (self.lead > 0.0))
-        if not rows.size:
-            return None
-        more = np.minimum(self.first[rows] * _GROWTH[:, None], np.maximum(self.largest, self.first * _GROWTH[0])[rows])
-        second = self._second(rows, more)
-        second[0] = False  # ordinary cells
-        doubtful = np.flatnonzero(second.any(axis=0))
-        if not doubtful.size:
-            return None
-        rows, more, second = rows[doubtful], more[:, doubtful], second[:, doubtful]
-        each, end = np.arange(len(rows)), len(more) - 1
-        above = second.argmax(axis=0)
-        lowest, highest = more[above - 1, each], more[above, each]
-        for _ in range(_HALVINGS):
-            middle = np.sqrt(lowest * highest)
-            exceeds = self._second(rows, middle)
-            lowest, highest = np.where(exceeds, lowest, middle), np.where(exceeds, middle, highest)
-        last = more[np.minimum(end + 1 - second[::-1].argmax(axis=0), end), each]
-        least = self._cells(rows, lowest, self.drop_most[rows], self.pulled_least[rows])
-        most = self._cells(rows, last, self.drop[rows], self.pulled[rows])
-        joined = []
-        for cells in (least, most):
-            through = np.zeros(self.drop.shape)
-            through[rows] = self._through(cells, self.lead[rows, None])
-            joined.append(through)
-        return _Joined(*joined)
-
-    @property
-    def ordinary_through(self) -> FloatArray:
-        """S (N, M) from each column to the others by way of a row of ordinary cells."""
-        return self._through(self.apparent * self.first[:, None], self.lead[:, None])
-
-    @staticmethod
-    def _through(cells: FloatArray, lead: FloatArray) -> FloatArray:
-        """S (R, M) from each column to the others by way of a row of cells (R, M) in S, with leads (R, 1) in ohm."""
-        with np.errstate(divide="ignore"):
-            beside = cells.sum(axis=-1, keepdims=True) - cells + 1.0 / lead
-        through: FloatArray = cells / (1.0 + cells / beside)
-        return through
-
-    def _second(self, rows: IntArray, more: FloatArray) -> BoolArray:
-        """Whether the cells of rows (R,) may sum up to what ``more`` (..., R), 1 + z, follows from."""
-        total: FloatArray = self._cells(rows, more, self.drop[rows], self.pulled[rows]).sum(axis=-1)
-        second: BoolArray = total * self.lead[rows] >= more - 1.0
-        return second
-
-    def _cells(self, rows: IntArray, more: FloatArray, drop: FloatArray, pulled: FloatArray) -> FloatArray:
-        """S (..., R, M) of the cells of rows.
-
-        Args:
-            rows: (R,) their numbers.
-            more: (..., R) 1 + z.
-            drop: (R, M) a.
-            pulled: (R, M) e.
-
-        """
-        falling = drop - (more - 1.0)[..., None] * pulled
-        current = more[..., None] / self.reference
-        root = np.sqrt(np.maximum(falling**2 + 4.0 * current * self.lead[rows, None] * pulled, 0.0))
-        with np.errstate(divide="ignore"):
-            cells: FloatArray = np.minimum(2.0 * current / np.maximum(falling + root, 0.0), self.most[rows])
-        return cells
-
-    def suspect(self, board: Parts, signal: FloatArray, lift: FloatArray, least: float, through: _Joined) -> BoolArray:
-        """(N, M) cells that join columns in whose other rows cells would still be ordinary ones.
-
-        Args:
-            board: parts of the readout.
-            signal: (N, M) V above the reference.
-            lift: (M,) V of the follower above its column where that is at the reference.
-            least: V of a signal that is none.
-            through: how each row joins columns.
-
-        """
-        if len(signal) == 1:
-            return through.most > 0.0
-        rows = np.flatnonzero(through.most.any(axis=1))
-        column = np.maximum(self.column - least, 0.0)
-        # Balance of each cell's column, which the others drive through the row; of a reading that may be none, no cell.
-        # What the cell conducts is linear in how well the row joins columns.
-        others = np.full((len(rows), *signal.shape), inf)
-        for joined in (each[rows][:, None] for each in through):  # one row at a time
-            taken = column * (1.0 / self.reference + joined * board.inverse_gain)
-            given = joined * lift * np.sign(board.drive)
-            cells = np.maximum(taken - given, 0.0) / np.maximum(abs(board.drive) - column, _LEAST_DROP)
-            cells[_ROUGHLY * given > self.column * (1.0 / self.reference + joined * board.inverse_gain)] = inf
-            np.minimum(others, cells, out=others)
-        others[:, np.abs(signal) <= least] = 0.0
-        usual = np.zeros(signal.shape)
-        usual[rows] = _usual(others.transpose(1, 0, 2))
-        suspect = _of_pairs((through.most > 0.0) & (usual <= _WELL_ABOVE / self.reference))
-        elsewhere = self.apparent[~suspect.any(axis=1)][:, ~suspect.any(axis=0)]
-        elsewhere = elsewhere[elsewhere > 0.0]
-        if elsewhere.size:
-            suspect = _of_pairs(suspect & (usual <= _FAR_ABOVE * np.median(elsewhere)))
-        return suspect
-
-
-def _pulls_anywhere(board: Parts, lead: float, signal: FloatArray, lift: FloatArray, least: float) -> bool:
-    """Whether :meth:`_PulledRows.second_solutions` can find a row, by upper bounds that take a fraction of the time.
-
-    Args:
-        board: parts of the readout.
-        lead: ohm, the largest between a row's driver and its cells.
-        signal: (N, M) V above the reference.
-        lift: (M,) V of the follower above its column where that is at the reference.
-        least: V of a signal that is none.
-
-    """
-    drive = abs(board.drive)
-    column = _column_potential(board, signal)
-    most = np.maximum(column, least) + least
-    pulled = board.inverse_gain
-    if lift.any():
-        pulled = pulled + np.abs(lift) / np.minimum(np.maximum(column - least, _LEAST_DROP * drive), most)
-    drop = np.maximum(drive / most - 1.0, _LEAST_DROP)
-    return bool((pulled / drop).max() * _most_more(board, lead, signal.shape[1]) > _LEAST_PULLED)
-
-
-def _column_potential(board: Parts, signal: FloatArray) -> FloatArray:
-    """V (N, M) of the sensed columns' ends, towards the drive, by signals (N, M) in V above the reference."""
-    above = (signal + board.level) / board.loop_share - board.level - board.offset
-    towards_drive: FloatArray = above * np.sign(board.drive)
-    return towards_drive
-
-
-def _most_more(board: Parts, lead: FloatArray | float, columns: int) -> FloatArray | float:
-    """1 + z, see :class:`_PulledRows`, of rows behind ``lead`` in ohm all of whose cells are shorts; or _MOST_MORE."""
-    shorts = _CAPPED * columns / (float(np.min(board.column_lead)) + LEAST_SHORT_OHM)
-    return np.minimum(1.0 + lead * shorts, _MOST_MORE)
-
-
-def _rows_together(rows: _PulledRows, board: Parts, signal: FloatArray, lift: FloatArray, least: float) -> bool:
-    """Whether shorts may join several rows of a board.
-
-    Shorts in one row join columns and so divide the readings of the other rows, those of their shorts included. No row
-    can then be judged by the other rows' readings. But the leads of such rows and the followers divide the readings of
-    ordinary cells beside the shorts, until only what the followers' offsets lift is left of them. Suspect is thus a
-    board of which a notable share reads no more, if two rows read something in a common column, and as much as
-    followers leave of a short.
-
-    Args:
-        rows: the rows.
-        board: parts of the readout.
-        signal: (N, M) V above the reference.
-        lift: (M,) V of the follower above its column where that is at the reference.
-        least: V of a signal that is none.
-
-    """
-    none = np.abs(signal) <= _HARDLY_ANY * least + _LIFTED * np.abs(lift)
-    no_more = none
-    if lift.any():
-        # A column that shorts join to others reads the multiple of the follower's offset at which no current flows, or
-        # a little more, and so do these shorts. Readings there are thus no more, and may be heavy nevertheless.
-        with np.errstate(divide="ignore", invalid="ignore"):
-            alone = board.loop_share * (board.level + lift / board.inverse_gain + board.offset) - board.level
-        near = np.where(np.abs(alone) > _NEAR * abs(board.drive), _NEAR * abs(board.drive), 0.0)
-        no_more = none | (np.abs(signal - alone) <= _HARDLY_ANY * least + near)
-    if np.count_nonzero(no_more) < _LEAST_NONE * none.size:
-        return False
-    more = np.asarray(_most_more(board, rows.lead, signal.shape[1]))[:, None]
-    heavy = ~none & (rows.pulled / rows.drop * more > _LEAST_PULLED) & (rows.lead > 0.0)[:, None]
-    return bool((np.count_nonzero(heavy, axis=0) > 1).any())
-
-
-def _usual(cells: FloatArray) -> FloatArray:
-    """The median of all but the largest cells of a column, along the first axis."""
-    usual: FloatArray = np.sort(cells, axis=0)[max(len(cells) - 2, 0) // 2]
-    return usual
 
 
 class VoltageFeedback(VoltageDivider):
@@ -404,53 +118,9 @@ class VoltageFeedback(VoltageDivider):
     def imitated_by_shorts(
         self, board: Parts, row_lead: FloatArray, signal: FloatArray, least: float
     ) -> BoolArray | None:
-        """Cells of rows that may conduct so well that the follower, through them, pulls at the row's crosspoints.
-
-        All cells of such a row may be many times as conductive as they seem (:class:`_PulledRows`). Both solutions are
-        of this world only if most other cells remain ordinary ones. The best conductors of the row join their columns,
-        and the follower then divides all other readings of such a column by F = 1 + C Rref / (1 + A), C being the
-        conductance from the column to others by way of the row; its offset moves them by (1 + A) Vos (F - 1) / F.
-        Rows that are shorted together have a rougher test of their own (:func:`_rows_together`).
-        """
-        lift, lead = board.follower_lift, row_lead.max(axis=1)
-        if not _pulls_anywhere(board, float(lead.max()), signal, lift, least):
-            return None
-        rows = _PulledRows.of(self, board, lead, signal, lift, least)
-        if _rows_together(rows, board, signal, lift, least):
-            return np.ones(signal.shape, dtype=np.bool_)  # cells that read nothing still load the rows
-        return self._imitated_in_rows(rows, board, signal, lift, least)
-
-    @staticmethod
-    def _imitated_in_rows(
-        rows: _PulledRows, board: Parts, signal: FloatArray, lift: FloatArray, least: float
-    ) -> BoolArray | None:
-        """:meth:`imitated_by_shorts` of each row by itself, with the readings of all others as they are."""
-        ordinary = np.maximum(_WELL_ABOVE / rows.reference, rows.apparent)
-        for _ in range(_ROUNDS):
-            found = rows.second_solutions()
-            if found is None:
-                return None
-            through = found.most
-            suspect = rows.suspect(board, signal, lift, least, found)
-            if not suspect.any():
-                return None
-            # Without the columns in which it would make other cells extraordinary, there may be no second solution.
-            extraordinary = (through > 0.0) & ~suspect & (rows.most > ordinary)
-            if not extraordinary.any():
-                break
-            rows = rows._replace(
-                most=np.where(extraordinary, ordinary, rows.most),
-                largest=np.where(through.any(axis=1), rows.largest, 0.0),
-            )
-        # Other rows' cells in these columns conduct more than they seem to, or less, and load their rows so.
-        joined = np.where(suspect, through - rows.ordinary_through, 0.0).max(axis=0, initial=0.0) * board.reference
-        divided = 1.0 + joined * board.inverse_gain
-        shift = joined / divided * np.abs(rows.column * board.inverse_gain - lift * np.sign(board.drive))
-        unloaded = rows.lead * (rows.apparent * np.maximum(divided - 1.0, joined > 0.0)).sum(axis=1)
-        unnoticed = _UNNOTICED * least
-        loaded = unloaded[:, None] * np.abs(signal) > unnoticed
-        disturbed: BoolArray = (shift > unnoticed) | loaded | suspect.any(axis=1, keepdims=True)
-        return disturbed
+        """Cells of rows that may conduct so well that the follower, through them, pulls at the row's crosspoints."""
+        lead = row_lead.max(axis=1)
+        return imitated(board, lead, signal, least, lambda: self.apparent_conductance(board, signal))
 
     def energy_bound(self, board: Parts, ports: FloatArray, relative: float) -> FloatArray:
         """By the energies of two fields: 1 V at the sensed column alone, and the step as it is.
@@ -579,9 +249,3 @@ class VoltageFeedback(VoltageDivider):
         if low > -inf:
             law = f"max({law},{low!r})"
         yield f"Bfollower {writer.follower} {writer.ground} V = {law}"
-
-
-def _of_pairs(chosen: BoolArray) -> BoolArray:
-    """Those of the chosen cells (N, M) that have another one in their row."""
-    pairs: BoolArray = chosen & (np.count_nonzero(chosen, axis=1, keepdims=True) > 1)
-    return pairs
