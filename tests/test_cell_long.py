@@ -250,7 +250,7 @@ def test_a_load_that_relaxes_slowly_reads_as_one_that_rises() -> None:
     assert error[grip].max() < 0.13 * FULL
     assert (error / std)[grip].max() < 2.5
     assert (error / std)[time > 9.0].max() < 2.0
-    assert error[time > 9.0].max() < 0.08 * FULL
+    assert error[time > 9.0].max() < 0.04 * FULL  # 5 % where nothing is taken back when the turn is noticed
     assert error[-1] < 0.02 * FULL
 
 

@@ -166,7 +166,7 @@ def test_a_press_right_after_taps_stays_for_as_long_as_it_is_held(volts: float) 
     """
     lost, z = pressed_after_taps(EXAMPLE, volts, np.full(6 * COUNT, 0.2))
     assert lost < 5
-    assert np.mean(z < 2) > 0.97
+    assert z.max() < 2.5
 
 
 @pytest.mark.parametrize(("own", "volts"), [(False, 3e-4), (False, 1e-3), (False, 3e-3), (True, 1e-4), (True, 1e-3)])
@@ -181,7 +181,7 @@ def test_a_press_that_rises_slowly_while_a_cell_recovers_is_no_rest(own: bool, v
     lost, z = pressed_after_taps(cell, volts, np.tile([0.5, 1.0, 1.5, 2.0, 2.5, 3.0], COUNT))
     assert lost < (5 if own else 16)
     assert np.mean(z < 2) > (0.97 if own else 0.92)
-    assert z.max() < 20
+    assert z.max() < (9 if own else 18)
 
 
 def pressed_after_taps(cell: Cell, volts: float, rise_s: np.ndarray) -> tuple[int, np.ndarray]:

@@ -32,12 +32,12 @@ from ohmskin.driver._convert import Converter, Measurement
 from ohmskin.driver._discover import FoundBoard, find_board
 from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._opening import PATIENCE, _within
-from ohmskin.driver._port import DescriptorPort, UrlPort
+from ohmskin.driver._port import DescriptorPort, UrlPort, open_port
 from ohmskin.driver._reader import Reader
 from ohmskin.driver._reading import Reading
 from ohmskin.driver._reconnect import PortFinder, attempts
 from ohmskin.driver._stream import RawFrame
-from ohmskin.emulator import Board, PtyPort, TcpPort, running
+from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
 from ohmskin.wire import (
     BOARDS,
@@ -45,6 +45,7 @@ from ohmskin.wire import (
     Flag,
     FramePacket,
     Order,
+    PacketDecoder,
     encode,
     host_protocol,
     write_description,
@@ -1165,3 +1166,26 @@ def test_two_threads_read_a_port_of_pyserials_in_order() -> None:
     assert port.wait(0.1)
     assert device.during_wait + port.read().data == b"abc"
     assert port.read().data == b""
+
+
+def test_bytes_over_rfc_2217_are_taken_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pyserial's thread queues each byte. Taken one by one they cost a frame a second on a machine that is busy."""
+    board, singly = Rfc2217Port.at(":0"), 0
+
+    def get(*given: object) -> bytes | None:
+        nonlocal singly
+        singly += 1
+        return get_one(*given)
+
+    with running(scene(board={"frame_rate": 500.0}), board), contextlib.closing(open_port(board.name)) as host:
+        assert isinstance(host, UrlPort)
+        get_one = host._device._read_buffer.get  # type: ignore[attr-defined]  # pyserial's own
+        monkeypatch.setattr(host._device._read_buffer, "get", get)  # type: ignore[attr-defined]
+        decoder, frames, taken = PacketDecoder(), list[object](), 0
+        while len(frames) < 20:
+            host.wait(0.1)
+            time.sleep(0.02)
+            data = host.read().data
+            taken += len(data)
+            frames += [event for event in decoder.feed(data) if isinstance(event, FramePacket)]
+        assert singly < taken / 20

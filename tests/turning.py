@@ -110,7 +110,7 @@ class OneCell:
             if noticed and self.rising:
                 unseen += self._hidden(now.pressure, other.pressure)
             self.onset.looks = 0 if noticed and not self.rising else self.onset.looks
-            self.onset.may_bear = 0.0
+            may_bear, self.onset.may_bear = self.onset.may_bear, 0.0
             now = self._without_delay(now, max(late, earlier))
             self.earlier -= max(late, earlier)
             ahead = sign * max(now.pressure, 0)
@@ -119,7 +119,8 @@ class OneCell:
             self.recent_extreme = self.extreme
             before = self.variance
             if self.rested:
-                before = min(before, self.rest_variance + recovery.LIGHT * before + self.taken_off**2)
+                left_over = recovery.LIGHT * before + self.taken_off**2 + may_bear**2
+                before = min(before, self.rest_variance + left_over)
             by_noise = (gains[False] * std) ** 2
             self.doubt = (np.sqrt(before) + unseen) ** 2 + by_noise
             self.doubt = min(self.doubt, (UNKNOWN * self.full) ** 2)

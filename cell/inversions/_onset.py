@@ -33,8 +33,8 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import Places, Row, Rows, loop
-from ..estimation import FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE, recent_mean
+from ...compiled import Row, Rows, loop
+from ..estimation import FAR, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE
 from ..materials import PaperModel, lag
 from ._paper_steps import Constants, borne_before, numbered, step_weights
 from ._recovery import REST_SIGMAS
@@ -278,30 +278,12 @@ def hidden_kpa_of(memory: Rows, i: int, pressure: float, extreme: float, share: 
 
 
 @loop
-def look_each(
-    memory: Rows,
-    taken: Rows,
-    ring: Rows,
-    newest: int,
-    cells: Places,
-    full_scale_kpa: float,
-    numbers: Row,
-) -> None:
-    """:func:`look` as a loop over cells, which takes the mean of the readings itself.
-
-    Args:
-        memory: (rows, m), changed.
-        taken: (4, m) readings of the frame.
-        ring: (k, n) the last readings of all cells.
-        newest: row of the last of them.
-        cells: (m,) indices.
-        full_scale_kpa: of the cells.
-        numbers: :func:`constants`.
-    """
+def look_each(memory: Rows, mean: Row, noise: Row, full_scale_kpa: float, numbers: Row) -> None:
+    """:func:`look` as a loop over cells."""
     none, etau2_kpa = NONE * full_scale_kpa, numbers[ETAU2_KPA]
-    for i in range(cells.size):
+    for i in range(mean.size):
         looks = memory[LOOKS_AT_REST, i]
-        by_noise = taken[NOISE, i] * numbers[GAIN_KPA]
+        by_noise = noise[i] * numbers[GAIN_KPA]
         by_noise *= by_noise
         bound = (memory[REST_VARIANCE, i] + by_noise) * BOUND
         rests = memory[PRESSURE, i] * memory[PRESSURE, i] < bound or looks > 0.0
@@ -320,11 +302,11 @@ def look_each(
             memory[EARLIEST_SETTLED + model, i] = settled + load * numbers[RAMP]
         if not (recovers and looks >= SETTLES):
             continue
-        load, mean = memory[BEGUN_KPA, i], recent_mean(ring, newest, cells[i])
+        load = memory[BEGUN_KPA, i]
         by_model = memory[REST_VARIANCE, i] + memory[TURNED, i] * MODEL
         by_noise *= 1.0 / RECENT
         weight = max(by_model / (by_model + by_noise), AVERAGED)
-        last = memory[EXPECTED_X2, i] * numbers[BACK_2] + memory[EXPECTED_X3, i] * numbers[BACK_3] - mean
+        last = memory[EXPECTED_X2, i] * numbers[BACK_2] + memory[EXPECTED_X3, i] * numbers[BACK_3] - mean[i]
         pull = memory[PULL_KPA, i] + (last * numbers[GAIN_KPA] - memory[PULL_KPA, i]) * weight
         by_noise = by_noise * (weight / (2.0 - weight)) + none * none
         unsure = math.sqrt(by_model + by_noise)
