@@ -73,6 +73,14 @@ def test_a_cell_joins_a_contact_at_more_deviations_than_it_leaves_it_at() -> Non
     assert [len(contact.cells) for (contact,) in track(frames, std_kpa=0.5)] == [4, 4, 5, 5, 4]
 
 
+def test_what_comes_back_in_the_place_of_a_strong_press_is_a_contact_later_only() -> None:
+    """8 % of it may be what it has left in the estimates, unless it was seconds ago."""
+    press, none = np.zeros((16, 16)), np.zeros((16, 16))
+    press[4:6, 4:6] = 10.0
+    begun = track([press] * 30 + [none] * 5 + [0.08 * press] * 20 + [none] * 300 + [0.08 * press] * 20)
+    assert [len(contacts) for contacts in begun] == [1] * 30 + [0] * 325 + [1] * 20
+
+
 def test_of_fingers_that_jump_each_is_known_by_its_force() -> None:
     """In slow frames the nearest finger may be the other one."""
     before = bump((16, 16), 4.7, 3, 12.0) + bump((16, 16), 5.7, 9, 4.0)

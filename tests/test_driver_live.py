@@ -730,6 +730,27 @@ class TestReconnection:
             names[other.name] = "USB-1"
             assert next(frame for frame in skin if frame.reconnected).rebooted
 
+    def test_a_port_that_has_gone_and_come_again_may_be_the_board(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Not one that has been there all the time, which belongs to others."""
+        own, other, there, tried = "/dev/ttyACM0", "/dev/ttyACM1", set[str](), list[str]()
+
+        def refuse(name: str, **options: object) -> BytePort:
+            tried.append(name)
+            raise LinkError(name)
+
+        monkeypatch.setattr("ohmskin.driver._reconnect.serial_ports", lambda: there)
+        monkeypatch.setattr("ohmskin.driver._reconnect.open_port", refuse)
+        there |= {own, other}
+        finder = PortFinder(own, baudrate=115200)
+        finder.board_is_numbered = lambda: True
+        for present, expected in (({other}, [own]), (set[str](), [own]), ({other}, [own, other])):
+            there.clear()
+            there |= present
+            tried.clear()
+            with pytest.raises(LinkError):
+                finder.open_again()
+            assert tried == expected
+
     def test_a_board_without_a_usb_number_is_found_under_another_name(self, tmp_path: Path) -> None:
         """Many converters have no serial number; the board's own tells which of the ports that appear is its."""
         stranger = scene(board={"serial_number": "B2", "frame_rate": 500.0})
