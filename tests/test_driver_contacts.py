@@ -555,6 +555,17 @@ def test_a_press_where_another_one_has_just_been_is_found() -> None:
         assert [len(contacts) for contacts in track(frames)][-3:] == [1, 1, 1]
 
 
+def test_contacts_can_be_compared_and_collected() -> None:
+    """So that those of a recording can be set beside those of the replay."""
+    frames = [bump((8, 8), 2.0, 2.0, 10.0), bump((8, 8), 2.1, 2.0, 10.0)]
+    (before,), (after,) = track(frames)
+    (again,), _ = track(frames)
+    assert before == again
+    assert before.id == after.id
+    assert before != after
+    assert len({before, again, after}) == 2
+
+
 def test_hysteresis_keeps_a_contact_and_makes_no_second_one() -> None:
     """A light press falls apart into two patches, both between the thresholds."""
     whole, parts = np.zeros((5, 9)), np.zeros((5, 9))
