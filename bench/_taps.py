@@ -185,18 +185,36 @@ def contacts_of(
 
 
 def taps_and_faults(
-    sizes: Iterable[int] = SIZES, rates_hz: Iterable[float] = RATES_HZ, *, number: int = 24, seed: int = 0
+    sizes: Iterable[int] = SIZES,
+    rates_hz: Iterable[float] = RATES_HZ,
+    *,
+    cases: Iterable[tuple[str, str, int, float]] = CASES,
+    spread: float = 0.0,
+    number: int = 24,
+    seed: int = 0,
 ) -> Iterator[Taps]:
-    """Measure the boards of :data:`CASES`, each with so many taps and faults."""
-    for size, rate_hz, (circuit, idle_rows, bits, noise_mv) in product(sizes, rates_hz, CASES):
+    """Measure boards, each with so many taps and faults.
+
+    Args:
+        sizes: of N x N arrays.
+        rates_hz: frames per second.
+        cases: boards as in :data:`CASES`.
+        spread: standard deviation of the logarithm of the cells' rest resistances. Equal cells all stand at the same
+            place within an ADC step, so that their roundings add up in a column of a divider.
+        number: of taps, and of faults.
+        seed: of taps, faults, noise and cells.
+
+    """
+    for size, rate_hz, (circuit, idle_rows, bits, noise_mv) in product(sizes, rates_hz, cases):
         board = design(size, circuit, idle_rows, bits)
         shape, rng = board.array.shape, np.random.default_rng(seed)
         taps = random_taps(number, shape, rng)
         seconds = REST_S + EVERY_S * (number + 1)
-        ohm = resistances(taps, shape, rate_hz, seconds)
+        factor = np.exp(spread * np.random.default_rng((seed, size)).standard_normal(shape))
+        ohm = factor * resistances(taps, shape, rate_hz, seconds)
         seen = list(contacts_of(board, ohm, noise_mv, rate_hz, rng))
         first_s, beside = match(taps, seen, 1e3 * _pitch_m(board), 1.0 / rate_hz)
-        quiet = resistances([], shape, rate_hz, seconds)
+        quiet = factor * resistances([], shape, rate_hz, seconds)
         faults = add_faults(quiet, rate_hz, rng)
         false = false_alarms(faults, contacts_of(board, quiet, noise_mv, rate_hz, rng))
         force_share, off_cells = accuracy(taps, seen, shape, 1e3 * _pitch_m(board))

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import ndimage
@@ -75,8 +75,8 @@ class Contact:
     """sum of pressure times cell area; cells that are not read count with what :attr:`interpolated_n` says"""
     peak_kpa: float
     """largest pressure of one cell"""
-    cells: IntArray
-    """(n, 2) row and column of each touched cell"""
+    cells: IntArray = field(compare=False)
+    """(n, 2) row and column of each touched cell; contacts are equal whose other fields are"""
     joined: tuple[int, ...] = ()
     """ids of other contacts that have run into this one, and will have these ids again when they part from it"""
     interpolated_n: float = 0.0

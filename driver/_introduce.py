@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import threading
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
@@ -32,13 +33,15 @@ class Introduction:
         self.family = family
         self.port_name = port_name
         self.identity: Identity | None = None
+        self.identified = threading.Event()
+        """set when the board has said who it is; the description may come before that"""
         self.description: Description | None = None
         self._given = design, cell
         self._both_given = design is not None and cell is not None
         self.has_sent_frames = False
         """the board has sent a frame, so that its size is known"""
         self.must_identify = False
-        """the serial number is waited for, too, where the family has one: a calibration is that of one board"""
+        """the serial number is waited for, too, where the family has one: another board shall not be taken"""
 
     @property
     def serial_number(self) -> str:
@@ -84,6 +87,7 @@ class Introduction:
         if isinstance(event, Identity):
             self._check_given(event.rows, event.columns, event.adc_bits)
             self.identity = event
+            self.identified.set()
             return
         if self.description is None:
             check_limits(event, self.port_name)

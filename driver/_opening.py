@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..cell import ESTIMATORS, Cell
-from ..checks import count, loaded, number, positive
+from ..checks import count, loaded, number, of_kind, positive
 from ..circuits import Design, ValidityRule
 from ..compiled import is_compiling
 from ..errors import InputError, OhmskinError, ProtocolError
@@ -63,6 +63,8 @@ class Opening:
     delivery: Delivery
     queue: int
     reconnect_s: float
+    serial_number: str | None
+    """that the board must have; None: any"""
 
     @classmethod
     def of(
@@ -79,6 +81,7 @@ class Opening:
         delivery: Delivery,
         queue: int,
         reconnect: float,
+        serial_number: str | None = None,
     ) -> Opening:
         """The same with files read and numbers checked; InputError."""
         timeout_s, queued = positive("timeout", timeout, "s"), count("queue", queue)
@@ -100,7 +103,9 @@ class Opening:
         )
         if delivery not in ("newest", "every", "lossless"):
             raise InputError(f"delivery '{delivery}'; expected newest, every or lossless")
-        return cls(family, settings, timeout_s, delivery, queued, reconnect_s)
+        if serial_number is not None:
+            of_kind("serial_number", serial_number, str, "text")
+        return cls(family, settings, timeout_s, delivery, queued, reconnect_s, serial_number)
 
 
 class Link:
@@ -113,7 +118,8 @@ class Link:
         self.mailbox = Mailbox(1 if delivery == "newest" else opening.queue, drops_oldest=delivery != "lossless")
         self.introduction = Introduction(opening.family, port.name, settings.design, settings.cell)
         known = settings.calibration
-        self.introduction.must_identify = known is not None and bool(known.serial_number)
+        calibrated = known is not None and bool(known.serial_number)
+        self.introduction.must_identify = calibrated or bool(opening.serial_number)
         self.reader = Reader(
             port,
             protocol=self._host_end,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import queue
 import select
 import selectors
 import socket
@@ -356,6 +357,9 @@ class UrlPort(_RealTimePort):
         """Wait for so many bytes, for at most 0.1 s; None: those that are there."""
         try:
             if size is None:
+                queued = _queued_bytes(self._device)
+                if queued:
+                    return queued
                 size = self._device.in_waiting  # type: ignore[attr-defined]  # the stubs lack it
             return bytes(self._device.read(size)) if size else b""
         except BlockingIOError:  # another thread has taken the bytes that were there
@@ -386,6 +390,20 @@ class UrlPort(_RealTimePort):
 
     def _close(self) -> None:
         self._device.close()
+
+
+def _queued_bytes(device: serial.SerialBase) -> bytes:
+    """Take what pyserial's thread for RFC 2217 has queued, byte by byte; empty for other devices.
+
+    ``read`` takes each byte with a lock of its own, for which both threads compete: where other programs want the
+    processor, a frame takes a second then.
+    """
+    waiting = getattr(device, "_read_buffer", None)
+    if not isinstance(waiting, queue.Queue):
+        return b""
+    with waiting.mutex:
+        count = waiting.queue.index(None) if None in waiting.queue else len(waiting.queue)  # None: the connection's end
+        return b"".join(waiting.queue.popleft() for _ in range(count))
 
 
 def _end_when_unheard(connection: socket.socket) -> None:

@@ -26,6 +26,8 @@ ASK_AGAIN_S = 0.5
 """a board that sends nothing for so long is asked again"""
 ASK_WHO_S = 0.25
 """so is a board that has not said who it is: a lossy line takes several answers for a whole description"""
+LOOK_S = 0.02
+"""how often whoever waits for a serial number looks whether it can still come"""
 PROOF_S = 3.0
 """after a reconnection: how long a board may take to show that it is the same one"""
 MOST_READS = 64
@@ -126,6 +128,15 @@ class Reader:
         if not self.introduction.complete:
             end = self._mailbox.end
             raise LinkError(f"{self.port_name}: closed") if end is None else end
+
+    def serial_number(self, timeout_s: float) -> str:
+        """The board's serial number, waited for; empty where it has none, and where it does not say it in time."""
+        until = time.monotonic() + min(timeout_s, threading.TIMEOUT_MAX)
+        while self._family.has_description and not self.introduction.identified.wait(LOOK_S):
+            unread = self._lossless and self._mailbox.is_full()
+            if unread or self._mailbox.end is not None or time.monotonic() >= until:
+                break
+        return self.introduction.serial_number
 
     def nothing_came(self, what: str, timeout_s: float) -> LinkTimeout | ProtocolError:
         """The error for a wait that brought nothing of the kind wanted."""

@@ -43,8 +43,8 @@ class PortFinder:
         self.name = name
         self._options = {"baudrate": baudrate, "dtr": dtr, "rts": rts}
         self._usb_serial = usb_serial_number(name)
-        self.board_is_numbered = False
-        """the board says a serial number of its own"""
+        self.board_is_numbered: Callable[[], bool] = lambda: False
+        """whether the board says a serial number of its own"""
         self._directory = Path(name).parent if is_linked_terminal(name) else None
         self._is_emulated = announced(name) is not None
         self._always_there = self._present()
@@ -93,7 +93,7 @@ class PortFinder:
     def _names_without_number(self) -> list[str]:
         """The board's name, and those of ports that have appeared since it was opened."""
         present = self._present()
-        appeared = sorted(present - self._always_there - {self.name}) if self.board_is_numbered else []
+        appeared = sorted(present - self._always_there - {self.name}) if self.board_is_numbered() else []
         self._always_there &= present
         told = self._announced.name if self._announced is not None else ""
         names = dict.fromkeys([self.name, told, *appeared])

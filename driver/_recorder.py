@@ -43,8 +43,10 @@ class Recorder:
         self._recording = Recording(path, skin.settings.as_metadata(), overwrite=overwrite)
         try:
             skin.attach(self._recording)
+            self._recording.keep()
         except BaseException:
-            self._recording.close()
+            skin.detach(self._recording)
+            self._recording.discard()
             raise
 
     @property

@@ -21,6 +21,7 @@ from .. import __version__
 from ..arrays import FloatArray
 from ..checks import path_text
 from ..errors import InputError, MissingExtra
+from ..files import Output, check_writable
 from ._frame import Frame
 from ._messages import MESSAGE_SCHEMAS, messages_of
 from ._past import Past
@@ -43,6 +44,9 @@ MOST_WAITING = 1000
 class Recording:
     """Writes one recording, for ``Skin.open(port, record=...)`` or for a :class:`Recorder`.
 
+    It begins in a partial file, which :meth:`keep` puts in its place once there is something to record: a board that
+    cannot be opened shall leave no file, and replace none.
+
     A file that cannot be written any more (a full disk) ends the recording, not the skin: see :attr:`error`.
     """
 
@@ -61,15 +65,15 @@ class Recording:
         """
         writer = _mcap_writer()
         self.path = Path(path_text("name of the recording", path))
-        _keep(self.path, overwrite)
+        _refuse_present(self.path, overwrite)
         self.error: InputError | None = None
         """why the recording ended before it was closed"""
         self.frames = 0
         """decoded frames written"""
-        try:
-            self._file: BinaryIO = self.path.open("wb")
-        except OSError as error:
-            raise _not_written(self.path, error) from error
+        self._output = Output(self.path)
+        with self._output.errors():
+            self._output.open()
+        self._file: BinaryIO = self._output.file
         self._lock = threading.Lock()
         self._writer: Writer | None = writer(self._file, chunk_size=CHUNK_BYTES)
         self._flush_at = time.monotonic() + FLUSH_S
@@ -91,15 +95,18 @@ class Recording:
         """Find out beforehand whether a recording can begin at ``path``; raises what ``__init__`` raises."""
         _mcap_writer()
         file = Path(path_text("name of the recording", path))
-        _keep(file, overwrite)
-        try:
-            if file.is_file() or file.is_dir():
-                file.open("ab").close()
-            elif not file.exists():  # nor a device such as /dev/null
-                file.open("xb").close()
-                file.unlink()
-        except OSError as error:
-            raise _not_written(file, error) from error
+        _refuse_present(file, overwrite)
+        check_writable(file)
+
+    def keep(self) -> None:
+        """Put the file in its place, where it grows from now on. Raises InputError where that cannot be done."""
+        self._output.replace()
+
+    def discard(self) -> None:
+        """End a recording that was not kept, without a file."""
+        with contextlib.suppress(InputError):
+            self.close()
+        self._output.discard()
 
     def joined(self, past: Past) -> None:
         """Note what an open skin remembers, before its next bytes."""
@@ -188,7 +195,7 @@ def _mcap_writer() -> type[Writer]:
     return Writer
 
 
-def _keep(path: Path, overwrite: bool) -> None:
+def _refuse_present(path: Path, overwrite: bool) -> None:
     """Raise InputError where there is a file with content that shall not be replaced."""
     if not overwrite and path.is_file() and path.stat().st_size:
         raise InputError(f"{path}: is there already; choose another name, or replace it (overwrite=True, --overwrite)")

@@ -24,7 +24,7 @@ from ._discover import LONGEST_SEARCH_S, find_board
 from ._frame import Frame
 from ._opening import QUEUE, Delivery, Link, Opening
 from ._past import Past
-from ._port import Arrival, BytePort, has_gone, refuse_missing
+from ._port import Arrival, BytePort, has_gone, refuse_missing, usb_serial_number
 from ._reader import await_free
 from ._reconnect import PortFinder
 from ._recording import Recording
@@ -140,9 +140,12 @@ class Skin:
             raise
         try:
             self._converter = link.introduce()
-        except BaseException:
             if self._recorder is not None:
-                self._recorder.close()
+                self._recorder.keep()
+        except BaseException:
+            link.reader.stop()
+            if self._recorder is not None:
+                self._recorder.discard()
             raise
         self._reader, self._mailbox, self._counters = link.reader, link.mailbox, link.counters
         self.settings = opening.settings
@@ -235,11 +238,12 @@ class Skin:
             delivery=usual if delivery is None else delivery,
             queue=queue,
             reconnect=reconnect,
+            serial_number=serial_number,
         )
         if record is not None:
             Recording.check(record, overwrite=overwrite)
         if played is None:
-            finder = _finder(name, asked, serial_number, baudrate)
+            finder = _finder(name, asked, baudrate)
             began_s = monotonic()
             compiled.load()  # while no frames come
             if has_gone(finder.name):
@@ -253,13 +257,17 @@ class Skin:
         skin = cls.__new__(cls)
         skin._begin(opened, asked, reopen, record, overwrite=overwrite)
         if finder is not None:
-            finder.board_is_numbered = bool(skin.serial_number)
+            introduction = skin._reader.introduction
+            finder.board_is_numbered = lambda: bool(introduction.serial_number)
             skin._must_be(serial_number)
         return skin
 
     def _must_be(self, serial_number: str | None) -> None:
-        """Close the skin where its board says another serial number; LinkError."""
-        if serial_number is not None and self.serial_number not in ("", serial_number):
+        """Close the skin where neither its board nor the board's USB device has that serial number; LinkError."""
+        if serial_number is not None and serial_number not in (
+            self.serial_number or serial_number,
+            usb_serial_number(self.port_name),
+        ):
             self.close()
             raise LinkError(f"{self.port_name}: board {self.serial_number} is there; expected {serial_number}")
 
@@ -539,7 +547,7 @@ class Skin:
         return self._tares.take(
             count("frames", frames),
             self._timeout,
-            serial_number=self.serial_number,
+            serial_number=lambda: self._reader.serial_number(0.0),
             board=self.port_name,
             drift=positive("drift", drift),
             force=force,
@@ -565,24 +573,24 @@ class Skin:
 
         """
         given = None if tare is None else loaded("tare", tare, Tare)
-        self._tares.use(given, serial_number=self.serial_number)
+        compared = given is not None and bool(given.serial_number)
+        number = self._reader.serial_number(self._timeout) if compared else ""
+        self._tares.use(given, serial_number=number)
 
     def undo_tare(self) -> Tare | None:
         """Go back to the tare before the present one, None for none. Returns the tare then in use."""
         return self._tares.undo()
 
 
-def _finder(port: str | None, asked: Opening, serial_number: str | None, baudrate: int | None) -> PortFinder:
+def _finder(port: str | None, asked: Opening, baudrate: int | None) -> PortFinder:
     """What opens the port of a board, named or looked for by its serial number; errors as :meth:`Skin.open`."""
     family = asked.family
     if baudrate is not None:
         positive("baudrate", baudrate, "bit/s")
-    if serial_number is not None:
-        of_kind("serial_number", serial_number, str, "text")
     if port is None:
-        if serial_number is None:
+        if asked.serial_number is None:
             raise InputError("neither a port nor a serial number; expected one of them")
-        port = find_board(serial_number, board=family, timeout=min(asked.timeout_s, LONGEST_SEARCH_S))
+        port = find_board(asked.serial_number, board=family, timeout=min(asked.timeout_s, LONGEST_SEARCH_S))
     refuse_missing(port)  # before the compiler keeps anybody waiting
     await_free(port)
     return PortFinder(port, baudrate=baudrate or family.baud_rate, dtr=family.dtr, rts=family.rts)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 
@@ -40,14 +40,22 @@ class Tares:
         return self._used[-1]
 
     def take(
-        self, frames: int, timeout_s: float, *, serial_number: str, board: str, drift: float, force: bool, waiting: bool
+        self,
+        frames: int,
+        timeout_s: float,
+        *,
+        serial_number: Callable[[], str],
+        board: str,
+        drift: float,
+        force: bool,
+        waiting: bool,
     ) -> Tare:
         """Make a tare of the next frames, and use it; arguments and errors as for :meth:`.Skin.tare`.
 
         Args:
             frames: to average.
             timeout_s: for each frame.
-            serial_number: of the board; empty where it does not say.
+            serial_number: says that of the board, once the frames have come; empty where it does not say.
             board: how messages call the board.
             drift: relative change since the tare or calibration in use that is no load.
             force: use the tare in spite of signs of a load.
@@ -55,7 +63,7 @@ class Tares:
 
         """
         with self._lock, self._next_frames(frames, timeout_s, waiting=waiting) as taken:
-            tare = self._made_of(taken, serial_number, drift)
+            tare = self._made_of(taken, serial_number(), drift)
             if tare.remarks and tare.frames_advised and not force:
                 raise InputError(
                     f"{board}: no tare, though noise may be why {tare.remarks[0]}. "

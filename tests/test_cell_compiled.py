@@ -89,14 +89,20 @@ def readings(cell: Cell, shape: tuple[int, ...], frames: int, noise: float, seed
     return ohms
 
 
-def test_light_loads_within_the_noise_are_doubted_alike() -> None:
-    """Taps of one percent of full scale, each with a noise of its own: some are noticed, and others only doubted."""
-    frames, noise = 900, 0.005 * np.geomspace(0.2, 3.0, 12)
-    load = 0.01 * EXAMPLE.full_scale_kpa * (np.arange(frames) % 30 < 12)
-    ohms = EXAMPLE.forward((12,)).run(np.full(frames, 0.01), np.repeat(load[:, None], 12, axis=1))
-    ohms *= 1 + noise * np.random.default_rng(0).standard_normal(ohms.shape)
-    estimator = compare(EXAMPLE.estimator((12,)), np.full(frames, 0.01), ohms)
-    assert estimator.std_kpa.max() > 0.02 * EXAMPLE.full_scale_kpa
+def test_light_and_slow_loads_are_doubted_alike() -> None:
+    """Taps of one percent of full scale, each with a noise of its own: some are noticed, and others only doubted.
+
+    Beside them strong taps, and after these presses that rise within two seconds.
+    """
+    frames, noise, full = 900, 0.005 * np.geomspace(0.2, 3.0, 12), EXAMPLE.full_scale_kpa
+    time = 0.01 * np.arange(frames)[:, None]
+    light = np.repeat(0.01 * (time % 0.3 < 0.115), 12, axis=1)
+    strong = 0.8 * np.interp(time % 0.5, [0.0, 0.03, 0.18, 0.21], [0.0, 1.0, 1.0, 0.0]) * (time < 3.0)
+    slow = np.clip((time - 3.2) / 2.0, 0.0, 1.0) * np.linspace(0.1, 0.6, 6)
+    ohms = EXAMPLE.forward((18,)).run(np.full(frames, 0.01), full * np.hstack([light, strong + slow]))
+    ohms *= 1 + np.append(noise, np.full(6, 3e-4)) * np.random.default_rng(0).standard_normal(ohms.shape)
+    estimator = compare(EXAMPLE.estimator((18,)), np.full(frames, 0.01), ohms)
+    assert estimator.std_kpa[:12].max() > 0.02 * full
 
 
 @pytest.mark.parametrize("kind", CELLS)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from cells import DT, EXAMPLE, FULL
 
-from ohmskin.cell import AsymmetricModel, Cell, ContactModel, estimate_recording
+from ohmskin.cell import AsymmetricModel, Cell, ContactModel, PaperModel, estimate_recording
 from ohmskin.cell._cell import Calibrated
 from ohmskin.cell.inversions._learned import Limits, Seen, StaticCurve
 
@@ -250,16 +250,16 @@ def test_a_load_that_relaxes_slowly_reads_as_one_that_rises() -> None:
     assert error[grip].max() < 0.13 * FULL
     assert (error / std)[grip].max() < 2.5
     assert (error / std)[time > 9.0].max() < 2.0
-    assert error[time > 9.0].max() < 0.08 * FULL
+    assert error[time > 9.0].max() < 0.04 * FULL  # 5 % where nothing is taken back when the turn is noticed
     assert error[-1] < 0.02 * FULL
 
 
-def judged(load: np.ndarray, dt: float, noise: float) -> tuple[np.ndarray, np.ndarray]:
+def judged(load: np.ndarray, dt: float, noise: float, cell: Cell = EXAMPLE) -> tuple[np.ndarray, np.ndarray]:
     """Errors (n, cells) of the default in kPa and over their deviations, for loads (n, cells) in kPa."""
     cells = load.shape[1:]
-    read = EXAMPLE.forward(cells).run(np.full(len(load), dt), load)
+    read = cell.forward(cells).run(np.full(len(load), dt), load)
     read *= 1.0 + noise * np.random.default_rng(0).standard_normal(load.shape)
-    estimator = EXAMPLE.estimator(cells)
+    estimator = cell.estimator(cells)
     shown, std = np.array([(estimator.step(dt, ohms), estimator.std_kpa) for ohms in read]).swapaxes(0, 1)
     return np.abs(shown - load), np.abs(shown - load) / std
 
@@ -308,6 +308,7 @@ def test_holds_that_tremble_by_less_than_a_turn_do_not_grow(dt: float, share: fl
 def test_a_load_that_grows_slowly_after_it_fell_is_within_the_deviations(noise: float) -> None:
     """The cell still recovers from the fall, and the load that grows reads as one that goes on falling."""
     dt, per_s = 0.01, FULL * np.array([0.002, 0.005, 0.01, 0.015, 0.02, 0.025, 0.03, 0.05])
+    per_s = np.tile(per_s, 5)  # single draws of noise have 92 to 98 % within two deviations
     time = np.arange(1, 1400) * dt
     held = np.interp(time, [0.5, 0.6, 3.0, 3.1], [0.0, 0.85 * FULL, 0.85 * FULL, 0.3 * FULL])
     error, over = judged(held[:, None] + per_s * np.clip(time - 3.1, 0.0, 9.0)[:, None], dt, noise)
@@ -315,3 +316,30 @@ def test_a_load_that_grows_slowly_after_it_fell_is_within_the_deviations(noise: 
     print(f"noise {noise:g}: error {100 * error.max() / FULL:.0f} % FS, {within}")
     assert (over < 2).mean() > 0.95
     assert over.max() < 5.0
+
+
+def test_a_load_that_fell_twice_and_grows_slowly_is_no_rest() -> None:
+    """On a cell that answers half of a load late, its readings pass for those of a load that falls to none.
+
+    The pull that rest then needs must not make a press of it that has just begun, 17 deviations below the load.
+    """
+    dt, gain = 0.01, 1.2 / FULL
+    model = PaperModel(
+        e1_kpa=2 / gain,
+        e2_kpa=1 / (0.48 * gain),
+        e3_kpa=50 / gain,
+        eta2_kpa_s=15 / (0.48 * gain),
+        eta3_kpa_s=50 * 50 / gain,
+        eu1_kpa=1 / gain,
+        eu2_kpa_per_s=1 / (0.8 * gain),
+        etau2_kpa=1 / (0.4 * gain),
+    )
+    time = np.arange(1, 1700) * dt
+    held = np.interp(time, [0.5, 0.6, 3, 3.1, 7, 7.1, 8, 8.1, 10, 10.1], np.array([0, 13, 13, 5, 5, 0, 0, 13, 13, 5]))
+    per_s = FULL * np.array([0.002, 0.004, 0.006, 0.01])
+    load = held[:, None] + per_s * np.clip(time - 10.1, 0.0, None)[:, None]
+    error, over = judged(load, dt, 1e-4, EXAMPLE.replace(model=model))
+    within = f"{100 * (over < 2).mean():.0f} % within 2 sd, worst {over.max():.1f}"
+    print(f"error {100 * error.max() / FULL:.0f} % FS, {within}")
+    assert (over < 2).mean() > 0.95
+    assert over.max() < 4.0

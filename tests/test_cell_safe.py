@@ -166,7 +166,7 @@ def test_a_press_right_after_taps_stays_for_as_long_as_it_is_held(volts: float) 
     """
     lost, z = pressed_after_taps(EXAMPLE, volts, np.full(6 * COUNT, 0.2))
     assert lost < 5
-    assert np.mean(z < 2) > 0.97
+    assert z.max() < 2.5
 
 
 @pytest.mark.parametrize(("own", "volts"), [(False, 3e-4), (False, 1e-3), (False, 3e-3), (True, 1e-4), (True, 1e-3)])
@@ -181,7 +181,7 @@ def test_a_press_that_rises_slowly_while_a_cell_recovers_is_no_rest(own: bool, v
     lost, z = pressed_after_taps(cell, volts, np.tile([0.5, 1.0, 1.5, 2.0, 2.5, 3.0], COUNT))
     assert lost < (5 if own else 16)
     assert np.mean(z < 2) > (0.97 if own else 0.92)
-    assert z.max() < 20
+    assert z.max() < (9 if own else 18)
 
 
 def pressed_after_taps(cell: Cell, volts: float, rise_s: np.ndarray) -> tuple[int, np.ndarray]:
@@ -293,6 +293,17 @@ def test_a_skin_at_rest_sleeps_and_wakes() -> None:
     pressed[4] *= 1.3
     found = estimator.step(0.01, pressed)
     assert np.flatnonzero(found > 1.0).tolist() == [4]
+
+
+def test_most_cells_of_a_skin_at_rest_sleep_within_ten_frames() -> None:
+    """A slow reader of 4,096 cells got frames that were 2.4 periods old while all of them were followed."""
+    rng, estimator = np.random.default_rng(3), EXAMPLE.estimator((200,))
+    pressed = np.arange(200) % 10 == 0
+    for _ in range(10):
+        estimator.step(0.01, 1e4 * np.where(pressed, 1.3, 1.0) * (1 + 1e-3 * rng.standard_normal(200)))
+    asleep = ~estimator._sleep.awake
+    assert not asleep[pressed].any()
+    assert np.count_nonzero(asleep) >= 0.7 * np.count_nonzero(~pressed)
 
 
 @pytest.mark.parametrize("frames", [300, 319])  # just after, and long after, the last look at cells that sleep

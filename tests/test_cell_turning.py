@@ -162,6 +162,7 @@ def test_a_doubt_ends_at_full_scale() -> None:
     """Steps of a coarse converter look like turns, at rest too: their doubts must not add up without end."""
     inversion = TurningInversion(MODEL, FULL, exact=False)
     rows = MemoryRows(inversion.begin(np.zeros(1)))
+    rows.unsure[:] = 0.0
     for _ in range(50):
         rows.variance[:] = FULL**2
         doubts._keep(rows, np.zeros(1), np.array([True]), inversion._numbers.each)

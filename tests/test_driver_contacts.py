@@ -19,6 +19,7 @@ from ohmskin.driver import Contact, ContactTracker
 from ohmskin.driver import _watershed as watershed
 from ohmskin.driver._contacts import JOIN_SHARE, STAY_SHARE
 from ohmskin.driver._messages import FRAME_TOPIC, MESSAGE_SCHEMAS, messages_of
+from ohmskin.driver._tracks import Track
 from ohmskin.emulator import Board
 from ohmskin.errors import InputError
 
@@ -61,6 +62,46 @@ def test_a_bump_is_where_it_was_put(row: float, column: float, peak: float) -> N
     (contact,) = tracker().update(0.0, bump((16, 16), row, column, peak), np.zeros((16, 16)))
     assert contact.y_mm == pytest.approx(4.0 * row, abs=0.4)
     assert contact.x_mm == pytest.approx(4.0 * column, abs=0.4)
+
+
+def test_a_cell_joins_a_contact_at_more_deviations_than_it_leaves_it_at() -> None:
+    """So that noise neither widens contacts nor makes them flicker."""
+    frames = []
+    for beside in (0.0, 3.0, 3.4, 2.7, 2.3):
+        frames.append(np.zeros((16, 16)))
+        frames[-1][4:6, 4:6], frames[-1][4, 6] = 9.0, 0.5 * beside
+    assert [len(contact.cells) for (contact,) in track(frames, std_kpa=0.5)] == [4, 4, 5, 5, 4]
+
+
+def test_what_comes_back_in_the_place_of_a_strong_press_is_a_contact_later_only() -> None:
+    """8 % of it may be what it has left in the estimates, unless it was seconds ago."""
+    press, none = np.zeros((16, 16)), np.zeros((16, 16))
+    press[4:6, 4:6] = 10.0
+    begun = track([press] * 30 + [none] * 5 + [0.08 * press] * 20 + [none] * 300 + [0.08 * press] * 20)
+    assert [len(contacts) for contacts in begun] == [1] * 30 + [0] * 325 + [1] * 20
+
+
+def test_of_fingers_that_jump_each_is_known_by_its_force() -> None:
+    """In slow frames the nearest finger may be the other one."""
+    before = bump((16, 16), 4.7, 3, 12.0) + bump((16, 16), 5.7, 9, 4.0)
+    after = bump((16, 16), 8, 6, 12.0) + bump((16, 16), 3, 6, 4.0)
+    for frames in ((before, after), (after, before)):
+        one, other = track([*frames], step_s=0.04)
+        assert [contact.id for contact in one] == [contact.id for contact in other]
+
+
+def test_the_velocity_of_a_finger_follows_its_turns_and_hardly_noise() -> None:
+    """Within 0.3 s; of 0.2 mm of noise 1 mm/s is left."""
+    finger = Track(1, 0.0, 0.0, 1.0, 1.0, np.zeros(0, dtype=int), 0.0, 0.0)
+    random, velocities = np.random.default_rng(0), []
+    for time_s in 0.01 * np.arange(1, 400):
+        x, y = finger.predicted(time_s)
+        finger.move((100.0 * abs(time_s - 1.0) - x, 0.2 * random.standard_normal() - y), time_s)
+        velocities.append((finger.vx, finger.vy))
+    vx, vy = np.array(velocities).T
+    assert vx[97] == pytest.approx(-100.0)
+    assert np.abs(vx[129:] - 100.0).max() < 10.0
+    assert vy[50:].std() < 1.5
 
 
 @given(st.integers(0, 2**32), st.integers(1, 6))
@@ -512,6 +553,17 @@ def test_a_press_where_another_one_has_just_been_is_found() -> None:
     for light, wait in ((2.5, 10), (1.0, 200)):
         frames = [strong] * 20 + [nothing] * wait + [bump((16, 16), 7, 7, light)] * 3
         assert [len(contacts) for contacts in track(frames)][-3:] == [1, 1, 1]
+
+
+def test_contacts_can_be_compared_and_collected() -> None:
+    """So that those of a recording can be set beside those of the replay."""
+    frames = [bump((8, 8), 2.0, 2.0, 10.0), bump((8, 8), 2.1, 2.0, 10.0)]
+    (before,), (after,) = track(frames)
+    (again,), _ = track(frames)
+    assert before == again
+    assert before.id == after.id
+    assert before != after
+    assert len({before, again, after}) == 2
 
 
 def test_hysteresis_keeps_a_contact_and_makes_no_second_one() -> None:

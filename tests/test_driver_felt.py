@@ -275,7 +275,7 @@ def test_a_row_that_dies_is_bridged_after_a_while() -> None:
     tracker, std = ContactTracker(SHAPE, PITCH_M, FULL_KPA), np.full(SHAPE, 0.1)
     seen = [tracker.update(0.01 * k, frames[k], std, (10 * STD * readings[k], STD * std)) for k in range(100)]
     late = 20 + round(MISSING_S / 0.01) + 2
-    assert all(len(contacts) == 2 for contacts in seen[1:20])
+    assert all(len(contacts) == 2 for contacts in seen[1:39])  # 0.2 s after the last reading
     assert all(len(contacts) == 1 and contacts[0].interpolated_n > 0 for contacts in seen[late:])
 
 

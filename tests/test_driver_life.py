@@ -263,6 +263,17 @@ class TestOrderOfPackets:
         assert [one.lost_before for one in taken] == [0, 0, 1, 0, 1, 0]
         assert (stats.late, stats.duplicates, stats.reboots, stats.frames + (stats.lost or 0)) == (2, 0, 0, 8)
 
+    @pytest.mark.parametrize(("later", "reboots"), [(63, 0), (64, 1)])
+    def test_a_packet_that_is_further_back_was_not_overtaken(self, later: int, reboots: int) -> None:
+        sent = [0, *range(2, 2 + later), 1]
+        with lossless(described(*map(frame, sent))) as skin:
+            for _ in sent[:-1]:
+                skin.read()
+            with contextlib.suppress(LinkError):
+                skin.read(0.01)
+            stats = skin.stats()
+        assert (stats.late, stats.reboots) == (1 - reboots, reboots)
+
     def test_a_clock_that_wraps_is_no_reboot(self) -> None:
         """Microseconds in 32 bits, which small microcontrollers have, wrap after 72 minutes."""
         start, wrap = 4_000_000, 2**32
@@ -278,10 +289,10 @@ class TestOrderOfPackets:
 
     @pytest.mark.parametrize("seconds", [-1800, 0.2, 2.0, 3600])
     def test_a_clock_that_is_set_is_no_hour_under_load(self, seconds: float) -> None:
-        """The estimator goes on, and no frame looks older or younger than it is."""
-        stream, now_s, ages, times = FrameStream("board", Counters()), 100.0, [], []
-        for k in range(200):
-            now_s += 0.01
+        """The estimator goes on, and no frame looks older or younger than it is; 20 frames are lost just before."""
+        stream, ages, times = FrameStream("board", Counters()), [], []
+        for k in (*range(79), *range(99, 200)):
+            now_s = 100.0 + 0.01 * k
             us = 4_000_000_000 + 10_000 * k + (round(1e6 * seconds) if k >= 100 else 0)
             packet = FramePacket.of(np.full((3, 2), 9), sequence=k, time_us=us, boot_id=1)
             taken = stream.take(packet, Arrival(b"", now_s, now_s))
@@ -292,7 +303,8 @@ class TestOrderOfPackets:
         steps = np.diff(times)
         assert steps.min() > 0.005
         assert steps.max() < 0.5
-        assert stream.counters.reboots == stream.counters.late == stream.counters.lost == 0
+        assert stream.counters.reboots == stream.counters.late == 0
+        assert stream.counters.lost == 20
 
     def test_time_that_flies_is_no_clock_that_was_set(self) -> None:
         """The emulator's fast clock, a second of the board per millisecond, with packets that are lost."""

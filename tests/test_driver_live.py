@@ -32,12 +32,12 @@ from ohmskin.driver._convert import Converter, Measurement
 from ohmskin.driver._discover import FoundBoard, find_board
 from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._opening import PATIENCE, _within
-from ohmskin.driver._port import DescriptorPort, UrlPort
+from ohmskin.driver._port import DescriptorPort, UrlPort, open_port
 from ohmskin.driver._reader import Reader
 from ohmskin.driver._reading import Reading
-from ohmskin.driver._reconnect import attempts
+from ohmskin.driver._reconnect import PortFinder, attempts
 from ohmskin.driver._stream import RawFrame
-from ohmskin.emulator import Board, PtyPort, TcpPort, running
+from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, ProtocolError
 from ohmskin.wire import (
     BOARDS,
@@ -45,6 +45,7 @@ from ohmskin.wire import (
     Flag,
     FramePacket,
     Order,
+    PacketDecoder,
     encode,
     host_protocol,
     write_description,
@@ -729,6 +730,27 @@ class TestReconnection:
             names[other.name] = "USB-1"
             assert next(frame for frame in skin if frame.reconnected).rebooted
 
+    def test_a_port_that_has_gone_and_come_again_may_be_the_board(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        """Not one that has been there all the time, which belongs to others."""
+        own, other, there, tried = "/dev/ttyACM0", "/dev/ttyACM1", set[str](), list[str]()
+
+        def refuse(name: str, **options: object) -> BytePort:
+            tried.append(name)
+            raise LinkError(name)
+
+        monkeypatch.setattr("ohmskin.driver._reconnect.serial_ports", lambda: there)
+        monkeypatch.setattr("ohmskin.driver._reconnect.open_port", refuse)
+        there |= {own, other}
+        finder = PortFinder(own, baudrate=115200)
+        finder.board_is_numbered = lambda: True
+        for present, expected in (({other}, [own]), (set[str](), [own]), ({other}, [own, other])):
+            there.clear()
+            there |= present
+            tried.clear()
+            with pytest.raises(LinkError):
+                finder.open_again()
+            assert tried == expected
+
     def test_a_board_without_a_usb_number_is_found_under_another_name(self, tmp_path: Path) -> None:
         """Many converters have no serial number; the board's own tells which of the ports that appear is its."""
         stranger = scene(board={"serial_number": "B2", "frame_rate": 500.0})
@@ -864,6 +886,24 @@ class TestBoards:
                 Skin.open(serial_number="middle")
             with pytest.raises(LinkError, match="board left is there; expected right"):
                 Skin.open(names[1], serial_number="right")
+
+    @pytest.mark.parametrize(("asked", "refused"), [("A1", True), ("B2", False), ("USB-7", False)])
+    def test_a_board_at_a_named_port_must_say_the_serial_number_before_it_is_taken(
+        self, monkeypatch: pytest.MonkeyPatch, asked: str, refused: bool
+    ) -> None:
+        """Its own or that of its USB device; also where its description comes first."""
+        script = Script(sheet(), frame(0))
+        monkeypatch.setattr(PortFinder, "open", lambda _: script)
+        monkeypatch.setattr("ohmskin.driver._skin.usb_serial_number", lambda _: "USB-7")
+        later = threading.Timer(0.1, script.say, [identity(serial_number="B2")])
+        later.start()
+        if refused:
+            with pytest.raises(LinkError, match="board B2 is there; expected A1"):
+                Skin.open("/dev/null", serial_number=asked)
+        else:
+            with Skin.open("/dev/null", serial_number=asked) as skin:
+                assert skin.serial_number == "B2"
+        later.join()
 
     def test_a_board_that_starts_anew_whenever_its_port_is_opened_is_waited_for(
         self, monkeypatch: pytest.MonkeyPatch
@@ -1147,3 +1187,26 @@ def test_two_threads_read_a_port_of_pyserials_in_order() -> None:
     assert port.wait(0.1)
     assert device.during_wait + port.read().data == b"abc"
     assert port.read().data == b""
+
+
+def test_bytes_over_rfc_2217_are_taken_together(monkeypatch: pytest.MonkeyPatch) -> None:
+    """pyserial's thread queues each byte. Taken one by one they cost a frame a second on a machine that is busy."""
+    board, singly = Rfc2217Port.at(":0"), 0
+
+    def get(*given: object) -> bytes | None:
+        nonlocal singly
+        singly += 1
+        return get_one(*given)
+
+    with running(scene(board={"frame_rate": 500.0}), board), contextlib.closing(open_port(board.name)) as host:
+        assert isinstance(host, UrlPort)
+        get_one = host._device._read_buffer.get  # type: ignore[attr-defined]  # pyserial's own
+        monkeypatch.setattr(host._device._read_buffer, "get", get)  # type: ignore[attr-defined]
+        decoder, frames, taken = PacketDecoder(), list[object](), 0
+        while len(frames) < 20:
+            host.wait(0.1)
+            time.sleep(0.02)
+            data = host.read().data
+            taken += len(data)
+            frames += [event for event in decoder.feed(data) if isinstance(event, FramePacket)]
+        assert singly < taken / 20

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 from itertools import pairwise
 
@@ -206,8 +207,8 @@ def test_the_bench_finds_taps_and_counts_false_alarms() -> None:
 def test_the_command_prints_what_was_found(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """A board of 4 x 4 cells; the rows as text and as JSON."""
     measure = bench.taps_and_faults
-    monkeypatch.setattr(bench, "CASES", bench.CASES[:1])
-    monkeypatch.setattr(bench, "taps_and_faults", lambda sizes: measure(sizes, [100.0], number=12))
+    few = functools.partial(measure, rates_hz=[100.0], cases=bench.CASES[:1], spread=0.03, number=12)
+    monkeypatch.setattr(bench, "taps_and_faults", few)
     assert run(["bench", "--contacts", "--size", "4"]) == 0
     assert "4 x 4" in capsys.readouterr().out
     assert run(["bench", "--contacts", "--size", "4", "--json"]) == 0

@@ -20,9 +20,11 @@ from ohmskin.circuits.recovery import (
     _quick_model,
     _sheet_model,
 )
+from ohmskin.circuits.recovery._broken_lines import BrokenLines
 from ohmskin.circuits.recovery._column_blocks import ColumnBlocks, beyond_linear
 from ohmskin.circuits.recovery._coupled_board import CoupledBoard
 from ohmskin.circuits.recovery._frame_budget import ANEW_EFFORT, NODE_EFFORT, Budget
+from ohmskin.circuits.recovery._linearised import Linearised
 from ohmskin.circuits.recovery._lines import LineResistance
 from ohmskin.circuits.recovery._node_blocks import NodeBlocks
 from ohmskin.circuits.recovery._quick_model import QuickModel
@@ -130,6 +132,36 @@ def test_segments_of_small_boards_need_no_sparse_matrix(monkeypatch: pytest.Monk
         read = CountReader(found.design)
         for counts in found.counts:
             read(counts)
+
+
+def test_a_frame_that_compares_what_may_have_broken_makes_no_other_derivatives(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On larger boards a press that looked like a broken row took 12 to 15 usual frames. The next frame makes them."""
+    done: list[str] = []
+
+    def note(owner: type, name: str) -> None:
+        work = getattr(owner, name)
+
+        def noted(*given: Any) -> Any:
+            done.append(name)
+            return work(*given)
+
+        monkeypatch.setattr(owner, name, noted)
+
+    note(BrokenLines, "_breaks")
+    note(Linearised, "renew")
+    frames: list[list[str]] = []
+    for number in (170000126, 170000135):
+        found = _live_streams.stream("divider twofold", number)
+        assert found is not None
+        read = CountReader(found.design)
+        for counts in found.counts:
+            done.clear()
+            read(counts)
+            frames.append(done.copy())
+    compared = [place for place, each in enumerate(frames) if "_breaks" in each]
+    assert compared
+    assert not any("renew" in frames[place] for place in compared)
+    assert any("renew" in frames[place + 1] for place in compared)
 
 
 @pytest.mark.parametrize("column_lead", [0.0, 50.0, 1e3])

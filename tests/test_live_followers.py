@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from ohmskin import compiled
 from ohmskin.arrays import FloatArray
 from ohmskin.bench import _live_hunt, _live_streams
 from ohmskin.circuits import Design, adc_codes, scan
 from ohmskin.circuits.recovery import _quick_model
-from ohmskin.circuits.recovery._follower_solutions import _Law
+from ohmskin.circuits.recovery._follower_law import FollowerLaw, enclose
 from ohmskin.driver import CountReader
 
 
@@ -25,10 +26,10 @@ def board(rows: int, columns: int, lead: float) -> Design:
     )
 
 
-def law_of_alike(conductance: float, *, lead: float, per_siemens: float) -> _Law:
+def law_of_alike(conductance: float, *, lead: float, per_siemens: float) -> FollowerLaw:
     """Readings of 4 x 4 cells that are all alike, with leads at the rows only."""
     row, all_cells = np.full((4, 4), lead), np.ones((4, 4))
-    return _Law(
+    return FollowerLaw(
         *(row, np.zeros((4, 4)), np.zeros(4)),
         *(conductance * all_cells, per_siemens * all_cells, 1e-6 * all_cells, all_cells > 0),
     )
@@ -56,7 +57,7 @@ def test_the_enclosure_holds_the_second_solution_of_cells_that_are_alike() -> No
         above = demanded(middle, lead=lead, per_siemens=per_siemens) > reading
         low, high = (middle, high) if above else (low, middle)
     for here, there in ((found, low), (low, found)):
-        (change,) = law_of_alike(here, lead=lead, per_siemens=per_siemens).changes()
+        change = law_of_alike(here, lead=lead, per_siemens=per_siemens).change()
         assert change is not None
         assert (change >= 0.99 * abs(there / here - 1.0)).all()
 
@@ -70,7 +71,7 @@ def test_a_column_s_conductance_to_idle_rows_is_at_least_that_of_the_ladder(resi
         siemens = siemens / (1.0 + segment * siemens) + 1.0 / (resistance + lead)
     siemens /= 1.0 + end * siemens
     wire = segment * np.arange(5.0, -1.0, -1.0)[:, None]
-    law = _Law(lead * ones, wire, np.array([end]), ones / resistance, ones, 1e-6 * ones, ones > 0)
+    law = FollowerLaw(lead * ones, wire, np.array([end]), ones / resistance, ones, 1e-6 * ones, ones > 0)
     found = law._to_idle_lines(ones / resistance, ones)
     assert (siemens <= found).all()
     assert (found <= 1.1 * siemens).all()
@@ -113,7 +114,7 @@ def test_what_hard_presses_bring_through_an_open_cell_by_other_lines_is_in_the_u
 def test_cells_that_are_alike_have_one_solution_with_light_leads_or_good_followers(
     lead: float, per_siemens: float
 ) -> None:
-    assert law_of_alike(1.0 / 3e3, lead=lead, per_siemens=per_siemens).changes() == [None]
+    assert law_of_alike(1.0 / 3e3, lead=lead, per_siemens=per_siemens).change() is None
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -146,16 +147,17 @@ def test_streams_of_hard_presses_that_once_had_wrong_cells(number: int) -> None:
 
 def test_a_frame_is_checked_for_other_solutions_at_a_bounded_cost(monkeypatch: pytest.MonkeyPatch) -> None:
     """Boards whose slowest frames once took 10 to 12 usual ones: each side enclosed apart, sparse solutions."""
-    demands, counted = [0], _Law._demand
+    demands, counted = [0], FollowerLaw._demand
 
-    def counting(self: _Law, cells: FloatArray) -> FloatArray:
+    def counting(self: FollowerLaw, cells: FloatArray) -> FloatArray:
         demands[0] += 1
         return counted(self, cells)
 
     def refused(*_: object) -> FloatArray:
         raise AssertionError("ideal lines need no sparse matrix")
 
-    monkeypatch.setattr(_Law, "_demand", counting)
+    monkeypatch.setenv(compiled.SWITCH, "0")
+    monkeypatch.setattr(FollowerLaw, "_demand", counting)
     monkeypatch.setattr(_quick_model, "basis_drops", refused)
     # The last one came to its end in two rounds of 32.
     for family, number, limit in (
@@ -171,6 +173,27 @@ def test_a_frame_is_checked_for_other_solutions_at_a_bounded_cost(monkeypatch: p
             read(counts)
             most = max(most, demands[0])
         assert 0 < most <= limit
+
+
+@pytest.mark.skipif(compiled.why_not() is not None, reason="the extra 'fast' is not in use")
+def test_the_loop_encloses_the_solutions_that_array_operations_enclose() -> None:
+    """Laws at random, some of which have other solutions; some cells have no reading, or one of hardly a current."""
+    random, code, others = np.random.default_rng(1), enclose.machine_code(), 0
+    for _ in range(100):
+        shape = tuple(random.integers(1, 9, 2).tolist())
+        wire = np.arange(shape[0])[:, None] * np.full(shape, random.choice([0.0, 0.5]))
+        error, counts = 10 ** random.uniform(-6.0, -1.0, shape), random.random(shape) < 0.9
+        cells = 10 ** -(random.uniform(1.0, 3.0) + random.uniform(0.0, 2.0, shape))
+        per_siemens = 10 ** random.uniform(-1.0, 3.0) * random.choice([1.0, 1.0, 1.0, 0.0, -1.0], shape)
+        lead = np.full(shape, 10 ** random.uniform(-1.0, 2.5)), wire, random.choice([0.0, 5.0, 50.0], shape[1])
+        expected, found = (
+            FollowerLaw(*lead, cells, per_siemens, error, counts, loop).change() for loop in (None, code)
+        )
+        assert (found is None) == (expected is None)
+        if found is not None and expected is not None:
+            np.testing.assert_allclose(found, expected, rtol=1e-9)
+            others += 1
+    assert others > 10
 
 
 def test_current_from_idle_lines_above_a_poor_conductor_is_enclosed_with_the_others() -> None:

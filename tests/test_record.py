@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import csv
 import json
+import re
+import signal
 import subprocess
 import sys
 import threading
@@ -21,7 +23,7 @@ from ohmskin.cli import run
 from ohmskin.config import fingerprint
 from ohmskin.driver import Calibration, Frame, Recorder, ReplayPort, Skin, to_xarray
 from ohmskin.emulator import Board, PtyPort, running
-from ohmskin.errors import InputError, LinkEnded
+from ohmskin.errors import InputError, LinkEnded, ProtocolError
 from ohmskin.wire import DescriptionPiece, Flag, FramePacket, Identity, encode, write_description
 
 ARRAYS = ("counts", "valid", "resistance", "pressure", "pressure_std")
@@ -518,6 +520,32 @@ def test_a_recording_is_not_replaced_unless_asked(tmp_path: Path) -> None:
     with Skin(Script(*pieces(range(5), last=True)), delivery="lossless", record=file, overwrite=True) as skin:
         assert len(list(skin)) == 5
     assert len(list(Skin.open(str(file)))) == 5
+
+
+@pytest.mark.parametrize("before", [None, b"precious"])
+def test_a_board_that_does_not_introduce_itself_leaves_no_recording_and_replaces_none(
+    before: bytes | None, tmp_path: Path
+) -> None:
+    """Else the next attempt, with the plug where it belongs, is refused since there is a file."""
+    file = tmp_path / "press.mcap"
+    if before is not None:
+        file.write_bytes(before)
+    with pytest.raises(ProtocolError, match="no description within"):
+        Skin(Script(b"no packet"), timeout=0.1, record=file, overwrite=True)
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == ([] if before is None else [before])
+
+
+def test_a_recording_that_is_interrupted_says_what_it_holds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Without a duration, that is how it ends."""
+    file, port = tmp_path / "press.mcap", PtyPort()
+    with running(scene(), port), monkeypatch.context() as patch:
+        patch.setattr(Skin, "read", lambda skin, _: next(skin) and signal.raise_signal(signal.SIGINT))
+        assert run(["record", port.name, "-o", str(file)]) == 130
+    said, interrupted = capsys.readouterr().err.splitlines()
+    assert re.search(r"press\.mcap: [1-9]\d* frames, 0 lost, 0 reconnects", said)
+    assert interrupted == "ohmskin: interrupted"
 
 
 def test_the_command_keeps_a_recording_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

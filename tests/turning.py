@@ -111,7 +111,7 @@ class OneCell:
             if noticed and self.rising:
                 unseen += self._hidden(now.pressure, other.pressure)
             self.onset.looks = 0 if noticed and not self.rising else self.onset.looks
-            self.onset.may_bear = 0.0
+            may_bear, self.onset.may_bear = self.onset.may_bear, 0.0
             now = self._without_delay(now, max(late, earlier))
             self.earlier -= max(late, earlier)
             ahead = sign * max(now.pressure, 0)
@@ -120,7 +120,8 @@ class OneCell:
             self.recent_extreme = self.extreme
             before = self.variance
             if self.rested:
-                before = min(before, self.rest_variance + recovery.LIGHT * before + self.taken_off**2)
+                left_over = recovery.LIGHT * before + self.taken_off**2 + may_bear**2
+                before = min(before, self.rest_variance + left_over)
             by_noise = (gains[False] * std) ** 2
             self.doubt = (np.sqrt(before) + unseen) ** 2 + by_noise
             self.doubt = min(self.doubt, (UNKNOWN * self.full) ** 2)
@@ -328,6 +329,9 @@ class OneCell:
         likely = np.clip((sigmas - onset.SOME_SIGMAS) / (onset.CLEAR_SIGMAS - onset.SOME_SIGMAS), 0, 1)
         lasts, shown = seen.may_bear * np.exp(-4 * dt / onset.LASTS_S), max(self.now.pressure, 0)
         may_bear = max(lasts, np.sqrt(likely) * max(load_kpa - shown, 0))
+        held_kpa = self.other.pressure + self.earlier
+        was_held = -self.earlier_from > onset.HELD * held_kpa
+        risen = max(load_kpa, held_kpa) if was_held else load_kpa
         hidden = onset.HIDDEN * max(min(self._rises_unseen(onset.HIDES_S), seen.earliest.pressure) - shown, 0)
         if seen.looks == onset.SETTLES:
             seen.earliest, seen.clear_pull = Rise(0.0, -m.etau2_kpa * (self.now.x2 + self.now.x3)), 0.0
@@ -344,11 +348,12 @@ class OneCell:
         elif (
             sigmas > onset.CLEAR_SIGMAS
             and seen.pull > seen.clear_pull + onset.MORE_SIGMAS * np.sqrt(by_noise)
-            and load_kpa > onset.CLEAR * self.full
+            and risen > onset.CLEAR * self.full
         ):
-            self.other = Hypothesis(load_kpa, seen.begun.settled, self.other.x2, self.now.x3)
+            settled = risen + m.etau2_kpa * (risen / m.eu1_kpa - self.r)
+            self.other = Hypothesis(risen, settled, self.other.x2, self.now.x3)
             self.extreme, self.rested, seen.looks = rows.REFUTED, False, -seen.looks
-            self.doubt += (onset.EITHER * load_kpa) ** 2 + hidden**2
+            self.doubt += (onset.EITHER * risen) ** 2 + hidden**2
             self.variance, seen.may_bear = self.doubt, 0.0
             seen.found += 1
             return

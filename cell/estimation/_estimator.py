@@ -50,6 +50,8 @@ from ._tremor import Tremor
 
 SETTLE_EVERY = 32
 """frames between two looks for cells that may go to sleep"""
+FIRST_LOOKS = 8, 16
+"""frames after which there is such a look besides: until then all cells are followed, at several times a usual cost"""
 FIRST_READINGS = 4
 """averaged before the first estimate of a cell is final"""
 MORE = 1.1
@@ -189,7 +191,7 @@ class Estimator:
         self._held.advance(dt, self._pressure)
         self._usual_s += (dt - self._usual_s) * (0.1 if self._frames > 1 else 1.0)
         self._frames += 1
-        if self._frames % SETTLE_EVERY == 0 and not exact:
+        if not exact and (self._frames % SETTLE_EVERY == 0 or self._frames in FIRST_LOOKS):
             self._rest()
         return self._shown()
 

@@ -426,6 +426,13 @@ def recent_mean(ring: Rows, newest: int, cell: int) -> float:
 
 
 @loop
+def recent_means_each(ring: Rows, newest: int, cells: Places, mean: Row) -> None:
+    """Write :func:`recent_means` into ``mean`` (m,)."""
+    for i in range(cells.size):
+        mean[i] = recent_mean(ring, newest, cells[i])
+
+
+@loop
 def average(
     squares: Row,
     r: Row,

@@ -19,6 +19,10 @@ that was hidden and is then held needs a pull, too, and so does a light touch. W
 may have risen unseen therefore counts as standard deviation. A load that comes to the hidden rate needs no more pull:
 its doubt fades, and does not end at once.
 
+A load that fell to a part of itself and then grows slowly needs a pull as well, since the recovery model lets it fall
+to none. The hypothesis of :mod:`._earlier` has followed that load. Where most of its pressure was there when the
+recovery began, it is taken over: one that is held is more likely than one that goes on at the hidden rate.
+
 T. L. Lai: "Sequential changepoint detection in quality control and dynamical systems", J. R. Statist. Soc. B 57 (1995).
 """
 
@@ -29,12 +33,14 @@ import math
 import numpy as np
 
 from ...arrays import BoolArray, FloatArray
-from ...compiled import Places, Row, Rows, loop
-from ..estimation import FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE, recent_mean
+from ...compiled import Row, Rows, loop
+from ..estimation import FAR, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE
 from ..materials import PaperModel, lag
 from ._paper_steps import Constants, borne_before, numbered, step_weights
 from ._recovery import REST_SIGMAS
 from ._turning_rows import (
+    EARLIER_FROM_KPA,
+    EARLIER_KPA,
     EXTREME,
     LEFT,
     LOOKS_AT_REST,
@@ -72,6 +78,8 @@ EITHER = 0.6
 clear pull"""
 HIDES_S, HIDDEN = 2.0, 0.4
 """how long a load may have risen at the hidden rate; and standard deviation over such a load where the pull is clear"""
+HELD = 0.7
+"""share of a load that must have been there when recovery began, for the load to have been held since"""
 LASTS_S = 3.0
 """time in which the doubt about a load fades that has come to the hidden rate"""
 BOUND = REST_SIGMAS**2
@@ -94,9 +102,9 @@ GAIN_KPA, FADES_2, FADES_3, BACK_2, BACK_3, GONE, RAMP, RISING_GAIN_KPA, HIDDEN_
 """places of what depends on the time between frames: kPa per r in recovery; share of what the branches bear that is
 left at the next look; by how much more they bore when the mean of the readings was right; weights of the rising model
 from one look to the next, and kPa per r then; kPa that a load rises to within :data:`HIDES_S` at the hidden rate, per r
-that either branch bears; share of a doubt that lasts until the next look. And a constant:"""
-ETAU2_KPA = 11
-"""of the model"""
+that either branch bears; share of a doubt that lasts until the next look. And constants:"""
+ETAU2_KPA, SETTLED_PER_KPA = 11, 12
+"""of the model; second state of the rising model, per kPa"""
 
 
 def constants(model: PaperModel, dt_s: float) -> Constants:
@@ -118,6 +126,7 @@ def constants(model: PaperModel, dt_s: float) -> Constants:
         HIDDEN_3: unseen * (1.0 / model.tu_s - 1.0 / model.t3_s),
         LASTS: math.exp(-look_s / LASTS_S),
         ETAU2_KPA: model.etau2_kpa,
+        SETTLED_PER_KPA: 1.0 + model.etau2_kpa / model.eu1_kpa,
     }
     return numbered(numbers)
 
@@ -187,7 +196,9 @@ def _compare(
     hidden = np.maximum(hidden - shown, _ZERO) * HIDDEN
     clear, clear_before = ~anew & (pull > unsure * CLEAR_SIGMAS), memory[CLEAR_KPA]
     more = clear & (clear_before > _ZERO) & (pull > clear_before + np.sqrt(by_noise) * MORE_SIGMAS)
-    more &= load > CLEAR * full_scale_kpa
+    held = memory[RISING_KPA] + memory[EARLIER_KPA]
+    risen = np.maximum(load, np.where(held * -HELD > memory[EARLIER_FROM_KPA], held, _ZERO))
+    more &= risen > CLEAR * full_scale_kpa
     np.maximum(may_bear, hidden, out=may_bear, where=clear)
     np.copyto(may_bear, _ZERO, where=anew)
     np.maximum(may_bear, memory[MAY_BEAR_KPA] * numbers[LASTS], out=may_bear)
@@ -212,19 +223,21 @@ def _compare(
     np.copyto(memory[EXPECTED_X2], memory[X2], where=anew)
     np.copyto(memory[EXPECTED_X3], memory[RECOVERY_X3], where=anew)
     if np.count_nonzero(more):
-        _take_over(memory, more, hidden)
+        _take_over(memory, more, risen, hidden, numbers)
 
 
-def _take_over(memory: FloatArray, risen: BoolArray, hidden: FloatArray) -> None:
-    """Let a load bear on those of m cells where it has ``risen`` (m,); changes their ``memory`` (rows, m).
+def _take_over(
+    memory: FloatArray, more: BoolArray, risen: FloatArray, hidden: FloatArray, numbers: tuple[FloatArray, ...]
+) -> None:
+    """Let loads ``risen`` (m,) in kPa bear on those of m cells whose pull is ``more`` (m,) than clear.
 
-    ``hidden`` (m,) is the standard deviation in kPa of what it may have risen by before.
+    ``hidden`` (m,) is the standard deviation in kPa of what they may have risen by before. Changes ``memory``.
     """
-    doubt = memory[BEGUN_KPA] * EITHER
+    doubt = risen * EITHER
     doubt = memory[TURNED] + doubt * doubt + hidden * hidden
     for row, value in (
-        (RISING_KPA, memory[BEGUN_KPA]),
-        (SETTLED, memory[BEGUN_SETTLED]),
+        (RISING_KPA, risen),
+        (SETTLED, risen * numbers[SETTLED_PER_KPA] - memory[STATE_END - 1] * numbers[ETAU2_KPA]),
         (RISING_X3, memory[RECOVERY_X3]),
         (EXTREME, _REFUTED),
         (RESTED, _ZERO),
@@ -232,7 +245,7 @@ def _take_over(memory: FloatArray, risen: BoolArray, hidden: FloatArray) -> None
         (TURNED, doubt),
         (VARIANCE, doubt),
     ):
-        np.copyto(memory[row], value, where=risen)
+        np.copyto(memory[row], value, where=more)
 
 
 def hidden_kpa(memory: FloatArray, pressure: FloatArray, extreme: FloatArray, share: FloatArray) -> FloatArray:
@@ -265,30 +278,12 @@ def hidden_kpa_of(memory: Rows, i: int, pressure: float, extreme: float, share: 
 
 
 @loop
-def look_each(
-    memory: Rows,
-    taken: Rows,
-    ring: Rows,
-    newest: int,
-    cells: Places,
-    full_scale_kpa: float,
-    numbers: Row,
-) -> None:
-    """:func:`look` as a loop over cells, which takes the mean of the readings itself.
-
-    Args:
-        memory: (rows, m), changed.
-        taken: (4, m) readings of the frame.
-        ring: (k, n) the last readings of all cells.
-        newest: row of the last of them.
-        cells: (m,) indices.
-        full_scale_kpa: of the cells.
-        numbers: :func:`constants`.
-    """
+def look_each(memory: Rows, mean: Row, noise: Row, full_scale_kpa: float, numbers: Row) -> None:
+    """:func:`look` as a loop over cells."""
     none, etau2_kpa = NONE * full_scale_kpa, numbers[ETAU2_KPA]
-    for i in range(cells.size):
+    for i in range(mean.size):
         looks = memory[LOOKS_AT_REST, i]
-        by_noise = taken[NOISE, i] * numbers[GAIN_KPA]
+        by_noise = noise[i] * numbers[GAIN_KPA]
         by_noise *= by_noise
         bound = (memory[REST_VARIANCE, i] + by_noise) * BOUND
         rests = memory[PRESSURE, i] * memory[PRESSURE, i] < bound or looks > 0.0
@@ -307,11 +302,11 @@ def look_each(
             memory[EARLIEST_SETTLED + model, i] = settled + load * numbers[RAMP]
         if not (recovers and looks >= SETTLES):
             continue
-        load, mean = memory[BEGUN_KPA, i], recent_mean(ring, newest, cells[i])
+        load = memory[BEGUN_KPA, i]
         by_model = memory[REST_VARIANCE, i] + memory[TURNED, i] * MODEL
         by_noise *= 1.0 / RECENT
         weight = max(by_model / (by_model + by_noise), AVERAGED)
-        last = memory[EXPECTED_X2, i] * numbers[BACK_2] + memory[EXPECTED_X3, i] * numbers[BACK_3] - mean
+        last = memory[EXPECTED_X2, i] * numbers[BACK_2] + memory[EXPECTED_X3, i] * numbers[BACK_3] - mean[i]
         pull = memory[PULL_KPA, i] + (last * numbers[GAIN_KPA] - memory[PULL_KPA, i]) * weight
         by_noise = by_noise * (weight / (2.0 - weight)) + none * none
         unsure = math.sqrt(by_model + by_noise)
@@ -338,10 +333,12 @@ def look_each(
         hidden = memory[X2, i] * numbers[HIDDEN_2] + memory[RECOVERY_X3, i] * numbers[HIDDEN_3]
         hidden = max(min(hidden, memory[EARLIEST_KPA, i]) - shown, 0.0) * HIDDEN
         more = clear and clear_before > 0.0 and pull > clear_before + math.sqrt(by_noise) * MORE_SIGMAS
-        if more and load > CLEAR * full_scale_kpa:
-            doubt = load * EITHER
+        held = memory[RISING_KPA, i] + memory[EARLIER_KPA, i]
+        risen = max(load, held) if held * -HELD > memory[EARLIER_FROM_KPA, i] else load
+        if more and risen > CLEAR * full_scale_kpa:
+            doubt = risen * EITHER
             doubt = memory[TURNED, i] + doubt * doubt + hidden * hidden
-            memory[RISING_KPA, i], memory[SETTLED, i] = load, memory[BEGUN_SETTLED, i]
+            memory[RISING_KPA, i], memory[SETTLED, i] = risen, risen * numbers[SETTLED_PER_KPA] - r * etau2_kpa
             memory[RISING_X3, i], memory[EXTREME, i] = memory[RECOVERY_X3, i], REFUTED
             memory[RESTED, i], memory[LOOKS_AT_REST, i], memory[MAY_BEAR_KPA, i] = 0.0, -looks, 0.0
             memory[TURNED, i] = memory[VARIANCE, i] = doubt

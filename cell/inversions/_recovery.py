@@ -20,8 +20,8 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import Places, Row, Rows, loop
-from ..estimation import COUNT, FAR, NOISE, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE, recent_mean
+from ...compiled import Row, Rows, loop
+from ..estimation import FAR, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE
 from ..estimation import GAIN as GAIN_ROW
 from ..materials import PaperModel
 from ._paper_steps import Constants, borne_before, numbered, step_weights
@@ -30,6 +30,7 @@ from ._turning_rows import (
     DRIFT_KPA,
     EXTREME,
     LEFT,
+    MAY_BEAR_KPA,
     PEAK,
     RECENT_EXTREME,
     RECOVERY_KPA,
@@ -55,8 +56,8 @@ RESTED_SIGMAS = 5.0
 cell. More than in any cell (:data:`..estimation._inversion.NO_LOAD_SIGMAS`): the error of the memory shows in every
 frame of a rest, and its deviation here is that of the usual error (:data:`PART`) only"""
 LIGHT = 0.1
-"""share of the variance of the memory that a rest leaves, beside the square of what was subtracted: the released cell
-may have borne a light load after all"""
+"""share of the variance of the memory that a rest leaves, beside the squares of what was subtracted and of a load that
+may have begun (:mod:`._onset`): the released cell may have borne a light load after all"""
 DRIFTS = 2.0
 """standard deviations of the memory's error that may seem to be a turn as the error fades"""
 OVERSHOOT = 3.0
@@ -157,6 +158,7 @@ def variance_at_turn(memory: FloatArray) -> FloatArray:
     """(m,) kPa^2 of the memory of cells that have just turned, less what a rest has averaged away."""
     variance = memory[VARIANCE]
     left_over = variance * LIGHT + memory[TAKEN_OFF_KPA] * memory[TAKEN_OFF_KPA]
+    left_over += memory[MAY_BEAR_KPA] * memory[MAY_BEAR_KPA]
     rested = np.minimum(variance, memory[REST_VARIANCE] + left_over)
     found: FloatArray = np.where(memory[RESTED] > _ZERO, rested, variance)
     return found
@@ -184,7 +186,7 @@ def variance_at_turn_of(memory: Rows, i: int) -> float:
     variance = memory[VARIANCE, i]
     if memory[RESTED, i] > 0.0:
         taken_off = memory[TAKEN_OFF_KPA, i]
-        left_over = variance * LIGHT + taken_off * taken_off
+        left_over = variance * LIGHT + taken_off * taken_off + memory[MAY_BEAR_KPA, i] * memory[MAY_BEAR_KPA, i]
         variance = min(variance, memory[REST_VARIANCE, i] + left_over)
     return float(variance)
 
@@ -200,34 +202,24 @@ def begin_of(memory: Rows, i: int, by_noise: float, most_kpa2: float) -> None:
 
 
 @loop
-def look_each(memory: Rows, taken: Rows, line: Rows, ring: Rows, newest: int, cells: Places, numbers: Row) -> None:
-    """:func:`look` as a loop over cells, which takes the mean of the readings itself.
-
-    Args:
-        memory: (rows, m), changed.
-        taken: (4, m) readings of the frame.
-        line: (ROWS, m) memory of the smoothing.
-        ring: (k, n) the last readings of all cells.
-        newest: row of the last of them.
-        cells: (m,) indices.
-        numbers: :func:`constants`.
-    """
+def look_each(memory: Rows, mean: Row, noise: Row, count: Row, numbers: Row) -> None:
+    """:func:`look` as a loop over cells."""
     gain = numbers[GAIN]
-    for i in range(cells.size):
+    for i in range(mean.size):
         memory[PEAK, i] += (memory[EXTREME, i] - memory[PEAK, i]) * numbers[LATELY]
         drift_end = memory[DRIFT_END_KPA, i] + max(memory[TAKEN_OFF_KPA, i], 0.0)
         rising = memory[SIGN, i] > 0.0
         share = numbers[RISING_DRIFT_SHARE] if rising else numbers[DRIFT_SHARE]
         memory[DRIFT_KPA, i] += (drift_end - memory[DRIFT_KPA, i]) * share
-        if rising and line[COUNT, i] >= OLD:
-            memory[DRIFT_KPA, i] = max(memory[DRIFT_KPA, i], taken[NOISE, i] * memory[GAIN_ROW, i] * numbers[BEYOND])
+        if rising and count[i] >= OLD:
+            memory[DRIFT_KPA, i] = max(memory[DRIFT_KPA, i], noise[i] * memory[GAIN_ROW, i] * numbers[BEYOND])
         memory[REST_VARIANCE, i] *= numbers[FADES]
-        if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and line[COUNT, i] >= RECENT - 1.0):
+        if not (memory[SIGN, i] < 0.0 and memory[LEFT, i] >= FAR and count[i] >= RECENT - 1.0):
             continue
-        shown, x3, mean = memory[PRESSURE, i], memory[RECOVERY_X3, i], recent_mean(ring, newest, cells[i])
+        shown, x3 = memory[PRESSURE, i], memory[RECOVERY_X3, i]
         remembered = memory[X2, i] * numbers[BACK_2] + x3 * numbers[BACK_3]
-        pressure = (mean - remembered) * gain
-        by_noise = taken[NOISE, i] * gain
+        pressure = (mean[i] - remembered) * gain
+        by_noise = noise[i] * gain
         by_noise = by_noise * by_noise * (1.0 / RECENT)
         bound = (memory[REST_VARIANCE, i] + by_noise) * numbers[BOUND]
         if not (pressure * pressure < bound and shown * shown < bound):

@@ -19,8 +19,8 @@ import math
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import Places, Row, Rows, loop
-from ..estimation import FAR, NOISE, PRESSURE, RECENT, VARIANCE, recent_mean
+from ...compiled import Row, Rows, loop
+from ..estimation import FAR, PRESSURE, RECENT, VARIANCE
 from ..materials import PaperModel
 from ._paper_steps import Constants, borne_before, numbered, step_weights
 from ._turning_rows import (
@@ -152,27 +152,9 @@ def look(
 
 
 @loop
-def look_each(
-    memory: Rows,
-    taken: Rows,
-    ring: Rows,
-    newest: int,
-    cells: Places,
-    full_scale_kpa: float,
-    numbers: Row,
-) -> None:
-    """:func:`look` as a loop over cells, which takes the mean of the readings itself.
-
-    Args:
-        memory: (rows, m), changed.
-        taken: (4, m) readings of the frame.
-        ring: (k, n) the last readings of all cells.
-        newest: row of the last of them.
-        cells: (m,) indices.
-        full_scale_kpa: of the cells.
-        numbers: :func:`constants`.
-    """
-    for i in range(cells.size):
+def look_each(memory: Rows, mean: Row, noise: Row, full_scale_kpa: float, numbers: Row) -> None:
+    """:func:`look` as a loop over cells."""
+    for i in range(mean.size):
         pressure = memory[PRESSURE, i]
         x2, x3 = memory[STILL_X2, i] * numbers[FADES_2], memory[STILL_X3, i] * numbers[FADES_3]
         memory[STILL_X2, i], memory[STILL_X3, i] = x2, x3
@@ -183,10 +165,10 @@ def look_each(
                 memory[STILL_X2, i] = memory[X2, i] - load * numbers[PER_KPA_2]
                 memory[STILL_X3, i] = memory[RECOVERY_X3, i] - load * numbers[PER_KPA_3]
             continue
-        load, mean = memory[STILL_KPA, i], recent_mean(ring, newest, cells[i])
-        off = mean - load * numbers[PER_KPA] - x2 * numbers[BACK_2] - x3 * numbers[BACK_3]
+        load = memory[STILL_KPA, i]
+        off = mean[i] - load * numbers[PER_KPA] - x2 * numbers[BACK_2] - x3 * numbers[BACK_3]
         off *= numbers[GAIN_KPA]
-        by_noise = taken[NOISE, i] * (SURE / math.sqrt(RECENT)) * numbers[GAIN_KPA]
+        by_noise = noise[i] * (SURE / math.sqrt(RECENT)) * numbers[GAIN_KPA]
         light = memory[PRESSURE_BEFORE, i] <= load + LIGHT_TOUCH * full_scale_kpa and memory[LOOKS_AT_REST, i] >= 0.0
         flat, clear = (FLAT, CLEAR) if light else (FLAT_PRESS, CLEAR_PRESS)
         growth = pressure - memory[PRESSURE_BEFORE, i]

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ...arrays import FloatArray
-from ...compiled import Places, Row, Rows, loop
-from ..estimation import FAR, GAIN, NOISE, PRESSURE, RECENT, RESTED, VARIANCE, recent_mean
+from ...compiled import Row, Rows, loop
+from ..estimation import FAR, GAIN, PRESSURE, RECENT, RESTED, VARIANCE
 from ..materials import PaperModel
 from . import _way as way
 from ._paper_steps import numbered
@@ -212,24 +212,11 @@ def _take_back(memory: FloatArray, unseen: FloatArray, told: FloatArray, numbers
 
 
 @loop
-def look_each(
-    memory: Rows, taken: Rows, ring: Rows, newest: int, cells: Places, steps: float, numbers: Row, way_numbers: Rows
-) -> None:
-    """:func:`look` as a loop over cells, which takes the mean of the readings itself.
-
-    Args:
-        memory: (rows, m), changed.
-        taken: (4, m) readings of the frame.
-        ring: (k, n) the last readings of all cells.
-        newest: row of the last of them.
-        cells: (m,) indices.
-        steps: as for :func:`look`.
-        numbers: :func:`constants`.
-        way_numbers: of them those of :mod:`._way`.
-    """
+def look_each(memory: Rows, means: Row, noises: Row, steps: float, numbers: Row, way_numbers: Rows) -> None:
+    """:func:`look` as a loop over cells, ``way_numbers`` being those of :mod:`._way`."""
     owed = numbers[OWED]
-    for i in range(cells.size):
-        mean, sign, noise = recent_mean(ring, newest, cells[i]), memory[SIGN, i], taken[NOISE, i]
+    for i in range(means.size):
+        mean, sign, noise = means[i], memory[SIGN, i], noises[i]
         if steps > 0.0:
             scale = memory[STATE_END - 1, i] + 1.0
             noise = max(noise, scale * scale * steps)

@@ -27,10 +27,12 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray, IntArray
 from ...compiled import Loop
 from ..estimation import (
+    COUNT,
     DOUBTED_LOAD,
     FAR,
     GAIN,
     LIGHT_LOAD,
+    NOISE,
     PRESSURE,
     REST_VARIANCE,
     RESTED,
@@ -38,6 +40,7 @@ from ..estimation import (
     WINDOW,
     Inversion,
     credible_readings,
+    recent_means_each,
 )
 from ..materials import ByStep, PaperModel, lag
 from . import _doubts as doubts
@@ -209,7 +212,7 @@ class TurningInversion(Inversion):
         return unconfirmed
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
-        return *loops.ALL, *recovery.LOOPS, *still.LOOPS, *onset.LOOPS, *sway.LOOPS
+        return *loops.ALL, recent_means_each, *recovery.LOOPS, *still.LOOPS, *onset.LOOPS, *sway.LOOPS
 
     def advance_compiled(self, memory: FloatArray, taken: FloatArray, line: FloatArray, dt_s: float) -> FloatArray:
         w, of, numbers = self._weights.of(dt_s), self._beside, self._numbers.row
@@ -249,14 +252,14 @@ class TurningInversion(Inversion):
         newest: int,
         cells: IntArray,
     ) -> None:
-        """See :func:`._recovery.look_each`, and those of :mod:`._still`, :mod:`._onset` and :mod:`._sway`."""
-        recovery.look_each.code(memory, taken, line, ring, newest, cells, self._recovery.of(dt_s).row)
-        numbers = self._still.of(dt_s).row
-        still.look_each.code(memory, taken, ring, newest, cells, self.full_scale_kpa, numbers)
-        numbers = self._onset.of(dt_s).row
-        onset.look_each.code(memory, taken, ring, newest, cells, self.full_scale_kpa, numbers)
+        """:meth:`recover` by the loops of the same rooms."""
+        mean, noise = np.empty(cells.size), taken[NOISE]
+        recent_means_each.code(ring, newest, cells, mean)
+        recovery.look_each.code(memory, mean, noise, line[COUNT], self._recovery.of(dt_s).row)
+        still.look_each.code(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).row)
+        onset.look_each.code(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).row)
         of = self._sway.of(dt_s)
-        sway.look_each.code(memory, taken, ring, newest, cells, self._steps, of.row, of.way.rows)
+        sway.look_each.code(memory, mean, noise, self._steps, of.row, of.way.rows)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
         released: BoolArray = memory[SIGN] < self._none

@@ -27,6 +27,7 @@ from ...arrays import BoolArray, FloatArray
 from ...errors import SolverError
 from .._exact import read_exactly
 from ._coupled_board import CoupledBoard
+from ._frame_budget import Budget
 from ._linearised import Base
 
 _FELL = 0.25  # share of its last reading below which a cell may be beyond a break
@@ -64,17 +65,18 @@ class BrokenLines:
         """Whether readings, in V from the reference voltage, are to be taken :meth:`without` what breaks do to them."""
         return self.beyond is not None or bool(np.count_nonzero(signal < self._before) >= _LEAST_CELLS)
 
-    def without(self, volts: FloatArray, last: FloatArray, std: FloatArray | float) -> FloatArray:
+    def without(self, volts: FloatArray, last: FloatArray, std: FloatArray | float, budget: Budget) -> FloatArray:
         """Readings in V as they would be if the cells beyond breaks were open.
 
         Args:
             volts: the readings of a frame.
             last: (n,) logarithms of the conductances of the last frame that has settled.
             std: (n,) standard deviations of these by rounding and noise.
+            budget: of the frame.
 
         """
         signal = volts - self._parts.board.level
-        self._look(signal, np.abs(signal) < self._before, last.reshape(self._parts.shape))
+        self._look(signal, np.abs(signal) < self._before, last.reshape(self._parts.shape), budget)
         if self.beyond is None:
             return volts
         if self._at is None or bool((np.abs(last - self._at) > np.maximum(_SERVES, _NOISE * std)).any()):
@@ -94,19 +96,22 @@ class BrokenLines:
     def change(self, volts: FloatArray, base: Base) -> FloatArray:
         """Relative change (n,) of the conductances by what has been taken out of the readings, in V."""
         signal = volts - self._parts.board.level
-        changed: FloatArray = np.expm1(np.abs(base.step((signal * (1.0 - 1.0 / self._ratio)).ravel())))
+        with np.errstate(over="ignore"):  # what is boundless stays so
+            changed: FloatArray = np.expm1(np.abs(base.step((signal * (1.0 - 1.0 / self._ratio)).ravel())))
         return changed
 
-    def _look(self, signal: FloatArray, low: BoolArray, last: FloatArray) -> None:
+    def _look(self, signal: FloatArray, low: BoolArray, last: FloatArray, budget: Budget) -> None:
         """Find the lines that are broken now, given the readings and those that have fallen (``low``)."""
         beyond = self._ends_of_lines(low)
         known = np.zeros_like(low) if self.beyond is None else self.beyond
         if np.array_equal(beyond, known):
             return
         held = np.where(known, self._held, last)
-        if (beyond & ~known).any() and not self._breaks(signal, beyond, low, held):
-            beyond &= known
-            self._before[low & ~known] = -inf  # these contacts have opened
+        if (beyond & ~known).any():
+            budget.compare()
+            if not self._breaks(signal, beyond, low, held):
+                beyond &= known
+                self._before[low & ~known] = -inf  # these contacts have opened
         self._held, self._at = held, None
         self.beyond = beyond if beyond.any() else None
         if self.beyond is not None:

@@ -140,7 +140,7 @@ class CoupledLive:
         read = volts
         if self._broken.applies and self._settled is not None and self._broken.change_notably(signal):
             spread = self._linearised.spread * hypot(1.0, noise / self._parts.noise)
-            volts = self._broken.without(read, self._settled, spread)
+            volts = self._broken.without(read, self._settled, spread, budget)
             signal = np.abs(volts - self._parts.board.level)
         frame = self._parts.frame(volts, signal, noise, selection.ignored)
         known, by_lost = self._usual_start(frame, selection, budget)

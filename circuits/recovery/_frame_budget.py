@@ -65,6 +65,10 @@ class Budget:
         self._evaluations -= paid
         return paid
 
+    def compare(self) -> None:
+        """A comparison of what may have broken, as dear as all instalments of a frame: it takes their place."""
+        self._instalments = 0
+
     def keep_instalments(self, most: int) -> None:
         """Leave the frame no more instalments than that."""
         self._instalments = min(self._instalments, most)

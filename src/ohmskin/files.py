@@ -85,7 +85,7 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
         InputError: the file cannot be written there.
 
     """
-    output = _Output(path)
+    output = Output(path)
     try:
         with output.errors():
             output.open()
@@ -111,7 +111,7 @@ def write_together(contents: Mapping[str | Path, bytes | None]) -> None:
         for path, data in contents.items():
             if data is None:
                 continue
-            output = _Output(path)
+            output = Output(path)
             stack.callback(output.discard)
             with output.errors():
                 output.open()
@@ -134,7 +134,7 @@ def check_writable(*paths: str | Path) -> None:
 
     """
     for path in paths:
-        output = _Output(path)
+        output = Output(path)
         try:
             with output.errors():
                 output.open(probe=True)
@@ -158,8 +158,8 @@ def size(count: int) -> str:
     return f"{count} GiB"
 
 
-class _Output:
-    """One file on its way to ``path``: opened, filled, finished, then put in place of the old one."""
+class Output:
+    """One file on its way to ``path``: opened, filled, finished and put in place of the old one, in either order."""
 
     file: BinaryIO
 
@@ -207,7 +207,7 @@ class _Output:
         self.file.close()
 
     def replace(self) -> None:
-        """Put the finished file in the place of the old one."""
+        """Put the file in the place of the old one."""
         if self._partial is not None:
             with self.errors():
                 os.replace(self._partial, self._target)
@@ -224,6 +224,7 @@ class _Output:
 
     @contextmanager
     def errors(self) -> Iterator[None]:
+        """An operating system's error in the block as an InputError that names the file."""
         with _errors_name(self._path, "written"):
             yield
 

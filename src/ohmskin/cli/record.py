@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from ..driver import LinkStatistics
+from ..driver import LinkStatistics, Skin
 from ..errors import InputError, LinkEnded, LinkTimeout
 from ..text import one_line
 from . import arguments
@@ -41,27 +41,40 @@ def command(port: str, output: Path, duration: float, opening: Opening, overwrit
     if output.suffix.lower() != ".mcap":
         raise InputError(f"{output}: is no name of a recording; expected FILE.mcap")
     with opening.open(port, delivery="every", queue=QUEUE, record=output, overwrite=overwrite) as skin:
-        start = time.monotonic()
-        with progress_bar("recording") as tell:
-            while (elapsed := time.monotonic() - start) < duration:
-                recorder = skin.recorder
-                if recorder is not None and recorder.error is not None:
-                    raise recorder.error
-                try:
-                    skin.read(min(0.5, max(duration - elapsed, 0.001)))
-                except LinkTimeout:
-                    pass
-                except LinkEnded:
-                    break
-                if isfinite(duration):
-                    tell(round(1000 * elapsed), round(1000 * duration), f"{skin.stats().frames} frames")
+        try:
+            _take_frames(skin, duration)
+        except KeyboardInterrupt:  # the usual end of a recording without a duration
+            _tell(output, skin.stats(), as_json)
+            raise
         stats = skin.stats()
+    _tell(output, stats, as_json)
+
+
+def _take_frames(skin: Skin, duration_s: float) -> None:
+    """Take frames until the duration is over or no frame follows; InputError where they cannot be written."""
+    start = time.monotonic()
+    with progress_bar("recording") as tell:
+        while (elapsed := time.monotonic() - start) < duration_s:
+            recorder = skin.recorder
+            if recorder is not None and recorder.error is not None:
+                raise recorder.error
+            try:
+                skin.read(min(0.5, max(duration_s - elapsed, 0.001)))
+            except LinkTimeout:
+                pass
+            except LinkEnded:
+                break
+            if isfinite(duration_s):
+                tell(round(1000 * elapsed), round(1000 * duration_s), f"{skin.stats().frames} frames")
+
+
+def _tell(output: Path, stats: LinkStatistics, as_json: bool) -> None:
     if as_json:
         click.echo(json_text(_summary(output, stats)))
-    else:
-        lost = "unknown" if stats.lost is None else str(stats.lost)
-        counts = f"{stats.frames} frames, {lost} lost, {stats.reconnects} reconnects"
-        click.echo(f"{one_line(str(output))}: {counts}", err=True)
+        return
+    lost = "unknown" if stats.lost is None else str(stats.lost)
+    counts = f"{stats.frames} frames, {lost} lost, {stats.reconnects} reconnects"
+    click.echo(f"{one_line(str(output))}: {counts}", err=True)
 
 
 def _summary(output: Path, stats: LinkStatistics) -> dict[str, object]:
