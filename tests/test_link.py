@@ -319,7 +319,7 @@ def test_a_port_that_cannot_be_opened_says_why(port: str, message: str) -> None:
         ({"cell": "no-such.toml"}, "no-such.toml: cannot be read"),
         ({"calibration": "no-such.toml"}, "no-such.toml: cannot be read"),
         ({"record": "nowhere/press.mcap"}, "nowhere/press.mcap: cannot be written: No such file or directory"),
-        ({"record": "."}, "cannot be written: Is a directory"),
+        ({"record": "."}, "cannot be written: is a directory"),
         ({"record": __file__}, "is there already"),
         ({"estimator": "kalman"}, "no estimator 'kalman'; expected one of static, "),
         ({"accuracy": 1.5}, "accuracy is 1.5; expected"),
