@@ -74,7 +74,7 @@ def test_light_taps_do_not_add_up(cell: str, taps_hz: float) -> None:
         heavy_enough = [peak >= lightest for peak in light_taps.PEAKS]
         assert max(np.array(found.kept)[heavy_enough]) < 0.7
         assert min(np.array(found.within_two)[heavy_enough]) > 0.97
-        assert max(found.std_percent) < 3.0
+        assert max(found.std_percent) < 3.3
 
 
 @pytest.mark.parametrize(("bits", "noise_mv", "taps_hz"), [(12, 10.0, 3.0), (8, 0.3, 1.0), (8, 0.3, 3.0)])
