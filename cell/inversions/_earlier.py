@@ -20,7 +20,7 @@ from ...compiled import Row, Rows, loop
 from ..estimation import FAR, PRESSURE, RESTED
 from ..materials import PaperModel
 from ._limits import USUAL_KPA
-from ._paper_steps import TurnWeights
+from ._paper_steps import TurnWeights, fast_r
 from ._turning_rows import (
     EARLIER_FROM_KPA,
     EARLIER_KPA,
@@ -39,7 +39,7 @@ from ._turning_rows import (
     UNSURE,
     MemoryRows,
 )
-from ._turns import LIGHT_TURN, fast_r, turn_from, turn_from_of
+from ._turns import LIGHT_TURN, turn_from, turn_from_of
 
 EARLIER, MIDWAY = 0.7, 0.5
 """standard deviation over what an earlier turn would make: none of that is wrong, or all (the root mean square). And

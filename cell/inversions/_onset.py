@@ -36,7 +36,7 @@ from ...arrays import BoolArray, FloatArray
 from ...compiled import Row, Rows, loop
 from ..estimation import FAR, PRESSURE, RECENT, REST_VARIANCE, RESTED, VARIANCE
 from ..materials import PaperModel, lag
-from ._paper_steps import Constants, borne_before, numbered, step_weights
+from ._paper_steps import Constants, borne_before, fast_r, numbered, step_weights
 from ._recovery import REST_SIGMAS
 from ._turning_rows import (
     EARLIER_FROM_KPA,
@@ -111,7 +111,7 @@ def constants(model: PaperModel, dt_s: float) -> Constants:
     """What :func:`look` takes, for frames ``dt_s`` apart; places as above."""
     look_s, (back_2, back_3) = RECENT * dt_s, borne_before(model, 0.5 * (RECENT - 1) * dt_s)
     gone, ramp = (float(weight) for weight in lag.weights(look_s, model.tu_s))
-    unseen = HIDES_S / (1.0 / model.eu1_kpa + 1.0 / model.etau2_kpa)
+    unseen = HIDES_S / fast_r(model)[0]
     numbers = {
         GAIN_KPA: float(step_weights(model, dt_s).gain[-1]),
         FADES_2: math.exp(-look_s / model.t2_s),

@@ -16,6 +16,11 @@ from ...arrays import FloatArray
 from ..materials import PaperModel, lag
 
 
+def fast_r(model: PaperModel) -> tuple[float, float]:
+    """R per kPa of a fast change, in the rising and in the recovery model."""
+    return 1 / model.eu1_kpa + 1 / model.etau2_kpa, 1 / model.e1_kpa
+
+
 class StepWeights(NamedTuple):
     """What one time step does: the state is [pressure, settled, x2, x3] before it, r the reading after it."""
 

@@ -25,7 +25,7 @@ from ...compiled import Row, Rows, loop
 from ..estimation import FAR, GAIN, PRESSURE, RECENT, RESTED, VARIANCE
 from ..materials import PaperModel
 from . import _way as way
-from ._paper_steps import numbered
+from ._paper_steps import fast_r, numbered
 from ._turning_rows import (
     BEFORE_LAST,
     EARLIER_FROM_KPA,
@@ -64,11 +64,11 @@ WAY = 44
 SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R, HELD, BALANCE, MOST = range(WAY + way.ROWS, WAY + len(NAMES))
 """rows, behind those of :mod:`._onset`"""
 _WAY = slice(WAY, WAY + way.ROWS)
-RISE_R, FALL_R, PER_E1, PER_E2, PER_E3, ETAU2_KPA, SETTLED_PER_KPA, OF_U, OF_2, OF_3 = range(10)
+RISE_R, FALL_R, PER_E2, PER_E3, ETAU2_KPA, SETTLED_PER_KPA, OF_U, OF_2, OF_3, KEPT_KPA = range(10)
 OWED, LARGEST_R, LARGEST_KPA = range(10, 13)
 """places of the numbers: r per kPa of a fast rise and of a fast fall; constants of the model; shares of the lags that
-pass from one look to the next; looks that the way counts for, and how far a load may go unnoticed, in r
-and in kPa"""
+pass from one look to the next; kPa kept per r of the way; looks that the way counts for, and how far a load may go
+unnoticed, in r and in kPa"""
 EDGE = way.CLEAR * math.sqrt(2.0 / RECENT)
 """standard deviations of a reading"""
 _EDGE = np.array(EDGE)
@@ -88,12 +88,11 @@ class Constants(NamedTuple):
 
 def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constants:
     """The numbers for frames that follow each other after ``dt_s``."""
-    m, between_s = model, RECENT * dt_s
+    m, between_s, (rise_r, fall_r) = model, RECENT * dt_s, fast_r(model)
     numbers = numbered(
         {
-            RISE_R: 1 / m.eu1_kpa + 1 / m.etau2_kpa,
-            FALL_R: 1 / m.e1_kpa,
-            PER_E1: 1 / m.e1_kpa,
+            RISE_R: rise_r,
+            FALL_R: fall_r,
             PER_E2: 1 / m.e2_kpa,
             PER_E3: 1 / m.e3_kpa,
             ETAU2_KPA: m.etau2_kpa,
@@ -101,8 +100,9 @@ def constants(model: PaperModel, dt_s: float, full_scale_kpa: float) -> Constant
             OF_U: between_s / m.tu_s,
             OF_2: between_s / m.t2_s,
             OF_3: between_s / m.t3_s,
+            KEPT_KPA: 0.5 * (rise_r - fall_r) / (rise_r * fall_r),
             OWED: way.MEMORY_S / between_s,
-            LARGEST_R: LARGEST * full_scale_kpa * (1 / m.eu1_kpa + 1 / m.etau2_kpa),
+            LARGEST_R: LARGEST * full_scale_kpa * rise_r,
             LARGEST_KPA: LARGEST * full_scale_kpa,
         }
     )
@@ -174,25 +174,24 @@ def _take_back(memory: FloatArray, unseen: FloatArray, told: FloatArray, numbers
     """Subtract what the way of r makes that is ``unseen`` (2, m), as it is told and as it may be, of a way ``told``
     (m,) in all.
     """
-    rise, fall, per_e1, per_e2, per_e3, etau2, settled_per_kpa, of_u, of_2, of_3 = numbers[: OF_3 + 1]
+    rise, fall, per_e2, per_e3, etau2, settled_per_kpa, of_u, of_2, of_3, kept = numbers[: KEPT_KPA + 1]
     way, most = unseen
     sign, pressure, r = memory[SIGN], memory[PRESSURE], memory[STATE_END - 1]
     rises = sign > _ZERO
     share = np.minimum(way / np.where(way > _ZERO, told, _ONE), _ONE)
     x3 = np.where(rises, memory[RISING_X3], memory[RECOVERY_X3])
-    x2 = np.where(rises, r - pressure * per_e1 - x3, memory[X2])
+    x2 = np.where(rises, r - pressure * fall - x3, memory[X2])
     settled = np.where(rises, memory[SETTLED], pressure * settled_per_kpa - r * etau2)
     recovers = (pressure * per_e2 - x2) * of_2 + (pressure * per_e3 - x3) * of_3
     sinks = (settled - pressure) / etau2 * of_u
     drifts = np.where(rises, recovers / fall - sinks / rise, sinks / rise - recovers / fall)
-    kept = _HALF * (rise - fall) / (rise * fall)
     kpa = way * kept + drifts * share * _HALF
     shown = np.where(memory[RESTED] > _ZERO, _ZERO, np.maximum(pressure, _ZERO))
     kpa = np.minimum(np.maximum(kpa, _ZERO), shown)
     for row in (PRESSURE, LAST, BEFORE_LAST, THIRD_LAST, RISING_KPA, RECOVERY_KPA):
         memory[row] -= kpa
     memory[SETTLED] -= kpa * settled_per_kpa
-    memory[X2] += kpa * per_e1
+    memory[X2] += kpa * fall
     ahead = sign * kpa
     for row in (EXTREME, PEAK, RECENT_EXTREME):
         memory[row] -= ahead
@@ -250,11 +249,11 @@ def look_each(memory: Rows, means: Row, noises: Row, steps: float, numbers: Row,
 @loop
 def take_back_of(memory: Rows, i: int, way: float, most: float, told: float, numbers: Row) -> None:
     """:func:`_take_back` of cell ``i``."""
-    rise, fall, etau2 = numbers[RISE_R], numbers[FALL_R], numbers[ETAU2_KPA]
+    rise, fall, etau2, kept = numbers[RISE_R], numbers[FALL_R], numbers[ETAU2_KPA], numbers[KEPT_KPA]
     sign, pressure, r = memory[SIGN, i], memory[PRESSURE, i], memory[STATE_END - 1, i]
     if sign > 0.0:
         x3, settled = memory[RISING_X3, i], memory[SETTLED, i]
-        x2 = r - pressure * numbers[PER_E1] - x3
+        x2 = r - pressure * fall - x3
     else:
         x3, x2 = memory[RECOVERY_X3, i], memory[X2, i]
         settled = pressure * numbers[SETTLED_PER_KPA] - r * etau2
@@ -262,7 +261,6 @@ def take_back_of(memory: Rows, i: int, way: float, most: float, told: float, num
     share = min(way / told, 1.0) if way > 0.0 else 0.0
     sinks = (settled - pressure) / etau2 * numbers[OF_U]
     drifts = recovers / fall - sinks / rise if sign > 0.0 else sinks / rise - recovers / fall
-    kept = 0.5 * (rise - fall) / (rise * fall)
     kpa = way * kept + drifts * share * 0.5
     shown = 0.0 if memory[RESTED, i] > 0.0 else max(pressure, 0.0)
     kpa = min(max(kpa, 0.0), shown)
@@ -275,7 +273,7 @@ def take_back_of(memory: Rows, i: int, way: float, most: float, told: float, num
     memory[RISING_KPA, i] -= kpa
     memory[RECOVERY_KPA, i] -= kpa
     memory[SETTLED, i] -= kpa * numbers[SETTLED_PER_KPA]
-    memory[X2, i] += kpa * numbers[PER_E1]
+    memory[X2, i] += kpa * fall
     ahead = sign * kpa
     memory[EXTREME, i] -= ahead
     memory[PEAK, i] -= ahead

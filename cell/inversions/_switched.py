@@ -10,7 +10,7 @@ import numpy as np
 from ...arrays import BoolArray, FloatArray
 from ..estimation import PRESSURE, Inversion, credible_readings
 from ..materials import ByStep, PaperModel, lag
-from ._paper_steps import step_weights
+from ._paper_steps import fast_r, step_weights
 
 STATE_ROWS, R_ROW = [PRESSURE, 5, 6, 7], 3
 """rows of the memory of :class:`SwitchedInversion`: pressure, settled, x2, x3; and the reading"""
@@ -52,7 +52,7 @@ class SwitchedInversion(Inversion):
         self.model = model
         self._weights = ByStep(switch_weights, model)
         self._thresholds_per_s = model.thresholds_per_s(full_scale_kpa)
-        credible = credible_readings(full_scale_kpa * (1 / model.eu1_kpa + 1 / model.etau2_kpa))
+        credible = credible_readings(full_scale_kpa * fast_r(model)[0])
         full_r = model.gain_per_kpa * full_scale_kpa
         super().__init__(full_scale_kpa, full_r, credible=credible, exact=True)
 

@@ -19,7 +19,7 @@ from . import _recovery as recovery
 from ._earlier import MIDWAY, likely_kpa, likely_kpa_of
 from ._limits import E1_KPA, SETTLED_PER_KPA, UNKNOWN_KPA2, USUAL_KPA
 from ._onset import hidden_kpa_of
-from ._paper_steps import TurnWeights
+from ._paper_steps import TurnWeights, fast_r
 from ._recovery import begin_of, variance_at_turn_of
 from ._turning_rows import (
     BEFORE_LAST,
@@ -48,7 +48,7 @@ from ._turning_rows import (
     X2,
     take_gains_of,
 )
-from ._turns import EXACT_KPA, LESS, TURN, fast_r
+from ._turns import EXACT_KPA, LESS, TURN
 
 ROUND = 2e-3
 """of full scale: an error of the pressure at a slow turn, which is noticed late"""

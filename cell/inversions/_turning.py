@@ -53,7 +53,7 @@ from . import _sway as sway
 from . import _takeover as takeover
 from . import _turning_loops as loops
 from . import _turns as turns
-from ._paper_steps import Constants, TurnWeights, numbered, step_weights, taken_over, turn_weights
+from ._paper_steps import Constants, TurnWeights, fast_r, numbered, step_weights, taken_over, turn_weights
 from ._turning_rows import (
     BEFORE_LAST,
     EXTREME,
@@ -109,7 +109,7 @@ class TurningInversion(Inversion):
 
     def __init__(self, model: PaperModel, full_scale_kpa: float, *, exact: bool) -> None:
         self.model = model
-        rise_r, _ = turns.fast_r(model)
+        rise_r, _ = fast_r(model)
         full_r = model.gain_per_kpa * full_scale_kpa
         super().__init__(full_scale_kpa, full_r, credible=credible_readings(full_scale_kpa * rise_r), exact=exact)
         self._weights = ByStep(turn_weights, model)
@@ -117,7 +117,6 @@ class TurningInversion(Inversion):
         self._begin_gain = float(step_weights(model, 0.01).gain[0])
         self._of = MemoryRows(np.zeros((len(self.rows), 0)))
         self._beside = Beside(self._of.memory)
-        self._steps = 0.0
         self._numbers = self._numbers_of(steps=0.0)
         # Constants as arrays: NumPy makes an array of a float in every call, which takes as long as a small operation.
         self._none, self._far, self._two, self._sure = (np.array(x) for x in (0.0, FAR, 2.0, SURE))
@@ -145,7 +144,6 @@ class TurningInversion(Inversion):
 
     def take_steps(self, std: float) -> None:
         """As :meth:`.Inversion.take_steps`: for falls of loads that are held, see :data:`._turns.STILL`."""
-        self._steps = std
         self._numbers = self._numbers_of(std)
 
     def begin(self, r: FloatArray) -> FloatArray:
@@ -240,7 +238,7 @@ class TurningInversion(Inversion):
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
         still.look(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).each)
         onset.look(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).each)
-        sway.look(memory, mean, noise, self._steps, self._sway.of(dt_s))
+        sway.look(memory, mean, noise, self._numbers.row[turns.STEPS], self._sway.of(dt_s))
 
     def recover_compiled(
         self,
@@ -259,7 +257,7 @@ class TurningInversion(Inversion):
         still.look_each.code(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).row)
         onset.look_each.code(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).row)
         of = self._sway.of(dt_s)
-        sway.look_each.code(memory, mean, noise, self._steps, of.row, of.way.rows)
+        sway.look_each.code(memory, mean, noise, self._numbers.row[turns.STEPS], of.row, of.way.rows)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
         released: BoolArray = memory[SIGN] < self._none

@@ -14,7 +14,7 @@ from ...arrays import BoolArray, FloatArray
 from ...compiled import Row, Rows, loop
 from ..estimation import FAR, GAIN, LOADS, PRESSURE
 from ..materials import PaperModel
-from ._paper_steps import TurnWeights
+from ._paper_steps import TurnWeights, fast_r
 from ._turning_rows import (
     AHEAD,
     CONFIRMING_SIGMAS,
@@ -76,11 +76,6 @@ _ZERO, _FAR, _SURE, _LESS, _TURN_SHARE, _SHARED, _FALLING = (
     np.array(x) for x in (0.0, FAR, SURE, LESS, TURN_SHARE, SHARED, FALLING)
 )
 # As arrays: NumPy makes an array of a float in every call, which takes as long as the operation itself.
-
-
-def fast_r(model: PaperModel) -> tuple[float, float]:
-    """R per kPa of a fast change, in the rising and in the recovery model."""
-    return 1 / model.eu1_kpa + 1 / model.etau2_kpa, 1 / model.e1_kpa
 
 
 def numbers_of(model: PaperModel, full_scale_kpa: float, *, exact: bool, steps: float) -> dict[int, float]:
