@@ -28,7 +28,7 @@ class LinkStatistics:
     corrupt: int
     """stretches of bytes that were no packets"""
     resyncs: int
-    """times that packets followed such stretches again"""
+    """times that packets followed such stretches again, or were numbered anew: by a jump that no time explains"""
     reconnects: int
     """times that the port was opened anew"""
     reboots: int
