@@ -24,7 +24,7 @@ GAINS = (0.25, 4.0)
 MOST_NOISE = 0.1
 """relative noise of the measured effect of a load"""
 MOST_REST_CHANGE = 0.03
-"""relative: a rest resistance that is off by 3 % is 4 to 6 % of full scale (docs/cell.md)"""
+"""relative: a rest resistance that is off by 3 % is 4 to 6 % of full scale (docs/estimator.md)"""
 NOISE_STDS = 4.0
 """so many standard deviations of an averaged reading more"""
 TOLERANCE = 0.1

@@ -20,6 +20,7 @@ from ..errors import InputError
 from ._calibration import Calibration
 from ._contacts import ContactsOfFrames, ContactTracker, PressureView
 from ._later import Later, Retained
+from ._line_faults import Creep, LineFaults
 from ._mailbox import Mailbox
 from ._past import Block, MeasurementPast
 from ._pitch import Pitch
@@ -127,6 +128,8 @@ class Converter:
         """told of new rest resistances and of the time of the last frame before them: for recorders"""
         self._starts = self._starts_told = 0
         """times that the estimator has begun without memory, and as many as the last frame knew of"""
+        self._creep: Creep | None = None
+        self._line_faults: LineFaults | None = None
         self._estimator = self._new_estimator()
         full_scale_kpa = np.inf if cell is None else cell.full_scale_kpa
         drift_kpa = 0.0 if self._systematic is None else self._systematic.kpa_of_rest(KNOWN_DRIFT)
@@ -183,9 +186,10 @@ class Converter:
         """
         with self._lock:
             noise_steps, counts = self._read.memory()
-            estimator = None
-            if self._estimator is not None:
-                estimator = {name: Block.of(array) for name, array in self._estimator.state().items()}
+            estimator, faults = (
+                None if part is None else {name: Block.of(array) for name, array in part.state().items()}
+                for part in (self._estimator, self._line_faults)
+            )
             past = MeasurementPast(
                 time_s=self._last_s,
                 rest_ohm=None if self._rest_ohm is None else Block.of(self._rest_ohm),
@@ -193,6 +197,7 @@ class Converter:
                 counts=None if counts is None else Block.of(counts.astype(np.float64)),
                 rest_spread=None if self._systematic is None else self._systematic.rest_spread,
                 estimator=estimator,
+                line_faults=faults,
                 restarted=self._starts > self._starts_told,
             )
             self._go_on(past)
@@ -232,6 +237,9 @@ class Converter:
         remembers = True
         if self.cell is not None:
             self._estimator, state = self._fresh_estimator(), past.estimator_state()
+            self._line_faults = self._new_line_faults(self._estimator)
+            if self._line_faults is not None and past.line_faults is not None:
+                self._line_faults.restore({name: block.array() for name, block in past.line_faults.items()})
             try:
                 self._estimator.restore(state)
             except InputError:
@@ -274,7 +282,6 @@ class Converter:
         counters.converted += 1
         if not reading.solved:
             counters.unsolved += 1
-        counters.reasons = reading.reason
         if self._judged is not None:
             self._judge(reading)
         while self._rest_changes and frame.monotonic_time > self._rest_changes[0][0]:
@@ -282,6 +289,8 @@ class Converter:
             self.use_rest(None if rest is None else rest.reshape(self.design.array.shape))
         if gap_s > KEEP_STATE_S:
             self._estimator = self._new_estimator()
+        reading = self._without_faulty_lines(frame.time_s, reading)
+        counters.reasons = reading.reason
         _read_only(reading.resistance)
         pressure, std = self._estimate(gap_s, reading)
         rise = None
@@ -313,6 +322,14 @@ class Converter:
         std = Later(partial(_std, estimator.variance_of_last_step(), systematic, common, calibration))
         self._retained.add(std)
         return common if calibration is None else calibration.applied(common), std
+
+    def _without_faulty_lines(self, time_s: float, reading: Reading) -> Reading:
+        """The reading, of which cells on lines that read what no load makes of them are not valid."""
+        if self._line_faults is None or self._systematic is None:
+            return reading
+        cells = self._line_faults.take(time_s, reading, self._systematic.rest_spread)
+        self._counters.faulty = None if cells is None else self._line_faults.remark
+        return reading if cells is None else reading.without(cells)
 
     @property
     def _rest_known(self) -> bool:
@@ -377,7 +394,11 @@ class Converter:
 
     def _new_estimator(self) -> Estimator | None:
         self._starts += 1
-        return None if self.cell is None else self._fresh_estimator()
+        if self.cell is None:
+            return None
+        estimator = self._fresh_estimator()
+        self._line_faults = self._new_line_faults(estimator)
+        return estimator
 
     def _fresh_estimator(self) -> Estimator:
         assert self.cell is not None
@@ -391,6 +412,15 @@ class Converter:
         )
         estimator.compile()
         return estimator
+
+    def _new_line_faults(self, estimator: Estimator) -> LineFaults | None:
+        """For the rest resistances in use; None where loads lower the resistance, for what a fault does they do too."""
+        assert self.cell is not None
+        if estimator.inversion.side < 0.0:
+            return None
+        if self._creep is None:
+            self._creep = Creep(self.cell)
+        return LineFaults(estimator.rest_ohm, self._creep, rest_known=self._rest_known)
 
 
 def _std(

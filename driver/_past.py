@@ -108,6 +108,8 @@ class MeasurementPast(_Part):
     """the estimator has no memory of that frame"""
     estimator: dict[str, Block] | None
     """as :meth:`ohmskin.cell.Estimator.state` has it"""
+    line_faults: dict[str, Block] | None = None
+    """as :meth:`._line_faults.LineFaults.state` has it"""
 
     def estimator_state(self) -> dict[str, FloatArray]:
         """Arrays for :meth:`ohmskin.cell.Estimator.restore`."""

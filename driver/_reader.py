@@ -435,7 +435,7 @@ class Reader:
                 self._prove()
                 self._start_frames()
         if isinstance(event, Identity) and event.over:
-            self.stream.end(event.sequence, event.boot_id)
+            self.stream.end(event.sequence, event.boot_id, event.time_us)
             self._finish()
             return
         self._learn(event)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,6 +51,16 @@ class Reading:
     """relative uncertainty up to which a noisy reading serves for estimation, valid or not; 0: none"""
     _scales_columns: bool = False
     """whether errors of other readings are one factor of all conductances of a column"""
+
+    def without(self, cells: BoolArray) -> Reading:
+        """The same, in which ``cells`` (rows, columns) are disturbed by a fault."""
+        return replace(
+            self,
+            resistance=np.where(cells, np.nan, self.resistance),
+            valid=self.valid & ~cells,
+            reason=np.where(cells & self.valid, np.int8(Reason.DISTURBED), self.reason),
+            all_valid=False,
+        )
 
     @property
     def steps_share(self) -> float:

@@ -33,6 +33,11 @@ class ArrivalTimes:
         """Continue from a saved :meth:`state`."""
         self._last_s, self._intervals_s = past.last, deque(past.intervals, maxlen=KEPT)
 
+    @property
+    def usual_s(self) -> float:
+        """The usual time between two frames; 0: not known."""
+        return median(self._intervals_s) if self._intervals_s else 0.0
+
     def arrive(self, received_s: float, frames: int) -> None:
         """Take an arrival with so many frames; :meth:`next` then gives their times."""
         if not frames:
@@ -42,7 +47,7 @@ class ArrivalTimes:
             step_s = max(received_s - self._last_s, 0.0) / frames
             self._intervals_s.append(step_s)
             # After a pause of the board its frames do not come more slowly than usual.
-            step_s = min(step_s, median(self._intervals_s)) if frames > 1 else step_s
+            step_s = min(step_s, self.usual_s) if frames > 1 else step_s
         self._received_s = self._last_s = received_s
         self._step_s, self._left = step_s, frames
 

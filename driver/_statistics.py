@@ -28,7 +28,7 @@ class LinkStatistics:
     corrupt: int
     """stretches of bytes that were no packets"""
     resyncs: int
-    """times that packets followed such stretches again"""
+    """times that packets followed such stretches again, or were numbered anew: by a jump that no time explains"""
     reconnects: int
     """times that the port was opened anew"""
     reboots: int
@@ -83,6 +83,8 @@ class Counters:
     """of the newest converted frame, a :class:`ohmskin.circuits.Reason` for each cell"""
     remark: str | None = None
     """why no cell is valid"""
+    faulty: str | None = None
+    """names lines that read what no load makes of them"""
     untared: str | None = None
     """why the skin should be tared"""
     times_s: deque[float] = field(default_factory=lambda: deque(maxlen=KEPT))
@@ -107,7 +109,7 @@ class Counters:
             skipped=max(self.frames - self.converted - pending, 0),
             unsolved=self.unsolved,
             not_valid=_not_valid(self.reasons),
-            remark=self.remark or self.untared,
+            remark=self.remark or self.faulty or self.untared,
             rate_hz=(len(times) - 1) / elapsed if elapsed > 0 else float("nan"),
             age_s=_percentiles(self.ages_s),
             jitter_s=_percentiles(self.delays_s),

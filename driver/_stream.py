@@ -23,6 +23,12 @@ HALF_RANGE = 2**31
 _NO_FLAGS = Flag.NONE  # operations on flags take 1 us each
 CLOCK_SET_S, CLOCK_SET_STEPS = 1.0, 100
 """the board's clock was set forward where it goes on by so much more than the host's, and by so many usual steps"""
+FASTER = 10.0
+"""a board that sends so many times as many frames as usual may explain a jump of the numbers"""
+LEAST_PERIOD_US = 10.0
+"""no board sends frames faster"""
+BUFFERED_S = 10.0
+"""bytes of a board without a clock may have waited for so long before they came"""
 LEAST_STEP_S = 1e-6
 """the estimator needs times that increase"""
 
@@ -73,8 +79,12 @@ class FrameStream:
     goes on           goes back           the next frame; the board's clock was set, or has wrapped
     back by up to 64  goes back           a packet that was overtaken: dropped, and one of the lost
     further back      goes back           a reboot of a board that does not change its boot id
-    goes back         goes on             a fault
+    back by up to 64  goes on             a fault
+    further back      goes on             the next frame, numbered anew
     ================  ==================  =================================================================
+
+    Numbers that go on by more than 64, and by more than FASTER times what the board sends in the time that has passed,
+    are new numbers, too: nobody has sent the frames between. New numbers are a resynchronisation, and no loss.
     """
 
     def __init__(self, name: str, counters: Counters) -> None:
@@ -139,13 +149,22 @@ class FrameStream:
         self.counters.corrupt += 1
         self._in_step = False
 
-    def end(self, sequence: int, boot_id: int | None) -> None:
-        """Count what the line lost of the frames before ``sequence``, the number that would have come next."""
+    def end(self, sequence: int, boot_id: int | None, time_us: int) -> None:
+        """Count what the line lost of the frames before ``sequence``, the number that would have come next.
+
+        Args:
+            sequence: of the packet by which the board says that it has come to its end.
+            boot_id: of that packet.
+            time_us: of the board's clock then.
+
+        """
+        since_us = self._latest_us or 0
         if self._begun and boot_id != self._boot_id:
             self.counters.reboots += 1
-            self._expected = 0
-        if self._expected is not None and (sequence - self._expected) % 2**32 < HALF_RANGE:
-            self.counters.lost = (self.counters.lost or 0) + (sequence - self._expected) % 2**32
+            self._expected = since_us = 0
+        missing = 0 if self._expected is None else (sequence - self._expected) % 2**32
+        if self._may_be_lost(missing, max(time_us - since_us, 0) + 1e6 * BUFFERED_S, self._usual_us):
+            self.counters.lost = (self.counters.lost or 0) + missing
             self._expected = sequence
 
     def take(self, packet: FramePacket, arrival: Arrival) -> RawFrame | None:
@@ -175,7 +194,7 @@ class FrameStream:
         if sequence is not None:
             self._remember(stamp)
         self._boot_id = packet.boot_id
-        missing = self._count_lost(packet)
+        missing = self._count_lost(packet, arrival, found)
         counters.frames += 1
         if packet.flags is not _NO_FLAGS:
             counters.overruns += bool(packet.flags & Flag.OVERRUN)
@@ -228,18 +247,54 @@ class FrameStream:
             self._recent.clear()
             self._expected = None if packet.sequence is None else 0
 
-    def _count_lost(self, packet: FramePacket) -> int:
-        """Count the frames that are missing before this one; returns how many, 0 where that is not known."""
+    def _passed_us(self, time_us: int | None, arrival: Arrival, found: _Succession) -> float:
+        """The longest time in us in which frames may have been lost before this one."""
+        if time_us is not None and (found is _Succession.REBOOT or not self._begun):
+            return time_us  # at most since the board has started
+        if time_us is not None and self._latest_us is not None and found is _Succession.NEXT:
+            return time_us - self._latest_us
+        return 1e6 * (arrival.received_at - self._latest_monotonic + BUFFERED_S)
+
+    @staticmethod
+    def _may_be_lost(missing: int, passed_us: float, usual_us: float) -> bool:
+        """Whether a board may have sent so many frames that did not come; else it counts anew.
+
+        Args:
+            missing: numbers between two that came, modulo 2^32.
+            passed_us: between them.
+            usual_us: from frame to frame; 0: not known.
+
+        """
+        most = passed_us / max(usual_us / FASTER, LEAST_PERIOD_US)
+        return missing <= REMEMBERED or missing < min(most, HALF_RANGE)
+
+    def _count_lost(self, packet: FramePacket, arrival: Arrival, found: _Succession) -> int:
+        """Count the frames that are missing before this one; returns how many, 0 where that is not known.
+
+        Args:
+            packet: the frame.
+            arrival: of its last byte.
+            found: what it is after the frame before.
+
+        Raises:
+            ProtocolError: as for :meth:`take`.
+
+        """
         if packet.sequence is None:
             self.counters.lost = None
             return 0
         expected, self._expected = self._expected, (packet.sequence + 1) % 2**32
         missing = 0 if expected is None else (packet.sequence - expected) % 2**32
-        if missing >= HALF_RANGE:
-            raise ProtocolError(
-                f"{self.name}: frame {packet.sequence} came where {expected} was next, "
-                "yet the board has not started anew"
-            )
+        if missing > REMEMBERED:  # seldom, and else not looked at further
+            if missing >= 2**32 - REMEMBERED:
+                raise ProtocolError(
+                    f"{self.name}: frame {packet.sequence} came where {expected} was next, "
+                    "yet the board has not started anew"
+                )
+            usual_us = self._usual_us if packet.time_us is not None else 1e6 * self._arrivals.usual_s
+            if not self._may_be_lost(missing, self._passed_us(packet.time_us, arrival, found), usual_us):
+                self.counters.resyncs += 1
+                missing = 0
         self.counters.lost = (self.counters.lost or 0) + missing
         return missing
 

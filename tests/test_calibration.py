@@ -121,7 +121,7 @@ def test_any_believable_gains_are_recovered(gains: list[float]) -> None:
     time_s, kpa = history(together=True)
     watch = watched(time_s, resistances(time_s, kpa, true), plan_of(press="all"))
     assert watch.rest is not None
-    # Beyond full scale the estimate, which tells when a press began, waits for 0.1 s (docs/cell.md, sparks).
+    # Beyond full scale the estimate, which tells when a press began, waits for 0.1 s (docs/estimator.md, sparks).
     np.testing.assert_allclose(calibrate_cells(CELL, watch.rest, watch.presses).fit.gain, true, rtol=1e-2)
 
 

@@ -31,7 +31,7 @@ from ohmskin.driver._clock import ClockMap
 from ohmskin.driver._mailbox import Mailbox
 from ohmskin.driver._port import DescriptorPort, OrderlyClose, UrlPort
 from ohmskin.driver._statistics import Counters
-from ohmskin.driver._stream import FrameStream
+from ohmskin.driver._stream import FrameStream, RawFrame
 from ohmskin.emulator import Board, PtyPort, Rfc2217Port, TcpPort, running
 from ohmskin.errors import InputError, LinkEnded, LinkError, LinkTimeout, OhmskinError
 from ohmskin.wire import (
@@ -48,6 +48,17 @@ FORK = multiprocessing.get_context("fork")
 def order(which: Order) -> bytes:
     """The bytes by which a command of this kind is known."""
     return host_protocol("ohmskin").request(which)[1:4]
+
+
+def _numbered(
+    stream: FrameStream, number: int, board_s: float, *, clock: bool = True, host_s: float | None = None
+) -> RawFrame | None:
+    """What a stream makes of a packet; the host's clock is the board's where nothing else is said."""
+    came_s = board_s if host_s is None else host_s
+    arrival = Arrival(b"", 50.0 + came_s, 50.0 + came_s)
+    time_us = round(1e6 * board_s) if clock else None
+    stream.arrive(arrival, 1)
+    return stream.take(FramePacket.of(np.full((3, 2), 9), sequence=number, time_us=time_us, boot_id=1), arrival)
 
 
 async def _first(skin: Skin, count: int) -> AsyncIterator[Frame]:
@@ -316,6 +327,36 @@ class TestOrderOfPackets:
         assert taken is not None
         assert taken.time_s == pytest.approx(numbers[-1] - numbers[0])
         assert stream.counters.clock_steps == 0
+
+    @pytest.mark.parametrize("clock", [True, False])
+    @pytest.mark.parametrize("ahead", [10**9, 50_000, -50_000, 2**31 + 7])
+    def test_a_number_that_no_time_explains_is_no_loss(self, clock: bool, ahead: int) -> None:
+        """One intact packet of a stream of 100 frames a second with another number; then the board counts on."""
+        stream = FrameStream("board", Counters())
+        numbers = [100_000 + k + (ahead if k == 60 else 0) for k in range(100)]
+        taken = [_numbered(stream, number, 0.01 * k, clock=clock) for k, number in enumerate(numbers)]
+        assert all(one is not None and one.lost == 0 for one in taken)
+        assert (stream.counters.frames, stream.counters.resyncs, stream.counters.reboots) == (100, 2, 0)
+
+    @pytest.mark.parametrize(("clock", "host_s"), [(True, 30.0), (True, 0.0), (False, 30.0), (False, 0.0)])
+    def test_frames_lost_in_a_long_pause_are_counted(self, clock: bool, host_s: float) -> None:
+        """Of thirty seconds, or of five of a board without a clock whose bytes waited in a buffer meanwhile."""
+        stream, lost = FrameStream("board", Counters()), 3000 if clock or host_s else 500
+        for k in range(100):
+            _numbered(stream, k, 0.01 * k, clock=clock)
+        board_s = 1.0 + 0.01 * lost
+        last = _numbered(stream, 100 + lost, board_s, clock=clock, host_s=1.0 + host_s)
+        assert last is not None
+        assert (last.lost, stream.counters.resyncs) == (lost, 0)
+
+    def test_a_board_ends_with_no_more_losses_than_it_can_have_sent(self) -> None:
+        stream = FrameStream("board", Counters())
+        for k in range(100):
+            _numbered(stream, k, 0.01 * k)
+        stream.end(10**9, 1, 1_010_000)
+        assert stream.counters.lost == 0
+        stream.end(103, 1, 1_030_000)
+        assert stream.counters.lost == 3
 
     def test_a_board_whose_boot_id_never_changes_is_seen_to_start_anew(self) -> None:
         pieces = [*(frame(k) for k in range(100)), *(frame(k) for k in range(5)), identity(sequence=5, over=True)]

@@ -922,7 +922,7 @@ class TestBoards:
             find_board("slow", timeout=1.0)
 
     def test_taking_frames_leaves_nothing_to_the_garbage_collector(self) -> None:
-        """So it never runs because of the driver, however long a program does (docs/driver.md)."""
+        """So it never runs because of the driver, however long a program does (docs/latency.md)."""
         port, numbers = described(), itertools.count()
         with lossless(port) as skin:
 
@@ -932,12 +932,15 @@ class TestBoards:
                     assert one.pressure_std.shape == (3, 2)
                     assert one.contacts is not None
 
-            take(100)  # what is made once
-            gc.collect()
-            gc.disable()
-            try:
+            def left() -> int:
+                gc.collect()
                 take(100)
-                assert gc.collect() == 0
+                return gc.collect()
+
+            take(100)  # what is made once
+            gc.disable()
+            try:  # what frames leave is there each time; what another thread of this process left is not
+                assert any(left() == 0 for _ in range(5))
             finally:
                 gc.enable()
 

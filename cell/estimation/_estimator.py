@@ -208,6 +208,11 @@ class Estimator:
         return variance
 
     @property
+    def rest_ohm(self) -> FloatArray:
+        """(shape) rest resistances in use."""
+        return (1.0 / self._per_ohm).reshape(self.shape)
+
+    @property
     def resolved(self) -> bool:
         """Whether :meth:`resolve` has been called."""
         return self._noise.typical_resolution > 0.0
