@@ -35,28 +35,29 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: LONGEST.index(item.path.name) if item.path.name in LONGEST else len(LONGEST))
 
 
+def pytest_collection_finish() -> None:
+    """Some million objects of modules and tests stay to the end: no collection of garbage is to look at them again."""
+    _keep_what_is_there()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _boards_of_this_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Emulated boards of other processes, such as tests that run at the same time, are not found here."""
+    """Emulated boards of other processes, such as tests that run at the same time, are not found here.
+
+    And machine code is compiled before: a board whose cable is pulled after a second does not wait for the compiler.
+    """
+    loops = compiled._offered
+    odd = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 2
+    compiled.load(*(reversed(loops) if odd else loops))  # two workers meet in the middle: each compiles half
+    _keep_what_is_there()  # what the compiler made stays as well
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("OHMSKIN_RUNTIME_DIR", str(tmp_path_factory.mktemp("boards")))
         yield
 
 
-@pytest.fixture(scope="session", autouse=True)
-def _compiled_before() -> None:
-    """Machine code is compiled first: a board whose cable is pulled after a second does not wait for the compiler.
-
-    Then some million objects of modules, tests and compiler stay to the end: no collection of garbage is to look at
-    them again, nor to look for garbage of the compiler while it is at work.
-    """
-    loops = compiled._offered
-    odd = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")) % 2
-    gc.disable()
-    compiled.load(*(reversed(loops) if odd else loops))  # two workers meet in the middle: each compiles half
+def _keep_what_is_there() -> None:
     gc.collect()
     gc.freeze()
-    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)
