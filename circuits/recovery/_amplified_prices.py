@@ -44,7 +44,10 @@ class AmplifiedPrices:
 
     def most(self, *, heavy: bool) -> float:
         """What any other frame may cost on a board whose usual frames are such ones."""
-        return USUAL_FRAMES * (self.heavy if heavy else self.light)
+        if heavy:
+            return USUAL_FRAMES * self.heavy
+        # No step is dearer than a frame, or what waits for it would wait for ever.
+        return max(USUAL_FRAMES * self.light, self.heavy + max(self.exact, self.bounds))
 
     def shorts(self, where: BoolArray) -> float:
         """What cells (N, M) that may be shorts make of the others."""
