@@ -104,6 +104,7 @@ class TurningInversion(Inversion):
         "recent_extreme",
         *onset.NAMES,
         *sway.NAMES,
+        *("released", "taken_before"),
     )
     recovers = True
 
