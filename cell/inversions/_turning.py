@@ -127,6 +127,7 @@ class TurningInversion(Inversion):
         self.steepness_kpa = np.array([1 / rise_r, model.e1_kpa])
         self.rests = recovery.RESTED_SIGMAS**2
         self._rests, self._light_load_kpa2 = np.array(self.rests), np.array((LIGHT_LOAD * full_scale_kpa) ** 2)
+        self._light_load_kpa = np.array(LIGHT_LOAD * full_scale_kpa)
         self._doubted_load_kpa2 = np.array((DOUBTED_LOAD * full_scale_kpa) ** 2)
         self._recovery = ByStep(recovery.constants, model)
         self._still = ByStep(still.constants, model)
@@ -281,7 +282,9 @@ class TurningInversion(Inversion):
         if np.count_nonzero(doubted):
             noise_kpa2 += memory[TURNED]
             noise_kpa2 *= self._rests
-            np.minimum(noise_kpa2, self._doubted_load_kpa2, out=noise_kpa2)
+            # The rise is in doubt, and no load that was clearly shown before it.
+            loaded = memory[LEFT] < noise_kpa * -recovery.RESTED_SIGMAS - self._light_load_kpa
+            np.minimum(noise_kpa2, np.where(loaded, self._light_load_kpa2, self._doubted_load_kpa2), out=noise_kpa2)
             np.maximum(hides, noise_kpa2, out=hides, where=doubted)
         np.copyto(hides, light, where=released)
         released &= (memory[RESTED] > self._none) | (memory[PRESSURE] < self._none)
