@@ -57,6 +57,7 @@ from ._paper_steps import Constants, TurnWeights, fast_r, numbered, step_weights
 from ._turning_rows import (
     BEFORE_LAST,
     EXTREME,
+    FORGOTTEN_KPA,
     HYPOTHESES,
     IN_FORCE,
     LAST,
@@ -101,7 +102,7 @@ class TurningInversion(Inversion):
         *("rest_variance", "rested", "drift", "drift_end", "taken_off"),
         *("earlier", "earlier_least", "earlier_from"),
         *still.NAMES,
-        "recent_extreme",
+        *("recent_extreme", "forgotten"),
         *onset.NAMES,
         *sway.NAMES,
     )
@@ -326,6 +327,7 @@ class TurningInversion(Inversion):
         share = np.where(apart, 0.0, held[IN_FORCE][::-1])
         state[:6] += (self._taken_over @ state) * np.tile(share, (3, 1))
         still.hold(held, 1.0 - gone[1], 1.0 - gone[2])
+        held[FORGOTTEN_KPA] = 0.0
         onset.begin_anew(held)
         sway.begin(held, state[6])
         return held
