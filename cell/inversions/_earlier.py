@@ -61,7 +61,7 @@ OF_FALL, LASTS = 4.0, 6.0
 """of what the model in force goes back by in a frame: no more is given back of what the other hypothesis forgot in it.
 And by how much sooner that is no part of a turn than an error of the memory fades: within about half a second"""
 
-GROWN_KPA, SURE_RISING, SURE_RECOVERY, TURN_RECOVERY = range(18, 22)
+GROWN_KPA, SURE_RISING, SURE_RECOVERY, TURN_RECOVERY = range(19, 23)
 """places of numbers, behind those of :mod:`._turns`: :data:`GROWN`; standard deviations of the model in force by which
 the pressure of this hypothesis rises for sure, where that model is the rising and the recovery model; and what a turn
 of the latter is in this hypothesis"""

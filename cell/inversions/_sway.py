@@ -60,7 +60,7 @@ NAMES = (*way.NAMES, "sign_before", "last_r", "extreme_r", "unexplained_r", "hel
 """names of the rows of the memory: those of :mod:`._way`, then 1 where the load rose at the last look, -1 where it
 fell; r then, and the largest since the load turned, or the least; r less all by which it went beyond these; looks
 since an edge; the way that is told, and that which may be, less that of turns"""
-WAY = 45
+WAY = 46
 SIGN_BEFORE, LAST_R, EXTREME_R, UNEXPLAINED_R, HELD, BALANCE, MOST = range(WAY + way.ROWS, WAY + len(NAMES))
 """rows, behind those of :mod:`._onset`"""
 _WAY = slice(WAY, WAY + way.ROWS)

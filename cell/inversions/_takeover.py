@@ -68,7 +68,7 @@ full scale by which the extreme must differ from none, where pressures that are 
 MAY_BEND = 0.5
 """standard deviation of what such a delay makes, over that: the load may have turned with a bend after all"""
 
-RISE_R, FALL_R, BEND, FAST_KPA, ROUND_KPA, SMOOTH_KPA, AWAY_KPA, MOST_RESTED_KPA2 = range(22, 30)
+RISE_R, FALL_R, BEND, FAST_KPA, ROUND_KPA, SMOOTH_KPA, AWAY_KPA, MOST_RESTED_KPA2 = range(23, 31)
 """places of numbers, behind those of :mod:`._earlier`: r per kPa of a fast rise, and of a fast fall; by how much the
 former exceeds the latter; what the constants above make of full scale; and the variance of :data:`._recovery.MOST`"""
 _ZERO, _ONE, _FAR, _SURE, _LESS, _HALF, _JUST_BEGUN = (
