@@ -40,6 +40,7 @@ from ._following import Following
 from ._gaps import Gaps
 from ._held import Held
 from ._inversion import Inversion
+from ._neighbours import Neighbours
 from ._noise import NoiseMeter
 from ._remembered import Remembered
 from ._rows import GAIN, PRESSURE
@@ -83,7 +84,8 @@ class Estimator:
         self._sparks = Sparks(inversion, self._noise, self._gaps, shape)
         self._tremor = Tremor(cells)
         self._deviation = Deviation(inversion, conditions, cells)
-        self._following = Following(inversion, self._noise, self._sparks, self._deviation, self._tremor)
+        neighbours = Neighbours(shape)
+        self._following = Following(inversion, self._noise, self._sparks, self._deviation, self._tremor, neighbours)
         self._held = Held(cells, full_kpa, conditions.longest_load_s)
         self._pressure = np.full(cells, np.nan)
         self._reading = np.zeros(cells)

@@ -117,7 +117,13 @@ class Inversion(ABC):
         return np.ones(memory.shape[1], dtype=bool)
 
     def recover(  # noqa: B027 - without a memory nothing is remembered wrong
-        self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray
+        self,
+        memory: FloatArray,
+        dt_s: float,
+        mean: FloatArray,
+        noise: FloatArray,
+        count: FloatArray,
+        near: IntArray,
     ) -> None:
         """Correct what released cells remember by their readings of late; changes ``memory`` (rows, m).
 
@@ -127,6 +133,7 @@ class Inversion(ABC):
             mean: (m,) of the last :data:`._noise.RECENT` readings.
             noise: (m,) standard deviation of one of them.
             count: (m,) readings since the smoothing last noticed a change.
+            near: (k, m) places of the neighbours of each cell, see :meth:`._neighbours.Neighbours.among`.
         """
 
     def released(self, memory: FloatArray) -> BoolArray | None:
@@ -186,6 +193,7 @@ class Inversion(ABC):
         ring: FloatArray,
         newest: int,
         cells: IntArray,
+        near: IntArray,
     ) -> None:
         """:meth:`recover` by machine code, where an inversion has loops for that.
 
@@ -197,8 +205,9 @@ class Inversion(ABC):
             ring: (k, n) last readings of all cells.
             newest: row of the last of them.
             cells: (m,) indices.
+            near: (k, m) as for :meth:`recover`.
         """
-        self.recover(memory, dt_s, recent_means(ring, newest, cells), taken[NOISE], line[COUNT])
+        self.recover(memory, dt_s, recent_means(ring, newest, cells), taken[NOISE], line[COUNT], near)
 
     def loops_used(self) -> tuple[Loop[..., Any], ...]:
         """All loops that :meth:`advance_compiled` calls."""

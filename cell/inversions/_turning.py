@@ -237,13 +237,21 @@ class TurningInversion(Inversion):
         doubts.begin_anew_each.code(memory, of.change, of.rows, of.flags, held_kpa, unconfirmed, numbers)
         return memory
 
-    def recover(self, memory: FloatArray, dt_s: float, mean: FloatArray, noise: FloatArray, count: FloatArray) -> None:
+    def recover(
+        self,
+        memory: FloatArray,
+        dt_s: float,
+        mean: FloatArray,
+        noise: FloatArray,
+        count: FloatArray,
+        near: IntArray,
+    ) -> None:
         """See the functions that it calls."""
         turns.look_at_steps(memory, noise, self._numbers.each)
         recovery.look(memory, mean, noise, count, self._recovery.of(dt_s).each)
         still.look(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).each)
         onset.look(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).each)
-        sway.look(memory, mean, noise, self._numbers.row[turns.STEPS], self._sway.of(dt_s))
+        sway.look(memory, mean, noise, self._numbers.row[turns.STEPS], near, self._sway.of(dt_s))
 
     def recover_compiled(
         self,
@@ -254,6 +262,7 @@ class TurningInversion(Inversion):
         ring: FloatArray,
         newest: int,
         cells: IntArray,
+        near: IntArray,
     ) -> None:
         """:meth:`recover` by the loops of the same rooms."""
         mean, noise = np.empty(cells.size), taken[NOISE]
@@ -263,7 +272,8 @@ class TurningInversion(Inversion):
         still.look_each.code(memory, mean, noise, self.full_scale_kpa, self._still.of(dt_s).row)
         onset.look_each.code(memory, mean, noise, self.full_scale_kpa, self._onset.of(dt_s).row)
         of = self._sway.of(dt_s)
-        sway.look_each.code(memory, mean, noise, self._numbers.row[turns.STEPS], of.row, of.way.rows)
+        seen = np.empty((sway.SEEN, cells.size))
+        sway.look_each.code(memory, mean, noise, self._numbers.row[turns.STEPS], near, of.row, of.way.rows, seen)
 
     def released(self, memory: FloatArray) -> BoolArray | None:
         released: BoolArray = memory[SIGN] < self._none
