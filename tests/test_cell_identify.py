@@ -286,10 +286,8 @@ def test_readings_mostly_on_one_side_of_a_gap_are_refused(jump: int) -> None:
 
 def test_a_recording_with_a_minute_between_samples_is_learned_from() -> None:
     load = np.clip(2 * np.sin(2 * np.pi * np.arange(100) / 12), 0, 1)
-    for dt in (41.0, 100.0):
-        time = dt * np.arange(100)
-        found = calibrate(checked_recording(time, FULL * load, sense(EXAMPLE, load, dt)))
-        assert found.cell.estimators is not None
+    found = calibrate(checked_recording(41.0 * np.arange(100), FULL * load, sense(EXAMPLE, load, 41.0)))
+    assert found.cell.estimators is not None
 
 
 def test_a_resistance_that_follows_nothing_is_refused() -> None:

@@ -179,6 +179,16 @@ def test_what_a_frame_does_is_within_its_account(monkeypatch: pytest.MonkeyPatch
     assert {"_breaks", "renew", "at", "_told", "changes"} <= did
 
 
+def test_no_step_waits_for_ever() -> None:
+    """Strong presses on 16 x 12 cells with segments: potentials by sparse elimination are half of what a frame has."""
+    found = _live_streams.stream("loaded events", 171000004)
+    assert found is not None
+    read = CountReader(found.design)
+    for counts in found.counts:
+        last = read(counts)
+    assert last.valid.all()
+
+
 @pytest.mark.parametrize("column_lead", [0.0, 50.0, 1e3])
 @pytest.mark.parametrize("kind", BY_COLUMN)
 def test_slopes_by_a_column_s_sum_are_exact_over_ideal_rows(kind: str, column_lead: float) -> None:

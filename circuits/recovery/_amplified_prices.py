@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import inf, sqrt
+
 import numpy as np
 
 from ...arrays import BoolArray
@@ -33,9 +35,9 @@ class AmplifiedPrices:
         """Kirchhoff's laws, but for their rounds; one of these"""
         self.propagated = 50.0 + 0.18 * cells
         """what a set of errors becomes behind heavy leads"""
-        self.bounds = 25.0 + 0.0075 * cells**1.5 + 3.0 * self.propagated
+        self.bounds = 25.0 + 0.0075 * cells * sqrt(cells) + 3.0 * self.propagated
         """how errors of readings come through, by bounds, and how well readings are known then"""
-        self.derivatives = 100.0 + 0.036 * cells**2 if cells <= MOST_CELLS else np.inf
+        self.derivatives = 100.0 + 0.036 * cells**2 if cells <= MOST_CELLS else inf
         """the same by all derivatives"""
         self.heavy = self.reading + self.leads + 3.0 * self.round + self.exact + self.propagated
         """a usual frame there"""
@@ -44,7 +46,10 @@ class AmplifiedPrices:
 
     def most(self, *, heavy: bool) -> float:
         """What any other frame may cost on a board whose usual frames are such ones."""
-        return USUAL_FRAMES * (self.heavy if heavy else self.light)
+        if heavy:
+            return USUAL_FRAMES * self.heavy
+        # No step is dearer than a frame, or what waits for it would wait for ever.
+        return max(USUAL_FRAMES * self.light, self.heavy + max(self.exact, self.bounds))
 
     def shorts(self, where: BoolArray) -> float:
         """What cells (N, M) that may be shorts make of the others."""

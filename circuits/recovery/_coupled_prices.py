@@ -37,5 +37,8 @@ class CoupledPrices:
         self.solutions = 300.0 + 3.0 * cells
         """an enclosure of other sets of cells behind followers"""
         whole = 15.0 + 0.05 * cells if by_columns else 10.0 + cells**2 / 2000.0  # a step
-        self.most = USUAL_FRAMES * (self.reading + evaluation + (400.0 + 3.0 * cells if by_nodes else whole))
+        usual = self.reading + evaluation + (400.0 + 3.0 * cells if by_nodes else whole)
+        dearest = max(parts.quick.sparse_price(cells) + self.lines, self.compare)
+        # No step is dearer than a frame, or what waits for it would wait for ever.
+        self.most = max(USUAL_FRAMES * usual, dearest + 2.0 * usual)
         """what a frame may cost"""

@@ -41,18 +41,21 @@ class Meter:
     @property
     def price(self) -> float:
         """What the next instalment costs, see :mod:`._frame_account`."""
-        return self._usual + self._ahead
+        return _PER_INSTALMENT + self._ahead if self._ahead else self._usual
 
     def is_dear(self, price: float) -> bool:
-        """Whether the next piece of work, which is no product, is to begin an instalment that costs more by its price.
+        """Whether the next piece of work, which is no product, is to be an instalment of its own, by its price.
 
         A cheap piece is not counted.
         """
-        self._ahead = price if price > _DEAR else 0.0
-        return self._ahead > 0.0
+        dear = price > _DEAR
+        if dear:
+            self._ahead, self._spent = price, self.limit
+        return dear
 
     def is_full(self, work: int) -> bool:
         """Whether an instalment ends before so many further multiplications, which then belong to the next one."""
+        self._ahead = 0.0
         self._spent += work
         full = self._spent > self.limit and self._spent > work
         if full:

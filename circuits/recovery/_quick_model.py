@@ -81,11 +81,15 @@ class QuickModel:
             return 600.0 + 11.0 * size
         return 350.0 + 0.3 * size + (0.0 if has_ideal_lines(self._board.lines) else 280.0 + 1.1 * size)
 
+    def sparse_price(self, size: int) -> float:
+        """What a sparse factorisation with so many cells costs, the dearest way of :meth:`branches`."""
+        return 800.0 + 8.0 * size
+
     def branch_price(self, cells: FloatArray) -> float:
         """What :meth:`branches` costs."""
         size, way = cells.size, self._way(self._board.cell_conductance(cells))
         if way is _Way.SPARSE:
-            return 1100.0 + 15.0 * size
+            return self.sparse_price(size)
         if way is _Way.SWEPT:
             return 160.0 + 0.12 * size * float(np.sqrt(size))
         return 15.0 if way is _Way.IDEAL else 15.0 + 0.5 * size + 0.01 * size**2
